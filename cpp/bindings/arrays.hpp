@@ -1,0 +1,57 @@
+// numpy arrays in and out of the core. Shapes are checked here once more, so that a direct caller of
+// _core gets a sentence and never a crash.
+#pragma once
+
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "docdepth/geometry/types.hpp"
+
+namespace docdepth::bindings {
+
+namespace py = pybind11;
+
+template <class T>
+using Array = py::array_t<T, py::array::c_style>;  // no forcecast: a wrong dtype is an error
+
+using PointMap = Eigen::Map<const Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>>;
+
+/// View of an (N, 3) float32 array, without a copy.
+inline PointMap as_points(const Array<float>& array) {
+  if (array.ndim() != 2 || array.shape(1) != 3)
+    throw std::invalid_argument("points must be a float32 array of shape (N, 3)");
+  return PointMap(array.data(), array.shape(0), 3);
+}
+
+/// A 4x4 row-major float64 array as a pose.
+inline Pose as_pose(const Array<double>& array) {
+  if (array.ndim() != 2 || array.shape(0) != 4 || array.shape(1) != 4)
+    throw std::invalid_argument("a pose must be a float64 array of shape (4, 4)");
+  Pose pose;
+  pose.matrix() = Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(array.data());
+  return pose;
+}
+
+/// A one-dimensional array of `size` elements, or an error that names it.
+template <class T>
+const T* as_column(const Array<T>& array, py::ssize_t size, const char* name) {
+  if (array.ndim() != 1 || array.shape(0) != size)
+    throw std::invalid_argument(std::string(name) + " must have shape (" + std::to_string(size) +
+                                ",)");
+  return array.data();
+}
+
+/// Hand a vector to numpy without copying its elements.
+template <class T>
+py::array_t<T> to_numpy(std::vector<T>&& values, std::vector<py::ssize_t> shape) {
+  auto* owner = new std::vector<T>(std::move(values));
+  py::capsule free(owner, [](void* p) { delete static_cast<std::vector<T>*>(p); });
+  return py::array_t<T>(std::move(shape), owner->data(), free);
+}
+
+}  // namespace docdepth::bindings

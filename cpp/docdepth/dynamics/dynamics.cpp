@@ -1,0 +1,1 @@
+#include "docdepth/geometry/types.hpp"

@@ -1,0 +1,19 @@
+// Points, poses and labels as every room passes them. Metres, radians, right-handed frames.
+#pragma once
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <cstdint>
+
+namespace docdepth {
+
+/// N points of one sweep, float32, row after row: numpy's (N, 3), taken without a copy.
+using Points = Eigen::Ref<const Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>>;
+
+/// T_a_b takes points in frame b to frame a.
+using Pose = Eigen::Isometry3d;
+
+/// Class of a point, as frames/*.ply stores it (`classid`).
+enum ClassId : std::uint16_t { kGround = 0, kStatic = 50, kDynamic = 100 };
+
+}  // namespace docdepth

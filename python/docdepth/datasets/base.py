@@ -1,0 +1,104 @@
+"""What every recording looks like to the pipeline.
+
+A dataset gives sweeps and cameras one at a time and keeps none of them. Arrays come as they are
+on disk: checking for points that cannot be used is the job of :func:`usable_points`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.render import Camera
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One turn of the LiDAR.
+
+    Attributes
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        LiDAR frame (x forward, y left, z up), metres, every row of the input.
+    name : str
+        Stem of the input file; labels are written under it.
+    time : int
+        Nanoseconds; the pose of the sweep holds at this time.
+    intensity : ndarray of float32, shape (N,), optional
+    fraction : ndarray of float32, shape (N,), optional
+        When each point was measured, as a share of the sweep's duration before (negative) or
+        after (positive) ``time``. None when the sweep is motion compensated already.
+    """
+
+    points: NDArray[np.float32]
+    name: str
+    time: int
+    intensity: NDArray[np.float32] | None = None
+    fraction: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True)
+class CameraStream:
+    """One camera of the rig: calibration, time of each image, and the images where there are any.
+
+    Attributes
+    ----------
+    name : str
+    camera : Camera
+    T_camera_lidar : ndarray of float64, shape (4, 4)
+        Takes LiDAR points to the camera.
+    times : ndarray of int64, shape (m,)
+        Nanoseconds, on the clock of the sweeps.
+    names : list of str
+        Stems of the images; depth maps are written under them.
+    images : list of Path, optional
+        Empty when the images are not on disk.
+    """
+
+    name: str
+    camera: Camera
+    T_camera_lidar: NDArray[np.float64]
+    times: NDArray[np.int64]
+    names: list[str]
+    images: list[Path] = field(default_factory=list)
+
+
+@runtime_checkable
+class Dataset(Protocol):
+    """A recorded drive. Frames are read when asked for, never all at once."""
+
+    name: str
+    path: Path
+    times: NDArray[np.int64]
+    """Nanoseconds of each sweep, shape (n,), strictly increasing."""
+    poses: NDArray[np.float64] | None
+    """``T_world_lidar`` (n, 4, 4) that came with the recording, else None."""
+    cameras: dict[str, CameraStream]
+
+    def __len__(self) -> int: ...
+
+    def sweep(self, index: int) -> Sweep: ...
+
+    def labels(self, index: int) -> NDArray[np.uint32] | None:
+        """SemanticKITTI labels of every input point (low 16 bits class, high instance), or None."""
+        ...
+
+
+def usable_points(points: NDArray[np.float32], min_range: float = 0.5) -> NDArray[np.bool_]:
+    """Which rows are returns: finite, and not at the origin (``min_range`` in metres).
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        squared = np.einsum("ij,ij->i", points.astype(np.float64), points.astype(np.float64))
+    return np.isfinite(squared) & (squared >= min_range * min_range)
