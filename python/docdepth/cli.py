@@ -161,6 +161,34 @@ def synth(
     out.print(f"{frames} sweeps in {output}")
 
 
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder.")] = Path("demo"),
+    frames: Annotated[int, typer.Option(min=3, help="Sweeps of the synthetic drive.")] = 40,
+    preset: Annotated[str, typer.Option(help="default (measured best) or paper.")] = "default",
+    threads: Threads = 0,
+) -> None:
+    """A synthetic drive, its depth maps and pictures, and how true they are."""
+    from docdepth.demo import demo as make
+    from docdepth.io.run_folder import RunFolder
+
+    with _progress() as progress:
+        sequence, folder = make(output, preset, frames, threads, progress)  # type: ignore[arg-type]
+    _summary(RunFolder(folder))
+    labels(folder, sequence)
+    depth(folder, sequence)
+    out.print(f"look at the pictures in {folder / 'report'}")
+
+
+@app.command()
+def doctor() -> None:
+    """What this installation can do, and why it cannot do the rest."""
+    from docdepth.doctor import doctor as examine
+
+    for name, finding, well in examine():
+        out.print(f"{'ok' if well else '--'}  {name:<24} {finding}")
+
+
 @contextmanager
 def _progress() -> Iterator[Any]:
     """A bar a stage, with the time left."""
