@@ -189,6 +189,37 @@ def doctor() -> None:
         out.print(f"{'ok' if well else '--'}  {name:<24} {finding}")
 
 
+@evaluate.command()
+def labels(
+    run: RunPath,
+    truth: Annotated[Path, typer.Option("--labels", help="Folder of SemanticKITTI labels.")],
+    as_json: Json = False,
+) -> None:
+    """SA, DA, F1, precision and IoU of the dynamic class, point by point."""
+    from docdepth.evaluation.runs import evaluate_labels
+
+    _show(evaluate_labels(run, truth), as_json)
+
+
+@evaluate.command()
+def depth(
+    run: RunPath,
+    truth: Annotated[Path, typer.Option("--depth", help="Folder of true depth, .npy or .png.")],
+    mode: Annotated[str, typer.Option(help="valid, or kitti: empty pixels filled.")] = "valid",
+    max_range: Annotated[float, typer.Option(help="Farther pixels are not compared [m].")] = 80.0,
+    as_json: Json = False,
+) -> None:
+    """MAE, RMSE, density, and pixels too near and too far."""
+    from docdepth.evaluation.runs import evaluate_depth
+
+    _show(evaluate_depth(run, truth, mode, max_range), as_json)  # type: ignore[arg-type]
+
+
+def _show(result: Any, as_json: bool) -> None:
+    text = json.dumps(result.as_dict(), indent=1) if as_json else str(result.table())
+    out.print(text, soft_wrap=True, markup=False)
+
+
 @contextmanager
 def _progress() -> Iterator[Any]:
     """A bar a stage, with the time left."""
