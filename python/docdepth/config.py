@@ -83,6 +83,13 @@ class Parameters(_Stage):
     render: RenderParameters = RenderParameters()
 
 
+_STAGES: dict[str, type[_Stage]] = {
+    "odometry": OdometryParameters,
+    "ground": GroundParameters,
+    "dynamics": DynamicsParameters,
+    "render": RenderParameters,
+}
+
 # Where the paper's text differs from what measured best, a stage at a time.
 _PAPER: dict[str, dict[str, Any]] = {}
 
@@ -109,10 +116,9 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
         tree |= {stage: dict(values) for stage, values in _PAPER.items()}
     for name, value in (settings or {}).items():
         stage, _, key = name.partition(".")
-        if not key or stage not in Parameters.model_fields or stage == "preset":
+        if not key or stage not in _STAGES:
             raise ConfigError(
-                f"unknown parameter {name!r}; write stage.name with a stage of "
-                "odometry, ground, dynamics, render"
+                f"unknown parameter {name!r}; write stage.name with a stage of {', '.join(_STAGES)}"
             )
         tree.setdefault(stage, {})[key] = value
     try:
@@ -143,9 +149,7 @@ def _explain(error: ValidationError) -> str:
     for problem in error.errors():
         name = ".".join(str(part) for part in problem["loc"])
         if problem["type"] == "extra_forbidden":
-            known = ", ".join(
-                Parameters.model_fields[str(problem["loc"][0])].annotation.model_fields
-            )  # type: ignore[union-attr]
+            known = ", ".join(_STAGES[str(problem["loc"][0])].model_fields)
             lines.append(f"unknown parameter {name!r}; that stage knows {known}")
         else:
             lines.append(f"{name} = {problem['input']!r}: {problem['msg']}")

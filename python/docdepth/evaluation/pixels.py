@@ -1,0 +1,90 @@
+"""What a depth map's pixels are: empty ones filled, edges, neighbours, rays."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Depth = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+# An edge is where inverse depth, linear on every plane, bends by more than this share of itself.
+_EDGE_BEND = 0.05
+# Interior is farther than this from an edge [pixels].
+_EDGE_MARGIN = 3
+
+
+def fill_background(depth: Depth) -> Depth:
+    """Fill empty pixels as KITTI's development kit does (``interpolateBackground``).
+
+    Gaps in a row take the nearer of their two borders; then values at the ends of rows, and at
+    the ends of columns, are carried to the border of the image. Empty rows between others stay.
+
+    Parameters
+    ----------
+    depth : ndarray of float32, shape (h, w)
+        Metres, NaN = none.
+    """
+    filled = _carry(depth, axis=1, between=True)
+    return _carry(filled, axis=0, between=False)
+
+
+def _carry(depth: Depth, axis: int, between: bool) -> Depth:
+    """Carry valid values along an axis into empty pixels at its ends, and in between if asked."""
+    valid = ~np.isnan(depth)
+    length = depth.shape[axis]
+    place = np.arange(length)[None, :] if axis == 1 else np.arange(length)[:, None]
+    before = np.maximum.accumulate(np.where(valid, place, -1), axis=axis)
+    after = np.flip(
+        np.minimum.accumulate(np.flip(np.where(valid, place, length), axis), axis=axis), axis
+    )
+    # The last value before an empty pixel and the first after it; NaN where there is none.
+    first = np.take_along_axis(depth, np.maximum(before, 0), axis)
+    last = np.take_along_axis(depth, np.minimum(after, length - 1), axis)
+    first = np.where(before >= 0, first, np.nan)
+    last = np.where(after < length, last, np.nan)
+    gap = np.isnan(depth)
+    inner = gap & (before >= 0) & (after < length)
+    nearer = np.fmin(first, last)
+    result = np.where(gap & (between | ~inner), nearer, depth)
+    return np.asarray(result, dtype=np.float32)
+
+
+def depth_edges(depth: Depth) -> Mask:
+    """Where an exact, dense depth map has an edge.
+
+    Inverse depth is linear in the pixel on every plane; an edge is where its second difference,
+    along a row or a column, is above 5 % of its value. No depth counts as infinitely far.
+
+    Parameters
+    ----------
+    depth : ndarray of float32, shape (h, w)
+        Metres, NaN = no surface.
+    """
+    inverse = np.where(np.isnan(depth), np.float32(0), 1 / depth)
+    bend = np.zeros_like(inverse)
+    bend[:, 1:-1] = np.abs(inverse[:, :-2] - 2 * inverse[:, 1:-1] + inverse[:, 2:])
+    vertical = np.abs(inverse[:-2] - 2 * inverse[1:-1] + inverse[2:])
+    bend[1:-1] = np.maximum(bend[1:-1], vertical)
+    return np.asarray(bend > _EDGE_BEND * inverse)
+
+
+def near_edges(depth: Depth) -> Mask:
+    size = 2 * _EDGE_MARGIN + 1
+    edges = depth_edges(depth).astype(np.uint8)
+    return np.asarray(cv2.dilate(edges, np.ones((size, size), np.uint8)) > 0)
+
+
+def shifted(depth: Depth) -> Depth:
+    """The depth map moved right by one pixel; the first column has none."""
+    result = np.full_like(depth, np.nan)
+    result[:, 1:] = depth[:, :-1]
+    return result
+
+
+def ray_length(K: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Length of the ray of each pixel whose z is 1, shape (h, w)."""
+    x = (np.arange(shape[1]) - K[0, 2]) / K[0, 0]
+    y = (np.arange(shape[0]) - K[1, 2]) / K[1, 1]
+    return np.asarray(np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2))
