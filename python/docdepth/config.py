@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from docdepth.errors import ConfigError
 
@@ -51,6 +51,13 @@ class DynamicsParameters(_Stage):
     resolution_deg: float = Field(0.2, gt=0, le=5, description="pixel, d_theta = d_phi [deg]")
     window: int = Field(5, ge=1, le=15, description="edge of the compared window, w [pixels]")
     tolerance: float = Field(0.2, gt=0, description="range tolerance, tau [m]")
+
+    @field_validator("window")
+    @classmethod
+    def _odd(cls, window: int) -> int:
+        if window % 2 == 0:
+            raise ValueError("the window has a centre pixel, so its edge is odd")
+        return window
 
 
 class RenderParameters(_Stage):
