@@ -205,20 +205,22 @@ class DepthEvaluation:
         if self._mode == "kitti":
             predicted = fill_background(predicted)
         with np.errstate(invalid="ignore"):
-            selected = truth <= self._max_range
-        d, p = truth[selected].astype(np.float64), predicted[selected].astype(np.float64)
+            selected = np.flatnonzero(truth <= self._max_range)
+        d = truth.ravel()[selected].astype(np.float64)
+        p = predicted.ravel()[selected].astype(np.float64)
         error = p - d
         self._with_dynamic |= dynamic is not None
+        moving = np.zeros(truth.shape, bool) if dynamic is None else np.asarray(dynamic, bool)
         self._sums.add(
             error,
             d,
-            np.abs(shifted(truth)[selected] - d),
-            ~near_edges(truth)[selected],
-            np.zeros(len(d), dtype=bool) if dynamic is None else dynamic[selected].astype(bool),
+            np.abs(shifted(truth).ravel()[selected] - d),
+            ~near_edges(truth).ravel()[selected],
+            moving.ravel()[selected],
         )
         known = ~np.isnan(error)
         if K is not None:
-            distance = (np.abs(error) * ray_length(K, truth.shape)[selected])[known]
+            distance = (np.abs(error) * ray_length(K, truth.shape).ravel()[selected])[known]
             self._distance += float(distance.sum())
             self._distances += len(distance)
         errors = DepthErrors.of(d[known], p[known])
