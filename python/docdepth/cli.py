@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 from collections.abc import Iterator
@@ -161,6 +162,65 @@ def synth(
     out.print(f"{frames} sweeps in {output}")
 
 
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder.")] = Path("demo"),
+    frames: Annotated[int, typer.Option(min=3, help="Sweeps of the synthetic drive.")] = 40,
+    preset: Annotated[str, typer.Option(help="default (measured best) or paper.")] = "default",
+    threads: Threads = 0,
+) -> None:
+    """A synthetic drive, its depth maps and pictures, and how true they are."""
+    from docdepth.demo import demo as make
+    from docdepth.io.run_folder import RunFolder
+
+    with _progress() as progress:
+        sequence, folder = make(output, preset, frames, threads, progress)  # type: ignore[arg-type]
+    _summary(RunFolder(folder))
+    labels(folder, sequence)
+    depth(folder, sequence)
+    out.print(f"look at the pictures in {folder / 'report'}")
+
+
+@app.command()
+def doctor() -> None:
+    """What this installation can do, and why it cannot do the rest."""
+    from docdepth.doctor import doctor as examine
+
+    for name, finding, well in examine():
+        out.print(f"{'ok' if well else '--'}  {name:<24} {finding}")
+
+
+@evaluate.command()
+def labels(
+    run: RunPath,
+    truth: Annotated[Path, typer.Option("--labels", help="Folder of SemanticKITTI labels.")],
+    as_json: Json = False,
+) -> None:
+    """SA, DA, F1, precision and IoU of the dynamic class, point by point."""
+    from docdepth.evaluation.runs import evaluate_labels
+
+    _show(evaluate_labels(run, truth), as_json)
+
+
+@evaluate.command()
+def depth(
+    run: RunPath,
+    truth: Annotated[Path, typer.Option("--depth", help="Folder of true depth, .npy or .png.")],
+    mode: Annotated[str, typer.Option(help="valid, or kitti: empty pixels filled.")] = "valid",
+    max_range: Annotated[float, typer.Option(help="Farther pixels are not compared [m].")] = 80.0,
+    as_json: Json = False,
+) -> None:
+    """MAE, RMSE, density, and pixels too near and too far."""
+    from docdepth.evaluation.runs import evaluate_depth
+
+    _show(evaluate_depth(run, truth, mode, max_range), as_json)  # type: ignore[arg-type]
+
+
+def _show(result: Any, as_json: bool) -> None:
+    text = json.dumps(result.as_dict(), indent=1) if as_json else str(result.table())
+    out.print(text, soft_wrap=True, markup=False)
+
+
 @contextmanager
 def _progress() -> Iterator[Any]:
     """A bar a stage, with the time left."""
@@ -186,7 +246,8 @@ def _open(source: dict[str, Any]) -> tuple[Dataset, CameraStream]:
     from docdepth.errors import CalibrationError, DatasetError
     from docdepth.render import Camera
 
-    recording = open_dataset(Path(source["dataset"]), source["name"])
+    size = _size(source["image_size"])
+    recording = open_dataset(Path(source["dataset"]), source["name"], size)
     if not recording.cameras:
         raise CalibrationError(f"{recording.path} has no calibrated camera; add its calibration")
     name = source["camera"]
@@ -198,15 +259,22 @@ def _open(source: dict[str, Any]) -> tuple[Dataset, CameraStream]:
             f"{recording.path} has no camera {name!r}; it has {', '.join(recording.cameras)}"
         )
     stream = recording.cameras[name]
-    if source["image_size"]:
-        width, _, height = source["image_size"].partition("x")
-        if not (width.isdigit() and height.isdigit()):
-            raise CalibrationError(f"--image-size {source['image_size']!r}: write WIDTHxHEIGHT")
-        camera = Camera(stream.camera.K, int(width), int(height))
-        stream = replace(stream, camera=camera)
+    if size and size != (stream.camera.width, stream.camera.height):
+        stream = replace(stream, camera=Camera(stream.camera.K, *size))
     if source["camera_times"]:
         stream = _retimed(stream, Path(source["camera_times"]))
     return recording, stream
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    from docdepth.errors import CalibrationError
+
+    if not text:
+        return None
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise CalibrationError(f"--image-size {text!r}: write WIDTHxHEIGHT, for example 1242x375")
+    return int(width), int(height)
 
 
 def _retimed(stream: CameraStream, path: Path) -> CameraStream:
@@ -224,7 +292,9 @@ def _retimed(stream: CameraStream, path: Path) -> CameraStream:
 def _poses(source: dict[str, Any], recording: Dataset) -> Any:
     from docdepth.io.poses import read_poses
 
-    return read_poses(Path(source["poses"]), len(recording)) if source["poses"] else None
+    if source["poses"]:
+        return read_poses(Path(source["poses"]), len(recording))
+    return recording.poses if recording.name == "run" else None
 
 
 def _stages(

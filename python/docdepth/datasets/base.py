@@ -101,4 +101,5 @@ def usable_points(points: NDArray[np.float32], min_range: float = 0.5) -> NDArra
     """
     with np.errstate(invalid="ignore", over="ignore"):
         squared = np.einsum("ij,ij->i", points.astype(np.float64), points.astype(np.float64))
-    return np.isfinite(squared) & (squared >= min_range * min_range)
+    usable: NDArray[np.bool_] = np.isfinite(squared) & (squared >= min_range * min_range)
+    return usable
