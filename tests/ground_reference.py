@@ -53,7 +53,7 @@ def grow(points, seeds, k, plane_distance, max_slope_deg):
         centred = d - d.mean(axis=1, keepdims=True)
         normal = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))[1][:, :, 0]
         upright = np.abs(normal[:, 2]) >= np.cos(np.radians(max_slope_deg))
-        on_plane = np.abs(np.einsum("nki,ni->nk", d, normal)) < plane_distance
+        on_plane = np.abs(np.einsum("nki,ni->nk", centred, normal)) < plane_distance
         reached = np.unique(near[on_plane & upright[:, None]])
         front = reached[~ground[reached]]
         ground[front] = True

@@ -96,14 +96,14 @@ def test_labels_equal_plain_growing_at_other_parameters(update):
 
 
 def test_labels_equal_plain_growing_on_real_sweeps(drive_0005):
-    sweeps, poses = real_sweeps(drive_0005, range(40, 52, 4), stride=3, reach=30.0)
+    sweeps, poses = real_sweeps(drive_0005, range(40, 52, 4), stride=3, reach=25.0)
     p = PAPER.model_copy(update={"voxel_size": 0.1})
     assert 0.1 < assert_equals_reference(sweeps, poses, p).mean() < 0.9
 
 
 @pytest.mark.slow
 def test_labels_equal_plain_growing_on_a_dense_real_crop(drive_0005):
-    sweeps, poses = real_sweeps(drive_0005, range(30, 60, 3), reach=15.0)
+    sweeps, poses = real_sweeps(drive_0005, range(30, 60, 5), reach=12.0)
     assert_equals_reference(sweeps, poses, PAPER)
 
 

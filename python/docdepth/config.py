@@ -70,6 +70,7 @@ class RenderParameters(_Stage):
     ahead: float = Field(100.0, gt=0, description="static sweeps ahead of it, d_max [m]")
     step: float = Field(0.2, ge=0, description="spacing of static sweeps, d_step [m]")
     crop: float = Field(300.0, gt=0, description="points farther from their sensor, d_crop [m]")
+    max_depth: float = Field(250.0, gt=0, description="nothing farther is drawn [m]")
     static_size_max: float = Field(50.0, gt=0, description="sigma_max of static points [pixel]")
     static_size_min: float = Field(3.0, gt=0, description="sigma_min of static points [pixel]")
     dynamic_size_max: float = Field(80.0, gt=0, description="sigma_max of dynamic points [pixel]")

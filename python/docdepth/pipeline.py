@@ -254,7 +254,7 @@ def run_render(
                 )
             densities.append(float(np.isfinite(depth).mean()))
             with watch("write"):
-                picture = visualize.overlay(depth, _image(stream, k))
+                picture = visualize.overlay(depth, _image(stream, int(k)))
                 _write_image(run.path / "report" / f"{stream.names[k]}.jpg", picture)
                 png = encode_png(depth)
                 write_atomically(path, lambda out, png=png: out.write(png))  # type: ignore[misc]

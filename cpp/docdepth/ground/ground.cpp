@@ -178,9 +178,11 @@ std::vector<std::uint32_t> GroundMap::State::step(const Cloud& cloud, const Tree
   const Vector3d normal = smallest_eigenvector(covariance);
   if (std::abs(normal.z()) < std::cos(parameters.max_slope)) return {};
 
+  // The plane goes through the neighbours' mean and not through the point: a noisy point does not
+  // tilt it away from its surface, and a seed a little below the road still reaches the road.
   std::vector<std::uint32_t> reached;
   for (const auto& [distance, i] : nearest.found())
-    if (std::abs(normal.dot(cloud.points[i] - p)) < parameters.plane_distance)
+    if (std::abs(normal.dot((cloud.points[i] - p) - mean)) < parameters.plane_distance)
       if (!ground[i].exchange(true, std::memory_order_relaxed)) reached.push_back(i);
   return reached;
 }
