@@ -82,7 +82,13 @@ def run_odometry(
     tell = _teller(progress, "odometry")
     with watch("poses"):
         checkpoint = run.path / ".odometry" / key
-        estimate = odometry(dataset, parameters, poses, progress, checkpoint)
+
+        def registered(done: int, total: int, what: str) -> None:
+            log.debug("%s", what)
+            if progress:
+                progress("register", done, total)
+
+        estimate = odometry(dataset, parameters, poses, registered, checkpoint)
     write_trajectory(run.trajectory_path, estimate.trajectory, np.arange(total))
     for index in range(total):
         if run.frame_key(index).get("odometry") != key:
