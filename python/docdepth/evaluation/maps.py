@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import InputError, MissingExtraError
 from docdepth.evaluation.labels import HEADER, LabelCounts, ignored, moving
-from docdepth.evaluation.tables import Table, number, percent, ratio
+from docdepth.evaluation.tables import Table, number, percent, plain, ratio
 
 # Queries are answered in pieces of this many points, so that distances need no memory to speak of.
 _PIECE = 2_000_000
@@ -86,9 +86,7 @@ def nearest_neighbor_protocol(
     """
     called = np.ones(len(points), dtype=bool)
     if len(cleaned) and len(points):
-        nearest = _distances(points, _crop(cleaned, points, distance), distance)[0]
-        # The bound of the tree is strict, the protocol's is not: both agree but for exact ties.
-        called = ~(nearest <= distance)
+        called = np.isinf(_distances(points, _crop(cleaned, points, distance), distance)[0])
     return LabelCounts.of(np.asarray(dynamic, dtype=bool), called)
 
 
@@ -153,12 +151,13 @@ class MapResult:
     voxels: PreservationRejection
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything by name."""
-        return {
+        """Everything by name, ready for JSON; what is undefined is None."""
+        result = {
             "poses": self.poses,
             "nearest_neighbor": {"distance": self.distance, **self.nearest.as_dict()},
             "voxels": {"voxel_size": self.voxel_size, **self.voxels.as_dict()},
         }
+        return dict(plain(result))
 
     def table(self) -> Table:
         """Rows of text for a terminal or a report."""
@@ -245,7 +244,7 @@ class MapEvaluation:
 
 
 def _distances(
-    queries: NDArray[np.float32], points: NDArray[np.float32], reach: float
+    queries: NDArray[np.floating[Any]], points: NDArray[np.floating[Any]], reach: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Distance and index of the nearest point; infinite beyond ``reach``."""
     try:
@@ -261,7 +260,9 @@ def _distances(
         for start in range(0, len(queries), _PIECE):
             piece = slice(start, start + _PIECE)
             distances[piece], index[piece] = tree.query(
-                queries[piece], distance_upper_bound=np.nextafter(reach, np.inf)
+                # The tree's own bound is strict.
+                queries[piece],
+                distance_upper_bound=np.nextafter(reach, np.inf),
             )
     return distances, index
 
@@ -277,8 +278,13 @@ def _crop(
         return points
     occupied = np.zeros(shape, dtype=bool)
     cells = ((around - origin) / size).astype(np.int64)
-    for step in np.ndindex(3, 3, 3):
-        occupied[tuple((cells + step - 1).T)] = True
+    occupied[tuple(cells.T)] = True
+    for axis in range(3):
+        before = np.moveaxis(occupied, axis, 0)
+        grown = before.copy()
+        grown[1:] |= before[:-1]
+        grown[:-1] |= before[1:]
+        occupied = np.moveaxis(grown, 0, axis)
     place = np.floor((points - origin) / size)
     inside = ((place >= 0) & (place < shape)).all(axis=1)
     inside[inside] = occupied[tuple(place[inside].astype(np.int64).T)]
