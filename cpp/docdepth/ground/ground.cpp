@@ -82,7 +82,7 @@ double Front::first_reach(std::uint32_t leaf) const {
   const auto& node = tree_.nodes()[leaf];
   const double points = node.end - node.begin, side = node.box.sizes().maxCoeff();
   const double reach =
-      0.6 * std::max(side, parameters_.voxel_size) * std::sqrt(parameters_.neighbors / points);
+      0.7 * std::max(side, parameters_.voxel_size) * std::sqrt(parameters_.neighbors / points);
   return std::max(reach, parameters_.voxel_size);
 }
 
@@ -93,27 +93,23 @@ void Front::visit(std::uint32_t leaf, Neighborhood& hood, Leaves& reached) {
   std::vector<std::uint32_t> pending;
   for (std::uint32_t i = node.begin; i < node.end; ++i)
     if (labels_[i].load() == kReached) pending.push_back(i);
+  if (pending.empty()) return;
   double reach = first_reach(leaf);
+  hood.gather(leaf, reach);
   while (!pending.empty()) {
-    hood.gather(leaf, reach);
-    std::vector<std::uint32_t> again;
-    double needed = 0.0;
-    while (!pending.empty()) {
-      const std::uint32_t point = pending.back();
-      pending.pop_back();
-      const auto outcome = hood.search(point);
-      if (outcome == Neighborhood::Outcome::kReachTooShort) {
-        needed = std::max(needed, hood.needed_reach());
-        again.push_back(point);
-        continue;
-      }
-      labels_[point].store(kDone);
-      if (outcome == Neighborhood::Outcome::kFound) carry_on(leaf, hood, pending, reached);
+    const std::uint32_t point = pending.back();
+    const auto outcome = hood.search(point);
+    if (outcome == Neighborhood::Outcome::kReachTooShort) {
+      // A little more than this point needs, for the leaf's others.
+      reach = 1.2 * std::max(hood.needed_reach(), parameters_.voxel_size);
+      hood.gather(leaf, reach);
+      continue;
     }
-    pending.swap(again);
-    reach = needed;
-    if (reach > 0) reach_[leaf] = static_cast<float>(reach);
+    pending.pop_back();
+    labels_[point].store(kDone);
+    if (outcome == Neighborhood::Outcome::kFound) carry_on(leaf, hood, pending, reached);
   }
+  reach_[leaf] = static_cast<float>(reach);
 }
 
 /// Label the neighbours on the plane of a front point unless that leans too much. The plane goes
