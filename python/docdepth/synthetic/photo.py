@@ -1,0 +1,92 @@
+"""The camera: exact depth and classes of every pixel, and a picture good enough to look at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.render import Camera
+from docdepth.synthetic.casting import Hits, Rays, World
+
+Floats = NDArray[np.float64]
+_FAR = 300.0
+_SUN = np.array((0.450, 0.350, 0.822), np.float32)
+
+_HAZE = np.array((0.78, 0.83, 0.90), np.float32)
+_HORIZON = np.array((0.80, 0.86, 0.93), np.float32)
+_ZENITH = np.array((0.40, 0.58, 0.85), np.float32)
+
+
+@dataclass(frozen=True)
+class View:
+    """What the camera sees.
+
+    Attributes
+    ----------
+    depth : ndarray of float32, shape (h, w)
+        Metres along the optical axis; NaN where there is no surface.
+    labels : ndarray of uint32, shape (h, w)
+        As of a sweep's points; 0 for the sky.
+    speed : ndarray of float32, shape (h, w)
+    colour : ndarray of uint8, shape (h, w, 3)
+        Red, green, blue.
+    """
+
+    depth: NDArray[np.float32]
+    labels: NDArray[np.uint32]
+    speed: NDArray[np.float32]
+    colour: NDArray[np.uint8]
+
+
+def photograph(world: World, camera: Camera, T_scene_camera: Floats, second: float) -> View:
+    """Cast a ray through the centre of every pixel at one moment."""
+    shape = (camera.height, camera.width)
+    local = _pixel_rays(camera.width, camera.height, tuple(camera.K.ravel().tolist()))
+    along = local[:, 2]  # depth of a point one metre along the ray
+    directions = np.einsum("ij,kj->ki", T_scene_camera[:3, :3], local)
+    origin = T_scene_camera[None, :3, 3]
+    which = np.zeros(len(directions), np.int64)
+    hits = world.cast(Rays(origin, directions, np.array([second]), which), _FAR)
+    depth = np.where(np.isfinite(hits.range), hits.range * along, np.nan)
+    colour = _shade(hits, world.colours[hits.face], origin, directions)
+    return View(
+        depth.reshape(shape).astype(np.float32),
+        hits.labels.reshape(shape),
+        hits.speed.reshape(shape),
+        colour.reshape(*shape, 3),
+    )
+
+
+@lru_cache(maxsize=4)
+def _pixel_rays(width: int, height: int, numbers: tuple[float, ...]) -> Floats:
+    """Unit vectors through the pixel centres, camera frame, row by row."""
+    K = np.array(numbers).reshape(3, 3)
+    v, u = np.indices((height, width), dtype=np.float64).reshape(2, -1)
+    y = (v - K[1, 2]) / K[1, 1]
+    x = (u - K[0, 2] - K[0, 1] * y) / K[0, 0]
+    local = np.stack([x, y, np.ones(len(x))], axis=1)
+    result: Floats = local / np.sqrt(x * x + y * y + 1.0)[:, None]
+    return result
+
+
+def _shade(
+    hits: Hits, colours: NDArray[np.float32], origin: Floats, directions: Floats
+) -> NDArray[np.uint8]:
+    """Sunlight, a little grain that sticks to surfaces, haze, and a sky."""
+    met = np.isfinite(hits.range)
+    distance = np.where(met, hits.range, 0.0).astype(np.float32)
+    light = 0.5 + 0.5 * np.maximum(np.einsum("ij,j->i", hits.normals, _SUN), 0.0)
+    places = origin + directions * distance[:, None]
+    x, y, z = np.floor(12.0 * places.T).astype(np.int32)
+    grain = (x * np.int32(73856093) ^ y * np.int32(19349663) ^ z * np.int32(83492791)) >> 8 & 255
+    light *= 0.92 + 0.16 * (grain.astype(np.float32) / 255.0)
+    haze = (1.0 - np.exp(-distance / 220.0))[:, None]
+    colour = colours * light[:, None] * (1.0 - haze) + haze * _HAZE
+    up = np.clip(directions[:, 2:3].astype(np.float32) * 2.0, 0.0, 1.0)
+    sky = (1 - up) * _HORIZON + up * _ZENITH
+    colour = np.where(met[:, None], colour, sky)
+    result: NDArray[np.uint8] = (235.0 * np.sqrt(np.clip(colour, 0, 1))).astype(np.uint8)
+    return result
