@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from docdepth.errors import ConfigError
 
@@ -52,14 +52,25 @@ class DynamicsParameters(_Stage):
     window: int = Field(5, ge=1, le=15, description="edge of the compared window, w [pixels]")
     tolerance: float = Field(0.2, gt=0, description="range tolerance, tau [m]")
 
+    @field_validator("window")
+    @classmethod
+    def _odd(cls, window: int) -> int:
+        if window % 2 == 0:
+            raise ValueError("the window has a centre pixel, so its edge is odd")
+        return window
+
 
 class RenderParameters(_Stage):
     """Composite rendering (paper III-D)."""
 
+    surface: Literal["splats"] = Field(
+        "splats", description="what a sweep is drawn as: discs of the paper's size"
+    )
     behind: float = Field(0.5, ge=0, description="static sweeps behind the camera, d_min [m]")
     ahead: float = Field(100.0, gt=0, description="static sweeps ahead of it, d_max [m]")
     step: float = Field(0.2, ge=0, description="spacing of static sweeps, d_step [m]")
     crop: float = Field(300.0, gt=0, description="points farther from their sensor, d_crop [m]")
+    max_depth: float = Field(250.0, gt=0, description="nothing farther is drawn [m]")
     static_size_max: float = Field(50.0, gt=0, description="sigma_max of static points [pixel]")
     static_size_min: float = Field(3.0, gt=0, description="sigma_min of static points [pixel]")
     dynamic_size_max: float = Field(80.0, gt=0, description="sigma_max of dynamic points [pixel]")
@@ -75,6 +86,13 @@ class Parameters(_Stage):
     dynamics: DynamicsParameters = DynamicsParameters()
     render: RenderParameters = RenderParameters()
 
+
+_STAGES: dict[str, type[_Stage]] = {
+    "odometry": OdometryParameters,
+    "ground": GroundParameters,
+    "dynamics": DynamicsParameters,
+    "render": RenderParameters,
+}
 
 # Where the paper's text differs from what measured best, a stage at a time.
 _PAPER: dict[str, dict[str, Any]] = {}
@@ -102,10 +120,9 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
         tree |= {stage: dict(values) for stage, values in _PAPER.items()}
     for name, value in (settings or {}).items():
         stage, _, key = name.partition(".")
-        if not key or stage not in Parameters.model_fields or stage == "preset":
+        if not key or stage not in _STAGES:
             raise ConfigError(
-                f"unknown parameter {name!r}; write stage.name with a stage of "
-                "odometry, ground, dynamics, render"
+                f"unknown parameter {name!r}; write stage.name with a stage of {', '.join(_STAGES)}"
             )
         tree.setdefault(stage, {})[key] = value
     try:
@@ -136,9 +153,7 @@ def _explain(error: ValidationError) -> str:
     for problem in error.errors():
         name = ".".join(str(part) for part in problem["loc"])
         if problem["type"] == "extra_forbidden":
-            known = ", ".join(
-                Parameters.model_fields[str(problem["loc"][0])].annotation.model_fields
-            )  # type: ignore[union-attr]
+            known = ", ".join(_STAGES[str(problem["loc"][0])].model_fields)
             lines.append(f"unknown parameter {name!r}; that stage knows {known}")
         else:
             lines.append(f"{name} = {problem['input']!r}: {problem['msg']}")

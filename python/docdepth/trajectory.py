@@ -83,7 +83,8 @@ class Trajectory:
     def covers(self, times: ArrayLike) -> NDArray[np.bool_]:
         """Which of ``times`` [ns] lie between the first and the last pose."""
         times = np.asarray(times, dtype=np.int64)
-        return (times >= self.times[0]) & (times <= self.times[-1])
+        covered: NDArray[np.bool_] = (times >= self.times[0]) & (times <= self.times[-1])
+        return covered
 
     def interpolate(self, times: ArrayLike) -> NDArray[np.float64]:
         """Poses between sweeps: linear in position, SLERP in rotation (shorter arc).
@@ -130,11 +131,12 @@ class Trajectory:
         """Path length at ``times`` [ns], linear between poses."""
         times = np.atleast_1d(np.asarray(times, dtype=np.int64))
         start = self.times[0]
-        return np.interp(
+        arc: NDArray[np.float64] = np.interp(
             (times - start).astype(np.float64),
             (self.times - start).astype(np.float64),
             self.arc_length,
         )
+        return arc
 
 
 def check_rigid(poses: NDArray[np.float64]) -> None:
@@ -176,8 +178,8 @@ def rotation_log(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     x, y, z, w = matrix_to_quaternion(rotation)
     vector, sine = np.array([x, y, z]), float(np.sqrt(x * x + y * y + z * z))
     if sine < 1e-12:
-        return 2.0 * vector
-    return vector * (2.0 * np.arctan2(sine, w) / sine)
+        return np.asarray(2.0 * vector)
+    return np.asarray(vector * (2.0 * np.arctan2(sine, w) / sine))
 
 
 def rotation_exp(vector: ArrayLike) -> NDArray[np.float64]:
@@ -192,7 +194,7 @@ def rotation_exp(vector: ArrayLike) -> NDArray[np.float64]:
     safe = np.where(small, 1.0, angle)
     first = np.where(small, 1.0, np.sin(safe) / safe)
     second = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
-    return np.eye(3) + first * cross + second * (cross @ cross)
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
 
 
 def rotation_power(rotation: NDArray[np.float64], share: float) -> NDArray[np.float64]:

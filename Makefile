@@ -1,0 +1,80 @@
+# make demo   install what is missing and turn a synthetic drive into depth maps
+# make test   install what is missing and run every check: what continuous integration runs
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+SYSTEM := g++ make python3-venv python3-dev libeigen3-dev libnanoflann-dev doctest-dev \
+          libosmesa6 libegl1 libgl1-mesa-dri
+
+.PHONY: demo test install dev lint cpp-test pytest stubs format wheel clean system
+
+demo: install
+	$(BIN)/docdepth demo -o demo
+
+test: lint cpp-test pytest
+
+# System packages by apt, where there is one; elsewhere CMake fetches the headers it needs.
+system:
+	@command -v dpkg-query >/dev/null || exit 0; \
+	missing=$$(for p in $(SYSTEM); do \
+	  dpkg-query -W -f='$${Status}' $$p 2>/dev/null | grep -q 'install ok' || echo $$p; done); \
+	[ -z "$$missing" ] && exit 0; \
+	echo "installing: "$$missing; \
+	sudo=; [ "$$(id -u)" = 0 ] || sudo=sudo; \
+	$$sudo apt-get update -qq && \
+	DEBIAN_FRONTEND=noninteractive $$sudo apt-get install -y -qq --no-install-recommends $$missing
+
+$(BIN)/python: | system
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --upgrade pip
+
+SOURCES := pyproject.toml CMakeLists.txt $(shell find cmake cpp python -type f \
+             -name '*.[cht]*' -o -name '*.py' -path 'python/*')
+
+# A marker each, so that nothing is built again while no source has changed.
+$(VENV)/installed: $(SOURCES) | $(BIN)/python
+	$(BIN)/pip install --quiet '.[synth]'
+	touch $@
+
+$(VENV)/developed: $(SOURCES) | $(BIN)/python
+	$(BIN)/pip install --quiet '.[dev]'
+	touch $@ $(VENV)/installed
+
+install: $(VENV)/installed
+dev: $(VENV)/developed
+
+lint: dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/clang-format --dry-run --Werror $$(git ls-files '*.cpp' '*.hpp')
+
+CMAKE := $(BIN)/cmake -S . -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) -DDOCDEPTH_WERROR=ON
+
+# The C++ tests under the address and undefined behaviour sanitizers.
+cpp-test: dev
+	$(CMAKE) -B build/sanitize -DDOCDEPTH_PYTHON=OFF -DDOCDEPTH_TESTS=ON -DDOCDEPTH_SANITIZE=ON \
+	  -DDOCDEPTH_BENCHMARKS=ON -DCMAKE_BUILD_TYPE=RelWithDebInfo
+	$(BIN)/cmake --build build/sanitize
+	build/sanitize/docdepth_tests
+
+pytest: dev
+	$(BIN)/python -m pytest -m "slow or not slow"
+
+# Type stubs of the compiled module, kept in git; a test says when they are out of date.
+stubs: dev
+	$(BIN)/pybind11-stubgen docdepth._core --output-dir build/stubs --ignore-all-errors
+	cp build/stubs/docdepth/_core.pyi python/docdepth/_core.pyi
+
+format: dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+	$(BIN)/clang-format -i $$(git ls-files '*.cpp' '*.hpp')
+
+wheel: | $(BIN)/python
+	$(BIN)/pip wheel --no-deps --wheel-dir dist .
+
+clean:
+	rm -rf build dist demo $(VENV)

@@ -1,0 +1,359 @@
+"""The command line: each verb is a stage of the paper, or a question about its result."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.logging import RichHandler
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from docdepth.errors import DocDepthError
+
+if TYPE_CHECKING:
+    from docdepth.datasets.base import CameraStream, Dataset
+    from docdepth.io.run_folder import RunFolder
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Dense, metric depth maps for camera images from LiDAR recordings (DOC-Depth).",
+)
+evaluate = typer.Typer(no_args_is_help=True, help="Compare a run with the truth.")
+app.add_typer(evaluate, name="evaluate")
+out = Console(highlight=False)
+err = Console(stderr=True, highlight=False)
+
+RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="STAGE.NAME=VALUE", help="Replace one parameter."),
+]
+Threads = Annotated[int, typer.Option(min=0, help="Threads; 0 takes every core.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+@app.callback(invoke_without_command=True)
+def options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what is done.")] = False,
+) -> None:
+    """Set up what every verb shares."""
+    logging.basicConfig(
+        level=logging.INFO if verbose else logging.WARNING,
+        format="%(message)s",
+        handlers=[RichHandler(console=err, show_time=False, show_path=False)],
+    )
+    if version:
+        from docdepth import __version__
+
+        out.print(__version__)
+        raise typer.Exit
+
+
+@app.command()
+def run(
+    dataset: Annotated[Path, typer.Argument(help="A drive: KITTI raw or odometry, or a run.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="RUN", help="Run folder.")],
+    name: Annotated[
+        str | None, typer.Option("--dataset", help="Layout; guessed if absent.")
+    ] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="Camera; the first colour one if absent.")
+    ] = None,
+    poses: Annotated[Path | None, typer.Option(help="LiDAR poses, TUM or KITTI format.")] = None,
+    camera_times: Annotated[Path | None, typer.Option(help="Seconds, one image a line.")] = None,
+    image_size: Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")] = None,
+    preset: Annotated[str, typer.Option(help="default (measured best) or paper.")] = "default",
+    settings: Settings = None,
+    threads: Threads = 0,
+) -> None:
+    """From a recorded drive to a depth map for every camera image: all stages.
+
+    The same command goes on where an interrupted run stopped.
+
+      docdepth run 2011_09_26_drive_0005_sync -o run --camera image_02
+    """
+    from docdepth.config import parameters, parse_settings
+    from docdepth.io.run_folder import RunFolder
+
+    values = parameters(preset, parse_settings(settings or []))  # type: ignore[arg-type]
+    source = {
+        "dataset": str(dataset.resolve()),
+        "name": name,
+        "camera": camera,
+        "poses": str(poses.resolve()) if poses else None,
+        "camera_times": str(camera_times.resolve()) if camera_times else None,
+        "image_size": image_size,
+    }
+    recording, stream = _open(source)
+    folder = RunFolder.create(output, source, values)
+    with _progress() as progress:
+        _stages(folder, recording, stream, threads, progress)
+    _summary(folder)
+
+
+@app.command()
+def odometry(run: RunPath, settings: Settings = None) -> None:
+    """Poses and deskewed sweeps again, with other parameters."""
+    from docdepth.pipeline import run_odometry
+
+    folder = _reopen(run, settings, "odometry")
+    recording, _ = _open(folder.manifest["source"])
+    with _progress() as progress:
+        run_odometry(folder, recording, _poses(folder.manifest["source"], recording), progress)
+    _summary(folder)
+
+
+@app.command()
+def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
+    """Ground, votes and classes again, with other parameters."""
+    from docdepth.pipeline import run_classify
+
+    folder = _reopen(run, settings, "ground", "dynamics")
+    with _progress() as progress:
+        run_classify(folder, threads, progress)
+    _summary(folder)
+
+
+@app.command()
+def render(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
+    """Depth maps again, with other parameters."""
+    from docdepth.datasets.run import RunDataset
+    from docdepth.pipeline import run_render
+
+    folder = _reopen(run, settings, "render")
+    if folder.manifest["source"]:
+        _, stream = _open(folder.manifest["source"])
+    else:
+        stream = RunDataset(run).cameras["camera"]
+    with _progress() as progress:
+        run_render(folder, stream, threads, progress)
+    _summary(folder)
+
+
+@app.command()
+def synth(
+    output: Annotated[Path, typer.Argument(metavar="OUT", help="Folder for the drive.")],
+    scene: Annotated[str, typer.Option(help="Kind of street.")] = "city",
+    sensor: Annotated[str, typer.Option(help="Kind of LiDAR.")] = "HDL-64",
+    frames: Annotated[int, typer.Option(min=2, help="Number of sweeps.")] = 60,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed, another street.")] = 0,
+    skew: Annotated[bool, typer.Option(help="Write raw sweeps, not motion compensated.")] = False,
+) -> None:
+    """A synthetic drive with exact labels, poses and depth, in SemanticKITTI layout."""
+    from docdepth.synthetic import write_drive
+
+    with _progress() as progress:
+        write_drive(
+            output, scene=scene, sensor=sensor, frames=frames, seed=seed, skew=skew,
+            progress=lambda done, total: progress("synth", done, total),
+        )  # fmt: skip
+    out.print(f"{frames} sweeps in {output}")
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder.")] = Path("demo"),
+    frames: Annotated[int, typer.Option(min=3, help="Sweeps of the synthetic drive.")] = 40,
+    preset: Annotated[str, typer.Option(help="default (measured best) or paper.")] = "default",
+    threads: Threads = 0,
+) -> None:
+    """A synthetic drive, its depth maps and pictures, and how true they are."""
+    from docdepth.demo import demo as make
+    from docdepth.io.run_folder import RunFolder
+
+    with _progress() as progress:
+        sequence, folder = make(output, preset, frames, threads, progress)  # type: ignore[arg-type]
+    _summary(RunFolder(folder))
+    labels(folder, sequence)
+    depth(folder, sequence)
+    out.print(f"look at the pictures in {folder / 'report'}")
+
+
+@app.command()
+def doctor() -> None:
+    """What this installation can do, and why it cannot do the rest."""
+    from docdepth.doctor import doctor as examine
+
+    for name, finding, well in examine():
+        out.print(f"{'ok' if well else '--'}  {name:<24} {finding}")
+
+
+@evaluate.command()
+def labels(
+    run: RunPath,
+    truth: Annotated[Path, typer.Option("--labels", help="Folder of SemanticKITTI labels.")],
+    as_json: Json = False,
+) -> None:
+    """SA, DA, F1, precision and IoU of the dynamic class, point by point."""
+    from docdepth.evaluation.runs import evaluate_labels
+
+    _show(evaluate_labels(run, truth), as_json)
+
+
+@evaluate.command()
+def depth(
+    run: RunPath,
+    truth: Annotated[Path, typer.Option("--depth", help="Folder of true depth, .npy or .png.")],
+    mode: Annotated[str, typer.Option(help="valid, or kitti: empty pixels filled.")] = "valid",
+    max_range: Annotated[float, typer.Option(help="Farther pixels are not compared [m].")] = 80.0,
+    as_json: Json = False,
+) -> None:
+    """MAE, RMSE, density, and pixels too near and too far."""
+    from docdepth.evaluation.runs import evaluate_depth
+
+    _show(evaluate_depth(run, truth, mode, max_range), as_json)  # type: ignore[arg-type]
+
+
+def _show(result: Any, as_json: bool) -> None:
+    text = json.dumps(result.as_dict(), indent=1) if as_json else str(result.table())
+    out.print(text, soft_wrap=True, markup=False)
+
+
+@contextmanager
+def _progress() -> Iterator[Any]:
+    """A bar a stage, with the time left."""
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    with Progress(*columns, console=err) as bars:
+        tasks: dict[str, Any] = {}
+
+        def tell(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done, total=total)
+
+        yield tell
+
+
+def _open(source: dict[str, Any]) -> tuple[Dataset, CameraStream]:
+    from docdepth.datasets import open_dataset
+    from docdepth.errors import CalibrationError, DatasetError
+    from docdepth.render import Camera
+
+    size = _size(source["image_size"])
+    recording = open_dataset(Path(source["dataset"]), source["name"], size)
+    if not recording.cameras:
+        raise CalibrationError(f"{recording.path} has no calibrated camera; add its calibration")
+    name = source["camera"]
+    if name is None:
+        colour = [c for c in recording.cameras if c in ("image_02", "image_2")]
+        name = colour[0] if colour else next(iter(recording.cameras))
+    if name not in recording.cameras:
+        raise DatasetError(
+            f"{recording.path} has no camera {name!r}; it has {', '.join(recording.cameras)}"
+        )
+    stream = recording.cameras[name]
+    if size and size != (stream.camera.width, stream.camera.height):
+        stream = replace(stream, camera=Camera(stream.camera.K, *size))
+    if source["camera_times"]:
+        stream = _retimed(stream, Path(source["camera_times"]))
+    return recording, stream
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    from docdepth.errors import CalibrationError
+
+    if not text:
+        return None
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise CalibrationError(f"--image-size {text!r}: write WIDTHxHEIGHT, for example 1242x375")
+    return int(width), int(height)
+
+
+def _retimed(stream: CameraStream, path: Path) -> CameraStream:
+    """A camera whose images were taken at the times of a file."""
+    from docdepth.datasets.times import read_times
+    from docdepth.errors import DatasetError
+
+    times = read_times(path)
+    if stream.images and len(times) != len(stream.images):
+        raise DatasetError(f"{path} has {len(times)} times for {len(stream.images)} images")
+    names = stream.names if stream.images else [f"{i:010d}" for i in range(len(times))]
+    return replace(stream, times=times, names=names)
+
+
+def _poses(source: dict[str, Any], recording: Dataset) -> Any:
+    from docdepth.io.poses import read_poses
+
+    if source["poses"]:
+        return read_poses(Path(source["poses"]), len(recording))
+    return recording.poses if recording.name == "run" else None
+
+
+def _stages(
+    folder: RunFolder, recording: Dataset, stream: CameraStream, threads: int, progress: Any
+) -> None:
+    from docdepth.pipeline import run_classify, run_odometry, run_render
+
+    run_odometry(folder, recording, _poses(folder.manifest["source"], recording), progress)
+    run_classify(folder, threads, progress)
+    run_render(folder, stream, threads, progress)
+
+
+def _reopen(path: Path, settings: list[str] | None, *stages: str) -> RunFolder:
+    """A run with some parameters of one stage replaced."""
+    from docdepth.config import Parameters, parameters, parse_settings
+    from docdepth.errors import ConfigError
+    from docdepth.io.run_folder import RunFolder
+
+    folder = RunFolder.open(path)
+    changes = parse_settings(settings or [])
+    for name in changes:
+        if name.partition(".")[0] not in stages:
+            raise ConfigError(f"--set {name}: this stage knows {' and '.join(stages)} only")
+    saved = {
+        f"{stage}.{key}": value
+        for stage, values in folder.parameters.model_dump().items()
+        if stage != "preset"
+        for key, value in values.items()
+    }
+    values: Parameters = parameters(folder.parameters.preset, {**saved, **changes})
+    folder.manifest["parameters"] = values.model_dump()
+    folder.save()
+    return folder
+
+
+def _summary(folder: RunFolder) -> None:
+    """Seconds by stage, density and what was left out."""
+    table = Table("stage", "frames", "seconds", "ms a frame", "where the time went", box=None)
+    for name, state in folder.manifest["stages"].items():
+        seconds: dict[str, float] = state.get("seconds", {})
+        total, frames = sum(seconds.values()), state.get("frames", 0)
+        parts = ", ".join(f"{k} {v:.1f}" for k, v in sorted(seconds.items(), key=lambda x: -x[1]))
+        each = f"{1000 * total / frames:.0f}" if frames else ""
+        table.add_row(name, str(frames), f"{total:.1f}", each, parts)
+    out.print(table)
+    rendered = folder.stage("render")
+    if "density" in rendered:
+        out.print(f"density {100 * rendered['density']:.1f} % of the pixels", style="bold")
+    if rendered.get("left_out"):
+        names = ", ".join(rendered["left_out"])
+        out.print(f"{len(rendered['left_out'])} images outside the sweeps left out: {names}")
+    peak = max((s.get("peak_memory_mb", 0) for s in folder.manifest["stages"].values()), default=0)
+    out.print(f"peak memory {peak} MB; results in {folder.path}")
+
+
+def main() -> None:
+    """Entry point: one clear sentence and exit code 2 for a user's mistake."""
+    try:
+        app()
+    except DocDepthError as error:
+        err.print(f"[red]error:[/red] {error}", soft_wrap=True)
+        sys.exit(2)

@@ -1,0 +1,193 @@
+"""The files that KITTI's raw and odometry recordings share: sweeps, labels, calibration, images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import CalibrationError, DatasetError
+
+_POINT_BYTES = 16  # x y z reflectance, float32
+
+
+def sweep_files(folder: Path) -> list[Path]:
+    """The ``*.bin`` sweeps of a folder in order, each known to be whole.
+
+    Raises
+    ------
+    DatasetError
+        There is none, or one is empty or truncated: better now than an hour into the run.
+    """
+    files = sorted(folder.glob("*.bin"))
+    if not files:
+        raise DatasetError(f"{folder} holds no sweeps (*.bin); unpack the velodyne data there")
+    for frame, file in enumerate(files):
+        _check_sweep_size(file, frame, file.stat().st_size)
+    return files
+
+
+def read_sweep(file: Path, frame: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Points (N, 3) and intensities (N,) of one sweep, float32, every row of the file."""
+    try:
+        values = np.fromfile(file, dtype="<f4")
+        _check_sweep_size(file, frame, file.stat().st_size)
+    except FileNotFoundError:
+        raise DatasetError(f"{file} (frame {frame}) has gone; put the sweep back") from None
+    rows = values.reshape(-1, 4)
+    return np.ascontiguousarray(rows[:, :3]), rows[:, 3].copy()
+
+
+def _check_sweep_size(file: Path, frame: int, size: int) -> None:
+    if size == 0:
+        raise DatasetError(f"{file} (frame {frame}) is empty; copy the sweep again or remove it")
+    if size % _POINT_BYTES:
+        raise DatasetError(
+            f"{file} (frame {frame}) has {size} bytes, which is not a multiple of {_POINT_BYTES} "
+            "(x y z reflectance): it is truncated or no KITTI sweep; copy it again"
+        )
+
+
+def read_labels(file: Path, sweep: Path, frame: int) -> NDArray[np.uint32] | None:
+    """SemanticKITTI labels of every point of ``sweep``, shape (N,), or None without the file."""
+    if not file.is_file():
+        return None
+    size, points = file.stat().st_size, sweep.stat().st_size // _POINT_BYTES
+    if size != 4 * points:
+        raise DatasetError(
+            f"{file} (frame {frame}) has {size} bytes for a sweep of {points} points; "
+            "labels are one uint32 for each point, in the order of the sweep"
+        )
+    return np.fromfile(file, dtype="<u4").astype(np.uint32, copy=False)
+
+
+def rows_of(files: Sequence[Path], count: int, table: Path, what: str) -> NDArray[np.int64]:
+    """Which row of a table belongs to each file.
+
+    One row a file, in order; or, when files are missing (KITTI's own drives lack a few sweeps),
+    the row of the number that the file is named after.
+
+    Raises
+    ------
+    DatasetError
+        A file has no row.
+    """
+    if count == len(files):
+        return np.arange(count)
+    numbers = [int(f.stem) if f.stem.isascii() and f.stem.isdigit() else -1 for f in files]
+    lacking = next((k for k, n in enumerate(numbers) if not 0 <= n < count), None)
+    if lacking is None:
+        return np.array(numbers, dtype=np.int64)
+    if count < len(files):
+        remedy = "restore the missing lines, or remove the files that have none"
+        lacking = max(lacking, count)
+    else:
+        remedy = "remove the lines of files that are not there, or name files by their line"
+    raise DatasetError(
+        f"{table} has {count} {what} for {len(files)} files in {files[0].parent}: none for "
+        f"{files[lacking].name} (frame {lacking}); {remedy}"
+    )
+
+
+def check_increasing(times: NDArray[np.int64], files: Sequence[str], table: Path) -> None:
+    """Refuse times that do not increase, naming the two frames."""
+    backwards = np.flatnonzero(np.diff(times) <= 0)
+    if len(backwards):
+        k = int(backwards[0])
+        raise DatasetError(
+            f"{table}: the time of frame {k + 1} ({files[k + 1]}) is not after that of frame {k} "
+            f"({files[k]}): {times[k]} and {times[k + 1]} ns; sort the stamps or remove one sweep"
+        )
+
+
+def lines_of(file: Path, remedy: str) -> list[str]:
+    """The lines of a text file, blank ones at its end dropped.
+
+    Raises
+    ------
+    DatasetError
+        The file is missing or no text.
+    """
+    try:
+        return file.read_text(encoding="utf-8").rstrip().splitlines()
+    except FileNotFoundError:
+        raise DatasetError(f"{file} is missing; {remedy}") from None
+    except UnicodeDecodeError:
+        raise DatasetError(f"{file} is not a text file; {remedy}") from None
+
+
+class Calibration:
+    """A KITTI calibration file: ``NAME: numbers``, a line each."""
+
+    def __init__(self, file: Path, remedy: str) -> None:
+        self.file = file
+        try:
+            lines = lines_of(file, remedy)
+        except DatasetError as error:
+            raise CalibrationError(str(error)) from None
+        self._values: dict[str, str] = {}
+        for line in lines:
+            name, colon, value = line.partition(":")
+            if colon:
+                self._values[name.strip()] = value
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._values
+
+    def matrix(self, name: str, *shape: int) -> NDArray[np.float64]:
+        """The numbers of one line, in the given shape.
+
+        Raises
+        ------
+        CalibrationError
+            The line is missing, or not of that many finite numbers.
+        """
+        if name not in self._values:
+            raise CalibrationError(f"{self.file} has no line '{name}:'; restore the file")
+        try:
+            values = np.array(self._values[name].split(), dtype=np.float64)
+        except ValueError:
+            values = np.zeros(0)
+        if values.size != int(np.prod(shape)) or not np.isfinite(values).all():
+            raise CalibrationError(
+                f"{self.file}: '{name}:' must be {int(np.prod(shape))} finite numbers, "
+                f"got '{self._values[name].strip()}'"
+            )
+        return values.reshape(shape)
+
+
+def rigid(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """4x4 transform of the rotation nearest to a 3x3 matrix printed with few digits."""
+    u, _, vt = np.linalg.svd(rotation)
+    result = np.eye(4)
+    result[:3, :3] = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    result[:3, 3] = translation
+    return result
+
+
+def camera_offset(P: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Transform from the rectified reference camera to the camera of a 3x4 projection K [I | b].
+
+    The fourth column of P is K b: KITTI's cameras sit beside the reference camera, and b has a
+    z too, so that depth changes with it.
+    """
+    result = np.eye(4)
+    result[:3, 3] = np.linalg.solve(P[:, :3], P[:, 3])
+    return result
+
+
+def image_files(folder: Path) -> list[Path]:
+    """Images of a folder in order; empty when there is no such folder."""
+    return sorted(f for f in folder.glob("*") if f.suffix.lower() in (".png", ".jpg", ".jpeg"))
+
+
+def image_size(file: Path) -> tuple[int, int]:
+    """Width and height of an image in pixels."""
+    import cv2
+
+    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise DatasetError(f"{file} is not an image that OpenCV reads; copy it again")
+    return image.shape[1], image.shape[0]

@@ -1,0 +1,206 @@
+"""KITTI odometry and SemanticKITTI sequences, and synthetic drives written in that layout."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from docdepth.datasets import kitti_files
+from docdepth.datasets.base import CameraStream, Sweep
+from docdepth.datasets.kitti_files import Calibration
+from docdepth.datasets.times import nanoseconds
+from docdepth.errors import CalibrationError, DatasetError
+from docdepth.io.poses import read_kitti
+from docdepth.render import Camera
+from docdepth.trajectory import inverse
+
+log = logging.getLogger(__name__)
+
+_REMEDY = "unpack the 'calibration files' of the odometry benchmark over the sequence"
+
+
+class KittiOdometry:
+    """A sequence ``sequences/NN`` of KITTI odometry or SemanticKITTI.
+
+    Read are ``velodyne/*.bin``, ``calib.txt`` (P0 to P3, Tr), ``times.txt`` and, where they are,
+    ``labels/*.label``, ``image_0`` to ``image_3``, and poses from ``poses.txt`` (SemanticKITTI)
+    or ``../../poses/NN.txt`` (KITTI). Their poses are those of the rectified reference camera;
+    here they become the LiDAR's, Tr^-1 T Tr. Sweeps of these sequences are motion compensated.
+
+    Beyond KITTI, written by :mod:`docdepth.synthetic` and of use to others:
+
+    - ``image_N/times.txt``: the camera's own times in seconds, else it fires with the sweeps;
+    - ``image_N/size.txt``: ``WIDTH HEIGHT`` where there are no images to tell it;
+    - ``docdepth.yaml`` with ``motion_compensated: false``: raw sweeps; then
+      ``point_times/NAME.bin`` gives each point's time, float32, as :attr:`Sweep.fraction`.
+
+    Parameters
+    ----------
+    path : Path
+        The sequence.
+    image_size : (int, int), optional
+        Width and height in pixels where neither images nor ``size.txt`` tell. Without any of
+        them it is guessed from the principal point, with a warning.
+
+    Raises
+    ------
+    DatasetError, CalibrationError
+        A file is missing, truncated or contradicts another one.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        image_size: tuple[int, int] | None = None,
+        name: str = "kitti_odometry",
+    ) -> None:
+        self.name = name
+        self.path = Path(path)
+        self.sweeps = kitti_files.sweep_files(self.path / "velodyne")
+        self.times = _times(self.path / "times.txt", self.sweeps)
+        calibration = Calibration(self.path / "calib.txt", _REMEDY)
+        Tr = calibration.matrix("Tr", 3, 4)
+        T_camera_lidar = kitti_files.rigid(Tr[:, :3], Tr[:, 3])
+        self.poses = _poses(self.path, self.sweeps, T_camera_lidar)
+        self.motion_compensated = _motion_compensated(self.path / "docdepth.yaml")
+        self.cameras = _cameras(self, calibration, T_camera_lidar, image_size)
+
+    def __len__(self) -> int:
+        return len(self.sweeps)
+
+    def sweep(self, index: int) -> Sweep:
+        """Sweep ``index`` as it is on disk."""
+        file = self.sweeps[index]
+        points, intensity = kitti_files.read_sweep(file, index)
+        fraction = (
+            None if self.motion_compensated else self._fraction(file.stem, index, len(points))
+        )
+        return Sweep(points, file.stem, int(self.times[index]), intensity, fraction)
+
+    def labels(self, index: int) -> NDArray[np.uint32] | None:
+        """Labels of every point of sweep ``index``, None when there are none."""
+        sweep = self.sweeps[index]
+        return kitti_files.read_labels(self.path / "labels" / f"{sweep.stem}.label", sweep, index)
+
+    def _fraction(self, stem: str, frame: int, points: int) -> NDArray[np.float32]:
+        file = self.path / "point_times" / f"{stem}.bin"
+        if not file.is_file():
+            raise DatasetError(
+                f"{file} (frame {frame}) is missing: raw sweeps need each point's time; write it, "
+                f"or set motion_compensated: true in {self.path / 'docdepth.yaml'}"
+            )
+        if file.stat().st_size != 4 * points:
+            raise DatasetError(
+                f"{file} (frame {frame}) has {file.stat().st_size} bytes for a sweep of {points} "
+                "points; it holds one float32 for each point, in the order of the sweep"
+            )
+        return np.fromfile(file, dtype="<f4").astype(np.float32, copy=False)
+
+
+def _times(file: Path, files: list[Path]) -> NDArray[np.int64]:
+    """Nanoseconds of each file from lines of seconds, exact to the last digit."""
+    lines = kitti_files.lines_of(file, _REMEDY)
+    seconds = np.array([nanoseconds(line, n, file) for n, line in enumerate(lines, 1)], np.int64)
+    times: NDArray[np.int64] = seconds[kitti_files.rows_of(files, len(lines), file, "times")]
+    kitti_files.check_increasing(times, [f.name for f in files], file)
+    return times
+
+
+def _poses(
+    sequence: Path, sweeps: list[Path], T_camera_lidar: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """``T_world_lidar`` of each sweep in the world of the first LiDAR pose, None without a file."""
+    for file in (
+        sequence / "poses.txt",
+        sequence.parent.parent / "poses" / f"{sequence.name}.txt",
+    ):
+        if file.is_file():
+            poses = read_kitti(file)
+            rows = kitti_files.rows_of(sweeps, len(poses), file, "poses")
+            return inverse(T_camera_lidar) @ poses[rows] @ T_camera_lidar
+    return None
+
+
+def _motion_compensated(file: Path) -> bool:
+    """What ``docdepth.yaml`` says of the sweeps; KITTI's own are compensated."""
+    if not file.is_file():
+        return True
+    try:
+        settings: Any = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise DatasetError(f"{file} is not YAML: {error}") from None
+    value = settings.get("motion_compensated", True) if isinstance(settings, dict) else None
+    if not isinstance(value, bool):
+        raise DatasetError(f"{file}: motion_compensated must be true or false")
+    return value
+
+
+def _cameras(
+    dataset: KittiOdometry,
+    calibration: Calibration,
+    T_camera0_lidar: NDArray[np.float64],
+    asked: tuple[int, int] | None,
+) -> dict[str, CameraStream]:
+    streams: dict[str, CameraStream] = {}
+    guessed: list[str] = []
+    for n in range(4):
+        if f"P{n}" not in calibration:
+            continue
+        P = calibration.matrix(f"P{n}", 3, 4)
+        folder = dataset.path / f"image_{n}"
+        images = kitti_files.image_files(folder)
+        size = _size(folder, images, asked)
+        if size is None:
+            size = (round(2 * P[0, 2]), round(2 * P[1, 2]))
+            guessed.append(f"{folder.name} {size[0]}x{size[1]}")
+        times, names = dataset.times, [file.stem for file in dataset.sweeps]
+        if (folder / "times.txt").is_file():
+            count = len(kitti_files.lines_of(folder / "times.txt", _REMEDY))
+            files = images or [Path(f"{k:06d}") for k in range(count)]
+            times, names = _times(folder / "times.txt", files), [file.stem for file in files]
+        elif images:
+            times, names = _times(dataset.path / "times.txt", images), [i.stem for i in images]
+        streams[folder.name] = CameraStream(
+            name=folder.name,
+            camera=Camera(P[:, :3], *size),
+            T_camera_lidar=kitti_files.camera_offset(P) @ T_camera0_lidar,
+            times=times,
+            names=names,
+            images=images,
+        )
+    if not streams:
+        raise CalibrationError(f"{calibration.file} has no camera (P0 to P3); {_REMEDY}")
+    if guessed:
+        log.warning(
+            "%s: image sizes guessed from the principal points (%s); "
+            "give the size (--image-size 1242x375) or put the images there",
+            dataset.path,
+            ", ".join(guessed),
+        )
+    return streams
+
+
+def _size(
+    folder: Path, images: list[Path], asked: tuple[int, int] | None
+) -> tuple[int, int] | None:
+    """Size of the images as they, ``size.txt`` or the caller say, None when nobody does."""
+    known: tuple[int, int] | None = None
+    source = folder / "size.txt"
+    if images:
+        source, known = images[0], kitti_files.image_size(images[0])
+    elif source.is_file():
+        words = source.read_text(encoding="utf-8").split()
+        if len(words) != 2 or not all(word.isdigit() for word in words):
+            raise DatasetError(f"{source} must be two numbers, width and height in pixels")
+        known = (int(words[0]), int(words[1]))
+    if known and asked and known != asked:
+        raise CalibrationError(
+            f"{source} is {known[0]} x {known[1]} pixels, the image size asked for is "
+            f"{asked[0]} x {asked[1]}; leave it out"
+        )
+    return known or asked

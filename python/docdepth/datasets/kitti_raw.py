@@ -1,0 +1,156 @@
+"""KITTI raw recordings, synchronised ("sync"), as unpacked from cvlibs.net."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets import kitti_files
+from docdepth.datasets.base import CameraStream, Sweep
+from docdepth.datasets.kitti_files import Calibration
+from docdepth.datasets.times import nanoseconds
+from docdepth.errors import CalibrationError
+from docdepth.render import Camera
+
+_EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' of the drive again"
+_CALIBRATION = "unpack the 'calibration' archive of that date beside its drives"
+
+
+class KittiRaw:
+    """A drive ``DATE/DATE_drive_NNNN_sync`` with the calibration in ``DATE``.
+
+    Sweeps are as the spinning LiDAR measured them, one turn each: seen from above clockwise, from
+    azimuth 180 degrees over forward, at half time, when KITTI takes the stamp. Points come ring
+    by ring and carry no time, so it is read from their azimuth. Poses come with a file of the
+    user's or from odometry. SemanticKITTI labels are read from ``labels/NAME.label``.
+
+    Parameters
+    ----------
+    path : Path
+        The drive.
+    image_size : (int, int), optional
+        Width and height in pixels, for a calibration that does not say (``S_rect``).
+
+    Raises
+    ------
+    DatasetError, CalibrationError
+        A file is missing, truncated or contradicts another one.
+    """
+
+    name = "kitti_raw"
+    poses: NDArray[np.float64] | None = None
+
+    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
+        self.path = Path(path)
+        velodyne = self.path / "velodyne_points"
+        self._sweeps = kitti_files.sweep_files(velodyne / "data")
+        self.times = _times(velodyne / "timestamps.txt", self._sweeps)
+        self.cameras = _cameras(self.path, self._sweeps, self.times, image_size)
+
+    def __len__(self) -> int:
+        return len(self._sweeps)
+
+    def sweep(self, index: int) -> Sweep:
+        """Sweep ``index`` as it is on disk."""
+        file = self._sweeps[index]
+        points, intensity = kitti_files.read_sweep(file, index)
+        fraction = azimuth_fraction(points)
+        return Sweep(points, file.stem, int(self.times[index]), intensity, fraction)
+
+    def labels(self, index: int) -> NDArray[np.uint32] | None:
+        """Labels of every point of sweep ``index``, None when there are none."""
+        sweep = self._sweeps[index]
+        return kitti_files.read_labels(self.path / "labels" / f"{sweep.stem}.label", sweep, index)
+
+
+def azimuth_fraction(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """When a clockwise LiDAR that faces forward at its stamp saw each point (method section 2).
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+
+    Returns
+    -------
+    ndarray of float32, shape (N,)
+        Share of a turn after the stamp, -0.5 to 0.5.
+    """
+    return np.arctan2(points[:, 1], points[:, 0]) * np.float32(-0.5 / np.pi)
+
+
+def _times(file: Path, files: list[Path]) -> NDArray[np.int64]:
+    """Nanoseconds since 1970 of each file, from lines like ``2011-09-26 13:02:25.951199337``."""
+    lines = kitti_files.lines_of(file, _EXPORT)
+    stamps = np.array([nanoseconds(line, n, file) for n, line in enumerate(lines, 1)], np.int64)
+    times: NDArray[np.int64] = stamps[kitti_files.rows_of(files, len(lines), file, "stamps")]
+    kitti_files.check_increasing(times, [f.name for f in files], file)
+    return times
+
+
+def _cameras(
+    drive: Path,
+    sweeps: list[Path],
+    sweep_times: NDArray[np.int64],
+    image_size: tuple[int, int] | None,
+) -> dict[str, CameraStream]:
+    cameras = Calibration(drive.parent / "calib_cam_to_cam.txt", _CALIBRATION)
+    velodyne = Calibration(drive.parent / "calib_velo_to_cam.txt", _CALIBRATION)
+    T_camera0_lidar = kitti_files.rigid(velodyne.matrix("R", 3, 3), velodyne.matrix("T", 3))
+    T_rectified_camera0 = kitti_files.rigid(cameras.matrix("R_rect_00", 3, 3), np.zeros(3))
+
+    streams: dict[str, CameraStream] = {}
+    for number in ("00", "01", "02", "03"):
+        if f"P_rect_{number}" not in cameras:
+            continue
+        P = cameras.matrix(f"P_rect_{number}", 3, 4)
+        folder = drive / f"image_{number}"
+        images = kitti_files.image_files(folder / "data")
+        width, height = _size(cameras, number, images, image_size)
+        times, names = sweep_times, [sweep.stem for sweep in sweeps]
+        if images:
+            times, names = _times(folder / "timestamps.txt", images), [i.stem for i in images]
+        elif (folder / "timestamps.txt").is_file():
+            lines = kitti_files.lines_of(folder / "timestamps.txt", _EXPORT)
+            names = [f"{k:010d}" for k in range(len(lines))]
+            times = _times(folder / "timestamps.txt", [Path(name) for name in names])
+        streams[folder.name] = CameraStream(
+            name=folder.name,
+            camera=Camera(P[:, :3], width, height),
+            T_camera_lidar=kitti_files.camera_offset(P) @ T_rectified_camera0 @ T_camera0_lidar,
+            times=times,
+            names=names,
+            images=images,
+        )
+    if not streams:
+        raise CalibrationError(f"{cameras.file} calibrates no camera (P_rect_NN); {_CALIBRATION}")
+    return streams
+
+
+def _size(
+    calibration: Calibration, number: str, images: list[Path], asked: tuple[int, int] | None
+) -> tuple[int, int]:
+    """Size of the rectified images; what is known of it must agree."""
+    known: list[tuple[str, tuple[int, int]]] = []
+    if images:
+        known.append((str(images[0]), kitti_files.image_size(images[0])))
+    name = f"S_rect_{number}"
+    if name in calibration:
+        width, height = calibration.matrix(name, 2)
+        known.append((f"{calibration.file} ({name})", (round(width), round(height))))
+    if asked is not None:
+        known.append(("the image size asked for", asked))
+    if not known:
+        raise CalibrationError(
+            f"{calibration.file} has no '{name}:' and image_{number} has no images: "
+            "say how large they are (--image-size 1242x375)"
+        )
+    source, size = known[0]
+    for other, claimed in known[1:]:
+        if claimed != size:
+            raise CalibrationError(
+                f"image_{number}: {source} is {size[0]} x {size[1]} but {other} is "
+                f"{claimed[0]} x {claimed[1]} pixels; use the calibration of these images"
+            )
+    return size

@@ -1,0 +1,48 @@
+"""A run folder as a recording: its frames, poses and camera, ready for any stage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import CameraStream, Sweep
+from docdepth.io.ply import read_trajectory
+from docdepth.io.run_folder import RunFolder
+
+
+class RunDataset:
+    """Deskewed sweeps and poses of a run folder, ours or the official release's."""
+
+    name = "run"
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        self._run = RunFolder.open(self.path)
+        trajectory = self._run.trajectory()
+        self.times: NDArray[np.int64] = trajectory.times
+        self.poses: NDArray[np.float64] | None = trajectory.poses
+        self.cameras: dict[str, CameraStream] = {}
+        if (self.path / "traj_camera.ply").is_file():
+            camera, T_camera_lidar = self._run.calibration()
+            shutter, indices = read_trajectory(self.path / "traj_camera.ply")
+            names = self._run.stage("render").get("names") or [f"{i:010d}" for i in indices]
+            self.cameras["camera"] = CameraStream(
+                "camera", camera, T_camera_lidar, shutter.times, list(names)
+            )
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def sweep(self, index: int) -> Sweep:
+        """Frame ``index``; the usable returns of the original sweep, deskewed."""
+        record = self._run.frame(index)
+        return Sweep(record.points, record.name, int(self.times[index]))
+
+    def labels(self, index: int) -> NDArray[np.uint32] | None:
+        """251 for dynamic, 9 for other points, None when the frame has no classes."""
+        classid = self._run.frame(index).classid
+        if classid is None:
+            return None
+        return np.where(classid >= 100, 251, 9).astype(np.uint32)

@@ -1,0 +1,269 @@
+"""Depth maps against the truth: KITTI's figures, edges, ranges, moving objects (paper IV-B).
+
+KITTI's figures are means over pixels of one image, then over images, as in its development kit.
+Everything that asks where errors sit (edges, range, moving objects) is over the pixels of all
+images together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import InputError
+from docdepth.evaluation.errors import DepthErrors, PixelSums, RegionErrors
+from docdepth.evaluation.pixels import Depth, Mask, fill_background, near_edges, ray_length, shifted
+from docdepth.evaluation.tables import Table, number, percent, plain, ratio
+
+Mode = Literal["valid", "kitti"]
+
+RANGE_BINS = (0.0, 10.0, 20.0, 30.0, 50.0, 80.0)
+
+
+@dataclass(frozen=True)
+class RangeErrors:
+    """Errors of pixels whose true depth lies between two values [m]."""
+
+    near: float
+    far: float
+    errors: RegionErrors
+
+
+@dataclass(frozen=True)
+class DepthResult:
+    """Figures of a set of depth maps.
+
+    Attributes
+    ----------
+    protocol : str
+        What was compared, in words.
+    poses : str
+        Where the poses came from.
+    images : int
+    max_range : float
+        Pixels with a larger true depth are not compared [m].
+    density : float
+        Share of all pixels with depth [%], before any filling.
+    density_on_surfaces : float
+        Share of the pixels where the truth has any surface, however far [%], before any filling.
+    kitti : DepthErrors
+        Means over images.
+    all, interior : RegionErrors
+        All compared pixels, and those farther than 3 pixels from a depth edge of the truth. The
+        interior has a meaning only where the truth is dense.
+    dynamic : RegionErrors, optional
+        Pixels of moving objects, where a mask of them was given.
+    point_to_point : float
+        Mean distance [m] of the points that true and predicted depth put a pixel at; NaN without
+        camera matrices.
+    by_range : tuple of RangeErrors
+    """
+
+    protocol: str
+    poses: str
+    images: int
+    max_range: float
+    density: float
+    density_on_surfaces: float
+    kitti: DepthErrors
+    all: RegionErrors
+    interior: RegionErrors
+    dynamic: RegionErrors | None = None
+    point_to_point: float = math.nan
+    by_range: tuple[RangeErrors, ...] = field(default=())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything by name, ready for JSON; what is undefined is None."""
+        result: dict[str, Any] = {
+            "protocol": self.protocol,
+            "poses": self.poses,
+            "images": self.images,
+            "max_range": self.max_range,
+            "density": self.density,
+            "density_on_surfaces": self.density_on_surfaces,
+            **asdict(self.kitti),
+            "point_to_point": self.point_to_point,
+            "all": self.all.as_dict(),
+            "interior": self.interior.as_dict(),
+        }
+        if self.dynamic is not None:
+            result["dynamic"] = self.dynamic.as_dict()
+        result["by_range"] = [
+            {"near": row.near, "far": row.far, **row.errors.as_dict()} for row in self.by_range
+        ]
+        return dict(plain(result))
+
+    def table(self) -> Table:
+        """Errors by region, for a terminal or a report."""
+        rows = [("all", *self.all.cells()), ("interior", *self.interior.cells())]
+        if self.dynamic is not None:
+            rows.append(("moving objects", *self.dynamic.cells()))
+        for row in self.by_range:
+            rows.append((f"{row.near:g}..{row.far:g} m", *row.errors.cells()))
+        title = (
+            f"depth: {self.protocol}; poses: {self.poses}; {self.images} images, "
+            f"density {number(self.density, 1)} % ({number(self.density_on_surfaces, 1)} % "
+            "of the pixels with a surface)"
+        )
+        header = ("pixels", "number", "density %", "MAE m", "RMSE m", "MAE shifts")
+        return Table(title, (*header, "too near %", "too far %"), tuple(rows))
+
+    def kitti_table(self) -> Table:
+        """KITTI's figures, for a terminal or a report."""
+        header = ("figure", "mean over images")
+        units = {"mae": "m", "rmse": "m", "imae": "1/km", "irmse": "1/km", "sq_rel_eigen": "m"}
+        percents = ("abs_rel", "sq_rel", "delta1", "delta2", "delta3")
+        rows = [
+            (
+                name + (f" [{units[name]}]" if name in units else "") + " [%]" * (name in percents),
+                number(value, 4),
+            )
+            for name, value in asdict(self.kitti).items()
+        ]
+        rows.append(("point to point [m]", number(self.point_to_point, 4)))
+        return Table(f"depth: {self.protocol}", header, tuple(rows))
+
+
+class DepthEvaluation:
+    """Depth maps against the truth, an image at a time.
+
+    Parameters
+    ----------
+    mode : {"valid", "kitti"}
+        ``valid`` compares pixels that have depth, ``kitti`` fills empty ones first as the
+        development kit does.
+    max_range : float
+        Pixels with a larger true depth are not compared [m].
+    poses : str
+        Where the poses came from, printed with the figures.
+    range_bins : sequence of float
+        Borders of the depths reported apart [m].
+    """
+
+    def __init__(
+        self,
+        mode: Mode = "valid",
+        max_range: float = 80.0,
+        poses: str = "not stated",
+        range_bins: Sequence[float] = RANGE_BINS,
+    ) -> None:
+        if mode not in ("valid", "kitti"):
+            raise InputError(f"unknown mode {mode!r}; there are 'valid' and 'kitti'")
+        self._mode, self._max_range, self._poses = mode, max_range, poses
+        self._bins = [b for b in range_bins if b < max_range] + [max_range]
+        self._images: list[DepthErrors] = []
+        self._sums = PixelSums(self._bins)
+        self._pixels = self._with_depth = self._surfaces = self._on_surfaces = 0
+        self._distance, self._distances = 0.0, 0
+        self._with_dynamic = False
+
+    def add(
+        self,
+        predicted: Depth,
+        truth: Depth,
+        dynamic: Mask | None = None,
+        K: NDArray[np.float64] | None = None,
+    ) -> DepthErrors:
+        """Compare one image.
+
+        Parameters
+        ----------
+        predicted, truth : ndarray of float32, shape (h, w)
+            Depth along the optical axis [m]; NaN or 0 = none.
+        dynamic : ndarray of bool, shape (h, w), optional
+            Pixels of moving objects.
+        K : ndarray of float64, shape (3, 3), optional
+            Camera matrix, for the distance of points.
+
+        Returns
+        -------
+        DepthErrors
+            KITTI's figures of this image.
+
+        Raises
+        ------
+        InputError
+            The images differ in size, or a depth is negative or infinite.
+        """
+        predicted, truth = _depth("predicted", predicted), _depth("true", truth)
+        if predicted.shape != truth.shape or (dynamic is not None and dynamic.shape != truth.shape):
+            raise InputError(
+                f"predicted depth {predicted.shape} and truth {truth.shape} (and the mask of "
+                "moving objects) must be of one size; was the truth made for another camera?"
+            )
+        surface, has_depth = ~np.isnan(truth), ~np.isnan(predicted)
+        self._pixels += truth.size
+        self._with_depth += int(np.count_nonzero(has_depth))
+        self._surfaces += int(np.count_nonzero(surface))
+        self._on_surfaces += int(np.count_nonzero(has_depth & surface))
+        if self._mode == "kitti":
+            predicted = fill_background(predicted)
+        with np.errstate(invalid="ignore"):
+            selected = np.flatnonzero(truth <= self._max_range)
+        d = truth.ravel()[selected].astype(np.float64)
+        p = predicted.ravel()[selected].astype(np.float64)
+        error = p - d
+        self._with_dynamic |= dynamic is not None
+        moving = np.zeros(truth.shape, bool) if dynamic is None else np.asarray(dynamic, bool)
+        self._sums.add(
+            error,
+            d,
+            np.abs(shifted(truth).ravel()[selected] - d),
+            ~near_edges(truth).ravel()[selected],
+            moving.ravel()[selected],
+        )
+        known = ~np.isnan(error)
+        if K is not None:
+            distance = (np.abs(error) * ray_length(K, truth.shape).ravel()[selected])[known]
+            self._distance += float(distance.sum())
+            self._distances += len(distance)
+        errors = DepthErrors.of(d[known], p[known])
+        self._images.append(errors)
+        return errors
+
+    def result(self) -> DepthResult:
+        """The figures of everything added so far."""
+        filled = "empty pixels filled as in KITTI's kit"
+        what = filled if self._mode == "kitti" else "pixels with depth"
+        return DepthResult(
+            protocol=f"{what}, truth up to {self._max_range:g} m",
+            poses=self._poses,
+            images=len(self._images),
+            max_range=self._max_range,
+            density=percent(self._with_depth, self._pixels),
+            density_on_surfaces=percent(self._on_surfaces, self._surfaces),
+            kitti=DepthErrors.mean(self._images),
+            all=self._sums.errors(),
+            interior=self._sums.errors(interior=1),
+            dynamic=self._sums.errors(dynamic=1) if self._with_dynamic else None,
+            point_to_point=ratio(self._distance, self._distances),
+            by_range=tuple(
+                RangeErrors(near, far, self._sums.errors(ranges=k))
+                for k, (near, far) in enumerate(pairwise(self._bins))
+            ),
+        )
+
+
+def _depth(name: str, depth: Depth) -> Depth:
+    depth = np.asarray(depth)
+    if depth.ndim != 2 or depth.dtype.kind != "f":
+        raise InputError(
+            f"{name} depth is a float image of metres, shape (h, w); got {depth.dtype} "
+            f"{depth.shape}"
+        )
+    depth = np.where(depth == 0, np.float32(np.nan), depth).astype(np.float32, copy=False)
+    with np.errstate(invalid="ignore"):
+        wrong = (depth < 0) | np.isinf(depth)
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        raise InputError(
+            f"{name} depth has {np.count_nonzero(wrong)} negative or infinite pixels, the first "
+            f"in row {row}, column {column}; NaN or 0 means no depth"
+        )
+    return depth

@@ -1,0 +1,91 @@
+"""What a depth map's pixels are: empty ones filled, edges, neighbours, rays."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Depth = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+# An edge is where inverse depth, linear on every plane, bends by more than this share of itself.
+_EDGE_BEND = 0.05
+# Interior is farther than this from an edge [pixels].
+_EDGE_MARGIN = 3
+
+
+def fill_background(depth: Depth) -> Depth:
+    """Fill empty pixels as KITTI's development kit does (``interpolateBackground``).
+
+    Gaps in a row take the nearer of their two borders; then values at the ends of rows, and at
+    the ends of columns, are carried to the border of the image. Empty rows between others stay.
+
+    Parameters
+    ----------
+    depth : ndarray of float32, shape (h, w)
+        Metres, NaN = none.
+    """
+    filled = _carry(depth, axis=1, between=True)
+    return _carry(filled, axis=0, between=False)
+
+
+def _carry(depth: Depth, axis: int, between: bool) -> Depth:
+    """Carry valid values along an axis into empty pixels at its ends, and in between if asked."""
+    # Rows are the direction of carrying, so that memory is read in order.
+    lines = np.ascontiguousarray(depth if axis == 1 else depth.T)
+    length = lines.shape[1]
+    place = np.arange(length, dtype=np.int32)
+    gap = np.isnan(lines)
+    before = np.maximum.accumulate(np.where(gap, -1, place), axis=1)
+    after = np.minimum.accumulate(np.where(gap, length, place)[:, ::-1], axis=1)[:, ::-1]
+    rows, columns = np.nonzero(gap)
+    before, after = before[rows, columns], after[rows, columns]
+    # The last value before an empty pixel and the first after it; NaN where there is none.
+    first = np.where(before >= 0, lines[rows, np.maximum(before, 0)], np.nan)
+    last = np.where(after < length, lines[rows, np.minimum(after, length - 1)], np.nan)
+    filled = np.fmin(first, last)
+    if not between:
+        filled[(before >= 0) & (after < length)] = np.nan
+    lines = lines.copy()
+    lines[rows, columns] = filled
+    return lines if axis == 1 else np.ascontiguousarray(lines.T)
+
+
+def depth_edges(depth: Depth) -> Mask:
+    """Where an exact, dense depth map has an edge.
+
+    Inverse depth is linear in the pixel on every plane; an edge is where its second difference,
+    along a row or a column, is above 5 % of its value. No depth counts as infinitely far.
+
+    Parameters
+    ----------
+    depth : ndarray of float32, shape (h, w)
+        Metres, NaN = no surface.
+    """
+    inverse = np.where(np.isnan(depth), np.float32(0), 1 / depth)
+    bend = np.zeros_like(inverse)
+    bend[:, 1:-1] = np.abs(inverse[:, :-2] - 2 * inverse[:, 1:-1] + inverse[:, 2:])
+    vertical = np.abs(inverse[:-2] - 2 * inverse[1:-1] + inverse[2:])
+    bend[1:-1] = np.maximum(bend[1:-1], vertical)
+    return np.asarray(bend > _EDGE_BEND * inverse)
+
+
+def near_edges(depth: Depth) -> Mask:
+    size = 2 * _EDGE_MARGIN + 1
+    edges = depth_edges(depth).astype(np.uint8)
+    return np.asarray(cv2.dilate(edges, np.ones((size, size), np.uint8)) > 0)
+
+
+def shifted(depth: Depth) -> Depth:
+    """The depth map moved right by one pixel; the first column has none."""
+    result = np.full_like(depth, np.nan)
+    result[:, 1:] = depth[:, :-1]
+    return result
+
+
+def ray_length(K: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Length of the ray of each pixel whose z is 1, shape (h, w)."""
+    x = (np.arange(shape[1]) - K[0, 2]) / K[0, 0]
+    y = (np.arange(shape[0]) - K[1, 2]) / K[1, 1]
+    return np.asarray(np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2))

@@ -1,0 +1,111 @@
+"""A run folder against the truth on disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import DatasetError
+from docdepth.evaluation.depth import DepthEvaluation, DepthResult, Mode
+from docdepth.evaluation.labels import LabelEvaluation, LabelResult, moving
+from docdepth.io.depth import read_depth
+from docdepth.io.run_folder import RunFolder
+
+
+def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
+    """Classes of a run's points against SemanticKITTI labels.
+
+    Points that were no usable returns count as static, and in no range.
+
+    Parameters
+    ----------
+    run : Path or RunFolder
+        Run folder with classified frames.
+    labels : Path
+        Folder of ``NAME.label`` files, or one with a folder ``labels``. A folder ``speeds``
+        beside it (``NAME.npy``, m/s a point) tells standing from moving objects.
+
+    Raises
+    ------
+    DatasetError
+        A truth file is missing or has another number of points, or no frame is classified.
+    """
+    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    if (labels / "labels").is_dir():
+        labels = labels / "labels"
+    speeds = labels.parent / "speeds"
+    evaluation = LabelEvaluation(poses=_poses(folder))
+    for index in range(len(folder.trajectory())):
+        record = folder.frame(index)
+        if record.classid is None:
+            raise DatasetError(
+                f"frame {index} of {folder.path} has no classes; run: docdepth classify "
+                f"{folder.path}"
+            )
+        truth = _read(labels / f"{record.name}.label", record.input_points)
+        dynamic = np.zeros(record.input_points, dtype=bool)
+        dynamic[record.index] = record.classid >= 100
+        ranges = np.full(record.input_points, np.nan)
+        ranges[record.index] = np.linalg.norm(record.points, axis=1)
+        speed = speeds / f"{record.name}.npy"
+        evaluation.add(truth, dynamic, ranges, np.load(speed) if speed.is_file() else None)
+    return evaluation.result()
+
+
+def evaluate_depth(
+    run: Path, depth: Path, mode: Mode = "valid", max_range: float = 80.0
+) -> DepthResult:
+    """Depth maps of a run against true ones of the same names.
+
+    Parameters
+    ----------
+    run : Path
+        Run folder with depth maps.
+    depth : Path
+        Folder of ``NAME.npy`` or KITTI ``NAME.png`` files, or one with a folder ``depth_2``. A
+        folder ``class_2`` beside it tells which pixels move.
+
+    Raises
+    ------
+    DatasetError
+        A truth file is missing, or nothing was rendered.
+    """
+    folder = RunFolder.open(run)
+    if (depth / "depth_2").is_dir():
+        depth = depth / "depth_2"
+    classes = depth.parent / depth.name.replace("depth", "class")
+    K = folder.calibration()[0].K
+    evaluation = DepthEvaluation(mode=mode, max_range=max_range, poses=_poses(folder))
+    maps = sorted((run / "depth").glob("*.png"))
+    if not maps:
+        raise DatasetError(f"{run}/depth holds no depth map; run: docdepth render {run}")
+    for path in maps:
+        truth = depth / f"{path.stem}.npy"
+        if not truth.is_file():
+            truth = truth.with_suffix(".png")
+        if not truth.is_file():
+            raise DatasetError(f"{depth} has neither {path.stem}.npy nor {path.stem}.png")
+        mask = classes / f"{path.stem}.npy"
+        dynamic = None
+        if classes != depth and mask.is_file():
+            classes_of_image = np.load(mask)
+            dynamic = moving(classes_of_image.ravel()).reshape(classes_of_image.shape)
+        evaluation.add(read_depth(path), read_depth(truth), dynamic, K)
+    return evaluation.result()
+
+
+def _read(path: Path, points: int) -> NDArray[np.uint32]:
+    if not path.is_file():
+        raise DatasetError(f"{path} is missing; labels are named after the sweeps")
+    truth = np.fromfile(path, np.uint32)
+    if len(truth) != points:
+        raise DatasetError(f"{path} labels {len(truth)} points, the sweep has {points}")
+    return truth
+
+
+def _poses(folder: RunFolder) -> str:
+    source: dict[str, Any] = folder.manifest["source"]
+    return str(source.get("poses") or "kiss-icp")

@@ -1,0 +1,190 @@
+"""Trajectories and frames as PLY, in the layout of the official DOC-Depth release."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement, PlyParseError
+
+from docdepth.errors import RunError
+from docdepth.io.atomic import write_atomically
+from docdepth.trajectory import Trajectory, matrix_to_quaternion, poses_from, quaternion_to_matrix
+
+_SECOND = 1_000_000_000
+
+_TRAJECTORY = np.dtype(
+    [(name, "<f8") for name in ("x", "y", "z", "q_w", "q_x", "q_y", "q_z", "timestamp")]
+    # A double loses the nanoseconds of a clock that counts from 1970, so they stand apart.
+    + [("indices", "<i4"), ("seconds", "<u4"), ("nanoseconds", "<u4")]
+)
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """One deskewed sweep of a run folder.
+
+    Attributes
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        LiDAR frame at the sweep's stamp, metres; usable returns only.
+    index : ndarray of uint32, shape (N,)
+        Row of each point in the input sweep.
+    name : str
+        Stem of the input file.
+    input_points : int
+        Rows of the input sweep.
+    key : dict
+        Which parameters made this file, a hash for each stage.
+    classid : ndarray of uint16, shape (N,), optional
+        Below 50 ground, 50 to 99 static, 100 and above dynamic.
+    votes_static, votes_dynamic : ndarray of uint16, shape (N,), optional
+    """
+
+    points: NDArray[np.float32]
+    index: NDArray[np.uint32]
+    name: str
+    input_points: int
+    key: dict[str, str]
+    classid: NDArray[np.uint16] | None = None
+    votes_static: NDArray[np.uint16] | None = None
+    votes_dynamic: NDArray[np.uint16] | None = None
+
+
+def write_trajectory(path: Path, trajectory: Trajectory, indices: NDArray[np.int64]) -> None:
+    """Write poses as ``x y z q_w q_x q_y q_z timestamp indices``, doubles, seconds."""
+    rows = np.zeros(len(trajectory), _TRAJECTORY)
+    rows["x"], rows["y"], rows["z"] = trajectory.poses[:, :3, 3].T
+    quaternions = np.array([matrix_to_quaternion(pose[:3, :3]) for pose in trajectory.poses])
+    rows["q_x"], rows["q_y"], rows["q_z"], rows["q_w"] = quaternions.T
+    rows["timestamp"] = trajectory.times / _SECOND
+    rows["seconds"], rows["nanoseconds"] = np.divmod(trajectory.times, _SECOND)
+    rows["indices"] = indices
+    _write(path, rows, [])
+
+
+def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
+    """Poses and their frame indices; ``qx`` for ``q_x`` is understood too.
+
+    Raises
+    ------
+    RunError
+        The file is missing, truncated or lacks a column.
+    """
+    rows, _ = _read(path)
+    names = rows.dtype.names or ()
+    try:
+        quaternions = np.stack(
+            [rows[f"q_{a}" if f"q_{a}" in names else f"q{a}"] for a in "xyzw"], axis=1
+        )
+        positions = np.stack([rows[a] for a in "xyz"], axis=1)
+        if "nanoseconds" in names:
+            times = rows["seconds"].astype(np.int64) * _SECOND + rows["nanoseconds"]
+        else:
+            times = np.round(rows["timestamp"] * _SECOND).astype(np.int64)
+        indices = rows["indices"].astype(np.int64)
+    except (KeyError, ValueError) as error:
+        raise RunError(
+            f"{path}: {error}; a trajectory has x y z q_w q_x q_y q_z timestamp indices"
+        ) from None
+    poses = poses_from([quaternion_to_matrix(q) for q in quaternions], positions)
+    return Trajectory(times, poses), indices
+
+
+def write_frame(path: Path, frame: FrameRecord) -> None:
+    """Write a frame; labels and votes only when there are any."""
+    fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("index", "<u4")]
+    extra = {
+        name: getattr(frame, name)
+        for name in ("classid", "votes_static", "votes_dynamic")
+        if getattr(frame, name) is not None
+    }
+    rows = np.empty(len(frame.points), np.dtype(fields + [(name, "<u2") for name in extra]))
+    rows["x"], rows["y"], rows["z"] = frame.points.T
+    rows["index"] = frame.index
+    for name, values in extra.items():
+        rows[name] = values
+    comments = [f"name {frame.name}", f"input_points {frame.input_points}"]
+    comments += [f"key {stage} {key}" for stage, key in frame.key.items()]
+    _write(path, rows, comments)
+
+
+def read_frame(path: Path) -> FrameRecord:
+    """Read a frame of ours or of the official release (then every row is its own index).
+
+    Raises
+    ------
+    RunError
+        The file is missing, truncated or has no coordinates.
+    """
+    rows, comments = _read(path)
+    names = rows.dtype.names or ()
+    if not {"x", "y", "z"} <= set(names):
+        raise RunError(f"{path}: has no x y z")
+    points = np.empty((len(rows), 3), np.float32)
+    for axis, name in enumerate("xyz"):
+        points[:, axis] = rows[name]
+    notes = _notes(comments)
+
+    def column(name: str) -> NDArray[np.uint16] | None:
+        return np.ascontiguousarray(rows[name], np.uint16) if name in names else None
+
+    index = (
+        rows["index"].astype(np.uint32)
+        if "index" in names
+        else np.arange(len(rows), dtype=np.uint32)
+    )
+    return FrameRecord(
+        points,
+        index,
+        notes.get("name", path.stem),
+        int(notes.get("input_points", len(rows))),
+        {k.removeprefix("key "): v for k, v in notes.items() if k.startswith("key ")},
+        column("classid"),
+        column("votes_static"),
+        column("votes_dynamic"),
+    )
+
+
+def read_frame_key(path: Path) -> dict[str, str]:
+    """Which parameters made a frame, from its header alone; empty when there is no such file."""
+    if not path.is_file():
+        return {}
+    comments = []
+    with path.open("rb") as stream:
+        for raw in stream:
+            line = raw.decode("ascii", "replace").strip()
+            if line == "end_header":
+                break
+            if line.startswith("comment "):
+                comments.append(line.removeprefix("comment "))
+    return {k.removeprefix("key "): v for k, v in _notes(comments).items() if k.startswith("key ")}
+
+
+def _notes(comments: list[str]) -> dict[str, str]:
+    notes = {}
+    for comment in comments:
+        name, _, value = comment.partition(" ")
+        if name == "key":
+            stage, _, value = value.partition(" ")
+            name = f"key {stage}"
+        notes[name] = value
+    return notes
+
+
+def _write(path: Path, rows: NDArray[Any], comments: list[str]) -> None:
+    element = PlyElement.describe(rows, "vertex")
+    write_atomically(path, PlyData([element], byte_order="<", comments=comments).write)
+
+
+def _read(path: Path) -> tuple[NDArray[Any], list[str]]:
+    try:
+        data = PlyData.read(path)
+        return data["vertex"].data, list(data.comments)
+    except FileNotFoundError:
+        raise RunError(f"{path} is missing; run the stage that writes it") from None
+    except (PlyParseError, KeyError, UnicodeDecodeError, ValueError) as error:
+        raise RunError(f"{path} is damaged ({error}); delete it and run the stage again") from None

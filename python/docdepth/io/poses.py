@@ -1,0 +1,158 @@
+"""Trajectories as text: TUM (``t x y z qx qy qz qw``) and KITTI (3x4 matrices, a line each).
+
+Both are the formats that other SLAM systems write and that evo reads. Poses are ``T_world_lidar``
+unless the file's owner says otherwise.
+"""
+
+from __future__ import annotations
+
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import InputError, OdometryError
+from docdepth.trajectory import (
+    Trajectory,
+    check_rigid,
+    matrix_to_quaternion,
+    poses_from,
+    quaternion_to_matrix,
+)
+
+
+def read_poses(path: Path | str, count: int) -> NDArray[np.float64]:
+    """Poses of ``count`` sweeps, one a line, in a file of either format.
+
+    Parameters
+    ----------
+    path : Path
+        A line of 8 numbers is TUM, of 12 KITTI. Lines are taken in order, whatever their times.
+    count : int
+        How many sweeps there are.
+
+    Returns
+    -------
+    ndarray of float64, shape (count, 4, 4)
+
+    Raises
+    ------
+    OdometryError
+        The file is missing, is neither format, has an impossible pose, or not ``count`` of them.
+    """
+    rows = _read(Path(path))
+    if rows.shape[1] not in (8, 12):
+        raise OdometryError(
+            f"{path} has {rows.shape[1]} columns; TUM poses have 8 (t x y z qx qy qz qw), "
+            "KITTI poses 12 (the upper 3x4 of the matrix, row by row)"
+        )
+    if len(rows) != count:
+        raise OdometryError(
+            f"{path} has {len(rows)} poses for {count} sweeps; "
+            "bring one pose a sweep, in the order of the sweeps"
+        )
+    return _from_tum(rows, path) if rows.shape[1] == 8 else _from_kitti(rows, path)
+
+
+def read_tum(path: Path | str) -> Trajectory:
+    """A TUM file with its times, which are kept to the nanosecond.
+
+    Raises
+    ------
+    OdometryError
+        The file is missing, not TUM, has an impossible pose, or its times do not increase.
+    """
+    rows = _read(Path(path), columns=8)
+    times = np.array(
+        [
+            int((Decimal(line.split()[0]) * 10**9).to_integral_value())
+            for line in _lines(Path(path))
+        ],
+        dtype=np.int64,
+    )
+    try:
+        return Trajectory(times, _from_tum(rows, path))
+    except InputError as error:
+        raise OdometryError(f"{path}: {error}") from None
+
+
+def read_kitti(path: Path | str) -> NDArray[np.float64]:
+    """All poses (n, 4, 4) of a KITTI file.
+
+    Raises
+    ------
+    OdometryError
+        The file is missing, has lines of other than 12 numbers, or an impossible pose.
+    """
+    return _from_kitti(_read(Path(path), columns=12), path)
+
+
+def write_tum(path: Path | str, trajectory: Trajectory) -> None:
+    """Write a trajectory as TUM: seconds with nine digits, quaternions with w >= 0."""
+    lines = []
+    for time, pose in zip(trajectory.times.tolist(), trajectory.poses, strict=True):
+        values = [*pose[:3, 3], *matrix_to_quaternion(pose[:3, :3])]
+        stamp = f"{'-' if time < 0 else ''}{abs(time) // 10**9}.{abs(time) % 10**9:09d}"
+        lines.append(" ".join([stamp, *(f"{value:.9f}" for value in values)]))
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def write_kitti(path: Path | str, poses: NDArray[np.float64]) -> None:
+    """Write poses (n, 4, 4) in KITTI's format."""
+    lines = [" ".join(f"{value:.12e}" for value in pose[:3].ravel()) for pose in poses]
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise OdometryError(f"{path} is missing; give the file of the poses") from None
+    except (UnicodeDecodeError, IsADirectoryError):
+        raise OdometryError(f"{path} is not a text file of poses (TUM or KITTI)") from None
+    lines = [line.replace(",", " ") for line in text.splitlines()]
+    return [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+
+
+def _read(path: Path, columns: int | None = None) -> NDArray[np.float64]:
+    lines = _lines(path)
+    if not lines:
+        raise OdometryError(f"{path} holds no poses")
+    columns = columns or len(lines[0].split())
+    rows = np.empty((len(lines), columns))
+    for k, line in enumerate(lines):
+        try:
+            rows[k] = [float(Decimal(word)) for word in line.split()]
+        except (InvalidOperation, ValueError):
+            raise OdometryError(
+                f"{path}, pose {k}: '{line.strip()[:60]}' is not {columns} numbers"
+            ) from None
+    return rows
+
+
+def _from_tum(rows: NDArray[np.float64], path: Path | str) -> NDArray[np.float64]:
+    rotations = []
+    for k, row in enumerate(rows):
+        try:
+            rotations.append(quaternion_to_matrix(row[4:8]))
+        except InputError as error:
+            raise OdometryError(f"{path}, pose {k}: {error}") from None
+    return _checked(poses_from(rotations, rows[:, 1:4]), path)
+
+
+def _from_kitti(rows: NDArray[np.float64], path: Path | str) -> NDArray[np.float64]:
+    matrices = rows.reshape(-1, 3, 4)
+    poses = _checked(poses_from(list(matrices[:, :, :3]), matrices[:, :, 3]), path)
+    # Printed with few digits a matrix is a rotation only nearly: take the nearest one.
+    u, _, vt = np.linalg.svd(poses[:, :3, :3])
+    poses[:, :3, :3] = u @ vt
+    return poses
+
+
+def _checked(poses: NDArray[np.float64], path: Path | str) -> NDArray[np.float64]:
+    try:
+        check_rigid(poses)
+    except InputError as error:
+        raise OdometryError(f"{path}: {error}") from None
+    return poses

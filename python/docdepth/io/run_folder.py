@@ -1,0 +1,198 @@
+"""The run folder: what each stage leaves for the next, in the official DOC-Depth layout."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from docdepth import __version__
+from docdepth.config import Parameters
+from docdepth.errors import CalibrationError, ConfigError, RunError
+from docdepth.io.atomic import write_atomically
+from docdepth.io.ply import FrameRecord, read_frame, read_frame_key, read_trajectory, write_frame
+from docdepth.render import Camera
+from docdepth.trajectory import Trajectory
+
+
+class RunFolder:
+    """A folder that holds one run.
+
+    ``run.yaml`` tells the dataset, the parameters and the state of each stage; everything else is
+    data. Files appear under their final names only when they are whole.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        self.manifest: dict[str, Any] = {}
+        if self._manifest_path.is_file():
+            loaded = yaml.safe_load(self._manifest_path.read_text())
+            if not isinstance(loaded, dict):
+                raise RunError(f"{self._manifest_path} is damaged; delete the folder and run again")
+            self.manifest = loaded
+
+    @classmethod
+    def create(cls, path: Path, source: dict[str, Any], parameters: Parameters) -> RunFolder:
+        """Begin a run, or go on with the one that is there if it is the same.
+
+        Parameters
+        ----------
+        source : dict
+            What is being run: dataset, camera, poses; plain YAML values.
+
+        Raises
+        ------
+        RunError
+            The folder holds another run, or files that are not a run.
+        """
+        run = cls(path)
+        wanted = {"source": source, "parameters": parameters.model_dump()}
+        if run.manifest:
+            for part, value in wanted.items():
+                if run.manifest.get(part) != value:
+                    difference = _difference(run.manifest.get(part), value)
+                    raise RunError(
+                        f"{path} holds another run: its {difference}; "
+                        "choose another folder with -o, or delete this one"
+                    )
+        elif run.path.is_dir() and any(run.path.iterdir()):
+            raise RunError(f"{path} is not empty and holds no run; choose another folder with -o")
+        else:
+            run.manifest = {"docdepth": __version__, **wanted, "stages": {}}
+            run.save()
+        return run
+
+    @classmethod
+    def open(cls, path: Path) -> RunFolder:
+        """A run that exists.
+
+        Raises
+        ------
+        RunError
+            There is none; an official DOC-Depth folder without run.yaml is accepted.
+        """
+        run = cls(path)
+        if not run.manifest:
+            if not run.trajectory_path.is_file():
+                raise RunError(
+                    f"{path} holds no run; start one with: docdepth run DATASET -o {path}"
+                )
+            run.manifest = {"source": {}, "parameters": Parameters().model_dump(), "stages": {}}
+        return run
+
+    @property
+    def _manifest_path(self) -> Path:
+        return self.path / "run.yaml"
+
+    @property
+    def trajectory_path(self) -> Path:
+        return self.path / "traj_odometry.ply"
+
+    @property
+    def parameters(self) -> Parameters:
+        """The parameters that the run was made with."""
+        try:
+            return Parameters.model_validate(self.manifest["parameters"])
+        except (KeyError, ValueError) as error:
+            raise ConfigError(f"{self._manifest_path}: {error}") from None
+
+    def save(self) -> None:
+        """Write run.yaml."""
+        text = yaml.safe_dump(self.manifest, sort_keys=False)
+        write_atomically(self._manifest_path, lambda stream: stream.write(text.encode()))
+
+    def stage(self, name: str) -> dict[str, Any]:
+        """State of a stage as run.yaml keeps it."""
+        return dict(self.manifest["stages"].get(name, {}))
+
+    def set_stage(self, name: str, **state: Any) -> None:
+        """Update and save the state of a stage."""
+        self.manifest["stages"][name] = {**self.stage(name), **state}
+        self.save()
+
+    def frame_path(self, index: int) -> Path:
+        return self.path / "frames" / f"frame_{index:06d}.ply"
+
+    def frame(self, index: int) -> FrameRecord:
+        """Frame number ``index``."""
+        return read_frame(self.frame_path(index))
+
+    def frame_key(self, index: int) -> dict[str, str]:
+        """Which parameters made frame ``index``; empty when it is not there."""
+        return read_frame_key(self.frame_path(index))
+
+    def write_frame(self, index: int, frame: FrameRecord) -> None:
+        write_frame(self.frame_path(index), frame)
+
+    def trajectory(self) -> Trajectory:
+        """LiDAR poses, one a frame."""
+        trajectory, indices = read_trajectory(self.trajectory_path)
+        if not np.array_equal(indices, np.arange(len(indices))):
+            raise RunError(
+                f"{self.trajectory_path}: its frames are not numbered 0, 1, 2, ... without gaps"
+            )
+        return trajectory
+
+    def write_calibration(self, camera: Camera, T_camera_lidar: NDArray[np.float64]) -> None:
+        """Write calib.json and calib_lidar_ref_cam.txt."""
+        calibration = {
+            "mtx": camera.K.tolist(),
+            "dist": [0.0] * 5,
+            "size": [camera.width, camera.height],
+        }
+        rows = "\n".join(" ".join(repr(float(v)) for v in row) for row in T_camera_lidar) + "\n"
+        write_atomically(
+            self.path / "calib.json",
+            lambda stream: stream.write(json.dumps(calibration, indent=1).encode()),
+        )
+        write_atomically(
+            self.path / "calib_lidar_ref_cam.txt", lambda stream: stream.write(rows.encode())
+        )
+
+    def calibration(self) -> tuple[Camera, NDArray[np.float64]]:
+        """Camera and ``T_camera_lidar``.
+
+        Raises
+        ------
+        CalibrationError
+            A calibration file is missing or damaged.
+        """
+        intrinsic, extrinsic = self.path / "calib.json", self.path / "calib_lidar_ref_cam.txt"
+        try:
+            calibration = json.loads(intrinsic.read_text())
+            K = np.array(calibration["mtx"], dtype=np.float64)
+            width, height = calibration.get("size") or np.round(2 * K[:2, 2]).astype(int).tolist()
+            T_camera_lidar = np.loadtxt(extrinsic)
+        except FileNotFoundError as error:
+            raise CalibrationError(f"{error.filename} is missing") from None
+        except (KeyError, ValueError) as error:
+            raise CalibrationError(f"{intrinsic} or {extrinsic.name} is damaged: {error}") from None
+        if T_camera_lidar.shape != (4, 4):
+            raise CalibrationError(f"{extrinsic} must hold a 4x4 matrix")
+        return Camera(K, int(width), int(height)), T_camera_lidar
+
+    def clear(self, folder: str) -> None:
+        """Delete the files of an output folder whose parameters have changed."""
+        for path in sorted((self.path / folder).glob("*")):
+            with contextlib.suppress(IsADirectoryError, PermissionError):
+                path.unlink()
+
+
+def stage_key(*parts: Any) -> str:
+    """Short hash of what a stage's result depends on."""
+    text = json.dumps(parts, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _difference(have: Any, want: Any, path: str = "") -> str:
+    if isinstance(have, dict) and isinstance(want, dict):
+        for key in {**have, **want}:
+            if have.get(key) != want.get(key):
+                return _difference(have.get(key), want.get(key), f"{path}.{key}" if path else key)
+    return f"{path} is {have!r}, not {want!r}"

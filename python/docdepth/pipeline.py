@@ -1,0 +1,368 @@
+"""The stages of a run, one after the other: each reads what the one before wrote.
+
+Every stage can be killed and goes on where it stopped; what is done is known from the files.
+"""
+
+from __future__ import annotations
+
+import logging
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth import dynamics, render, visualize
+from docdepth.datasets.base import CameraStream, Dataset, usable_points
+from docdepth.errors import DatasetError, RunError
+from docdepth.ground import GroundMap
+from docdepth.io.atomic import write_atomically
+from docdepth.io.depth import encode_png
+from docdepth.io.ply import FrameRecord, write_trajectory
+from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.odometry import odometry
+from docdepth.trajectory import Trajectory
+
+log = logging.getLogger(__name__)
+
+Progress = Callable[[str, int, int], None]
+"""Called with the stage, how many frames are done and how many there are."""
+
+_MOVING, _STATIC = 251, 9  # SemanticKITTI's moving-object labels
+T = TypeVar("T")
+
+
+class Stopwatch:
+    """Seconds spent by name, for the profile in run.yaml."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def run_odometry(
+    run: RunFolder,
+    dataset: Dataset,
+    poses: NDArray[np.float64] | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Poses of every sweep, and the sweeps deskewed to their stamp, into ``frames/``.
+
+    Parameters
+    ----------
+    poses : ndarray of float64, shape (n, 4, 4), optional
+        ``T_world_lidar`` of another SLAM; kiss-icp runs when there are none.
+
+    Raises
+    ------
+    DatasetError
+        A sweep is damaged or empty.
+    """
+    parameters = run.parameters.odometry
+    key = stage_key(run.manifest["source"], parameters.model_dump())
+    if _is_done(run, "odometry", key):
+        return
+    watch, total = Stopwatch(), len(dataset)
+    run.set_stage("odometry", state="running", key=key)
+    tell = _teller(progress, "odometry")
+    with watch("poses"):
+        checkpoint = run.path / ".odometry" / key
+
+        def registered(done: int, total: int, what: str) -> None:
+            log.debug("%s", what)
+            if progress:
+                progress("register", done, total)
+
+        estimate = odometry(dataset, parameters, poses, registered, checkpoint)
+    write_trajectory(run.trajectory_path, estimate.trajectory, np.arange(total))
+    for index in range(total):
+        if run.frame_key(index).get("odometry") != key:
+            with watch("deskew"):
+                sweep = dataset.sweep(index)
+                points = estimate.points(index)
+                usable = usable_points(points)
+            if not usable.any():
+                raise DatasetError(
+                    f"{dataset.path}: sweep {sweep.name} (frame {index}) holds no usable point; "
+                    "leave this frame out of the recording"
+                )
+            record = FrameRecord(
+                np.ascontiguousarray(points[usable]),
+                np.flatnonzero(usable).astype(np.uint32),
+                sweep.name,
+                len(points),
+                {"odometry": key},
+            )
+            with watch("write"):
+                run.write_frame(index, record)
+        tell(index + 1, total)
+    _finish(run, "odometry", watch, total)
+
+
+def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = None) -> None:
+    """Ground, votes and class of every point into ``frames/`` and ``labels/``.
+
+    Parameters
+    ----------
+    threads : int
+        0 takes every core.
+    """
+    parameters = run.parameters
+    trajectory = run.trajectory()
+    key = stage_key(
+        run.stage("odometry").get("key"),
+        parameters.ground.model_dump(),
+        parameters.dynamics.model_dump(),
+    )
+    if _is_done(run, "classify", key):
+        return
+    watch, total = Stopwatch(), len(trajectory)
+    run.set_stage("classify", state="running", key=key)
+    grounds = run.path / ".ground"
+    _grow_ground(run, trajectory, grounds, watch, threads, _teller(progress, "ground"))
+
+    def ground_of(index: int, count: int) -> NDArray[np.bool_]:
+        return np.unpackbits(np.load(grounds / f"{index:06d}.npy"), count=count).astype(bool)
+
+    voters = dynamics.key_frames(trajectory, parameters.dynamics)
+    asked: dict[int, dynamics.KeyFrame] = {}
+    tell = _teller(progress, "classify")
+    with ThreadPoolExecutor(1) as writer:
+        pending: Future[None] | None = None
+        for index in range(total):
+            if run.frame_key(index).get("classify") != key:
+                wanted = voters[index]
+                asked = {k: asked[k] for k in asked if k in set(wanted.tolist())}
+                for k in (int(k) for k in wanted if int(k) not in asked):
+                    with watch("read"):
+                        record = run.frame(k)
+                        ground = ground_of(k, len(record.points))
+                    with watch("key frames"):
+                        asked[k] = dynamics.KeyFrame(record.points, ground, parameters.dynamics)
+                with watch("read"):
+                    record = run.frame(index)
+                    ground = ground_of(index, len(record.points))
+                with watch("vote"):
+                    votes = dynamics.vote(
+                        record.points,
+                        ground,
+                        trajectory.poses[index],
+                        [asked[int(k)] for k in wanted],
+                        trajectory.poses[wanted],
+                        parameters.dynamics,
+                        threads,
+                    )
+                    classid = dynamics.classify(ground, votes, parameters.dynamics)
+                record = replace(
+                    record,
+                    key={**record.key, "classify": key},
+                    classid=classid,
+                    votes_static=votes.static,
+                    votes_dynamic=votes.dynamic,
+                )
+                with watch("write"):
+                    if pending:
+                        pending.result()
+                    pending = writer.submit(_write_classified, run, index, record)
+            tell(index + 1, total)
+        if pending:
+            pending.result()
+    for path in grounds.glob("*"):
+        path.unlink()
+    _finish(run, "classify", watch, total)
+
+
+def run_render(
+    run: RunFolder, stream: CameraStream, threads: int = 0, progress: Progress | None = None
+) -> list[str]:
+    """A depth map for every image of a camera into ``depth/``, pictures into ``report/``.
+
+    Returns
+    -------
+    list of str
+        Images before the first or after the last sweep, which get no depth map.
+    """
+    parameters = run.parameters.render
+    trajectory = run.trajectory()
+    inside = trajectory.covers(stream.times)
+    left_out = [name for name, ok in zip(stream.names, inside, strict=True) if not ok]
+    chosen = np.flatnonzero(inside)
+    if not len(chosen):
+        raise DatasetError(
+            f"none of the {len(stream.names)} images of {stream.name} lies between the first and "
+            "the last sweep; are camera and LiDAR on one clock? See --camera-times"
+        )
+    camera = stream.camera
+    key = stage_key(
+        run.stage("classify").get("key"),
+        parameters.model_dump(),
+        camera.K.tolist(),
+        [camera.width, camera.height],
+        stream.T_camera_lidar.tolist(),
+        stream.names,
+        stream.times.tolist(),
+    )
+    if _is_done(run, "render", key):
+        return left_out
+    if run.stage("render").get("key") != key:
+        run.clear("depth")
+        run.clear("report")
+    watch, total = Stopwatch(), len(chosen)
+    run.set_stage("render", state="running", key=key, camera=stream.name, left_out=left_out)
+    run.write_calibration(camera, stream.T_camera_lidar)
+    times = stream.times[chosen]
+    shutter = Trajectory(times, trajectory.interpolate(times))
+    write_trajectory(run.path / "traj_camera.ply", shutter, chosen)
+
+    made: dict[int, render.Frame] = {}
+
+    def frame(index: int) -> render.Frame:
+        if index not in made:
+            with watch("read"):
+                record = run.frame(index)
+            if record.classid is None:
+                raise RunError(
+                    f"frame {index} of {run.path} has no classes; run: docdepth classify"
+                )
+            with watch("frames"):
+                made[index] = render.Frame(record.points, record.classid, parameters)
+        return made[index]
+
+    densities: list[float] = []
+    tell = _teller(progress, "render")
+    for done, (k, stamp) in enumerate(zip(chosen, times, strict=True)):
+        path = run.path / "depth" / f"{stream.names[k]}.png"
+        if not path.is_file():
+            stamp = int(stamp)
+            needed = set(render.static_frames(trajectory, stamp, parameters).tolist())
+            needed.add(render.dynamic_frame(trajectory, stamp))
+            made = {i: f for i, f in made.items() if i in needed}
+            for i in sorted(needed):
+                frame(i)
+            with watch("draw"):
+                depth = render.render(
+                    camera, stream.T_camera_lidar, trajectory, stamp, frame, parameters, threads
+                )
+            densities.append(float(np.isfinite(depth).mean()))
+            with watch("write"):
+                picture = visualize.overlay(depth, _image(stream, int(k)))
+                _write_image(run.path / "report" / f"{stream.names[k]}.jpg", picture)
+                png = encode_png(depth)
+                write_atomically(path, lambda out, png=png: out.write(png))  # type: ignore[misc]
+        tell(done + 1, total)
+    density = {"density": float(np.mean(densities))} if densities else {}
+    _finish(run, "render", watch, total, **density)
+    return left_out
+
+
+def _grow_ground(
+    run: RunFolder,
+    trajectory: Trajectory,
+    folder: Path,
+    watch: Stopwatch,
+    threads: int,
+    tell: Callable[[int, int], None],
+) -> None:
+    """Ground labels of every frame as packed bits, a chunk of path length at a time."""
+    parameters = run.parameters.ground
+    key = stage_key(run.stage("odometry").get("key"), parameters.model_dump())
+    marker = folder / "key"
+    if not (marker.is_file() and marker.read_text() == key):
+        for path in folder.glob("*"):
+            path.unlink()
+        write_atomically(marker, lambda stream: stream.write(key.encode()))
+    chunks = (trajectory.arc_length // parameters.chunk_length).astype(int)
+    done = 0
+    for chunk in np.unique(chunks):
+        members = np.flatnonzero(chunks == chunk)
+        paths = {int(i): folder / f"{i:06d}.npy" for i in members}
+        if not all(path.is_file() for path in paths.values()):
+            ground_map = GroundMap(parameters, threads)
+            for step, index in enumerate(paths):
+                with watch("read"):
+                    record = run.frame(index)
+                with watch("ground: insert"):
+                    ground_map.insert(record.points, trajectory.poses[index])
+                tell(done + step // 2, len(trajectory))
+            with watch("ground: grow"):
+                ground_map.grow()
+            for step, (index, path) in enumerate(paths.items()):
+                with watch("read"):
+                    record = run.frame(index)
+                with watch("ground: label"):
+                    bits = np.packbits(ground_map.label(record.points, trajectory.poses[index]))
+                write_atomically(path, lambda out, bits=bits: np.save(out, bits))  # type: ignore[misc]
+                tell(done + (len(paths) + step) // 2, len(trajectory))
+        done += len(members)
+    tell(len(trajectory), len(trajectory))
+
+
+def _write_classified(run: RunFolder, index: int, record: FrameRecord) -> None:
+    assert record.classid is not None
+    labels = np.full(record.input_points, _STATIC, np.uint32)
+    labels[record.index[record.classid >= 100]] = _MOVING
+    path = run.path / "labels" / f"{record.name}.label"
+    write_atomically(path, lambda stream: stream.write(labels.tobytes()))
+    # Last, because its key says that this frame is done.
+    run.write_frame(index, record)
+
+
+def _image(stream: CameraStream, k: int) -> NDArray[np.uint8] | None:
+    if not stream.images:
+        return None
+    image = cv2.imread(str(stream.images[k]), cv2.IMREAD_COLOR)
+    if image is None:
+        raise DatasetError(f"{stream.images[k]} is not a readable image; replace or remove it")
+    if image.shape[:2] != (stream.camera.height, stream.camera.width):
+        raise DatasetError(
+            f"{stream.images[k]} is {image.shape[1]}x{image.shape[0]} pixels, the calibration is "
+            f"for {stream.camera.width}x{stream.camera.height}; give the right --image-size"
+        )
+    return np.asarray(image, np.uint8)
+
+
+def _write_image(path: Path, image: NDArray[np.uint8]) -> None:
+    _, encoded = cv2.imencode(path.suffix, image, [cv2.IMWRITE_JPEG_QUALITY, 90])
+    write_atomically(path, lambda stream: stream.write(encoded.tobytes()))
+
+
+def _is_done(run: RunFolder, stage: str, key: str) -> bool:
+    state = run.stage(stage)
+    return bool(state.get("state") == "done" and state.get("key") == key)
+
+
+def _finish(run: RunFolder, stage: str, watch: Stopwatch, frames: int, **more: float) -> None:
+    before = run.stage(stage)
+    kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    peak = kilobytes // 1024 if sys.platform != "darwin" else kilobytes // 1024**2
+    run.set_stage(
+        stage,
+        state="done",
+        frames=frames,
+        seconds={name: round(s, 3) for name, s in watch.seconds.items()},
+        peak_memory_mb=max(peak, before.get("peak_memory_mb", 0)),
+        **more,
+    )
+
+
+def _teller(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
+    def tell(done: int, total: int) -> None:
+        if progress:
+            progress(stage, done, total)
+
+    return tell
