@@ -59,7 +59,7 @@ py::tuple parted(const Array<float>& points, const Array<std::uint32_t>& triangl
                  const Array<std::uint8_t>& cut, const Array<std::uint16_t>& classid) {
   const PointMap map = as_points(points);
   const auto surface =
-      part_surface(map, reinterpret_cast<const std::uint32_t(*)[3]>(triangles.data()), cut.data(),
+      part_surface(map, reinterpret_cast<const std::uint32_t (*)[3]>(triangles.data()), cut.data(),
                    triangles.shape(0), as_column(classid, map.rows(), "classid"));
   const auto make = [&](const Triangles& t) { return Mesh(surface.vertices, t); };
   return py::make_tuple(make(surface.fixed.whole), make(surface.fixed.near),
