@@ -15,6 +15,7 @@ __all__: list[str] = [
     "KeyFrame",
     "RangeImage",
     "render_splats",
+    "surface",
     "vote",
 ]
 
@@ -101,6 +102,13 @@ def render_splats(
     ],
     threads: typing.SupportsInt | typing.SupportsIndex = 0,
 ) -> numpy.typing.NDArray[numpy.float32]: ...
+def surface(
+    points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32],
+    max_gap: typing.SupportsFloat | typing.SupportsIndex,
+    jump_ratio: typing.SupportsFloat | typing.SupportsIndex,
+    noise: typing.SupportsFloat | typing.SupportsIndex,
+    flatness: typing.SupportsFloat | typing.SupportsIndex,
+) -> tuple: ...
 def vote(
     points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32],
     ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool],
