@@ -6,22 +6,7 @@ import collections.abc
 import numpy
 import numpy.typing
 import typing
-<<<<<<< HEAD
-__all__: list[str] = ['Frame', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Mesh', 'RangeImage', 'parted', 'render_splats', 'render_triangles', 'vote']
-=======
-
-__all__: list[str] = [
-    "Frame",
-    "GroundMap",
-    "GroundParameters",
-    "KeyFrame",
-    "RangeImage",
-    "render_splats",
-    "surface",
-    "vote",
-]
-
->>>>>>> surface
+__all__: list[str] = ['Frame', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Mesh', 'RangeImage', 'parted', 'render_splats', 'render_triangles', 'surface', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -78,7 +63,6 @@ class Frame:
     def dynamic_size(self) -> int:
         ...
     @property
-<<<<<<< HEAD
     def static_size(self) -> int:
         ...
 class Mesh:
@@ -91,45 +75,8 @@ def render_splats(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], wi
     ...
 def render_triangles(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, meshes: collections.abc.Sequence[tuple[Mesh, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsFloat | typing.SupportsIndex]], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
     ...
+def surface(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], max_gap: typing.SupportsFloat | typing.SupportsIndex, jump_ratio: typing.SupportsFloat | typing.SupportsIndex, noise: typing.SupportsFloat | typing.SupportsIndex, flatness: typing.SupportsFloat | typing.SupportsIndex) -> tuple:
+    ...
 def vote(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], key_frames: collections.abc.Sequence[KeyFrame], poses: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> tuple:
     ...
 __version__: str = '0.1.0'
-=======
-    def static_size(self) -> int: ...
-
-def render_splats(
-    K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64],
-    width: typing.SupportsInt | typing.SupportsIndex,
-    height: typing.SupportsInt | typing.SupportsIndex,
-    static_frames: collections.abc.Sequence[
-        tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]
-    ],
-    dynamic_frames: collections.abc.Sequence[
-        tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]
-    ],
-    static_size: tuple[
-        typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex
-    ],
-    dynamic_size: tuple[
-        typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex
-    ],
-    threads: typing.SupportsInt | typing.SupportsIndex = 0,
-) -> numpy.typing.NDArray[numpy.float32]: ...
-def surface(
-    points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32],
-    max_gap: typing.SupportsFloat | typing.SupportsIndex,
-    jump_ratio: typing.SupportsFloat | typing.SupportsIndex,
-    noise: typing.SupportsFloat | typing.SupportsIndex,
-    flatness: typing.SupportsFloat | typing.SupportsIndex,
-) -> tuple: ...
-def vote(
-    points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32],
-    ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool],
-    T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64],
-    key_frames: collections.abc.Sequence[KeyFrame],
-    poses: typing.Annotated[numpy.typing.ArrayLike, numpy.float64],
-    threads: typing.SupportsInt | typing.SupportsIndex = 0,
-) -> tuple: ...
-
-__version__: str = "0.1.0"
->>>>>>> surface
