@@ -106,6 +106,7 @@ class Parameters(_Stage):
 _STAGES: dict[str, type[_Stage]] = {
     "odometry": OdometryParameters,
     "ground": GroundParameters,
+    "surface": SurfaceParameters,
     "dynamics": DynamicsParameters,
     "render": RenderParameters,
 }
