@@ -123,6 +123,7 @@ class PlainGround {
       ground_[i] = true;
     };
     for (const Vector3d& position : positions_) reach(seed(position));
+    const std::vector<bool> seeds = ground_;
     const auto k = std::min<std::size_t>(parameters_.neighbors, sums_.size());
     std::vector<std::size_t> near(k);
     std::vector<double> distances(k);
@@ -139,8 +140,10 @@ class PlainGround {
       const Vector3d normal =
           Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvectors().col(0);
       if (std::abs(normal.z()) < std::cos(parameters_.max_slope)) continue;
+      const Vector3d on_plane = seeds[i] ? mean : cloud_.points[i];
       for (const auto n : near)
-        if (std::abs(normal.dot(cloud_.points[n] - mean)) < parameters_.plane_distance) reach(n);
+        if (std::abs(normal.dot(cloud_.points[n] - on_plane)) < parameters_.plane_distance)
+          reach(n);
     }
     return count;
   }
