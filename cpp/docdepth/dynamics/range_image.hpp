@@ -33,7 +33,6 @@ class RangeImage : public KeyFrame {
 
   void draw(const Points& points, const bool* ground);
   void summarize_windows();
-  void vote_fast(const QueryPoints& points, std::uint16_t* statics, std::uint16_t* dynamics) const;
   void vote_plainly(const QueryPoints& points, std::uint16_t* statics,
                     std::uint16_t* dynamics) const;
   Vote ask(float range, std::size_t pixel) const;
@@ -48,9 +47,12 @@ class RangeImage : public KeyFrame {
   std::vector<float> range_;          ///< nearest return, infinite where there is none
   std::vector<std::uint8_t> ground_;  ///< whether that is ground
 
-  // What the window around each pixel holds, so that one look settles most votes.
-  std::vector<float> settling_;  ///< nearest return; around ground minus the farthest; 0 for none
-  std::vector<float> farthest_;  ///< farthest return
+  /// What settles most votes on the points of a pixel without looking at its window again.
+  struct Window {
+    float nearest;  ///< nearest return of the window; around ground minus the farthest; 0 for none
+    float first;    ///< first return of the window, row by row
+  };
+  std::vector<Window> windows_;
   float tie_free_;  ///< from this range on no difference of two ranges equals the tolerance
 };
 
