@@ -13,33 +13,7 @@ namespace docdepth {
 namespace {
 
 constexpr float kEmpty = std::numeric_limits<float>::infinity();
-
-/// The returns of a sweep and their pixels, a column each.
-struct Returns {
-  std::vector<float> x, y, z, range;
-  std::vector<std::uint8_t> ground;
-  std::vector<std::int32_t> row, column;
-
-  Returns(const Points& points, const bool* flags) {
-    const auto count = static_cast<std::size_t>(points.rows());
-    for (auto* values : {&x, &y, &z, &range}) values->resize(count);
-    ground.resize(count);
-    std::size_t used = 0;
-    for (std::size_t i = 0; i < count; ++i) {
-      x[used] = points(i, 0);
-      y[used] = points(i, 1);
-      z[used] = points(i, 2);
-      range[used] = range_of(x[used], y[used], z[used]);
-      ground[used] = flags[i];
-      used += range[used] > 0.0f && range[used] < kEmpty;
-    }
-    range.resize(used);
-    row.resize(used);
-    column.resize(used);
-  }
-
-  std::size_t size() const { return range.size(); }
-};
+constexpr std::uint32_t kNobody = 0xffffffff;
 
 /// Power of two from which on floats are too coarse for two of them to differ by exactly `value`:
 /// their spacing does not divide it.
@@ -120,27 +94,13 @@ struct ScanWindows {
   }
 };
 
-struct FindPixels {
-  DOCDEPTH_KERNEL static void run(std::size_t count, const std::int32_t* row,
-                                  const std::int32_t* column, std::int32_t top, std::int32_t rows,
-                                  std::int32_t stride, std::int32_t left,
-                                  std::int32_t* __restrict pixel) {
-    for (std::size_t i = 0; i < count; ++i) {
-      const std::int32_t image_row = std::min(std::max(row[i] - top, 0), rows - 1);
-      pixel[i] = image_row * stride + column[i] + left;
-    }
-  }
-};
-
 }  // namespace
 
 RangeImage::RangeImage(const Points& points, const bool* ground,
                        const RangeImageParameters& parameters)
-    : grid_(parameters.resolution),
-      half_(parameters.window / 2),
+    : canvas_(parameters.resolution, parameters.window / 2),
       tolerance_(parameters.tolerance),
       plain_(parameters.plain),
-      stride_(grid_.columns() + 2 * half_),
       tie_free_(0.0f) {
   if (parameters.window < 1 || parameters.window % 2 == 0)
     throw std::invalid_argument("the window must be an odd number of pixels");
@@ -151,40 +111,22 @@ RangeImage::RangeImage(const Points& points, const bool* ground,
 }
 
 void RangeImage::draw(const Points& points, const bool* ground) {
-  Returns returns(points, ground);
-  grid_.pixels(returns.size(), returns.x.data(), returns.y.data(), returns.z.data(),
-               returns.range.data(), returns.row.data(), returns.column.data());
-  const auto [first, last] = std::minmax_element(returns.row.begin(), returns.row.end());
-  // Windows reach half_ rows, and are asked for half_ rows beyond the occupied ones; what lies
-  // farther up or down is taken to the first or the last row, where nothing is known.
-  const int rim = 2 * half_ + 1;
-  const int occupied = returns.size() ? *last - *first + 1 : 0;
-  top_ = returns.size() ? *first - rim : 0;
-  rows_ = occupied + 2 * rim;
-
-  range_.assign(rows_ * stride_ + kLanes, kEmpty);  // kLanes more may be read, never looked at
+  const Returns returns(points);
+  const std::vector<std::int32_t> pixels = canvas_.fit(returns);
+  std::vector<std::uint32_t> nearest(canvas_.size(), kNobody);
+  range_ = canvas_.nearest_ranges(returns, pixels, &nearest);
+  range_.resize(canvas_.size() + kLanes, kEmpty);  // may be read, never looked at
   ground_.assign(range_.size(), 0);
-  for (std::size_t i = 0; i < returns.size(); ++i) {
-    const std::size_t pixel = (returns.row[i] - top_) * stride_ + returns.column[i] + half_;
-    if (returns.range[i] >= range_[pixel]) continue;
-    range_[pixel] = returns.range[i];
-    ground_[pixel] = returns.ground[i];
-  }
-  // Windows wrap around: repeat the columns of either end beyond the other one.
-  for (std::size_t row = 0; row + stride_ <= range_.size(); row += stride_) {
-    for (int k = 0; k < half_; ++k) {
-      range_[row + k] = range_[row + k + grid_.columns()];
-      range_[row + half_ + grid_.columns() + k] = range_[row + half_ + k];
-    }
-  }
+  for (std::size_t i = 0; i < nearest.size(); ++i)
+    ground_[i] = nearest[i] != kNobody && ground[returns.number[nearest[i]]];
 }
 
 void RangeImage::summarize_windows() {
   std::vector<float> seen(range_);
   for (float& range : seen) range = range == kEmpty ? 0.0f : range;
-  const std::vector<float> farthest = window_maximum(seen, stride_, half_);
-  const std::vector<float> nearest = window_minimum(range_, stride_, half_);
-  const std::vector<float> first = window_first(range_, stride_, half_);
+  const std::vector<float> farthest = window_maximum(seen, canvas_.stride(), canvas_.half());
+  const std::vector<float> nearest = window_minimum(range_, canvas_.stride(), canvas_.half());
+  const std::vector<float> first = window_first(range_, canvas_.stride(), canvas_.half());
   windows_.resize(range_.size());
   for (std::size_t i = 0; i < windows_.size(); ++i) {
     const float known = nearest[i] == kEmpty ? 0.0f : nearest[i];
@@ -196,10 +138,8 @@ void RangeImage::summarize_windows() {
 void RangeImage::vote(const QueryPoints& points, std::uint16_t* statics,
                       std::uint16_t* dynamics) const {
   if (plain_) return vote_plainly(points, statics, dynamics);
-  std::int32_t row[QueryPoints::kMax], column[QueryPoints::kMax], pixel[QueryPoints::kMax];
-  grid_.pixels(points.size, points.x, points.y, points.z, points.range, row, column);
-  dispatch<FindPixels>(points.size, row, column, top_, rows_, static_cast<std::int32_t>(stride_),
-                       half_, pixel);
+  std::int32_t pixel[QueryPoints::kMax];
+  canvas_.find(points, pixel);
   float nearest[QueryPoints::kMax], first[QueryPoints::kMax];
   for (std::size_t i = 0; i < points.size; ++i) {
     nearest[i] = windows_[pixel[i]].nearest;
@@ -214,9 +154,10 @@ void RangeImage::vote(const QueryPoints& points, std::uint16_t* statics,
     left[count] = static_cast<std::int32_t>(i);
     count += open[i];
   }
-  if (2 * half_ < kLanes) {
-    const float* corner = range_.data() - half_ * (stride_ + 1);
-    dispatch<ScanWindows>(count, left, points.range, pixel, corner, stride_, 2 * half_ + 1,
+  const int half = canvas_.half();
+  if (2 * half < kLanes) {
+    const float* corner = range_.data() - half * (canvas_.stride() + 1);
+    dispatch<ScanWindows>(count, left, points.range, pixel, corner, canvas_.stride(), 2 * half + 1,
                           tolerance_, statics);
     return;
   }
@@ -227,9 +168,9 @@ void RangeImage::vote(const QueryPoints& points, std::uint16_t* statics,
 void RangeImage::vote_plainly(const QueryPoints& points, std::uint16_t* statics,
                               std::uint16_t* dynamics) const {
   for (std::size_t i = 0; i < points.size; ++i) {
-    const int row = grid_.row(points.z[i], points.range[i]) - top_;
-    if (row < half_ || row >= rows_ - half_) continue;
-    const std::size_t pixel = row * stride_ + grid_.column(points.x[i], points.y[i]) + half_;
+    const std::ptrdiff_t pixel =
+        canvas_.pixel(points.x[i], points.y[i], points.z[i], points.range[i]);
+    if (pixel < 0) continue;
     const Vote vote = ask(points.range[i], pixel);
     statics[i] += vote == Vote::kStatic;
     dynamics[i] += vote == Vote::kDynamic;
@@ -242,9 +183,10 @@ RangeImage::Vote RangeImage::ask(float range, std::size_t pixel) const {
   const bool centre_ground = ground_[pixel];
   const float tolerance = centre_ground ? 0.0f : tolerance_;
   Vote vote = Vote::kNone;
-  for (int row = -half_; row <= half_; ++row) {
-    const float* image = &range_[pixel + row * static_cast<std::ptrdiff_t>(stride_)];
-    for (int column = -half_; column <= half_; ++column) {
+  const int half = canvas_.half();
+  for (int row = -half; row <= half; ++row) {
+    const float* image = &range_[pixel + row * static_cast<std::ptrdiff_t>(canvas_.stride())];
+    for (int column = -half; column <= half; ++column) {
       if (image[column] == kEmpty) continue;
       const float difference = range - image[column];
       if (std::fabs(difference) < tolerance) return Vote::kStatic;

@@ -4,8 +4,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "docdepth/dynamics/canvas.hpp"
 #include "docdepth/dynamics/key_frame.hpp"
-#include "docdepth/geometry/spherical.hpp"
 
 namespace docdepth {
 
@@ -37,13 +37,9 @@ class RangeImage : public KeyFrame {
                     std::uint16_t* dynamics) const;
   Vote ask(float range, std::size_t pixel) const;
 
-  SphericalGrid grid_;
-  int half_;         ///< pixels of the window on either side of its centre
+  Canvas canvas_;
   float tolerance_;  ///< tau
   bool plain_;
-  int top_ = 0;         ///< row of the grid that is the first of the images
-  int rows_ = 0;        ///< the occupied rows, and as many empty ones as windows there can reach
-  std::size_t stride_;  ///< columns, and half_ repeated ones at either end
   std::vector<float> range_;          ///< nearest return, infinite where there is none
   std::vector<std::uint8_t> ground_;  ///< whether that is ground
 
