@@ -6,7 +6,7 @@ import collections.abc
 import numpy
 import numpy.typing
 import typing
-__all__: list[str] = ['Frame', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'Mesh', 'RangeImage', 'SurfaceImage', 'SurfaceImageParameters', 'SurfaceParameters', 'parted', 'render_splats', 'render_triangles', 'surface', 'vote']
+__all__: list[str] = ['Frame', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'RangeImage', 'SurfaceFrame', 'SurfaceImage', 'SurfaceImageParameters', 'SurfaceParameters', 'render_splats', 'render_surfaces', 'surface', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -127,15 +127,12 @@ class Frame:
     @property
     def static_size(self) -> int:
         ...
-class Mesh:
-    @property
-    def size(self) -> int:
+class SurfaceFrame:
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], classid: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], cut: typing.Annotated[numpy.typing.ArrayLike, numpy.uint8], loose: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], loose_angle: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
-def parted(arg0: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], arg1: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], arg2: typing.Annotated[numpy.typing.ArrayLike, numpy.uint8], arg3: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16]) -> tuple:
-    ...
 def render_splats(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], static_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], dynamic_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
     ...
-def render_triangles(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, meshes: collections.abc.Sequence[tuple[Mesh, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsFloat | typing.SupportsIndex]], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
+def render_surfaces(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, fixed: collections.abc.Sequence[tuple[SurfaceFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], moving: tuple[SurfaceFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
     ...
 def surface(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], max_gap: typing.SupportsFloat | typing.SupportsIndex, jump_ratio: typing.SupportsFloat | typing.SupportsIndex, noise: typing.SupportsFloat | typing.SupportsIndex, flatness: typing.SupportsFloat | typing.SupportsIndex) -> tuple:
     ...
