@@ -20,13 +20,14 @@ class _Stage(BaseModel):
 
 
 class OdometryParameters(_Stage):
-    """LiDAR odometry and deskewing (paper III-B; kiss-icp)."""
+    """LiDAR odometry and deskewing (paper III-B; kiss-icp, then small_gicp)."""
 
     max_range: float = Field(100.0, gt=0, description="points beyond are not registered [m]")
     min_range: float = Field(3.0, ge=0, description="points nearer are not registered [m]")
-    voxel_size: float = Field(1.0, gt=0, description="voxel size of the registration map [m]")
+    voxel_size: float = Field(1.0, gt=0, description="voxel size of kiss-icp's map [m]")
+    refine_voxel_size: float = Field(0.5, gt=0, description="of small_gicp's map [m]")
     passes: int = Field(
-        3, ge=1, le=5, description="registrations; from the second on, of deskewed sweeps"
+        3, ge=1, le=5, description="registrations; from the second on small_gicp's, deskewed"
     )
 
 
