@@ -4,6 +4,8 @@ Algorithm 1 against the pixels of a range image, and the vote against the surfac
 """
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from docdepth.surface import Surface
 
@@ -208,3 +210,41 @@ def atan2_fixed(y, x):
     angle = np.where(ay > ax, f(1.57079632679) - angle, angle)
     angle = np.where(x < 0, f(3.14159265359) - angle, angle)
     return np.where(y < 0, -angle, angle)
+
+
+def reference_moving(points, ground, static, dynamic, p):
+    """Evidence shared within connected objects, with scipy's graphs and all distances."""
+    static, dynamic = static.astype(int), dynamic.astype(int)
+    surface = Surface(points)
+    whole = surface.triangles[~surface.cut].astype(int)
+    edges = np.concatenate([whole[:, [0, 1]], whole[:, [1, 2]], whole[:, [2, 0]]])
+    edges = edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < np.float32(p.link) ** 2]
+    candidate = dynamic > static
+    label, size = connected(len(points), edges[candidate[edges].all(axis=1)])
+    moving = candidate & (size[label] >= p.companions)
+
+    label, size = connected(len(points), edges[~ground[edges].any(axis=1)])
+    freed = (dynamic >= p.freed_votes) & (p.freed_ratio * dynamic > static)
+    goes = np.bincount(label, moving) >= np.float32(p.object_share) * size
+    left = np.bincount(label, freed) >= (np.float32(p.freed_share) * size.astype(np.float32))
+    for k in np.flatnonzero((goes | left) & (size >= p.object_points)):
+        members = np.flatnonzero((label == k) & ~ground)
+        x, y = np.ptp(points[members, :2], axis=0) if len(members) else (0, 0)
+        if goes[k] or x * x + y * y >= np.float32(p.object_width) ** 2:
+            moving[members] = True
+
+    sure = points[moving]
+    for i in np.flatnonzero(candidate & ~moving):
+        clear = dynamic[i] >= p.clear_votes and dynamic[i] > p.clear_ratio * static[i]
+        moving[i] = clear or (squared(sure - points[i]) < np.float32(p.company) ** 2).any()
+    return moving
+
+
+def squared(v):
+    return (v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1]) + v[:, 2] * v[:, 2]
+
+
+def connected(count, edges):
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (count, count))
+    label = connected_components(graph, directed=False)[1]
+    return label, np.bincount(label)
