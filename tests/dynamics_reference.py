@@ -109,19 +109,21 @@ def ask_surface(query, sweep, p):
 
     seen = triangle_image(sweep, surface, columns)[row, column]
     corners = sweep[surface.triangles]
-    normal, distance, flat = planes(corners)
+    normal, flat = planes(corners)
     jump = (surface.cut | flat)[seen] & (seen >= 0)
     plane = ~jump & (seen >= 0)
 
-    (a, b, c), distance = normal[seen].T, distance[seen]
+    a, b, c = normal[seen].T
     x, y, z = query
-    depth = (a * x + b * y) + c * z
-    gap = distance - depth
-    level = plane & (np.abs(c) > np.float32(np.cos(np.radians(p.level_lean_deg))))
     f = np.float32
-    across = np.where(level, f(p.level_across), f(p.across))
-    along = np.where(level, f(p.level_along), f(p.along) + f(p.along_growth) * rho)
-    on_plane = (np.abs(gap) < across) | (rho * np.abs(gap) < along * depth)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = (a * x + b * y) + c * z
+        distance = f(1) / np.sqrt((a * a + b * b) + c * c)
+        before = f(1) - depth
+        level = plane & (np.abs(c) * distance > f(np.cos(np.radians(p.level_lean_deg))))
+        across = np.where(level, f(p.level_across), f(p.across))
+        along = np.where(level, f(p.level_along), f(p.along) + f(p.along_growth) * rho)
+        on_plane = (np.abs(before) * distance < across) | (rho * np.abs(before) < along * depth)
 
     x, y, z = np.moveaxis(corners, -1, 0)
     beyond = rho[:, None] - np.sqrt((x * x + y * y) + z * z)[seen]
@@ -129,13 +131,13 @@ def ask_surface(query, sweep, p):
     before_corners = (beyond < -f(p.tolerance)).all(axis=1)
 
     outcome = np.full(len(rho), "none   ")
-    outcome[(plane & (gap > 0) & (depth > 0)) | (jump & before_corners)] = "dynamic"
+    outcome[(plane & (before > 0) & (depth > 0)) | (jump & before_corners)] = "dynamic"
     outcome[(plane & on_plane) | (jump & on_corner) | (near_return & ~level)] = "static"
     return outcome
 
 
 def planes(corners):
-    """Unit normals away from the sensor and distances of the planes, and which have none."""
+    """Unit normals over the distances of the planes, and which ones the sensor could not see."""
     p = corners.astype(np.float64)
     u, v = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     n = np.stack(
@@ -147,11 +149,9 @@ def planes(corners):
         1,
     )
     length = np.sqrt((n[:, 0] * n[:, 0] + n[:, 1] * n[:, 1]) + n[:, 2] * n[:, 2])
-    with np.errstate(invalid="ignore"):
-        dot = (n[:, 0] * p[:, 0, 0] + n[:, 1] * p[:, 0, 1]) + n[:, 2] * p[:, 0, 2]
-        distance = dot / length
-        normal = n / np.where(distance < 0, -length, length)[:, None]
-    return normal.astype(np.float32), np.abs(distance).astype(np.float32), ~(length > 0)
+    offset = (n[:, 0] * p[:, 0, 0] + n[:, 1] * p[:, 0, 1]) + n[:, 2] * p[:, 0, 2]
+    edge_on = ~(np.abs(offset) > 0.01 * length)
+    return (n / np.where(edge_on, 1, offset)[:, None]).astype(np.float32), edge_on
 
 
 def triangle_image(sweep, surface, columns):

@@ -106,7 +106,7 @@ def test_standing_adds_one_key_frame_to_the_letter():
 # Votes ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("window", [1, 3, 5, 7])
+@pytest.mark.parametrize("window", [1, 3, 5, 7, 11])
 @pytest.mark.parametrize("resolution_deg", [0.2, 0.35, 1.0])
 @pytest.mark.parametrize("against", ["pixels", "surface"])
 def test_votes_equal_the_reference_in_the_yard(yard, against, window, resolution_deg):
