@@ -141,3 +141,21 @@ TEST_CASE("a cut triangle is split in the middle of its angle, each part at its 
   CHECK(border.moving.split.size() == 1);
   CHECK(border.fixed.split.size() == 2);
 }
+
+TEST_CASE("where two planes meet between their last returns, each goes on to the other") {
+  // Seen from the origin: a floor 2 below, and a wall at x = 10 that stands on it.
+  Matrix points(6, 3);
+  points << 4, -1, -2, 4, 1, -2, 6, 0, -2, 10, -1, 0, 10, 1, 0, 10, 0, 1;
+  const std::uint32_t triangles[4][3] = {{0, 1, 2}, {3, 4, 5}, {2, 3, 4}, {1, 2, 4}};
+  const std::uint8_t cut[4] = {0, 0, 1, 1};
+  const std::uint16_t fixed[6] = {50, 50, 50, 50, 50, 50};
+  const auto surface = part_surface(points, triangles, cut, 4, fixed);
+  CHECK(surface.fixed.whole.size() == 2);
+  REQUIRE(surface.fixed.split.size() == 6);
+  for (const auto& part : surface.fixed.split)
+    for (const auto corner : part) {
+      const Eigen::Vector3f p = surface.vertices[corner];
+      const bool on_floor = p.z() == doctest::Approx(-2), on_wall = p.x() == doctest::Approx(10);
+      CHECK((on_floor || on_wall));
+    }
+}
