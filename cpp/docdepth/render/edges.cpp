@@ -9,11 +9,11 @@ namespace {
 using Vector = Eigen::Vector3f;
 
 /// Normals of the whole surface at each point, of any length; zero where there is none.
-std::vector<Vector> normals_of(const Points& points, const Triangles& fixed,
-                               const Triangles& moving) {
+std::vector<Vector> normals_of(const Points& points,
+                               const std::vector<PartedSurface::Parts>& parts) {
   std::vector<Vector> normals(points.rows(), Vector::Zero());
-  for (const Triangles* triangles : {&fixed, &moving})
-    for (const auto& [i, j, k] : *triangles) {
+  for (const auto& part : parts)
+    for (const auto& [i, j, k] : part.whole) {
       const Vector p = points.row(i), q = points.row(j), r = points.row(k);
       const Vector normal = (q - p).cross(r - p);
       for (const auto corner : {i, j, k}) normals[corner] += normal;
@@ -81,14 +81,13 @@ class Splitter {
   const std::vector<Vector>& normals_;
 };
 
-/// The corner on its own side of the jump: that of another class, else the nearest or the farthest,
+/// The corner on its own side of the jump: that of another owner, else the nearest or the farthest,
 /// whichever lies farther from the middle one.
-template <class Moves>
 int corner_alone(const std::vector<Vector>& vertices, const std::uint32_t corner[3],
-                 const Moves& moves) {
+                 const std::vector<std::uint32_t>& owner) {
   for (int i = 0; i < 3; ++i)
-    if (moves(corner[i]) != moves(corner[(i + 1) % 3]) &&
-        moves(corner[i]) != moves(corner[(i + 2) % 3]))
+    if (owner[corner[i]] != owner[corner[(i + 1) % 3]] &&
+        owner[corner[(i + 1) % 3]] == owner[corner[(i + 2) % 3]])
       return i;
   float range[3];
   for (int i = 0; i < 3; ++i) range[i] = vertices[corner[i]].norm();
@@ -102,27 +101,26 @@ int corner_alone(const std::vector<Vector>& vertices, const std::uint32_t corner
 
 PartedSurface part_surface(const Points& points, const std::uint32_t (*triangles)[3],
                            const std::uint8_t* cut, std::size_t count,
-                           const std::uint16_t* classid) {
+                           const std::vector<std::uint32_t>& owner, std::size_t owners) {
   PartedSurface surface;
   surface.vertices.reserve(points.rows() + points.rows() / 2);
   for (Eigen::Index i = 0; i < points.rows(); ++i) surface.vertices.push_back(points.row(i));
-  const auto moves = [&](std::uint32_t i) { return classid[i] >= kDynamic; };
+  surface.parts.resize(owners);
   std::vector<std::size_t> jumps;
   for (std::size_t t = 0; t < count; ++t) {
     const auto [i, j, k] = triangles[t];
-    if (cut[t] || moves(i) != moves(j) || moves(j) != moves(k))
+    if (cut[t] || owner[i] != owner[j] || owner[j] != owner[k])
       jumps.push_back(t);
     else
-      (moves(i) ? surface.moving : surface.fixed).whole.push_back({i, j, k});
+      surface.parts[owner[i]].whole.push_back({i, j, k});
   }
-  const auto normals = normals_of(points, surface.fixed.whole, surface.moving.whole);
+  const auto normals = normals_of(points, surface.parts);
   Splitter splitter(surface, normals);
   for (const std::size_t t : jumps) {
     const auto* corner = triangles[t];
-    const int alone = corner_alone(surface.vertices, corner, moves);
+    const int alone = corner_alone(surface.vertices, corner, owner);
     const std::uint32_t i = corner[alone], j = corner[(alone + 1) % 3], k = corner[(alone + 2) % 3];
-    splitter.split(i, j, k, (moves(i) ? surface.moving : surface.fixed).split,
-                   (moves(j) ? surface.moving : surface.fixed).split);
+    splitter.split(i, j, k, surface.parts[owner[i]].split, surface.parts[owner[j]].split);
   }
   return surface;
 }
