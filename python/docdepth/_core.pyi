@@ -6,7 +6,7 @@ import collections.abc
 import numpy
 import numpy.typing
 import typing
-__all__: list[str] = ['Frame', 'GroundMap', 'GroundParameters', 'KeyFrame', 'RangeImage', 'SurfaceFrame', 'render_splats', 'render_surfaces', 'surface', 'vote']
+__all__: list[str] = ['Frame', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'RangeImage', 'SurfaceFrame', 'SurfaceImage', 'SurfaceImageParameters', 'SurfaceParameters', 'render_splats', 'render_surfaces', 'surface', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -55,6 +55,68 @@ class KeyFrame:
     pass
 class RangeImage(KeyFrame):
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], resolution: typing.SupportsFloat | typing.SupportsIndex, window: typing.SupportsInt | typing.SupportsIndex, tolerance: typing.SupportsFloat | typing.SupportsIndex, plain: bool = False) -> None:
+        ...
+class SurfaceParameters:
+    def __init__(self) -> None:
+        ...
+    @property
+    def flatness(self) -> float:
+        ...
+    @flatness.setter
+    def flatness(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def jump_ratio(self) -> float:
+        ...
+    @jump_ratio.setter
+    def jump_ratio(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def max_gap(self) -> float:
+        ...
+    @max_gap.setter
+    def max_gap(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def noise(self) -> float:
+        ...
+    @noise.setter
+    def noise(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+class Margins:
+    def __init__(self, across: typing.SupportsFloat | typing.SupportsIndex, along: typing.SupportsFloat | typing.SupportsIndex, growth: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+class SurfaceImageParameters:
+    level: Margins
+    upright: Margins
+    def __init__(self) -> None:
+        ...
+    @property
+    def level_cosine(self) -> float:
+        ...
+    @level_cosine.setter
+    def level_cosine(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def resolution(self) -> float:
+        ...
+    @resolution.setter
+    def resolution(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def tolerance(self) -> float:
+        ...
+    @tolerance.setter
+    def tolerance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def window(self) -> int:
+        ...
+    @window.setter
+    def window(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+class SurfaceImage(KeyFrame):
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], surface: SurfaceParameters, parameters: SurfaceImageParameters) -> None:
         ...
 class Frame:
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], classid: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], crop: typing.SupportsFloat | typing.SupportsIndex) -> None:
