@@ -99,24 +99,32 @@ TEST_CASE("rendering does not depend on threads, and nothing gives no depth") {
   for (const float depth : render_splats(camera, {}, 2)) REQUIRE(std::isnan(depth));
 }
 
-TEST_CASE("the nearer triangle of a layer wins; a layer hides those before it only if it says so") {
+TEST_CASE("trusted surfaces stay, others come before each other where two agree, movers hide") {
   const Camera camera{100, 100, 10, 10, 21, 21};
   const auto square = [](float z, float from = -5) {
     return Mesh({{from, -5, z}, {5, -5, z}, {5, 5, z}, {from, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
   };
-  const Mesh far = square(10), near = square(5), half = square(5, 0.01f);
+  const Mesh far = square(10), near = square(5), too = square(5.1f), half = square(12, 0.01f);
   const Pose T = Pose::Identity();
-  for (const float depth : render_triangles(camera, {{{{&far, T}, {&near, T}}}}, 1))
-    REQUIRE(depth == doctest::Approx(5));
-  for (const float depth : render_triangles(camera, {{{{&far, T}}}, {{{&near, T}}}}, 1))
-    REQUIRE(depth == doctest::Approx(10));
-  for (const bool nearer_first : {true, false}) {
-    const Mesh &first = nearer_first ? near : far, &second = nearer_first ? far : near;
-    for (const float depth : render_triangles(camera, {{{{&first, T}}}, {{{&second, T}}, true}}, 1))
-      REQUIRE(depth == doctest::Approx(5));
+  const auto depth = [&](const std::vector<const Mesh*>& trusted,
+                         const std::vector<const Mesh*>& others,
+                         const std::vector<const Mesh*>& movers, int pixel) {
+    Drawing drawing;
+    for (const Mesh* mesh : trusted) drawing.trusted.push_back({mesh, T});
+    for (const Mesh* mesh : others) drawing.others.push_back({mesh, T});
+    for (const Mesh* mesh : movers) drawing.movers.push_back({mesh, T});
+    return doctest::Approx(render_triangles(camera, drawing, 1)[pixel]);
+  };
+  for (int i = 0; i < 21 * 21; ++i) {
+    CHECK(depth({&far, &near}, {}, {}, i) == 5);
+    CHECK(depth({&far}, {&near, &too}, {}, i) == 10);
+    CHECK(depth({}, {&far, &near}, {}, i) == 10);
+    CHECK(depth({}, {&far, &near, &too}, {}, i) == 5);
+    CHECK(depth({}, {&near, &far, &far}, {}, i) == 5);
+    CHECK(depth({&far}, {}, {&near}, i) == 5);
+    CHECK(depth({&near}, {}, {&far}, i) == 5);
+    CHECK(depth({&half}, {&far, &near, &too}, {}, i) == (i % 21 > 10 ? 12 : 5));
   }
-  const auto filled = render_triangles(camera, {{{{&half, T}}}, {{{&far, T}}}}, 1);
-  for (int i = 0; i < 21 * 21; ++i) REQUIRE(filled[i] == doctest::Approx(i % 21 > 10 ? 5 : 10));
 }
 
 TEST_CASE("a cut triangle is split in the middle of its angle, each part at its corners' range") {

@@ -79,11 +79,12 @@ SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles
 
 std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
                                    const Motion& motion, int threads) {
-  std::vector<Layer> layers;
-  for (const auto& [frame, pose] : fixed) layers.push_back({{{&frame->whole, pose}}});
-  if (!fixed.empty()) layers.push_back({{{&fixed[0].frame->split, fixed[0].T_camera_frame}}});
-  layers.push_back({carried(motion, threads), true});
-  return render_triangles(camera, layers, threads);
+  Drawing drawing;
+  for (const auto& [frame, pose] : fixed)
+    (drawing.trusted.empty() ? drawing.trusted : drawing.others).push_back({&frame->whole, pose});
+  if (!fixed.empty()) drawing.others.push_back({&fixed[0].frame->split, fixed[0].T_camera_frame});
+  drawing.movers = carried(motion, threads);
+  return render_triangles(camera, drawing, threads);
 }
 
 }  // namespace docdepth

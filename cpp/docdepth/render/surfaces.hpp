@@ -43,9 +43,8 @@ struct Motion {
 /// Depth map of what `fixed` measured of the world and what moves, row after row; NaN where there
 /// is none.
 ///
-/// Two sweeps never measure quite the same. So sweeps are not mixed: each fills what those before
-/// it left empty, and the most trustworthy, which is the nearest, comes first. Moving objects are
-/// carried along their own motion to where they were when the image was taken.
+/// The sweeps of `fixed` come by trust: the first is the nearest. Moving objects are carried along
+/// their own motion to where they were when the image was taken.
 std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
                                    const Motion& motion, int threads);
 
