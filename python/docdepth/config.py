@@ -129,9 +129,9 @@ class RenderParameters(_Stage):
         "triangles",
         description="what a sweep is drawn as: discs of the paper's size, or the surface itself",
     )
-    behind: float = Field(20.0, ge=0, description="static sweeps behind the camera, d_min [m]")
+    behind: float = Field(10.0, ge=0, description="static sweeps behind the camera, d_min [m]")
     ahead: float = Field(100.0, gt=0, description="static sweeps ahead of it, d_max [m]")
-    step: float = Field(2.0, gt=0, description="spacing of static sweeps, d_step [m]")
+    step: float = Field(1.0, gt=0, description="spacing of static sweeps, d_step [m]")
     step_growth: float = Field(
         0.2, ge=0, description="spacing of triangles over their distance to the image [-]"
     )
