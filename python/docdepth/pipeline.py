@@ -66,7 +66,7 @@ def run_odometry(
     Parameters
     ----------
     poses : ndarray of float64, shape (n, 4, 4), optional
-        ``T_world_lidar`` of another SLAM; kiss-icp runs when there are none.
+        ``T_world_lidar`` of another SLAM; registered here when there are none.
 
     Raises
     ------
