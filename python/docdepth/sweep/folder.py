@@ -49,7 +49,13 @@ class TrialFolder(RunFolder):
         """Sweep of the run with the classes of the trial, where there are any."""
         record = self._source.frame(index)
         stored = self._stored(index)
-        return replace(record, key=_key(stored), **{name: stored.get(name) for name in _STORED})
+        return replace(
+            record,
+            key=_key(stored),
+            classid=stored.get("classid"),
+            votes_static=stored.get("votes_static"),
+            votes_dynamic=stored.get("votes_dynamic"),
+        )
 
     def frame_key(self, index: int) -> dict[str, str]:
         """Which parameters made the classes of frame ``index``."""
