@@ -218,6 +218,10 @@ def test_bad_input_is_refused():
         Frame(np.zeros((3, 3), np.float32), np.zeros(2, np.uint16))
     with pytest.raises(InputError, match="outside the trajectory"):
         render(small_camera(), AXES, straight(2), -1, lambda _: frame_of([5, 0, 0]), PAPER)
+    with pytest.raises(InputError, match="not made for triangles"):
+        render(small_camera(), AXES, straight(2), 0, lambda _: frame_of([5, 0, 0]), TRIANGLES)
+    with pytest.raises(InputError, match="late"):
+        Frame(np.zeros((3, 3), np.float32), np.zeros(3, np.uint16), late=np.zeros(2, np.float32))
     with pytest.raises(CalibrationError, match="skew"):
         Camera(np.array([[9.0, 1, 5], [0, 9, 5], [0, 0, 1]]), 10, 10)
 

@@ -104,7 +104,7 @@ TEST_CASE("trusted surfaces stay, others come before each other where two agree,
   const auto square = [](float z, float from = -5) {
     return Mesh({{from, -5, z}, {5, -5, z}, {5, 5, z}, {from, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
   };
-  const Mesh far = square(10), near = square(5), too = square(5.1f), half = square(12, 0.01f);
+  const Mesh far = square(10), near = square(5), too = square(5.05f), half = square(12, 0.01f);
   const Pose T = Pose::Identity();
   const auto depth = [&](const std::vector<const Mesh*>& trusted,
                          const std::vector<const Mesh*>& others,

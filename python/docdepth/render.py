@@ -221,13 +221,18 @@ def render(
     Raises
     ------
     InputError
-        ``time`` lies outside the trajectory.
+        ``time`` lies outside the trajectory, or a frame was made for another ``surface``.
     """
     p = parameters or RenderParameters()
     T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
 
+    kind = _core.Frame if p.surface == "splats" else _core.SurfaceFrame
+
     def place(index: int) -> tuple[Any, NDArray[np.float64]]:
-        return frames(index).core, T_camera_world @ trajectory.poses[index]
+        core = frames(index).core
+        if not isinstance(core, kind):
+            raise InputError(f"frame {index} was not made for {p.surface}; give Frame parameters")
+        return core, T_camera_world @ trajectory.poses[index]
 
     fixed = [place(int(i)) for i in static_frames(trajectory, time, p)]
     nearest = dynamic_frame(trajectory, time)

@@ -19,6 +19,7 @@ constexpr std::size_t kPlaces = 300;  ///< of larger objects the cubes are large
 constexpr float kBin = 0.2f;          ///< of the counted differences
 constexpr float kSameHeight = 0.2f;   ///< places farther apart in z are not the same
 constexpr float kFound = 0.3f;        ///< a place is found again when another is this near
+constexpr std::size_t kFewest = 5;    ///< with fewer places an object has no shape to be found by
 constexpr float kExplained = 0.4f;    ///< share of places found again, of one times the other
 
 std::uint64_t cell_of(std::int64_t x, std::int64_t y, std::int64_t z = 0) {
@@ -177,6 +178,7 @@ std::vector<Vector> velocities(const Objects& objects, const Objects& other, con
   if (!(reach > 0)) return result;
   parallel_for(result.size(), 1, threads, [&](std::size_t k, std::size_t) {
     const Places& places = objects.places[k];
+    if (places.size() < kFewest) return;
     const Vector here = middle(places);
     float best = 0;
     for (std::size_t c = 0; c < candidates.size(); ++c) {
