@@ -23,7 +23,7 @@ typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
 constexpr float kSlack = 0.01f;
 
 /// Depths that differ by less than this share of them are one surface.
-constexpr float kAgree = 0.05f;
+constexpr float kAgree = 0.02f;
 
 constexpr float kLocked = std::numeric_limits<float>::infinity();  // nothing is nearer
 
