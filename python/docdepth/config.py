@@ -56,6 +56,9 @@ class DynamicsParameters(_Stage):
 class RenderParameters(_Stage):
     """Composite rendering (paper III-D)."""
 
+    surface: Literal["splats"] = Field(
+        "splats", description="what a sweep is drawn as: discs of the paper's size"
+    )
     behind: float = Field(0.5, ge=0, description="static sweeps behind the camera, d_min [m]")
     ahead: float = Field(100.0, gt=0, description="static sweeps ahead of it, d_max [m]")
     step: float = Field(0.2, ge=0, description="spacing of static sweeps, d_step [m]")

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import CalibrationError
+from docdepth import _core
+from docdepth.config import RenderParameters
+from docdepth.errors import CalibrationError, InputError
+from docdepth.trajectory import Trajectory, inverse
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,10 @@ class Camera:
         K = np.ascontiguousarray(self.K, dtype=np.float64)
         if K.shape != (3, 3) or not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
             raise CalibrationError(f"K must be a 3x3 pinhole matrix, got {K.tolist()}")
+        if K[0, 1] or K[1, 0] or (K[2] != (0, 0, 1)).any():
+            raise CalibrationError(
+                f"K must be fx 0 cx / 0 fy cy / 0 0 1, got {K.tolist()}; rectify images with skew"
+            )
         if self.width < 1 or self.height < 1:
             raise CalibrationError(f"image size {self.width} x {self.height} is empty")
         if not (0 <= K[0, 2] < self.width and 0 <= K[1, 2] < self.height):
@@ -38,3 +46,131 @@ class Camera:
                 f"{self.width} x {self.height} image: the size does not fit K"
             )
         object.__setattr__(self, "K", K)
+
+
+class Frame:
+    """A sweep made ready to be drawn: static and moving points apart, neighbours together.
+
+    Make it once a sweep and keep it for all images that see the sweep.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        LiDAR frame, metres, deskewed to the sweep's time. Points that are not finite are left out.
+    classid : ndarray of uint16, shape (N,)
+        Below 50 ground, below 100 static, moving from 100 on.
+    parameters : RenderParameters, optional
+
+    Raises
+    ------
+    InputError
+        Shapes or dtypes are wrong.
+    """
+
+    def __init__(
+        self,
+        points: NDArray[np.float32],
+        classid: NDArray[np.uint16],
+        parameters: RenderParameters | None = None,
+    ) -> None:
+        points, classid = np.asarray(points), np.asarray(classid)
+        if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
+            raise InputError(
+                f"points must be float32 of shape (N, 3), got {points.dtype} {points.shape}"
+            )
+        if classid.shape != (len(points),) or classid.dtype != np.uint16:
+            raise InputError(
+                f"classid must be uint16 of shape ({len(points)},), one for each point; "
+                f"got {classid.dtype} {classid.shape}"
+            )
+        crop = (parameters or RenderParameters()).crop
+        self.core = _core.Frame(
+            np.ascontiguousarray(points), np.ascontiguousarray(classid), float(crop)
+        )
+
+
+def static_frames(
+    trajectory: Trajectory, time: int, parameters: RenderParameters | None = None
+) -> NDArray[np.int64]:
+    """Sweeps whose static points are drawn into the image taken at ``time`` [ns] (paper III-D).
+
+    Those with ``-behind < arc length from the image < ahead``, in order of path and at least
+    ``step`` apart. Where the ego stands, many sweeps have one arc length: of these only the one
+    nearest in time can be taken.
+
+    Returns
+    -------
+    ndarray of int64, shape (k,)
+        Indices of the trajectory, increasing.
+    """
+    p = parameters or RenderParameters()
+    arc = trajectory.arc_length
+    ahead = arc - trajectory.arc_length_at(time)[0]
+    window = np.flatnonzero((-p.behind < ahead) & (ahead < p.ahead))
+    delay = np.abs(trajectory.times - np.int64(time))
+    kept: list[int] = []
+    for place in np.unique(arc[window]):
+        if not kept or place - arc[kept[-1]] >= p.step:
+            here = window[arc[window] == place]
+            kept.append(int(here[np.argmin(delay[here])]))
+    return np.array(kept, dtype=np.int64)
+
+
+def dynamic_frame(trajectory: Trajectory, time: int) -> int:
+    """The sweep whose moving points are drawn: the nearest in time to ``time`` [ns]."""
+    return trajectory.nearest(time)
+
+
+def render(
+    camera: Camera,
+    T_camera_lidar: NDArray[np.float64],
+    trajectory: Trajectory,
+    time: int,
+    frames: Callable[[int], Frame],
+    parameters: RenderParameters | None = None,
+    threads: int = 0,
+) -> NDArray[np.float32]:
+    """Depth map of the camera at one moment, composed of many sweeps (paper III-D).
+
+    Parameters
+    ----------
+    camera : Camera
+    T_camera_lidar : ndarray of float64, shape (4, 4)
+        Takes LiDAR points to the camera.
+    trajectory : Trajectory
+        Poses and times of all sweeps.
+    time : int
+        When the image was taken [ns]; within the trajectory.
+    frames : callable
+        Gives the :class:`Frame` of a sweep by its index; asked only for sweeps that are drawn.
+    parameters : RenderParameters, optional
+    threads : int
+        0 takes all cores. The result does not depend on it.
+
+    Returns
+    -------
+    ndarray of float32, shape (height, width)
+        z along the optical axis in metres; NaN where nothing was drawn.
+
+    Raises
+    ------
+    InputError
+        ``time`` lies outside the trajectory.
+    """
+    p = parameters or RenderParameters()
+    T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
+
+    def place(index: int) -> tuple[_core.Frame, NDArray[np.float64]]:
+        return frames(index).core, T_camera_world @ trajectory.poses[index]
+
+    depth: NDArray[np.float32] = _core.render_splats(
+        camera.K,
+        camera.width,
+        camera.height,
+        static_frames=[place(int(i)) for i in static_frames(trajectory, time, p)],
+        dynamic_frames=[place(dynamic_frame(trajectory, time))],
+        static_size=(p.static_size_max, p.static_size_min),
+        dynamic_size=(p.dynamic_size_max, p.dynamic_size_min),
+        threads=threads,
+    )
+    return depth

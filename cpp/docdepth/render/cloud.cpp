@@ -1,0 +1,84 @@
+#include "docdepth/render/cloud.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+namespace docdepth {
+namespace {
+
+constexpr std::uint32_t kSectors = 64, kRings = 128;
+
+/// Which of the cells around the sensor a point lies in: equal sectors of azimuth, rings that grow
+/// with range. Cells that follow each other are neighbours, so blocks of points are compact.
+std::uint32_t cell(float x, float y) {
+  const float sum = std::abs(x) + std::abs(y);
+  // The diamond angle grows with azimuth like the angle itself, from 0 to 4, without trigonometry.
+  float angle = sum > 0 ? x / sum : 0.0f;
+  angle = y < 0 ? 3.0f + angle : 1.0f - angle;
+  const auto sector = std::min(static_cast<std::uint32_t>(angle * (kSectors / 4.0f)), kSectors - 1);
+  // Exponent and two bits of the squared range: rings a tenth of their range wide.
+  const float squared = std::min(x * x + y * y + 1.0f, 1e9f);
+  std::uint32_t bits;
+  std::memcpy(&bits, &squared, sizeof bits);
+  const std::uint32_t ring = std::min((bits >> 21) - (127u << 2), kRings - 1);
+  return sector * kRings + ring;
+}
+
+Box box_around(const Eigen::Vector3f& low, const Eigen::Vector3f& high) {
+  // A little larger, since center and extent are rounded.
+  return {(low + high) / 2, (high - low) / 2 + Eigen::Vector3f::Constant(1e-3f)};
+}
+
+}  // namespace
+
+Cloud::Cloud(const Points& points, const std::vector<std::uint8_t>& keep) {
+  std::vector<std::uint32_t> cells(points.rows()), start(kSectors * kRings + 1, 0);
+  for (Eigen::Index i = 0; i < points.rows(); ++i) {
+    if (!keep[i]) continue;
+    cells[i] = cell(points(i, 0), points(i, 1));
+    ++start[cells[i] + 1];
+  }
+  for (std::size_t c = 1; c < start.size(); ++c) start[c] += start[c - 1];
+  const std::uint32_t count = start.back();
+  std::vector<std::uint32_t> sector_end;
+  for (std::uint32_t s = 1; s <= kSectors; ++s) sector_end.push_back(start[s * kRings]);
+
+  x_.resize(count), y_.resize(count), z_.resize(count);
+  for (Eigen::Index i = 0; i < points.rows(); ++i) {
+    if (!keep[i]) continue;
+    const std::uint32_t at = start[cells[i]]++;
+    x_[at] = points(i, 0), y_[at] = points(i, 1), z_[at] = points(i, 2);
+  }
+
+  Eigen::Vector3f low = Eigen::Vector3f::Constant(INFINITY), high = -low;
+  std::uint32_t begin = 0;
+  for (const std::uint32_t sector : sector_end) {
+    while (begin < sector) {
+      const std::uint32_t end = std::min(begin + kBlock, sector);
+      Eigen::Vector3f block_low(x_[begin], y_[begin], z_[begin]), block_high = block_low;
+      for (std::uint32_t i = begin; i < end; ++i) {
+        block_low = block_low.cwiseMin(Eigen::Vector3f(x_[i], y_[i], z_[i]));
+        block_high = block_high.cwiseMax(Eigen::Vector3f(x_[i], y_[i], z_[i]));
+      }
+      blocks_.push_back({box_around(block_low, block_high), begin, end});
+      low = low.cwiseMin(block_low), high = high.cwiseMax(block_high);
+      begin = end;
+    }
+  }
+  if (count) box_ = box_around(low, high);
+}
+
+Frame::Frame(const Points& points, const std::uint16_t* classid, double crop) {
+  std::vector<std::uint8_t> keep_static(points.rows()), keep_dynamic(points.rows());
+  for (Eigen::Index i = 0; i < points.rows(); ++i) {
+    const double x = points(i, 0), y = points(i, 1), z = points(i, 2);
+    const bool inside = x * x + y * y + z * z < crop * crop;  // false for NaN
+    keep_static[i] = inside && classid[i] < kDynamic;
+    keep_dynamic[i] = inside && classid[i] >= kDynamic;
+  }
+  static_points = Cloud(points, keep_static);
+  dynamic_points = Cloud(points, keep_dynamic);
+}
+
+}  // namespace docdepth

@@ -1,0 +1,48 @@
+// Points of one sweep, put in order once so that what the camera cannot see costs nothing.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "docdepth/render/camera.hpp"
+
+namespace docdepth {
+
+/// Points in blocks of neighbours, each with its box; coordinates apart, as vector units like them.
+class Cloud {
+ public:
+  static constexpr std::uint32_t kBlock = 256;  ///< most points in a block
+
+  struct Block {
+    Box box;
+    std::uint32_t begin, end;
+  };
+
+  Cloud() = default;
+
+  /// @param keep one byte a point; points with 0 are left out. All others must be finite.
+  Cloud(const Points& points, const std::vector<std::uint8_t>& keep);
+
+  std::size_t size() const { return x_.size(); }
+  const Box& box() const { return box_; }
+  const std::vector<Block>& blocks() const { return blocks_; }
+  const float* x() const { return x_.data(); }
+  const float* y() const { return y_.data(); }
+  const float* z() const { return z_.data(); }
+
+ private:
+  Box box_{};
+  std::vector<Block> blocks_;
+  std::vector<float> x_, y_, z_;
+};
+
+/// A sweep made ready to be drawn: moving points are drawn from one sweep, all others from many.
+struct Frame {
+  Cloud static_points, dynamic_points;
+
+  /// @param classid ClassId of every point
+  /// @param crop points this far from the sensor and farther are left out, metres
+  Frame(const Points& points, const std::uint16_t* classid, double crop);
+};
+
+}  // namespace docdepth

@@ -1,0 +1,238 @@
+"""Composite rendering against a plain numpy rasteriser, exact scenes and a real drive."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from docdepth.config import RenderParameters
+from docdepth.errors import CalibrationError, InputError
+from docdepth.render import Camera, Frame, dynamic_frame, render, static_frames
+from docdepth.trajectory import Trajectory
+
+# Camera axes in the LiDAR frame: x right = -y, y down = -z, z forward = x.
+AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=np.float64)
+PAPER = RenderParameters(surface="splats", behind=0.5, ahead=100.0, step=0.2)
+
+
+def small_camera(width=160, height=60, focal=90.0):
+    K = np.array([[focal, 0, width / 2 - 0.7], [0, focal * 1.1, height / 2 + 1.3], [0, 0, 1]])
+    return Camera(K, width, height)
+
+
+def straight(n, spacing=1.0, dt=100_000_000):
+    poses = np.repeat(np.eye(4)[None], n, axis=0)
+    poses[:, 0, 3] = np.arange(n) * spacing
+    return Trajectory(np.arange(n) * dt, poses)
+
+
+def reference(camera, clouds):
+    """Every splat pixel by pixel. clouds: (points, 4x4 pose, (size_max, size_min))."""
+    f = np.float32
+    fx, fy, cx, cy = (f(v) for v in camera.K[[0, 1, 0, 1], [0, 1, 2, 2]])
+    depth = np.full((camera.height, camera.width), np.inf, f)
+    for points, pose, (size_max, size_min) in clouds:
+        T = pose.astype(f)
+        p, q, r = points.T
+        with np.errstate(all="ignore"):
+            x, y, z = (((T[i, 0] * p + T[i, 1] * q) + T[i, 2] * r) + T[i, 3] for i in range(3))
+            u = np.floor((fx * x) / z + cx + f(0.5))
+            v = np.floor((fy * y) / z + cy + f(0.5))
+            squared = ((x * x + y * y) + z * z).astype(np.float64)
+            sigma = np.where(
+                squared < 1.65**2, size_max, np.maximum(size_max / np.log(squared), size_min)
+            )
+            inside = (z > f(0.1)) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        size = np.floor(sigma[inside] + 0.5).astype(int)
+        u, v, z = u[inside].astype(int), v[inside].astype(int), z[inside]
+        for h in np.unique(size):
+            reach = np.arange(-h, h + 1)
+            du, dv = np.meshgrid(reach, reach)
+            covered = 9 * du**2 + 4 * dv**2 <= h * h
+            for a, b in zip(du[covered], dv[covered], strict=True):
+                column, row = u[size == h] + a, v[size == h] + b
+                ok = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+                np.minimum.at(depth, (row[ok], column[ok]), z[size == h][ok])
+    depth[np.isinf(depth)] = np.nan
+    return depth
+
+
+def scattered(rng, n):
+    """Points all around a sensor, most of them near, some unusable."""
+    direction = rng.normal(size=(n, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    points = (direction * rng.gamma(1.5, 12.0, size=(n, 1))).astype(np.float32)
+    points[:3] = [[0, 0, 0], [np.nan, 1, 2], [np.inf, 0, 0]]
+    points[3] = [0.5, 0.1, 0.1]
+    return points
+
+
+def drive(rng, camera_time, parameters, n=6):
+    """Sweeps along a curve; returns what render() needs and what reference() needs."""
+    trajectory = straight(n)
+    angle = 0.05 * np.arange(n)
+    poses = trajectory.poses.copy()
+    poses[:, 0, 0] = poses[:, 1, 1] = np.cos(angle)
+    poses[:, 1, 0], poses[:, 0, 1] = np.sin(angle), -np.sin(angle)
+    trajectory = Trajectory(trajectory.times, poses)
+    sweeps = [scattered(rng, 4000) for _ in range(n)]
+    classes = [rng.choice([0, 50, 99, 100, 251], size=4000).astype(np.uint16) for _ in range(n)]
+    frames = [Frame(s, c, parameters) for s, c in zip(sweeps, classes, strict=True)]
+
+    T_camera_world = AXES @ np.linalg.inv(trajectory.interpolate(camera_time)[0])
+    clouds = []
+    for dynamic in (False, True):
+        indices = static_frames(trajectory, camera_time, parameters)
+        for i in [dynamic_frame(trajectory, camera_time)] if dynamic else indices:
+            with np.errstate(invalid="ignore", over="ignore"):
+                distance = np.linalg.norm(sweeps[i].astype(np.float64), axis=1)
+            keep = (distance < parameters.crop) & ((classes[i] >= 100) == dynamic)
+            pose = T_camera_world @ trajectory.poses[i]
+            size = (
+                (parameters.dynamic_size_max, parameters.dynamic_size_min)
+                if dynamic
+                else (parameters.static_size_max, parameters.static_size_min)
+            )
+            clouds.append((sweeps[i][keep], pose, size))
+    return trajectory, frames, clouds
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("sizes", [(50.0, 3.0, 80.0, 35.0), (9.3, 1.0, 14.0, 2.6), (1, 1, 1, 1)])
+def test_equals_plain_numpy_pixel_for_pixel(seed, sizes):
+    names = ("static_size_max", "static_size_min", "dynamic_size_max", "dynamic_size_min")
+    parameters = RenderParameters(
+        surface="splats", behind=0.5, ahead=100.0, step=0.2, **dict(zip(names, sizes, strict=True))
+    )
+    camera = small_camera()
+    time = 130_000_000
+    trajectory, frames, clouds = drive(np.random.default_rng(seed), time, parameters)
+    expected = reference(camera, clouds)
+    one, two = (
+        render(camera, AXES, trajectory, time, frames.__getitem__, parameters, threads=t)
+        for t in (1, 2)
+    )
+    np.testing.assert_array_equal(one, expected)
+    np.testing.assert_array_equal(two, expected)
+    assert one.dtype == np.float32
+    assert np.isfinite(one).mean() > 0
+
+
+def frame_of(points, classid=50):
+    points = np.asarray(points, dtype=np.float32).reshape(-1, 3)
+    return Frame(points, np.full(len(points), classid, np.uint16), PAPER)
+
+
+def test_a_single_splat_is_an_upright_ellipse_of_constant_depth():
+    camera = Camera(np.array([[100.0, 0, 40], [0, 100, 30], [0, 0, 1]]), 81, 61)
+    depth = render(camera, AXES, straight(1), 0, lambda _: frame_of([10, 0, 0]), PAPER)
+    h = round(50 / np.log(100))  # 11 pixels high
+    rows, columns = np.nonzero(np.isfinite(depth))
+    assert (rows.min(), rows.max()) == (30 - h // 2, 30 + h // 2)
+    assert (columns.min(), columns.max()) == (40 - h // 3, 40 + h // 3)
+    assert np.unique(depth[np.isfinite(depth)]) == [10.0]
+    assert np.isfinite(depth).sum() == sum(
+        9 * a * a + 4 * b * b <= h * h for a in range(-h, h + 1) for b in range(-h, h + 1)
+    )
+
+
+def test_near_moving_wall_hides_far_static_wall():
+    camera = small_camera()
+    side, up = np.meshgrid(np.arange(-30, 30, 0.1), np.arange(-12, 12, 0.1))
+
+    def wall(distance):
+        return np.column_stack([np.full(side.size, distance), side.ravel(), up.ravel()])
+
+    near = wall(8.0)[np.abs(side.ravel()) < 2]
+    points = np.concatenate([wall(20.0), near]).astype(np.float32)
+    classid = np.repeat(np.array([50, 100], np.uint16), [side.size, len(near)])
+    depth = render(camera, AXES, straight(1), 0, lambda _: Frame(points, classid), PAPER)
+    assert set(np.unique(depth)) == {8.0, 20.0}
+    assert (depth[:, 60:100] == 8.0).all()
+    assert (depth[:, :30] == 20.0).all()
+    assert (depth[:, -30:] == 20.0).all()
+
+
+def test_points_behind_too_near_or_centred_outside_are_not_drawn():
+    camera = small_camera()
+    for point in ([-5, 0, 0], [0.1, 0, 0], [5, 5, 0], [5, -5, 0], [5, 0, 3], [5, 0, -3]):
+        depth = render(camera, AXES, straight(1), 0, lambda _, p=point: frame_of(p), PAPER)
+        assert np.isnan(depth).all(), point
+
+
+def test_moving_points_come_from_the_sweep_nearest_in_time_only():
+    trajectory = straight(4)
+    asked = []
+
+    def frames(i):
+        asked.append(i)
+        return frame_of([20 + i, 0, 0], classid=100)
+
+    depth = render(small_camera(), AXES, trajectory, 160_000_000, frames, PAPER)
+    # Sweep 2 stands at 2 m and sees its point at 22 m; the camera stands at 1.6 m.
+    np.testing.assert_allclose(np.unique(depth[np.isfinite(depth)]), [22.4], rtol=1e-6)
+    assert set(asked) == {2, 3}  # static points: those after 1.6 - 0.5
+
+
+def test_static_frames_follow_the_path_window_and_step():
+    trajectory = straight(200, spacing=0.5)
+    taken = static_frames(trajectory, 5_000_000_000, PAPER)  # at 25 m
+    assert taken[0] == 50  # -0.5 m is excluded
+    assert taken[-1] == 199
+    taken = static_frames(trajectory, 5_000_000_000, PAPER.model_copy(update={"ahead": 10.0}))
+    assert (trajectory.arc_length[taken] < 35).all()
+    coarse = static_frames(trajectory, 5_000_000_000, PAPER.model_copy(update={"step": 2.0}))
+    assert (np.diff(trajectory.arc_length[coarse]) >= 2.0).all()
+
+
+def test_a_standing_ego_is_drawn_from_the_sweep_nearest_in_time():
+    poses = np.repeat(np.eye(4)[None], 30, axis=0)
+    poses[:, 0, 3] = 1e-3 * np.sin(np.arange(30))
+    trajectory = Trajectory(np.arange(30) * 100_000_000, poses)
+    assert static_frames(trajectory, 1_730_000_000, PAPER).tolist() == [17]
+    assert dynamic_frame(trajectory, 1_730_000_000) == 17
+
+
+def test_no_points_give_no_depth():
+    empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16))
+    assert np.isnan(render(small_camera(), AXES, straight(2), 0, lambda _: empty, PAPER)).all()
+
+
+def test_bad_input_is_refused():
+    with pytest.raises(InputError, match="float32"):
+        Frame(np.zeros((3, 3)), np.zeros(3, np.uint16))
+    with pytest.raises(InputError, match="one for each point"):
+        Frame(np.zeros((3, 3), np.float32), np.zeros(2, np.uint16))
+    with pytest.raises(InputError, match="outside the trajectory"):
+        render(small_camera(), AXES, straight(2), -1, lambda _: frame_of([5, 0, 0]), PAPER)
+    with pytest.raises(CalibrationError, match="skew"):
+        Camera(np.array([[9.0, 1, 5], [0, 9, 5], [0, 0, 1]]), 10, 10)
+
+
+@pytest.mark.skipif("DOCDEPTH_KITTI_RAW" not in os.environ, reason="DOCDEPTH_KITTI_RAW is not set")
+def test_equals_plain_numpy_on_real_sweeps():
+    folder = Path(os.environ["DOCDEPTH_KITTI_RAW"]) / "2011_09_26/2011_09_26_drive_9001_sync"
+    files = sorted((folder / "velodyne_points").rglob("*.bin"))[::20][:3]
+    sweeps = [np.fromfile(f, np.float32).reshape(-1, 4)[:, :3].copy() for f in files]
+    camera = Camera(
+        np.array([[721.5377, 0, 609.5593], [0, 721.5377, 172.854], [0, 0, 1]]), 1242, 375
+    )
+    trajectory = straight(len(sweeps), spacing=5.0)
+    # Every tenth point moves, so that both sizes are met.
+    classes = [np.where(np.arange(len(s)) % 10, 50, 100).astype(np.uint16) for s in sweeps]
+    frames = [Frame(s, c, PAPER) for s, c in zip(sweeps, classes, strict=True)]
+    time = 20_000_000
+    T_camera_world = AXES @ np.linalg.inv(trajectory.interpolate(time)[0])
+    clouds = []
+    for i, (s, c) in enumerate(zip(sweeps, classes, strict=True)):
+        pose = T_camera_world @ trajectory.poses[i]
+        if i in static_frames(trajectory, time, PAPER):
+            clouds.append((s[c < 100], pose, (50.0, 3.0)))
+        if i == dynamic_frame(trajectory, time):
+            clouds.append((s[c >= 100], pose, (80.0, 35.0)))
+    depth = render(camera, AXES, trajectory, time, frames.__getitem__, PAPER)
+    np.testing.assert_array_equal(depth, reference(camera, clouds))
+    assert np.isfinite(depth).mean() > 0.5
