@@ -246,7 +246,8 @@ def _open(source: dict[str, Any]) -> tuple[Dataset, CameraStream]:
     from docdepth.errors import CalibrationError, DatasetError
     from docdepth.render import Camera
 
-    recording = open_dataset(Path(source["dataset"]), source["name"])
+    size = _size(source["image_size"])
+    recording = open_dataset(Path(source["dataset"]), source["name"], size)
     if not recording.cameras:
         raise CalibrationError(f"{recording.path} has no calibrated camera; add its calibration")
     name = source["camera"]
@@ -258,15 +259,22 @@ def _open(source: dict[str, Any]) -> tuple[Dataset, CameraStream]:
             f"{recording.path} has no camera {name!r}; it has {', '.join(recording.cameras)}"
         )
     stream = recording.cameras[name]
-    if source["image_size"]:
-        width, _, height = source["image_size"].partition("x")
-        if not (width.isdigit() and height.isdigit()):
-            raise CalibrationError(f"--image-size {source['image_size']!r}: write WIDTHxHEIGHT")
-        camera = Camera(stream.camera.K, int(width), int(height))
-        stream = replace(stream, camera=camera)
+    if size and size != (stream.camera.width, stream.camera.height):
+        stream = replace(stream, camera=Camera(stream.camera.K, *size))
     if source["camera_times"]:
         stream = _retimed(stream, Path(source["camera_times"]))
     return recording, stream
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    from docdepth.errors import CalibrationError
+
+    if not text:
+        return None
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise CalibrationError(f"--image-size {text!r}: write WIDTHxHEIGHT, for example 1242x375")
+    return int(width), int(height)
 
 
 def _retimed(stream: CameraStream, path: Path) -> CameraStream:
@@ -284,7 +292,9 @@ def _retimed(stream: CameraStream, path: Path) -> CameraStream:
 def _poses(source: dict[str, Any], recording: Dataset) -> Any:
     from docdepth.io.poses import read_poses
 
-    return read_poses(Path(source["poses"]), len(recording)) if source["poses"] else None
+    if source["poses"]:
+        return read_poses(Path(source["poses"]), len(recording))
+    return recording.poses if recording.name == "run" else None
 
 
 def _stages(

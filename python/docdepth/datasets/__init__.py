@@ -9,6 +9,7 @@ from pathlib import Path
 from docdepth.datasets.base import CameraStream, Dataset, Sweep, usable_points
 from docdepth.datasets.kitti_odometry import KittiOdometry
 from docdepth.datasets.kitti_raw import KittiRaw
+from docdepth.datasets.run import RunDataset
 from docdepth.errors import DatasetError
 
 __all__ = ["CameraStream", "Dataset", "Sweep", "open_dataset", "usable_points"]
@@ -37,6 +38,11 @@ _FORMATS = {
         "velodyne",
         "a sequence with velodyne/*.bin, calib.txt and times.txt",
         lambda path, size: KittiOdometry(path, size, "kitti_odometry"),
+    ),
+    "run": _Format(
+        "frames",
+        "a run folder with frames/frame_000000.ply and traj_odometry.ply",
+        lambda path, size: RunDataset(path),
     ),
 }
 
@@ -78,6 +84,8 @@ def open_dataset(
 
 
 def _guess(path: Path) -> str | None:
+    if (path / "frames").is_dir() and (path / "traj_odometry.ply").is_file():
+        return "run"
     if (path / "velodyne").is_dir():
         return "semantic_kitti" if (path / "labels").is_dir() else "kitti_odometry"
     return "kitti_raw" if (path / "velodyne_points" / "data").is_dir() else None

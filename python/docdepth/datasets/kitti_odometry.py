@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import kitti_files
 from docdepth.datasets.base import CameraStream, Sweep
 from docdepth.datasets.kitti_files import Calibration
+from docdepth.datasets.times import nanoseconds
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.io.poses import read_kitti
 from docdepth.render import Camera
@@ -105,19 +105,10 @@ class KittiOdometry:
 def _times(file: Path, files: list[Path]) -> NDArray[np.int64]:
     """Nanoseconds of each file from lines of seconds, exact to the last digit."""
     lines = kitti_files.lines_of(file, _REMEDY)
-    seconds = np.array([_nanoseconds(line, n, file) for n, line in enumerate(lines, 1)], np.int64)
+    seconds = np.array([nanoseconds(line, n, file) for n, line in enumerate(lines, 1)], np.int64)
     times: NDArray[np.int64] = seconds[kitti_files.rows_of(files, len(lines), file, "times")]
     kitti_files.check_increasing(times, [f.name for f in files], file)
     return times
-
-
-def _nanoseconds(line: str, number: int, file: Path) -> int:
-    try:
-        return int((Decimal(line.strip()) * 10**9).to_integral_value())
-    except (InvalidOperation, OverflowError, ValueError):
-        raise DatasetError(
-            f"{file}, line {number}: '{line.strip()}' is no time in seconds"
-        ) from None
 
 
 def _poses(

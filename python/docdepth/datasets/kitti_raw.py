@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from docdepth.datasets import kitti_files
 from docdepth.datasets.base import CameraStream, Sweep
 from docdepth.datasets.kitti_files import Calibration
-from docdepth.errors import CalibrationError, DatasetError
+from docdepth.datasets.times import nanoseconds
+from docdepth.errors import CalibrationError
 from docdepth.render import Camera
 
 _EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' of the drive again"
@@ -82,23 +83,10 @@ def azimuth_fraction(points: NDArray[np.float32]) -> NDArray[np.float32]:
 def _times(file: Path, files: list[Path]) -> NDArray[np.int64]:
     """Nanoseconds since 1970 of each file, from lines like ``2011-09-26 13:02:25.951199337``."""
     lines = kitti_files.lines_of(file, _EXPORT)
-    stamps = np.array([_nanoseconds(line, n, file) for n, line in enumerate(lines, 1)], np.int64)
+    stamps = np.array([nanoseconds(line, n, file) for n, line in enumerate(lines, 1)], np.int64)
     times: NDArray[np.int64] = stamps[kitti_files.rows_of(files, len(lines), file, "stamps")]
     kitti_files.check_increasing(times, [f.name for f in files], file)
     return times
-
-
-def _nanoseconds(line: str, number: int, file: Path) -> int:
-    try:
-        stamp = np.datetime64(line.strip(), "ns")
-        if np.isnat(stamp):
-            raise ValueError
-    except ValueError:
-        raise DatasetError(
-            f"{file}, line {number}: '{line.strip()}' is no time; "
-            "lines are like 2011-09-26 13:02:25.951199337"
-        ) from None
-    return int(stamp.astype(np.int64))
 
 
 def _cameras(
