@@ -1,6 +1,7 @@
 #include "docdepth/render/cloud.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstring>
 
@@ -33,6 +34,8 @@ Box box_around(const Eigen::Vector3f& low, const Eigen::Vector3f& high) {
 }  // namespace
 
 Cloud::Cloud(const Points& points, const std::vector<std::uint8_t>& keep) {
+  static std::atomic<std::uint64_t> clouds{0};
+  id_ = ++clouds;
   std::vector<std::uint32_t> cells(points.rows()), start(kSectors * kRings + 1, 0);
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     if (!keep[i]) continue;

@@ -24,6 +24,8 @@ class Cloud {
   Cloud(const Points& points, const std::vector<std::uint8_t>& keep);
 
   std::size_t size() const { return x_.size(); }
+  /// The same for copies only, so that a copy of the points on a graphics card finds its cloud.
+  std::uint64_t id() const { return id_; }
   const Box& box() const { return box_; }
   const std::vector<Block>& blocks() const { return blocks_; }
   const float* x() const { return x_.data(); }
@@ -31,6 +33,7 @@ class Cloud {
   const float* z() const { return z_.data(); }
 
  private:
+  std::uint64_t id_ = 0;
   Box box_{};
   std::vector<Block> blocks_;
   std::vector<float> x_, y_, z_;
