@@ -1,5 +1,5 @@
-// numpy arrays in and out of the core. Shapes are checked here once more, so that a direct caller of
-// _core gets a sentence and never a crash.
+// numpy arrays in and out of the core. Shapes are checked here once more, so that a direct caller
+// of _core gets a sentence and never a crash.
 #pragma once
 
 #include <pybind11/numpy.h>
@@ -35,6 +35,18 @@ inline Pose as_pose(const Array<double>& array) {
   Pose pose;
   pose.matrix() = Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(array.data());
   return pose;
+}
+
+/// A (k, 4, 4) row-major float64 array as poses.
+inline std::vector<Pose> as_poses(const Array<double>& array) {
+  if (array.ndim() != 3 || array.shape(1) != 4 || array.shape(2) != 4)
+    throw std::invalid_argument("poses must be a float64 array of shape (k, 4, 4)");
+  std::vector<Pose> poses(array.shape(0));
+  for (std::size_t k = 0; k < poses.size(); ++k) {
+    using Matrix = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
+    poses[k].matrix() = Eigen::Map<const Matrix>(array.data() + 16 * k);
+  }
+  return poses;
 }
 
 /// A one-dimensional array of `size` elements, or an error that names it.

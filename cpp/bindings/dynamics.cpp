@@ -1,7 +1,50 @@
+#include <pybind11/stl.h>
+
+#include <memory>
+
 #include "arrays.hpp"
+#include "docdepth/dynamics/key_frame.hpp"
+#include "docdepth/dynamics/range_image.hpp"
 
 namespace docdepth::bindings {
+namespace {
 
-void bind_dynamics(py::module_&) {}
+std::unique_ptr<RangeImage> make_range_image(const Array<float>& points, const Array<bool>& ground,
+                                             double resolution, int window, float tolerance) {
+  const PointMap map = as_points(points);
+  const bool* flags = as_column(ground, map.rows(), "ground");
+  py::gil_scoped_release release;
+  return std::make_unique<RangeImage>(map, flags,
+                                      RangeImageParameters{resolution, window, tolerance});
+}
+
+py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
+                  const Array<double>& T_world_lidar,
+                  const std::vector<const KeyFrame*>& key_frames, const Array<double>& poses,
+                  int threads) {
+  const PointMap map = as_points(points);
+  const bool* flags = as_column(ground, map.rows(), "ground");
+  const Pose pose = as_pose(T_world_lidar);
+  const std::vector<Pose> T_world_key = as_poses(poses);
+  Votes votes;
+  {
+    py::gil_scoped_release release;
+    votes = vote(map, flags, pose, key_frames, T_world_key, threads);
+  }
+  const py::ssize_t count = map.rows();
+  return py::make_tuple(to_numpy(std::move(votes.statics), {count}),
+                        to_numpy(std::move(votes.dynamics), {count}));
+}
+
+}  // namespace
+
+void bind_dynamics(py::module_& m) {
+  py::class_<KeyFrame>(m, "KeyFrame");
+  py::class_<RangeImage, KeyFrame>(m, "RangeImage")
+      .def(py::init(&make_range_image), py::arg("points"), py::arg("ground"), py::arg("resolution"),
+           py::arg("window"), py::arg("tolerance"));
+  m.def("vote", &vote_on, py::arg("points"), py::arg("ground"), py::arg("T_world_lidar"),
+        py::arg("key_frames"), py::arg("poses"), py::arg("threads") = 0);
+}
 
 }  // namespace docdepth::bindings

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from docdepth.errors import ConfigError
 
@@ -52,6 +52,13 @@ class DynamicsParameters(_Stage):
     window: int = Field(5, ge=1, le=15, description="edge of the compared window, w [pixels]")
     tolerance: float = Field(0.2, gt=0, description="range tolerance, tau [m]")
 
+    @field_validator("window")
+    @classmethod
+    def _odd(cls, window: int) -> int:
+        if window % 2 == 0:
+            raise ValueError("the window has a centre pixel, so its edge is odd")
+        return window
+
 
 class RenderParameters(_Stage):
     """Composite rendering (paper III-D)."""
@@ -63,6 +70,7 @@ class RenderParameters(_Stage):
     ahead: float = Field(100.0, gt=0, description="static sweeps ahead of it, d_max [m]")
     step: float = Field(0.2, ge=0, description="spacing of static sweeps, d_step [m]")
     crop: float = Field(300.0, gt=0, description="points farther from their sensor, d_crop [m]")
+    max_depth: float = Field(250.0, gt=0, description="nothing farther is drawn [m]")
     static_size_max: float = Field(50.0, gt=0, description="sigma_max of static points [pixel]")
     static_size_min: float = Field(3.0, gt=0, description="sigma_min of static points [pixel]")
     dynamic_size_max: float = Field(80.0, gt=0, description="sigma_max of dynamic points [pixel]")

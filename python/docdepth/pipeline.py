@@ -82,7 +82,13 @@ def run_odometry(
     tell = _teller(progress, "odometry")
     with watch("poses"):
         checkpoint = run.path / ".odometry" / key
-        estimate = odometry(dataset, parameters, poses, progress, checkpoint)
+
+        def registered(done: int, total: int, what: str) -> None:
+            log.debug("%s", what)
+            if progress:
+                progress("register", done, total)
+
+        estimate = odometry(dataset, parameters, poses, registered, checkpoint)
     write_trajectory(run.trajectory_path, estimate.trajectory, np.arange(total))
     for index in range(total):
         if run.frame_key(index).get("odometry") != key:
@@ -254,7 +260,7 @@ def run_render(
                 )
             densities.append(float(np.isfinite(depth).mean()))
             with watch("write"):
-                picture = visualize.overlay(depth, _image(stream, k))
+                picture = visualize.overlay(depth, _image(stream, int(k)))
                 _write_image(run.path / "report" / f"{stream.names[k]}.jpg", picture)
                 png = encode_png(depth)
                 write_atomically(path, lambda out, png=png: out.write(png))  # type: ignore[misc]

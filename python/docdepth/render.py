@@ -173,4 +173,6 @@ def render(
         dynamic_size=(p.dynamic_size_max, p.dynamic_size_min),
         threads=threads,
     )
+    # The far plane: nearest wins, so cutting the result is cutting the points.
+    depth[depth > p.max_depth] = np.nan
     return depth

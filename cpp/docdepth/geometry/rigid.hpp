@@ -29,4 +29,19 @@ struct RigidTransform {
   }
 };
 
+/// T_a_b of two poses in the same world, in double and in one fixed order of operations.
+inline Pose between(const Pose& T_world_a, const Pose& T_world_b) {
+  const auto a = T_world_a.linear();
+  const auto dot = [&](int i, const Eigen::Vector3d& v) {
+    return (a(0, i) * v(0) + a(1, i) * v(1)) + a(2, i) * v(2);
+  };
+  const auto column = [&](const Eigen::Vector3d& v) {
+    return Eigen::Vector3d(dot(0, v), dot(1, v), dot(2, v));
+  };
+  Pose T_a_b = Pose::Identity();
+  for (int j = 0; j < 3; ++j) T_a_b.linear().col(j) = column(T_world_b.linear().col(j));
+  T_a_b.translation() = column(T_world_b.translation() - T_world_a.translation());
+  return T_a_b;
+}
+
 }  // namespace docdepth

@@ -47,7 +47,7 @@ Cloud::Cloud(const Points& points, const std::vector<std::uint8_t>& keep) {
   std::vector<std::uint32_t> sector_end;
   for (std::uint32_t s = 1; s <= kSectors; ++s) sector_end.push_back(start[s * kRings]);
 
-  x_.resize(count), y_.resize(count), z_.resize(count);
+  for (auto* axis : {&x_, &y_, &z_}) axis->resize(count + kPadding);
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     if (!keep[i]) continue;
     const std::uint32_t at = start[cells[i]]++;

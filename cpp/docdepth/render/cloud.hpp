@@ -11,7 +11,8 @@ namespace docdepth {
 /// Points in blocks of neighbours, each with its box; coordinates apart, as vector units like them.
 class Cloud {
  public:
-  static constexpr std::uint32_t kBlock = 256;  ///< most points in a block
+  static constexpr std::uint32_t kBlock = 256;   ///< most points in a block
+  static constexpr std::uint32_t kPadding = 16;  ///< numbers that can be read behind the last point
 
   struct Block {
     Box box;
@@ -23,7 +24,7 @@ class Cloud {
   /// @param keep one byte a point; points with 0 are left out. All others must be finite.
   Cloud(const Points& points, const std::vector<std::uint8_t>& keep);
 
-  std::size_t size() const { return x_.size(); }
+  std::size_t size() const { return blocks_.empty() ? 0 : blocks_.back().end; }
   /// The same for copies only, so that a copy of the points on a graphics card finds its cloud.
   std::uint64_t id() const { return id_; }
   const Box& box() const { return box_; }

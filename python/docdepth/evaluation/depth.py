@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.evaluation.errors import ComparedPixels, DepthErrors, Region, RegionErrors
-from docdepth.evaluation.pixels import Depth, Mask, fill_background, near_edges, ray_length
+from docdepth.evaluation.errors import DepthErrors, PixelSums, RegionErrors
+from docdepth.evaluation.pixels import Depth, Mask, fill_background, near_edges, ray_length, shifted
 from docdepth.evaluation.tables import Table, number, percent, ratio
 
 Mode = Literal["valid", "kitti"]
@@ -158,8 +158,7 @@ class DepthEvaluation:
         self._mode, self._max_range, self._poses = mode, max_range, poses
         self._bins = [b for b in range_bins if b < max_range] + [max_range]
         self._images: list[DepthErrors] = []
-        self._all, self._interior, self._dynamic = Region(), Region(), Region()
-        self._by_range = [Region() for _ in self._bins[1:]]
+        self._sums = PixelSums(self._bins)
         self._pixels = self._with_depth = self._surfaces = self._on_surfaces = 0
         self._distance, self._distances = 0.0, 0
         self._with_dynamic = False
@@ -206,32 +205,32 @@ class DepthEvaluation:
         if self._mode == "kitti":
             predicted = fill_background(predicted)
         with np.errstate(invalid="ignore"):
-            image = ComparedPixels(predicted, truth, truth <= self._max_range)
-        self._add_regions(image, truth, dynamic)
+            selected = np.flatnonzero(truth <= self._max_range)
+        d = truth.ravel()[selected].astype(np.float64)
+        p = predicted.ravel()[selected].astype(np.float64)
+        error = p - d
+        self._with_dynamic |= dynamic is not None
+        moving = np.zeros(truth.shape, bool) if dynamic is None else np.asarray(dynamic, bool)
+        self._sums.add(
+            error,
+            d,
+            np.abs(shifted(truth).ravel()[selected] - d),
+            ~near_edges(truth).ravel()[selected],
+            moving.ravel()[selected],
+        )
+        known = ~np.isnan(error)
         if K is not None:
-            distance = np.abs(image.difference) * ray_length(K, truth.shape)[image.selected]
-            self._distance += float(np.nansum(distance))
-            self._distances += int(np.count_nonzero(image.has_depth))
-        errors = DepthErrors.of(image.truth[image.has_depth], image.predicted[image.has_depth])
+            distance = (np.abs(error) * ray_length(K, truth.shape).ravel()[selected])[known]
+            self._distance += float(distance.sum())
+            self._distances += len(distance)
+        errors = DepthErrors.of(d[known], p[known])
         self._images.append(errors)
         return errors
-
-    def _add_regions(self, image: ComparedPixels, truth: Depth, dynamic: Mask | None) -> None:
-        everywhere = np.ones(len(image.truth), dtype=bool)
-        self._all.add(image, everywhere)
-        self._interior.add(image, ~near_edges(truth)[image.selected])
-        if dynamic is not None:
-            self._with_dynamic = True
-            self._dynamic.add(image, np.asarray(dynamic, dtype=bool)[image.selected])
-        place = np.searchsorted(self._bins, image.truth, side="left") - 1
-        for k, region in enumerate(self._by_range):
-            region.add(image, place == k)
 
     def result(self) -> DepthResult:
         """The figures of everything added so far."""
         filled = "empty pixels filled as in KITTI's kit"
         what = filled if self._mode == "kitti" else "pixels with depth"
-        bins = zip(pairwise(self._bins), self._by_range, strict=True)
         return DepthResult(
             protocol=f"{what}, truth up to {self._max_range:g} m",
             poses=self._poses,
@@ -240,11 +239,14 @@ class DepthEvaluation:
             density=percent(self._with_depth, self._pixels),
             density_on_surfaces=percent(self._on_surfaces, self._surfaces),
             kitti=DepthErrors.mean(self._images),
-            all=self._all.errors(),
-            interior=self._interior.errors(),
-            dynamic=self._dynamic.errors() if self._with_dynamic else None,
+            all=self._sums.errors(),
+            interior=self._sums.errors(interior=1),
+            dynamic=self._sums.errors(dynamic=1) if self._with_dynamic else None,
             point_to_point=ratio(self._distance, self._distances),
-            by_range=tuple(RangeErrors(near, far, region.errors()) for (near, far), region in bins),
+            by_range=tuple(
+                RangeErrors(near, far, self._sums.errors(ranges=k))
+                for k, (near, far) in enumerate(pairwise(self._bins))
+            ),
         )
 
 

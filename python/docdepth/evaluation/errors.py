@@ -10,11 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.evaluation.pixels import Depth, Mask, shifted
+from docdepth.evaluation.pixels import Mask
 from docdepth.evaluation.tables import number, percent, ratio
 
 # Too near or too far is more than this share off.
 _OFF = 0.05
+
+_ANY = slice(None)
+
+Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -65,9 +69,10 @@ class DepthErrors:
         d, p = truth.astype(np.float64), predicted.astype(np.float64)
         difference = np.abs(d - p)
         inverse = np.abs(1 / d - 1 / p)
-        log = np.log(d / p)
+        quotient = d / p
+        log = np.log(quotient)
         squared_log = float(np.mean(log * log))
-        worse = np.exp(np.abs(log))
+        worse = np.maximum(quotient, 1 / quotient)
         squared = difference * difference
         return cls(
             mae=float(difference.mean()),
@@ -137,49 +142,49 @@ class RegionErrors:
         ]
 
 
-class Region:
-    """Sums over the pixels of a region, from which :class:`RegionErrors` is made."""
+class PixelSums:
+    """Sums over pixels by range, interior and moving or not, for :class:`RegionErrors`.
 
-    def __init__(self) -> None:
-        self.pixels = self.compared = self.near = self.far = 0
-        self.absolute = self.squared = self.own_at_shift = self.shift = 0.0
+    Parameters
+    ----------
+    bins : sequence of float
+        Borders of the ranges [m]; every true depth added lies between the first and the last.
+    """
 
-    def add(self, image: ComparedPixels, where: Mask) -> None:
-        """Add one image's pixels that ``where`` selects, a mask over its pixels of the truth."""
-        self.pixels += int(np.count_nonzero(where))
-        inside = where & image.has_depth
-        difference = image.difference[inside]
-        size = np.abs(difference)
-        off = _OFF * image.truth[inside]
-        shift = image.shift[inside]
-        known = ~np.isnan(shift)
-        self.compared += len(difference)
-        self.near += int(np.count_nonzero(difference < -off))
-        self.far += int(np.count_nonzero(difference > off))
-        self.absolute += float(size.sum(dtype=np.float64))
-        self.squared += float((difference * difference).sum())
-        self.own_at_shift += float(size[known].sum(dtype=np.float64))
-        self.shift += float(shift[known].sum(dtype=np.float64))
+    def __init__(self, bins: Sequence[float]) -> None:
+        self._bins = bins
+        # Pixels, compared, too near, too far, |e|, e^2, |e| and shift where both are known.
+        self._sums = np.zeros((8, len(bins) - 1, 2, 2))
 
-    def errors(self) -> RegionErrors:
+    def add(
+        self, error: Values, truth: Values, shift: Values, interior: Mask, dynamic: Mask
+    ) -> None:
+        """Add one image's pixels, shape (k,) each; ``error`` and ``shift`` may be NaN."""
+        place = np.searchsorted(self._bins, truth, side="left") - 1
+        cell = (2 * np.maximum(place, 0) + interior) * 2 + dynamic
+        compared = ~np.isnan(error)
+        size = np.abs(np.where(compared, error, 0))
+        both = compared & ~np.isnan(shift)
+        off = _OFF * truth
+        with np.errstate(invalid="ignore"):
+            near, far = error < -off, error > off
+        shares = (size, size * size, np.where(both, size, 0), np.where(both, shift, 0))
+        for k, weight in enumerate((None, compared, near, far, *shares)):
+            sums = np.bincount(cell, weight, minlength=self._sums[k].size)
+            self._sums[k] += sums.reshape(self._sums[k].shape)
+
+    def errors(
+        self, ranges: int | slice = _ANY, interior: int | slice = _ANY, dynamic: int | slice = _ANY
+    ) -> RegionErrors:
+        """Errors of a region: the number of a range, 1 or 0 for interior and moving or not."""
+        sums = [float(table[ranges, interior, dynamic].sum()) for table in self._sums]
+        pixels, compared, near, far, absolute, squared, own, shift = sums
         return RegionErrors(
-            pixels=self.pixels,
-            compared=self.compared,
-            mae=ratio(self.absolute, self.compared),
-            rmse=math.sqrt(ratio(self.squared, self.compared)),
-            shifts=ratio(self.own_at_shift, self.shift),
-            too_near=percent(self.near, self.compared),
-            too_far=percent(self.far, self.compared),
+            pixels=round(pixels),
+            compared=round(compared),
+            mae=ratio(absolute, compared),
+            rmse=math.sqrt(ratio(squared, compared)),
+            shifts=ratio(own, shift),
+            too_near=percent(near, compared),
+            too_far=percent(far, compared),
         )
-
-
-class ComparedPixels:
-    """The pixels of one image whose truth is known and near enough, as flat arrays."""
-
-    def __init__(self, predicted: Depth, truth: Depth, selected: Mask) -> None:
-        self.selected = selected
-        self.truth = truth[selected].astype(np.float64)
-        self.predicted = predicted[selected].astype(np.float64)
-        self.difference = self.predicted - self.truth
-        self.shift = np.abs(shifted(truth)[selected] - self.truth)
-        self.has_depth = ~np.isnan(self.difference)

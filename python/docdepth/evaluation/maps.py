@@ -86,9 +86,7 @@ def nearest_neighbor_protocol(
     """
     called = np.ones(len(points), dtype=bool)
     if len(cleaned) and len(points):
-        nearest = _distances(points, _crop(cleaned, points, distance), distance)[0]
-        # The bound of the tree is strict, the protocol's is not: both agree but for exact ties.
-        called = ~(nearest <= distance)
+        called = np.isinf(_distances(points, _crop(cleaned, points, distance), distance)[0])
     return LabelCounts.of(np.asarray(dynamic, dtype=bool), called)
 
 
@@ -245,7 +243,7 @@ class MapEvaluation:
 
 
 def _distances(
-    queries: NDArray[np.float32], points: NDArray[np.float32], reach: float
+    queries: NDArray[np.floating[Any]], points: NDArray[np.floating[Any]], reach: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Distance and index of the nearest point; infinite beyond ``reach``."""
     try:
@@ -261,7 +259,9 @@ def _distances(
         for start in range(0, len(queries), _PIECE):
             piece = slice(start, start + _PIECE)
             distances[piece], index[piece] = tree.query(
-                queries[piece], distance_upper_bound=np.nextafter(reach, np.inf)
+                # The tree's own bound is strict.
+                queries[piece],
+                distance_upper_bound=np.nextafter(reach, np.inf),
             )
     return distances, index
 
@@ -277,8 +277,13 @@ def _crop(
         return points
     occupied = np.zeros(shape, dtype=bool)
     cells = ((around - origin) / size).astype(np.int64)
-    for step in np.ndindex(3, 3, 3):
-        occupied[tuple((cells + step - 1).T)] = True
+    occupied[tuple(cells.T)] = True
+    for axis in range(3):
+        before = np.moveaxis(occupied, axis, 0)
+        grown = before.copy()
+        grown[1:] |= before[:-1]
+        grown[:-1] |= before[1:]
+        occupied = np.moveaxis(grown, 0, axis)
     place = np.floor((points - origin) / size)
     inside = ((place >= 0) & (place < shape)).all(axis=1)
     inside[inside] = occupied[tuple(place[inside].astype(np.int64).T)]

@@ -32,23 +32,24 @@ def fill_background(depth: Depth) -> Depth:
 
 def _carry(depth: Depth, axis: int, between: bool) -> Depth:
     """Carry valid values along an axis into empty pixels at its ends, and in between if asked."""
-    valid = ~np.isnan(depth)
-    length = depth.shape[axis]
-    place = np.arange(length)[None, :] if axis == 1 else np.arange(length)[:, None]
-    before = np.maximum.accumulate(np.where(valid, place, -1), axis=axis)
-    after = np.flip(
-        np.minimum.accumulate(np.flip(np.where(valid, place, length), axis), axis=axis), axis
-    )
+    # Rows are the direction of carrying, so that memory is read in order.
+    lines = np.ascontiguousarray(depth if axis == 1 else depth.T)
+    length = lines.shape[1]
+    place = np.arange(length, dtype=np.int32)
+    gap = np.isnan(lines)
+    before = np.maximum.accumulate(np.where(gap, -1, place), axis=1)
+    after = np.minimum.accumulate(np.where(gap, length, place)[:, ::-1], axis=1)[:, ::-1]
+    rows, columns = np.nonzero(gap)
+    before, after = before[rows, columns], after[rows, columns]
     # The last value before an empty pixel and the first after it; NaN where there is none.
-    first = np.take_along_axis(depth, np.maximum(before, 0), axis)
-    last = np.take_along_axis(depth, np.minimum(after, length - 1), axis)
-    first = np.where(before >= 0, first, np.nan)
-    last = np.where(after < length, last, np.nan)
-    gap = np.isnan(depth)
-    inner = gap & (before >= 0) & (after < length)
-    nearer = np.fmin(first, last)
-    result = np.where(gap & (between | ~inner), nearer, depth)
-    return np.asarray(result, dtype=np.float32)
+    first = np.where(before >= 0, lines[rows, np.maximum(before, 0)], np.nan)
+    last = np.where(after < length, lines[rows, np.minimum(after, length - 1)], np.nan)
+    filled = np.fmin(first, last)
+    if not between:
+        filled[(before >= 0) & (after < length)] = np.nan
+    lines = lines.copy()
+    lines[rows, columns] = filled
+    return lines if axis == 1 else np.ascontiguousarray(lines.T)
 
 
 def depth_edges(depth: Depth) -> Mask:

@@ -86,7 +86,10 @@ def evaluate_depth(
         if not truth.is_file():
             raise DatasetError(f"{depth} has neither {path.stem}.npy nor {path.stem}.png")
         mask = classes / f"{path.stem}.npy"
-        dynamic = moving(np.load(mask)) if classes != depth and mask.is_file() else None
+        dynamic = None
+        if classes != depth and mask.is_file():
+            classes_of_image = np.load(mask)
+            dynamic = moving(classes_of_image.ravel()).reshape(classes_of_image.shape)
         evaluation.add(read_depth(path), read_depth(truth), dynamic, K)
     return evaluation.result()
 

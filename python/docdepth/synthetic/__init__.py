@@ -1,0 +1,29 @@
+"""Synthetic drives with exact truth: streets, sensors, and a camera between sweeps."""
+
+from docdepth.synthetic.actors import Actor, Pace, Part, Path, Standing
+from docdepth.synthetic.drive import Drive, TrueSweep, kitti_rig, sweeps_of
+from docdepth.synthetic.photo import View
+from docdepth.synthetic.scenes import SCENES, scene
+from docdepth.synthetic.sensors import Sensor, sensor, sensors
+from docdepth.synthetic.street import Scene
+from docdepth.synthetic.writer import write_drive
+
+__all__ = [
+    "SCENES",
+    "Actor",
+    "Drive",
+    "Pace",
+    "Part",
+    "Path",
+    "Scene",
+    "Sensor",
+    "Standing",
+    "TrueSweep",
+    "View",
+    "kitti_rig",
+    "scene",
+    "sensor",
+    "sensors",
+    "sweeps_of",
+    "write_drive",
+]

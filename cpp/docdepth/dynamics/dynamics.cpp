@@ -1,1 +1,0 @@
-#include "docdepth/geometry/types.hpp"

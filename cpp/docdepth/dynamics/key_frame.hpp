@@ -1,0 +1,45 @@
+// Votes of key frames on the points of a sweep (paper III-C2).
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "docdepth/geometry/types.hpp"
+
+namespace docdepth {
+
+/// Points of another sweep in the LiDAR frame of the key frame that is asked, a column each.
+struct QueryPoints {
+  std::size_t size;
+  const float* x;
+  const float* y;
+  const float* z;
+  const float* range;  ///< range_of(x, y, z); finite and above zero
+};
+
+/// A sweep made ready to be asked what it knows about the places of other points.
+class KeyFrame {
+ public:
+  virtual ~KeyFrame() = default;
+
+  /// Add this key frame's vote on each point: one to statics, one to dynamics, or none.
+  virtual void vote(const QueryPoints& points, std::uint16_t* statics,
+                    std::uint16_t* dynamics) const = 0;
+};
+
+/// How many key frames saw a surface at the place of each point (statics), how many looked through
+/// it (dynamics).
+struct Votes {
+  std::vector<std::uint16_t> statics, dynamics;
+};
+
+/// Ask every key frame about every point. Ground points are static without a vote, and rows that
+/// are no returns (not finite, or at the origin) get none.
+/// @param ground  one flag a point.
+/// @param T_world_key  pose of each key frame.
+Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
+           const std::vector<const KeyFrame*>& key_frames, const std::vector<Pose>& T_world_key,
+           int threads);
+
+}  // namespace docdepth

@@ -1,0 +1,75 @@
+#include <doctest/doctest.h>
+
+#include <array>
+#include <cmath>
+#include <memory>
+#include <vector>
+
+#include "docdepth/dynamics/range_image.hpp"
+#include "docdepth/geometry/rigid.hpp"
+
+using namespace docdepth;
+
+namespace {
+
+using Cloud = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
+
+/// A wall at x = `distance`, seen straight ahead through every pixel.
+Cloud wall(float distance) {
+  Cloud cloud(60 * 60, 3);
+  for (int i = 0; i < 60; ++i)
+    for (int j = 0; j < 60; ++j)
+      cloud.row(60 * i + j) << distance, 0.02f * (i - 30), 0.02f * (j - 30);
+  return cloud;
+}
+
+/// The votes of a wall at 10 m on one point straight ahead.
+std::array<int, 2> ask_wall(float distance, bool wall_is_ground) {
+  const Cloud cloud = wall(10.0f);
+  const auto flags = std::make_unique<bool[]>(cloud.rows());
+  std::fill_n(flags.get(), cloud.rows(), wall_is_ground);
+  const RangeImage image(cloud, flags.get(), {});
+  Cloud point(1, 3);
+  point << distance, 0.02f, 0.02f;
+  const bool ground = false;
+  const Votes votes = vote(point, &ground, Pose::Identity(), {&image}, {Pose::Identity()}, 1);
+  return {votes.statics[0], votes.dynamics[0]};
+}
+
+}  // namespace
+
+TEST_CASE("pixels of the six directions") {
+  const SphericalGrid grid(0.2 * M_PI / 180.0);
+  CHECK(grid.columns() == 1800);
+  CHECK(grid.column(-1.0f, 0.0f) == 0);
+  CHECK(grid.column(-1.0f, -0.0f) == 0);
+  CHECK(grid.column(1.0f, 0.0f) == 900);
+  CHECK(grid.column(0.1f, 1.0f) == 478);  // left, before the half of the first half
+  CHECK(grid.column(0.1f, -1.0f) == 1321);
+  CHECK(grid.row(1.0f, 1.0f) == 0);
+  CHECK(grid.row(-1.0f, 1.0f) == 900);
+  CHECK(grid.row(1.0f, 0.99999f) == 0);  // rounding may make z larger than rho
+  CHECK_THROWS_AS(SphericalGrid(0.0), std::invalid_argument);
+}
+
+TEST_CASE("a wall says static on it, dynamic before it and nothing behind it") {
+  CHECK(ask_wall(10.0f, false) == std::array<int, 2>{1, 0});
+  CHECK(ask_wall(10.1f, false) == std::array<int, 2>{1, 0});
+  CHECK(ask_wall(9.5f, false) == std::array<int, 2>{0, 1});
+  CHECK(ask_wall(12.0f, false) == std::array<int, 2>{0, 0});
+}
+
+TEST_CASE("before ground the tolerance is zero and ground never says static") {
+  CHECK(ask_wall(9.99f, true) == std::array<int, 2>{0, 1});
+  CHECK(ask_wall(10.1f, true) == std::array<int, 2>{0, 0});
+}
+
+TEST_CASE("a relative pose takes points from one frame to the other") {
+  Pose a = Pose::Identity(), b = Pose::Identity();
+  a.rotate(Eigen::AngleAxisd(0.7, Eigen::Vector3d(1, 2, 3).normalized()))
+      .pretranslate(Eigen::Vector3d(4, 5, 6));
+  b.rotate(Eigen::AngleAxisd(-1.1, Eigen::Vector3d(3, -1, 2).normalized()))
+      .pretranslate(Eigen::Vector3d(1e3, 2, 1));
+  const Eigen::Vector3d p(1, -2, 0.5);
+  CHECK((a * (between(a, b) * p) - b * p).norm() < 1e-9);
+}

@@ -1,0 +1,62 @@
+#include <doctest/doctest.h>
+
+#include <cmath>
+#include <random>
+#include <vector>
+
+#include "docdepth/ground/ground.hpp"
+#include "docdepth/ground/normal.hpp"
+
+using namespace docdepth;
+using Matrix = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
+
+namespace {
+
+/// A plane that leans by `slope`, with a post standing on it.
+Matrix scene(double slope) {
+  std::mt19937 random(1);
+  std::uniform_real_distribution<float> side(-4.f, 4.f), up(0.f, 2.f);
+  Matrix points(20000, 3);
+  for (Eigen::Index i = 0; i < points.rows(); ++i) {
+    points.row(i) << side(random), side(random), 0.f;
+    points(i, 2) = static_cast<float>(std::tan(slope) * points(i, 0)) - 1.7f;
+  }
+  for (Eigen::Index i = 0; i < 500; ++i) points.row(i) << 1.f, 1.f, up(random);
+  return points;
+}
+
+std::vector<bool> grow(const Matrix& points, const GroundParameters& parameters, int threads) {
+  GroundMap map(parameters, threads);
+  map.insert(points, Pose::Identity());
+  map.grow();
+  std::vector<char> ground(points.rows());
+  map.label(points, Pose::Identity(), reinterpret_cast<bool*>(ground.data()));
+  return {ground.begin(), ground.end()};
+}
+
+}  // namespace
+
+TEST_CASE("a gentle slope is ground, a steep one is not, the post never") {
+  for (const double degrees : {0.0, 10.0, 20.0}) {
+    const auto ground = grow(scene(degrees * M_PI / 180.0), {}, 1);
+    std::size_t plane = 0, post = 0;
+    for (std::size_t i = 0; i < ground.size(); ++i) (i < 500 ? post : plane) += ground[i];
+    CHECK(post == 0);
+    if (degrees < 15.0)
+      CHECK(plane == ground.size() - 500);
+    else
+      CHECK(plane <= 1);  // the seed
+  }
+}
+
+TEST_CASE("threads change nothing") {
+  const Matrix points = scene(0.1);
+  CHECK(grow(points, {}, 1) == grow(points, {}, 2));
+}
+
+TEST_CASE("an empty map has no ground") {
+  GroundMap map({}, 1);
+  CHECK(map.grow() == 0);
+  map.insert(Matrix(0, 3), Pose::Identity());
+  CHECK(map.grow() == 0);
+}

@@ -1,0 +1,264 @@
+"""Which points move: key frames, votes and classes (paper III-C2, Algorithm 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth import _core
+from docdepth.config import DynamicsParameters
+from docdepth.errors import InputError
+from docdepth.trajectory import Trajectory, check_rigid
+
+GROUND, STATIC, DYNAMIC = 0, 50, 100
+"""Values of ``classid``, as ``frames/*.ply`` stores it."""
+
+
+@dataclass(frozen=True)
+class Votes:
+    """What the key frames said about the points of one sweep.
+
+    Attributes
+    ----------
+    static : ndarray of uint16, shape (N,)
+        Key frames that saw a surface at the place of the point.
+    dynamic : ndarray of uint16, shape (N,)
+        Key frames that looked through it.
+    """
+
+    static: NDArray[np.uint16]
+    dynamic: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Class and votes of every point of one sweep.
+
+    Attributes
+    ----------
+    classid : ndarray of uint16, shape (N,)
+        0 ground, 50 static, 100 dynamic.
+    votes : Votes
+    """
+
+    classid: NDArray[np.uint16]
+    votes: Votes
+
+
+def key_frames(
+    trajectory: Trajectory, parameters: DynamicsParameters | None = None
+) -> list[NDArray[np.int64]]:
+    """Choose the key frames that vote on each sweep.
+
+    The trajectory is subsampled twice, finely and coarsely; fine key frames vote on near sweeps,
+    coarse ones also on far sweeps. A key frame votes once, and never on itself.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    parameters : DynamicsParameters, optional
+
+    Returns
+    -------
+    list of ndarray of int64
+        For each sweep the indices of its key frames, increasing.
+    """
+    p = parameters or DynamicsParameters()
+    arc = trajectory.arc_length
+    kinds = [
+        (trajectory.subsample(p.fine_spacing), p.fine_radius),
+        (trajectory.subsample(p.coarse_spacing), p.coarse_radius),
+    ]
+    chosen = []
+    for i in range(len(trajectory)):
+        near = [frames[np.abs(arc[frames] - arc[i]) <= radius] for frames, radius in kinds]
+        union = np.unique(np.concatenate(near)).astype(np.int64)
+        chosen.append(union[union != i])
+    return chosen
+
+
+class KeyFrame:
+    """A sweep made ready to be asked about the places of other points: the paper's range image.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        The deskewed sweep, LiDAR frame, metres. Rows that are not finite or lie at the origin are
+        no returns and are left out.
+    ground : ndarray of bool, shape (N,)
+    parameters : DynamicsParameters, optional
+
+    Raises
+    ------
+    InputError
+        A shape or dtype is wrong.
+    """
+
+    def __init__(
+        self,
+        points: NDArray[np.float32],
+        ground: NDArray[np.bool_],
+        parameters: DynamicsParameters | None = None,
+    ) -> None:
+        p = parameters or DynamicsParameters()
+        points, ground = _check_sweep(points, ground)
+        self._core = _core.RangeImage(
+            points, ground, np.radians(p.resolution_deg), p.window, p.tolerance
+        )
+
+
+def vote(
+    points: NDArray[np.float32],
+    ground: NDArray[np.bool_],
+    T_world_lidar: NDArray[np.float64],
+    key_frames: Sequence[KeyFrame],
+    poses: NDArray[np.float64],
+    parameters: DynamicsParameters | None = None,
+    threads: int = 0,
+) -> Votes:
+    """Ask key frames about every point of a sweep (Algorithm 1).
+
+    Ground points are static without a vote; rows that are not finite get none.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        The deskewed sweep, LiDAR frame, metres.
+    ground : ndarray of bool, shape (N,)
+    T_world_lidar : ndarray of float64, shape (4, 4)
+        Pose of the sweep.
+    key_frames : sequence of KeyFrame, length k
+    poses : ndarray of float64, shape (k, 4, 4)
+        ``T_world_lidar`` of each key frame.
+    parameters : DynamicsParameters, optional
+    threads : int
+        0 for all cores. The votes do not depend on it.
+
+    Returns
+    -------
+    Votes
+
+    Raises
+    ------
+    InputError
+        A shape or dtype is wrong, or a pose is not rigid.
+    """
+    points, ground = _check_sweep(points, ground)
+    pose = np.ascontiguousarray(T_world_lidar, dtype=np.float64)
+    poses = np.ascontiguousarray(poses, dtype=np.float64)
+    if not key_frames:
+        poses = np.zeros((0, 4, 4))
+    if pose.shape != (4, 4) or poses.shape != (len(key_frames), 4, 4):
+        raise InputError(
+            f"voting needs a (4, 4) pose of the sweep and one of each of the {len(key_frames)} key "
+            f"frames; got {pose.shape} and {poses.shape}"
+        )
+    check_rigid(np.concatenate([pose[None], poses]))
+    static, dynamic = _core.vote(
+        points, ground, pose, [frame._core for frame in key_frames], poses, threads
+    )
+    return Votes(static, dynamic)
+
+
+def classify(
+    ground: NDArray[np.bool_], votes: Votes, parameters: DynamicsParameters | None = None
+) -> NDArray[np.uint16]:
+    """Turn votes into classes: dynamic where more key frames say so than say static.
+
+    Ties and points without a vote are static.
+
+    Parameters
+    ----------
+    ground : ndarray of bool, shape (N,)
+    votes : Votes
+    parameters : DynamicsParameters, optional
+
+    Returns
+    -------
+    ndarray of uint16, shape (N,)
+        0 ground, 50 static, 100 dynamic.
+    """
+    classid = np.where(votes.dynamic > votes.static, DYNAMIC, STATIC)
+    return np.where(ground, GROUND, classid).astype(np.uint16)
+
+
+def classify_drive(
+    sweeps: Sequence[NDArray[np.float32]],
+    trajectory: Trajectory,
+    parameters: DynamicsParameters | None = None,
+    threads: int = 0,
+    ground: Sequence[NDArray[np.bool_]] | None = None,
+) -> list[Labels]:
+    """Classify a drive that fits into memory.
+
+    Parameters
+    ----------
+    sweeps : sequence of ndarray of float32, shape (N, 3)
+        Deskewed sweeps, LiDAR frame, metres.
+    trajectory : Trajectory
+        One pose a sweep.
+    parameters : DynamicsParameters, optional
+    threads : int
+        0 for all cores.
+    ground : sequence of ndarray of bool, optional
+        Ground labels of each sweep; grown by :func:`docdepth.ground.grow_ground` when left out.
+
+    Returns
+    -------
+    list of Labels
+        One a sweep.
+
+    Raises
+    ------
+    InputError
+        The numbers of sweeps, poses and ground labels differ, or an array is wrong.
+    """
+    if ground is None:
+        from docdepth.ground import grow_ground
+
+        ground = grow_ground(sweeps, trajectory.poses, threads=threads)
+    if not len(sweeps) == len(trajectory) == len(ground):
+        raise InputError(
+            f"{len(sweeps)} sweeps, {len(trajectory)} poses and {len(ground)} ground labels do not "
+            "belong to the same drive; give one of each a sweep"
+        )
+    chosen = key_frames(trajectory, parameters)
+    frames = {
+        int(j): KeyFrame(sweeps[j], ground[j], parameters)
+        for j in np.unique(np.concatenate(chosen))
+    }
+    labels = []
+    for i, sweep in enumerate(sweeps):
+        asked = [frames[int(j)] for j in chosen[i]]
+        votes = vote(
+            sweep,
+            ground[i],
+            trajectory.poses[i],
+            asked,
+            trajectory.poses[chosen[i]],
+            parameters,
+            threads,
+        )
+        labels.append(Labels(classify(ground[i], votes, parameters), votes))
+    return labels
+
+
+def _check_sweep(
+    points: NDArray[np.float32], ground: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Contiguous points and ground flags, or an error that says what to change."""
+    points, ground = np.asarray(points), np.asarray(ground)
+    if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
+        raise InputError(
+            f"points must be float32 of shape (N, 3), got {points.dtype} {points.shape}; "
+            "convert them once where they are read"
+        )
+    if ground.dtype != np.bool_ or ground.shape != points.shape[:1]:
+        raise InputError(
+            f"ground must be bool of shape ({len(points)},), one flag a point, "
+            f"got {ground.dtype} {ground.shape}"
+        )
+    return np.ascontiguousarray(points), np.ascontiguousarray(ground)

@@ -1,0 +1,199 @@
+"""Things that move: a path on the road, a speed over time, and parts that swing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from docdepth.synthetic.mesh import Mesh
+from docdepth.synthetic.road import Floats, Road, resting_poses
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Speed over time: stands until ``departure``, gains ``acceleration`` up to ``speed``.
+
+    Attributes
+    ----------
+    speed : float
+        Metres a second.
+    departure : float
+        Seconds; minus infinity for something that has been moving for ever.
+    acceleration : float
+        Metres a second squared.
+    wave : float
+        Share by which the speed swings about ``speed`` while moving, with ``period`` seconds.
+    stop : float
+        Seconds after which it brakes to a stand.
+    """
+
+    speed: float
+    departure: float = -np.inf
+    acceleration: float = 1.8
+    wave: float = 0.0
+    period: float = 7.0
+    stop: float = np.inf
+
+    def _covered(self, t: Floats) -> Floats:
+        if np.isinf(self.departure):
+            turn = 2 * np.pi / self.period
+            return self.speed * (t + self.wave * np.sin(turn * t) / turn)
+        ramp = self.speed / self.acceleration
+        since = np.clip(t - self.departure, 0.0, None)
+        gaining = np.minimum(since, ramp)
+        return 0.5 * self.acceleration * gaining**2 + self.speed * (since - gaining)
+
+    def distance(self, times: ArrayLike) -> Floats:
+        """Metres covered by ``times`` [s]; 0 at time 0 for what has always been moving."""
+        t = np.asarray(times, np.float64)
+        braking = np.clip(t - self.stop, 0.0, self.speed / self.acceleration)
+        slowed = self.speed * braking - 0.5 * self.acceleration * braking**2
+        return self._covered(np.minimum(t, self.stop)) + slowed
+
+    def at(self, times: ArrayLike) -> Floats:
+        """Speed at ``times`` [s]."""
+        t = np.asarray(times, np.float64)
+        half = 1e-3
+        return (self.distance(t + half) - self.distance(t - half)) / (2 * half)
+
+
+@dataclass(frozen=True)
+class Path:
+    """Straight lines between points (s, d) of the road, followed at a pace.
+
+    Attributes
+    ----------
+    road : Road
+    points : ndarray of float64, shape (k, 2)
+    pace : Pace
+    start : float
+        Metres along the path where the distance of ``pace`` is 0.
+    length, width : float
+        Between the points that rest on the ground; corners are rounded over ``length``.
+    """
+
+    road: Road
+    points: Floats
+    pace: Pace
+    start: float = 0.0
+    length: float = 2.6
+    width: float = 1.5
+
+    def along(self, distance: Floats) -> Floats:
+        """Points (s, d) at a distance along the path; it goes on straight beyond its ends."""
+        points = np.asarray(self.points, np.float64)
+        step = np.diff(points, axis=0)
+        length = np.linalg.norm(step, axis=1)
+        knots = np.concatenate([[0.0], np.cumsum(length)])
+        piece = np.clip(np.searchsorted(knots, distance, side="right") - 1, 0, len(step) - 1)
+        share = (distance - knots[piece]) / length[piece]
+        result: Floats = points[piece] + share[..., None] * step[piece]
+        return result
+
+    def distance(self, times: ArrayLike) -> Floats:
+        """Metres along the path at ``times`` [s]."""
+        return self.start + self.pace.distance(times)
+
+    def poses(self, times: ArrayLike) -> Floats:
+        """``T_world_actor`` (n, 4, 4); x forward, z up, origin on the ground."""
+        distance = self.distance(np.atleast_1d(times))
+        front = self.along(distance + 0.5 * self.length)
+        rear = self.along(distance - 0.5 * self.length)
+        forward = front - rear
+        forward = forward / np.linalg.norm(forward, axis=1, keepdims=True)
+        left = 0.5 * self.width * np.stack([-forward[:, 1], forward[:, 0]], axis=1)
+        centre = 0.5 * (front + rear)
+        ends = [front, rear, centre + left, centre - left]
+        return resting_poses(*(self.road.point(e[:, 0], e[:, 1]) for e in ends))
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A fixed pose, in the place of a path."""
+
+    pose: Floats
+
+    def poses(self, times: ArrayLike) -> Floats:
+        return np.repeat(self.pose[None], len(np.atleast_1d(times)), axis=0)
+
+    def distance(self, times: ArrayLike) -> Floats:
+        return np.zeros(np.shape(np.atleast_1d(times)))
+
+
+@dataclass(frozen=True)
+class Part:
+    """A rigid piece of an actor; ``swing`` gives its pose (n, 4, 4) from metres covered."""
+
+    mesh: Mesh
+    swing: Callable[[Floats, Floats], Floats] | None = None
+
+
+@dataclass(frozen=True)
+class Actor:
+    """Something that moves, or may.
+
+    Attributes
+    ----------
+    name : str
+    parts : sequence of Part
+    path : Path or Standing
+    label : int
+        SemanticKITTI class while it never moves.
+    moving_label : int
+        Class when it moves at any time of the drive.
+    """
+
+    name: str
+    parts: Sequence[Part]
+    path: Path | Standing
+    label: int
+    moving_label: int
+    radius: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        reach = max(float(np.linalg.norm(p.mesh.vertices, axis=1).max()) for p in self.parts)
+        object.__setattr__(self, "radius", reach + 0.3)
+
+    def speed(self, times: ArrayLike) -> Floats:
+        """Metres a second at ``times`` [s], shape (n,)."""
+        times = np.atleast_1d(np.asarray(times, np.float64))
+        if isinstance(self.path, Standing):
+            return np.zeros(len(times))
+        return self.path.pace.at(times)
+
+    def moves_between(self, start: float, end: float) -> bool:
+        """Whether it covers more than 5 cm between two times [s]."""
+        covered = self.path.distance(np.linspace(start, end, 101))
+        return bool(np.ptp(covered) > 0.05)
+
+    def part_poses(self, part: Part, times: NDArray[np.float64]) -> Floats:
+        """``T_world_part`` (n, 4, 4) at ``times`` [s]."""
+        poses = self.path.poses(times)
+        if part.swing is None:
+            return poses
+        return poses @ part.swing(self.path.distance(times), self.speed(times))
+
+
+def swinging(
+    pivot: ArrayLike, amplitude: float, stride: float, phase: float
+) -> Callable[[Floats, Floats], Floats]:
+    """A limb that swings about the y axis through ``pivot``, once in ``stride`` metres."""
+    x, y, z = np.asarray(pivot, np.float64)
+
+    def swing(distance: Floats, speed: Floats) -> Floats:
+        # The amplitude fades below half a metre a second, so that who stands, stands still.
+        angle = amplitude * np.clip(speed / 0.5, 0.0, 1.0)
+        angle = angle * np.sin(2 * np.pi * distance / stride + phase)
+        poses = np.zeros((len(angle), 4, 4))
+        cos, sin = np.cos(angle), np.sin(angle)
+        poses[:, 0, 0], poses[:, 0, 2] = cos, sin
+        poses[:, 2, 0], poses[:, 2, 2] = -sin, cos
+        poses[:, 1, 1] = poses[:, 3, 3] = 1.0
+        poses[:, 0, 3] = x - cos * x - sin * z
+        poses[:, 2, 3] = z + sin * x - cos * z
+        return poses
+
+    return swing

@@ -1,0 +1,189 @@
+"""Triangle meshes and the few shapes that streets are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Colour = tuple[float, float, float]
+
+
+class Paint(NamedTuple):
+    """What a face is made of.
+
+    Attributes
+    ----------
+    label : int
+        SemanticKITTI class.
+    colour : tuple of float
+        Red, green, blue in 0..1.
+    reflectivity : float
+        Diffuse at the LiDAR's wavelength, 0..1; above 1 for retro-reflectors. Glass is near 0.
+    """
+
+    label: int
+    colour: Colour
+    reflectivity: float = 0.3
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles with a class, a colour and a reflectivity each.
+
+    Attributes
+    ----------
+    vertices : ndarray of float64, shape (V, 3)
+    faces : ndarray of int32, shape (F, 3)
+    labels : ndarray of uint32, shape (F,)
+        SemanticKITTI class in the low, instance in the high 16 bits.
+    colours : ndarray of float32, shape (F, 3)
+    reflectivity : ndarray of float32, shape (F,)
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    labels: NDArray[np.uint32]
+    colours: NDArray[np.float32]
+    reflectivity: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.faces)
+
+    def moved(self, pose: NDArray[np.float64]) -> Mesh:
+        """The same triangles after the 4x4 transform ``pose``."""
+        vertices = self.vertices @ pose[:3, :3].T + pose[:3, 3]
+        return Mesh(vertices, self.faces, self.labels, self.colours, self.reflectivity)
+
+    @property
+    def normals(self) -> NDArray[np.float64]:
+        """Unit normal of each face, shape (F, 3); zero for a degenerate one."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        normal = np.cross(b - a, c - a)
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        result: NDArray[np.float64] = normal / np.where(length > 0, length, 1.0)
+        return result
+
+
+def painted(vertices: ArrayLike, faces: ArrayLike, paint: Paint) -> Mesh:
+    """A mesh of one paint."""
+    faces = np.asarray(faces, dtype=np.int32).reshape(-1, 3)
+    return Mesh(
+        np.asarray(vertices, dtype=np.float64).reshape(-1, 3),
+        faces,
+        np.full(len(faces), paint.label, np.uint32),
+        np.tile(np.float32(paint.colour), (len(faces), 1)),
+        np.full(len(faces), paint.reflectivity, np.float32),
+    )
+
+
+def merged(meshes: Sequence[Mesh]) -> Mesh:
+    """All triangles in one mesh, in the order given."""
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate(
+            [mesh.faces + np.int32(o) for mesh, o in zip(meshes, offsets[:-1], strict=True)]
+        ),
+        np.concatenate([mesh.labels for mesh in meshes]),
+        np.concatenate([mesh.colours for mesh in meshes]),
+        np.concatenate([mesh.reflectivity for mesh in meshes]),
+    )
+
+
+def pose_of(x: float, y: float, z: float, yaw: float = 0.0) -> NDArray[np.float64]:
+    """A 4x4 pose from a position and a heading."""
+    pose = np.eye(4)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    pose[:2, :2] = ((cos, -sin), (sin, cos))
+    pose[:3, 3] = (x, y, z)
+    return pose
+
+
+def quads(corners: ArrayLike, paint: Paint) -> Mesh:
+    """Four-sided faces, shape (n, 4, 3), each cut into two triangles."""
+    corners = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 3)
+    first = 4 * np.arange(len(corners))[:, None]
+    faces = np.concatenate([first + (0, 1, 2), first + (0, 2, 3)], axis=1)
+    return painted(corners, faces, paint)
+
+
+def box(size: ArrayLike, centre: ArrayLike, paint: Paint) -> Mesh:
+    """A box along the axes."""
+    signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    vertices = np.asarray(centre) + 0.5 * np.asarray(size) * signs
+    faces = (
+        *((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)),
+        *((2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),
+    )
+    return painted(vertices, faces, paint)
+
+
+def loft(sections: ArrayLike, paint: Paint) -> Mesh:
+    """The closed hull of successive outlines with equally many points, shape (k, m, 3).
+
+    The first and the last outline are closed by fans about their first point.
+    """
+    sections = np.asarray(sections, dtype=np.float64)
+    count, sides = sections.shape[:2]
+    ring = np.arange(sides)
+    low = (ring + sides * np.arange(count - 1)[:, None]).ravel()
+    next_low = (np.roll(ring, -1) + sides * np.arange(count - 1)[:, None]).ravel()
+    wall = np.stack([low, next_low, next_low + sides, low, next_low + sides, low + sides], axis=1)
+    fan = np.stack([np.zeros(sides - 2, int), ring[1:-1], ring[2:]], axis=1)
+    caps = np.concatenate([fan[:, ::-1], fan + sides * (count - 1)])
+    return painted(sections, np.concatenate([wall.reshape(-1, 3), caps]), paint)
+
+
+def tube(path: ArrayLike, radii: ArrayLike, paint: Paint, sides: int = 8) -> Mesh:
+    """A round bar along the points ``path`` (k, 3) with a radius at each of them."""
+    path = np.asarray(path, dtype=np.float64)
+    radii = np.broadcast_to(np.asarray(radii, dtype=np.float64), (len(path),))
+    axis = path[-1] - path[0]
+    axis = axis / np.linalg.norm(axis)
+    helper = np.array((0.0, 1.0, 0.0)) if abs(axis[1]) < 0.9 else np.array((1.0, 0.0, 0.0))
+    u = np.cross(helper, axis)
+    u /= np.linalg.norm(u)
+    v = np.cross(axis, u)
+    angle = 2 * np.pi * np.arange(sides) / sides
+    outline = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v
+    return loft(path[:, None] + radii[:, None, None] * outline, paint)
+
+
+def ball(centre: ArrayLike, radii: ArrayLike, paint: Paint, sides: int = 8) -> Mesh:
+    """An ellipsoid."""
+    polar = np.linspace(0.05, np.pi - 0.05, max(sides // 2 + 1, 4))
+    azimuth = 2 * np.pi * np.arange(sides) / sides
+    ring = np.stack([np.cos(azimuth), np.sin(azimuth), np.ones(sides)], axis=1)
+    scale = np.stack([np.sin(polar), np.sin(polar), -np.cos(polar)], axis=1)
+    return loft(np.asarray(centre) + np.asarray(radii) * ring * scale[:, None], paint)
+
+
+def leaves(
+    centres: NDArray[np.float64], size: float, paint: Paint, rng: np.random.Generator
+) -> Mesh:
+    """Small quads at ``centres`` (n, 3), turned every way, of different greens."""
+    count = len(centres)
+    u = rng.normal(size=(count, 3))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v = np.cross(u, rng.normal(size=(count, 3)))
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    scale = size * rng.uniform(0.6, 1.4, (count, 1))
+    u, v = 0.5 * scale * u, 0.35 * scale * v
+    mesh = quads(np.stack([centres - u, centres + v, centres + u, centres - v], axis=1), paint)
+    tint = np.repeat(rng.uniform(0.7, 1.25, (count, 1)).astype(np.float32), 2, axis=0)
+    return Mesh(mesh.vertices, mesh.faces, mesh.labels, mesh.colours * tint, mesh.reflectivity)
+
+
+def scattered(
+    count: int, centre: ArrayLike, radii: ArrayLike, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Points in an ellipsoid, denser towards its skin, as leaves are."""
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    radius = rng.uniform(0.3, 1.0, (count, 1)) ** 0.5
+    result: NDArray[np.float64] = np.asarray(centre) + np.asarray(radii) * direction * radius
+    return result

@@ -1,0 +1,128 @@
+"""A road as a coordinate system: everything in a scene stands at (s, d) along and across it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from docdepth.synthetic.mesh import Mesh, Paint, painted
+
+Floats = NDArray[np.float64]
+_STEP = 0.1
+
+
+@dataclass(frozen=True)
+class Road:
+    """A centre line with elevation and a cross profile.
+
+    Attributes
+    ----------
+    start, end : float
+        Range of ``s``, metres along the centre line.
+    heading : callable
+        Heading of the centre line at ``s``, radians; smooth.
+    elevation : callable
+        Height of the centre line at ``s``, metres; smooth.
+    profile : callable
+        Height above the centre line at ``(s, d)``; ``d`` is metres to the left.
+    paint : callable
+        Index into ``paints`` for each cell of the ground, from its centre's ``(s, d)``.
+    s_cuts, d_cuts : sequence of float
+        Where the ground has an edge (kerbs, markings), so that the mesh has one too.
+    """
+
+    start: float
+    end: float
+    heading: Callable[[Floats], Floats]
+    elevation: Callable[[Floats], Floats]
+    profile: Callable[[Floats, Floats], Floats]
+    paint: Callable[[Floats, Floats], NDArray[np.int64]]
+    paints: Sequence[Paint]
+    d_cuts: Sequence[float]
+    s_cuts: Sequence[float] = ()
+    line: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        s = np.arange(self.start, self.end + _STEP, _STEP)
+        heading = self.heading(s + 0.5 * _STEP)
+        steps = _STEP * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        points = np.concatenate([np.zeros((1, 2)), np.cumsum(steps[:-1], axis=0)])
+        object.__setattr__(self, "line", np.column_stack([s, points]))
+
+    def height(self, s: ArrayLike, d: ArrayLike) -> Floats:
+        """Height of the ground at (s, d)."""
+        s, d = np.asarray(s, np.float64), np.asarray(d, np.float64)
+        return self.elevation(s) + self.profile(s, d)
+
+    def point(self, s: ArrayLike, d: ArrayLike, above: ArrayLike = 0.0) -> Floats:
+        """World points (..., 3) at (s, d), ``above`` the ground."""
+        s, d = np.broadcast_arrays(np.asarray(s, np.float64), np.asarray(d, np.float64))
+        heading = self.heading(s)
+        x = np.interp(s, self.line[:, 0], self.line[:, 1]) - d * np.sin(heading)
+        y = np.interp(s, self.line[:, 0], self.line[:, 2]) + d * np.cos(heading)
+        return np.stack([x, y, self.height(s, d) + above], axis=-1)
+
+    def place(self, s: float, d: float, yaw: float = 0.0, above: float = 0.0) -> Floats:
+        """Pose of an upright thing at (s, d), turned by ``yaw`` from the road's heading."""
+        pose = np.eye(4)
+        angle = float(self.heading(np.asarray(s))) + yaw
+        pose[:2, :2] = ((np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle)))
+        pose[:3, 3] = self.point(s, d, above)
+        return pose
+
+    def resting(self, s: float, d: float, yaw: float, length: float, width: float) -> Floats:
+        """Pose of a thing that rests on the ground with four wheels ``length`` by ``width``."""
+        along = 0.5 * length * np.array((np.cos(yaw), np.sin(yaw)))
+        across = 0.5 * width * np.array((-np.sin(yaw), np.cos(yaw)))
+        ends = np.array([along, -along, across, -across]) + (s, d)
+        return resting_poses(*self.point(ends[:, 0], ends[:, 1])[:, None])[0]
+
+    def ground(self, step: float = 1.0) -> Mesh:
+        """The ground as a mesh; its cells follow the kerbs and markings."""
+        s = _breaks(self.start, self.end, step, self.s_cuts)
+        d = np.unique(np.round(np.asarray(self.d_cuts, np.float64), 4))
+        grid_s, grid_d = np.meshgrid(s, d, indexing="ij")
+        vertices = self.point(grid_s, grid_d).reshape(-1, 3)
+        index = np.arange(grid_s.size).reshape(grid_s.shape)
+        a, b, c, e = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+        faces = np.stack([a, b, c, a, c, e], axis=-1).reshape(-1, 3)
+        centre_s, centre_d = np.meshgrid(_middles(s), _middles(d), indexing="ij")
+        kind = np.repeat(self.paint(centre_s.ravel(), centre_d.ravel()), 2)
+        mesh = painted(vertices, faces, self.paints[0])
+        return Mesh(
+            mesh.vertices,
+            mesh.faces,
+            np.array([p.label for p in self.paints], np.uint32)[kind],
+            np.array([p.colour for p in self.paints], np.float32)[kind],
+            np.array([p.reflectivity for p in self.paints], np.float32)[kind],
+        )
+
+
+def resting_poses(front: Floats, rear: Floats, left: Floats, right: Floats) -> Floats:
+    """Poses (n, 4, 4) of things that rest on four points each, (n, 3)."""
+    x = front - rear
+    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+    y = left - right
+    y = y - x * (x * y).sum(axis=-1, keepdims=True)
+    y = y / np.linalg.norm(y, axis=-1, keepdims=True)
+    poses = np.zeros((len(x), 4, 4))
+    poses[:, :3, 0], poses[:, :3, 1], poses[:, :3, 2] = x, y, np.cross(x, y)
+    poses[:, :3, 3] = 0.5 * (front + rear)
+    poses[:, 3, 3] = 1.0
+    return poses
+
+
+def _breaks(start: float, end: float, step: float, cuts: Sequence[float]) -> Floats:
+    regular = np.arange(start, end + step, step)
+    cuts_array = np.asarray(cuts, np.float64)
+    if len(cuts_array):
+        distance = np.abs(regular[:, None] - cuts_array).min(axis=1)
+        regular = np.concatenate([regular[distance > 0.05], cuts_array])
+    return np.unique(np.round(regular, 4))
+
+
+def _middles(values: Floats) -> Floats:
+    return 0.5 * (values[1:] + values[:-1])

@@ -1,0 +1,207 @@
+"""LiDAR models: where each sensor looks, when, and what comes back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import InputError
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """The rays of one sweep.
+
+    Attributes
+    ----------
+    directions : ndarray of float64, shape (N, 3)
+        Unit vectors in the LiDAR frame.
+    fractions : ndarray of float64, shape (m,)
+        The different moments of firing, -0.5..0.5 of a sweep about its stamp.
+    which : ndarray of int64, shape (N,)
+        Index into ``fractions`` for each ray.
+    rings : ndarray of int64, shape (N,)
+        Number of the laser.
+    """
+
+    directions: Floats
+    fractions: Floats
+    which: NDArray[np.int64]
+    rings: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A LiDAR.
+
+    Attributes
+    ----------
+    name : str
+    pattern : callable
+        Rays of sweep ``k``.
+    reach : float
+        Metres at which one in two pulses returns from a grey surface (reflectivity 0.1) met
+        head-on; decides what drops out.
+    min_range, max_range : float
+        Metres.
+    noise : float
+        Standard deviation of range, metres.
+    bias : float
+        Standard deviation of the constant range error of each laser, metres.
+    period : float
+        Seconds a sweep.
+    height : float
+        Metres above the ground.
+    """
+
+    name: str
+    pattern: Callable[[int], Pattern]
+    reach: float
+    min_range: float
+    max_range: float
+    noise: float
+    bias: float = 0.0
+    period: float = 0.1
+    height: float = 1.73
+
+    def returned(
+        self,
+        distance: Floats,
+        reflectivity: NDArray[np.float32],
+        cosine: NDArray[np.float32],
+        rng: np.random.Generator,
+    ) -> NDArray[np.bool_]:
+        """Which pulses come back: the weaker the echo, the fewer.
+
+        Rough surfaces send more back at grazing angles than Lambert's law says; the square root
+        of the cosine keeps the road visible as far as on real sweeps.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            power = reflectivity / 0.1 * np.sqrt(np.maximum(cosine, 1e-3))
+            power = power * (self.reach / distance) ** 2
+            chance = power**2 / (1.0 + power**2)
+        in_range = (distance >= self.min_range) & (distance <= self.max_range)
+        # Half a percent is lost whatever the echo.
+        result: NDArray[np.bool_] = in_range & (rng.random(len(distance)) < 0.995 * chance)
+        return result
+
+
+def _spinning(
+    elevations: Floats, columns: int, offsets: Floats | None = None
+) -> Callable[[int], Pattern]:
+    """Clockwise from above, seam at the back, forward at the stamp, one ring after the other.
+
+    ``offsets`` are the azimuths of the lasers against each other, radians.
+    """
+    rings = len(elevations)
+    fractions = (np.arange(columns) + 0.5) / columns - 0.5
+    azimuth = -2.0 * np.pi * fractions[None] + (0.0 if offsets is None else offsets[:, None])
+    azimuth = np.broadcast_to(azimuth, (rings, columns)).ravel()
+    elevation = np.repeat(elevations, columns)
+    directions = np.stack(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        axis=1,
+    )
+    pattern = Pattern(
+        directions,
+        fractions,
+        np.tile(np.arange(columns), rings),
+        np.repeat(np.arange(rings), columns),
+    )
+    return lambda index: pattern
+
+
+def _rosette(
+    points: int, lasers: int, half_width: float, half_height: float
+) -> Callable[[int], Pattern]:
+    """Two wedge prisms that turn against each other: a rosette that never repeats.
+
+    The speeds are those measured on Livox's first units, 7294 and -4664 turns a minute.
+    """
+
+    def pattern(index: int) -> Pattern:
+        moments = points // lasers
+        fractions = (np.arange(moments) + 0.5) / moments - 0.5
+        seconds = 0.1 * (index + fractions)
+        first = 2 * np.pi * 7294.0 / 60.0 * seconds
+        second = -2 * np.pi * 4664.0 / 60.0 * seconds
+        x = 0.5 * (np.cos(first) + np.cos(second))
+        y = 0.5 * (np.sin(first) + np.sin(second))
+        # The lasers stand side by side; each draws the same rosette a little apart.
+        spread = np.radians(1.2) * (np.arange(lasers) - 0.5 * (lasers - 1)) / lasers
+        azimuth = (half_width * x[None] + spread[:, None]).ravel()
+        elevation = (half_height * y[None] + 0.7 * spread[:, None]).ravel()
+        directions = np.stack(
+            [
+                np.cos(elevation) * np.cos(azimuth),
+                np.cos(elevation) * np.sin(azimuth),
+                np.sin(elevation),
+            ],
+            axis=1,
+        )
+        which = np.tile(np.arange(moments), lasers)
+        order = np.argsort(which, kind="stable")
+        rings = np.repeat(np.arange(lasers), moments)
+        return Pattern(directions[order], fractions, which[order], rings[order])
+
+    return pattern
+
+
+def _hdl64() -> Callable[[int], Pattern]:
+    upper = np.linspace(2.0, -8.33, 32)
+    lower = np.linspace(-8.87, -24.8, 32)
+    # Lasers do not look along one plane: a fixed part of a degree each.
+    offsets = np.radians(np.random.default_rng(64).uniform(-0.4, 0.4, 64))
+    return _spinning(np.radians(np.concatenate([upper, lower])), 2083, offsets)
+
+
+def _degrees(first: float, last: float, count: int) -> Floats:
+    return np.radians(np.linspace(first, last, count))
+
+
+def sensors() -> dict[str, Callable[[], Sensor]]:
+    """Every sensor by name."""
+    return {
+        "HDL-64": lambda: Sensor("HDL-64", _hdl64(), 62.0, 0.9, 120.0, 0.015, bias=0.008),
+        "OS1-128": lambda: Sensor(
+            "OS1-128", _spinning(_degrees(22.5, -22.5, 128), 1024), 60.0, 0.5, 120.0, 0.015
+        ),
+        "XT-32": lambda: Sensor(
+            "XT-32", _spinning(_degrees(15.0, -16.0, 32), 2000), 80.0, 0.3, 120.0, 0.008
+        ),
+        "VLP-16": lambda: Sensor(
+            "VLP-16", _spinning(_degrees(15.0, -15.0, 16), 1800), 50.0, 0.5, 100.0, 0.015
+        ),
+        "Avia": lambda: Sensor(
+            "Avia",
+            _rosette(24000, 6, np.radians(35.2), np.radians(38.6)),
+            *(100.0, 1.0, 190.0, 0.02),
+        ),
+    }
+
+
+def sensor(name: str) -> Sensor:
+    """A LiDAR model.
+
+    Parameters
+    ----------
+    name : {"HDL-64", "OS1-128", "XT-32", "VLP-16", "Avia"}
+
+    Raises
+    ------
+    InputError
+        There is no such sensor.
+    """
+    known = sensors()
+    if name not in known:
+        raise InputError(f"there is no sensor {name!r}; known are {', '.join(known)}")
+    return known[name]()

@@ -1,0 +1,166 @@
+"""A scene being built: things are put on a road, actors sent along it."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from docdepth.synthetic import things
+from docdepth.synthetic.actors import Actor, Pace, Part, Path
+from docdepth.synthetic.mesh import Mesh, Paint, merged, pose_of
+from docdepth.synthetic.road import Floats, Road
+
+ASPHALT = Paint(40, (0.30, 0.30, 0.31), 0.17)
+MARKING = Paint(60, (0.85, 0.85, 0.82), 0.6)
+PAVEMENT = Paint(48, (0.55, 0.53, 0.50), 0.3)
+GRASS = Paint(72, (0.33, 0.42, 0.18), 0.4)
+PARKING = Paint(44, (0.38, 0.37, 0.37), 0.2)
+COURT = Paint(49, (0.48, 0.46, 0.41), 0.3)
+KERB = Paint(48, (0.66, 0.65, 0.62), 0.35)
+PAINTS = (ASPHALT, MARKING, PAVEMENT, GRASS, PARKING, COURT, KERB)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A street and everything on it.
+
+    Attributes
+    ----------
+    name : str
+    seed : int
+    still : Mesh
+        All that never moves, world frame.
+    actors : list of Actor
+    ego : Path
+        Way of the point on the road below the LiDAR.
+    duration : float
+        Seconds after time 0 for which the street is long enough.
+    """
+
+    name: str
+    seed: int
+    still: Mesh
+    actors: list[Actor]
+    ego: Path
+    duration: float
+
+
+@dataclass
+class Street:
+    """Collects the parts of a scene.
+
+    Attributes
+    ----------
+    road : Road
+    rng : Generator
+    """
+
+    road: Road
+    rng: np.random.Generator
+    meshes: list[Mesh] = field(default_factory=list)
+    actors: list[Actor] = field(default_factory=list)
+    instances: int = 1000
+
+    def put(self, mesh: Mesh, s: float, d: float, yaw: float = 0.0, above: float = 0.0) -> None:
+        """Stand something upright on the ground."""
+        self.meshes.append(mesh.moved(self.road.place(s, d, yaw, above)))
+
+    def park(self, mesh: Mesh, s: float, d: float, yaw: float = 0.0) -> None:
+        """Put a vehicle on its wheels, an instance of its own."""
+        self.instances += 1
+        labels = mesh.labels | np.uint32(self.instances << 16)
+        mesh = Mesh(mesh.vertices, mesh.faces, labels, mesh.colours, mesh.reflectivity)
+        self.meshes.append(mesh.moved(self.road.resting(s, d, yaw, 2.6, 1.5)))
+
+    def send(
+        self, kind: str, points: ArrayLike, pace: Pace, start: float = 0.0, name: str = ""
+    ) -> None:
+        """An actor along the points (s, d)."""
+        make, label, moving, length, width = KINDS[kind]
+        path = Path(self.road, np.asarray(points, np.float64), pace, start, length, width)
+        name = name or f"{kind} {len(self.actors) + 1}"
+        self.actors.append(Actor(name, make(self.rng), path, label, moving))
+
+    def walk(self, s: float, d: float, speed: float, to: float | None = None) -> None:
+        """A pedestrian along the road from (s, d); a negative speed walks backwards along it."""
+        sign = 1.0 if speed > 0 else -1.0
+        points = [(s, d), (s + sign * 20.0, d if to is None else to)]
+        self.send("pedestrian", points, Pace(abs(speed), wave=0.05, period=5.0))
+
+    def row(
+        self,
+        make: Callable[[], Mesh],
+        spots: Sequence[float] | NDArray[np.float64],
+        d: float,
+        chance: float = 1.0,
+        jitter: float = 0.3,
+        yaw: float = 0.0,
+    ) -> None:
+        """The same kind of thing at many places along the road."""
+        for s in spots:
+            keep, shift = self.rng.random() < chance, self.rng.normal(0, jitter, 2)
+            if keep:
+                self.put(make(), float(s + shift[0]), float(d + 0.3 * shift[1]), yaw)
+
+    def parked_row(
+        self, spots: Sequence[float] | NDArray[np.float64], d: float, chance: float, yaw: float
+    ) -> None:
+        """Parked cars, now and then a van, with gaps and not quite in line."""
+        for s in spots:
+            if self.rng.random() < chance:
+                make = things.car if self.rng.random() < 0.88 else things.van
+                shift = self.rng.normal(0, (0.2, 0.06, 0.015))
+                self.park(make(self.rng), s + shift[0], d + shift[1], yaw + shift[2])
+
+    def scene(self, name: str, seed: int, ego: Path, duration: float, step: float = 1.0) -> Scene:
+        """Everything put together."""
+        still = merged([self.road.ground(step), *self.meshes])
+        return Scene(name, seed, still, self.actors, ego, duration)
+
+
+def _one(mesh: Mesh) -> list[Part]:
+    return [Part(mesh)]
+
+
+KINDS: dict[str, tuple[Callable[[np.random.Generator], list[Part]], int, int, float, float]] = {
+    "car": (lambda rng: _one(things.car(rng, 10)), 10, 252, 2.6, 1.5),
+    "van": (lambda rng: _one(things.van(rng, 20)), 20, 259, 3.2, 1.7),
+    "truck": (lambda rng: _one(things.truck(rng, 18)), 18, 258, 5.5, 2.1),
+    "cyclist": (lambda rng: things.cyclist(rng, 31), 31, 253, 1.04, 0.1),
+    "pedestrian": (lambda rng: things.pedestrian(rng, 30), 30, 254, 0.4, 0.2),
+}
+
+
+def generator(name: str, seed: int) -> np.random.Generator:
+    """Random numbers that depend on the scene's name and seed only."""
+    return np.random.default_rng([zlib.crc32(name.encode()), seed])
+
+
+def waves(*terms: tuple[float, float, float]) -> Callable[[Floats], Floats]:
+    """A smooth function of ``s``: a sum of (amplitude, wavelength, phase)."""
+
+    def value(s: Floats) -> Floats:
+        s = np.asarray(s, np.float64)
+        total = np.zeros(s.shape)
+        for amplitude, length, phase in terms:
+            total = total + amplitude * np.sin(2 * np.pi * s / length + phase)
+        return total
+
+    return value
+
+
+def bumps(s: Floats, d: Floats) -> Floats:
+    """Uneven ground, about 3 cm up and down."""
+    first = np.sin(0.9 * s + 1.3 * np.sin(0.37 * d)) * np.sin(1.1 * d + 0.8)
+    second = np.sin(2.1 * s - 0.7 * d) * np.sin(1.7 * d + 0.5 * s)
+    result: Floats = 0.02 * first + 0.015 * second
+    return result
+
+
+def standing(mesh: Mesh, x: float, y: float, z: float = 0.0, yaw: float = 0.0) -> Mesh:
+    """A mesh at a place, for small scenes made by hand."""
+    return mesh.moved(pose_of(x, y, z, yaw))

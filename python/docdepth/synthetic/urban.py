@@ -1,0 +1,371 @@
+"""Streets between kerbs: city, crossing and residential."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from docdepth.synthetic import houses, things
+from docdepth.synthetic.actors import Pace, Path
+from docdepth.synthetic.road import Floats, Road
+from docdepth.synthetic.street import PAINTS, Scene, Street, bumps, generator, waves
+
+_LANE = 1.75
+
+
+def urban_road(
+    start: float,
+    end: float,
+    heading: Sequence[tuple[float, float, float]],
+    elevation: Sequence[tuple[float, float, float]],
+    kerb: float,
+    walk: float,
+    junctions: Sequence[tuple[float, float]] = (),
+    parking: float = 99.0,
+    yard: int = 5,
+) -> Road:
+    """A street with camber, kerbs 12 cm high and pavements.
+
+    Parameters
+    ----------
+    kerb, walk : float
+        Where the pavement begins and ends, metres from the middle.
+    junctions : sequence of (s, half width)
+        Streets that cross; there are no kerbs there.
+    parking : float
+        Where the strip for parked cars begins.
+    yard : int
+        Paint beyond the pavement: 3 grass, 5 courtyards.
+    """
+    lines = [(s - half, s + half) for s, half in junctions]
+
+    def open_to_traffic(s: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        inside = np.zeros(np.shape(s), bool)
+        for low, high in lines:
+            inside |= (s > low) & (s < high)
+        return inside
+
+    def profile(s: Floats, d: Floats) -> Floats:
+        across = np.abs(d)
+        raised = (across > kerb) & ~open_to_traffic(s)
+        road = -0.02 * np.minimum(across, kerb)
+        pavement = 0.12 + 0.02 * np.clip(across - kerb, 0, walk - kerb)
+        far = np.clip((across - walk) / 3.0, 0.0, 1.0) * bumps(s, d) * (yard == 3)
+        result: Floats = road + np.where(raised, pavement + far, 0.0)
+        return result
+
+    def paint(s: Floats, d: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+        across, crossing = np.abs(d), open_to_traffic(s)
+        beside = np.zeros(len(s), bool)
+        for low, high in lines:
+            beside |= (s > low - 3.0) & (s < high + 3.0)
+        kind = np.where(across > walk, np.where(beside, 2, yard), 2)
+        kind = np.where((across > kerb - 0.02) & (across < kerb + 0.15), 6, kind)
+        kind = np.where(across < kerb, np.where(across > parking, 4, 0), kind)
+        dashes = (across < 0.07) & (np.mod(s, 6.0) < 3.0)
+        kind = np.where(dashes, 1, kind)
+        kind = np.where(crossing, 0, kind)
+        for low, high in lines:  # crosswalk stripes before and behind the junction
+            stripes = ((s > low - 4) & (s < low - 1)) | ((s < high + 4) & (s > high + 1))
+            kind = np.where(stripes & (across < kerb - 0.3) & (np.mod(d, 1.0) < 0.5), 1, kind)
+        return kind.astype(np.int64)
+
+    cuts = [0.0, 0.07, kerb - 0.01, kerb + 0.01, kerb + 0.15, walk, *np.arange(0.5, walk + 4, 0.5)]
+    cuts += [parking] if parking < kerb else []
+    cuts += [*np.arange(walk + 4, 30.0, 2.0), *np.arange(30.0, 96.0, 5.0)]
+    sides = np.array(cuts)
+    edges = [v + e for low, high in lines for v in (low, high) for e in (-0.01, 0.01)]
+    edges += [v + e for low, high in lines for v in (low, high) for e in (-4, -3, -1, 1, 3, 4)]
+    return Road(
+        start,
+        end,
+        waves(*heading),
+        waves(*elevation),
+        profile,
+        paint,
+        PAINTS,
+        np.concatenate([-sides, sides]).tolist(),
+        edges,
+    )
+
+
+def _blocks(
+    start: float, end: float, junctions: Sequence[tuple[float, float]]
+) -> list[tuple[float, float]]:
+    edges = [start, *(e for s, half in junctions for e in (s - half - 3, s + half + 3)), end]
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
+def _fronts(street: Street, blocks: list[tuple[float, float]], face: float, tall: float) -> None:
+    """Closed rows of houses on both sides, and more behind them along the cross streets."""
+    rng = street.rng
+    for low, high in blocks:
+        for side in (-1.0, 1.0):
+            s = low
+            while s < high - 7.0:
+                length = min(float(rng.uniform(13, 24)), high - s)
+                height = float(rng.uniform(0.7, 1.3)) * tall
+                depth = float(rng.uniform(10, 13))
+                setback = float(rng.choice([0.0, 0.0, 0.4, 1.2]))
+                house = houses.building(rng, length, depth, height, shop=rng.random() < 0.5)
+                yaw = 0.0 if side > 0 else np.pi
+                street.put(house, s + 0.5 * length, side * (face + setback + 0.5 * depth), yaw)
+                s += length + float(rng.choice([0.0, 0.0, 0.0, 2.5]))
+    for low, high in blocks:
+        for side in (-1.0, 1.0):
+            for d in np.arange(face + 23.0, 85.0, 17.0):
+                for s in (low + 5.0, high - 5.0):
+                    house = houses.building(rng, 10.0, 15.0, float(rng.uniform(0.7, 1.2)) * tall)
+                    street.put(house, s, side * d)
+
+
+def _gaps(spots: Floats, junctions: Sequence[tuple[float, float]], margin: float) -> Floats:
+    keep = np.ones(len(spots), bool)
+    for s, half in junctions:
+        keep &= np.abs(spots - s) > half + margin
+    return spots[keep]
+
+
+def _furniture(
+    street: Street,
+    start: float,
+    end: float,
+    kerb: float,
+    junctions: Sequence[tuple[float, float]],
+    trees: float,
+) -> None:
+    rng = street.rng
+    for side in (-1.0, 1.0):
+        d = side * (kerb + 0.8)
+        spots = _gaps(np.arange(start + 5 + 4 * side, end, 13.0), junctions, 6.0)
+        street.row(lambda: things.tree(rng, float(rng.uniform(6, 9.5))), spots, d, trees, 0.8)
+        poles = _gaps(np.arange(start + 11 + 8 * side, end, 26.0), junctions, 3.0)
+        yaw = np.pi if side > 0 else 0.0
+        street.row(partial(things.pole, 7.0, 1.5), poles, side * (kerb + 0.5), 1, 0.2, yaw)
+        spots = np.arange(start + 20, end, 31.0)
+        street.row(lambda: things.sign(rng), spots, side * (kerb + 0.4), 0.8, 3.0, yaw)
+        street.row(
+            things.bollard,
+            _gaps(np.arange(start, end, 2.5), junctions, 1.0),
+            side * (kerb + 0.3),
+            0.12,
+            0.1,
+        )
+        spots = np.arange(start + 7, end, 17.0)
+        street.row(lambda: things.bin_(rng), spots, side * (kerb + 3.6), 0.5, 2.0)
+        street.row(things.bicycle, spots + 8.0, side * (kerb + 3.7), 0.6, 2.0)
+    for s, half in junctions:
+        for side in (-1.0, 1.0):
+            yaw = 0.0 if side < 0 else np.pi
+            street.put(things.traffic_light(), s + side * (half + 0.6), side * (kerb + 0.5), yaw)
+
+
+def city(seed: int) -> Scene:
+    """A busy street between houses: 9 m/s past parked cars, two junctions, many on foot."""
+    rng = generator("city", seed)
+    start, end, kerb, walk = -130.0, 370.0, 5.6, 9.6
+    junctions = [(72.0, 5.0), (205.0, 5.0)]
+    bend = ((0.09, 420.0, rng.uniform(0, 6.3)), (0.03, 160.0, rng.uniform(0, 6.3)))
+    hills = ((1.6, 260.0, rng.uniform(0, 6.3)), (0.25, 70.0, rng.uniform(0, 6.3)))
+    road = urban_road(start, end, bend, hills, kerb, walk, junctions, parking=3.5)
+    street = Street(road, rng)
+    _fronts(street, _blocks(start, end, junctions), walk, 13.0)
+    _furniture(street, start, end, kerb, junctions, 0.75)
+    waiting = {1.0: (46.0, 150.0), -1.0: (112.0, 180.0)}
+    for side in (-1.0, 1.0):
+        spots = _gaps(np.arange(start + 3, end - 3, 6.1), junctions, 7.0)
+        for s in waiting[side]:
+            spots = spots[np.abs(spots - s) > 6.5]
+        street.parked_row(spots, side * 4.55, 0.72, 0.0 if side < 0 else np.pi)
+    for s in waiting[1.0]:
+        street.send(
+            "car",
+            [(s, 4.5), (s - 9, _LANE), (s - 200, _LANE)],
+            Pace(8.0, departure=2.0 + 0.06 * (s - 46)),
+            name="leaves its parking place",
+        )
+    for s in waiting[-1.0]:
+        street.send(
+            "car",
+            [(s, -4.5), (s + 9, -_LANE), (s + 300, -_LANE)],
+            Pace(10.0, departure=2.0 + 0.1 * (s - 112)),
+            name="leaves its parking place",
+        )
+    street.send("car", [(24.0, -_LANE), (80.0, -_LANE)], Pace(9.4, wave=0.05))
+    street.send("cyclist", [(33.0, -3.05), (90.0, -3.05)], Pace(4.6, wave=0.1))
+    street.send("cyclist", [(98.0, 3.0), (10.0, 3.0)], Pace(5.2))
+    for s, kind in ((16.0, "car"), (92.0, "car"), (128.0, "van"), (196.0, "car"), (250.0, "car")):
+        street.send(kind, [(s, _LANE), (s - 60, _LANE)], Pace(float(rng.uniform(8.5, 10.5))))
+    street.send("car", [(73.8, 24.0), (73.8, -60.0)], Pace(8.0))
+    street.send("car", [(70.2, -9.0), (70.2, 60.0)], Pace(7.0, departure=12.0), name="gives way")
+    for s, d, speed in (
+        (12.0, -7.4, 1.3),
+        (18.0, -8.3, -1.1),
+        (19.0, -8.9, -1.15),
+        (35.0, 7.6, 1.2),
+        (41.0, 8.9, -0.9),
+        (55.0, -7.0, 1.0),
+        (62.0, 6.9, -1.45),
+        (90.0, -8.6, -1.25),
+        (97.0, 8.0, 1.35),
+        (118.0, -7.5, 0.9),
+        (125.0, 8.8, -1.0),
+        (160.0, -8.4, -1.3),
+        (185.0, 7.3, 1.1),
+    ):
+        street.walk(s, d + float(rng.normal(0, 0.15)), speed)
+    street.send("pedestrian", [(64.5, 6.4), (64.5, -9.0)], Pace(1.3, wave=0.05), start=2.2)
+    street.send("pedestrian", [(101.0, -8.0), (101.0, 8.0)], Pace(1.1, departure=1.0))
+    street.send(
+        "pedestrian",
+        [(27.0, 7.5), (28.5, 5.0), (29.0, 3.3), (35.0, 3.2)],
+        Pace(0.95),
+        name="to its car",
+    )
+    ego = Path(road, np.array([(0.0, -_LANE), (100.0, -_LANE)]), Pace(9.0, wave=0.06))
+    return street.scene("city", seed, ego, 24.0)
+
+
+def crossing(seed: int) -> Scene:
+    """A wide junction: the ego stands for three seconds, then crawls up to it."""
+    rng = generator("crossing", seed)
+    start, end, kerb, walk, centre, half = -120.0, 190.0, 7.2, 11.5, 30.0, 7.0
+    junctions = [(centre, half)]
+    hills = ((0.9, 240.0, rng.uniform(0, 6.3)),)
+    road = urban_road(start, end, ((0.02, 300.0, 0.5),), hills, kerb, walk, junctions)
+    street = Street(road, rng)
+    _fronts(street, _blocks(start, end, junctions), walk, 15.0)
+    _furniture(street, start, end, kerb, junctions, 0.5)
+    for side in (-1.0, 1.0):
+        spots = np.arange(centre + half + 22, end - 5, 6.2)
+        street.parked_row(spots, side * 6.2, 0.6, 0.0 if side < 0 else np.pi)
+        street.parked_row(np.arange(start + 5, -14.0, 6.2), side * 6.2, 0.6, np.pi)
+    for s, speed, at in ((26.6, 9.0, 34.0), (26.8, 8.0, 62.0), (27.0, 9.5, 84.0)):
+        street.send("car", [(s, at), (s, -90.0)], Pace(speed))
+    for s, speed, at in ((33.2, 8.5, -18.0), (33.4, 9.0, -45.0)):
+        street.send("car", [(s, at), (s, 90.0)], Pace(speed))
+    street.send("van", [(33.2, -70.0), (33.2, 90.0)], Pace(8.6))
+    street.send("cyclist", [(24.6, 14.0), (24.6, -80.0)], Pace(4.2))
+    for k, at in enumerate((centre + half + 5, centre + half + 11.5, centre + half + 18.5)):
+        kind = "van" if k == 1 else "car"
+        street.send(
+            kind,
+            [(at, 1.9), (at - 120, 1.9)],
+            Pace(9.0, departure=3.5 + 1.3 * k),
+            name="waits at the light",
+        )
+    for k, at in enumerate((13.5, 6.5)):
+        street.send(
+            "car",
+            [(at, -5.2), (at + 140, -5.2)],
+            Pace(8.0, departure=4.0 + 1.3 * k),
+            name="waits at the light",
+        )
+    for s, d, speed, start_at in (
+        (20.5, 9.0, 1.3, 2.5),
+        (19.6, 9.2, 1.2, 0.0),
+        (20.9, -8.5, -1.4, 1.0),
+        (39.5, -8.0, -1.15, 3.0),
+        (40.2, 8.5, 1.0, 4.0),
+    ):
+        points = [(s, d), (s, -d)] if speed > 0 else [(s, d), (s + 0.5, -d)]
+        street.send("pedestrian", points, Pace(abs(speed), wave=0.05), start=start_at)
+    for s, d, speed in (
+        (4.0, -8.9, 1.25),
+        (15.0, 9.4, -1.0),
+        (16.0, -10.6, -1.3),
+        (45.0, 9.9, 0.95),
+        (52.0, -9.0, 1.1),
+        (9.0, 8.3, 1.45),
+        (60.0, 10.8, -1.2),
+    ):
+        street.walk(s, d, speed)
+    street.send(
+        "pedestrian", [(17.0, -8.4), (30.0, -8.4)], Pace(1.0, departure=99.0), name="stands"
+    )
+    ego = Path(
+        road, np.array([(0.0, -_LANE), (60.0, -_LANE)]), Pace(1.2, departure=3.0, acceleration=0.5)
+    )
+    return street.scene("crossing", seed, ego, 30.0)
+
+
+def residential(seed: int) -> Scene:
+    """Houses with gardens: hedges, picket fences, slow traffic, people in the street."""
+    rng = generator("residential", seed)
+    start, end, kerb, walk = -110.0, 290.0, 4.2, 5.9
+    junctions = [(60.0, 3.2)]
+    bend = ((0.16, 260.0, rng.uniform(0, 6.3)), (0.05, 110.0, rng.uniform(0, 6.3)))
+    hills = ((1.4, 190.0, rng.uniform(0, 6.3)), (0.3, 60.0, rng.uniform(0, 6.3)))
+    road = urban_road(start, end, bend, hills, kerb, walk, junctions, yard=3)
+    street = Street(road, rng)
+    for side in (-1.0, 1.0):
+        _gardens(street, _gaps(np.arange(start + 8, end - 8, 19.0), junctions, 9.0), side, walk)
+        street.row(
+            partial(things.pole, 5.5, 0.8, 0.06),
+            np.arange(start, end, 33.0) + 9 * side,
+            side * (kerb + 0.4),
+            1,
+            0.2,
+            np.pi if side > 0 else 0.0,
+        )
+        spots = np.arange(start + 12, end, 47.0)
+        street.row(lambda: things.sign(rng), spots, side * (kerb + 0.3), 0.8, 2.0)
+        street.row(lambda: things.bin_(rng), spots + 6, side * (kerb + 1.2), 0.9, 2.0)
+    spots = _gaps(np.arange(start, end, 6.3), junctions, 6.0)
+    spots = spots[(np.abs(spots - 34.0) > 6.5)]
+    street.parked_row(spots, 3.2, 0.5, np.pi)
+    street.send(
+        "car",
+        [(34.0, 3.2), (26.0, 1.2), (-90.0, 1.2)],
+        Pace(6.0, departure=1.8),
+        name="leaves its parking place",
+    )
+    street.send("car", [(20.0, -1.6), (90.0, -1.6)], Pace(6.4, wave=0.1))
+    street.send("car", [(75.0, 1.0), (10.0, 1.0)], Pace(6.0))
+    street.send("van", [(150.0, 1.0), (10.0, 1.0)], Pace(6.5))
+    street.send("cyclist", [(26.0, -3.2), (90.0, -3.2)], Pace(3.6, wave=0.1))
+    street.send("cyclist", [(66.0, 1.3), (10.0, 1.3)], Pace(4.5))
+    for s, d, speed in (
+        (10.0, -4.9, 1.2),
+        (16.0, 5.1, -1.0),
+        (24.0, -5.2, -0.9),
+        (38.0, 5.0, 1.3),
+        (45.0, -4.8, 1.1),
+        (44.3, -5.3, 1.1),
+        (70.0, 5.2, -1.4),
+        (88.0, -5.0, -1.2),
+    ):
+        street.walk(s, d, speed)
+    street.send("pedestrian", [(52.0, -5.5), (52.0, 5.5)], Pace(0.9, departure=0.5))
+    street.send("pedestrian", [(41.5, 4.9), (43.0, 2.0), (50.0, 1.9)], Pace(1.0))
+    ego = Path(road, np.array([(0.0, -1.6), (60.0, -1.6)]), Pace(6.0, wave=0.1))
+    return street.scene("residential", seed, ego, 28.0)
+
+
+def _gardens(street: Street, spots: Floats, side: float, walk: float) -> None:
+    rng, yaw = street.rng, 0.0 if side > 0 else np.pi
+    for s in spots:
+        setback = float(rng.uniform(4.5, 7.0))
+        length, depth = float(rng.uniform(8.5, 11.5)), float(rng.uniform(7.5, 9.5))
+        house = houses.building(rng, length, depth, float(rng.uniform(3.2, 6.2)), gable=True)
+        street.put(house, s, side * (walk + setback + 0.5 * depth), yaw, above=-0.05)
+        border, width = rng.random(), 7.0
+        for shift in (-5.6, 5.0):
+            if border < 0.45:
+                height = float(rng.uniform(0.9, 1.9))
+                thing = things.hedge(rng, width, height)
+            elif border < 0.8:
+                thing = things.fence(width, float(rng.uniform(0.9, 1.3)))
+            else:
+                continue
+            street.put(thing, s + shift, side * (walk + 0.6), yaw)
+        for _ in range(rng.integers(1, 4)):
+            at = side * (walk + float(rng.uniform(1.8, setback - 0.5)))
+            street.put(things.bush(rng, float(rng.uniform(0.4, 1.0))), s + rng.uniform(-6, 6), at)
+        if rng.random() < 0.6:
+            tall = float(rng.uniform(4.0, 8.0))
+            street.put(things.tree(rng, tall), s + 9.3, side * (walk + float(rng.uniform(2, 5))))
+        if rng.random() < 0.4:
+            street.park(things.car(rng), s - 0.5 * length - 2.6, side * (walk + 4.5), 0.5 * np.pi)

@@ -1,0 +1,71 @@
+"""Ground growing in plain numpy and scipy, round by round, to hold the core against."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+
+def to_world(points, pose, origin):
+    x, y, z = points.astype(np.float64).T
+    r, t = pose[:3, :3], pose[:3, 3] - origin
+    return np.stack([((r[i, 0] * x + r[i, 1] * y) + r[i, 2] * z) + t[i] for i in range(3)], axis=1)
+
+
+def voxels_of(world, size):
+    return np.floor(world / size).astype(np.int64)
+
+
+def centroids(world, size):
+    """Voxel coordinates, sorted, and the mean of each voxel's points, added in their order."""
+    cells, voxel = np.unique(voxels_of(world, size), axis=0, return_inverse=True)
+    sums = np.zeros((len(cells), 3))
+    np.add.at(sums, voxel.ravel(), world)
+    return cells, sums / np.bincount(voxel.ravel())[:, None], voxel.ravel()
+
+
+def seed(points, position, radius):
+    x, y, z = points.T
+    dx, dy = x - position[0], y - position[1]
+    while True:
+        inside = np.flatnonzero(dx * dx + dy * dy <= radius * radius)
+        if len(inside):
+            return inside[np.lexsort((y[inside], x[inside], z[inside]))[0]]
+        radius *= 2
+
+
+def neighbours(points, tree, front, k):
+    """The k nearest of the front's points (themselves the first); equal distances by x, y, z."""
+    near = tree.query(points[front], min(len(points), k + 40))[1].reshape(len(front), -1)
+    d = points[near] - points[front][:, None]
+    squared = (d[..., 0] * d[..., 0] + d[..., 1] * d[..., 1]) + d[..., 2] * d[..., 2]
+    x, y, z = np.moveaxis(points[near], -1, 0)
+    return np.take_along_axis(near, np.lexsort((z, y, x, squared), axis=1)[:, :k], axis=1)
+
+
+def grow(points, seeds, k, plane_distance, max_slope_deg):
+    """Which points the front reaches."""
+    tree = cKDTree(points)
+    ground = np.zeros(len(points), dtype=bool)
+    front = np.unique(seeds)
+    ground[front] = True
+    while len(front) and len(points) >= 3:
+        near = neighbours(points, tree, front, k)
+        d = points[near] - points[front][:, None]
+        centred = d - d.mean(axis=1, keepdims=True)
+        normal = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))[1][:, :, 0]
+        upright = np.abs(normal[:, 2]) >= np.cos(np.radians(max_slope_deg))
+        on_plane = np.abs(np.einsum("nki,ni->nk", centred, normal)) < plane_distance
+        reached = np.unique(near[on_plane & upright[:, None]])
+        front = reached[~ground[reached]]
+        ground[front] = True
+    return ground
+
+
+def label_sweeps(sweeps, poses, p):
+    """Ground labels of every sweep, and how many voxels are ground."""
+    origin = poses[0][:3, 3]
+    world = [to_world(s, T, origin) for s, T in zip(sweeps, poses, strict=True)]
+    _, points, voxel = centroids(np.concatenate(world), p.voxel_size)
+    seeds = [seed(points, T[:3, 3] - origin, p.seed_radius) for T in poses]
+    ground = grow(points, seeds, p.neighbors, p.plane_distance, p.max_slope_deg)
+    ends = np.cumsum([len(s) for s in sweeps])[:-1]
+    return np.split(ground[voxel], ends), int(ground.sum())

@@ -1,0 +1,85 @@
+"""Depth maps on disk."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from docdepth.errors import DatasetError, InputError
+from docdepth.io.depth import PNG_MAX_DEPTH, encode_png, read_depth, write_depth
+
+
+def depth_map() -> np.ndarray:
+    depth = np.random.default_rng(1).uniform(0.5, 200, (37, 53)).astype(np.float32)
+    depth[::3, ::2] = np.nan
+    return depth
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+def test_npy_and_npz_keep_every_bit(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"depth{suffix}"
+    write_depth(path, depth_map())
+    np.testing.assert_array_equal(read_depth(path), depth_map())
+    assert read_depth(path).dtype == np.float32
+
+
+def test_png_is_metres_times_256_with_0_for_none(tmp_path: Path) -> None:
+    path = tmp_path / "depth.png"
+    depth = depth_map()
+    write_depth(path, depth)
+    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert pixels.dtype == np.uint16
+    np.testing.assert_array_equal(pixels == 0, np.isnan(depth))
+    back = read_depth(path)
+    np.testing.assert_array_equal(np.isnan(back), np.isnan(depth))
+    assert np.nanmax(np.abs(back - depth)) <= 0.5 / 256 + 1e-5
+    assert [f.name for f in tmp_path.iterdir()] == ["depth.png"]
+
+
+def test_png_holds_its_whole_range_and_refuses_more(tmp_path: Path) -> None:
+    edge = np.array([[1e-4, PNG_MAX_DEPTH]], np.float32)
+    write_depth(tmp_path / "edge.png", edge)
+    np.testing.assert_allclose(read_depth(tmp_path / "edge.png"), [[1 / 256, PNG_MAX_DEPTH]])
+    edge[0, 1] = 256.0
+    with pytest.raises(InputError, match=r"256\.00 m in row 0, column 1; write NPY"):
+        write_depth(tmp_path / "deep.png", edge)
+    assert not (tmp_path / "deep.png").exists()
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.inf])
+def test_depth_that_is_no_depth_is_refused(value: float) -> None:
+    depth = np.full((2, 2), 5, np.float32)
+    depth[1, 0] = value
+    with pytest.raises(InputError, match="row 1, column 0"):
+        encode_png(depth)
+
+
+def test_wrong_shapes_and_names_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="float32"):
+        encode_png(np.ones((2, 2)))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"\.npz, not '\.tif'"):
+        write_depth(tmp_path / "depth.tif", np.ones((2, 2), np.float32))
+
+
+def test_damaged_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="is missing"):
+        read_depth(tmp_path / "none.png")
+    for name in ("a.png", "a.npy", "a.npz"):
+        path = tmp_path / name
+        write_depth(path, depth_map())
+        path.write_bytes(path.read_bytes()[:60])
+        with pytest.raises(DatasetError, match=name):
+            read_depth(path)
+        path.write_bytes(b"")
+        with pytest.raises(DatasetError, match=name):
+            read_depth(path)
+    cv2.imwrite(str(tmp_path / "color.png"), np.zeros((2, 2, 3), np.uint8))
+    with pytest.raises(DatasetError, match="one channel of uint16"):
+        read_depth(tmp_path / "color.png")
+    np.save(tmp_path / "integers.npy", np.ones((2, 2), np.int32))
+    with pytest.raises(DatasetError, match="float metres"):
+        read_depth(tmp_path / "integers.npy")
+    np.savez(tmp_path / "other.npz", range=np.ones((2, 2), np.float32))
+    with pytest.raises(DatasetError, match="no array named 'depth'"):
+        read_depth(tmp_path / "other.npz")

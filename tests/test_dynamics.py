@@ -1,0 +1,304 @@
+"""Voting against an independent numpy implementation, exact scenes and real sweeps."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from docdepth import _core
+from docdepth.config import DynamicsParameters
+from docdepth.dynamics import KeyFrame, Votes, classify, classify_drive, key_frames, vote
+from docdepth.errors import InputError
+from docdepth.trajectory import Trajectory
+
+KITTI = os.environ.get("DOCDEPTH_KITTI_RAW")
+EMPTY = np.float32(np.inf)
+
+
+# An implementation of its own, written from Algorithm 1 and nothing else ------------------------
+
+
+def reference_move(points, T_world_query, T_world_key):
+    """Float32 coordinates in the key frame, one rounded operation at a time."""
+    a, b = T_world_key[:3, :3], T_world_query[:3, :3]
+    shift = T_world_query[:3, 3] - T_world_key[:3, 3]
+    rotation = np.array(
+        [[(a[0, i] * b[0, j] + a[1, i] * b[1, j]) + a[2, i] * b[2, j] for j in range(3)]
+         for i in range(3)]
+    ).astype(np.float32)  # fmt: skip
+    offset = np.array(
+        [(a[0, i] * shift[0] + a[1, i] * shift[1]) + a[2, i] * shift[2] for i in range(3)]
+    ).astype(np.float32)
+    x, y, z = points.T
+    return [
+        ((row[0] * x + row[1] * y) + row[2] * z) + t
+        for row, t in zip(rotation, offset, strict=True)
+    ]
+
+
+def reference_pixels(x, y, z, columns):
+    pixel = 2 * np.pi / columns
+    rho = np.sqrt((x * x + y * y) + z * z)
+    assert rho.dtype == np.float32
+    cosine = np.clip(z.astype(np.float64) / rho.astype(np.float64), -1, 1)
+    theta = -np.arctan2(y.astype(np.float64), x.astype(np.float64))
+    row = np.floor(np.arccos(cosine) / pixel).astype(int)
+    return rho, row, np.floor((np.pi + theta) / pixel).astype(int) % columns
+
+
+def reference_image(points, ground, columns):
+    returns = points.any(axis=1)
+    points, ground = points[returns], ground[returns]
+    rho, row, column = reference_pixels(*points.T, columns)
+    image = np.full((columns // 2 + 1, columns), EMPTY)
+    image_ground = np.zeros(image.shape, bool)
+    order = np.argsort(rho, kind="stable")
+    _, first = np.unique((row * columns + column)[order], return_index=True)
+    nearest = order[first]
+    image[row[nearest], column[nearest]] = rho[nearest]
+    image_ground[row[nearest], column[nearest]] = ground[nearest]
+    return image, image_ground
+
+
+def reference_vote(points, ground, T_query, key_sweeps, key_grounds, key_poses, p):
+    columns = round(360 / p.resolution_deg)
+    half = p.window // 2
+    static, dynamic = np.zeros((2, len(points)), np.uint16)
+    for sweep, sweep_ground, T_key in zip(key_sweeps, key_grounds, key_poses, strict=True):
+        image, image_ground = reference_image(sweep, sweep_ground, columns)
+        image = np.pad(image, ((half, half), (0, 0)), constant_values=EMPTY)
+        rho, row, column = reference_pixels(*reference_move(points, T_query, T_key), columns)
+        centre_ground = image_ground[row, column]
+        tau = np.where(centre_ground, np.float32(0), np.float32(p.tolerance))
+        outcome = np.full(len(points), "none   ")
+        going = np.ones(len(points), bool)
+        for i in range(p.window):
+            for j in range(-half, half + 1):
+                measured = image[row + i, (column + j) % columns]
+                with np.errstate(invalid="ignore"):
+                    difference = rho - measured
+                seen = going & (measured != EMPTY)
+                same = seen & (np.abs(difference) < tau)
+                nearer = seen & ~same & (difference < -tau)
+                hidden = seen & ~same & ~nearer & ~centre_ground
+                outcome[same], outcome[nearer], outcome[hidden] = "static", "dynamic", "none"
+                going &= ~(same | hidden)
+        voted_on = ~ground & points.any(axis=1)
+        static += (outcome == "static") & voted_on
+        dynamic += (outcome == "dynamic") & voted_on
+    return static, dynamic
+
+
+# Scenes whose truth is known --------------------------------------------------------------------
+
+
+def pose(x=0.0, y=0.0, yaw=0.0):
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    T[:2, 3] = x, y
+    return T
+
+
+def scan(T_world_lidar, box_x):
+    """A spinning sensor in a walled yard with a box (2 m cube at y = 5) on flat ground.
+
+    Returns points in the sensor's frame and what each one hit: 0 ground, 1 wall, 2 box.
+    """
+    elevation, azimuth = np.meshgrid(
+        np.radians(np.arange(-15, 3, 0.4)), np.radians(np.arange(-180, 180, 0.25)), indexing="ij"
+    )
+    lidar = np.stack(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        -1,
+    ).reshape(-1, 3)
+    u = lidar @ T_world_lidar[:3, :3].T
+    origin = T_world_lidar[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wall = np.minimum.reduce(
+            [np.where(s * u[:, k] > 0, (s * 25 - origin[k]) / u[:, k], np.inf)
+             for k in (0, 1) for s in (-1, 1)]
+        )  # fmt: skip
+        floor = np.where(u[:, 2] < 0, (-1.7 - origin[2]) / u[:, 2], np.inf)
+        low, high = (
+            (np.array([box_x, 5, -1.7]) + side * np.array([1, 1, 1]) + [0, 0, 1] - origin) / u
+            for side in (-1, 1)
+        )
+        enter = np.nanmax(np.minimum(low, high), axis=1)
+        leave = np.nanmin(np.maximum(low, high), axis=1)
+        box = np.where((enter < leave) & (enter > 0), enter, np.inf)
+    hits = np.stack([floor, wall, box])
+    what = hits.argmin(0)
+    return (lidar * hits.min(0)[:, None]).astype(np.float32), what
+
+
+def straight(n, step, dt=100_000_000):
+    return Trajectory(np.arange(n) * dt, np.stack([pose(x=step * i) for i in range(n)]))
+
+
+@pytest.fixture(scope="module")
+def yard():
+    trajectory = straight(12, 0.5)
+    scans = [scan(T, box_x=-8 + 1.5 * i) for i, T in enumerate(trajectory.poses)]
+    return trajectory, [points for points, _ in scans], [what for _, what in scans]
+
+
+# Key frames -------------------------------------------------------------------------------------
+
+
+def test_key_frames_are_near_along_the_path_and_never_the_sweep_itself():
+    chosen = key_frames(straight(101, 1.0))
+    expected = set(range(30, 71, 2)) | {0, 10, 20, 80, 90, 100}
+    assert set(chosen[50]) == expected - {50}
+    assert set(chosen[51]) == {i for i in range(32, 71, 2)} | {10, 20, 30, 80, 90, 100}
+    assert all(i not in frames and (np.diff(frames) > 0).all() for i, frames in enumerate(chosen))
+
+
+def test_standing_adds_one_key_frame_to_the_letter():
+    rng = np.random.default_rng(0)
+    poses = np.stack([pose(*rng.normal(0, 0.005, 2)) for _ in range(50)])
+    chosen = key_frames(Trajectory(np.arange(50) * 100_000_000, poses), PAPER)
+    assert len(chosen[0]) == 0
+    assert all(list(frames) == [0] for frames in chosen[1:])
+
+
+# Votes ------------------------------------------------------------------------------------------
+
+PAPER = DynamicsParameters()
+
+
+@pytest.mark.parametrize("window", [1, 3, 5, 7])
+@pytest.mark.parametrize("resolution_deg", [0.2, 0.35, 1.0])
+def test_votes_equal_the_reference_in_the_yard(yard, window, resolution_deg):
+    trajectory, sweeps, what = yard
+    p = DynamicsParameters(window=window, resolution_deg=resolution_deg)
+    ground = [w == 0 for w in what]
+    keys = [0, 3, 7, 11]
+    frames = [KeyFrame(sweeps[k], ground[k], p) for k in keys]
+    votes = vote(sweeps[5], ground[5], trajectory.poses[5], frames, trajectory.poses[keys], p)
+    expected = reference_vote(
+        sweeps[5], ground[5], trajectory.poses[5], [sweeps[k] for k in keys],
+        [ground[k] for k in keys], trajectory.poses[keys], p,
+    )  # fmt: skip
+    np.testing.assert_array_equal(votes.static, expected[0])
+    np.testing.assert_array_equal(votes.dynamic, expected[1])
+    assert votes.static.any()
+    assert votes.dynamic.any()
+
+
+def test_votes_equal_the_reference_on_noise():
+    """Returns in all directions at ranges near the tolerance: every branch of the algorithm."""
+    rng = np.random.default_rng(1)
+    T_query, T_key = pose(0.3, -0.2, 0.1), pose(-0.1, 0.4, -2.0)
+    for n in (300, 60_000):
+        sweep, query = rng.normal(size=(2, n, 3)).astype(np.float32)
+        for cloud in (sweep, query):
+            cloud *= rng.uniform(2, 3.2, (n, 1)) / np.linalg.norm(cloud, axis=1, keepdims=True)
+        ground, query_ground = rng.random((2, n)) < 0.3
+        p = DynamicsParameters(resolution_deg=1.0)
+        votes = vote(
+            query, query_ground, T_query, [KeyFrame(sweep, ground, p)], T_key[None], p, threads=2
+        )
+        expected = reference_vote(query, query_ground, T_query, [sweep], [ground], T_key[None], p)
+        np.testing.assert_array_equal(votes.static, expected[0])
+        np.testing.assert_array_equal(votes.dynamic, expected[1])
+
+
+def test_moving_box_is_dynamic_and_the_yard_static(yard):
+    trajectory, sweeps, what = yard
+    labels = classify_drive(sweeps, trajectory, PAPER, ground=[w == 0 for w in what])
+    for label, sweep, w in zip(labels, sweeps, what, strict=True):
+        assert (label.classid[w == 0] == 0).all()
+        # The foot of a wall suffers from tau = 0 around ground pixels, to the letter.
+        above = sweep[:, 2] > -1.2
+        assert (label.classid[(w == 1) & above] == 50).all()
+        assert (label.classid[w == 1] == 50).mean() > 0.99
+        assert (label.classid[w == 2] == 100).mean() > 0.95
+
+
+def test_one_and_two_threads_agree(yard):
+    trajectory, sweeps, what = yard
+    ground = [w == 0 for w in what]
+    one, two = (classify_drive(sweeps, trajectory, PAPER, t, ground) for t in (1, 2))
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a.votes.static, b.votes.static)
+        np.testing.assert_array_equal(a.votes.dynamic, b.votes.dynamic)
+
+
+def test_rows_that_are_no_returns_get_no_vote(yard):
+    trajectory, sweeps, what = yard
+    bad = sweeps[0].copy()
+    bad[::7], bad[1::7], bad[2::7] = np.nan, 0, np.inf
+    bad[3::7] = 3e19  # whose range overflows
+    key = KeyFrame(bad, what[0] == 0)
+    assert vote(bad, what[0] == 0, np.eye(4), [key], np.eye(4)[None]).static[::7].max() == 0
+    keep = np.isin(np.arange(len(bad)) % 7, [4, 5, 6])
+    clean = KeyFrame(bad[keep], (what[0] == 0)[keep])
+    votes, expected = (
+        vote(sweeps[1], what[1] == 0, trajectory.poses[1], [k], trajectory.poses[:1])
+        for k in (key, clean)
+    )
+    np.testing.assert_array_equal(votes.static, expected.static)
+    np.testing.assert_array_equal(votes.dynamic, expected.dynamic)
+
+
+def test_nothing_to_ask_and_nobody_to_ask():
+    nothing, none = np.zeros((0, 3), np.float32), np.zeros(0, bool)
+    point, flag = np.ones((1, 3), np.float32), np.zeros(1, bool)
+    assert vote(nothing, none, np.eye(4), [KeyFrame(point, flag)], np.eye(4)[None]).static.size == 0
+    assert vote(point, flag, np.eye(4), [KeyFrame(nothing, none)], np.eye(4)[None]).static == [0]
+    assert vote(point, flag, np.eye(4), [], np.zeros((0, 4, 4))).dynamic == [0]
+
+
+def test_ties_and_unseen_points_are_static():
+    votes = Votes(np.array([0, 1, 1, 0, 0], np.uint16), np.array([0, 1, 2, 1, 9], np.uint16))
+    ground = np.array([False, False, False, False, True])
+    assert list(classify(ground, votes)) == [50, 50, 100, 100, 0]
+
+
+def test_wrong_arrays_are_refused():
+    points, ground = np.ones((3, 3), np.float32), np.zeros(3, bool)
+    with pytest.raises(InputError, match="float32"):
+        KeyFrame(points.astype(np.float64), ground)
+    with pytest.raises(InputError, match="one flag a point"):
+        KeyFrame(points, ground[:2])
+    key = KeyFrame(points, ground)
+    with pytest.raises(InputError, match="1 key"):
+        vote(points, ground, np.eye(4), [key], np.zeros((2, 4, 4)))
+    with pytest.raises(InputError, match="not a rotation"):
+        vote(points, ground, 2 * np.eye(4), [key], np.eye(4)[None])
+    with pytest.raises(InputError, match="same drive"):
+        classify_drive([points], straight(2, 1.0), ground=[ground])
+    with pytest.raises(ValueError, match="odd"):
+        _core.RangeImage(points, ground, 0.01, 4, 0.2)
+
+
+# Real sweeps ------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(KITTI is None, reason="DOCDEPTH_KITTI_RAW is not set")
+def test_votes_equal_the_reference_on_real_sweeps():
+    sweeps, poses = zip(*(real_sweep(k) for k in (30, 20, 34, 60)), strict=True)
+    ground = [sweep[:, 2] < -1.5 for sweep in sweeps]
+    frames = [KeyFrame(s, g, PAPER) for s, g in zip(sweeps[1:], ground[1:], strict=True)]
+    votes = vote(sweeps[0], ground[0], poses[0], frames, np.stack(poses[1:]), PAPER)
+    expected = reference_vote(
+        sweeps[0], ground[0], poses[0], sweeps[1:], ground[1:], poses[1:], PAPER
+    )
+    np.testing.assert_array_equal(votes.static, expected[0])
+    np.testing.assert_array_equal(votes.dynamic, expected[1])
+
+
+def real_sweep(k, drive="2011_09_26_drive_0005_sync"):
+    from docdepth.trajectory import quaternion_to_matrix
+
+    folder = Path(str(KITTI)) / "2011_09_26" / drive
+    points = np.fromfile(folder / f"velodyne_points/data/{k:010d}.bin", np.float32).reshape(-1, 4)
+    row = np.loadtxt(folder / "lidar_poses_tum.txt")[k]
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = quaternion_to_matrix(row[4:]), row[1:4]
+    return np.ascontiguousarray(points[:, :3]), T

@@ -1,0 +1,182 @@
+"""Figures of labels against numbers worked out by hand and against plain loops."""
+
+import math
+
+import numpy as np
+import pytest
+
+from docdepth.errors import InputError
+from docdepth.evaluation import (
+    LabelCounts,
+    LabelEvaluation,
+    MapEvaluation,
+    ignored,
+    moving,
+    nearest_neighbor_protocol,
+    voxel_protocol,
+)
+
+
+def test_moving_classes_are_251_to_259_whatever_the_instance() -> None:
+    labels = np.array([0, 1, 9, 250, 251, 252, 259, 260, 40], np.uint32) | np.uint32(7 << 16)
+    assert moving(labels).tolist() == [False] * 4 + [True] * 3 + [False] * 2
+    assert ignored(labels).tolist() == [True, True] + [False] * 7
+
+
+def test_figures_worked_out_by_hand() -> None:
+    # 90 of 100 static kept, 30 of 40 dynamic found.
+    counts = LabelCounts(static_kept=90, static_lost=10, dynamic_found=30, dynamic_missed=10)
+    assert counts.sa == pytest.approx(90.0)
+    assert counts.da == pytest.approx(75.0)
+    assert counts.f1 == pytest.approx(2 * 0.9 * 0.75 / 1.65)
+    assert counts.aa == pytest.approx(math.sqrt(90 * 75))
+    assert counts.precision == pytest.approx(30 / 40)
+    assert counts.iou == pytest.approx(30 / 50)
+
+
+def test_what_is_undefined_is_nan() -> None:
+    none = LabelCounts()
+    assert all(math.isnan(none.as_dict()[k]) for k in ("sa", "da", "f1", "aa", "precision", "iou"))
+    no_dynamic = LabelCounts(static_kept=5)
+    assert no_dynamic.sa == 100.0
+    assert math.isnan(no_dynamic.da)
+    assert math.isnan(no_dynamic.f1)
+    nothing_right = LabelCounts(static_lost=5, dynamic_missed=5)
+    assert math.isnan(nothing_right.f1)
+    assert nothing_right.precision == 0.0
+
+
+def test_streaming_equals_a_plain_loop() -> None:
+    random = np.random.default_rng(1)
+    evaluation = LabelEvaluation(poses="made up", range_bins=(0, 10, 30))
+    expected = {"now": [0] * 4, "near": [0] * 4, "far": [0] * 4, "standing": [0] * 4}
+    for n in (1000, 1, 0, 777):
+        labels = random.choice(np.array([0, 1, 9, 40, 251, 255], np.uint32), n)
+        dynamic = random.random(n) < 0.3
+        ranges = random.uniform(0, 40, n)
+        speeds = random.choice([0.0, 0.2, 0.3, 0.31, 5.0], n)
+        evaluation.add(labels, dynamic, ranges, speeds)
+        for label, called, r, speed in zip(labels, dynamic, ranges, speeds, strict=True):
+            if label < 2:
+                continue
+            truth = 251 <= label <= 259
+            cell = 2 * truth + called
+            if truth and speed <= 0.3:
+                expected["standing"][cell] += 1
+                continue
+            expected["now"][cell] += 1
+            if r < 10:
+                expected["near"][cell] += 1
+            elif r < 30:
+                expected["far"][cell] += 1
+    result = evaluation.result()
+
+    def cells(counts: LabelCounts) -> list[int]:
+        kept, lost = counts.static_kept, counts.static_lost
+        return [kept, lost, counts.dynamic_missed, counts.dynamic_found]
+
+    assert result.temporarily_static is not None
+    assert result.with_standing is not None
+    assert cells(result.counts) == expected["now"]
+    assert cells(result.temporarily_static) == expected["standing"]
+    assert cells(result.by_range[0].counts) == expected["near"]
+    assert cells(result.by_range[1].counts) == expected["far"]
+    both = np.add(expected["now"], expected["standing"]).tolist()
+    assert cells(result.with_standing) == both
+    assert result.as_dict()["temporarily_static"]["da"] == pytest.approx(
+        100 * expected["standing"][3] / sum(expected["standing"])
+    )
+    assert "made up" in str(result.table())
+    assert "temporarily static" in result.table().markdown()
+
+
+def test_labels_of_other_points_are_refused() -> None:
+    evaluation = LabelEvaluation()
+    labels = np.full(5, 9, np.uint32)
+    with pytest.raises(InputError, match="5 labels need 5 bools"):
+        evaluation.add(labels, np.zeros(4, bool))
+    with pytest.raises(InputError, match="5 labels need 5 speeds"):
+        evaluation.add(labels, np.zeros(5, bool), speeds=np.zeros(6))
+    with pytest.raises(InputError, match="integers"):
+        evaluation.add(labels.astype(np.float32), np.zeros(5, bool))
+    evaluation.add(labels, np.zeros(5, bool))
+    evaluation.add(labels, np.zeros(5, bool), speeds=np.zeros(5))
+    with pytest.raises(InputError, match="1 of 2 sweeps"):
+        evaluation.result()
+
+
+def test_nearest_neighbor_protocol_equals_brute_force() -> None:
+    pytest.importorskip("scipy")
+    random = np.random.default_rng(2)
+    points = random.uniform(0, 2, (400, 3)).astype(np.float32)
+    dynamic = random.random(400) < 0.4
+    cleaned = np.vstack([points[::3] + np.float32(0.02), random.uniform(-90, 90, (50, 3))])
+    cleaned = cleaned.astype(np.float32)
+    away = np.linalg.norm(points[:, None].astype(float) - cleaned[None].astype(float), axis=2)
+    expected = LabelCounts.of(dynamic, away.min(axis=1) > 0.05)
+    assert nearest_neighbor_protocol(points, dynamic, cleaned) == expected
+    assert 0 < expected.static_lost < expected.static
+
+
+def test_an_empty_cleaned_map_keeps_nothing() -> None:
+    points = np.zeros((4, 3), np.float32)
+    counts = nearest_neighbor_protocol(points, np.array([True, True, False, False]), points[:0])
+    assert (counts.da, counts.sa) == (100.0, 0.0)
+
+
+def voxels_by_hand(points: np.ndarray, dynamic: np.ndarray, size: float) -> list:
+    members: dict[tuple, list[int]] = {}
+    for k, point in enumerate(points.astype(float)):
+        members.setdefault(tuple(np.floor(point / size)), []).append(k)
+    voxels = []
+    for index in members.values():
+        inside = points[index].astype(float)
+        centre = inside.mean(axis=0)
+        nearest = int(np.argmin(((inside - centre) ** 2).sum(axis=1)))
+        voxels.append((centre, bool(dynamic[index[nearest]])))
+    return voxels
+
+
+def test_voxel_protocol_equals_brute_force() -> None:
+    pytest.importorskip("scipy")
+    random = np.random.default_rng(3)
+    points = random.uniform(-2, 2, (3000, 3)).astype(np.float32)
+    dynamic = points[:, 0] + random.normal(0, 0.3, 3000) > 0.5
+    kept = random.random(3000) < np.where(dynamic, 0.2, 0.8)
+    truth = voxels_by_hand(points, dynamic, 0.2)
+    left = voxels_by_hand(points[kept], dynamic[kept], 0.2)
+    centres = np.array([centre for centre, _ in left])
+    preserved = remaining = 0
+    for centre, is_dynamic in truth:
+        away = np.linalg.norm(centres - centre, axis=1)
+        same = away.min() < 0.2 * math.sqrt(3) / 2 and left[int(away.argmin())][1] == is_dynamic
+        preserved += same and not is_dynamic
+        remaining += same and is_dynamic
+    result = voxel_protocol(points, dynamic, kept)
+    total = sum(is_dynamic for _, is_dynamic in truth)
+    assert (result.static, result.dynamic) == (len(truth) - total, total)
+    assert result.pr == pytest.approx(100 * preserved / (len(truth) - total))
+    assert result.rr == pytest.approx(100 * (total - remaining) / total)
+
+
+def test_an_untouched_map_preserves_everything_and_rejects_nothing() -> None:
+    pytest.importorskip("scipy")
+    random = np.random.default_rng(4)
+    evaluation = MapEvaluation()
+    for _ in range(3):
+        points = random.uniform(-20, 20, (5000, 3)).astype(np.float32)
+        labels = np.where(random.random(5000) < 0.1, 251, 9).astype(np.uint32)
+        evaluation.add(points, labels, np.zeros(5000, bool))
+    result = evaluation.result()
+    assert (result.nearest.sa, result.nearest.da) == (100.0, 0.0)
+    assert (result.voxels.pr, result.voxels.rr) == (100.0, 0.0)
+
+
+def test_a_removed_point_beside_a_kept_one_counts_as_kept() -> None:
+    pytest.importorskip("scipy")
+    evaluation = MapEvaluation()
+    points = np.array([[0, 0, 0], [0.04, 0, 0], [5, 0, 0]], np.float32)
+    labels = np.array([9, 251, 251], np.uint32)
+    evaluation.add(points, labels, np.array([False, True, True]))
+    nearest = evaluation.result().nearest
+    assert (nearest.dynamic_missed, nearest.dynamic_found) == (1, 1)
