@@ -18,7 +18,8 @@ constexpr float kNear = 0.1f;
 
 /// An axis-aligned box.
 struct Box {
-  Eigen::Vector3f center, extent;  ///< extent is half the edges
+  Eigen::Vector3f center = Eigen::Vector3f::Zero();
+  Eigen::Vector3f extent = Eigen::Vector3f::Zero();  ///< half the edges
 };
 
 /// The five planes around what a camera sees, in the frame of the points that are asked for.

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from docdepth.errors import InputError
 from docdepth.evaluation.errors import DepthErrors, PixelSums, RegionErrors
 from docdepth.evaluation.pixels import Depth, Mask, fill_background, near_edges, ray_length, shifted
-from docdepth.evaluation.tables import Table, number, percent, ratio
+from docdepth.evaluation.tables import Table, number, percent, plain, ratio
 
 Mode = Literal["valid", "kitti"]
 
@@ -79,7 +79,7 @@ class DepthResult:
     by_range: tuple[RangeErrors, ...] = field(default=())
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything by name, ready for JSON but for NaN, which stands for undefined."""
+        """Everything by name, ready for JSON; what is undefined is None."""
         result: dict[str, Any] = {
             "protocol": self.protocol,
             "poses": self.poses,
@@ -97,7 +97,7 @@ class DepthResult:
         result["by_range"] = [
             {"near": row.near, "far": row.far, **row.errors.as_dict()} for row in self.by_range
         ]
-        return result
+        return dict(plain(result))
 
     def table(self) -> Table:
         """Errors by region, for a terminal or a report."""

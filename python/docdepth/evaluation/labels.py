@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.evaluation.tables import Table, number, percent, ratio
+from docdepth.evaluation.tables import Table, number, percent, plain, ratio
 
 # Below this an object counts as standing at that moment [m/s].
 _MOVING_SPEED = 0.3
@@ -182,7 +182,7 @@ class LabelResult:
     ignored: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything by name, ready for JSON but for NaN, which stands for undefined."""
+        """Everything by name, ready for JSON; what is undefined is None."""
         result: dict[str, Any] = {
             "protocol": self.protocol,
             "poses": self.poses,
@@ -199,7 +199,7 @@ class LabelResult:
         result["by_range"] = [
             {"near": row.near, "far": row.far, **row.counts.as_dict()} for row in self.by_range
         ]
-        return result
+        return dict(plain(result))
 
     def table(self) -> Table:
         """Rows of text for a terminal or a report."""

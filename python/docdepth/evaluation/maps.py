@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import InputError, MissingExtraError
 from docdepth.evaluation.labels import HEADER, LabelCounts, ignored, moving
-from docdepth.evaluation.tables import Table, number, percent, ratio
+from docdepth.evaluation.tables import Table, number, percent, plain, ratio
 
 # Queries are answered in pieces of this many points, so that distances need no memory to speak of.
 _PIECE = 2_000_000
@@ -151,12 +151,13 @@ class MapResult:
     voxels: PreservationRejection
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything by name."""
-        return {
+        """Everything by name, ready for JSON; what is undefined is None."""
+        result = {
             "poses": self.poses,
             "nearest_neighbor": {"distance": self.distance, **self.nearest.as_dict()},
             "voxels": {"voxel_size": self.voxel_size, **self.voxels.as_dict()},
         }
+        return dict(plain(result))
 
     def table(self) -> Table:
         """Rows of text for a terminal or a report."""

@@ -15,12 +15,14 @@ from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 
 
-def evaluate_labels(run: Path, labels: Path) -> LabelResult:
+def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
     """Classes of a run's points against SemanticKITTI labels.
+
+    Points that were no usable returns count as static, and in no range.
 
     Parameters
     ----------
-    run : Path
+    run : Path or RunFolder
         Run folder with classified frames.
     labels : Path
         Folder of ``NAME.label`` files, or one with a folder ``labels``. A folder ``speeds``
@@ -31,7 +33,7 @@ def evaluate_labels(run: Path, labels: Path) -> LabelResult:
     DatasetError
         A truth file is missing or has another number of points, or no frame is classified.
     """
-    folder = RunFolder.open(run)
+    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
     if (labels / "labels").is_dir():
         labels = labels / "labels"
     speeds = labels.parent / "speeds"
@@ -40,12 +42,13 @@ def evaluate_labels(run: Path, labels: Path) -> LabelResult:
         record = folder.frame(index)
         if record.classid is None:
             raise DatasetError(
-                f"frame {index} of {run} has no classes; run: docdepth classify {run}"
+                f"frame {index} of {folder.path} has no classes; run: docdepth classify "
+                f"{folder.path}"
             )
         truth = _read(labels / f"{record.name}.label", record.input_points)
         dynamic = np.zeros(record.input_points, dtype=bool)
         dynamic[record.index] = record.classid >= 100
-        ranges = np.zeros(record.input_points)
+        ranges = np.full(record.input_points, np.nan)
         ranges[record.index] = np.linalg.norm(record.points, axis=1)
         speed = speeds / f"{record.name}.npy"
         evaluation.add(truth, dynamic, ranges, np.load(speed) if speed.is_file() else None)

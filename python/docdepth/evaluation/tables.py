@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,15 @@ class Table:
             for row in (self.header, *self.rows)
         ]
         return "\n".join([self.title, *lines])
+
+
+def plain(value: Any) -> Any:
+    """A tree of dicts, lists and numbers as JSON can hold it: None for NaN and infinity."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def ratio(part: float, whole: float) -> float:

@@ -107,7 +107,8 @@ class Path:
         left = 0.5 * self.width * np.stack([-forward[:, 1], forward[:, 0]], axis=1)
         centre = 0.5 * (front + rear)
         ends = [front, rear, centre + left, centre - left]
-        return resting_poses(*(self.road.point(e[:, 0], e[:, 1]) for e in ends))
+        points = self.road.point(*np.concatenate(ends).T)
+        return resting_poses(*points.reshape(4, -1, 3))
 
 
 @dataclass(frozen=True)
@@ -169,19 +170,21 @@ class Actor:
         covered = self.path.distance(np.linspace(start, end, 101))
         return bool(np.ptp(covered) > 0.05)
 
-    def part_poses(self, part: Part, times: NDArray[np.float64]) -> Floats:
-        """``T_world_part`` (n, 4, 4) at ``times`` [s]."""
+    def part_poses(self, times: NDArray[np.float64]) -> list[Floats]:
+        """``T_world_part`` (n, 4, 4) of each part at ``times`` [s]."""
         poses = self.path.poses(times)
-        if part.swing is None:
-            return poses
-        return poses @ part.swing(self.path.distance(times), self.speed(times))
+        distance, speed = self.path.distance(times), self.speed(times)
+        return [
+            poses if part.swing is None else poses @ part.swing(distance, speed)
+            for part in self.parts
+        ]
 
 
 def swinging(
     pivot: ArrayLike, amplitude: float, stride: float, phase: float
 ) -> Callable[[Floats, Floats], Floats]:
     """A limb that swings about the y axis through ``pivot``, once in ``stride`` metres."""
-    x, y, z = np.asarray(pivot, np.float64)
+    x, _, z = np.asarray(pivot, np.float64)
 
     def swing(distance: Floats, speed: Floats) -> Floats:
         # The amplitude fades below half a metre a second, so that who stands, stands still.

@@ -170,18 +170,19 @@ class Drive:
         poses = self._scene_poses(seconds)
         rotation, which = poses[pattern.which, :3, :3], pattern.which
         directions = np.einsum("nij,nj->ni", rotation, pattern.directions)
-        rays = Rays(poses[which, :3, 3], directions, seconds, which)
+        rays = Rays(poses[:, :3, 3], directions, seconds, which)
         hits = self.world.cast(rays, sensor.max_range)
-        kept = np.flatnonzero(sensor.returned(hits.range, hits.reflectivity, hits.cosine, rng))
+        reflectivity = self.world.reflectivity[hits.face]
+        kept = np.flatnonzero(sensor.returned(hits.range, reflectivity, hits.cosine, rng))
         measured = hits.range[kept] + sensor.noise * rng.normal(size=len(kept))
         measured += self._bias[pattern.rings[kept]]
         if self.skew:
             points = measured[:, None] * pattern.directions[kept]
         else:
-            points = rays.origins[kept] + measured[:, None] * directions[kept]
+            points = rays.origins[which[kept]] + measured[:, None] * directions[kept]
             stamp = inverse(self._scene_poses(self.times[index : index + 1] / _NS)[0])
-            points = points @ stamp[:3, :3].T + stamp[:3, 3]
-        intensity = hits.reflectivity[kept] * np.sqrt(hits.cosine[kept])
+            points = np.einsum("ij,kj->ki", stamp[:3, :3], points) + stamp[:3, 3]
+        intensity = reflectivity[kept] * np.sqrt(hits.cosine[kept])
         return TrueSweep(
             points.astype(np.float32),
             np.clip(intensity, 0.0, 1.0).astype(np.float32),

@@ -48,7 +48,6 @@ def wall(
     openings = _openings(width, height, storey, shop, pitch)
     u = np.unique(np.round(np.concatenate([[0, width], openings[:, :2].ravel()]), 6))
     v = np.unique(np.round(np.concatenate([[_BASE, 0, height], openings[:, 2:].ravel()]), 6))
-    v = v[v <= height]
     um, vm = 0.5 * (u[1:] + u[:-1]), 0.5 * (v[1:] + v[:-1])
     inside = np.zeros((len(um), len(vm)), bool)
     for u0, u1, v0, v1 in openings:

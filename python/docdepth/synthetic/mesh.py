@@ -75,7 +75,7 @@ def painted(vertices: ArrayLike, faces: ArrayLike, paint: Paint) -> Mesh:
         np.asarray(vertices, dtype=np.float64).reshape(-1, 3),
         faces,
         np.full(len(faces), paint.label, np.uint32),
-        np.tile(np.float32(paint.colour), (len(faces), 1)),
+        np.tile(np.array(paint.colour, np.float32), (len(faces), 1)),
         np.full(len(faces), paint.reflectivity, np.float32),
     )
 
@@ -107,7 +107,7 @@ def quads(corners: ArrayLike, paint: Paint) -> Mesh:
     """Four-sided faces, shape (n, 4, 3), each cut into two triangles."""
     corners = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 3)
     first = 4 * np.arange(len(corners))[:, None]
-    faces = np.concatenate([first + (0, 1, 2), first + (0, 2, 3)], axis=1)
+    faces = np.concatenate([first + np.array((0, 1, 2)), first + np.array((0, 2, 3))], axis=1)
     return painted(corners, faces, paint)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,11 @@ from docdepth.synthetic.casting import Hits, Rays, World
 
 Floats = NDArray[np.float64]
 _FAR = 300.0
-_SUN = np.array((0.45, 0.35, 0.82)) / np.linalg.norm((0.45, 0.35, 0.82))
+_SUN = np.array((0.450, 0.350, 0.822), np.float32)
+
+_HAZE = np.array((0.78, 0.83, 0.90), np.float32)
+_HORIZON = np.array((0.80, 0.86, 0.93), np.float32)
+_ZENITH = np.array((0.40, 0.58, 0.85), np.float32)
 
 
 @dataclass(frozen=True)
@@ -39,18 +44,14 @@ class View:
 def photograph(world: World, camera: Camera, T_scene_camera: Floats, second: float) -> View:
     """Cast a ray through the centre of every pixel at one moment."""
     shape = (camera.height, camera.width)
-    v, u = np.indices(shape, dtype=np.float64).reshape(2, -1)
-    K = camera.K
-    y = (v - K[1, 2]) / K[1, 1]
-    x = (u - K[0, 2] - K[0, 1] * y) / K[0, 0]
-    local = np.stack([x, y, np.ones(len(x))], axis=1)
-    along = 1.0 / np.sqrt(x * x + y * y + 1.0)  # depth of a point one metre along the ray
-    directions = (local * along[:, None]) @ T_scene_camera[:3, :3].T
-    origins = np.broadcast_to(T_scene_camera[:3, 3], directions.shape)
+    local = _pixel_rays(camera.width, camera.height, tuple(camera.K.ravel().tolist()))
+    along = local[:, 2]  # depth of a point one metre along the ray
+    directions = np.einsum("ij,kj->ki", T_scene_camera[:3, :3], local)
+    origin = T_scene_camera[None, :3, 3]
     which = np.zeros(len(directions), np.int64)
-    hits = world.cast(Rays(origins, directions, np.array([second]), which), _FAR)
+    hits = world.cast(Rays(origin, directions, np.array([second]), which), _FAR)
     depth = np.where(np.isfinite(hits.range), hits.range * along, np.nan)
-    colour = _shade(hits, origins, directions)
+    colour = _shade(hits, world.colours[hits.face], origin, directions)
     return View(
         depth.reshape(shape).astype(np.float32),
         hits.labels.reshape(shape),
@@ -59,18 +60,33 @@ def photograph(world: World, camera: Camera, T_scene_camera: Floats, second: flo
     )
 
 
-def _shade(hits: Hits, origins: Floats, directions: Floats) -> NDArray[np.uint8]:
+@lru_cache(maxsize=4)
+def _pixel_rays(width: int, height: int, numbers: tuple[float, ...]) -> Floats:
+    """Unit vectors through the pixel centres, camera frame, row by row."""
+    K = np.array(numbers).reshape(3, 3)
+    v, u = np.indices((height, width), dtype=np.float64).reshape(2, -1)
+    y = (v - K[1, 2]) / K[1, 1]
+    x = (u - K[0, 2] - K[0, 1] * y) / K[0, 0]
+    local = np.stack([x, y, np.ones(len(x))], axis=1)
+    result: Floats = local / np.sqrt(x * x + y * y + 1.0)[:, None]
+    return result
+
+
+def _shade(
+    hits: Hits, colours: NDArray[np.float32], origin: Floats, directions: Floats
+) -> NDArray[np.uint8]:
     """Sunlight, a little grain that sticks to surfaces, haze, and a sky."""
     met = np.isfinite(hits.range)
     distance = np.where(met, hits.range, 0.0).astype(np.float32)
-    light = 0.5 + 0.5 * np.maximum(hits.normals @ _SUN.astype(np.float32), 0.0)
-    places = (origins + directions * distance[:, None]).astype(np.float32)
-    cells = np.floor(places * np.float32(12.0)).astype(np.int64)
-    grain = (cells @ np.array([73856093, 19349663, 83492791])) & 255
+    light = 0.5 + 0.5 * np.maximum(np.einsum("ij,j->i", hits.normals, _SUN), 0.0)
+    places = origin + directions * distance[:, None]
+    x, y, z = np.floor(12.0 * places.T).astype(np.int32)
+    grain = (x * np.int32(73856093) ^ y * np.int32(19349663) ^ z * np.int32(83492791)) >> 8 & 255
     light *= 0.92 + 0.16 * (grain.astype(np.float32) / 255.0)
     haze = (1.0 - np.exp(-distance / 220.0))[:, None]
-    colour = hits.colours * light[:, None] * (1.0 - haze) + haze * np.float32((0.78, 0.83, 0.9))
+    colour = colours * light[:, None] * (1.0 - haze) + haze * _HAZE
     up = np.clip(directions[:, 2:3].astype(np.float32) * 2.0, 0.0, 1.0)
-    sky = (1 - up) * np.float32((0.80, 0.86, 0.93)) + up * np.float32((0.40, 0.58, 0.85))
+    sky = (1 - up) * _HORIZON + up * _ZENITH
     colour = np.where(met[:, None], colour, sky)
-    return np.clip(255.0 * np.sqrt(np.clip(colour, 0, 1)) * 0.92, 0, 255).astype(np.uint8)
+    result: NDArray[np.uint8] = (235.0 * np.sqrt(np.clip(colour, 0, 1))).astype(np.uint8)
+    return result

@@ -57,7 +57,7 @@ class Road:
         s, d = np.asarray(s, np.float64), np.asarray(d, np.float64)
         return self.elevation(s) + self.profile(s, d)
 
-    def point(self, s: ArrayLike, d: ArrayLike, above: ArrayLike = 0.0) -> Floats:
+    def point(self, s: ArrayLike, d: ArrayLike, above: float = 0.0) -> Floats:
         """World points (..., 3) at (s, d), ``above`` the ground."""
         s, d = np.broadcast_arrays(np.asarray(s, np.float64), np.asarray(d, np.float64))
         heading = self.heading(s)
@@ -77,13 +77,14 @@ class Road:
         """Pose of a thing that rests on the ground with four wheels ``length`` by ``width``."""
         along = 0.5 * length * np.array((np.cos(yaw), np.sin(yaw)))
         across = 0.5 * width * np.array((-np.sin(yaw), np.cos(yaw)))
-        ends = np.array([along, -along, across, -across]) + (s, d)
-        return resting_poses(*self.point(ends[:, 0], ends[:, 1])[:, None])[0]
+        ends = np.array([along, -along, across, -across]) + np.array((s, d))
+        result: Floats = resting_poses(*self.point(ends[:, 0], ends[:, 1])[:, None])[0]
+        return result
 
     def ground(self, step: float = 1.0) -> Mesh:
         """The ground as a mesh; its cells follow the kerbs and markings."""
         s = _breaks(self.start, self.end, step, self.s_cuts)
-        d = np.unique(np.round(np.asarray(self.d_cuts, np.float64), 4))
+        d: Floats = np.unique(np.round(np.asarray(self.d_cuts, np.float64), 4))
         grid_s, grid_d = np.meshgrid(s, d, indexing="ij")
         vertices = self.point(grid_s, grid_d).reshape(-1, 3)
         index = np.arange(grid_s.size).reshape(grid_s.shape)
@@ -116,7 +117,7 @@ def resting_poses(front: Floats, rear: Floats, left: Floats, right: Floats) -> F
 
 
 def _breaks(start: float, end: float, step: float, cuts: Sequence[float]) -> Floats:
-    regular = np.arange(start, end + step, step)
+    regular: Floats = np.arange(start, end + step, step)
     cuts_array = np.asarray(cuts, np.float64)
     if len(cuts_array):
         distance = np.abs(regular[:, None] - cuts_array).min(axis=1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from docdepth.synthetic import houses, things
 from docdepth.synthetic.actors import Pace, Path
-from docdepth.synthetic.mesh import Paint, box
+from docdepth.synthetic.mesh import Mesh, Paint, box, merged
 from docdepth.synthetic.road import Floats, Road
 from docdepth.synthetic.street import PAINTS, Scene, Street, bumps, generator, waves
 
@@ -84,7 +84,7 @@ def highway(seed: int) -> Scene:
         )
     for side in (-1.0, 1.0):
         yaw = 0.0 if side < 0 else np.pi
-        street.row(partial(_marker, yaw), np.arange(start, end, 50.0), side * 15.5, 1, 0.1)
+        street.row(_marker, np.arange(start, end, 50.0), side * 15.5, 1, 0.1)
         street.row(
             lambda: things.sign(rng, 2.6, 1.2),
             np.arange(start, end, 120.0) + 30,
@@ -123,9 +123,8 @@ def highway(seed: int) -> Scene:
     return street.scene("highway", seed, ego, 15.0, step=1.5)
 
 
-def _marker(yaw: float) -> things.Mesh:
-    from docdepth.synthetic.mesh import merged
-
+def _marker() -> Mesh:
+    """A white post with a reflector."""
     white = Paint(80, (0.9, 0.9, 0.88), 0.6)
     post = box((0.1, 0.12, 1.1), (0, 0, 0.45), white)
     eye = box((0.11, 0.06, 0.15), (0, 0, 0.8), Paint(80, (0.9, 0.6, 0.2), 3.0))
@@ -201,7 +200,7 @@ def hills(seed: int) -> Scene:
         street.row(
             lambda: things.bush(rng, float(rng.uniform(0.5, 1.4))), spots + 4, side * 6.8, 0.4, 1.5
         )
-        street.row(partial(_marker, 0.0), np.arange(start, end, 25.0), side * 4.3, 1, 0.1)
+        street.row(_marker, np.arange(start, end, 25.0), side * 4.3, 1, 0.1)
         street.row(
             partial(things.pole, 8.0, 0.0, 0.13),
             np.arange(start, end, 45.0),

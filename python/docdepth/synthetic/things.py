@@ -5,6 +5,8 @@ Vehicles and people: x forward, z up, origin on the ground below the middle.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,7 +63,7 @@ def _wheels(label: int, xs: tuple[float, ...], track: float, radius: float) -> M
         for side in (-1.0, 1.0):
             hub = np.array([(x, side * (0.5 * track - 0.2), radius), (x, side * track / 2, radius)])
             parts.append(tube(hub, radius, tyre, 14))
-            parts.append(tube(hub + (0, side * 0.015, 0), 0.6 * radius, rim, 10))
+            parts.append(tube(hub + np.array((0, side * 0.015, 0)), 0.6 * radius, rim, 10))
     return merged(parts)
 
 
@@ -220,6 +222,7 @@ def _bicycle(label: int) -> Mesh:
     return merged(parts)
 
 
+@lru_cache(maxsize=2)
 def bicycle(label: int = 11) -> Mesh:
     """A bicycle without its rider."""
     return _bicycle(label)
@@ -263,8 +266,8 @@ def tree(rng: Rng, height: float = 8.0, label: int = 70) -> Mesh:
     for clump in clumps[:6]:
         start = trunk[1] + rng.uniform(0, 0.5) * (top - trunk[1])
         parts.append(tube([start, clump], (0.4 * girth, 0.15 * girth), bark, 5))
-    points = [scattered(70, clump, 0.42 * spread * rng.uniform(0.8, 1.2), rng) for clump in clumps]
-    parts.append(leaves(np.concatenate(points), 0.28, paint, rng))
+    points = [scattered(120, clump, 0.42 * spread * rng.uniform(0.8, 1.2), rng) for clump in clumps]
+    parts.append(leaves(np.concatenate(points), 0.22, paint, rng))
     return merged(parts)
 
 

@@ -1,0 +1,49 @@
+// Triangles of one sweep, put in order once so that what the camera cannot see costs nothing.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "docdepth/render/camera.hpp"
+
+namespace docdepth {
+
+/// Triangles in patches of neighbours, each with its own vertices and box. A vertex on the border of
+/// two patches is kept twice, which costs less than looking it up elsewhere.
+class Mesh {
+ public:
+  static constexpr std::uint32_t kVertices = 256;   ///< most vertices of a patch
+  static constexpr std::uint32_t kTriangles = 256;  ///< most triangles of a patch
+
+  struct Patch {
+    Box box;
+    std::uint32_t vertex, vertices;      ///< first and number
+    std::uint32_t triangle, triangles;  ///< first and number
+  };
+  /// Numbers of corners within a patch.
+  using Corners = std::array<std::uint8_t, 3>;
+
+  Mesh() = default;
+
+  /// @param triangles corners as rows of `vertices`; vertices without a triangle are left out
+  Mesh(const std::vector<Eigen::Vector3f>& vertices,
+       const std::vector<std::array<std::uint32_t, 3>>& triangles);
+
+  std::size_t size() const { return corners_.size(); }
+  const Box& box() const { return box_; }
+  const std::vector<Patch>& patches() const { return patches_; }
+  const Corners* corners() const { return corners_.data(); }
+  /// Readable kPadding numbers behind the last vertex.
+  const float* x() const { return x_.data(); }
+  const float* y() const { return y_.data(); }
+  const float* z() const { return z_.data(); }
+
+ private:
+  Box box_{};
+  std::vector<Patch> patches_;
+  std::vector<Corners> corners_;
+  std::vector<float> x_, y_, z_;
+};
+
+}  // namespace docdepth

@@ -1,0 +1,170 @@
+#include "docdepth/render/triangles.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include "docdepth/geometry/parallel.hpp"
+#include "docdepth/geometry/rigid.hpp"
+#include "docdepth/render/dispatch.hpp"
+
+// The image is cut into strips of columns. One thread draws all of a strip, mesh after mesh, so
+// nothing is shared and the order within a strip never changes.
+namespace docdepth {
+namespace {
+
+constexpr int kStrip = 96;  // columns; 375 rows of them fit the first cache levels
+constexpr int kLanes = 8;
+typedef float Floats __attribute__((vector_size(4 * kLanes)));
+typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
+
+/// Pixels by which triangles are larger than they are, so that rounding leaves no cracks.
+constexpr float kSlack = 0.01f;
+
+/// Nearness (1 / depth, linear on every plane's image) of the columns [begin, end).
+struct Strip {
+  int begin, end, height;
+  std::vector<float> nearness;  // kStrip + kLanes columns a row
+
+  static constexpr int kStride = kStrip + kLanes;
+  Strip(int b, int e, int h) : begin(b), end(e), height(h), nearness(std::size_t(kStride) * h, 0.0f) {}
+};
+
+/// Vertices of a patch in the image.
+struct Projected {
+  alignas(32) float u[Mesh::kVertices + kLanes], v[Mesh::kVertices + kLanes],
+      w[Mesh::kVertices + kLanes];  // w is 1 / depth, 0 where there is none
+};
+
+DOCDEPTH_INLINE void project_patch(const Mesh& mesh, const Mesh::Patch& patch,
+                                   const RigidTransform& T, const Camera& camera, Projected& out) {
+  const auto& r = T.r;
+  const auto fx = float(camera.fx), fy = float(camera.fy), cx = float(camera.cx),
+             cy = float(camera.cy);
+  for (std::uint32_t i = 0; i < patch.vertices; i += kLanes) {
+    Floats a, b, c;
+    std::memcpy(&a, mesh.x() + patch.vertex + i, sizeof a);
+    std::memcpy(&b, mesh.y() + patch.vertex + i, sizeof b);
+    std::memcpy(&c, mesh.z() + patch.vertex + i, sizeof c);
+    const Floats x = ((r[0][0] * a + r[0][1] * b) + r[0][2] * c) + T.t[0];
+    const Floats y = ((r[1][0] * a + r[1][1] * b) + r[1][2] * c) + T.t[1];
+    const Floats z = ((r[2][0] * a + r[2][1] * b) + r[2][2] * c) + T.t[2];
+    const Integers seen = z > kNear;
+    const Floats w = 1.0f / z;
+    const Floats u = (fx * x) * w + cx, v = (fy * y) * w + cy;
+    const Floats shown = seen ? w : Floats{};
+    std::memcpy(out.u + i, &u, sizeof u);
+    std::memcpy(out.v + i, &v, sizeof v);
+    std::memcpy(out.w + i, &shown, sizeof shown);
+  }
+}
+
+/// One edge of a triangle: its value at a pixel is not negative inside.
+struct Edge {
+  float u, v, du, dv, slack;
+};
+
+DOCDEPTH_INLINE Edge edge(float u0, float v0, float u1, float v1, float turn) {
+  const float du = (u1 - u0) * turn, dv = (v1 - v0) * turn;
+  return {u0, v0, du, dv, kSlack * (std::fabs(du) + std::fabs(dv))};
+}
+
+DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corners,
+                                   float threshold, Strip& strip) {
+  const int a = corners[0], b = corners[1], c = corners[2];
+  const float wa = p.w[a], wb = p.w[b], wc = p.w[c];
+  const float low_w = std::min(wa, std::min(wb, wc)), high_w = std::max(wa, std::max(wb, wc));
+  const float ua = p.u[a], ub = p.u[b], uc = p.u[c], va = p.v[a], vb = p.v[b], vc = p.v[c];
+  const float low_u = std::max(std::min(ua, std::min(ub, uc)) - kSlack, float(strip.begin));
+  const float high_u = std::min(std::max(ua, std::max(ub, uc)) + kSlack, float(strip.end - 1));
+  const float low_v = std::max(std::min(va, std::min(vb, vc)) - kSlack, 0.0f);
+  const float high_v = std::min(std::max(va, std::max(vb, vc)) + kSlack, float(strip.height - 1));
+  // Also false where a corner lies behind the camera.
+  if (!(low_w > 0 && low_u <= high_u && low_v <= high_v)) return;
+  const int first_u = int(std::ceil(low_u)), last_u = int(high_u);
+  const int first_v = int(std::ceil(low_v)), last_v = int(high_v);
+  if (first_u > last_u || first_v > last_v) return;
+
+  const float area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va);
+  if (area == 0) return;
+  const float turn = area > 0 ? 1.0f : -1.0f, inverse = 1.0f / area;
+  const Edge e0 = edge(ua, va, ub, vb, turn), e1 = edge(ub, vb, uc, vc, turn),
+             e2 = edge(uc, vc, ua, va, turn);
+  const float slope_u = ((wb - wa) * (vc - va) - (wc - wa) * (vb - va)) * inverse;
+  const float slope_v = ((wc - wa) * (ub - ua) - (wb - wa) * (uc - ua)) * inverse;
+
+  const Floats lanes = {0, 1, 2, 3, 4, 5, 6, 7};
+  for (int u = first_u; u <= last_u; u += kLanes) {
+    const Floats column = lanes + float(u);
+    const Integers within = column <= high_u;
+    const Floats at0 = e0.slack - (column - e0.u) * e0.dv, at1 = e1.slack - (column - e1.u) * e1.dv,
+                 at2 = e2.slack - (column - e2.u) * e2.dv, w_column = (column - ua) * slope_u + wa;
+    for (int v = first_v; v <= last_v; ++v) {
+      const auto row = float(v);
+      const Integers inside = within & ((row - e0.v) * e0.du + at0 >= 0.0f) &
+                              ((row - e1.v) * e1.du + at1 >= 0.0f) &
+                              ((row - e2.v) * e2.du + at2 >= 0.0f);
+      Floats w = (row - va) * slope_v + w_column;
+      w = w < low_w ? Floats{} + low_w : w;
+      w = w > high_w ? Floats{} + high_w : w;
+      float* cell = strip.nearness.data() + std::size_t(v) * Strip::kStride + (u - strip.begin);
+      Floats old;
+      std::memcpy(&old, cell, sizeof old);
+      const Integers nearer = inside & (w > old * threshold);
+      const Floats now = nearer ? w : old;
+      std::memcpy(cell, &now, sizeof now);
+    }
+  }
+}
+
+struct Scene {
+  const Camera& camera;
+  const std::vector<PlacedMesh>& meshes;
+  std::vector<RigidTransform> transforms;
+};
+
+DOCDEPTH_INLINE void draw_strip(const Scene& scene, Strip& strip) {
+  Camera part = scene.camera;  // the columns of the strip as a camera of their own, for culling
+  part.cx -= strip.begin;
+  part.width = strip.end - strip.begin;
+  Projected points;
+  for (std::size_t m = 0; m < scene.meshes.size(); ++m) {
+    const Mesh& mesh = *scene.meshes[m].mesh;
+    const Frustum frustum(part, scene.meshes[m].T_camera_mesh);
+    if (!mesh.size() || !frustum.touches(mesh.box())) continue;
+    const float threshold = 1.0f + scene.meshes[m].tolerance;
+    for (const Mesh::Patch& patch : mesh.patches()) {
+      if (!frustum.touches(patch.box)) continue;
+      project_patch(mesh, patch, scene.transforms[m], scene.camera, points);
+      for (std::uint32_t t = 0; t < patch.triangles; ++t)
+        draw_triangle(points, mesh.corners()[patch.triangle + t], threshold, strip);
+    }
+  }
+}
+
+DOCDEPTH_AVX2 void draw_strip_avx2(const Scene& scene, Strip& strip) { draw_strip(scene, strip); }
+void draw_strip_plain(const Scene& scene, Strip& strip) { draw_strip(scene, strip); }
+
+}  // namespace
+
+std::vector<float> render_triangles(const Camera& camera, const std::vector<PlacedMesh>& meshes,
+                                    int threads) {
+  Scene scene{camera, meshes, {}};
+  for (const auto& placed : meshes) scene.transforms.emplace_back(placed.T_camera_mesh);
+  const auto draw = DOCDEPTH_HAS_AVX2() ? draw_strip_avx2 : draw_strip_plain;
+  std::vector<float> depth(std::size_t(camera.width) * camera.height);
+  parallel_for(camera.width, kStrip, threads, [&](std::size_t begin, std::size_t end) {
+    Strip strip(static_cast<int>(begin), static_cast<int>(end), camera.height);
+    draw(scene, strip);
+    for (int v = 0; v < camera.height; ++v)
+      for (int u = strip.begin; u < strip.end; ++u) {
+        const float w = strip.nearness[std::size_t(v) * Strip::kStride + (u - strip.begin)];
+        depth[std::size_t(v) * camera.width + u] =
+            w > 0 ? 1.0f / w : std::numeric_limits<float>::quiet_NaN();
+      }
+  });
+  return depth;
+}
+
+}  // namespace docdepth

@@ -1,0 +1,143 @@
+"""What the trials of a sweep reached: a table, CSV and plots."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from docdepth.errors import MissingExtraError
+from docdepth.evaluation.tables import Table, number
+from docdepth.io.atomic import write_atomically
+
+_NAMES = {"sa": "SA", "da": "DA", "precision": "precision", "iou": "IoU"}
+FIGURES = ("sa", "da", "f1", "precision", "iou")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a trial reached.
+
+    Attributes
+    ----------
+    name : str
+    settings : dict
+    figures : dict
+        :meth:`docdepth.evaluation.LabelResult.as_dict`.
+    seconds : dict
+        Of each step of the classification, over all sweeps.
+    """
+
+    name: str
+    settings: dict[str, Any]
+    figures: dict[str, Any]
+    seconds: dict[str, float]
+
+    @property
+    def ground_seconds(self) -> float:
+        """Seconds a sweep of growing the ground."""
+        return self._per_sweep(lambda step: step.startswith("ground"))
+
+    @property
+    def vote_seconds(self) -> float:
+        """Seconds a sweep of making key frames and voting."""
+        return self._per_sweep(lambda step: step in ("key frames", "vote"))
+
+    def figure(self, name: str) -> float:
+        """A figure by name, NaN where it is undefined."""
+        value = self.figures.get(name)
+        return math.nan if value is None else float(value)
+
+    def _per_sweep(self, counts: Callable[[str], bool]) -> float:
+        total = sum(seconds for step, seconds in self.seconds.items() if counts(step))
+        return total / max(int(self.figures["sweeps"]), 1)
+
+
+def table(outcomes: Sequence[Outcome]) -> Table:
+    """A row a trial: figures, and milliseconds a sweep."""
+    header = ("trial", "SA %", "DA %", "F1", "precision", "IoU", "ground ms", "voting ms")
+    rows = []
+    for outcome in outcomes:
+        cells = [number(outcome.figure(name), 2 if name in ("sa", "da") else 4) for name in FIGURES]
+        times = [f"{1e3 * s:.1f}" for s in (outcome.ground_seconds, outcome.vote_seconds)]
+        rows.append((outcome.name, *cells, *times))
+    first = outcomes[0].figures if outcomes else {}
+    title = f"{first.get('protocol')}; poses: {first.get('poses')}; {first.get('sweeps')} sweeps"
+    return Table(title, header, tuple(rows))
+
+
+def as_csv(outcomes: Sequence[Outcome]) -> str:
+    """The table with every digit and a column for each parameter that any trial sets."""
+    names = list(dict.fromkeys(name for outcome in outcomes for name in outcome.settings))
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["trial", *names, *FIGURES, "ground_seconds", "vote_seconds"])
+    for outcome in outcomes:
+        settings = [outcome.settings.get(name, "") for name in names]
+        figures = [outcome.figure(name) for name in FIGURES]
+        times = [outcome.ground_seconds, outcome.vote_seconds]
+        writer.writerow([outcome.name, *settings, *figures, *times])
+    return stream.getvalue()
+
+
+def plot(outcomes: Sequence[Outcome], path: Path) -> None:
+    """Figures over the one parameter that varies, or else precision against DA; and seconds.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+    path : Path
+        PNG, PDF or SVG.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingExtraError(
+            'plots are drawn by matplotlib: pip install "docdepth[viz]"'
+        ) from None
+    figure = Figure(figsize=(12, 4.5), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    axis = _only_axis(outcomes)
+    if axis is not None:
+        values = [outcome.settings[axis] for outcome in outcomes]
+        for name, scale in (("sa", 0.01), ("da", 0.01), ("precision", 1.0), ("iou", 1.0)):
+            heights = [scale * outcome.figure(name) for outcome in outcomes]
+            left.plot(values, heights, "o-", label=_NAMES[name])
+        left.set(xlabel=axis, ylabel="share")
+        left.legend()
+    else:
+        for outcome in outcomes:
+            place = outcome.figure("da"), outcome.figure("precision")
+            left.plot(*place, "o")
+            left.annotate(outcome.name, place, textcoords="offset points", xytext=(4, 4), size=8)
+        left.set(xlabel="DA [%]", ylabel="precision")
+    for outcome in outcomes:
+        place = 1e3 * outcome.vote_seconds, outcome.figure("iou")
+        right.plot(*place, "o")
+        right.annotate(outcome.name, place, textcoords="offset points", xytext=(4, 4), size=8)
+    right.set(xlabel="key frames and voting [ms a sweep]", ylabel="IoU of the dynamic class")
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+    stream = io.BytesIO()
+    figure.savefig(stream, format=path.suffix[1:] or "png", dpi=120)
+    write_atomically(path, lambda out: out.write(stream.getvalue()))
+
+
+def _only_axis(outcomes: Sequence[Outcome]) -> str | None:
+    """The parameter that alone tells the trials apart, if its values are numbers."""
+    names = {name for outcome in outcomes for name in outcome.settings}
+    varying = [name for name in names if len({repr(o.settings.get(name)) for o in outcomes}) > 1]
+    if len(varying) != 1:
+        return None
+    values = [outcome.settings.get(varying[0]) for outcome in outcomes]
+    numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+    return varying[0] if numbers else None
