@@ -10,12 +10,13 @@ namespace docdepth::bindings {
 namespace {
 
 std::unique_ptr<RangeImage> make_range_image(const Array<float>& points, const Array<bool>& ground,
-                                             double resolution, int window, float tolerance) {
+                                             double resolution, int window, float tolerance,
+                                             bool plain) {
   const PointMap map = as_points(points);
   const bool* flags = as_column(ground, map.rows(), "ground");
   py::gil_scoped_release release;
   return std::make_unique<RangeImage>(map, flags,
-                                      RangeImageParameters{resolution, window, tolerance});
+                                      RangeImageParameters{resolution, window, tolerance, plain});
 }
 
 py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
@@ -42,7 +43,7 @@ void bind_dynamics(py::module_& m) {
   py::class_<KeyFrame>(m, "KeyFrame");
   py::class_<RangeImage, KeyFrame>(m, "RangeImage")
       .def(py::init(&make_range_image), py::arg("points"), py::arg("ground"), py::arg("resolution"),
-           py::arg("window"), py::arg("tolerance"));
+           py::arg("window"), py::arg("tolerance"), py::arg("plain") = false);
   m.def("vote", &vote_on, py::arg("points"), py::arg("ground"), py::arg("T_world_lidar"),
         py::arg("key_frames"), py::arg("poses"), py::arg("threads") = 0);
 }

@@ -1,7 +1,7 @@
-#include <cmath>
 #include <stdexcept>
 
 #include "docdepth/dynamics/key_frame.hpp"
+#include "docdepth/geometry/dispatch.hpp"
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/geometry/spherical.hpp"
@@ -20,33 +20,33 @@ struct Columns {
   explicit Columns(std::size_t size) : x(size), y(size), z(size), range(size) {}
 };
 
-void move_points(const Columns& from, std::size_t size, const RigidTransform& T, Columns& to) {
-  for (std::size_t i = 0; i < size; ++i) {
-    const Eigen::Vector3f p = T * Eigen::Vector3f(from.x[i], from.y[i], from.z[i]);
-    to.x[i] = p.x();
-    to.y[i] = p.y();
-    to.z[i] = p.z();
-    to.range[i] = range_of(p.x(), p.y(), p.z());
-  }
-}
-
 // Farther than any sensor measures, and still far from overflow.
 constexpr float kNowhere = 1e18f;
 
 /// Neither at the origin nor NaN nor infinite.
-bool usable(float range) {
-  return range > 0.0f && range < kNowhere;
+inline bool usable(float range) {
+  return (range > 0.0f) & (range < kNowhere);
 }
 
-/// Move points that lie at the origin of a key frame to where no sensor measures, so that key
-/// frames need not look out for points without a direction.
-void hide_unusable(std::size_t size, Columns& points) {
-  for (std::size_t i = 0; i < size; ++i) {
-    if (usable(points.range[i])) continue;
-    points.x[i] = points.y[i] = 0.0f;
-    points.z[i] = points.range[i] = kNowhere;
+/// Take points to another frame. Those that lie at its origin are moved to where no sensor
+/// measures, so that key frames need not look out for points without a direction.
+struct MovePoints {
+  DOCDEPTH_KERNEL static void run(std::size_t count, const float* x, const float* y, const float* z,
+                                  RigidTransform t, float* __restrict x_to, float* __restrict y_to,
+                                  float* __restrict z_to, float* __restrict range) {
+    for (std::size_t i = 0; i < count; ++i) {
+      const float px = ((t.r[0][0] * x[i] + t.r[0][1] * y[i]) + t.r[0][2] * z[i]) + t.t[0];
+      const float py = ((t.r[1][0] * x[i] + t.r[1][1] * y[i]) + t.r[1][2] * z[i]) + t.t[1];
+      const float pz = ((t.r[2][0] * x[i] + t.r[2][1] * y[i]) + t.r[2][2] * z[i]) + t.t[2];
+      const float rho = range_of(px, py, pz);
+      const bool ok = usable(rho);
+      x_to[i] = ok ? px : 0.0f;
+      y_to[i] = ok ? py : 0.0f;
+      z_to[i] = ok ? pz : kNowhere;
+      range[i] = ok ? rho : kNowhere;
+    }
   }
-}
+};
 
 }  // namespace
 
@@ -72,8 +72,9 @@ Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
     }
     std::vector<std::uint16_t> statics(index.size()), dynamics(index.size());
     for (std::size_t k = 0; k < key_frames.size(); ++k) {
-      move_points(query, index.size(), T_key_query[k], moved);
-      hide_unusable(index.size(), moved);
+      dispatch<MovePoints>(index.size(), query.x.data(), query.y.data(), query.z.data(),
+                           T_key_query[k], moved.x.data(), moved.y.data(), moved.z.data(),
+                           moved.range.data());
       key_frames[k]->vote(
           {index.size(), moved.x.data(), moved.y.data(), moved.z.data(), moved.range.data()},
           statics.data(), dynamics.data());

@@ -2,17 +2,20 @@
 
 from docdepth.synthetic.actors import Actor, Pace, Part, Path, Standing
 from docdepth.synthetic.drive import Drive, TrueSweep, kitti_rig, sweeps_of
+from docdepth.synthetic.mesh import Mesh, Paint, box, pose_of
 from docdepth.synthetic.photo import View
 from docdepth.synthetic.scenes import SCENES, scene
 from docdepth.synthetic.sensors import Sensor, sensor, sensors
-from docdepth.synthetic.street import Scene
+from docdepth.synthetic.street import Scene, level_road, plain_scene
 from docdepth.synthetic.writer import write_drive
 
 __all__ = [
     "SCENES",
     "Actor",
     "Drive",
+    "Mesh",
     "Pace",
+    "Paint",
     "Part",
     "Path",
     "Scene",
@@ -20,7 +23,11 @@ __all__ = [
     "Standing",
     "TrueSweep",
     "View",
+    "box",
     "kitti_rig",
+    "level_road",
+    "plain_scene",
+    "pose_of",
     "scene",
     "sensor",
     "sensors",

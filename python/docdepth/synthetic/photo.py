@@ -81,7 +81,9 @@ def _shade(
     light = 0.5 + 0.5 * np.maximum(np.einsum("ij,j->i", hits.normals, _SUN), 0.0)
     places = origin + directions * distance[:, None]
     x, y, z = np.floor(12.0 * places.T).astype(np.int32)
-    grain = (x * np.int32(73856093) ^ y * np.int32(19349663) ^ z * np.int32(83492791)) >> 8 & 255
+    grain = x * np.int32(73856093) ^ y * np.int32(19349663) ^ z * np.int32(83492791)
+    grain = (grain ^ grain >> 15) * np.int32(739982445)
+    grain = (grain >> 12) & 255
     light *= 0.92 + 0.16 * (grain.astype(np.float32) / 255.0)
     haze = (1.0 - np.exp(-distance / 220.0))[:, None]
     colour = colours * light[:, None] * (1.0 - haze) + haze * _HAZE

@@ -16,7 +16,7 @@ _STEP = 0.1
 
 @dataclass(frozen=True)
 class Road:
-    """A centre line with elevation and a cross profile.
+    """A centre line with elevation and a cross profile; (s, d) = (0, 0) is the origin.
 
     Attributes
     ----------
@@ -50,6 +50,7 @@ class Road:
         heading = self.heading(s + 0.5 * _STEP)
         steps = _STEP * np.stack([np.cos(heading), np.sin(heading)], axis=1)
         points = np.concatenate([np.zeros((1, 2)), np.cumsum(steps[:-1], axis=0)])
+        points -= [np.interp(0.0, s, points[:, k]) for k in range(2)]
         object.__setattr__(self, "line", np.column_stack([s, points]))
 
     def height(self, s: ArrayLike, d: ArrayLike) -> Floats:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from docdepth.synthetic import things
 from docdepth.synthetic.actors import Actor, Pace, Part, Path
-from docdepth.synthetic.mesh import Mesh, Paint, merged, pose_of
+from docdepth.synthetic.mesh import Mesh, Paint, merged
 from docdepth.synthetic.road import Floats, Road
 
 ASPHALT = Paint(40, (0.30, 0.30, 0.31), 0.17)
@@ -161,6 +161,37 @@ def bumps(s: Floats, d: Floats) -> Floats:
     return result
 
 
-def standing(mesh: Mesh, x: float, y: float, z: float = 0.0, yaw: float = 0.0) -> Mesh:
-    """A mesh at a place, for small scenes made by hand."""
-    return mesh.moved(pose_of(x, y, z, yaw))
+def level_road(start: float = -150.0, end: float = 350.0) -> Road:
+    """A plane: x = s, y = d, z = 0."""
+
+    def nothing(s: Floats, d: Floats | None = None) -> Floats:
+        return np.zeros(np.shape(s))
+
+    def asphalt(s: Floats, d: Floats) -> NDArray[np.int64]:
+        return np.zeros(np.shape(s), np.int64)
+
+    cuts = np.linspace(-100.0, 100.0, 9).tolist()
+    return Road(start, end, nothing, nothing, nothing, asphalt, PAINTS, cuts)
+
+
+def plain_scene(
+    still: Sequence[Mesh] = (),
+    actors: Sequence[Actor] = (),
+    speed: float = 0.0,
+    duration: float = 30.0,
+) -> Scene:
+    """A small scene made by hand: things and actors on a plane, the ego along x from the origin.
+
+    Parameters
+    ----------
+    still : sequence of Mesh
+        In the frame of the plane, ``Mesh.moved(pose_of(x, y, z, yaw))`` puts them there.
+    actors : sequence of Actor
+        On paths of :func:`level_road`, for instance.
+    speed : float
+        Of the ego, metres a second.
+    """
+    road = level_road(end=max(350.0, 150.0 + speed * duration))
+    ground = road.ground(step=25.0)
+    ego = Path(road, np.array([(0.0, 0.0), (1.0, 0.0)]), Pace(speed))
+    return Scene("plain", 0, merged([ground, *still]), list(actors), ego, duration)

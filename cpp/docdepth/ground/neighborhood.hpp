@@ -1,0 +1,66 @@
+// Exact nearest neighbours for the points of one leaf.
+#pragma once
+
+#include <Eigen/Geometry>
+#include <atomic>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "docdepth/ground/octree.hpp"
+
+namespace docdepth {
+
+/// All points within a reach of a leaf, laid out for fast distances. Single precision, relative to
+/// the leaf, narrows the choice; double precision decides, so the neighbours are the exact ones.
+class Neighborhood {
+ public:
+  using Labels = std::vector<std::atomic<std::uint8_t>>;
+
+  Neighborhood(const Octree& tree, const Labels& labels, std::size_t k)
+      : tree_(tree), labels_(labels), k_(k) {}
+
+  /// Take the points within `reach` of the leaf's box.
+  void gather(std::uint32_t leaf, double reach);
+
+  enum class Outcome {
+    kNothingNew,     ///< all neighbours are labelled; cheaper to tell than who they are
+    kFound,          ///< they are in nearest()
+    kReachTooShort,  ///< gather again with needed_reach()
+  };
+  /// Look for the k nearest points, itself the first, of a point of the leaf.
+  Outcome search(std::uint32_t point);
+
+  /// Candidates in the order of their points.
+  const std::vector<std::uint32_t>& nearest() const { return nearest_; }
+  /// Reach that the last search asks for, or would have been content with.
+  double needed_reach() const { return needed_reach_; }
+
+  std::uint32_t index(std::uint32_t candidate) const { return index_[candidate]; }
+  const Eigen::Vector3d& point(std::uint32_t candidate) const { return points_[candidate]; }
+  std::uint32_t leaf(std::uint32_t candidate) const;
+  /// Whether the candidate had no label when it was gathered, nor was closed since.
+  bool open(std::uint32_t candidate) const { return closed_[candidate] == 0.f; }
+  void close(std::uint32_t candidate);
+
+ private:
+  float radius_of_k();
+  Outcome select(std::uint32_t candidate, float radius);
+
+  const Octree& tree_;
+  const Labels& labels_;
+  std::size_t k_;
+  std::uint32_t offset_ = 0;  ///< first point of the leaf less its candidate
+  double reach_ = 0, needed_reach_ = 0;
+  float error_ = 0;  ///< of a squared distance in single precision
+  float guess_ = 0;  ///< squared radius that held about k points the last time
+  std::vector<std::uint32_t> index_;
+  std::vector<Eigen::Vector3d> points_;
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> leaves_;  ///< end of its candidates, leaf
+  std::vector<float> x_, y_, z_, squared_;
+  std::vector<float> closed_;  ///< 0 for open candidates, else infinity
+  std::vector<double> exact_, sorted_;
+  std::vector<std::uint32_t> nearest_;
+};
+
+}  // namespace docdepth

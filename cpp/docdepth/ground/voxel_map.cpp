@@ -1,0 +1,183 @@
+#include "docdepth/ground/voxel_map.hpp"
+
+#include <algorithm>
+#include <stdexcept>
+
+#include "docdepth/geometry/parallel.hpp"
+
+namespace docdepth {
+namespace {
+
+constexpr std::int64_t kReach = std::int64_t{1} << 20;  // voxels on either side of the origin
+constexpr std::size_t kPart = 4096;                     // points a thread takes at once
+constexpr std::size_t kAhead = 8;                       // points whose memory is fetched early
+
+std::uint64_t hash(std::uint64_t key) {
+  key *= 0x9e3779b97f4a7c15u;
+  return key ^ (key >> 32);
+}
+
+/// The next of the capacities of a block.
+std::uint32_t wider(std::uint32_t capacity) {
+  static constexpr std::uint32_t kCapacities[] = {1, 2, 4, 6, 8, 12, 16, 24, 32, 48, 64};
+  return *std::upper_bound(std::begin(kCapacities), std::end(kCapacities), capacity);
+}
+
+int rank(const VoxelBlock& block, std::uint32_t bit) {
+  return count_bits(block.occupied & ((std::uint64_t{1} << bit) - 1));
+}
+
+}  // namespace
+
+VoxelGrid::VoxelGrid(const Pose& T, const Eigen::Vector3d& origin, double voxel_size)
+    : voxel_size_(voxel_size) {
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) r_[i][j] = T.linear()(i, j);
+    t_[i] = T.translation()(i) - origin[i];
+  }
+}
+
+VoxelAddress VoxelGrid::address(const Eigen::Vector3d& p) const {
+  std::uint64_t key = 0;
+  std::uint32_t bit = 0;
+  for (int i = 0; i < 3; ++i) {
+    const double cell = p[i] / voxel_size_;
+    if (!(cell >= -kReach && cell < kReach))
+      throw std::out_of_range("a point is not finite or too far from the first pose");
+    auto index = static_cast<std::int64_t>(cell);
+    index += kReach - (static_cast<double>(index) > cell);  // floor
+    key = key << 19 | static_cast<std::uint64_t>(index >> 2);
+    bit = bit << 2 | static_cast<std::uint32_t>(index & 3);
+  }
+  return {key, static_cast<std::uint32_t>(hash(key) >> 60), bit};
+}
+
+const VoxelBlock* VoxelMap::Shard::find(std::uint64_t key) const {
+  if (table.empty()) return nullptr;
+  const std::size_t mask = table.size() - 1;
+  for (std::size_t slot = hash(key) & mask;; slot = (slot + 1) & mask) {
+    const VoxelBlock& block = table[slot];
+    if (!block.occupied) return nullptr;
+    if (block.key == key) return &block;
+  }
+}
+
+VoxelBlock& VoxelMap::Shard::find_or_make(std::uint64_t key) {
+  if (3 * (blocks + 1) > 2 * table.size()) rehash();
+  const std::size_t mask = table.size() - 1;
+  std::size_t slot = hash(key) & mask;
+  while (table[slot].occupied && table[slot].key != key) slot = (slot + 1) & mask;
+  if (!table[slot].occupied) {
+    table[slot].key = key;
+    ++blocks;
+  }
+  return table[slot];
+}
+
+void VoxelMap::Shard::rehash() {
+  std::vector<VoxelBlock> old(std::max<std::size_t>(64, 2 * table.size()));
+  old.swap(table);
+  const std::size_t mask = table.size() - 1;
+  for (const VoxelBlock& block : old) {
+    if (!block.occupied) continue;
+    std::size_t slot = hash(block.key) & mask;
+    while (table[slot].occupied) slot = (slot + 1) & mask;
+    table[slot] = block;
+  }
+}
+
+void VoxelMap::Shard::widen(VoxelBlock& block, std::uint32_t used) {
+  const std::uint32_t capacity = wider(block.capacity);
+  std::uint32_t first;
+  if (unused[capacity].empty()) {
+    first = static_cast<std::uint32_t>(voxels.size());
+    voxels.resize(voxels.size() + capacity);
+  } else {
+    first = unused[capacity].back();
+    unused[capacity].pop_back();
+  }
+  std::copy_n(voxels.begin() + block.first, used, voxels.begin() + first);
+  if (block.capacity) unused[block.capacity].push_back(block.first);
+  block.first = first;
+  block.capacity = capacity;
+}
+
+void VoxelMap::Shard::add(std::uint64_t key, std::uint32_t bit, const Eigen::Vector3d& p) {
+  VoxelBlock& block = find_or_make(key);
+  const int place = rank(block, bit);
+  const std::uint64_t mask = std::uint64_t{1} << bit;
+  if (block.occupied & mask) {
+    Voxel& voxel = voxels[block.first + place];
+    voxel.sum += p;
+    voxel.count += 1.0;
+    return;
+  }
+  const auto used = static_cast<std::uint32_t>(count_bits(block.occupied));
+  if (used == block.capacity) widen(block, used);
+  const auto begin = voxels.begin() + block.first;
+  std::copy_backward(begin + place, begin + used, begin + used + 1);
+  begin[place] = {p, 1.0};
+  block.occupied |= mask;
+  ++size;
+}
+
+void VoxelMap::insert(const Points& points, const VoxelGrid& grid, int threads) {
+  const auto count = static_cast<std::size_t>(points.rows());
+  const std::size_t parts = (count + kPart - 1) / kPart;
+  world_.resize(count);
+  addresses_.resize(count);
+  order_.resize(count);
+  // Each part sorts its points by shard and keeps their order within one.
+  std::vector<std::array<std::uint32_t, kShards + 1>> starts(parts);
+  parallel_for(count, kPart, threads, [&](std::size_t begin, std::size_t end) {
+    auto& start = starts[begin / kPart];
+    start.fill(0);
+    for (std::size_t i = begin; i < end; ++i) {
+      world_[i] = grid * (points.data() + 3 * i);
+      addresses_[i] = grid.address(world_[i]);
+      ++start[addresses_[i].shard + 1];
+    }
+    start[0] = static_cast<std::uint32_t>(begin);
+    for (std::size_t s = 0; s < kShards; ++s) start[s + 1] += start[s];
+    auto next = start;
+    for (std::size_t i = begin; i < end; ++i)
+      order_[next[addresses_[i].shard]++] = static_cast<std::uint32_t>(i);
+  });
+  parallel_for(kShards, 1, threads, [&](std::size_t s, std::size_t) {
+    Shard& shard = shards[s];
+    for (const auto& start : starts)
+      for (std::uint32_t k = start[s]; k < start[s + 1]; ++k) {
+        if (k + kAhead < start[s + 1] && !shard.table.empty())
+          __builtin_prefetch(
+              &shard.table[hash(addresses_[order_[k + kAhead]].key) & (shard.table.size() - 1)]);
+        const VoxelAddress& address = addresses_[order_[k]];
+        shard.add(address.key, address.bit, world_[order_[k]]);
+      }
+  });
+}
+
+void VoxelMap::label(const Points& points, const VoxelGrid& grid, int threads, bool* ground) const {
+  parallel_for(points.rows(), kPart, threads, [&](std::size_t begin, std::size_t end) {
+    std::array<VoxelAddress, kPart> addresses;
+    for (std::size_t i = begin; i < end; ++i)
+      addresses[i - begin] = grid.address(grid * (points.data() + 3 * i));
+    for (std::size_t i = begin; i < end; ++i) {
+      if (i + kAhead < end) {
+        const VoxelAddress& ahead = addresses[i - begin + kAhead];
+        const auto& table = shards[ahead.shard].table;
+        if (!table.empty()) __builtin_prefetch(&table[hash(ahead.key) & (table.size() - 1)]);
+      }
+      const VoxelAddress& address = addresses[i - begin];
+      const VoxelBlock* block = shards[address.shard].find(address.key);
+      ground[i] = block && (block->ground >> address.bit & 1);
+    }
+  });
+}
+
+std::size_t VoxelMap::size() const {
+  std::size_t size = 0;
+  for (const Shard& shard : shards) size += shard.size;
+  return size;
+}
+
+}  // namespace docdepth

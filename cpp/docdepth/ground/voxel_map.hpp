@@ -1,0 +1,101 @@
+// Sweeps merged into voxels.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "docdepth/geometry/types.hpp"
+
+namespace docdepth {
+
+/// A voxel's points, added up in the order in which they came.
+struct Voxel {
+  Eigen::Vector3d sum;
+  double count;
+
+  Eigen::Vector3d mean() const { return sum / count; }
+};
+
+inline int count_bits(std::uint64_t bits) {
+  bits -= (bits >> 1) & 0x5555555555555555u;
+  bits = (bits & 0x3333333333333333u) + ((bits >> 2) & 0x3333333333333333u);
+  bits = (bits + (bits >> 4)) & 0x0f0f0f0f0f0f0f0fu;
+  return static_cast<int>((bits * 0x0101010101010101u) >> 56);
+}
+
+/// 4 x 4 x 4 voxels. Neighbouring returns fall into the same block, so most of them find it in the
+/// cache, and 32 bytes answer for 64 voxels what is occupied and what is ground.
+struct VoxelBlock {
+  std::uint64_t key = 0;       ///< packed coordinates of the block
+  std::uint64_t occupied = 0;  ///< a bit a voxel; no bit at all: a free slot of the table
+  std::uint64_t ground = 0;    ///< a bit a voxel
+  std::uint32_t first = 0;     ///< its voxels lie there, in the order of their bits
+  std::uint32_t capacity = 0;
+};
+
+/// Where a point lies: the block, and the voxel's bit within it.
+struct VoxelAddress {
+  std::uint64_t key;
+  std::uint32_t shard;
+  std::uint32_t bit;
+};
+
+/// World coordinates relative to an origin, in double precision rows added in the order of
+/// RigidTransform, and the voxel of each.
+class VoxelGrid {
+ public:
+  VoxelGrid(const Pose& T_world_lidar, const Eigen::Vector3d& origin, double voxel_size);
+
+  Eigen::Vector3d operator*(const float* p) const { return {row(0, p), row(1, p), row(2, p)}; }
+  /// @throws std::out_of_range a point is not finite or too far from the origin.
+  VoxelAddress address(const Eigen::Vector3d& p) const;
+
+ private:
+  double row(int i, const float* p) const {
+    return ((r_[i][0] * p[0] + r_[i][1] * p[1]) + r_[i][2] * p[2]) + t_[i];
+  }
+
+  double r_[3][3];
+  double t_[3];
+  double voxel_size_;
+};
+
+/// Hash table of blocks, cut into shards by the hash. A shard is filled by one thread in the order
+/// of the points, so the sums do not depend on the number of threads.
+class VoxelMap {
+ public:
+  static constexpr std::size_t kShards = 16;
+
+  void insert(const Points& points, const VoxelGrid& grid, int threads);
+  void label(const Points& points, const VoxelGrid& grid, int threads, bool* ground) const;
+
+  /// Number of voxels.
+  std::size_t size() const;
+
+  struct Shard {
+    std::vector<VoxelBlock> table;  ///< open addressing, a power of two of slots
+    std::size_t blocks = 0;
+    std::size_t size = 0;
+    std::vector<Voxel> voxels;
+    std::array<std::vector<std::uint32_t>, 65> unused;  ///< given back, by capacity
+
+    const VoxelBlock* find(std::uint64_t key) const;
+    void add(std::uint64_t key, std::uint32_t bit, const Eigen::Vector3d& p);
+
+   private:
+    VoxelBlock& find_or_make(std::uint64_t key);
+    void widen(VoxelBlock& block, std::uint32_t used);
+    void rehash();
+  };
+  std::array<Shard, kShards> shards;
+
+ private:
+  // What insert() knows of each point of a sweep; kept to be used again.
+  std::vector<Eigen::Vector3d> world_;
+  std::vector<VoxelAddress> addresses_;
+  std::vector<std::uint32_t> order_;
+};
+
+}  // namespace docdepth
