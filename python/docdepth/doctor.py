@@ -7,7 +7,7 @@ import importlib.metadata
 import os
 import platform
 
-from docdepth import __version__
+from docdepth import __version__, backends
 
 _EXTRAS = {
     "synth": ("trimesh", "embreex"),
@@ -33,6 +33,9 @@ def doctor() -> list[tuple[str, str, bool]]:
         missing = [p for p in packages if not _version(p)[1]]
         finding = f'missing; pip install "docdepth[{extra}]"' if missing else "installed"
         rows.append((f"extra {extra}", finding, not missing))
+    for backend in backends.available():
+        finding = backend.renderer or f"not available: {backend.reason}"
+        rows.append((f"renderer {backend.name}", finding, backend.renderer is not None))
     return rows
 
 

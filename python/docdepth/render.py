@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth import _core
+from docdepth.backends import CpuRenderer, Renderer
 from docdepth.config import RenderParameters
 from docdepth.errors import CalibrationError, InputError
 from docdepth.trajectory import Trajectory, inverse
@@ -129,6 +130,7 @@ def render(
     frames: Callable[[int], Frame],
     parameters: RenderParameters | None = None,
     threads: int = 0,
+    renderer: Renderer | None = None,
 ) -> NDArray[np.float32]:
     """Depth map of the camera at one moment, composed of many sweeps (paper III-D).
 
@@ -146,6 +148,8 @@ def render(
     parameters : RenderParameters, optional
     threads : int
         0 takes all cores. The result does not depend on it.
+    renderer : Renderer, optional
+        What draws, from :func:`docdepth.backends.choose`; the processor if absent.
 
     Returns
     -------
@@ -156,6 +160,8 @@ def render(
     ------
     InputError
         ``time`` lies outside the trajectory.
+    BackendError
+        The renderer failed.
     """
     p = parameters or RenderParameters()
     T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
@@ -163,7 +169,7 @@ def render(
     def place(index: int) -> tuple[_core.Frame, NDArray[np.float64]]:
         return frames(index).core, T_camera_world @ trajectory.poses[index]
 
-    depth: NDArray[np.float32] = _core.render_splats(
+    depth = (renderer or CpuRenderer()).render_splats(
         camera.K,
         camera.width,
         camera.height,

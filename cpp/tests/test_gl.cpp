@@ -1,0 +1,83 @@
+#include <doctest/doctest.h>
+
+#include <cmath>
+#include <random>
+#include <thread>
+
+#include "docdepth/render/gl/renderer.hpp"
+
+using namespace docdepth;
+using gl::Backend;
+using gl::GlError;
+using gl::GlRenderer;
+
+namespace {
+
+constexpr Backend kBackends[] = {Backend::kEgl, Backend::kSurfaceless, Backend::kOsmesa};
+
+/// Null where the back end is not available, which is said.
+std::unique_ptr<GlRenderer> open(Backend backend) {
+  try {
+    return std::make_unique<GlRenderer>(gl::Choice{backend, -1, ""});
+  } catch (const GlError& error) {
+    MESSAGE("skipped: " << error.what());
+    return nullptr;
+  }
+}
+
+Cloud scattered(unsigned seed, int count) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<float> side(-20, 20), ahead(-5, 60);
+  Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor> points(count, 3);
+  for (int i = 0; i < count; ++i) points.row(i) << side(random), side(random), ahead(random);
+  return Cloud(points, std::vector<std::uint8_t>(count, 1));
+}
+
+}  // namespace
+
+TEST_CASE("OpenGL draws the splats of the processor") {
+  const Camera camera{90, 95, 80.3, 31.7, 160, 60};
+  const SplatHeights heights({50, 3});
+  const Cloud cloud = scattered(1, 5000), other = scattered(2, 3000);
+  for (const Backend backend : kBackends) {
+    const auto renderer = open(backend);
+    if (!renderer) continue;
+    for (const auto* drawn : {&cloud, &other, &cloud}) {
+      Pose pose = Pose::Identity();
+      pose.translation() << 0.3, -0.2, 1.7;
+      const std::vector<PlacedCloud> placed{{drawn, pose, &heights}};
+      const auto expected = render_splats(camera, placed, 1);
+      const auto depth = renderer->render_splats(camera, placed);
+      REQUIRE(depth.size() == expected.size());
+      std::size_t different = 0;
+      for (std::size_t i = 0; i < depth.size(); ++i)
+        different +=
+            !(depth[i] == expected[i] || (std::isnan(depth[i]) && std::isnan(expected[i])));
+      CHECK(different <= (renderer->context().software() ? 0 : depth.size() / 1000));
+    }
+  }
+}
+
+TEST_CASE("a context is for one thread") {
+  const Camera camera{10, 10, 2, 2, 5, 5};
+  for (const Backend backend : kBackends) {
+    const auto renderer = open(backend);
+    if (!renderer) continue;
+    bool refused = false;
+    std::thread([&] {
+      try {
+        renderer->render_splats(camera, {});
+      } catch (const GlError&) {
+        refused = true;
+      }
+    }).join();
+    CHECK(refused);
+    CHECK(std::isnan(renderer->render_splats(camera, {})[0]));
+  }
+}
+
+TEST_CASE("missing libraries are errors that name them") {
+  for (const Backend backend : kBackends)
+    CHECK_THROWS_AS(GlRenderer(gl::Choice{backend, -1, "libnot_there.so"}), GlError);
+  CHECK_THROWS_AS(gl::egl_devices("libnot_there.so"), GlError);
+}
