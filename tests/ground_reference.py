@@ -47,16 +47,20 @@ def grow(points, seeds, k, plane_distance, max_slope_deg):
     ground = np.zeros(len(points), dtype=bool)
     front = np.unique(seeds)
     ground[front] = True
+    first = True
     while len(front) and len(points) >= 3:
         near = neighbours(points, tree, front, k)
         d = points[near] - points[front][:, None]
         centred = d - d.mean(axis=1, keepdims=True)
         normal = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))[1][:, :, 0]
         upright = np.abs(normal[:, 2]) >= np.cos(np.radians(max_slope_deg))
-        on_plane = np.abs(np.einsum("nki,ni->nk", centred, normal)) < plane_distance
+        # The first front are the seeds: their plane goes through the mean.
+        from_plane = centred if first else d
+        on_plane = np.abs(np.einsum("nki,ni->nk", from_plane, normal)) < plane_distance
         reached = np.unique(near[on_plane & upright[:, None]])
         front = reached[~ground[reached]]
         ground[front] = True
+        first = False
     return ground
 
 

@@ -159,6 +159,11 @@ def test_subsample_is_greedy() -> None:
     assert trajectory.subsample(0.0).tolist() == list(range(8))
 
 
+def test_subsample_takes_the_end_of_the_path() -> None:
+    assert straight([0.0, 0.6, 1.2, 1.8, 2.0]).subsample(1.0).tolist() == [0, 2, 4]
+    assert straight([0.0, 0.6, 1.2, 1.2, 1.2]).subsample(1.0).tolist() == [0, 2]
+
+
 def test_arc_length_at() -> None:
     trajectory = straight([0.0, 1.0, 3.0])
     assert trajectory.arc_length_at([0, 5 * 10**7, 15 * 10**7]).tolist() == [0.0, 0.5, 2.0]

@@ -1,7 +1,36 @@
+#include "docdepth/surface/surface.hpp"
+
 #include "arrays.hpp"
 
 namespace docdepth::bindings {
 
-void bind_surface(py::module_&) {}
+namespace {
+
+py::tuple surface(const Array<float>& points, float max_gap, float jump_ratio, float noise,
+                  float flatness) {
+  const auto view = as_points(points);
+  Surface result;
+  {
+    const py::gil_scoped_release release;
+    result = build_surface(view, {max_gap, jump_ratio, noise, flatness});
+  }
+  const auto count = static_cast<py::ssize_t>(result.triangles.size());
+  const auto loose = static_cast<py::ssize_t>(result.loose.size());
+  // (M, 3) corners are handed over as they lie in memory.
+  auto* owner = new std::vector<std::array<std::uint32_t, 3>>(std::move(result.triangles));
+  const py::capsule free(
+      owner, [](void* p) { delete static_cast<std::vector<std::array<std::uint32_t, 3>>*>(p); });
+  return py::make_tuple(
+      py::array_t<std::uint32_t>({count, py::ssize_t{3}},
+                                 reinterpret_cast<const std::uint32_t*>(owner->data()), free),
+      to_numpy(std::move(result.cut), {count}), to_numpy(std::move(result.loose), {loose}));
+}
+
+}  // namespace
+
+void bind_surface(py::module_& m) {
+  m.def("surface", &surface, py::arg("points"), py::arg("max_gap"), py::arg("jump_ratio"),
+        py::arg("noise"), py::arg("flatness"));
+}
 
 }  // namespace docdepth::bindings

@@ -4,7 +4,9 @@
 #include <random>
 
 #include "docdepth/render/cloud.hpp"
+#include "docdepth/render/edges.hpp"
 #include "docdepth/render/splats.hpp"
+#include "docdepth/render/triangles.hpp"
 
 using namespace docdepth;
 
@@ -94,4 +96,44 @@ TEST_CASE("rendering does not depend on threads, and nothing gives no depth") {
   for (const float depth : render_splats(camera, {{&none, T, &heights}}, 2))
     REQUIRE(std::isnan(depth));
   for (const float depth : render_splats(camera, {}, 2)) REQUIRE(std::isnan(depth));
+}
+
+TEST_CASE("the nearer triangle wins, and within the tolerance the earlier one") {
+  const Camera camera{100, 100, 10, 10, 21, 21};
+  const auto square = [](float z) {
+    return Mesh({{-5, -5, z}, {5, -5, z}, {5, 5, z}, {-5, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
+  };
+  const Mesh first = square(10), near = square(5), same = square(9.9f);
+  const Pose T = Pose::Identity();
+  for (const float depth : render_triangles(camera, {{&first, T, 0}, {&near, T, 0.02f}}, 1))
+    REQUIRE(depth == doctest::Approx(5));
+  for (const float depth : render_triangles(camera, {{&near, T, 0}, {&first, T, 0}}, 1))
+    REQUIRE(depth == doctest::Approx(5));
+  for (const float depth : render_triangles(camera, {{&first, T, 0}, {&same, T, 0.02f}}, 1))
+    REQUIRE(depth == doctest::Approx(10));
+}
+
+TEST_CASE("a cut triangle is split in the middle of its angle, each part at its corners' range") {
+  Matrix points(3, 3);
+  points << 10, 0, 0, 20, 1, 0, 20, 0, 1;
+  const std::uint32_t triangle[1][3] = {{0, 1, 2}};
+  const std::uint8_t whole = 0, cut = 1;
+  const std::uint16_t fixed[3] = {50, 50, 50}, mixed[3] = {50, 100, 50};
+  CHECK(part_surface(points, triangle, &whole, 1, fixed).fixed.whole.size() == 1);
+
+  const auto split = part_surface(points, triangle, &cut, 1, fixed);
+  CHECK(split.fixed.whole.empty());
+  REQUIRE(split.fixed.near.size() == 1);
+  REQUIRE(split.fixed.far.size() == 2);
+  for (const auto corner : split.fixed.near[0])
+    CHECK(split.vertices[corner].norm() == doctest::Approx(10));
+  for (const auto& part : split.fixed.far)
+    for (const auto corner : part) CHECK(split.vertices[corner].norm() > 19.9);
+
+  // A class border is never joined, with or without a jump.
+  const auto border = part_surface(points, triangle, &whole, 1, mixed);
+  CHECK(border.fixed.whole.empty());
+  CHECK(border.moving.whole.empty());
+  CHECK(border.moving.near.size() + border.moving.far.size() == 1);
+  CHECK(border.fixed.near.size() + border.fixed.far.size() == 2);
 }

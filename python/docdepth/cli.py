@@ -207,7 +207,7 @@ def doctor() -> None:
     from docdepth.doctor import doctor as examine
 
     for name, finding, well in examine():
-        out.print(f"{'ok' if well else '--'}  {name:<24} {finding}")
+        out.print(f"{'ok' if well else '--'}  {name:<24} {finding}", markup=False)
 
 
 @evaluate.command()
@@ -380,5 +380,6 @@ def main() -> None:
     try:
         app()
     except DocDepthError as error:
-        err.print(f"[red]error:[/red] {error}", soft_wrap=True)
+        err.print("error:", style="red", end=" ")
+        err.print(str(error), soft_wrap=True, markup=False)
         sys.exit(2)

@@ -41,6 +41,21 @@ class GroundParameters(_Stage):
     max_slope_deg: float = Field(15.0, gt=0, lt=90, description="lean of a normal, alpha [deg]")
 
 
+class SurfaceParameters(_Stage):
+    """A sweep as triangles between neighbouring returns; voting and rendering share them."""
+
+    max_gap_deg: float = Field(
+        4.0, gt=0, lt=90, description="longest side of a triangle, seen from the sensor [deg]"
+    )
+    jump_ratio: float = Field(
+        4.0, gt=0, description="range difference over distance across, of a depth jump [-]"
+    )
+    noise: float = Field(0.1, ge=0, description="smaller range differences are no jump [m]")
+    flatness: float = Field(
+        0.1, ge=0, description="returns that continue a plane this well are one surface [m]"
+    )
+
+
 class DynamicsParameters(_Stage):
     """Key frames and voting (paper III-C2, Algorithm 1)."""
 
@@ -83,6 +98,7 @@ class Parameters(_Stage):
     preset: Preset = "default"
     odometry: OdometryParameters = OdometryParameters()
     ground: GroundParameters = GroundParameters()
+    surface: SurfaceParameters = SurfaceParameters()
     dynamics: DynamicsParameters = DynamicsParameters()
     render: RenderParameters = RenderParameters()
 
@@ -90,6 +106,7 @@ class Parameters(_Stage):
 _STAGES: dict[str, type[_Stage]] = {
     "odometry": OdometryParameters,
     "ground": GroundParameters,
+    "surface": SurfaceParameters,
     "dynamics": DynamicsParameters,
     "render": RenderParameters,
 }

@@ -68,12 +68,17 @@ class Trajectory:
         return arc
 
     def subsample(self, spacing: float) -> NDArray[np.int64]:
-        """Indices of poses at least ``spacing`` metres of path apart, greedily from the first."""
+        """Indices of poses at least ``spacing`` metres of path apart, greedily from the first.
+
+        The end of the path is taken too: without it nothing looks back at the last sweeps.
+        """
         arc = self.arc_length
         kept = [0]
         for i in range(1, len(self)):
             if arc[i] - arc[kept[-1]] >= spacing:
                 kept.append(i)
+        if arc[-1] > arc[kept[-1]]:
+            kept.append(len(self) - 1)
         return np.array(kept)
 
     def nearest(self, time: int) -> int:

@@ -30,9 +30,11 @@ class Front {
         queued_(tree.nodes().size()),
         reach_(tree.nodes().size(), 0.f) {}
 
-  void reach(std::uint32_t point) {
+  void seed(std::uint32_t point) {
     std::uint8_t none = kNone;
-    if (labels_[point].compare_exchange_strong(none, kReached)) queue(tree_.leaf_of(point), next_);
+    if (!labels_[point].compare_exchange_strong(none, kReached)) return;
+    seeds_.insert(std::upper_bound(seeds_.begin(), seeds_.end(), point), point);
+    queue(tree_.leaf_of(point), next_);
   }
   void grow();
   bool labelled(std::uint32_t point) const {
@@ -48,8 +50,8 @@ class Front {
   }
   double first_reach(std::uint32_t leaf) const;
   void visit(std::uint32_t leaf, Neighborhood& hood, Leaves& reached);
-  void carry_on(std::uint32_t leaf, Neighborhood& hood, std::vector<std::uint32_t>& pending,
-                Leaves& reached);
+  void carry_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood,
+                std::vector<std::uint32_t>& pending, Leaves& reached);
 
   const Octree& tree_;
   const GroundParameters& parameters_;
@@ -58,6 +60,7 @@ class Front {
   std::vector<std::atomic<std::uint8_t>> labels_;
   std::vector<std::atomic<std::uint8_t>> queued_;  // leaves that wait for the next round
   std::vector<float> reach_;                       // that the last visit of a leaf needed
+  std::vector<std::uint32_t> seeds_;               // ascending
   Leaves next_;
 };
 
@@ -82,7 +85,7 @@ double Front::first_reach(std::uint32_t leaf) const {
   const auto& node = tree_.nodes()[leaf];
   const double points = node.end - node.begin, side = node.box.sizes().maxCoeff();
   const double reach =
-      0.6 * std::max(side, parameters_.voxel_size) * std::sqrt(parameters_.neighbors / points);
+      0.7 * std::max(side, parameters_.voxel_size) * std::sqrt(parameters_.neighbors / points);
   return std::max(reach, parameters_.voxel_size);
 }
 
@@ -93,34 +96,30 @@ void Front::visit(std::uint32_t leaf, Neighborhood& hood, Leaves& reached) {
   std::vector<std::uint32_t> pending;
   for (std::uint32_t i = node.begin; i < node.end; ++i)
     if (labels_[i].load() == kReached) pending.push_back(i);
+  if (pending.empty()) return;
   double reach = first_reach(leaf);
+  hood.gather(leaf, reach);
   while (!pending.empty()) {
-    hood.gather(leaf, reach);
-    std::vector<std::uint32_t> again;
-    double needed = 0.0;
-    while (!pending.empty()) {
-      const std::uint32_t point = pending.back();
-      pending.pop_back();
-      const auto outcome = hood.search(point);
-      if (outcome == Neighborhood::Outcome::kReachTooShort) {
-        needed = std::max(needed, hood.needed_reach());
-        again.push_back(point);
-        continue;
-      }
-      labels_[point].store(kDone);
-      if (outcome == Neighborhood::Outcome::kFound) carry_on(leaf, hood, pending, reached);
+    const std::uint32_t point = pending.back();
+    const auto outcome = hood.search(point);
+    if (outcome == Neighborhood::Outcome::kReachTooShort) {
+      // A little more than this point needs, for the leaf's others.
+      reach = 1.2 * std::max(hood.needed_reach(), parameters_.voxel_size);
+      hood.gather(leaf, reach);
+      continue;
     }
-    pending.swap(again);
-    reach = needed;
-    if (reach > 0) reach_[leaf] = static_cast<float>(reach);
+    pending.pop_back();
+    labels_[point].store(kDone);
+    if (outcome == Neighborhood::Outcome::kFound) carry_on(point, leaf, hood, pending, reached);
   }
+  reach_[leaf] = static_cast<float>(reach);
 }
 
-/// Label the neighbours on the plane of a front point unless that leans too much. The plane goes
-/// through their mean and not through the point: a noisy point does not move it away from its
-/// surface, and a seed a little below the road still reaches the road.
-void Front::carry_on(std::uint32_t leaf, Neighborhood& hood, std::vector<std::uint32_t>& pending,
-                     Leaves& reached) {
+/// Label the neighbours on the plane of a front point unless that leans too much. A seed's plane
+/// goes through the neighbours' mean and not through the seed: the lowest point near a pose is
+/// often a phantom below the road, and would find nothing on its own height.
+void Front::carry_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood,
+                     std::vector<std::uint32_t>& pending, Leaves& reached) {
   const auto& nearest = hood.nearest();
   if (nearest.size() < 3) return;
   Vector3d mean = Vector3d::Zero();
@@ -133,10 +132,12 @@ void Front::carry_on(std::uint32_t leaf, Neighborhood& hood, std::vector<std::ui
   }
   const Vector3d normal = smallest_eigenvector(covariance);
   if (!(std::abs(normal.z()) >= cos_max_slope_)) return;
+  const bool is_seed = std::binary_search(seeds_.begin(), seeds_.end(), point);
+  const Vector3d& on_plane = is_seed ? mean : tree_.points()[point];
 
   for (const std::uint32_t c : nearest) {
     if (!hood.open(c)) continue;
-    if (!(std::abs(normal.dot(hood.point(c) - mean)) < parameters_.plane_distance)) continue;
+    if (!(std::abs(normal.dot(hood.point(c) - on_plane)) < parameters_.plane_distance)) continue;
     hood.close(c);
     std::uint8_t none = kNone;
     if (!labels_[hood.index(c)].compare_exchange_strong(none, kReached)) continue;
@@ -189,7 +190,7 @@ std::size_t GroundMap::grow() {
     double radius = state.parameters.seed_radius;
     while ((seed = tree.lowest(position.x(), position.y(), radius)) == tree.points().size())
       radius *= 2.0;
-    front.reach(seed);
+    front.seed(seed);
   }
   front.grow();
   tree.store_ground([&](std::uint32_t i) { return front.labelled(i); }, state.threads);

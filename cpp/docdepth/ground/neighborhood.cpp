@@ -27,9 +27,9 @@ float measure(const float* xs, const float* ys, const float* zs, const float* cl
   return *std::min_element(smallest, smallest + kLanes);
 }
 
-std::size_t count_within(const std::vector<float>& squared, float radius) {
+std::size_t count_within(const float* squared, std::size_t n, float radius) {
   int count = 0;
-  for (std::size_t i = 0; i < squared.size(); ++i) count += squared[i] <= radius;
+  for (std::size_t i = 0; i < n; ++i) count += squared[i] <= radius;
   return static_cast<std::size_t>(count);
 }
 
@@ -43,52 +43,63 @@ void Neighborhood::gather(std::uint32_t leaf, double reach) {
   box.min() -= margin;
   box.max() += margin;
   reach_ = reach;
-  index_.clear();
-  points_.clear();
   leaves_.clear();
-  x_.clear();
-  y_.clear();
-  z_.clear();
-  closed_.clear();
-  float largest = 0.f;
+  std::size_t size = 0;
   tree_.visit_leaves(box, [&](std::uint32_t other) {
+    leaves_.emplace_back(0, other);
+    size += tree_.nodes()[other].end - tree_.nodes()[other].begin;
+  });
+  reserve(size);
+  std::uint32_t n = 0;
+  float largest = 0.f;
+  for (auto& [stop, other] : leaves_) {
     const Octree::Node& found = tree_.nodes()[other];
-    if (other == leaf) offset_ = node.begin - static_cast<std::uint32_t>(index_.size());
+    if (other == leaf) offset_ = node.begin - n;
     for (std::uint32_t i = found.begin; i < found.end; ++i) {
       const Eigen::Vector3d& p = tree_.points()[i];
-      if (!box.contains(p)) continue;
-      const Eigen::Vector3f q = (p - center).cast<float>();
-      index_.push_back(i);
-      points_.push_back(p);
-      x_.push_back(q.x());
-      y_.push_back(q.y());
-      z_.push_back(q.z());
-      largest = std::max(largest, q.cwiseAbs().maxCoeff());
-      closed_.push_back(labels_[i].load(std::memory_order_relaxed) ? kInfinity : 0.f);
+      const Eigen::Vector3d q = p - center;
+      index_[n] = i;
+      points_[n] = p;
+      x_[n] = static_cast<float>(q.x());
+      y_[n] = static_cast<float>(q.y());
+      z_[n] = static_cast<float>(q.z());
+      closed_[n] = labels_[i].load(std::memory_order_relaxed) ? kInfinity : 0.f;
+      const bool inside = box.contains(p);
+      largest = inside ? std::max(largest, static_cast<float>(q.cwiseAbs().maxCoeff())) : largest;
+      n += inside;
     }
-    leaves_.emplace_back(static_cast<std::uint32_t>(index_.size()), other);
-  });
+    stop = n;
+  }
   // Coordinates are rounded to 2^-24 of the largest, differences and squares as often again.
   error_ = 1e-5f * largest * largest;
-  const std::size_t padded = (index_.size() + kLanes - 1) / kLanes * kLanes;
-  x_.resize(padded, kInfinity);
-  y_.resize(padded, kInfinity);
-  z_.resize(padded, kInfinity);
-  closed_.resize(padded, kInfinity);
-  squared_.resize(padded);
+  size_ = n;
+  padded_ = (size_ + kLanes - 1) / kLanes * kLanes;
+  for (auto* column : {&x_, &y_, &z_, &closed_})
+    std::fill(column->begin() + size_, column->begin() + padded_, kInfinity);
+}
+
+void Neighborhood::reserve(std::size_t size) {
+  size += kLanes;  // for the padding, and for the candidate that is written and not kept
+  if (index_.size() >= size) return;
+  index_.resize(size);
+  points_.resize(size);
+  exact_.resize(size);
+  nearest_.reserve(size);
+  for (auto* column : {&x_, &y_, &z_, &closed_, &squared_}) column->resize(size);
 }
 
 Neighborhood::Outcome Neighborhood::search(std::uint32_t point) {
   const std::uint32_t candidate = point - offset_;
-  if (index_.size() < k_) {
+  if (size_ < k_) {
     needed_reach_ = 2.0 * reach_;
     return Outcome::kReachTooShort;
   }
-  const float nearest_open = measure(x_.data(), y_.data(), z_.data(), closed_.data(), x_.size(),
+  const float nearest_open = measure(x_.data(), y_.data(), z_.data(), closed_.data(), padded_,
                                      x_[candidate], y_[candidate], z_[candidate], squared_.data());
   const auto reach = static_cast<float>(reach_ * reach_);
   const float labelled = std::min(nearest_open, reach) - 4.f * error_;
-  if (labelled > 0.f && count_within(squared_, labelled) >= k_) return Outcome::kNothingNew;
+  if (labelled > 0.f && count_within(squared_.data(), padded_, labelled) >= k_)
+    return Outcome::kNothingNew;
   return select(candidate, radius_of_k());
 }
 
@@ -98,7 +109,7 @@ float Neighborhood::radius_of_k() {
   float low = 0.f, high = kInfinity;
   float radius = guess_ > 0.f ? guess_ : std::max(error_, 1e-6f);
   for (int i = 0; i < 64; ++i) {
-    const std::size_t count = count_within(squared_, radius);
+    const std::size_t count = count_within(squared_.data(), padded_, radius);
     (count >= k_ ? high : low) = radius;
     if (count >= k_ && (count <= k_ + 6 || i > 6)) break;
     // On a surface the count grows like the squared radius.
@@ -111,43 +122,48 @@ float Neighborhood::radius_of_k() {
 
 Neighborhood::Outcome Neighborhood::select(std::uint32_t candidate, float radius) {
   const Eigen::Vector3d& p = points_[candidate];
-  nearest_.clear();
-  exact_.clear();
   // The k-th distance is at most radius + error, and who is nearer looks at most error farther.
   const float limit = radius + 2.f * error_;
-  for (std::uint32_t i = 0; i < index_.size(); ++i) {
-    if (!(squared_[i] <= limit)) continue;
-    const Eigen::Vector3d d = points_[i] - p;
-    nearest_.push_back(i);
-    exact_.push_back((d.x() * d.x() + d.y() * d.y()) + d.z() * d.z());
+  nearest_.resize(size_ + 1);
+  std::size_t count = 0;
+  for (std::uint32_t i = 0; i < size_; ++i) {
+    nearest_[count] = i;
+    count += squared_[i] <= limit;
   }
-  sorted_ = exact_;
+  nearest_.resize(count);
+  for (std::size_t n = 0; n < count; ++n) {
+    const Eigen::Vector3d d = points_[nearest_[n]] - p;
+    exact_[n] = (d.x() * d.x() + d.y() * d.y()) + d.z() * d.z();
+  }
+  sorted_.assign(exact_.begin(), exact_.begin() + count);
   std::nth_element(sorted_.begin(), sorted_.begin() + (k_ - 1), sorted_.end());
   const double last = sorted_[k_ - 1];
   needed_reach_ = std::sqrt(last) * (1.0 + 1e-9);
-  if (needed_reach_ > reach_ && index_.size() < tree_.points().size())
-    return Outcome::kReachTooShort;
-
-  // Of several at the last distance the first by their coordinates.
-  std::vector<std::uint32_t> equal;
-  std::size_t nearer_ones = 0;
-  for (std::size_t i = 0; i < exact_.size(); ++i) {
-    nearer_ones += exact_[i] < last;
-    if (exact_[i] == last) equal.push_back(nearest_[i]);
-  }
-  std::sort(equal.begin(), equal.end(), [&](std::uint32_t a, std::uint32_t b) {
-    return nearer(0.0, points_[a], 0.0, points_[b]);
-  });
-  equal.resize(k_ - nearer_ones);
-  std::size_t kept = 0;
-  for (std::size_t i = 0; i < exact_.size(); ++i)
-    if (exact_[i] < last ||
-        (exact_[i] == last && std::find(equal.begin(), equal.end(), nearest_[i]) != equal.end()))
-      nearest_[kept++] = nearest_[i];
-  nearest_.resize(kept);
+  if (needed_reach_ > reach_ && size_ < tree_.points().size()) return Outcome::kReachTooShort;
+  keep_nearest(last);
   const bool any_open =
       std::any_of(nearest_.begin(), nearest_.end(), [&](std::uint32_t i) { return open(i); });
   return any_open ? Outcome::kFound : Outcome::kNothingNew;
+}
+
+/// Of those in nearest_ the k up to the distance `last`; of several there the first by coordinates.
+void Neighborhood::keep_nearest(double last) {
+  std::size_t kept = 0;
+  for (std::size_t n = 0; n < nearest_.size(); ++n) {
+    nearest_[kept] = nearest_[n];
+    exact_[kept] = exact_[n];
+    kept += exact_[n] <= last;
+  }
+  nearest_.resize(kept);
+  if (kept == k_) return;
+  std::vector<std::uint32_t> equal;
+  for (std::size_t n = 0; n < kept; ++n)
+    if (exact_[n] == last) equal.push_back(nearest_[n]);
+  std::sort(equal.begin(), equal.end(), [&](std::uint32_t a, std::uint32_t b) {
+    return nearer(0.0, points_[a], 0.0, points_[b]);
+  });
+  for (std::size_t n = equal.size() - (kept - k_); n < equal.size(); ++n)
+    nearest_.erase(std::find(nearest_.begin(), nearest_.end(), equal[n]));
 }
 
 std::uint32_t Neighborhood::leaf(std::uint32_t candidate) const {

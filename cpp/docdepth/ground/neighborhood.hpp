@@ -44,16 +44,19 @@ class Neighborhood {
   void close(std::uint32_t candidate);
 
  private:
+  void reserve(std::size_t size);
   float radius_of_k();
   Outcome select(std::uint32_t candidate, float radius);
+  void keep_nearest(double last);
 
   const Octree& tree_;
   const Labels& labels_;
   std::size_t k_;
   std::uint32_t offset_ = 0;  ///< first point of the leaf less its candidate
   double reach_ = 0, needed_reach_ = 0;
-  float error_ = 0;  ///< of a squared distance in single precision
-  float guess_ = 0;  ///< squared radius that held about k points the last time
+  float error_ = 0;                    ///< of a squared distance in single precision
+  float guess_ = 0;                    ///< squared radius that held about k points the last time
+  std::size_t size_ = 0, padded_ = 0;  ///< candidates, and the same in whole vectors
   std::vector<std::uint32_t> index_;
   std::vector<Eigen::Vector3d> points_;
   std::vector<std::pair<std::uint32_t, std::uint32_t>> leaves_;  ///< end of its candidates, leaf

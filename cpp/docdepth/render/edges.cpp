@@ -23,7 +23,8 @@ class Splitter {
   }
 
  private:
-  /// The middle of an edge as seen from the sensor, at the range of its first end and of its second.
+  /// The middle of an edge as seen from the sensor, at the range of its first end and of its
+  /// second.
   struct Middle {
     std::uint32_t first, second;
   };
@@ -61,15 +62,15 @@ PartedSurface part_surface(const Points& points, const std::uint32_t (*triangles
     }
     const bool one_class = moves[0] == moves[1] && moves[1] == moves[2];
     if (one_class && !cut[t]) {
-      (moves[0] ? surface.moving : surface.fixed).whole.push_back({corner[0], corner[1], corner[2]});
+      (moves[0] ? surface.moving : surface.fixed)
+          .whole.push_back({corner[0], corner[1], corner[2]});
       continue;
     }
     int alone = 0;
     if (one_class) {  // the nearest or the farthest, whichever lies farther from the middle one
       int order[3] = {0, 1, 2};
       std::sort(order, order + 3, [&](int a, int b) { return range[a] < range[b]; });
-      const bool nearest =
-          range[order[1]] - range[order[0]] > range[order[2]] - range[order[1]];
+      const bool nearest = range[order[1]] - range[order[0]] > range[order[2]] - range[order[1]];
       alone = order[nearest ? 0 : 2];
     } else {
       while (moves[alone] == moves[(alone + 1) % 3] || moves[alone] == moves[(alone + 2) % 3])

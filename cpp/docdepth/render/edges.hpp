@@ -13,8 +13,8 @@ namespace docdepth {
 using Triangles = std::vector<std::array<std::uint32_t, 3>>;
 
 /// A sweep's surface by what it belongs to. A triangle that spans a depth jump, or lies between a
-/// moving and a static return, is no surface; the object's edge crosses it somewhere. It is split in
-/// the middle as the sensor saw it, and each part continues its own corners at their range.
+/// moving and a static return, is no surface; the object's edge crosses it somewhere. It is split
+/// in the middle as the sensor saw it, and each part continues its own corners at their range.
 struct PartedSurface {
   struct Parts {
     Triangles whole;  ///< measured surface

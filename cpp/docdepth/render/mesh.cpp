@@ -19,8 +19,7 @@ std::uint32_t cell(const Vector& p) {
   turn = p.y() < 0 ? 3.0f + turn : 1.0f - turn;
   const float rise = p.z() / (sum + std::abs(p.z()) + 1e-6f);  // -1 to 1
   const auto column = std::min(static_cast<std::uint32_t>(turn * (kColumns / 4.0f)), kColumns - 1);
-  const auto row =
-      std::min(static_cast<std::uint32_t>((rise + 1.0f) * (kRows / 2.0f)), kRows - 1);
+  const auto row = std::min(static_cast<std::uint32_t>((rise + 1.0f) * (kRows / 2.0f)), kRows - 1);
   return column * kRows + row;
 }
 

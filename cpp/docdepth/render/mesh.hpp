@@ -9,8 +9,8 @@
 
 namespace docdepth {
 
-/// Triangles in patches of neighbours, each with its own vertices and box. A vertex on the border of
-/// two patches is kept twice, which costs less than looking it up elsewhere.
+/// Triangles in patches of neighbours, each with its own vertices and box. A vertex on the border
+/// of two patches is kept twice, which costs less than looking it up elsewhere.
 class Mesh {
  public:
   static constexpr std::uint32_t kVertices = 256;   ///< most vertices of a patch
@@ -18,7 +18,7 @@ class Mesh {
 
   struct Patch {
     Box box;
-    std::uint32_t vertex, vertices;      ///< first and number
+    std::uint32_t vertex, vertices;     ///< first and number
     std::uint32_t triangle, triangles;  ///< first and number
   };
   /// Numbers of corners within a patch.

@@ -145,8 +145,8 @@ DOCDEPTH_INLINE void project_block(const Cloud& cloud, const Cloud::Block& block
     const Integers seen =
         (z > kNear) & (u >= 0.0f) & (u < camera.width) & (v >= 0.0f) & (v < camera.height);
     // Where it is seen nothing is negative, so cutting off is rounding down.
-    const Integers column = __builtin_convertvector(u, Integers);
-    const Integers row = __builtin_convertvector(v, Integers);
+    const Integers column = __builtin_convertvector(u, Integers) & seen;
+    const Integers row = __builtin_convertvector(v, Integers) & seen;
     const Integers pixel = (row * camera.stride + column) | ~seen;
     const Floats squared = (x * x + y * y) + z * z;
     std::memcpy(out.pixel + i, &pixel, sizeof pixel);

@@ -28,7 +28,8 @@ struct Strip {
   std::vector<float> nearness;  // kStrip + kLanes columns a row
 
   static constexpr int kStride = kStrip + kLanes;
-  Strip(int b, int e, int h) : begin(b), end(e), height(h), nearness(std::size_t(kStride) * h, 0.0f) {}
+  Strip(int b, int e, int h)
+      : begin(b), end(e), height(h), nearness(std::size_t(kStride) * h, 0.0f) {}
 };
 
 /// Vertices of a patch in the image.
@@ -143,8 +144,12 @@ DOCDEPTH_INLINE void draw_strip(const Scene& scene, Strip& strip) {
   }
 }
 
-DOCDEPTH_AVX2 void draw_strip_avx2(const Scene& scene, Strip& strip) { draw_strip(scene, strip); }
-void draw_strip_plain(const Scene& scene, Strip& strip) { draw_strip(scene, strip); }
+DOCDEPTH_AVX2 void draw_strip_avx2(const Scene& scene, Strip& strip) {
+  draw_strip(scene, strip);
+}
+void draw_strip_plain(const Scene& scene, Strip& strip) {
+  draw_strip(scene, strip);
+}
 
 }  // namespace
 

@@ -18,8 +18,8 @@ struct PlacedMesh {
 };
 
 /// Depth of the nearest surface at each pixel, row after row; NaN where there is none. Meshes are
-/// drawn in their order. Triangles with a corner nearer than kNear are left out. The result does not
-/// depend on the number of threads.
+/// drawn in their order. Triangles with a corner nearer than kNear are left out. The result does
+/// not depend on the number of threads.
 std::vector<float> render_triangles(const Camera& camera, const std::vector<PlacedMesh>& meshes,
                                     int threads);
 

@@ -148,13 +148,15 @@ def _cameras(
 ) -> dict[str, CameraStream]:
     streams: dict[str, CameraStream] = {}
     guessed: list[str] = []
-    for n in range(4):
-        if f"P{n}" not in calibration:
-            continue
+    folders = {n: dataset.path / f"image_{n}" for n in range(4) if f"P{n}" in calibration}
+    files_of = {n: kitti_files.image_files(folder) for n, folder in folders.items()}
+    sizes = {n: _size(folders[n], files_of[n], asked) for n in folders}
+    # Rectified together, the images of all cameras have one size.
+    common = None if asked else next((size for size in sizes.values() if size), None)
+    for n, folder in folders.items():
         P = calibration.matrix(f"P{n}", 3, 4)
-        folder = dataset.path / f"image_{n}"
-        images = kitti_files.image_files(folder)
-        size = _size(folder, images, asked)
+        images = files_of[n]
+        size = sizes[n] or common
         if size is None:
             size = (round(2 * P[0, 2]), round(2 * P[1, 2]))
             guessed.append(f"{folder.name} {size[0]}x{size[1]}")
