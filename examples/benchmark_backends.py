@@ -72,8 +72,8 @@ def main() -> None:
 
     renderers, first = {}, {}
     for backend in backends.available():
-        if backend.reason:
-            print(f"{backend.name:<12} not available: {backend.reason}")
+        if not backend.well:
+            print(f"{backend.name:<12} not available: {backend.finding}")
             continue
         renderers[backend.name] = renderer = backends.choose(backend.name)
         first[backend.name] = seconds(lambda r=renderer: draw(r))

@@ -62,7 +62,8 @@ py::array_t<float> triangles(GlRenderer& renderer, const Array<double>& K, int w
 
 void bind_gl(py::module_& m) {
   using namespace py::literals;
-  py::register_exception<gl::GlError>(m, "GlError", PyExc_RuntimeError);
+  py::register_exception<gl::GlError>(m, "GlError",
+                                      py::module_::import("docdepth.errors").attr("BackendError"));
   m.def("egl_devices", &gl::egl_devices, "library"_a = "");
   py::class_<GlRenderer>(m, "GlRenderer")
       .def(py::init(&open), "backend"_a, "device"_a = -1, "library"_a = "")

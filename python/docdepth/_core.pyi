@@ -3,10 +3,11 @@ C++ core of docdepth; use the documented functions of docdepth.* instead.
 """
 from __future__ import annotations
 import collections.abc
+import docdepth.errors
 import numpy
 import numpy.typing
 import typing
-__all__: list[str] = ['Frame', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Mesh', 'RangeImage', 'parted', 'render_splats', 'render_triangles', 'surface', 'vote']
+__all__: list[str] = ['Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Mesh', 'RangeImage', 'egl_devices', 'parted', 'render_splats', 'render_triangles', 'surface', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -69,6 +70,29 @@ class Mesh:
     @property
     def size(self) -> int:
         ...
+class GlError(docdepth.errors.BackendError):
+    pass
+class GlRenderer:
+    def __init__(self, backend: str, device: typing.SupportsInt | typing.SupportsIndex = -1, library: str = '') -> None:
+        ...
+    def render_splats(self, K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], static_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], dynamic_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
+        ...
+    def render_triangles(self, K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], T_camera_vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> numpy.typing.NDArray[numpy.float32]:
+        ...
+    @property
+    def point_limit(self) -> int:
+        ...
+    @property
+    def renderer(self) -> str:
+        ...
+    @property
+    def software(self) -> bool:
+        ...
+    @property
+    def version(self) -> str:
+        ...
+def egl_devices(library: str = '') -> list[bool]:
+    ...
 def parted(arg0: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], arg1: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], arg2: typing.Annotated[numpy.typing.ArrayLike, numpy.uint8], arg3: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16]) -> tuple:
     ...
 def render_splats(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], static_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], dynamic_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:

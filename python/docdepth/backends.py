@@ -1,7 +1,7 @@
 """Which device draws: the processor, or OpenGL without a window through EGL or OSMesa.
 
-All of them draw the same splats. OpenGL's libraries are looked for when a back end is asked for,
-so docdepth needs none of them. A back end is named as in ``--renderer`` and ``DOCDEPTH_RENDERER``:
+All of them draw the same. OpenGL's libraries are looked for when a back end is asked for, so
+docdepth needs none of them. A back end is named as in ``--renderer`` and ``DOCDEPTH_RENDERER``:
 
 ``auto``
     a graphics card through EGL where there is one, else ``cpu``
@@ -22,171 +22,70 @@ import os
 import re
 import threading
 from dataclasses import dataclass
-from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from docdepth import _core
-from docdepth.errors import BackendError, InputError
+from docdepth.errors import BackendError
 
 log = logging.getLogger(__name__)
 
-
-class Renderer(Protocol):
-    """What draws splats.
-
-    Attributes
-    ----------
-    name : str
-        As in ``--renderer``.
-    description : str
-        The device: GL_RENDERER of OpenGL.
-    """
-
-    name: str
-    description: str
-
-    def render_splats(self, *args: Any, **settings: Any) -> NDArray[np.float32]:
-        """Depth of the nearest splat at each pixel; arguments of ``_core.render_splats``."""
-        ...
+CPU = "docdepth's own rasteriser"
 
 
-class CpuRenderer:
-    """docdepth's own rasteriser, on all cores."""
-
-    name = "cpu"
-    description = "docdepth's own rasteriser"
-
-    def render_splats(self, *args: Any, **settings: Any) -> NDArray[np.float32]:
-        return _core.render_splats(*args, **settings)
-
-
-class GlRenderer:
-    """OpenGL without a window. Each thread that draws gets its own context.
+class Renderer:
+    """A back end that is ready to draw, from any thread: each gets an OpenGL context of its own.
 
     Parameters
     ----------
     name : str
-        ``egl``, ``egl:N``, ``surfaceless`` or ``osmesa``.
+        ``cpu``, ``egl``, ``egl:N``, ``surfaceless`` or ``osmesa``.
+
+    Attributes
+    ----------
+    name : str
+    description : str
+        The device: GL_RENDERER of OpenGL.
+    software : bool
+        The processor draws.
 
     Raises
     ------
     BackendError
-        The back end cannot be used here, with the reason; also when drawing in a process that was
-        forked after OpenGL had been used, which drivers do not survive.
+        There is no such back end, or it cannot be used here.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str = "cpu") -> None:
         self.name = name
-        self._backend, self._device = _parse(name)
-        self._contexts = threading.local()
-        context = self._context()
-        self.description: str = context.renderer
-        self.software: bool = context.software
+        self._library = None if name == "cpu" else _library(name)
+        self._threads = threading.local()
+        core = self.core
+        self.description: str = core.renderer if self._library else CPU
+        self.software: bool = core.software if self._library else True
 
-    def render_splats(self, *args: Any, **settings: Any) -> NDArray[np.float32]:
-        context = self._context()
-        try:
-            return context.render_splats(*args, **settings)
-        except _core.GlError as error:
-            raise BackendError(f"renderer {self.name}: {error}") from None
-
-    def render_triangles(
-        self,
-        K: NDArray[np.float64],
-        width: int,
-        height: int,
-        vertices: NDArray[np.float32],
-        triangles: NDArray[np.uint32],
-        T_camera_vertices: NDArray[np.float64],
-    ) -> NDArray[np.float32]:
-        """z of the nearest triangle at each pixel's centre.
-
-        Parameters
-        ----------
-        K : ndarray of float64, shape (3, 3)
-            Pixels; integer pixel coordinates are pixel centres.
-        width, height : int
-            Pixels.
-        vertices : ndarray of float32, shape (N, 3)
-            Metres.
-        triangles : ndarray of uint32, shape (M, 3)
-            Rows of ``vertices``.
-        T_camera_vertices : ndarray of float64, shape (4, 4)
-            Takes vertices to the camera.
-
-        Returns
-        -------
-        ndarray of float32, shape (height, width)
-            Metres, exact in perspective; NaN where there is no triangle.
+    @property
+    def core(self) -> Any:
+        """What has ``render_splats`` and its like in this thread.
 
         Raises
         ------
-        InputError
-            Shapes or dtypes are wrong, or a corner is not among the vertices.
+        BackendError
+            OpenGL has been used before this process was forked, which drivers do not survive.
         """
-        context = self._context()
-        try:
-            return context.render_triangles(
-                K, width, height, vertices, triangles, T_camera_vertices
-            )
-        except _core.GlError as error:
-            raise BackendError(f"renderer {self.name}: {error}") from None
-        except (TypeError, ValueError) as error:
-            raise InputError(f"triangles cannot be drawn: {error}") from None
-
-    def _context(self) -> _core.GlRenderer:
-        context = getattr(self._contexts, "context", None)
-        if context is None:
+        if self._library is None:
+            return _core
+        if not hasattr(self._threads, "core"):
             try:
-                context = _core.GlRenderer(self._backend, self._device)
+                self._threads.core = _core.GlRenderer(*self._library)
             except _core.GlError as error:
                 raise BackendError(
                     f"renderer {self.name} is not available: {error}; --renderer cpu always is, "
                     "and docdepth doctor lists all"
                 ) from None
-            self._contexts.context = context
-        return context
-
-
-@dataclass(frozen=True)
-class Backend:
-    """A back end that could draw here.
-
-    Attributes
-    ----------
-    name : str
-        As in ``--renderer``.
-    renderer : str or None
-        The device that draws; None if it cannot.
-    reason : str or None
-        Why it cannot.
-    """
-
-    name: str
-    renderer: str | None
-    reason: str | None
-
-
-def available() -> list[Backend]:
-    """Every back end, tried out; EGL once for each of its devices."""
-    backends = [Backend("cpu", CpuRenderer.description, None)]
-    names = ["surfaceless", "osmesa"]
-    try:
-        names = [f"egl:{i}" for i in range(len(_core.egl_devices()))] + names
-    except _core.GlError as error:
-        backends.append(Backend("egl", None, str(error)))
-    for name in names:
-        try:
-            backends.append(Backend(name, _core.GlRenderer(*_parse(name)).renderer, None))
-        except _core.GlError as error:
-            backends.append(Backend(name, None, str(error)))
-    return backends
+        return self._threads.core
 
 
 def choose(name: str | None = None) -> Renderer:
-    """The renderer of a name, ready to draw.
+    """The renderer of a name.
 
     Parameters
     ----------
@@ -199,12 +98,10 @@ def choose(name: str | None = None) -> Renderer:
         There is no such back end, or it cannot be used here. ``auto`` never fails.
     """
     name = name or os.environ.get("DOCDEPTH_RENDERER") or "auto"
-    if name == "auto":
-        return _graphics_card() or CpuRenderer()
-    return CpuRenderer() if name == "cpu" else GlRenderer(name)
+    return _graphics_card() or Renderer("cpu") if name == "auto" else Renderer(name)
 
 
-def _graphics_card() -> GlRenderer | None:
+def _graphics_card() -> Renderer | None:
     """The first that draws in hardware. Software devices are known without being started."""
     try:
         devices = _core.egl_devices()
@@ -213,7 +110,7 @@ def _graphics_card() -> GlRenderer | None:
         return None
     for device in (i for i, hardware in enumerate(devices) if hardware):
         try:
-            renderer = GlRenderer(f"egl:{device}")
+            renderer = Renderer(f"egl:{device}")
         except BackendError as error:
             log.info("%s", error)
             continue
@@ -223,7 +120,42 @@ def _graphics_card() -> GlRenderer | None:
     return None
 
 
-def _parse(name: str) -> tuple[str, int]:
+@dataclass(frozen=True)
+class Backend:
+    """A back end that was tried out.
+
+    Attributes
+    ----------
+    name : str
+        As in ``--renderer``.
+    well : bool
+        It can be used here.
+    finding : str
+        The device that draws, or why it cannot.
+    """
+
+    name: str
+    well: bool
+    finding: str
+
+
+def available() -> list[Backend]:
+    """Every back end, tried out; EGL once for each of its devices."""
+    found = [Backend("cpu", True, CPU)]
+    names = ["surfaceless", "osmesa"]
+    try:
+        names = [f"egl:{i}" for i in range(len(_core.egl_devices()))] + names
+    except _core.GlError as error:
+        found.append(Backend("egl", False, str(error)))
+    for name in names:
+        try:
+            found.append(Backend(name, True, _core.GlRenderer(*_library(name)).renderer))
+        except _core.GlError as error:
+            found.append(Backend(name, False, str(error)))
+    return found
+
+
+def _library(name: str) -> tuple[str, int]:
     """Library and device number, -1 for any."""
     egl = re.fullmatch(r"egl(?::([0-9]{1,4}))?", name)
     if egl:

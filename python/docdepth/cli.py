@@ -46,8 +46,8 @@ RendererName = Annotated[
     typer.Option(
         "--renderer",
         metavar="NAME",
-        envvar="DOCDEPTH_RENDERER",
-        help="auto, cpu, egl, egl:N, surfaceless or osmesa; a graphics card, else cpu, if absent.",
+        help="auto (a graphics card, else cpu), cpu, egl, egl:N, surfaceless or osmesa; "
+        "DOCDEPTH_RENDERER, else auto, if absent.",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]

@@ -34,8 +34,7 @@ def doctor() -> list[tuple[str, str, bool]]:
         finding = f'missing; pip install "docdepth[{extra}]"' if missing else "installed"
         rows.append((f"extra {extra}", finding, not missing))
     for backend in backends.available():
-        finding = backend.renderer or f"not available: {backend.reason}"
-        rows.append((f"renderer {backend.name}", finding, backend.renderer is not None))
+        rows.append((f"renderer {backend.name}", backend.finding, backend.well))
     return rows
 
 

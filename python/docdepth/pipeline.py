@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth import dynamics, render, visualize
-from docdepth.backends import CpuRenderer, Renderer
+from docdepth.backends import Renderer
 from docdepth.datasets.base import CameraStream, Dataset, usable_points
 from docdepth.errors import DatasetError, RunError
 from docdepth.ground import GroundMap
@@ -233,7 +233,7 @@ def run_render(
         run.clear("depth")
         run.clear("report")
     watch, total = Stopwatch(), len(chosen)
-    renderer = renderer or CpuRenderer()
+    renderer = renderer or Renderer()
     run.set_stage(
         "render",
         state="running",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth import _core
-from docdepth.backends import CpuRenderer, Renderer
+from docdepth.backends import Renderer
 from docdepth.config import RenderParameters
 from docdepth.errors import CalibrationError, InputError
 from docdepth.trajectory import Trajectory, inverse
@@ -169,7 +169,7 @@ def render(
     def place(index: int) -> tuple[_core.Frame, NDArray[np.float64]]:
         return frames(index).core, T_camera_world @ trajectory.poses[index]
 
-    depth = (renderer or CpuRenderer()).render_splats(
+    depth: NDArray[np.float32] = (renderer or Renderer()).core.render_splats(
         camera.K,
         camera.width,
         camera.height,
