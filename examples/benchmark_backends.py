@@ -43,7 +43,7 @@ def street_sweep(count: int, seed: int) -> Frame:
         down = np.where(ray[:, 2] < 0, -1.73 / ray[:, 2], np.inf)
     distance = np.minimum(distance, down) + random.normal(0, 0.02, count)
     classid = np.where((np.abs(azimuth - 0.2) < 0.03) & (elevation < 0), 100, 50)
-    return Frame((ray * distance[:, None]).astype(np.float32), classid.astype(np.uint16))
+    return Frame((ray * distance[:, None]).astype(np.float32), classid.astype(np.uint16), RELEASED)
 
 
 def seconds(work) -> float:

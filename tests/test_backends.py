@@ -94,7 +94,7 @@ def test_each_image_is_drawn_anew(gl):
         for time in (TIME, TIME + 150_000_000):
             asked = (camera, AXES, trajectory, time, frames.__getitem__, parameters)
             assert_agree(render(*asked, renderer=gl), render(*asked), gl)
-    empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16))
+    empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
     assert np.isnan(
         render(camera, AXES, straight(1), 0, lambda _: empty, parameters, renderer=gl)
     ).all()
@@ -108,8 +108,8 @@ def test_real_drive(gl, drive_0005):
     stream = dataset.cameras["image_02"]
     points = dataset.sweep(10).points
     classid = np.where(np.arange(len(points)) % 7 == 0, 100, 50).astype(np.uint16)
-    frame = Frame(np.ascontiguousarray(points), classid)
     parameters = parameters_of((50, 3, 80, 35))
+    frame = Frame(np.ascontiguousarray(points), classid, parameters)
     asked = (stream.camera, stream.T_camera_lidar, straight(1), 0, lambda _: frame, parameters)
     assert_agree(render(*asked, renderer=gl), render(*asked), gl)
 

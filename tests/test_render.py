@@ -16,6 +16,7 @@ from docdepth.trajectory import Trajectory
 # Camera axes in the LiDAR frame: x right = -y, y down = -z, z forward = x.
 AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=np.float64)
 PAPER = RenderParameters(surface="splats", behind=0.5, ahead=100.0, step=0.2)
+TRIANGLES = RenderParameters()
 
 
 def small_camera(width=160, height=60, focal=90.0):
@@ -149,7 +150,8 @@ def test_near_moving_wall_hides_far_static_wall():
     near = wall(8.0)[np.abs(side.ravel()) < 2]
     points = np.concatenate([wall(20.0), near]).astype(np.float32)
     classid = np.repeat(np.array([50, 100], np.uint16), [side.size, len(near)])
-    depth = render(camera, AXES, straight(1), 0, lambda _: Frame(points, classid), PAPER)
+    frame = Frame(points, classid, PAPER)
+    depth = render(camera, AXES, straight(1), 0, lambda _: frame, PAPER)
     assert set(np.unique(depth)) == {8.0, 20.0}
     assert (depth[:, 60:100] == 8.0).all()
     assert (depth[:, :30] == 20.0).all()
@@ -196,9 +198,10 @@ def test_a_standing_ego_is_drawn_from_the_sweep_nearest_in_time():
     assert dynamic_frame(trajectory, 1_730_000_000) == 17
 
 
-def test_no_points_give_no_depth():
-    empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16))
-    assert np.isnan(render(small_camera(), AXES, straight(2), 0, lambda _: empty, PAPER)).all()
+@pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
+def test_no_points_give_no_depth(parameters):
+    empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
+    assert np.isnan(render(small_camera(), AXES, straight(2), 0, lambda _: empty, parameters)).all()
 
 
 def test_bad_input_is_refused():
@@ -210,6 +213,173 @@ def test_bad_input_is_refused():
         render(small_camera(), AXES, straight(2), -1, lambda _: frame_of([5, 0, 0]), PAPER)
     with pytest.raises(CalibrationError, match="skew"):
         Camera(np.array([[9.0, 1, 5], [0, 9, 5], [0, 0, 1]]), 10, 10)
+
+
+def spinning(rings=48, columns=1500, low=-25.0, high=8.0):
+    azimuth = np.arange(columns) * 2 * np.pi / columns - np.pi + 1e-3
+    a, e = np.meshgrid(azimuth, np.radians(np.linspace(low, high, rings)))
+    return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1).reshape(-1, 3)
+
+
+def meet(directions, planes):
+    """Range of the first of the planes (n, d), n.x = d, that each ray meets, and which."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ranges = np.stack([d / (directions @ np.array(n)) for n, d in planes])
+    ranges[~(ranges > 0)] = np.inf
+    return ranges.min(axis=0), ranges.argmin(axis=0)
+
+
+def pixel_rays(camera):
+    """Directions in the LiDAR frame with unit depth, for AXES."""
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    x = (u - camera.K[0, 2]) / camera.K[0, 0]
+    y = (v - camera.K[1, 2]) / camera.K[1, 1]
+    return np.stack([np.ones_like(x), -x, -y], axis=-1)
+
+
+GROUND, WALL, SIDE = ((0.02, 0.01, 1.0), -1.7), ((1.0, 0.1, 0.0), 14.0), ((0.05, 1.0, 0.0), 5.0)
+
+
+@pytest.mark.parametrize("planes", [[GROUND], [WALL], [SIDE], [GROUND, WALL, SIDE]])
+def test_triangles_of_a_plane_are_that_plane_without_cracks(planes):
+    directions = spinning()
+    ranges, _ = meet(directions, planes)
+    hit = ranges < 60
+    points = (directions * ranges[:, None])[hit].astype(np.float32)
+    camera = small_camera()
+    frame = Frame(points, np.full(len(points), 50, np.uint16), TRIANGLES)
+    depth = render(camera, AXES, straight(1), 0, lambda _: frame, TRIANGLES)
+    rays = pixel_rays(camera)
+    exact, plane = meet(rays.reshape(-1, 3), planes)
+    exact, plane = np.minimum(exact, 1e6).reshape(depth.shape), plane.reshape(depth.shape)
+    # Pixels well within the returns: away from other planes and in the sensor's field of view.
+    elevation = np.degrees(np.arctan2(rays[..., 2], np.hypot(rays[..., 0], rays[..., 1])))
+    seen = (elevation > -24) & (elevation < 7) & (exact * np.linalg.norm(rays, axis=-1) < 25)
+    for shift in range(-6, 7):
+        for axis in (0, 1):
+            seen &= np.roll(plane, shift, axis) == plane
+    assert seen.sum() > 2000
+    assert np.isfinite(depth[seen]).all()
+    # Triangles are drawn 0.01 pixels larger, and nearness is clamped to that of their corners; a
+    # pixel beyond an acute corner is a few times that far outside. float32 adds 1e-5.
+    bend = sum(np.abs(np.gradient(1 / exact, axis=axis)) for axis in (0, 1)) * exact
+    assert (np.abs(depth - exact) / exact <= 0.05 * bend + 1e-5)[seen].all()
+
+
+def draw_triangles(camera, vertices, triangles, threads=1):
+    """Triangles in camera axes as one whole surface."""
+    from docdepth import _core
+
+    frame = _core.SurfaceFrame(
+        vertices.astype(np.float32),
+        np.full(len(vertices), 50, np.uint16),
+        triangles.astype(np.uint32),
+        np.zeros(len(triangles), np.uint8),
+        np.empty(0, np.uint32),
+        0.01,
+    )
+    placed = (frame, np.eye(4))
+    return _core.render_surfaces(camera.K, camera.width, camera.height, [placed], placed, threads)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_triangles_equal_a_plain_rasteriser(seed):
+    rng = np.random.default_rng(seed)
+    camera = small_camera()
+    vertices = rng.uniform([-12, -5, 2], [12, 5, 20], (60, 3)).astype(np.float32)
+    vertices[:3, 2] = -1, 0.05, 3  # behind the camera, too near
+    triangles = np.arange(60).reshape(-1, 3)
+    depth = draw_triangles(camera, vertices, triangles)
+    p = vertices.astype(np.float64)
+    u = camera.K[0, 0] * p[:, 0] / p[:, 2] + camera.K[0, 2]
+    v = camera.K[1, 1] * p[:, 1] / p[:, 2] + camera.K[1, 2]
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    expected, border = np.full(depth.shape, np.inf), np.zeros(depth.shape, bool)
+    for t in triangles[1:]:
+        inside, near = np.ones(depth.shape, bool), np.zeros(depth.shape, bool)
+        turn = (u[t[1]] - u[t[0]]) * (v[t[2]] - v[t[0]]) - (u[t[2]] - u[t[0]]) * (v[t[1]] - v[t[0]])
+        order = t if turn > 0 else t[::-1]
+        for a, b in zip(order, np.roll(order, -1), strict=True):
+            du, dv = u[b] - u[a], v[b] - v[a]
+            distance = (du * (rows - v[a]) - dv * (columns - u[a])) / np.hypot(du, dv)
+            inside &= distance > 0
+            near |= np.abs(distance) < 0.03
+        normal = np.cross(p[t[1]] - p[t[0]], p[t[2]] - p[t[0]])
+        rays = np.stack(
+            [(columns - camera.K[0, 2]) / camera.K[0, 0], (rows - camera.K[1, 2]) / camera.K[1, 1]]
+        )
+        z = (normal @ p[t[0]]) / (normal[0] * rays[0] + normal[1] * rays[1] + normal[2])
+        expected = np.where(inside & (z > 0), np.minimum(expected, z), expected)
+        border |= near
+    expected[np.isinf(expected)] = np.nan
+    sure = ~border
+    assert np.isfinite(expected[sure]).sum() > 500
+    np.testing.assert_allclose(depth[sure], expected[sure], rtol=1e-3)
+    np.testing.assert_array_equal(draw_triangles(camera, vertices, triangles, threads=3), depth)
+
+
+def test_triangles_do_not_depend_on_threads():
+    trajectory, frames, _ = drive(np.random.default_rng(5), 130_000_000, TRIANGLES)
+    one, two = (
+        render(small_camera(250), AXES, trajectory, 130_000_000, frames.__getitem__, TRIANGLES, t)
+        for t in (1, 2)
+    )
+    np.testing.assert_array_equal(one, two)
+    assert np.isfinite(one).mean() > 0.1
+
+
+def test_a_moving_box_stands_before_the_wall_where_the_nearest_sweep_saw_it():
+    directions = spinning()
+    camera = small_camera()
+
+    def frame(index):  # the wall 20 m before the first sweep, the box a metre farther each time
+        wall = (20.0 - index) / directions[:, 0]
+        box = (8.0 + index) / directions[:, 0]
+        side = box[:, None] * directions
+        on_box = (wall > 0) & (np.abs(side[:, 1]) < 2) & (np.abs(side[:, 2] + 0.5) < 1)
+        ranges = np.where(on_box, box, wall)
+        seen = (ranges > 0) & (ranges < 60)
+        points = (directions * ranges[:, None])[seen].astype(np.float32)
+        return Frame(points, np.where(on_box[seen], 100, 50).astype(np.uint16), TRIANGLES)
+
+    frames = [frame(i) for i in range(4)]
+    depth = render(camera, AXES, straight(4), 160_000_000, frames.__getitem__, TRIANGLES)
+    row, middle = 32, 79
+    assert depth[row, middle] == pytest.approx(2 + 10 - 1.6, rel=1e-4)
+    # 2 m at 10.4 m are 17.3 pixels; the last return lies within a quarter of a degree.
+    box = np.abs(depth[row] - 10.4) < 0.1
+    assert abs(box.sum() / 2 - 17.3) < 1.0
+    assert np.nanmax(np.abs(depth[row, 20:140][~box[20:140]] - 18.4)) < 0.1
+
+
+def test_a_return_alone_is_a_small_diamond():
+    camera = small_camera()
+    wide = TRIANGLES.model_copy(update={"loose_deg": 3.0})
+    frame = Frame(np.array([[10, 0, 0]], np.float32), np.array([50], np.uint16), wide)
+    depth = render(camera, AXES, straight(1), 0, lambda _: frame, wide)
+    u, v = np.meshgrid(np.arange(160) - camera.K[0, 2], np.arange(60) - camera.K[1, 2])
+    half = np.radians(3.0)
+    inside = np.abs(u / camera.K[0, 0]) + np.abs(v / camera.K[1, 1]) <= half
+    assert inside.sum() > 40
+    np.testing.assert_array_equal(np.isfinite(depth), inside)
+    np.testing.assert_allclose(depth[inside], 10, rtol=1e-5)
+
+
+def test_sweeps_of_triangles_start_with_the_nearest_and_thin_out():
+    trajectory = straight(300, spacing=0.5)
+    taken = static_frames(trajectory, 5_030_000_000, TRIANGLES)  # at 25.15 m
+    ahead = trajectory.arc_length[taken] - 25.15
+    assert taken[0] == 50
+    assert len(set(taken.tolist())) == len(taken)
+    assert (np.diff(np.abs(ahead[1:])) >= 0).all()
+    assert ahead.min() > -TRIANGLES.behind
+    assert ahead.max() > 0.7 * TRIANGLES.ahead
+    ordered = np.sort(ahead[1:])
+    assert np.diff(ordered)[np.abs(ordered[1:]) < 8].max() < 4.1
+    assert np.diff(ordered)[ordered[1:] > 50].min() >= 8
+    # The next images take the same sweeps, but for the nearest and a few that enter.
+    following = static_frames(trajectory, 5_130_000_000, TRIANGLES)
+    assert len(set(following.tolist()) - set(taken.tolist())) <= 3
 
 
 @pytest.mark.skipif("DOCDEPTH_KITTI_RAW" not in os.environ, reason="DOCDEPTH_KITTI_RAW is not set")

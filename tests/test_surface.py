@@ -178,6 +178,22 @@ def test_box_before_a_wall_is_cut_out(rings: int) -> None:
     assert not surface.cut[one & (kinds[:, 0] == 2)].any()
 
 
+@pytest.mark.parametrize("rings", [32, 64])
+def test_nothing_joins_thin_posts_to_the_wall_behind(rings: int) -> None:
+    """A post one or two returns wide: the triangles to its left and right nearly share a plane."""
+    directions = ring_rays(rings, 2000)
+    azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
+    noise = np.random.default_rng(2).normal(0, 0.015, len(directions))
+    for width in (0.2, 0.38):
+        post = (np.abs((azimuth + 5) % 10 - 5) < width / 2) & (np.abs(azimuth) < 40)
+        ranges = np.where(post, 4.0, 9.0) + noise
+        surface = Surface((directions * ranges[:, None]).astype(np.float32))
+        kinds = post[surface.triangles]
+        joined = kinds.any(axis=1) & ~kinds.all(axis=1)
+        assert joined.sum() > 500
+        assert surface.cut[joined].all()
+
+
 def test_exact_range_between_returns() -> None:
     """A plane through three returns of a plane is that plane: any direction between is exact."""
     directions = ring_rays(16, 720, low=-20, high=-4)

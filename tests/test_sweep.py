@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from docdepth import pipeline
+from docdepth.cli import app
 from docdepth.config import Parameters, parameters
 from docdepth.dynamics import classify_drive
 from docdepth.errors import ConfigError
@@ -187,3 +189,18 @@ def test_plots_are_drawn(tmp_path) -> None:
         plot(outcomes, tmp_path / "sweep.png")
         assert (tmp_path / "sweep.png").read_bytes()[:4] == b"\x89PNG"
         (tmp_path / "sweep.png").unlink()
+
+
+def test_on_the_command_line(run: Path, tmp_path: Path) -> None:
+    def cli(*arguments: object):
+        given = [str(a) for a in ("sweep", run, "--labels", run.parent / "labels", *arguments)]
+        return CliRunner().invoke(app, ["-v", *given])
+
+    out = tmp_path / "out"
+    result = cli("-o", out, "--vary", "dynamics.tolerance=0.1,0.2", "--vary", "dynamics.window=5")
+    assert result.exit_code == 0, result.output
+    assert "tolerance=0.1,window=5" in result.output
+    assert len((out / "sweep.csv").read_text().splitlines()) == 3
+    assert isinstance(cli("-o", out).exception, ConfigError)
+    trials = Path(__file__).parent.parent / "examples" / "ablation.yaml"
+    assert len(read_trials(trials)) == 4

@@ -5,6 +5,7 @@
 #include "arrays.hpp"
 #include "docdepth/dynamics/key_frame.hpp"
 #include "docdepth/dynamics/range_image.hpp"
+#include "docdepth/dynamics/surface_image.hpp"
 
 namespace docdepth::bindings {
 namespace {
@@ -17,6 +18,14 @@ std::unique_ptr<RangeImage> make_range_image(const Array<float>& points, const A
   py::gil_scoped_release release;
   return std::make_unique<RangeImage>(map, flags,
                                       RangeImageParameters{resolution, window, tolerance, plain});
+}
+
+std::unique_ptr<SurfaceImage> make_surface_image(const Array<float>& points,
+                                                 const SurfaceParameters& surface,
+                                                 const SurfaceImageParameters& parameters) {
+  const PointMap map = as_points(points);
+  py::gil_scoped_release release;
+  return std::make_unique<SurfaceImage>(map, surface, parameters);
 }
 
 py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
@@ -44,6 +53,25 @@ void bind_dynamics(py::module_& m) {
   py::class_<RangeImage, KeyFrame>(m, "RangeImage")
       .def(py::init(&make_range_image), py::arg("points"), py::arg("ground"), py::arg("resolution"),
            py::arg("window"), py::arg("tolerance"), py::arg("plain") = false);
+  py::class_<SurfaceParameters>(m, "SurfaceParameters")
+      .def(py::init<>())
+      .def_readwrite("max_gap", &SurfaceParameters::max_gap)
+      .def_readwrite("jump_ratio", &SurfaceParameters::jump_ratio)
+      .def_readwrite("noise", &SurfaceParameters::noise)
+      .def_readwrite("flatness", &SurfaceParameters::flatness);
+  py::class_<Margins>(m, "Margins")
+      .def(py::init<float, float, float>(), py::arg("across"), py::arg("along"), py::arg("growth"));
+  py::class_<SurfaceImageParameters>(m, "SurfaceImageParameters")
+      .def(py::init<>())
+      .def_readwrite("resolution", &SurfaceImageParameters::resolution)
+      .def_readwrite("window", &SurfaceImageParameters::window)
+      .def_readwrite("tolerance", &SurfaceImageParameters::tolerance)
+      .def_readwrite("upright", &SurfaceImageParameters::upright)
+      .def_readwrite("level", &SurfaceImageParameters::level)
+      .def_readwrite("level_cosine", &SurfaceImageParameters::level_cosine);
+  py::class_<SurfaceImage, KeyFrame>(m, "SurfaceImage")
+      .def(py::init(&make_surface_image), py::arg("points"), py::arg("surface"),
+           py::arg("parameters"));
   m.def("vote", &vote_on, py::arg("points"), py::arg("ground"), py::arg("T_world_lidar"),
         py::arg("key_frames"), py::arg("poses"), py::arg("threads") = 0);
 }

@@ -2,9 +2,8 @@
 
 #include <memory>
 
-#include "docdepth/render/edges.hpp"
-#include "docdepth/render/mesh.hpp"
-#include "docdepth/render/triangles.hpp"
+#include "docdepth/render/surfaces.hpp"
+
 namespace docdepth::bindings {
 namespace {
 
@@ -30,29 +29,35 @@ py::array_t<float> splats(const Array<double>& K, int width, int height,
   return to_numpy(std::move(depth), {height, width});
 }
 
-py::tuple parted(const Array<float>& points, const Array<std::uint32_t>& triangles,
-                 const Array<std::uint8_t>& cut, const Array<std::uint16_t>& classid) {
+std::unique_ptr<SurfaceFrame> make_surface_frame(const Array<float>& points,
+                                                 const Array<std::uint16_t>& classid,
+                                                 const Array<std::uint32_t>& triangles,
+                                                 const Array<std::uint8_t>& cut,
+                                                 const Array<std::uint32_t>& loose,
+                                                 float loose_angle) {
   const PointMap map = as_points(points);
-  const auto surface =
-      part_surface(map, reinterpret_cast<const std::uint32_t (*)[3]>(triangles.data()), cut.data(),
-                   triangles.shape(0), as_column(classid, map.rows(), "classid"));
-  const auto make = [&](const Triangles& t) { return Mesh(surface.vertices, t); };
-  return py::make_tuple(make(surface.fixed.whole), make(surface.fixed.near),
-                        make(surface.fixed.far), make(surface.moving.whole),
-                        make(surface.moving.near), make(surface.moving.far));
+  const std::uint16_t* classes = as_column(classid, map.rows(), "classid");
+  const py::ssize_t count = triangles.shape(0);
+  const std::uint8_t* cuts = as_column(cut, count, "cut");
+  const auto* corners = reinterpret_cast<const std::uint32_t (*)[3]>(triangles.data());
+  const py::gil_scoped_release release;
+  return std::make_unique<SurfaceFrame>(map, corners, cuts, count, loose.data(), loose.size(),
+                                        loose_angle, classes);
 }
 
-py::array_t<float> triangles(
-    const Array<double>& K, int width, int height,
-    const std::vector<std::tuple<const Mesh*, Array<double>, float>>& meshes, int threads) {
+using PlacedFrame = std::pair<const SurfaceFrame*, Array<double>>;
+
+py::array_t<float> surfaces(const Array<double>& K, int width, int height,
+                            const std::vector<PlacedFrame>& fixed, const PlacedFrame& moving,
+                            int threads) {
   const Camera camera = as_camera(K, width, height);
-  std::vector<PlacedMesh> placed;
-  for (const auto& [mesh, pose, tolerance] : meshes)
-    placed.push_back({mesh, as_pose(pose), tolerance});
+  std::vector<PlacedSurface> placed;
+  for (const auto& [frame, pose] : fixed) placed.push_back({frame, as_pose(pose)});
+  const PlacedSurface mover{moving.first, as_pose(moving.second)};
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth = render_triangles(camera, placed, threads);
+    depth = render_surfaces(camera, placed, mover, threads);
   }
   return to_numpy(std::move(depth), {height, width});
 }
@@ -67,9 +72,11 @@ void bind_render(py::module_& m) {
                              [](const Frame& frame) { return frame.static_points.size(); })
       .def_property_readonly("dynamic_size",
                              [](const Frame& frame) { return frame.dynamic_points.size(); });
-  py::class_<Mesh>(m, "Mesh").def_property_readonly("size", &Mesh::size);
-  m.def("parted", &parted);
-  m.def("render_triangles", &triangles, "K"_a, "width"_a, "height"_a, "meshes"_a, "threads"_a = 0);
+  py::class_<SurfaceFrame>(m, "SurfaceFrame")
+      .def(py::init(&make_surface_frame), "points"_a, "classid"_a, "triangles"_a, "cut"_a,
+           "loose"_a, "loose_angle"_a);
+  m.def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "moving"_a,
+        "threads"_a = 0);
   m.def("render_splats", &splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0);
 }

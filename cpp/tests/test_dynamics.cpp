@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "docdepth/dynamics/range_image.hpp"
+#include "docdepth/dynamics/surface_image.hpp"
 #include "docdepth/geometry/rigid.hpp"
 
 using namespace docdepth;
@@ -21,6 +22,16 @@ Cloud wall(float distance) {
     for (int j = 0; j < 60; ++j)
       cloud.row(60 * i + j) << distance, 0.02f * (i - 30), 0.02f * (j - 30);
   return cloud;
+}
+
+/// The votes of a key frame on one point straight ahead.
+std::array<int, 2> ask_surface(const Cloud& sweep, float distance) {
+  const SurfaceImage image(sweep, {}, {});
+  Cloud point(1, 3);
+  point << distance, 0.001f, 0.001f;
+  const bool ground = false;
+  const Votes votes = vote(point, &ground, Pose::Identity(), {&image}, {Pose::Identity()}, 1);
+  return {votes.statics[0], votes.dynamics[0]};
 }
 
 /// The votes of a wall at 10 m on one point straight ahead.
@@ -72,4 +83,27 @@ TEST_CASE("a relative pose takes points from one frame to the other") {
       .pretranslate(Eigen::Vector3d(1e3, 2, 1));
   const Eigen::Vector3d p(1, -2, 0.5);
   CHECK((a * (between(a, b) * p) - b * p).norm() < 1e-9);
+}
+
+TEST_CASE("the surface of a wall answers between its returns") {
+  Cloud sparse(4 * 4, 3);  // returns 2.3 degrees apart
+  for (int i = 0; i < 4; ++i)
+    for (int j = 0; j < 4; ++j)
+      sparse.row(4 * i + j) << 10.0f, 0.4f * (i - 1.5f), 0.4f * (j - 1.5f);
+  CHECK(ask_surface(sparse, 10.1f) == std::array<int, 2>{1, 0});
+  CHECK(ask_surface(sparse, 9.0f) == std::array<int, 2>{0, 1});
+  CHECK(ask_surface(sparse, 12.0f) == std::array<int, 2>{0, 0});
+}
+
+TEST_CASE("across a depth jump only what lies nearer than both sides was looked through") {
+  Cloud jump(2 * 40, 3);
+  for (int i = 0; i < 40; ++i) {
+    const float z = 0.1f * (i - 20), x = 10.0f;
+    jump.row(2 * i) << x, 0.3f, z;
+    jump.row(2 * i + 1) << 2 * x, -0.6f, 2 * z;
+  }
+  CHECK(ask_surface(jump, 9.0f) == std::array<int, 2>{0, 1});
+  CHECK(ask_surface(jump, 10.1f) == std::array<int, 2>{1, 0});
+  CHECK(ask_surface(jump, 15.0f) == std::array<int, 2>{0, 0});
+  CHECK(ask_surface(jump, 30.0f) == std::array<int, 2>{0, 0});
 }

@@ -98,19 +98,24 @@ TEST_CASE("rendering does not depend on threads, and nothing gives no depth") {
   for (const float depth : render_splats(camera, {}, 2)) REQUIRE(std::isnan(depth));
 }
 
-TEST_CASE("the nearer triangle wins, and within the tolerance the earlier one") {
+TEST_CASE("the nearer triangle of a layer wins; a layer hides those before it only if it says so") {
   const Camera camera{100, 100, 10, 10, 21, 21};
-  const auto square = [](float z) {
-    return Mesh({{-5, -5, z}, {5, -5, z}, {5, 5, z}, {-5, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
+  const auto square = [](float z, float from = -5) {
+    return Mesh({{from, -5, z}, {5, -5, z}, {5, 5, z}, {from, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
   };
-  const Mesh first = square(10), near = square(5), same = square(9.9f);
+  const Mesh far = square(10), near = square(5), half = square(5, 0.01f);
   const Pose T = Pose::Identity();
-  for (const float depth : render_triangles(camera, {{&first, T, 0}, {&near, T, 0.02f}}, 1))
+  for (const float depth : render_triangles(camera, {{{{&far, T}, {&near, T}}}}, 1))
     REQUIRE(depth == doctest::Approx(5));
-  for (const float depth : render_triangles(camera, {{&near, T, 0}, {&first, T, 0}}, 1))
-    REQUIRE(depth == doctest::Approx(5));
-  for (const float depth : render_triangles(camera, {{&first, T, 0}, {&same, T, 0.02f}}, 1))
+  for (const float depth : render_triangles(camera, {{{{&far, T}}}, {{{&near, T}}}}, 1))
     REQUIRE(depth == doctest::Approx(10));
+  for (const bool nearer_first : {true, false}) {
+    const Mesh &first = nearer_first ? near : far, &second = nearer_first ? far : near;
+    for (const float depth : render_triangles(camera, {{{{&first, T}}}, {{{&second, T}}, true}}, 1))
+      REQUIRE(depth == doctest::Approx(5));
+  }
+  const auto filled = render_triangles(camera, {{{{&half, T}}}, {{{&far, T}}}}, 1);
+  for (int i = 0; i < 21 * 21; ++i) REQUIRE(filled[i] == doctest::Approx(i % 21 > 10 ? 5 : 10));
 }
 
 TEST_CASE("a cut triangle is split in the middle of its angle, each part at its corners' range") {
@@ -123,17 +128,16 @@ TEST_CASE("a cut triangle is split in the middle of its angle, each part at its 
 
   const auto split = part_surface(points, triangle, &cut, 1, fixed);
   CHECK(split.fixed.whole.empty());
-  REQUIRE(split.fixed.near.size() == 1);
-  REQUIRE(split.fixed.far.size() == 2);
-  for (const auto corner : split.fixed.near[0])
+  REQUIRE(split.fixed.split.size() == 3);
+  for (const auto corner : split.fixed.split[0])
     CHECK(split.vertices[corner].norm() == doctest::Approx(10));
-  for (const auto& part : split.fixed.far)
-    for (const auto corner : part) CHECK(split.vertices[corner].norm() > 19.9);
+  for (const auto part : {1, 2})
+    for (const auto corner : split.fixed.split[part]) CHECK(split.vertices[corner].norm() > 19.9);
 
   // A class border is never joined, with or without a jump.
   const auto border = part_surface(points, triangle, &whole, 1, mixed);
   CHECK(border.fixed.whole.empty());
   CHECK(border.moving.whole.empty());
-  CHECK(border.moving.near.size() + border.moving.far.size() == 1);
-  CHECK(border.fixed.near.size() + border.fixed.far.size() == 2);
+  CHECK(border.moving.split.size() == 1);
+  CHECK(border.fixed.split.size() == 2);
 }

@@ -202,6 +202,46 @@ def demo(
 
 
 @app.command()
+def sweep(
+    run: RunPath,
+    truth: Annotated[Path, typer.Option("--labels", help="Folder of SemanticKITTI labels.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="Results.")],
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(metavar="STAGE.NAME=A,B,C", help="Values to combine with all others."),
+    ] = None,
+    trials: Annotated[
+        Path | None, typer.Option(help="YAML, a line a trial: NAME: {stage.name: value}.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Trials at a time.")] = 1,
+    threads: Threads = 0,
+) -> None:
+    """Classify a run with many parameter sets: a table, CSV and a plot.
+
+    The same command goes on where an interrupted sweep stopped.
+
+      docdepth sweep RUN --labels DRIVE -o out --vary dynamics.tolerance=0.1,0.2,0.4
+    """
+    from docdepth.errors import ConfigError, MissingExtraError
+    from docdepth.sweep import grid, parse_axes, plot, read_trials, table
+    from docdepth.sweep import sweep as work
+
+    if bool(vary) == bool(trials):
+        raise ConfigError("say what to vary: --vary STAGE.NAME=A,B or --trials FILE")
+    sets = read_trials(trials) if trials else grid(parse_axes(vary or []))
+    with _progress() as progress:
+        outcomes = work(
+            run, truth, sets, output, jobs, threads,
+            lambda done, total: progress("trials", done, total),
+        )  # fmt: skip
+    out.print(str(table(outcomes)), soft_wrap=True, markup=False)
+    try:
+        plot(outcomes, output / "sweep.png")
+    except MissingExtraError as error:
+        out.print(f"no plot: {error}", markup=False)
+
+
+@app.command()
 def doctor() -> None:
     """What this installation can do, and why it cannot do the rest."""
     from docdepth.doctor import doctor as examine

@@ -59,6 +59,9 @@ class SurfaceParameters(_Stage):
 class DynamicsParameters(_Stage):
     """Key frames and voting (paper III-C2, Algorithm 1)."""
 
+    against: Literal["pixels", "surface"] = Field(
+        "surface", description="what points are held against: a key frame's pixels or its surface"
+    )
     fine_spacing: float = Field(2.0, gt=0, description="spacing of fine key frames, d_fine [m]")
     coarse_spacing: float = Field(10.0, gt=0, description="of coarse key frames, d_coarse [m]")
     fine_radius: float = Field(20.0, gt=0, description="arc length to fine ones, R_fine [m]")
@@ -66,6 +69,14 @@ class DynamicsParameters(_Stage):
     resolution_deg: float = Field(0.2, gt=0, le=5, description="pixel, d_theta = d_phi [deg]")
     window: int = Field(5, ge=1, le=15, description="edge of the compared window, w [pixels]")
     tolerance: float = Field(0.2, gt=0, description="range tolerance, tau [m]")
+    across: float = Field(0.2, gt=0, description="nearer to a plane is on it [m]")
+    along: float = Field(0.3, gt=0, description="the same, along the line of sight [m]")
+    along_growth: float = Field(0.01, ge=0, description="growth of that with range [m/m]")
+    level_across: float = Field(0.08, gt=0, description="`across` of planes that lie flat [m]")
+    level_along: float = Field(0.1, gt=0, description="`along` of planes that lie flat [m]")
+    level_lean_deg: float = Field(
+        25.0, ge=0, lt=90, description="a plane leaning no more lies flat, as ground does [deg]"
+    )
 
     @field_validator("window")
     @classmethod
@@ -78,14 +89,21 @@ class DynamicsParameters(_Stage):
 class RenderParameters(_Stage):
     """Composite rendering (paper III-D)."""
 
-    surface: Literal["splats"] = Field(
-        "splats", description="what a sweep is drawn as: discs of the paper's size"
+    surface: Literal["splats", "triangles"] = Field(
+        "triangles",
+        description="what a sweep is drawn as: discs of the paper's size, or the surface itself",
     )
-    behind: float = Field(0.5, ge=0, description="static sweeps behind the camera, d_min [m]")
+    behind: float = Field(20.0, ge=0, description="static sweeps behind the camera, d_min [m]")
     ahead: float = Field(100.0, gt=0, description="static sweeps ahead of it, d_max [m]")
-    step: float = Field(0.2, ge=0, description="spacing of static sweeps, d_step [m]")
+    step: float = Field(2.0, gt=0, description="spacing of static sweeps, d_step [m]")
+    step_growth: float = Field(
+        0.2, ge=0, description="spacing of triangles over their distance to the image [-]"
+    )
     crop: float = Field(300.0, gt=0, description="points farther from their sensor, d_crop [m]")
     max_depth: float = Field(250.0, gt=0, description="nothing farther is drawn [m]")
+    loose_deg: float = Field(
+        0.1, gt=0, lt=10, description="half width of a return without a triangle [deg]"
+    )
     static_size_max: float = Field(50.0, gt=0, description="sigma_max of static points [pixel]")
     static_size_min: float = Field(3.0, gt=0, description="sigma_min of static points [pixel]")
     dynamic_size_max: float = Field(80.0, gt=0, description="sigma_max of dynamic points [pixel]")
@@ -112,7 +130,10 @@ _STAGES: dict[str, type[_Stage]] = {
 }
 
 # Where the paper's text differs from what measured best, a stage at a time.
-_PAPER: dict[str, dict[str, Any]] = {}
+_PAPER: dict[str, dict[str, Any]] = {
+    "dynamics": {"against": "pixels"},
+    "render": {"surface": "splats", "behind": 0.5, "step": 0.2},
+}
 
 
 def parameters(preset: Preset = "default", settings: dict[str, Any] | None = None) -> Parameters:

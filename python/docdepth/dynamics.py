@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth import _core
-from docdepth.config import DynamicsParameters
+from docdepth.config import DynamicsParameters, SurfaceParameters
 from docdepth.errors import InputError
 from docdepth.trajectory import Trajectory, check_rigid
 
@@ -105,8 +105,8 @@ class KeyFrame:
     ) -> None:
         p = parameters or DynamicsParameters()
         points, ground = _check_sweep(points, ground)
-        self._core = _core.RangeImage(
-            points, ground, np.radians(p.resolution_deg), p.window, p.tolerance
+        self._core = (
+            _range_image(points, ground, p) if p.against == "pixels" else _surface_image(points, p)
         )
 
 
@@ -157,6 +157,8 @@ def vote(
             f"frames; got {pose.shape} and {poses.shape}"
         )
     check_rigid(np.concatenate([pose[None], poses]))
+    if (parameters or DynamicsParameters()).against == "surface":
+        ground = np.zeros_like(ground)
     static, dynamic = _core.vote(
         points, ground, pose, [frame._core for frame in key_frames], poses, threads
     )
@@ -181,8 +183,11 @@ def classify(
     ndarray of uint16, shape (N,)
         0 ground, 50 static, 100 dynamic.
     """
-    classid = np.where(votes.dynamic > votes.static, DYNAMIC, STATIC)
-    return np.where(ground, GROUND, classid).astype(np.uint16)
+    p = parameters or DynamicsParameters()
+    dynamic = votes.dynamic > votes.static
+    if p.against == "pixels":
+        dynamic &= ~ground
+    return np.where(dynamic, DYNAMIC, np.where(ground, GROUND, STATIC)).astype(np.uint16)
 
 
 def classify_drive(
@@ -244,6 +249,26 @@ def classify_drive(
         )
         labels.append(Labels(classify(ground[i], votes, parameters), votes))
     return labels
+
+
+def _range_image(
+    points: NDArray[np.float32], ground: NDArray[np.bool_], p: DynamicsParameters
+) -> _core.KeyFrame:
+    return _core.RangeImage(points, ground, np.radians(p.resolution_deg), p.window, p.tolerance)
+
+
+def _surface_image(points: NDArray[np.float32], p: DynamicsParameters) -> _core.KeyFrame:
+    s = SurfaceParameters()
+    surface = _core.SurfaceParameters()
+    surface.max_gap = float(np.radians(s.max_gap_deg))
+    surface.jump_ratio, surface.noise, surface.flatness = s.jump_ratio, s.noise, s.flatness
+    image = _core.SurfaceImageParameters()
+    image.resolution = float(np.radians(p.resolution_deg))
+    image.window, image.tolerance = p.window, p.tolerance
+    image.upright = _core.Margins(p.across, p.along, p.along_growth)
+    image.level = _core.Margins(p.level_across, p.level_along, 0.0)
+    image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
+    return _core.SurfaceImage(points, surface, image)
 
 
 def _check_sweep(

@@ -220,6 +220,7 @@ def run_render(
     camera = stream.camera
     key = stage_key(
         run.stage("classify").get("key"),
+        run.parameters.surface.model_dump(),
         parameters.model_dump(),
         camera.K.tolist(),
         [camera.width, camera.height],
@@ -258,7 +259,9 @@ def run_render(
                     f"frame {index} of {run.path} has no classes; run: docdepth classify"
                 )
             with watch("frames"):
-                made[index] = render.Frame(record.points, record.classid, parameters)
+                made[index] = render.Frame(
+                    record.points, record.classid, parameters, run.parameters.surface
+                )
         return made[index]
 
     densities: list[float] = []

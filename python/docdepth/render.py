@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth import _core
 from docdepth.backends import Renderer
-from docdepth.config import RenderParameters
-from docdepth.errors import CalibrationError, InputError
+from docdepth.config import RenderParameters, SurfaceParameters
+from docdepth.errors import BackendError, CalibrationError, InputError
+from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory, inverse
 
 
@@ -50,7 +52,7 @@ class Camera:
 
 
 class Frame:
-    """A sweep made ready to be drawn: static and moving points apart, neighbours together.
+    """A sweep made ready to be drawn: static and moving parts apart, neighbours together.
 
     Make it once a sweep and keep it for all images that see the sweep.
 
@@ -61,6 +63,9 @@ class Frame:
     classid : ndarray of uint16, shape (N,)
         Below 50 ground, below 100 static, moving from 100 on.
     parameters : RenderParameters, optional
+        Its ``surface`` says what is made; :func:`render` wants the same.
+    surface_parameters : SurfaceParameters, optional
+        Of the triangles between neighbouring returns.
 
     Raises
     ------
@@ -73,6 +78,7 @@ class Frame:
         points: NDArray[np.float32],
         classid: NDArray[np.uint16],
         parameters: RenderParameters | None = None,
+        surface_parameters: SurfaceParameters | None = None,
     ) -> None:
         points, classid = np.asarray(points), np.asarray(classid)
         if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
@@ -84,10 +90,33 @@ class Frame:
                 f"classid must be uint16 of shape ({len(points)},), one for each point; "
                 f"got {classid.dtype} {classid.shape}"
             )
-        crop = (parameters or RenderParameters()).crop
-        self.core = _core.Frame(
-            np.ascontiguousarray(points), np.ascontiguousarray(classid), float(crop)
-        )
+        p = parameters or RenderParameters()
+        points, classid = np.ascontiguousarray(points), np.ascontiguousarray(classid)
+        self.core: _core.Frame | _core.SurfaceFrame
+        if p.surface == "splats":
+            self.core = _core.Frame(points, classid, p.crop)
+        else:
+            self.core = _surface_frame(points, classid, p, surface_parameters)
+
+
+def _surface_frame(
+    points: NDArray[np.float32],
+    classid: NDArray[np.uint16],
+    parameters: RenderParameters,
+    surface_parameters: SurfaceParameters | None,
+) -> _core.SurfaceFrame:
+    with np.errstate(invalid="ignore", over="ignore"):
+        drawn = np.linalg.norm(points.astype(np.float64), axis=1) < parameters.crop
+    points = points[drawn]
+    surface = Surface(points, surface_parameters)
+    return _core.SurfaceFrame(
+        points,
+        classid[drawn],
+        surface.triangles,
+        surface.cut.view(np.uint8),
+        surface.loose,
+        float(np.radians(parameters.loose_deg)),
+    )
 
 
 def static_frames(
@@ -95,14 +124,17 @@ def static_frames(
 ) -> NDArray[np.int64]:
     """Sweeps whose static points are drawn into the image taken at ``time`` [ns] (paper III-D).
 
-    Those with ``-behind < arc length from the image < ahead``, in order of path and at least
-    ``step`` apart. Where the ego stands, many sweeps have one arc length: of these only the one
+    Those with ``-behind < arc length from the image < ahead``. As splats they are taken in order of
+    path and at least ``step`` apart. As triangles the one nearest in time comes first, being the
+    most trustworthy, and then others by their distance. The path is cut every ``step``, and of
+    these cuts every second, fourth, eighth ... is used farther away: images one after the other
+    share their sweeps. Where the ego stands, many sweeps have one arc length: of these only the one
     nearest in time can be taken.
 
     Returns
     -------
     ndarray of int64, shape (k,)
-        Indices of the trajectory, increasing.
+        Indices of the trajectory, in the order in which they are drawn.
     """
     p = parameters or RenderParameters()
     arc = trajectory.arc_length
@@ -110,11 +142,21 @@ def static_frames(
     window = np.flatnonzero((-p.behind < ahead) & (ahead < p.ahead))
     delay = np.abs(trajectory.times - np.int64(time))
     kept: list[int] = []
-    for place in np.unique(arc[window]):
-        if not kept or place - arc[kept[-1]] >= p.step:
-            here = window[arc[window] == place]
-            kept.append(int(here[np.argmin(delay[here])]))
-    return np.array(kept, dtype=np.int64)
+    if p.surface == "splats":
+        for place in np.unique(arc[window]):
+            if not kept or place - arc[kept[-1]] >= p.step:
+                here = window[arc[window] == place]
+                kept.append(int(here[np.argmin(delay[here])]))
+        return np.array(kept, dtype=np.int64)
+
+    nearest = trajectory.nearest(time)
+    cut = (arc // p.step).astype(np.int64)
+    for k in window[np.diff(cut, prepend=-1)[window] > 0]:
+        spacing = p.step * (cut[k] & -cut[k] or np.inf)  # of the widest cutting that has this cut
+        if abs(arc[k] - arc[nearest]) >= p.step / 2 and p.step_growth * abs(ahead[k]) <= spacing:
+            kept.append(int(k))
+    kept.sort(key=lambda k: abs(ahead[k]))
+    return np.array([nearest, *kept], dtype=np.int64)
 
 
 def dynamic_frame(trajectory: Trajectory, time: int) -> int:
@@ -166,19 +208,33 @@ def render(
     p = parameters or RenderParameters()
     T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
 
-    def place(index: int) -> tuple[_core.Frame, NDArray[np.float64]]:
+    def place(index: int) -> tuple[Any, NDArray[np.float64]]:
         return frames(index).core, T_camera_world @ trajectory.poses[index]
 
-    depth: NDArray[np.float32] = (renderer or Renderer()).core.render_splats(
-        camera.K,
-        camera.width,
-        camera.height,
-        static_frames=[place(int(i)) for i in static_frames(trajectory, time, p)],
-        dynamic_frames=[place(dynamic_frame(trajectory, time))],
-        static_size=(p.static_size_max, p.static_size_min),
-        dynamic_size=(p.dynamic_size_max, p.dynamic_size_min),
-        threads=threads,
-    )
+    fixed = [place(int(i)) for i in static_frames(trajectory, time, p)]
+    moving = place(dynamic_frame(trajectory, time))
+    renderer = renderer or Renderer()
+    core = renderer.core
+    if p.surface == "triangles" and renderer.name != "cpu":
+        raise BackendError(
+            f"renderer {renderer.name} draws splats only; use --renderer cpu or --preset paper"
+        )
+    depth: NDArray[np.float32]
+    if p.surface == "splats":
+        depth = core.render_splats(
+            camera.K,
+            camera.width,
+            camera.height,
+            static_frames=fixed,
+            dynamic_frames=[moving],
+            static_size=(p.static_size_max, p.static_size_min),
+            dynamic_size=(p.dynamic_size_max, p.dynamic_size_min),
+            threads=threads,
+        )
+    else:
+        depth = core.render_surfaces(
+            camera.K, camera.width, camera.height, fixed=fixed, moving=moving, threads=threads
+        )
     # The far plane: nearest wins, so cutting the result is cutting the points.
     depth[depth > p.max_depth] = np.nan
     return depth

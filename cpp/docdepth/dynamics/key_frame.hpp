@@ -9,9 +9,12 @@
 
 namespace docdepth {
 
-/// Points of another sweep in the LiDAR frame of the key frame that is asked, a column each.
+/// Points of another sweep in the LiDAR frame of the key frame that is asked, a column each. Few
+/// enough for their scratch to stay in the first level cache.
 struct QueryPoints {
-  std::size_t size;
+  static constexpr std::size_t kMax = 512;
+
+  std::size_t size;  ///< at most kMax
   const float* x;
   const float* y;
   const float* z;

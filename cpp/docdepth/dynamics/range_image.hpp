@@ -4,8 +4,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "docdepth/dynamics/canvas.hpp"
 #include "docdepth/dynamics/key_frame.hpp"
-#include "docdepth/geometry/spherical.hpp"
 
 namespace docdepth {
 
@@ -33,24 +33,22 @@ class RangeImage : public KeyFrame {
 
   void draw(const Points& points, const bool* ground);
   void summarize_windows();
-  void vote_fast(const QueryPoints& points, std::uint16_t* statics, std::uint16_t* dynamics) const;
   void vote_plainly(const QueryPoints& points, std::uint16_t* statics,
                     std::uint16_t* dynamics) const;
   Vote ask(float range, std::size_t pixel) const;
 
-  SphericalGrid grid_;
-  int half_;         ///< pixels of the window on either side of its centre
+  Canvas canvas_;
   float tolerance_;  ///< tau
   bool plain_;
-  int top_ = 0;         ///< row of the grid that is the first of the images
-  int rows_ = 0;        ///< the occupied rows, and as many empty ones as windows there can reach
-  std::size_t stride_;  ///< columns, and half_ repeated ones at either end
   std::vector<float> range_;          ///< nearest return, infinite where there is none
   std::vector<std::uint8_t> ground_;  ///< whether that is ground
 
-  // What the window around each pixel holds, so that one look settles most votes.
-  std::vector<float> settling_;  ///< nearest return; around ground minus the farthest; 0 for none
-  std::vector<float> farthest_;  ///< farthest return
+  /// What settles most votes on the points of a pixel without looking at its window again.
+  struct Window {
+    float nearest;  ///< nearest return of the window; around ground minus the farthest; 0 for none
+    float first;    ///< first return of the window, row by row
+  };
+  std::vector<Window> windows_;
   float tie_free_;  ///< from this range on no difference of two ranges equals the tolerance
 };
 

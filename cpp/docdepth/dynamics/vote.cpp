@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <stdexcept>
 
 #include "docdepth/dynamics/key_frame.hpp"
@@ -9,15 +10,14 @@
 namespace docdepth {
 namespace {
 
-// Small enough for a block and its scratch to stay in the second level cache, large enough to read
-// each key frame's image many times before going to the next.
+// Small enough for the points of a block to stay in the second level cache while all key frames are
+// asked, large enough to read much of each key frame's image before going to the next.
 constexpr std::size_t kBlock = 8192;
 
-/// The points of one block that are voted on, column by column.
+/// The points of one block that are voted on, a column each, and their rows in the sweep.
 struct Columns {
-  std::vector<float> x, y, z, range;
-
-  explicit Columns(std::size_t size) : x(size), y(size), z(size), range(size) {}
+  std::vector<float> x, y, z;
+  std::vector<std::size_t> index;
 };
 
 // Farther than any sensor measures, and still far from overflow.
@@ -48,6 +48,22 @@ struct MovePoints {
   }
 };
 
+/// The points of rows [begin, end) that are neither ground nor unusable.
+Columns select(const Points& points, const bool* ground, std::size_t begin, std::size_t end) {
+  Columns columns;
+  for (auto* values : {&columns.x, &columns.y, &columns.z}) values->reserve(end - begin);
+  columns.index.reserve(end - begin);
+  for (std::size_t i = begin; i < end; ++i) {
+    const float x = points(i, 0), y = points(i, 1), z = points(i, 2);
+    if (ground[i] || !usable(range_of(x, y, z))) continue;
+    columns.x.push_back(x);
+    columns.y.push_back(y);
+    columns.z.push_back(z);
+    columns.index.push_back(i);
+  }
+  return columns;
+}
+
 }  // namespace
 
 Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
@@ -61,27 +77,21 @@ Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
   for (const Pose& pose : T_world_key) T_key_query.emplace_back(between(pose, T_world_lidar));
 
   parallel_for(count, kBlock, threads, [&](std::size_t begin, std::size_t end) {
-    Columns query(end - begin), moved(end - begin);
-    std::vector<std::size_t> index;
-    for (std::size_t i = begin; i < end; ++i) {
-      if (ground[i] || !usable(range_of(points(i, 0), points(i, 1), points(i, 2)))) continue;
-      query.x[index.size()] = points(i, 0);
-      query.y[index.size()] = points(i, 1);
-      query.z[index.size()] = points(i, 2);
-      index.push_back(i);
-    }
-    std::vector<std::uint16_t> statics(index.size()), dynamics(index.size());
+    const Columns query = select(points, ground, begin, end);
+    std::vector<std::uint16_t> statics(query.index.size()), dynamics(query.index.size());
     for (std::size_t k = 0; k < key_frames.size(); ++k) {
-      dispatch<MovePoints>(index.size(), query.x.data(), query.y.data(), query.z.data(),
-                           T_key_query[k], moved.x.data(), moved.y.data(), moved.z.data(),
-                           moved.range.data());
-      key_frames[k]->vote(
-          {index.size(), moved.x.data(), moved.y.data(), moved.z.data(), moved.range.data()},
-          statics.data(), dynamics.data());
+      float x[QueryPoints::kMax], y[QueryPoints::kMax], z[QueryPoints::kMax],
+          range[QueryPoints::kMax];
+      for (std::size_t i = 0; i < query.index.size(); i += QueryPoints::kMax) {
+        const std::size_t size = std::min(QueryPoints::kMax, query.index.size() - i);
+        dispatch<MovePoints>(size, &query.x[i], &query.y[i], &query.z[i], T_key_query[k], x, y, z,
+                             range);
+        key_frames[k]->vote({size, x, y, z, range}, &statics[i], &dynamics[i]);
+      }
     }
-    for (std::size_t i = 0; i < index.size(); ++i) {
-      votes.statics[index[i]] = statics[i];
-      votes.dynamics[index[i]] = dynamics[i];
+    for (std::size_t i = 0; i < query.index.size(); ++i) {
+      votes.statics[query.index[i]] = statics[i];
+      votes.dynamics[query.index[i]] = dynamics[i];
     }
   });
   return votes;

@@ -1,4 +1,4 @@
-// Smallest and largest value of the window around each pixel.
+// What the window around each pixel holds.
 #pragma once
 
 #include <cstddef>
@@ -11,5 +11,7 @@ namespace docdepth {
 /// nearer than that to either end of a row mean nothing.
 std::vector<float> window_minimum(const std::vector<float>& image, std::size_t stride, int half);
 std::vector<float> window_maximum(const std::vector<float>& image, std::size_t stride, int half);
+/// The first finite value, row by row; infinite where there is none.
+std::vector<float> window_first(const std::vector<float>& image, std::size_t stride, int half);
 
 }  // namespace docdepth

@@ -1,6 +1,9 @@
 // Kernels for whatever vectors the processor has.
 #pragma once
 
+#include <cstddef>
+#include <cstdint>
+
 namespace docdepth {
 
 #if defined(__x86_64__) && defined(__GNUC__)
@@ -33,6 +36,22 @@ void dispatch(Arguments... arguments) {
     run_avx2<Kernel>(arguments...);
   } else {
     Kernel::run(arguments...);
+  }
+}
+
+/// Call body(i) for the few i whose flag is negative, passing over the others by the dozen.
+template <class Body>
+void for_each_flagged(std::size_t count, const std::int32_t* flags, const Body& body) {
+  constexpr std::size_t kGroup = 16;
+  for (std::size_t begin = 0; begin < count; begin += kGroup) {
+    const std::size_t end = begin + kGroup < count ? begin + kGroup : count;
+    std::int32_t any = 0;
+    if (end - begin == kGroup) {
+      for (std::size_t j = 0; j < kGroup; ++j) any |= flags[begin + j];
+      if (any >= 0) continue;
+    }
+    for (std::size_t i = begin; i < end; ++i)
+      if (flags[i] < 0) body(i);
   }
 }
 

@@ -76,11 +76,10 @@ void SphericalGrid::pixels(std::size_t count, const float* x, const float* y, co
   // The products are rounded to a part of 2^24; they and the factor itself add two such errors.
   const float margin = kAngleError * pixels_per_radian + columns_ * 0x1p-23f;
   dispatch<ApproximatePixels>(count, x, y, z, range, pixels_per_radian, margin, rows, columns);
-  for (std::size_t i = 0; i < count; ++i) {
-    if (columns[i] != kUnsure) continue;
+  for_each_flagged(count, columns, [&](std::size_t i) {
     rows[i] = row(z[i], range[i]);
     columns[i] = column(x[i], y[i]);
-  }
+  });
 }
 
 }  // namespace docdepth

@@ -79,9 +79,7 @@ PartedSurface part_surface(const Points& points, const std::uint32_t (*triangles
     const int j = (alone + 1) % 3, k = (alone + 2) % 3;
     auto& first = moves[alone] ? surface.moving : surface.fixed;
     auto& second = moves[j] ? surface.moving : surface.fixed;
-    const bool nearer = range[alone] < (range[j] + range[k]) / 2;
-    splitter.split(corner[alone], corner[j], corner[k], nearer ? first.near : first.far,
-                   nearer ? second.far : second.near);
+    splitter.split(corner[alone], corner[j], corner[k], first.split, second.split);
   }
   return surface;
 }

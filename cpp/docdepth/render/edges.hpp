@@ -18,8 +18,7 @@ using Triangles = std::vector<std::array<std::uint32_t, 3>>;
 struct PartedSurface {
   struct Parts {
     Triangles whole;  ///< measured surface
-    Triangles near;   ///< what continues it over a jump, on the side nearer to the sensor
-    Triangles far;    ///< and on the other
+    Triangles split;  ///< what continues it half way over depth jumps
   };
   std::vector<Eigen::Vector3f> vertices;  ///< the points, and behind them those of the split
   Parts fixed, moving;

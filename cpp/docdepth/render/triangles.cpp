@@ -9,7 +9,7 @@
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/render/dispatch.hpp"
 
-// The image is cut into strips of columns. One thread draws all of a strip, mesh after mesh, so
+// The image is cut into strips of columns. One thread draws all of a strip, layer after layer, so
 // nothing is shared and the order within a strip never changes.
 namespace docdepth {
 namespace {
@@ -71,8 +71,7 @@ DOCDEPTH_INLINE Edge edge(float u0, float v0, float u1, float v1, float turn) {
   return {u0, v0, du, dv, kSlack * (std::fabs(du) + std::fabs(dv))};
 }
 
-DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corners,
-                                   float threshold, Strip& strip) {
+DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corners, Strip& strip) {
   const int a = corners[0], b = corners[1], c = corners[2];
   const float wa = p.w[a], wb = p.w[b], wc = p.w[c];
   const float low_w = std::min(wa, std::min(wb, wc)), high_w = std::max(wa, std::max(wb, wc));
@@ -112,56 +111,63 @@ DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corn
       float* cell = strip.nearness.data() + std::size_t(v) * Strip::kStride + (u - strip.begin);
       Floats old;
       std::memcpy(&old, cell, sizeof old);
-      const Integers nearer = inside & (w > old * threshold);
+      const Integers nearer = inside & (w > old);
       const Floats now = nearer ? w : old;
       std::memcpy(cell, &now, sizeof now);
     }
   }
 }
 
-struct Scene {
-  const Camera& camera;
-  const std::vector<PlacedMesh>& meshes;
-  std::vector<RigidTransform> transforms;
-};
-
-DOCDEPTH_INLINE void draw_strip(const Scene& scene, Strip& strip) {
-  Camera part = scene.camera;  // the columns of the strip as a camera of their own, for culling
+DOCDEPTH_INLINE void draw_mesh(const Camera& camera, const PlacedMesh& placed, Strip& strip) {
+  const Mesh& mesh = *placed.mesh;
+  Camera part = camera;  // the columns of the strip as a camera of their own, for culling
   part.cx -= strip.begin;
   part.width = strip.end - strip.begin;
+  const Frustum frustum(part, placed.T_camera_mesh);
+  if (!mesh.size() || !frustum.touches(mesh.box())) return;
+  const RigidTransform T(placed.T_camera_mesh);
   Projected points;
-  for (std::size_t m = 0; m < scene.meshes.size(); ++m) {
-    const Mesh& mesh = *scene.meshes[m].mesh;
-    const Frustum frustum(part, scene.meshes[m].T_camera_mesh);
-    if (!mesh.size() || !frustum.touches(mesh.box())) continue;
-    const float threshold = 1.0f + scene.meshes[m].tolerance;
-    for (const Mesh::Patch& patch : mesh.patches()) {
-      if (!frustum.touches(patch.box)) continue;
-      project_patch(mesh, patch, scene.transforms[m], scene.camera, points);
-      for (std::uint32_t t = 0; t < patch.triangles; ++t)
-        draw_triangle(points, mesh.corners()[patch.triangle + t], threshold, strip);
-    }
+  for (const Mesh::Patch& patch : mesh.patches()) {
+    if (!frustum.touches(patch.box)) continue;
+    project_patch(mesh, patch, T, camera, points);
+    for (std::uint32_t t = 0; t < patch.triangles; ++t)
+      draw_triangle(points, mesh.corners()[patch.triangle + t], strip);
   }
 }
 
-DOCDEPTH_AVX2 void draw_strip_avx2(const Scene& scene, Strip& strip) {
-  draw_strip(scene, strip);
+DOCDEPTH_INLINE void draw_strip(const Camera& camera, const std::vector<Layer>& layers,
+                                Strip& strip) {
+  constexpr float locked = std::numeric_limits<float>::infinity();
+  std::vector<float> before;
+  for (const Layer& layer : layers) {
+    if (!layer.hides) {  // nothing is nearer than what is locked
+      before = strip.nearness;
+      for (float& w : strip.nearness) w = w > 0 ? locked : 0.0f;
+    }
+    for (const PlacedMesh& mesh : layer.meshes) draw_mesh(camera, mesh, strip);
+    if (!layer.hides)
+      for (std::size_t i = 0; i < before.size(); ++i)
+        if (strip.nearness[i] == locked) strip.nearness[i] = before[i];
+  }
 }
-void draw_strip_plain(const Scene& scene, Strip& strip) {
-  draw_strip(scene, strip);
+
+DOCDEPTH_AVX2 void draw_strip_avx2(const Camera& camera, const std::vector<Layer>& layers,
+                                   Strip& strip) {
+  draw_strip(camera, layers, strip);
+}
+void draw_strip_plain(const Camera& camera, const std::vector<Layer>& layers, Strip& strip) {
+  draw_strip(camera, layers, strip);
 }
 
 }  // namespace
 
-std::vector<float> render_triangles(const Camera& camera, const std::vector<PlacedMesh>& meshes,
+std::vector<float> render_triangles(const Camera& camera, const std::vector<Layer>& layers,
                                     int threads) {
-  Scene scene{camera, meshes, {}};
-  for (const auto& placed : meshes) scene.transforms.emplace_back(placed.T_camera_mesh);
   const auto draw = DOCDEPTH_HAS_AVX2() ? draw_strip_avx2 : draw_strip_plain;
   std::vector<float> depth(std::size_t(camera.width) * camera.height);
   parallel_for(camera.width, kStrip, threads, [&](std::size_t begin, std::size_t end) {
     Strip strip(static_cast<int>(begin), static_cast<int>(end), camera.height);
-    draw(scene, strip);
+    draw(camera, layers, strip);
     for (int v = 0; v < camera.height; ++v)
       for (int u = strip.begin; u < strip.end; ++u) {
         const float w = strip.nearness[std::size_t(v) * Strip::kStride + (u - strip.begin)];

@@ -1,4 +1,4 @@
-// Surfaces drawn as triangles with perspective-correct depth into one z-buffer.
+// Surfaces drawn into a depth map: triangles with perspective-correct depth.
 #pragma once
 
 #include <vector>
@@ -12,15 +12,20 @@ namespace docdepth {
 struct PlacedMesh {
   const Mesh* mesh;
   Pose T_camera_mesh;
-  /// A pixel that an earlier mesh drew is only drawn over when this is nearer by more than this
-  /// share of the depth: two measurements of one surface do not compete.
-  float tolerance;
 };
 
-/// Depth of the nearest surface at each pixel, row after row; NaN where there is none. Meshes are
-/// drawn in their order. Triangles with a corner nearer than kNear are left out. The result does
-/// not depend on the number of threads.
-std::vector<float> render_triangles(const Camera& camera, const std::vector<PlacedMesh>& meshes,
+/// Meshes among which the nearest surface wins.
+struct Layer {
+  std::vector<PlacedMesh> meshes;
+  /// Does it hide what lies farther in the layers before it? If not, it is drawn only where these
+  /// left pixels empty.
+  bool hides = false;
+};
+
+/// Depth of the surface at each pixel, row after row; NaN where there is none. Layers are drawn in
+/// their order. Triangles with a corner nearer than kNear are left out. The result does not depend
+/// on the number of threads.
+std::vector<float> render_triangles(const Camera& camera, const std::vector<Layer>& layers,
                                     int threads);
 
 }  // namespace docdepth

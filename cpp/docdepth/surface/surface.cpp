@@ -43,14 +43,20 @@ float steepness(const Ray& a, const Ray& b, float gap, float noise) {
   return change <= noise ? 0.0f : change / (std::min(a.range, b.range) * gap);
 }
 
-/// Do the triangles (a, b, c) and, beyond a-b, d lie on one plane? Each far corner is asked about
-/// the other triangle's plane, since a small triangle always fits a large one.
+/// Sine of the angle between a line of sight and the flattest plane that is still believed: the
+/// road 80 m ahead. What is flatter joins the edge of an object to what lies behind it.
+constexpr float kGrazing = 0.02f;
+
+/// Does d continue the plane of the triangle (a, b, c) beyond a-b? Each far corner is asked about
+/// the other triangle's plane, since a small triangle always fits a large one, and they must lie on
+/// two sides of a-b: a thin thing and the wall to its left and right is a fold.
 bool one_plane(const Vector& a, const Vector& b, const Vector& c, const Vector& d,
                float tolerance) {
   const Vector side = b - a;
   const Vector n = side.cross(c - a), m = side.cross(d - a);
   const float over_n = std::fabs(n.dot(d - a)), over_m = std::fabs(m.dot(c - a));
-  return over_n <= tolerance * n.norm() && over_m <= tolerance * m.norm();
+  return n.dot(m) < 0 && std::fabs(n.dot(a)) > kGrazing * n.norm() * a.norm() &&
+         over_n <= tolerance * n.norm() && over_m <= tolerance * m.norm();
 }
 
 /// What the sides of a triangle tell.

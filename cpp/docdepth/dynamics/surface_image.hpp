@@ -1,0 +1,68 @@
+// A key frame as the surface that it measured: it answers between its returns, too.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "docdepth/dynamics/canvas.hpp"
+#include "docdepth/dynamics/key_frame.hpp"
+#include "docdepth/surface/surface.hpp"
+
+namespace docdepth {
+
+/// How near to a plane a point lies on it: by its distance from the plane, or along the line of
+/// sight.
+struct Margins {
+  float across;  ///< [m]
+  float along;   ///< [m]
+  float growth;  ///< of `along` with range [m/m]
+};
+
+struct SurfaceImageParameters {
+  double resolution = 0.2 * 3.14159265358979323846 / 180.0;  ///< edge of a pixel [rad]
+  int window = 5;          ///< edge of the window of returns [pixel], odd
+  float tolerance = 0.2f;  ///< of single returns, tau [m]
+  Margins upright{0.2f, 0.3f, 0.01f};
+  Margins level{0.08f, 0.1f, 0.0f};  ///< of planes that lie flat, as ground does
+  float level_cosine = 0.9f;         ///< these are planes whose normal leans no more than that
+};
+
+/// For each pixel the triangle of the surface that its centre lies in, and the nearest return.
+class SurfaceImage : public KeyFrame {
+ public:
+  /// Points that are not finite or lie at the origin are left out.
+  SurfaceImage(const Points& points, const SurfaceParameters& surface,
+               const SurfaceImageParameters& parameters);
+
+  /// Each point is held against the plane of the triangle in its direction: on it static, before it
+  /// dynamic, behind it unknown. Across a depth jump nothing is known but that what lies nearer
+  /// than all three corners was looked through. But a return of the same range nearby is static,
+  /// unless the triangle lies flat: window and ground would find the feet of everything.
+  void vote(const QueryPoints& points, std::uint16_t* statics,
+            std::uint16_t* dynamics) const override;
+
+ private:
+  /// What lies in the direction of a pixel, in four numbers that are read together. The distance of
+  /// a plane is never below zero.
+  struct Seen {
+    float values[3];  ///< unit normal of the plane, or ranges of the three corners
+    float distance;   ///< of the plane from the sensor, or one of the values below
+  };
+  static constexpr float kJump = -1.0f, kNothing = -2.0f;
+
+  Seen triangle(const Points& points, const std::array<std::uint32_t, 3>& corners, bool cut) const;
+  void draw(const Points& points, const Surface& surface);
+  bool near_return(float range, std::size_t pixel) const;
+
+  SurfaceImageParameters parameters_;
+  Canvas canvas_;
+  std::vector<Seen> seen_;
+  std::vector<float> range_;  ///< nearest return, infinite where there is none
+
+  struct Window {
+    float nearest, farthest;  ///< return of the window; none of an empty window is near anything
+  };
+  std::vector<Window> windows_;
+};
+
+}  // namespace docdepth

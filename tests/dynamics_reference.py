@@ -1,0 +1,210 @@
+"""Voting written from its description and nothing else, in plain numpy.
+
+Algorithm 1 against the pixels of a range image, and the vote against the surface of a key frame.
+"""
+
+import numpy as np
+
+from docdepth.surface import Surface
+
+EMPTY = np.float32(np.inf)
+
+
+def reference_move(points, T_world_query, T_world_key):
+    """Float32 coordinates in the key frame, one rounded operation at a time."""
+    a, b = T_world_key[:3, :3], T_world_query[:3, :3]
+    shift = T_world_query[:3, 3] - T_world_key[:3, 3]
+    rotation = np.array(
+        [[(a[0, i] * b[0, j] + a[1, i] * b[1, j]) + a[2, i] * b[2, j] for j in range(3)]
+         for i in range(3)]
+    ).astype(np.float32)  # fmt: skip
+    offset = np.array(
+        [(a[0, i] * shift[0] + a[1, i] * shift[1]) + a[2, i] * shift[2] for i in range(3)]
+    ).astype(np.float32)
+    x, y, z = points.T
+    return [
+        ((row[0] * x + row[1] * y) + row[2] * z) + t
+        for row, t in zip(rotation, offset, strict=True)
+    ]
+
+
+def reference_pixels(x, y, z, columns):
+    pixel = 2 * np.pi / columns
+    rho = np.sqrt((x * x + y * y) + z * z)
+    assert rho.dtype == np.float32
+    cosine = np.clip(z.astype(np.float64) / rho.astype(np.float64), -1, 1)
+    theta = -np.arctan2(y.astype(np.float64), x.astype(np.float64))
+    row = np.floor(np.arccos(cosine) / pixel).astype(int)
+    return rho, row, np.floor((np.pi + theta) / pixel).astype(int) % columns
+
+
+def reference_image(points, ground, columns):
+    returns = points.any(axis=1)
+    points, ground = points[returns], ground[returns]
+    rho, row, column = reference_pixels(*points.T, columns)
+    image = np.full((columns // 2 + 1, columns), EMPTY)
+    image_ground = np.zeros(image.shape, bool)
+    order = np.argsort(rho, kind="stable")
+    _, first = np.unique((row * columns + column)[order], return_index=True)
+    nearest = order[first]
+    image[row[nearest], column[nearest]] = rho[nearest]
+    image_ground[row[nearest], column[nearest]] = ground[nearest]
+    return image, image_ground
+
+
+def reference_vote(points, ground, T_query, key_sweeps, key_grounds, key_poses, p):
+    static, dynamic = np.zeros((2, len(points)), np.uint16)
+    voted_on = points.any(axis=1)
+    if p.against == "pixels":
+        voted_on &= ~ground
+    for sweep, sweep_ground, T_key in zip(key_sweeps, key_grounds, key_poses, strict=True):
+        moved = reference_move(points, T_query, T_key)
+        if p.against == "pixels":
+            outcome = ask_pixels(moved, sweep, sweep_ground, p)
+        else:
+            outcome = ask_surface(moved, sweep, p)
+        static += (outcome == "static") & voted_on
+        dynamic += (outcome == "dynamic") & voted_on
+    return static, dynamic
+
+
+def ask_pixels(query, sweep, sweep_ground, p):
+    columns = round(360 / p.resolution_deg)
+    half = p.window // 2
+    image, image_ground = reference_image(sweep, sweep_ground, columns)
+    image = np.pad(image, ((half, half), (0, 0)), constant_values=EMPTY)
+    rho, row, column = reference_pixels(*query, columns)
+    centre_ground = image_ground[row, column]
+    tau = np.where(centre_ground, np.float32(0), np.float32(p.tolerance))
+    outcome = np.full(len(rho), "none   ")
+    going = np.ones(len(rho), bool)
+    for i in range(p.window):
+        for j in range(-half, half + 1):
+            measured = image[row + i, (column + j) % columns]
+            with np.errstate(invalid="ignore"):
+                difference = rho - measured
+            seen = going & (measured != EMPTY)
+            same = seen & (np.abs(difference) < tau)
+            nearer = seen & ~same & (difference < -tau)
+            hidden = seen & ~same & ~nearer & ~centre_ground
+            outcome[same], outcome[nearer], outcome[hidden] = "static", "dynamic", "none"
+            going &= ~(same | hidden)
+    return outcome
+
+
+def ask_surface(query, sweep, p):
+    columns = round(360 / p.resolution_deg)
+    half = p.window // 2
+    surface = Surface(sweep)
+    image, _ = reference_image(sweep, np.zeros(len(sweep), bool), columns)
+    image = np.pad(image, ((half, half), (0, 0)), constant_values=EMPTY)
+    rho, row, column = reference_pixels(*query, columns)
+    window = np.stack(
+        [image[row + i, (column + j) % columns]
+         for i in range(p.window) for j in range(-half, half + 1)]
+    )  # fmt: skip
+    near_return = (np.abs(rho - window) < np.float32(p.tolerance)).any(axis=0)
+
+    seen = triangle_image(sweep, surface, columns)[row, column]
+    corners = sweep[surface.triangles]
+    normal, distance, flat = planes(corners)
+    jump = (surface.cut | flat)[seen] & (seen >= 0)
+    plane = ~jump & (seen >= 0)
+
+    (a, b, c), distance = normal[seen].T, distance[seen]
+    x, y, z = query
+    depth = (a * x + b * y) + c * z
+    gap = distance - depth
+    level = plane & (np.abs(c) > np.float32(np.cos(np.radians(p.level_lean_deg))))
+    f = np.float32
+    across = np.where(level, f(p.level_across), f(p.across))
+    along = np.where(level, f(p.level_along), f(p.along) + f(p.along_growth) * rho)
+    on_plane = (np.abs(gap) < across) | (rho * np.abs(gap) < along * depth)
+
+    x, y, z = np.moveaxis(corners, -1, 0)
+    beyond = rho[:, None] - np.sqrt((x * x + y * y) + z * z)[seen]
+    on_corner = (np.abs(beyond) < f(p.tolerance)).any(axis=1)
+    before_corners = (beyond < -f(p.tolerance)).all(axis=1)
+
+    outcome = np.full(len(rho), "none   ")
+    outcome[(plane & (gap > 0) & (depth > 0)) | (jump & before_corners)] = "dynamic"
+    outcome[(plane & on_plane) | (jump & on_corner) | (near_return & ~level)] = "static"
+    return outcome
+
+
+def planes(corners):
+    """Unit normals away from the sensor and distances of the planes, and which have none."""
+    p = corners.astype(np.float64)
+    u, v = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    n = np.stack(
+        [
+            u[:, 1] * v[:, 2] - u[:, 2] * v[:, 1],
+            u[:, 2] * v[:, 0] - u[:, 0] * v[:, 2],
+            u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0],
+        ],
+        1,
+    )
+    length = np.sqrt((n[:, 0] * n[:, 0] + n[:, 1] * n[:, 1]) + n[:, 2] * n[:, 2])
+    with np.errstate(invalid="ignore"):
+        dot = (n[:, 0] * p[:, 0, 0] + n[:, 1] * p[:, 0, 1]) + n[:, 2] * p[:, 0, 2]
+        distance = dot / length
+        normal = n / np.where(distance < 0, -length, length)[:, None]
+    return normal.astype(np.float32), np.abs(distance).astype(np.float32), ~(length > 0)
+
+
+def triangle_image(sweep, surface, columns):
+    """For every pixel the first triangle that its centre lies in, -1 where there is none.
+
+    Corners are counted in ``columns`` x 65536ths of a turn, exactly.
+    """
+    turn = 65536
+    azimuth, elevation = directions(sweep)
+    x = ((turn // 2 - azimuth) * columns)[surface.triangles]
+    y = ((turn // 4 - elevation) * columns)[surface.triangles]
+    x += np.where(x[:, :1] - x > turn // 2 * columns, turn * columns, 0)
+    x -= np.where(x - x[:, :1] > turn // 2 * columns, turn * columns, 0)
+    # Pixel k has its centre at (2 k + 1) turn / 2. Try all pixels of each bounding box.
+    (left, right), (top, bottom) = (
+        ((c.min(1) - turn // 2 + turn - 1) // turn, (c.max(1) - turn // 2) // turn) for c in (x, y)
+    )
+    width, height = np.maximum(right - left + 1, 0), np.maximum(bottom - top + 1, 0)
+    triangle = np.repeat(np.arange(len(x)), width * height)
+    start = np.cumsum(width * height) - width * height
+    nth = np.arange(len(triangle)) - start[triangle]
+    column, row = left[triangle] + nth % width[triangle], top[triangle] + nth // width[triangle]
+    px, py = column * turn + turn // 2, row * turn + turn // 2
+    inside = np.ones(len(triangle), bool)
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        ax, ay, bx, by = (c[triangle, k] for k in (i, j) for c in (x, y))
+        inside &= (bx - ax) * (py - ay) - (by - ay) * (px - ax) >= 0
+    image = np.full((columns // 2 + 1, columns), len(x))
+    np.minimum.at(image, (row[inside], column[inside] % columns), triangle[inside])
+    return np.where(image == len(x), -1, image)
+
+
+def directions(points):
+    """Azimuth and elevation in 65536ths of a turn, as the surface counts them."""
+    x, y, z = points.T
+    azimuth, elevation = (
+        np.floor(angle * (np.float32(1) / np.float32(2 * np.pi / 65536)) + np.float32(0.5))
+        for angle in (atan2_fixed(y, x), atan2_fixed(z, np.sqrt(x * x + y * y)))
+    )
+    azimuth = azimuth.astype(np.int64)
+    return np.where(azimuth >= 32768, azimuth - 65536, azimuth), elevation.astype(np.int64)
+
+
+def atan2_fixed(y, x):
+    """Abramowitz and Stegun 4.4.49 in float32."""
+    f = np.float32
+    ax, ay = np.abs(x), np.abs(y)
+    low, high = np.minimum(ax, ay), np.maximum(ax, ay)
+    t = np.where(high > 0, low / np.where(high > 0, high, f(1)), f(0))
+    s = t * t
+    series = f(0.0028662257)
+    for coefficient in (-0.0161657367, 0.0429096138, -0.0752896400, 0.1065626393, -0.1420889944,
+                        0.1999355085, -0.3333314528):  # fmt: skip
+        series = series * s + f(coefficient)
+    angle = t + (series * s) * t
+    angle = np.where(ay > ax, f(1.57079632679) - angle, angle)
+    angle = np.where(x < 0, f(3.14159265359) - angle, angle)
+    return np.where(y < 0, -angle, angle)
