@@ -36,24 +36,15 @@ py::array_t<float> splats(GlRenderer& renderer, const Array<double>& K, int widt
   return to_numpy(std::move(depth), {height, width});
 }
 
-py::array_t<float> triangles(GlRenderer& renderer, const Array<double>& K, int width, int height,
-                             const Array<float>& vertices, const Array<std::uint32_t>& corners,
-                             const Array<double>& T_camera_vertices) {
+py::array_t<float> surfaces(GlRenderer& renderer, const Array<double>& K, int width, int height,
+                            const std::vector<PlacedFrame>& fixed, const PlacedFrame& moving,
+                            int /*threads*/) {
   const Camera camera = as_camera(K, width, height);
-  const auto points = as_points(vertices);
-  if (corners.ndim() != 2 || corners.shape(1) != 3)
-    throw std::invalid_argument("triangles must be a uint32 array of shape (M, 3)");
-  const auto count = static_cast<std::size_t>(points.rows());
-  for (py::ssize_t i = 0; i < corners.size(); ++i)
-    if (corners.data()[i] >= count)
-      throw std::invalid_argument("a triangle has a corner that is not among the vertices");
-  const gl::PlacedTriangles mesh{vertices.data(), count, corners.data(),
-                                 static_cast<std::size_t>(corners.shape(0)),
-                                 as_pose(T_camera_vertices)};
+  const auto layers = surface_layers(as_surfaces(fixed), as_surface(moving));
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth = renderer.render_triangles(camera, {mesh});
+    depth = renderer.render_triangles(camera, layers);
   }
   return to_numpy(std::move(depth), {height, width});
 }
@@ -73,8 +64,8 @@ void bind_gl(py::module_& m) {
       .def_property_readonly("point_limit", &GlRenderer::point_limit)
       .def("render_splats", &splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
            "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0)
-      .def("render_triangles", &triangles, "K"_a, "width"_a, "height"_a, "vertices"_a,
-           "triangles"_a, "T_camera_vertices"_a);
+      .def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "moving"_a,
+           "threads"_a = 0);
 }
 
 }  // namespace docdepth::bindings

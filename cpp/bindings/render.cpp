@@ -2,8 +2,6 @@
 
 #include <memory>
 
-#include "docdepth/render/surfaces.hpp"
-
 namespace docdepth::bindings {
 namespace {
 
@@ -45,15 +43,12 @@ std::unique_ptr<SurfaceFrame> make_surface_frame(const Array<float>& points,
                                         loose_angle, classes);
 }
 
-using PlacedFrame = std::pair<const SurfaceFrame*, Array<double>>;
-
 py::array_t<float> surfaces(const Array<double>& K, int width, int height,
                             const std::vector<PlacedFrame>& fixed, const PlacedFrame& moving,
                             int threads) {
   const Camera camera = as_camera(K, width, height);
-  std::vector<PlacedSurface> placed;
-  for (const auto& [frame, pose] : fixed) placed.push_back({frame, as_pose(pose)});
-  const PlacedSurface mover{moving.first, as_pose(moving.second)};
+  const auto placed = as_surfaces(fixed);
+  const auto mover = as_surface(moving);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;

@@ -7,6 +7,7 @@
 #include "docdepth/render/camera.hpp"
 #include "docdepth/render/cloud.hpp"
 #include "docdepth/render/splats.hpp"
+#include "docdepth/render/surfaces.hpp"
 
 namespace docdepth::bindings {
 
@@ -36,5 +37,17 @@ struct PlacedClouds {
   PlacedClouds(const PlacedClouds&) = delete;
   PlacedClouds& operator=(const PlacedClouds&) = delete;
 };
+
+using PlacedFrame = std::pair<const SurfaceFrame*, Array<double>>;
+
+inline PlacedSurface as_surface(const PlacedFrame& placed) {
+  return {placed.first, as_pose(placed.second)};
+}
+
+inline std::vector<PlacedSurface> as_surfaces(const std::vector<PlacedFrame>& placed) {
+  std::vector<PlacedSurface> surfaces;
+  for (const auto& frame : placed) surfaces.push_back(as_surface(frame));
+  return surfaces;
+}
 
 }  // namespace docdepth::bindings

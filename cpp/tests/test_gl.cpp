@@ -33,6 +33,29 @@ Cloud scattered(unsigned seed, int count) {
   return Cloud(points, std::vector<std::uint8_t>(count, 1));
 }
 
+Mesh scattered_mesh(unsigned seed, int count) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<float> side(-20, 20), ahead(-2, 60), step(-2, 2);
+  std::vector<Eigen::Vector3f> vertices;
+  std::vector<std::array<std::uint32_t, 3>> triangles;
+  for (int i = 0; i < count; ++i) {
+    const Eigen::Vector3f p(side(random), side(random), ahead(random));
+    const auto first = static_cast<std::uint32_t>(vertices.size());
+    for (int k = 0; k < 3; ++k)
+      vertices.push_back(p + Eigen::Vector3f(step(random), step(random), step(random)));
+    triangles.push_back({first, first + 1, first + 2});
+  }
+  return Mesh(vertices, triangles);
+}
+
+std::size_t differences(const std::vector<float>& a, const std::vector<float>& b) {
+  REQUIRE(a.size() == b.size());
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < a.size(); ++i)
+    count += !(a[i] == b[i] || (std::isnan(a[i]) && std::isnan(b[i])));
+  return count;
+}
+
 }  // namespace
 
 TEST_CASE("OpenGL draws the splats of the processor") {
@@ -48,12 +71,32 @@ TEST_CASE("OpenGL draws the splats of the processor") {
       const std::vector<PlacedCloud> placed{{drawn, pose, &heights}};
       const auto expected = render_splats(camera, placed, 1);
       const auto depth = renderer->render_splats(camera, placed);
-      REQUIRE(depth.size() == expected.size());
-      std::size_t different = 0;
-      for (std::size_t i = 0; i < depth.size(); ++i)
-        different +=
-            !(depth[i] == expected[i] || (std::isnan(depth[i]) && std::isnan(expected[i])));
-      CHECK(different <= (renderer->context().software() ? 0 : depth.size() / 1000));
+      CHECK(differences(depth, expected) <=
+            (renderer->context().software() ? 0 : depth.size() / 1000));
+    }
+  }
+}
+
+TEST_CASE("OpenGL draws the triangles of the processor, layer by layer") {
+  const Camera camera{90, 95, 80.3, 31.7, 160, 60};
+  const Mesh first = scattered_mesh(1, 60), second = scattered_mesh(2, 300),
+             third = scattered_mesh(3, 40);
+  Pose pose = Pose::Identity();
+  pose.translation() << 0.3, -0.2, 1.7;
+  const std::vector<std::vector<Layer>> scenes{
+      {{{{&first, pose}}}},
+      {{{{&first, pose}, {&third, Pose::Identity()}}}, {{{&second, pose}}}},
+      {{{{&second, pose}}}, {{{&third, pose}}, true}, {{{&first, pose}}}},
+      {{{{&first, pose}}, true}, {{{&third, pose}}, true}},
+      {}};
+  for (const Backend backend : kBackends) {
+    const auto renderer = open(backend);
+    if (!renderer) continue;
+    for (const auto& layers : scenes) {
+      const auto expected = render_triangles(camera, layers, 1);
+      const auto depth = renderer->render_triangles(camera, layers);
+      CHECK(differences(depth, expected) <=
+            (renderer->context().software() ? 0 : depth.size() / 1000));
     }
   }
 }

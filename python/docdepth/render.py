@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from docdepth import _core
 from docdepth.backends import Renderer
 from docdepth.config import RenderParameters, SurfaceParameters
-from docdepth.errors import BackendError, CalibrationError, InputError
+from docdepth.errors import CalibrationError, InputError
 from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory, inverse
 
@@ -213,12 +213,7 @@ def render(
 
     fixed = [place(int(i)) for i in static_frames(trajectory, time, p)]
     moving = place(dynamic_frame(trajectory, time))
-    renderer = renderer or Renderer()
-    core = renderer.core
-    if p.surface == "triangles" and renderer.name != "cpu":
-        raise BackendError(
-            f"renderer {renderer.name} draws splats only; use --renderer cpu or --preset paper"
-        )
+    core = (renderer or Renderer()).core
     depth: NDArray[np.float32]
     if p.surface == "splats":
         depth = core.render_splats(

@@ -25,8 +25,7 @@ class Cloud {
   Cloud(const Points& points, const std::vector<std::uint8_t>& keep);
 
   std::size_t size() const { return blocks_.empty() ? 0 : blocks_.back().end; }
-  /// The same for copies only, so that a copy of the points on a graphics card finds its cloud.
-  std::uint64_t id() const { return id_; }
+  std::uint64_t id() const { return id_; }  ///< see new_identity()
   const Box& box() const { return box_; }
   const std::vector<Block>& blocks() const { return blocks_; }
   const float* x() const { return x_.data(); }

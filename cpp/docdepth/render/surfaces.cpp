@@ -3,7 +3,6 @@
 #include <cmath>
 
 #include "docdepth/render/edges.hpp"
-#include "docdepth/render/triangles.hpp"
 
 namespace docdepth {
 namespace {
@@ -40,15 +39,20 @@ SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles
             Mesh(surface.vertices, surface.moving.split)};
 }
 
-std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
-                                   const PlacedSurface& moving, int threads) {
+std::vector<Layer> surface_layers(const std::vector<PlacedSurface>& fixed,
+                                  const PlacedSurface& moving) {
   std::vector<Layer> layers;
   for (const auto& [frame, pose] : fixed) layers.push_back({{{&frame->fixed.whole, pose}}});
   if (!fixed.empty()) layers.push_back({{{&fixed[0].frame->fixed.split, fixed[0].T_camera_frame}}});
   const auto& parts = moving.frame->moving;
   layers.push_back(
       {{{&parts.whole, moving.T_camera_frame}, {&parts.split, moving.T_camera_frame}}, true});
-  return render_triangles(camera, layers, threads);
+  return layers;
+}
+
+std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
+                                   const PlacedSurface& moving, int threads) {
+  return render_triangles(camera, surface_layers(fixed, moving), threads);
 }
 
 }  // namespace docdepth

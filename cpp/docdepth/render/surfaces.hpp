@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "docdepth/render/camera.hpp"
-#include "docdepth/render/mesh.hpp"
+#include "docdepth/render/triangles.hpp"
 
 namespace docdepth {
 
@@ -40,5 +40,9 @@ struct PlacedSurface {
 /// it left empty, and the most trustworthy, which is the nearest, comes first.
 std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
                                    const PlacedSurface& moving, int threads);
+
+/// The same as layers, for any rasteriser of triangles.
+std::vector<Layer> surface_layers(const std::vector<PlacedSurface>& fixed,
+                                  const PlacedSurface& moving);
 
 }  // namespace docdepth

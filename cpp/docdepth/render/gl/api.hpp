@@ -42,7 +42,6 @@ using Loader = void (*(*)(const char*))();
   X(void, GenVertexArrays, (int count, unsigned* names))                                      \
   X(void, BindVertexArray, (unsigned name))                                                   \
   X(void, EnableVertexAttribArray, (unsigned index))                                          \
-  X(void, DisableVertexAttribArray, (unsigned index))                                         \
   X(void, VertexAttribDivisor, (unsigned index, unsigned divisor))                            \
   X(void, VertexAttribPointer,                                                                \
     (unsigned index, int size, unsigned type, std::uint8_t normalized, int stride,            \
@@ -63,11 +62,16 @@ using Loader = void (*(*)(const char*))();
   X(unsigned, CheckFramebufferStatus, (unsigned target))                                      \
   X(void, Viewport, (int x, int y, int width, int height))                                    \
   X(void, Enable, (unsigned capability))                                                      \
+  X(void, Disable, (unsigned capability))                                                     \
+  X(void, DepthFunc, (unsigned function))                                                     \
+  X(void, DepthRange, (double near, double far))                                              \
   X(void, BlendEquation, (unsigned mode))                                                     \
   X(void, ClearBufferfv, (unsigned buffer, int index, const float* value))                    \
   X(void, MultiDrawArrays, (unsigned mode, const int* first, const int* count, int draws))    \
   X(void, DrawArraysInstanced, (unsigned mode, int first, int count, int instances))          \
-  X(void, DrawElements, (unsigned mode, int count, unsigned type, const void* offset))        \
+  X(void, MultiDrawElementsBaseVertex,                                                        \
+    (unsigned mode, const int* count, unsigned type, const void* const* offsets, int draws,   \
+     const int* base))                                                                        \
   X(void, ReadPixels,                                                                         \
     (int x, int y, int width, int height, unsigned format, unsigned type, void* pixels))
 
@@ -85,14 +89,16 @@ enum : unsigned {
   kPoints = 0x0000,
   kTriangles = 0x0004,
   kTriangleStrip = 0x0005,
+  kLessOrEqual = 0x0203,
   kOutOfMemory = 0x0505,
   kPointSizeRange = 0x0B12,
+  kDepthTest = 0x0B71,
   kBlend = 0x0BE2,
   kMaxViewportSize = 0x0D3A,
   kUnsignedByte = 0x1401,
-  kUnsignedInt = 0x1405,
   kFloat = 0x1406,
   kColor = 0x1800,
+  kDepth = 0x1801,
   kRed = 0x1903,
   kRgba = 0x1908,
   kRenderer = 0x1F01,
@@ -110,10 +116,13 @@ enum : unsigned {
   kVertexShader = 0x8B31,
   kCompileStatus = 0x8B81,
   kLinkStatus = 0x8B82,
+  kDepth32f = 0x8CAC,
   kFramebufferComplete = 0x8CD5,
   kColorAttachment0 = 0x8CE0,
+  kDepthAttachment = 0x8D00,
   kFramebuffer = 0x8D40,
   kRenderbuffer = 0x8D41,
+  kGeometryShader = 0x8DD9,
 };
 
 namespace egl {

@@ -6,64 +6,16 @@
 #include <string>
 
 #include "docdepth/geometry/rigid.hpp"
+#include "docdepth/render/gl/program.hpp"
 #include "docdepth/render/gl/shaders.hpp"
 
 namespace docdepth::gl {
 namespace {
 
-using Gl = GlContext::Current;
-
-unsigned compile(const Gl& gl, unsigned type, const std::vector<const char*>& sources) {
-  const unsigned shader = gl->CreateShader(type);
-  gl->ShaderSource(shader, static_cast<int>(sources.size()), sources.data(), nullptr);
-  gl->CompileShader(shader);
-  int well = 0;
-  gl->GetShaderiv(shader, kCompileStatus, &well);
-  if (!well) {
-    char log[1024] = "";
-    gl->GetShaderInfoLog(shader, sizeof log, nullptr, log);
-    throw GlError(std::string("the driver does not compile a shader: ") + log);
-  }
-  return shader;
-}
-
-unsigned link(const Gl& gl, const char* vertex, const char* fragment) {
-  const unsigned program = gl->CreateProgram();
-  for (const unsigned shader :
-       {compile(gl, kVertexShader, {kMove, vertex}), compile(gl, kFragmentShader, {fragment})}) {
-    gl->AttachShader(program, shader);
-    gl->DeleteShader(shader);
-  }
-  gl->LinkProgram(program);
-  int well = 0;
-  gl->GetProgramiv(program, kLinkStatus, &well);
-  if (!well) {
-    char log[1024] = "";
-    gl->GetProgramInfoLog(program, sizeof log, nullptr, log);
-    throw GlError(std::string("the driver does not link a program: ") + log);
-  }
-  return program;
-}
-
-void check(const Gl& gl, const std::string& renderer) {
+void check(const GlContext::Current& gl, const std::string& renderer) {
   const unsigned error = gl->GetError();
   if (error == kOutOfMemory) throw GlError(renderer + " is out of memory; draw fewer sweeps");
   if (error) throw GlError(renderer + " failed with OpenGL error " + std::to_string(error));
-}
-
-/// Ranges of points whose blocks the camera may see.
-void visible_ranges(const Cloud& cloud, const Frustum& frustum, std::vector<int>& first,
-                    std::vector<int>& count) {
-  for (const auto& block : cloud.blocks()) {
-    if (!frustum.touches(block.box)) continue;
-    const int begin = static_cast<int>(block.begin), size = static_cast<int>(block.end) - begin;
-    if (!first.empty() && first.back() + count.back() == begin) {
-      count.back() += size;
-    } else {
-      first.push_back(begin);
-      count.push_back(size);
-    }
-  }
 }
 
 }  // namespace
@@ -77,19 +29,23 @@ GlRenderer::GlRenderer(const Choice& choice) : context_(choice) {
   gl->GetIntegerv(kMaxViewportSize, viewport);
   gl->GetIntegerv(kMaxRenderbufferSize, &renderbuffer);
   image_limit_ = std::min({viewport[0], viewport[1], renderbuffer});
-  splats_ = link(gl, kSplatVertex, kSplatFragment);
-  triangles_ = link(gl, kTriangleVertex, kTriangleFragment);
+  splats_ = link(gl, {{kVertexShader, kSplatVertex}, {kFragmentShader, kSplatFragment}});
+  triangles_ = link(gl, {{kVertexShader, kTriangleVertex},
+                         {kGeometryShader, kTriangleGeometry},
+                         {kFragmentShader, kTriangleFragment}});
 
   unsigned array = 0, framebuffer = 0;
   gl->GenVertexArrays(1, &array);
   gl->BindVertexArray(array);
+  for (unsigned axis = 0; axis < 3; ++axis) gl->EnableVertexAttribArray(axis);
   gl->GenFramebuffers(1, &framebuffer);
   gl->BindFramebuffer(kFramebuffer, framebuffer);
   gl->GenRenderbuffers(1, &image_);
-  gl->BindRenderbuffer(kRenderbuffer, image_);
+  gl->GenRenderbuffers(1, &layers_);
   gl->Enable(kProgramPointSize);
   gl->Enable(kBlend);
   gl->BlendEquation(kMin);
+  gl->DepthFunc(kLessOrEqual);
   check(gl, context_.renderer());
 }
 
@@ -99,8 +55,13 @@ void GlRenderer::begin(const Gl& gl, const Camera& camera, unsigned program) {
                   " pixels");
   if (camera.width != width_ || camera.height != height_) {
     width_ = height_ = 0;
-    gl->RenderbufferStorage(kRenderbuffer, kR32f, camera.width, camera.height);
-    gl->FramebufferRenderbuffer(kFramebuffer, kColorAttachment0, kRenderbuffer, image_);
+    const auto attach = [&](unsigned buffer, unsigned format, unsigned attachment) {
+      gl->BindRenderbuffer(kRenderbuffer, buffer);
+      gl->RenderbufferStorage(kRenderbuffer, format, camera.width, camera.height);
+      gl->FramebufferRenderbuffer(kFramebuffer, attachment, kRenderbuffer, buffer);
+    };
+    attach(image_, kR32f, kColorAttachment0);
+    attach(layers_, kDepth32f, kDepthAttachment);
     if (gl->CheckFramebufferStatus(kFramebuffer) != kFramebufferComplete)
       throw GlError(context_.renderer() + " cannot draw float images");
     gl->Viewport(0, 0, camera.width, camera.height);
@@ -125,28 +86,39 @@ void GlRenderer::place(const Gl& gl, unsigned program, const Pose& T_camera_poin
   gl->Uniform4fv(gl->GetUniformLocation(program, "rows"), 3, rows);
 }
 
-void GlRenderer::bind_points(const Gl& gl, const Cloud& cloud) {
-  const auto [at, added] = clouds_.try_emplace(cloud.id(), Uploaded{0, true});
-  at->second.used = true;
-  if (!added) {
-    gl->BindBuffer(kArrayBuffer, at->second.buffer);
-    return;
+/// Coordinates of a cloud or a mesh as attributes 0 to 2, from its copy on the device.
+template <class Shape>
+GlRenderer::Uploaded& GlRenderer::bind(const Gl& gl, const Shape& shape, std::size_t size,
+                                       unsigned divisor) {
+  Uploaded& copy = uploaded_[shape.id()];
+  copy.used = true;
+  const auto bytes = static_cast<std::ptrdiff_t>(size * sizeof(float));
+  const bool known = copy.coordinates;
+  if (!known) gl->GenBuffers(1, &copy.coordinates);
+  gl->BindBuffer(kArrayBuffer, copy.coordinates);
+  if (!known) {
+    gl->BufferData(kArrayBuffer, 3 * bytes, nullptr, kStaticDraw);
+    gl->BufferSubData(kArrayBuffer, 0, bytes, shape.x());
+    gl->BufferSubData(kArrayBuffer, bytes, bytes, shape.y());
+    gl->BufferSubData(kArrayBuffer, 2 * bytes, bytes, shape.z());
   }
-  gl->GenBuffers(1, &at->second.buffer);
-  gl->BindBuffer(kArrayBuffer, at->second.buffer);
-  const auto bytes = static_cast<std::ptrdiff_t>(cloud.size() * sizeof(float));
-  gl->BufferData(kArrayBuffer, 3 * bytes, nullptr, kStaticDraw);
-  gl->BufferSubData(kArrayBuffer, 0, bytes, cloud.x());
-  gl->BufferSubData(kArrayBuffer, bytes, bytes, cloud.y());
-  gl->BufferSubData(kArrayBuffer, 2 * bytes, bytes, cloud.z());
+  for (unsigned axis = 0; axis < 3; ++axis) {
+    gl->VertexAttribDivisor(axis, divisor);
+    gl->VertexAttribPointer(axis, 1, kFloat, 0, 0, reinterpret_cast<const void*>(axis * bytes));
+  }
+  return copy;
 }
 
-void GlRenderer::draw(const Gl& gl, const Camera& camera, const PlacedCloud& placed) {
+void GlRenderer::draw_cloud(const Gl& gl, const Camera& camera, const PlacedCloud& placed) {
   const Cloud& cloud = *placed.cloud;
   const Frustum frustum(camera, placed.T_camera_cloud);
   if (!cloud.size() || !frustum.touches(cloud.box())) return;
   std::vector<int> first, count;
-  visible_ranges(cloud, frustum, first, count);
+  for (const auto& block : cloud.blocks()) {
+    if (!frustum.touches(block.box)) continue;
+    first.push_back(static_cast<int>(block.begin));
+    count.push_back(static_cast<int>(block.end - block.begin));
+  }
   if (first.empty()) return;
 
   const auto& limits = placed.heights->limits();
@@ -159,14 +131,7 @@ void GlRenderer::draw(const Gl& gl, const Camera& camera, const PlacedCloud& pla
   const bool squares = largest > point_limit_;
   gl->Uniform1i(gl->GetUniformLocation(splats_, "as_squares"), squares);
   place(gl, splats_, placed.T_camera_cloud);
-
-  bind_points(gl, cloud);
-  for (unsigned axis = 0; axis < 3; ++axis) {
-    gl->EnableVertexAttribArray(axis);
-    gl->VertexAttribDivisor(axis, squares ? 1 : 0);
-    gl->VertexAttribPointer(axis, 1, kFloat, 0, 0,
-                            reinterpret_cast<const void*>(axis * cloud.size() * sizeof(float)));
-  }
+  bind(gl, cloud, cloud.size(), squares ? 1 : 0);
   if (squares)
     gl->DrawArraysInstanced(kTriangleStrip, 0, 4, static_cast<int>(cloud.size()));
   else
@@ -175,44 +140,67 @@ void GlRenderer::draw(const Gl& gl, const Camera& camera, const PlacedCloud& pla
 
 std::vector<float> GlRenderer::render_splats(const Camera& camera,
                                              const std::vector<PlacedCloud>& clouds) {
+  return render(camera, splats_, [&](const Gl& gl) {
+    gl->Disable(kDepthTest);
+    for (const auto& placed : clouds) draw_cloud(gl, camera, placed);
+  });
+}
+
+void GlRenderer::draw_mesh(const Gl& gl, const Camera& camera, const PlacedMesh& placed) {
+  const Mesh& mesh = *placed.mesh;
+  const Frustum frustum(camera, placed.T_camera_mesh);
+  if (!mesh.size() || !frustum.touches(mesh.box())) return;
+  std::vector<int> count, base;
+  std::vector<const void*> corners;
+  for (const auto& patch : mesh.patches()) {
+    if (!frustum.touches(patch.box)) continue;
+    count.push_back(static_cast<int>(3 * patch.triangles));
+    base.push_back(static_cast<int>(patch.vertex));
+    corners.push_back(reinterpret_cast<const void*>(patch.triangle * sizeof(Mesh::Corners)));
+  }
+  if (count.empty()) return;
+  place(gl, triangles_, placed.T_camera_mesh);
+  Uploaded& copy = bind(gl, mesh, mesh.vertex_count(), 0);
+  const bool known = copy.corners;
+  if (!known) gl->GenBuffers(1, &copy.corners);
+  gl->BindBuffer(kElementArrayBuffer, copy.corners);
+  if (!known)
+    gl->BufferData(kElementArrayBuffer, std::ptrdiff_t(mesh.size() * sizeof(Mesh::Corners)),
+                   mesh.corners(), kStaticDraw);
+  gl->MultiDrawElementsBaseVertex(kTriangles, count.data(), kUnsignedByte, corners.data(),
+                                  static_cast<int>(count.size()), base.data());
+}
+
+std::vector<float> GlRenderer::render_triangles(const Camera& camera,
+                                                const std::vector<Layer>& layers) {
+  return render(camera, triangles_, [&](const Gl& gl) {
+    // All of a layer has one value in the depth buffer. It grows from layer to layer, so what an
+    // earlier one has drawn stays; a layer that hides has the least.
+    const float far[4] = {1, 1, 1, 1};
+    gl->ClearBufferfv(kDepth, 0, far);
+    gl->Enable(kDepthTest);
+    for (std::size_t i = 0; i < layers.size(); ++i) {
+      const double at = layers[i].hides ? 0.0 : double(i + 1) / double(layers.size() + 1);
+      gl->DepthRange(at, at);
+      for (const auto& placed : layers[i].meshes) draw_mesh(gl, camera, placed);
+    }
+  });
+}
+
+std::vector<float> GlRenderer::render(const Camera& camera, unsigned program,
+                                      const std::function<void(const Gl&)>& draw) {
   const Gl gl(context_);
-  begin(gl, camera, splats_);
+  begin(gl, camera, program);
   try {
-    for (const auto& placed : clouds) draw(gl, camera, placed);
+    draw(gl);
     auto depth = read(gl, camera);
     forget_unused(gl);
     return depth;
   } catch (...) {
-    for (auto& cloud : clouds_) cloud.second.used = false;  // their points may not have arrived
+    for (auto& copy : uploaded_) copy.second.used = false;  // it may not have arrived
     forget_unused(gl);
     throw;
   }
-}
-
-std::vector<float> GlRenderer::render_triangles(const Camera& camera,
-                                                const std::vector<PlacedTriangles>& meshes) {
-  const Gl gl(context_);
-  begin(gl, camera, triangles_);
-  for (unsigned axis = 0; axis < 3; ++axis) gl->DisableVertexAttribArray(axis);
-  gl->EnableVertexAttribArray(0);
-  gl->VertexAttribDivisor(0, 0);
-  unsigned buffers[2];
-  gl->GenBuffers(2, buffers);
-  gl->BindBuffer(kArrayBuffer, buffers[0]);
-  gl->BindBuffer(kElementArrayBuffer, buffers[1]);
-  gl->VertexAttribPointer(0, 3, kFloat, 0, 0, nullptr);
-  for (const auto& mesh : meshes) {
-    const std::size_t corners = 3 * mesh.triangle_count;
-    gl->BufferData(kArrayBuffer, std::ptrdiff_t(3 * mesh.vertex_count * sizeof(float)),
-                   mesh.vertices, kStaticDraw);
-    gl->BufferData(kElementArrayBuffer, std::ptrdiff_t(corners * sizeof(std::uint32_t)),
-                   mesh.corners, kStaticDraw);
-    place(gl, triangles_, mesh.T_camera_vertices);
-    gl->DrawElements(kTriangles, static_cast<int>(corners), kUnsignedInt, nullptr);
-  }
-  auto depth = read(gl, camera);
-  gl->DeleteBuffers(2, buffers);
-  return depth;
 }
 
 std::vector<float> GlRenderer::read(const Gl& gl, const Camera& camera) {
@@ -225,10 +213,11 @@ std::vector<float> GlRenderer::read(const Gl& gl, const Camera& camera) {
 }
 
 void GlRenderer::forget_unused(const Gl& gl) {
-  for (auto at = clouds_.begin(); at != clouds_.end();) {
+  for (auto at = uploaded_.begin(); at != uploaded_.end();) {
     if (!at->second.used) {
-      gl->DeleteBuffers(1, &at->second.buffer);
-      at = clouds_.erase(at);
+      const unsigned buffers[] = {at->second.coordinates, at->second.corners};  // 0 is ignored
+      gl->DeleteBuffers(2, buffers);
+      at = uploaded_.erase(at);
     } else {
       at++->second.used = false;
     }

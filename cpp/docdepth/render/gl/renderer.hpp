@@ -1,26 +1,20 @@
-// Depth maps by OpenGL: the same splats as render_splats(), and triangles.
+// Depth maps by OpenGL: the same as render_splats() and render_triangles().
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <unordered_map>
 #include <vector>
 
 #include "docdepth/render/gl/context.hpp"
 #include "docdepth/render/splats.hpp"
+#include "docdepth/render/triangles.hpp"
 
 namespace docdepth::gl {
 
-/// Triangles where they stood relative to the camera at the image's time; not copied.
-struct PlacedTriangles {
-  const float* vertices;  ///< x y z of each
-  std::size_t vertex_count;
-  const std::uint32_t* corners;  ///< three vertices a triangle
-  std::size_t triangle_count;
-  Pose T_camera_vertices;
-};
-
 /// Draws into a float image in which the smallest depth stays (blending by the minimum), so depth
-/// is never rounded to a depth buffer's scale. For one thread and one process, as GlContext.
+/// is never rounded to a depth buffer's scale. Clouds and meshes stay on the device until an image
+/// does without them. For one thread and one process, as GlContext.
 class GlRenderer {
  public:
   /// @throws GlError saying why the back end cannot be used here
@@ -29,32 +23,36 @@ class GlRenderer {
   const GlContext& context() const { return context_; }
   int point_limit() const { return point_limit_; }  ///< pixels; larger splats are drawn as squares
 
-  /// As docdepth::render_splats(). Clouds stay on the device until an image does without them.
+  /// As docdepth::render_splats().
   std::vector<float> render_splats(const Camera& camera, const std::vector<PlacedCloud>& clouds);
 
-  /// z of the nearest triangle at each pixel's centre, exact in perspective; NaN where none is.
-  /// Triangles are cut where they come nearer than kNear.
-  std::vector<float> render_triangles(const Camera& camera,
-                                      const std::vector<PlacedTriangles>& meshes);
+  /// As docdepth::render_triangles().
+  std::vector<float> render_triangles(const Camera& camera, const std::vector<Layer>& layers);
 
  private:
+  using Gl = GlContext::Current;
   struct Uploaded {
-    unsigned buffer;
-    bool used;
+    unsigned coordinates = 0, corners = 0;  // buffers
+    bool used = false;                      // in this image
   };
 
-  void begin(const GlContext::Current& gl, const Camera& camera, unsigned program);
-  void place(const GlContext::Current& gl, unsigned program, const Pose& T_camera_points);
-  void draw(const GlContext::Current& gl, const Camera& camera, const PlacedCloud& placed);
-  void bind_points(const GlContext::Current& gl, const Cloud& cloud);
-  std::vector<float> read(const GlContext::Current& gl, const Camera& camera);
-  void forget_unused(const GlContext::Current& gl);
+  std::vector<float> render(const Camera& camera, unsigned program,
+                            const std::function<void(const Gl&)>& draw);
+  void begin(const Gl& gl, const Camera& camera, unsigned program);
+  void place(const Gl& gl, unsigned program, const Pose& T_camera_points);
+  void draw_cloud(const Gl& gl, const Camera& camera, const PlacedCloud& placed);
+  void draw_mesh(const Gl& gl, const Camera& camera, const PlacedMesh& placed);
+  template <class Shape>
+  Uploaded& bind(const Gl& gl, const Shape& shape, std::size_t size, unsigned divisor);
+  std::vector<float> read(const Gl& gl, const Camera& camera);
+  void forget_unused(const Gl& gl);
 
   GlContext context_;
   int point_limit_ = 1, image_limit_ = 0;
-  int width_ = 0, height_ = 0;  // of the image on the device
-  unsigned image_ = 0, splats_ = 0, triangles_ = 0;
-  std::unordered_map<std::uint64_t, Uploaded> clouds_;
+  int width_ = 0, height_ = 0;           // of the image on the device
+  unsigned image_ = 0, layers_ = 0;      // what a pixel shows, and of which layer
+  unsigned splats_ = 0, triangles_ = 0;  // programs
+  std::unordered_map<std::uint64_t, Uploaded> uploaded_;
 };
 
 }  // namespace docdepth::gl
