@@ -85,7 +85,7 @@ class EglPlatform : public Platform {
     // Displays are shared by everyone in the process and thus never terminated.
     display_ = f_.GetPlatformDisplayEXT(platform, native, nullptr);
     if (!display_) fail("eglGetPlatformDisplay");
-    if (!f_.Initialize(display_, nullptr, nullptr)) fail("eglInitialize");
+    if (!f_.Initialize(display_, nullptr, nullptr)) fail("no driver works for it: eglInitialize");
     if (!f_.BindAPI(egl::kOpenGlApi)) fail("eglBindAPI(OpenGL)");
     const char* extensions = f_.QueryString(display_, egl::kExtensions);
     const bool surfaceless = contains(extensions, "EGL_KHR_surfaceless_context");
