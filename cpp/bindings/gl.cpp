@@ -37,14 +37,15 @@ py::array_t<float> splats(GlRenderer& renderer, const Array<double>& K, int widt
 }
 
 py::array_t<float> surfaces(GlRenderer& renderer, const Array<double>& K, int width, int height,
-                            const std::vector<PlacedFrame>& fixed, const PlacedFrame& moving,
-                            int /*threads*/) {
+                            const std::vector<PlacedFrame>& fixed, const PlacedFrame& nearest,
+                            const PlacedFrame& other, float share, float reach, int threads) {
   const Camera camera = as_camera(K, width, height);
-  const auto layers = surface_layers(as_surfaces(fixed), as_surface(moving));
+  const auto world = as_surfaces(fixed);
+  const Motion motion{as_surface(nearest), as_surface(other), share, reach};
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth = renderer.render_triangles(camera, layers);
+    depth = renderer.render_triangles(camera, drawing_of(world, motion, threads));
   }
   return to_numpy(std::move(depth), {height, width});
 }
@@ -64,8 +65,8 @@ void bind_gl(py::module_& m) {
       .def_property_readonly("point_limit", &GlRenderer::point_limit)
       .def("render_splats", &splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
            "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0)
-      .def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "moving"_a,
-           "threads"_a = 0);
+      .def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
+           "other"_a, "share"_a, "reach"_a, "threads"_a = 0);
 }
 
 }  // namespace docdepth::bindings

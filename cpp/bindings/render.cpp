@@ -44,15 +44,15 @@ std::unique_ptr<SurfaceFrame> make_surface_frame(const Array<float>& points,
 }
 
 py::array_t<float> surfaces(const Array<double>& K, int width, int height,
-                            const std::vector<PlacedFrame>& fixed, const PlacedFrame& moving,
-                            int threads) {
+                            const std::vector<PlacedFrame>& fixed, const PlacedFrame& nearest,
+                            const PlacedFrame& other, float share, float reach, int threads) {
   const Camera camera = as_camera(K, width, height);
-  const auto placed = as_surfaces(fixed);
-  const auto mover = as_surface(moving);
+  const auto world = as_surfaces(fixed);
+  const Motion motion{as_surface(nearest), as_surface(other), share, reach};
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth = render_surfaces(camera, placed, mover, threads);
+    depth = render_surfaces(camera, world, motion, threads);
   }
   return to_numpy(std::move(depth), {height, width});
 }
@@ -70,8 +70,8 @@ void bind_render(py::module_& m) {
   py::class_<SurfaceFrame>(m, "SurfaceFrame")
       .def(py::init(&make_surface_frame), "points"_a, "classid"_a, "triangles"_a, "cut"_a,
            "loose"_a, "loose_angle"_a);
-  m.def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "moving"_a,
-        "threads"_a = 0);
+  m.def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
+        "other"_a, "share"_a, "reach"_a, "threads"_a = 0);
   m.def("render_splats", &splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0);
 }

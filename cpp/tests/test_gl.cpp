@@ -77,24 +77,24 @@ TEST_CASE("OpenGL draws the splats of the processor") {
   }
 }
 
-TEST_CASE("OpenGL draws the triangles of the processor, layer by layer") {
+TEST_CASE("OpenGL draws the triangles of the processor, weighed alike") {
   const Camera camera{90, 95, 80.3, 31.7, 160, 60};
   const Mesh first = scattered_mesh(1, 60), second = scattered_mesh(2, 300),
              third = scattered_mesh(3, 40);
   Pose pose = Pose::Identity();
   pose.translation() << 0.3, -0.2, 1.7;
-  const std::vector<std::vector<Layer>> scenes{
-      {{{{&first, pose}}}},
-      {{{{&first, pose}, {&third, Pose::Identity()}}}, {{{&second, pose}}}},
-      {{{{&second, pose}}}, {{{&third, pose}}, true}, {{{&first, pose}}}},
-      {{{{&first, pose}}, true}, {{{&third, pose}}, true}},
+  const std::vector<Drawing> scenes{
+      {{{&first, pose}}, {}, {}},
+      {{{&third, pose}}, {{&first, pose}, {&second, pose}, {&first, Pose::Identity()}}, {}},
+      {{}, {{&second, pose}, {&first, pose}, {&third, pose}, {&first, pose}}, {{&third, pose}}},
+      {{{&first, pose}, {&third, pose}}, {}, {{&second, Pose::Identity()}}},
       {}};
   for (const Backend backend : kBackends) {
     const auto renderer = open(backend);
     if (!renderer) continue;
-    for (const auto& layers : scenes) {
-      const auto expected = render_triangles(camera, layers, 1);
-      const auto depth = renderer->render_triangles(camera, layers);
+    for (const auto& drawing : scenes) {
+      const auto expected = render_triangles(camera, drawing, 1);
+      const auto depth = renderer->render_triangles(camera, drawing);
       CHECK(differences(depth, expected) <=
             (renderer->context().software() ? 0 : depth.size() / 1000));
     }

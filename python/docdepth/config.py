@@ -101,6 +101,9 @@ class RenderParameters(_Stage):
     )
     crop: float = Field(300.0, gt=0, description="points farther from their sensor, d_crop [m]")
     max_depth: float = Field(250.0, gt=0, description="nothing farther is drawn [m]")
+    max_speed: float = Field(
+        50.0, ge=0, description="moving objects are carried to the image's time up to this [m/s]"
+    )
     loose_deg: float = Field(
         0.1, gt=0, lt=10, description="half width of a return without a triangle [deg]"
     )

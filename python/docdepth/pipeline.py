@@ -270,8 +270,7 @@ def run_render(
         path = run.path / "depth" / f"{stream.names[k]}.png"
         if not path.is_file():
             stamp = int(stamp)
-            needed = set(render.static_frames(trajectory, stamp, parameters).tolist())
-            needed.add(render.dynamic_frame(trajectory, stamp))
+            needed = render.needed_frames(trajectory, stamp, parameters)
             made = {i: f for i, f in made.items() if i in needed}
             for i in sorted(needed):
                 frame(i)

@@ -164,6 +164,22 @@ def dynamic_frame(trajectory: Trajectory, time: int) -> int:
     return trajectory.nearest(time)
 
 
+def _other_frame(trajectory: Trajectory, time: int) -> int:
+    """The sweep on the other side of ``time`` than the nearest; that itself where there is none."""
+    nearest = trajectory.nearest(time)
+    other = nearest + int(np.sign(np.int64(time) - trajectory.times[nearest]))
+    return min(max(other, 0), len(trajectory) - 1)
+
+
+def needed_frames(
+    trajectory: Trajectory, time: int, parameters: RenderParameters | None = None
+) -> set[int]:
+    """Every sweep that :func:`render` asks for; all others can be forgotten."""
+    p = parameters or RenderParameters()
+    needed = {*static_frames(trajectory, time, p).tolist(), dynamic_frame(trajectory, time)}
+    return needed if p.surface == "splats" else needed | {_other_frame(trajectory, time)}
+
+
 def render(
     camera: Camera,
     T_camera_lidar: NDArray[np.float64],
@@ -212,7 +228,7 @@ def render(
         return frames(index).core, T_camera_world @ trajectory.poses[index]
 
     fixed = [place(int(i)) for i in static_frames(trajectory, time, p)]
-    moving = place(dynamic_frame(trajectory, time))
+    nearest = dynamic_frame(trajectory, time)
     core = (renderer or Renderer()).core
     depth: NDArray[np.float32]
     if p.surface == "splats":
@@ -221,14 +237,24 @@ def render(
             camera.width,
             camera.height,
             static_frames=fixed,
-            dynamic_frames=[moving],
+            dynamic_frames=[place(nearest)],
             static_size=(p.static_size_max, p.static_size_min),
             dynamic_size=(p.dynamic_size_max, p.dynamic_size_min),
             threads=threads,
         )
     else:
+        other = _other_frame(trajectory, time)
+        period = float(trajectory.times[other] - trajectory.times[nearest])
         depth = core.render_surfaces(
-            camera.K, camera.width, camera.height, fixed=fixed, moving=moving, threads=threads
+            camera.K,
+            camera.width,
+            camera.height,
+            fixed=fixed,
+            nearest=place(nearest),
+            other=place(other),
+            share=(time - int(trajectory.times[nearest])) / period if period else 0.0,
+            reach=p.max_speed * abs(period) * 1e-9,
+            threads=threads,
         )
     # The far plane: nearest wins, so cutting the result is cutting the points.
     depth[depth > p.max_depth] = np.nan

@@ -5,17 +5,18 @@
 #include <vector>
 
 #include "docdepth/render/camera.hpp"
+#include "docdepth/render/mesh.hpp"
+#include "docdepth/render/motion.hpp"
 #include "docdepth/render/triangles.hpp"
 
 namespace docdepth {
 
-/// A sweep's surface made ready to be drawn, what moves apart from what does not.
+/// A sweep's surface made ready to be drawn, each moving object apart.
 struct SurfaceFrame {
-  struct Parts {
-    Mesh whole;  ///< measured surface, and returns that stand alone
-    Mesh split;  ///< what continues it half way over depth jumps
-  };
-  Parts fixed, moving;
+  Mesh whole;                  ///< measured surface of the world, and returns that stand alone
+  Mesh split;                  ///< what continues it over depth jumps
+  Objects objects;             ///< what moves
+  std::vector<Mesh> surfaces;  ///< of each object
 
   /// @param triangles corners as rows of points
   /// @param cut 1 for each triangle across a depth jump
@@ -33,16 +34,22 @@ struct PlacedSurface {
   Pose T_camera_frame;
 };
 
-/// Depth map of what `fixed` measured of the world and `moving` of what moves, row after row; NaN
-/// where there is none.
-///
-/// Two sweeps never measure quite the same. So sweeps are not mixed: each fills what those before
-/// it left empty, and the most trustworthy, which is the nearest, comes first.
-std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
-                                   const PlacedSurface& moving, int threads);
+/// The sweep whose moving objects are drawn, and the one at the other side of the image's time.
+struct Motion {
+  PlacedSurface nearest, other;
+  float share;  ///< of the way from the nearest to the other at which the image was taken
+  float reach;  ///< no object comes farther between the two, metres
+};
 
-/// The same as layers, for any rasteriser of triangles.
-std::vector<Layer> surface_layers(const std::vector<PlacedSurface>& fixed,
-                                  const PlacedSurface& moving);
+/// Depth map of what `fixed` measured of the world and what moves, row after row; NaN where there
+/// is none.
+///
+/// The sweeps of `fixed` come by trust: the first is the nearest. Moving objects are carried along
+/// their own motion to where they were when the image was taken.
+std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
+                                   const Motion& motion, int threads);
+
+/// What render_surfaces() draws, for any rasteriser of triangles.
+Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int threads);
 
 }  // namespace docdepth

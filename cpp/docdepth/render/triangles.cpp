@@ -9,7 +9,7 @@
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/render/dispatch.hpp"
 
-// The image is cut into strips of columns. One thread draws all of a strip, layer after layer, so
+// The image is cut into strips of columns. One thread draws all of a strip, mesh after mesh, so
 // nothing is shared and the order within a strip never changes.
 namespace docdepth {
 namespace {
@@ -22,14 +22,39 @@ typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
 /// Pixels by which triangles are larger than they are, so that rounding leaves no cracks.
 constexpr float kSlack = 0.01f;
 
-/// Nearness (1 / depth, linear on every plane's image) of the columns [begin, end).
+constexpr float kLocked = std::numeric_limits<float>::infinity();  // nothing is nearer
+
+/// Nearness (1 / depth, linear on every plane's image) of the columns [begin, end); 0 is empty.
 struct Strip {
   int begin, end, height;
-  std::vector<float> nearness;  // kStrip + kLanes columns a row
+  std::vector<float> nearness;           // kStride numbers a row
+  std::vector<std::uint8_t> open_tiles;  // 1 where a pixel of the tile is not locked
 
-  static constexpr int kStride = kStrip + kLanes;
+  static constexpr int kStride = kStrip + kLanes, kTile = 8, kTiles = kStride / kTile;
   Strip(int b, int e, int h)
-      : begin(b), end(e), height(h), nearness(std::size_t(kStride) * h, 0.0f) {}
+      : begin(b),
+        end(e),
+        height(h),
+        nearness(std::size_t(kStride) * h, 0.0f),
+        open_tiles(std::size_t(kTiles) * ((h + kTile - 1) / kTile), 1) {}
+
+  /// Keeps pixels from being drawn over, and whole tiles from being looked at.
+  void lock(const std::vector<float>& settled) {
+    std::fill(open_tiles.begin(), open_tiles.end(), std::uint8_t{0});
+    for (int v = 0; v < height; ++v)
+      for (int u = 0; u < end - begin; ++u) {
+        const std::size_t i = std::size_t(v) * kStride + u;
+        nearness[i] = settled[i] > 0 ? kLocked : 0.0f;
+        if (!(settled[i] > 0)) open_tiles[(v / kTile) * kTiles + u / kTile] = 1;
+      }
+  }
+
+  bool is_open(int first_u, int last_u, int first_v, int last_v) const {
+    for (int v = first_v / kTile; v <= last_v / kTile; ++v)
+      for (int u = (first_u - begin) / kTile; u <= (last_u - begin) / kTile; ++u)
+        if (open_tiles[v * kTiles + u]) return true;
+    return false;
+  }
 };
 
 /// Vertices of a patch in the image.
@@ -85,6 +110,7 @@ DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corn
   const int first_u = int(std::ceil(low_u)), last_u = int(high_u);
   const int first_v = int(std::ceil(low_v)), last_v = int(high_v);
   if (first_u > last_u || first_v > last_v) return;
+  if (!strip.is_open(first_u, last_u, first_v, last_v)) return;
 
   const float area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va);
   if (area == 0) return;
@@ -135,39 +161,51 @@ DOCDEPTH_INLINE void draw_mesh(const Camera& camera, const PlacedMesh& placed, S
   }
 }
 
-DOCDEPTH_INLINE void draw_strip(const Camera& camera, const std::vector<Layer>& layers,
-                                Strip& strip) {
-  constexpr float locked = std::numeric_limits<float>::infinity();
-  std::vector<float> before;
-  for (const Layer& layer : layers) {
-    if (!layer.hides) {  // nothing is nearer than what is locked
-      before = strip.nearness;
-      for (float& w : strip.nearness) w = w > 0 ? locked : 0.0f;
-    }
-    for (const PlacedMesh& mesh : layer.meshes) draw_mesh(camera, mesh, strip);
-    if (!layer.hides)
-      for (std::size_t i = 0; i < before.size(); ++i)
-        if (strip.nearness[i] == locked) strip.nearness[i] = before[i];
+/// Takes one more measurement of each pixel. The first is chosen; one that is nearer waits until
+/// another confirms it.
+DOCDEPTH_INLINE void weigh(const std::vector<float>& measured, std::vector<float>& chosen,
+                           std::vector<float>& nearer) {
+  constexpr float more = 1 / (1 - kAgree), less = 1 / (1 + kAgree);
+  for (std::size_t i = 0; i < measured.size(); ++i) {
+    const float w = measured[i], old = chosen[i], waiting = nearer[i];
+    const bool known = w > 0 && w < kLocked, first = old == 0;
+    const bool is_nearer = known && !first && w > old * more;
+    const bool confirmed = is_nearer && w < waiting * more && w > waiting * less;
+    chosen[i] = known && first ? w : confirmed ? waiting : old;
+    nearer[i] = is_nearer ? (confirmed ? 0.0f : w) : waiting;
   }
 }
 
-DOCDEPTH_AVX2 void draw_strip_avx2(const Camera& camera, const std::vector<Layer>& layers,
-                                   Strip& strip) {
-  draw_strip(camera, layers, strip);
+DOCDEPTH_INLINE void draw_strip(const Camera& camera, const Drawing& drawing, Strip& strip) {
+  for (const PlacedMesh& mesh : drawing.trusted) draw_mesh(camera, mesh, strip);
+  const std::vector<float> settled = strip.nearness;
+  std::vector<float> chosen(settled.size(), 0.0f), nearer(settled.size(), 0.0f);
+  for (const PlacedMesh& mesh : drawing.others) {
+    strip.lock(settled);
+    draw_mesh(camera, mesh, strip);
+    weigh(strip.nearness, chosen, nearer);
+  }
+  for (std::size_t i = 0; i < settled.size(); ++i)
+    strip.nearness[i] = settled[i] > 0 ? settled[i] : chosen[i];
+  std::fill(strip.open_tiles.begin(), strip.open_tiles.end(), std::uint8_t{1});
+  for (const PlacedMesh& mesh : drawing.movers) draw_mesh(camera, mesh, strip);
 }
-void draw_strip_plain(const Camera& camera, const std::vector<Layer>& layers, Strip& strip) {
-  draw_strip(camera, layers, strip);
+
+DOCDEPTH_AVX2 void draw_strip_avx2(const Camera& camera, const Drawing& drawing, Strip& strip) {
+  draw_strip(camera, drawing, strip);
+}
+void draw_strip_plain(const Camera& camera, const Drawing& drawing, Strip& strip) {
+  draw_strip(camera, drawing, strip);
 }
 
 }  // namespace
 
-std::vector<float> render_triangles(const Camera& camera, const std::vector<Layer>& layers,
-                                    int threads) {
+std::vector<float> render_triangles(const Camera& camera, const Drawing& drawing, int threads) {
   const auto draw = DOCDEPTH_HAS_AVX2() ? draw_strip_avx2 : draw_strip_plain;
   std::vector<float> depth(std::size_t(camera.width) * camera.height);
   parallel_for(camera.width, kStrip, threads, [&](std::size_t begin, std::size_t end) {
     Strip strip(static_cast<int>(begin), static_cast<int>(end), camera.height);
-    draw(camera, layers, strip);
+    draw(camera, drawing, strip);
     for (int v = 0; v < camera.height; ++v)
       for (int u = strip.begin; u < strip.end; ++u) {
         const float w = strip.nearness[std::size_t(v) * Strip::kStride + (u - strip.begin)];

@@ -62,9 +62,6 @@ using Loader = void (*(*)(const char*))();
   X(unsigned, CheckFramebufferStatus, (unsigned target))                                      \
   X(void, Viewport, (int x, int y, int width, int height))                                    \
   X(void, Enable, (unsigned capability))                                                      \
-  X(void, Disable, (unsigned capability))                                                     \
-  X(void, DepthFunc, (unsigned function))                                                     \
-  X(void, DepthRange, (double near, double far))                                              \
   X(void, BlendEquation, (unsigned mode))                                                     \
   X(void, ClearBufferfv, (unsigned buffer, int index, const float* value))                    \
   X(void, MultiDrawArrays, (unsigned mode, const int* first, const int* count, int draws))    \
@@ -89,21 +86,19 @@ enum : unsigned {
   kPoints = 0x0000,
   kTriangles = 0x0004,
   kTriangleStrip = 0x0005,
-  kLessOrEqual = 0x0203,
   kOutOfMemory = 0x0505,
   kPointSizeRange = 0x0B12,
-  kDepthTest = 0x0B71,
   kBlend = 0x0BE2,
   kMaxViewportSize = 0x0D3A,
   kUnsignedByte = 0x1401,
   kFloat = 0x1406,
   kColor = 0x1800,
-  kDepth = 0x1801,
   kRed = 0x1903,
   kRgba = 0x1908,
   kRenderer = 0x1F01,
   kVersion = 0x1F02,
   kMin = 0x8007,
+  kMax = 0x8008,
   kMajorVersion = 0x821B,
   kMinorVersion = 0x821C,
   kR32f = 0x822E,
@@ -116,10 +111,8 @@ enum : unsigned {
   kVertexShader = 0x8B31,
   kCompileStatus = 0x8B81,
   kLinkStatus = 0x8B82,
-  kDepth32f = 0x8CAC,
   kFramebufferComplete = 0x8CD5,
   kColorAttachment0 = 0x8CE0,
-  kDepthAttachment = 0x8D00,
   kFramebuffer = 0x8D40,
   kRenderbuffer = 0x8D41,
   kGeometryShader = 0x8DD9,

@@ -12,11 +12,40 @@
 namespace docdepth::gl {
 namespace {
 
+constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
+
 void check(const GlContext::Current& gl, const std::string& renderer) {
   const unsigned error = gl->GetError();
   if (error == kOutOfMemory) throw GlError(renderer + " is out of memory; draw fewer sweeps");
   if (error) throw GlError(renderer + " failed with OpenGL error " + std::to_string(error));
 }
+
+/// Measurements of each pixel, one sweep after the other, weighed as render_triangles() does. The
+/// first is chosen; one that is nearer waits until another confirms it.
+class Weighed {
+ public:
+  explicit Weighed(std::size_t pixels) : chosen_(pixels, 0.0f), waiting_(pixels, 0.0f) {}
+
+  void take(const std::vector<float>& nearness) {
+    constexpr float more = 1 / (1 - kAgree), less = 1 / (1 + kAgree);
+    for (std::size_t i = 0; i < nearness.size(); ++i) {
+      const float w = nearness[i];
+      if (!(w > 0)) continue;
+      if (chosen_[i] == 0) {
+        chosen_[i] = w;
+      } else if (w > chosen_[i] * more) {
+        const bool confirmed = w < waiting_[i] * more && w > waiting_[i] * less;
+        if (confirmed) chosen_[i] = waiting_[i];
+        waiting_[i] = confirmed ? 0 : w;
+      }
+    }
+  }
+
+  const std::vector<float>& chosen() const { return chosen_; }
+
+ private:
+  std::vector<float> chosen_, waiting_;
+};
 
 }  // namespace
 
@@ -41,33 +70,29 @@ GlRenderer::GlRenderer(const Choice& choice) : context_(choice) {
   gl->GenFramebuffers(1, &framebuffer);
   gl->BindFramebuffer(kFramebuffer, framebuffer);
   gl->GenRenderbuffers(1, &image_);
-  gl->GenRenderbuffers(1, &layers_);
+  gl->BindRenderbuffer(kRenderbuffer, image_);
   gl->Enable(kProgramPointSize);
   gl->Enable(kBlend);
-  gl->BlendEquation(kMin);
-  gl->DepthFunc(kLessOrEqual);
   check(gl, context_.renderer());
 }
 
-void GlRenderer::begin(const Gl& gl, const Camera& camera, unsigned program) {
+/// Clears the image to `none`; of all that is drawn on a pixel the least (kMin) or most (kMax)
+/// stays.
+void GlRenderer::begin(const Gl& gl, const Camera& camera, unsigned program, unsigned keeps,
+                       float none) {
   if (camera.width > image_limit_ || camera.height > image_limit_)
     throw GlError(context_.renderer() + " draws images of at most " + std::to_string(image_limit_) +
                   " pixels");
   if (camera.width != width_ || camera.height != height_) {
     width_ = height_ = 0;
-    const auto attach = [&](unsigned buffer, unsigned format, unsigned attachment) {
-      gl->BindRenderbuffer(kRenderbuffer, buffer);
-      gl->RenderbufferStorage(kRenderbuffer, format, camera.width, camera.height);
-      gl->FramebufferRenderbuffer(kFramebuffer, attachment, kRenderbuffer, buffer);
-    };
-    attach(image_, kR32f, kColorAttachment0);
-    attach(layers_, kDepth32f, kDepthAttachment);
+    gl->RenderbufferStorage(kRenderbuffer, kR32f, camera.width, camera.height);
+    gl->FramebufferRenderbuffer(kFramebuffer, kColorAttachment0, kRenderbuffer, image_);
     if (gl->CheckFramebufferStatus(kFramebuffer) != kFramebufferComplete)
       throw GlError(context_.renderer() + " cannot draw float images");
     gl->Viewport(0, 0, camera.width, camera.height);
     width_ = camera.width, height_ = camera.height;
   }
-  const float none = std::numeric_limits<float>::infinity();
+  gl->BlendEquation(keeps);
   const float clear[4] = {none, none, none, none};
   gl->ClearBufferfv(kColor, 0, clear);
   gl->UseProgram(program);
@@ -140,9 +165,13 @@ void GlRenderer::draw_cloud(const Gl& gl, const Camera& camera, const PlacedClou
 
 std::vector<float> GlRenderer::render_splats(const Camera& camera,
                                              const std::vector<PlacedCloud>& clouds) {
-  return render(camera, splats_, [&](const Gl& gl) {
-    gl->Disable(kDepthTest);
+  return render([&](const Gl& gl) {
+    constexpr float none = std::numeric_limits<float>::infinity();
+    begin(gl, camera, splats_, kMin, none);
     for (const auto& placed : clouds) draw_cloud(gl, camera, placed);
+    auto depth = read(gl, camera);
+    std::replace(depth.begin(), depth.end(), none, kNone);
+    return depth;
   });
 }
 
@@ -171,29 +200,32 @@ void GlRenderer::draw_mesh(const Gl& gl, const Camera& camera, const PlacedMesh&
                                   static_cast<int>(count.size()), base.data());
 }
 
-std::vector<float> GlRenderer::render_triangles(const Camera& camera,
-                                                const std::vector<Layer>& layers) {
-  return render(camera, triangles_, [&](const Gl& gl) {
-    // All of a layer has one value in the depth buffer. It grows from layer to layer, so what an
-    // earlier one has drawn stays; a layer that hides has the least.
-    const float far[4] = {1, 1, 1, 1};
-    gl->ClearBufferfv(kDepth, 0, far);
-    gl->Enable(kDepthTest);
-    for (std::size_t i = 0; i < layers.size(); ++i) {
-      const double at = layers[i].hides ? 0.0 : double(i + 1) / double(layers.size() + 1);
-      gl->DepthRange(at, at);
-      for (const auto& placed : layers[i].meshes) draw_mesh(gl, camera, placed);
+/// 1 / depth of the nearest triangle, 0 where there is none.
+std::vector<float> GlRenderer::nearness(const Gl& gl, const Camera& camera,
+                                        const std::vector<PlacedMesh>& meshes) {
+  begin(gl, camera, triangles_, kMax, 0);
+  for (const auto& placed : meshes) draw_mesh(gl, camera, placed);
+  return read(gl, camera);
+}
+
+std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Drawing& drawing) {
+  return render([&](const Gl& gl) {
+    const auto trusted = nearness(gl, camera, drawing.trusted);
+    Weighed others(trusted.size());
+    for (const auto& mesh : drawing.others) others.take(nearness(gl, camera, {mesh}));
+    auto depth = nearness(gl, camera, drawing.movers);
+    for (std::size_t i = 0; i < depth.size(); ++i) {
+      const float w = std::max(depth[i], trusted[i] > 0 ? trusted[i] : others.chosen()[i]);
+      depth[i] = w > 0 ? 1.0f / w : kNone;
     }
+    return depth;
   });
 }
 
-std::vector<float> GlRenderer::render(const Camera& camera, unsigned program,
-                                      const std::function<void(const Gl&)>& draw) {
+std::vector<float> GlRenderer::render(const std::function<std::vector<float>(const Gl&)>& draw) {
   const Gl gl(context_);
-  begin(gl, camera, program);
   try {
-    draw(gl);
-    auto depth = read(gl, camera);
+    auto depth = draw(gl);
     forget_unused(gl);
     return depth;
   } catch (...) {
@@ -204,12 +236,10 @@ std::vector<float> GlRenderer::render(const Camera& camera, unsigned program,
 }
 
 std::vector<float> GlRenderer::read(const Gl& gl, const Camera& camera) {
-  std::vector<float> depth(std::size_t(camera.width) * camera.height);
-  gl->ReadPixels(0, 0, camera.width, camera.height, kRed, kFloat, depth.data());
+  std::vector<float> image(std::size_t(camera.width) * camera.height);
+  gl->ReadPixels(0, 0, camera.width, camera.height, kRed, kFloat, image.data());
   check(gl, context_.renderer());
-  for (float& z : depth)
-    if (std::isinf(z)) z = std::numeric_limits<float>::quiet_NaN();
-  return depth;
+  return image;
 }
 
 void GlRenderer::forget_unused(const Gl& gl) {

@@ -12,9 +12,10 @@
 
 namespace docdepth::gl {
 
-/// Draws into a float image in which the smallest depth stays (blending by the minimum), so depth
-/// is never rounded to a depth buffer's scale. Clouds and meshes stay on the device until an image
-/// does without them. For one thread and one process, as GlContext.
+/// Draws into a float image in which the smallest depth, or the largest nearness, stays (blending
+/// by minimum or maximum), so that nothing is rounded to a depth buffer's scale. Clouds and meshes
+/// stay on the device until a depth map does without them. For one thread and one process, as
+/// GlContext.
 class GlRenderer {
  public:
   /// @throws GlError saying why the back end cannot be used here
@@ -27,30 +28,31 @@ class GlRenderer {
   std::vector<float> render_splats(const Camera& camera, const std::vector<PlacedCloud>& clouds);
 
   /// As docdepth::render_triangles().
-  std::vector<float> render_triangles(const Camera& camera, const std::vector<Layer>& layers);
+  std::vector<float> render_triangles(const Camera& camera, const Drawing& drawing);
 
  private:
   using Gl = GlContext::Current;
   struct Uploaded {
     unsigned coordinates = 0, corners = 0;  // buffers
-    bool used = false;                      // in this image
+    bool used = false;                      // in this depth map
   };
 
-  std::vector<float> render(const Camera& camera, unsigned program,
-                            const std::function<void(const Gl&)>& draw);
-  void begin(const Gl& gl, const Camera& camera, unsigned program);
+  std::vector<float> render(const std::function<std::vector<float>(const Gl&)>& draw);
+  void begin(const Gl& gl, const Camera& camera, unsigned program, unsigned keeps, float none);
   void place(const Gl& gl, unsigned program, const Pose& T_camera_points);
   void draw_cloud(const Gl& gl, const Camera& camera, const PlacedCloud& placed);
   void draw_mesh(const Gl& gl, const Camera& camera, const PlacedMesh& placed);
   template <class Shape>
   Uploaded& bind(const Gl& gl, const Shape& shape, std::size_t size, unsigned divisor);
+  std::vector<float> nearness(const Gl& gl, const Camera& camera,
+                              const std::vector<PlacedMesh>& meshes);
   std::vector<float> read(const Gl& gl, const Camera& camera);
   void forget_unused(const Gl& gl);
 
   GlContext context_;
   int point_limit_ = 1, image_limit_ = 0;
-  int width_ = 0, height_ = 0;           // of the image on the device
-  unsigned image_ = 0, layers_ = 0;      // what a pixel shows, and of which layer
+  int width_ = 0, height_ = 0;  // of the image on the device
+  unsigned image_ = 0;
   unsigned splats_ = 0, triangles_ = 0;  // programs
   std::unordered_map<std::uint64_t, Uploaded> uploaded_;
 };

@@ -143,7 +143,7 @@ constexpr const char* kTriangleFragment = R"(
 flat in vec4 edges[3];
 flat in vec3 plane;
 flat in vec2 range;
-out float nearest;
+out float nearness;
 
 void main() {
   vec2 at = floor(gl_FragCoord.xy);
@@ -155,7 +155,7 @@ void main() {
   }
   EXACT float w =
       (at.y - edges[0].y) * plane.z + ((at.x - edges[0].x) * plane.y + plane.x);
-  nearest = divide(1.0, clamp(w, range.x, range.y));
+  nearness = clamp(w, range.x, range.y);
 }
 )";
 
