@@ -22,6 +22,7 @@ using Loader = void (*(*)(const char*))();
   X(void, GetIntegerv, (unsigned name, int* value))                                           \
   X(void, GetFloatv, (unsigned name, float* value))                                           \
   X(unsigned, GetError, ())                                                                   \
+  X(void, Finish, ())                                                                         \
   X(unsigned, CreateShader, (unsigned type))                                                  \
   X(void, ShaderSource, (unsigned shader, int count, const char* const*, const int* lengths)) \
   X(void, CompileShader, (unsigned shader))                                                   \

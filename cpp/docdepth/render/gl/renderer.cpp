@@ -168,7 +168,10 @@ std::vector<float> GlRenderer::render_splats(const Camera& camera,
   return render([&](const Gl& gl) {
     constexpr float none = std::numeric_limits<float>::infinity();
     begin(gl, camera, splats_, kMin, none);
-    for (const auto& placed : clouds) draw_cloud(gl, camera, placed);
+    for (const auto& placed : clouds) {
+      draw_cloud(gl, camera, placed);
+      gl->Finish();  // else Mesa queues all of them, in gigabytes
+    }
     auto depth = read(gl, camera);
     std::replace(depth.begin(), depth.end(), none, kNone);
     return depth;
