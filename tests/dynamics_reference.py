@@ -4,6 +4,8 @@ Algorithm 1 against the pixels of a range image, and the vote against the surfac
 """
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from docdepth.surface import Surface
 
@@ -107,19 +109,21 @@ def ask_surface(query, sweep, p):
 
     seen = triangle_image(sweep, surface, columns)[row, column]
     corners = sweep[surface.triangles]
-    normal, distance, flat = planes(corners)
+    normal, flat = planes(corners)
     jump = (surface.cut | flat)[seen] & (seen >= 0)
     plane = ~jump & (seen >= 0)
 
-    (a, b, c), distance = normal[seen].T, distance[seen]
+    a, b, c = normal[seen].T
     x, y, z = query
-    depth = (a * x + b * y) + c * z
-    gap = distance - depth
-    level = plane & (np.abs(c) > np.float32(np.cos(np.radians(p.level_lean_deg))))
     f = np.float32
-    across = np.where(level, f(p.level_across), f(p.across))
-    along = np.where(level, f(p.level_along), f(p.along) + f(p.along_growth) * rho)
-    on_plane = (np.abs(gap) < across) | (rho * np.abs(gap) < along * depth)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = (a * x + b * y) + c * z
+        distance = f(1) / np.sqrt((a * a + b * b) + c * c)
+        before = f(1) - depth
+        level = plane & (np.abs(c) * distance > f(np.cos(np.radians(p.level_lean_deg))))
+        across = np.where(level, f(p.level_across), f(p.across))
+        along = np.where(level, f(p.level_along), f(p.along) + f(p.along_growth) * rho)
+        on_plane = (np.abs(before) * distance < across) | (rho * np.abs(before) < along * depth)
 
     x, y, z = np.moveaxis(corners, -1, 0)
     beyond = rho[:, None] - np.sqrt((x * x + y * y) + z * z)[seen]
@@ -127,13 +131,13 @@ def ask_surface(query, sweep, p):
     before_corners = (beyond < -f(p.tolerance)).all(axis=1)
 
     outcome = np.full(len(rho), "none   ")
-    outcome[(plane & (gap > 0) & (depth > 0)) | (jump & before_corners)] = "dynamic"
+    outcome[(plane & (before > 0) & (depth > 0)) | (jump & before_corners)] = "dynamic"
     outcome[(plane & on_plane) | (jump & on_corner) | (near_return & ~level)] = "static"
     return outcome
 
 
 def planes(corners):
-    """Unit normals away from the sensor and distances of the planes, and which have none."""
+    """Unit normals over the distances of the planes, and which ones the sensor could not see."""
     p = corners.astype(np.float64)
     u, v = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     n = np.stack(
@@ -145,11 +149,9 @@ def planes(corners):
         1,
     )
     length = np.sqrt((n[:, 0] * n[:, 0] + n[:, 1] * n[:, 1]) + n[:, 2] * n[:, 2])
-    with np.errstate(invalid="ignore"):
-        dot = (n[:, 0] * p[:, 0, 0] + n[:, 1] * p[:, 0, 1]) + n[:, 2] * p[:, 0, 2]
-        distance = dot / length
-        normal = n / np.where(distance < 0, -length, length)[:, None]
-    return normal.astype(np.float32), np.abs(distance).astype(np.float32), ~(length > 0)
+    offset = (n[:, 0] * p[:, 0, 0] + n[:, 1] * p[:, 0, 1]) + n[:, 2] * p[:, 0, 2]
+    edge_on = ~(np.abs(offset) > 0.01 * length)
+    return (n / np.where(edge_on, 1, offset)[:, None]).astype(np.float32), edge_on
 
 
 def triangle_image(sweep, surface, columns):
@@ -208,3 +210,41 @@ def atan2_fixed(y, x):
     angle = np.where(ay > ax, f(1.57079632679) - angle, angle)
     angle = np.where(x < 0, f(3.14159265359) - angle, angle)
     return np.where(y < 0, -angle, angle)
+
+
+def reference_moving(points, ground, static, dynamic, p):
+    """Evidence shared within connected objects, with scipy's graphs and all distances."""
+    static, dynamic = static.astype(int), dynamic.astype(int)
+    surface = Surface(points)
+    whole = surface.triangles[~surface.cut].astype(int)
+    edges = np.concatenate([whole[:, [0, 1]], whole[:, [1, 2]], whole[:, [2, 0]]])
+    edges = edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < np.float32(p.link) ** 2]
+    candidate = dynamic > static
+    label, size = connected(len(points), edges[candidate[edges].all(axis=1)])
+    moving = candidate & (size[label] >= p.companions)
+
+    label, size = connected(len(points), edges[~ground[edges].any(axis=1)])
+    freed = (dynamic >= p.freed_votes) & (p.freed_ratio * dynamic > static)
+    goes = np.bincount(label, moving) >= np.float32(p.object_share) * size
+    left = np.bincount(label, freed) >= (np.float32(p.freed_share) * size.astype(np.float32))
+    for k in np.flatnonzero((goes | left) & (size >= p.object_points)):
+        members = np.flatnonzero((label == k) & ~ground)
+        x, y = np.ptp(points[members, :2], axis=0) if len(members) else (0, 0)
+        if goes[k] or x * x + y * y >= np.float32(p.object_width) ** 2:
+            moving[members] = True
+
+    sure = points[moving]
+    for i in np.flatnonzero(candidate & ~moving):
+        clear = dynamic[i] >= p.clear_votes and dynamic[i] > p.clear_ratio * static[i]
+        moving[i] = clear or (squared(sure - points[i]) < np.float32(p.company) ** 2).any()
+    return moving
+
+
+def squared(v):
+    return (v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1]) + v[:, 2] * v[:, 2]
+
+
+def connected(count, edges):
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (count, count))
+    label = connected_components(graph, directed=False)[1]
+    return label, np.bincount(label)

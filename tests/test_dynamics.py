@@ -11,7 +11,7 @@ from docdepth.config import DynamicsParameters, parameters
 from docdepth.dynamics import KeyFrame, Votes, classify, classify_drive, key_frames, vote
 from docdepth.errors import InputError
 from docdepth.trajectory import Trajectory
-from dynamics_reference import reference_vote
+from dynamics_reference import reference_moving, reference_vote
 
 KITTI = os.environ.get("DOCDEPTH_KITTI_RAW")
 PAPER, DEFAULT = parameters("paper").dynamics, parameters("default").dynamics
@@ -85,6 +85,16 @@ def test_key_frames_are_near_along_the_path_and_never_the_sweep_itself():
     assert all(i not in frames and (np.diff(frames) > 0).all() for i, frames in enumerate(chosen))
 
 
+def test_a_crawling_ego_has_a_key_frame_a_second_and_the_ends_more():
+    p = DynamicsParameters(time_spacing=1, time_radius=4, end_spacing=0.2, end_radius=0.5)
+    chosen = key_frames(straight(101, 0.01), p)
+    assert list(chosen[50]) == [0, 10, 20, 30, 40, 60, 70, 80, 90, 100]
+    assert list(chosen[55]) == [0, 20, 30, 40, 50, 60, 70, 80, 90, 100]
+    assert {96, 98, 100} < set(chosen[95])
+    assert 97 not in chosen[95]
+    assert set(chosen[4]) == {0, 2, 10, 20, 30, 40, 100}
+
+
 def test_standing_adds_one_key_frame_to_the_letter():
     rng = np.random.default_rng(0)
     poses = np.stack([pose(*rng.normal(0, 0.005, 2)) for _ in range(50)])
@@ -96,7 +106,7 @@ def test_standing_adds_one_key_frame_to_the_letter():
 # Votes ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("window", [1, 3, 5, 7])
+@pytest.mark.parametrize("window", [1, 3, 5, 7, 11])
 @pytest.mark.parametrize("resolution_deg", [0.2, 0.35, 1.0])
 @pytest.mark.parametrize("against", ["pixels", "surface"])
 def test_votes_equal_the_reference_in_the_yard(yard, against, window, resolution_deg):
@@ -196,6 +206,50 @@ def test_nothing_to_ask_and_nobody_to_ask():
     assert vote(nothing, none, np.eye(4), [KeyFrame(point, flag)], np.eye(4)[None]).static.size == 0
     assert vote(point, flag, np.eye(4), [KeyFrame(nothing, none)], np.eye(4)[None]).static == [0]
     assert vote(point, flag, np.eye(4), [], np.zeros((0, 4, 4))).dynamic == [0]
+
+
+def random_votes(points, seed, patches=40):
+    """Votes that agree in patches and are wrong here and there, with every share and ratio."""
+    rng = np.random.default_rng(seed)
+    centres = points[rng.integers(0, len(points), patches)]
+    patch = np.linalg.norm(points[:, None] - centres, axis=2).argmin(axis=1)
+    static = rng.poisson(rng.choice([0, 0.3, 2, 8], patches)[patch])
+    dynamic = rng.poisson(rng.choice([0, 0.3, 2, 8], patches)[patch])
+    return Votes(static.astype(np.uint16), dynamic.astype(np.uint16))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_shared_evidence_equals_the_reference(yard, seed):
+    _, sweeps, what = yard
+    rng = np.random.default_rng(seed)
+    rows = np.sort(rng.permutation(len(sweeps[seed]))[:15_000])
+    points, ground = sweeps[seed][rows], what[seed][rows] == 0
+    votes = random_votes(points, seed)
+    p = DynamicsParameters(link=0.7, company=0.4)
+    expected = reference_moving(points, ground, votes.static, votes.dynamic, p)
+    assert 0.05 < expected.mean() < 0.95
+    np.testing.assert_array_equal(classify(ground, votes, p, points) == 100, expected)
+
+
+def test_an_object_moves_as_a_whole_and_single_points_alone_do_not(yard):
+    _, sweeps, what = yard
+    points, ground = sweeps[6], what[6] == 0
+    box = np.flatnonzero(what[6] == 2)
+    wall = np.flatnonzero(what[6] == 1)
+    votes = Votes(*np.zeros((2, len(points)), np.uint16))
+    votes.static[:] = 9
+    votes.static[box[::4]] = 20
+    votes.dynamic[box] = 12
+    votes.dynamic[wall[::100]] = 11
+    classid = classify(ground, votes, DEFAULT, points)
+    assert (classid[box] == 100).all()
+    assert (classid[wall] == 50).all()
+    # It stands for most of the drive, and half of its place was seen free by two key frames.
+    votes.dynamic[box] = 0
+    votes.static[box[::2]], votes.dynamic[box[::2]] = 7, 2
+    assert (classify(ground, votes, DEFAULT, points)[box] == 100).all()
+    off = DEFAULT.model_copy(update={"objects": False})
+    assert (classify(ground, votes, off, points)[box] == 50).all()
 
 
 def test_ties_and_unseen_points_are_static():

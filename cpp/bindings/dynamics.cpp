@@ -4,6 +4,7 @@
 
 #include "arrays.hpp"
 #include "docdepth/dynamics/key_frame.hpp"
+#include "docdepth/dynamics/objects.hpp"
 #include "docdepth/dynamics/range_image.hpp"
 #include "docdepth/dynamics/surface_image.hpp"
 
@@ -46,6 +47,23 @@ py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
                         to_numpy(std::move(votes.dynamics), {count}));
 }
 
+py::array_t<std::uint8_t> moving(const Array<float>& points, const Array<bool>& ground,
+                                 const Array<std::uint16_t>& statics,
+                                 const Array<std::uint16_t>& dynamics,
+                                 const SurfaceParameters& surface,
+                                 const ObjectParameters& parameters) {
+  const PointMap map = as_points(points);
+  const bool* flags = as_column(ground, map.rows(), "ground");
+  const std::uint16_t* s = as_column(statics, map.rows(), "statics");
+  const std::uint16_t* d = as_column(dynamics, map.rows(), "dynamics");
+  std::vector<std::uint8_t> result;
+  {
+    py::gil_scoped_release release;
+    result = moving_points(map, flags, s, d, surface, parameters);
+  }
+  return to_numpy(std::move(result), {static_cast<py::ssize_t>(map.rows())});
+}
+
 }  // namespace
 
 void bind_dynamics(py::module_& m) {
@@ -69,6 +87,21 @@ void bind_dynamics(py::module_& m) {
       .def_readwrite("upright", &SurfaceImageParameters::upright)
       .def_readwrite("level", &SurfaceImageParameters::level)
       .def_readwrite("level_cosine", &SurfaceImageParameters::level_cosine);
+  py::class_<ObjectParameters>(m, "ObjectParameters")
+      .def(py::init<>())
+      .def_readwrite("link", &ObjectParameters::link)
+      .def_readwrite("companions", &ObjectParameters::companions)
+      .def_readwrite("company", &ObjectParameters::company)
+      .def_readwrite("clear_votes", &ObjectParameters::clear_votes)
+      .def_readwrite("clear_ratio", &ObjectParameters::clear_ratio)
+      .def_readwrite("object_points", &ObjectParameters::object_points)
+      .def_readwrite("share", &ObjectParameters::share)
+      .def_readwrite("width", &ObjectParameters::width)
+      .def_readwrite("freed_share", &ObjectParameters::freed_share)
+      .def_readwrite("freed_votes", &ObjectParameters::freed_votes)
+      .def_readwrite("freed_ratio", &ObjectParameters::freed_ratio);
+  m.def("moving_points", &moving, py::arg("points"), py::arg("ground"), py::arg("statics"),
+        py::arg("dynamics"), py::arg("surface"), py::arg("parameters"));
   py::class_<SurfaceImage, KeyFrame>(m, "SurfaceImage")
       .def(py::init(&make_surface_image), py::arg("points"), py::arg("surface"),
            py::arg("parameters"));

@@ -20,13 +20,14 @@ class _Stage(BaseModel):
 
 
 class OdometryParameters(_Stage):
-    """LiDAR odometry and deskewing (paper III-B; kiss-icp)."""
+    """LiDAR odometry and deskewing (paper III-B; kiss-icp, then small_gicp)."""
 
     max_range: float = Field(100.0, gt=0, description="points beyond are not registered [m]")
     min_range: float = Field(3.0, ge=0, description="points nearer are not registered [m]")
-    voxel_size: float = Field(1.0, gt=0, description="voxel size of the registration map [m]")
+    voxel_size: float = Field(1.0, gt=0, description="voxel size of kiss-icp's map [m]")
+    refine_voxel_size: float = Field(0.5, gt=0, description="of small_gicp's map [m]")
     passes: int = Field(
-        3, ge=1, le=5, description="registrations; from the second on, of deskewed sweeps"
+        3, ge=1, le=5, description="registrations; from the second on small_gicp's, deskewed"
     )
 
 
@@ -66,6 +67,16 @@ class DynamicsParameters(_Stage):
     coarse_spacing: float = Field(10.0, gt=0, description="of coarse key frames, d_coarse [m]")
     fine_radius: float = Field(20.0, gt=0, description="arc length to fine ones, R_fine [m]")
     coarse_radius: float = Field(50.0, gt=0, description="arc length to coarse, R_coarse [m]")
+    time_spacing: float = Field(
+        1.0, ge=0, description="and a key frame as often, where the ego crawls; 0 for none [s]"
+    )
+    time_radius: float = Field(10.0, ge=0, description="time to these [s]")
+    end_spacing: float = Field(
+        0.2, ge=0, description="of key frames between a sweep and an end that is near [s]"
+    )
+    end_radius: float = Field(
+        1.0, ge=0, description="that near an end of the drive; 0 adds no key frames [s]"
+    )
     resolution_deg: float = Field(0.2, gt=0, le=5, description="pixel, d_theta = d_phi [deg]")
     window: int = Field(5, ge=1, le=15, description="edge of the compared window, w [pixels]")
     tolerance: float = Field(0.2, gt=0, description="range tolerance, tau [m]")
@@ -77,6 +88,30 @@ class DynamicsParameters(_Stage):
     level_lean_deg: float = Field(
         25.0, ge=0, lt=90, description="a plane leaning no more lies flat, as ground does [deg]"
     )
+    objects: bool = Field(True, description="share evidence within connected objects")
+    link: float = Field(
+        1.0, gt=0, description="neighbours farther apart belong to different objects [m]"
+    )
+    companions: int = Field(
+        5, ge=1, description="connected dynamic points that need no other evidence"
+    )
+    company: float = Field(
+        1.0, gt=0, description="single points are dynamic this near to those [m]"
+    )
+    clear_votes: int = Field(3, ge=1, description="or with as many dynamic votes")
+    clear_ratio: float = Field(4.0, ge=1, description="and so many times more than static ones")
+    object_points: int = Field(10, ge=1, description="points of an object, at least")
+    object_share: float = Field(
+        0.5, gt=0, le=1, description="share of dynamic points that makes all of it dynamic"
+    )
+    object_width: float = Field(
+        1.5, ge=0, description="extent of what may stand a while and move, from above [m]"
+    )
+    freed_share: float = Field(
+        0.4, gt=0, le=1, description="share of its points whose place was free at another time"
+    )
+    freed_votes: int = Field(2, ge=1, description="dynamic votes that show a place was free")
+    freed_ratio: float = Field(4.0, ge=1, description="most static votes that go with each of them")
 
     @field_validator("window")
     @classmethod
@@ -134,7 +169,7 @@ _STAGES: dict[str, type[_Stage]] = {
 
 # Where the paper's text differs from what measured best, a stage at a time.
 _PAPER: dict[str, dict[str, Any]] = {
-    "dynamics": {"against": "pixels"},
+    "dynamics": {"against": "pixels", "time_spacing": 0, "end_radius": 0, "objects": False},
     "render": {"surface": "splats", "behind": 0.5, "step": 0.2},
 }
 

@@ -54,7 +54,9 @@ def key_frames(
     """Choose the key frames that vote on each sweep.
 
     The trajectory is subsampled twice, finely and coarsely; fine key frames vote on near sweeps,
-    coarse ones also on far sweeps. A key frame votes once, and never on itself.
+    coarse ones also on far sweeps. Where the ego crawls or stands, and near the ends of the drive,
+    some more are chosen by time: what crosses a standing ego's way is seen to come and go, and the
+    last sweeps have no others ahead of them. A key frame votes once, and never on itself.
 
     Parameters
     ----------
@@ -67,14 +69,26 @@ def key_frames(
         For each sweep the indices of its key frames, increasing.
     """
     p = parameters or DynamicsParameters()
-    arc = trajectory.arc_length
+    arc, time = trajectory.arc_length, (trajectory.times - trajectory.times[0]) * 1e-9
     kinds = [
-        (trajectory.subsample(p.fine_spacing), p.fine_radius),
-        (trajectory.subsample(p.coarse_spacing), p.coarse_radius),
+        (trajectory.subsample(p.fine_spacing), p.fine_radius, np.inf),
+        (trajectory.subsample(p.coarse_spacing), p.coarse_radius, np.inf),
     ]
+    if p.time_spacing:
+        often = trajectory.subsample(p.fine_spacing, p.time_spacing)
+        kinds.append((often, p.fine_radius, p.time_radius))
+    last = len(trajectory) - 1
+    ends = np.append(trajectory.subsample(np.inf, p.end_spacing), last)
     chosen = []
     for i in range(len(trajectory)):
-        near = [frames[np.abs(arc[frames] - arc[i]) <= radius] for frames, radius in kinds]
+        near = [
+            frames[(np.abs(arc[frames] - arc[i]) <= radius) & (np.abs(time[frames] - time[i]) <= t)]
+            for frames, radius, t in kinds
+        ]
+        if p.end_radius and time[last] - time[i] <= p.end_radius:
+            near.append(ends[ends > i])
+        if p.end_radius and time[i] <= p.end_radius:
+            near.append(ends[ends < i])
         union = np.unique(np.concatenate(near)).astype(np.int64)
         chosen.append(union[union != i])
     return chosen
@@ -166,25 +180,43 @@ def vote(
 
 
 def classify(
-    ground: NDArray[np.bool_], votes: Votes, parameters: DynamicsParameters | None = None
+    ground: NDArray[np.bool_],
+    votes: Votes,
+    parameters: DynamicsParameters | None = None,
+    points: NDArray[np.float32] | None = None,
 ) -> NDArray[np.uint16]:
     """Turn votes into classes: dynamic where more key frames say so than say static.
 
-    Ties and points without a vote are static.
+    Ties and points without a vote are static. With ``points``, and unless the parameters say
+    otherwise, evidence is shared within connected objects: dynamic points that stand alone are
+    withdrawn, the other points of an object follow most of them, and an object that stands for a
+    while is dynamic when enough of its place was seen free at another time.
 
     Parameters
     ----------
     ground : ndarray of bool, shape (N,)
     votes : Votes
     parameters : DynamicsParameters, optional
+    points : ndarray of float32, shape (N, 3), optional
+        The deskewed sweep, LiDAR frame, metres.
 
     Returns
     -------
     ndarray of uint16, shape (N,)
-        0 ground, 50 static, 100 dynamic.
+        0 ground, 50 static, 100 dynamic. Points of the ground are dynamic, too, where key frames
+        that vote by their surface say so.
+
+    Raises
+    ------
+    InputError
+        A shape or dtype is wrong.
     """
     p = parameters or DynamicsParameters()
-    dynamic = votes.dynamic > votes.static
+    if p.objects and points is not None:
+        points, ground = _check_sweep(points, ground)
+        dynamic = _moving_points(points, ground, votes, p)
+    else:
+        dynamic = votes.dynamic > votes.static
     if p.against == "pixels":
         dynamic &= ~ground
     return np.where(dynamic, DYNAMIC, np.where(ground, GROUND, STATIC)).astype(np.uint16)
@@ -247,7 +279,7 @@ def classify_drive(
             parameters,
             threads,
         )
-        labels.append(Labels(classify(ground[i], votes, parameters), votes))
+        labels.append(Labels(classify(ground[i], votes, parameters, sweep), votes))
     return labels
 
 
@@ -257,18 +289,37 @@ def _range_image(
     return _core.RangeImage(points, ground, np.radians(p.resolution_deg), p.window, p.tolerance)
 
 
-def _surface_image(points: NDArray[np.float32], p: DynamicsParameters) -> _core.KeyFrame:
+def _surface() -> _core.SurfaceParameters:
     s = SurfaceParameters()
     surface = _core.SurfaceParameters()
     surface.max_gap = float(np.radians(s.max_gap_deg))
     surface.jump_ratio, surface.noise, surface.flatness = s.jump_ratio, s.noise, s.flatness
+    return surface
+
+
+def _surface_image(points: NDArray[np.float32], p: DynamicsParameters) -> _core.KeyFrame:
     image = _core.SurfaceImageParameters()
     image.resolution = float(np.radians(p.resolution_deg))
     image.window, image.tolerance = p.window, p.tolerance
     image.upright = _core.Margins(p.across, p.along, p.along_growth)
     image.level = _core.Margins(p.level_across, p.level_along, 0.0)
     image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
-    return _core.SurfaceImage(points, surface, image)
+    return _core.SurfaceImage(points, _surface(), image)
+
+
+def _moving_points(
+    points: NDArray[np.float32], ground: NDArray[np.bool_], votes: Votes, p: DynamicsParameters
+) -> NDArray[np.bool_]:
+    objects = _core.ObjectParameters()
+    objects.link = p.link
+    objects.companions, objects.company = p.companions, p.company
+    objects.clear_votes, objects.clear_ratio = p.clear_votes, p.clear_ratio
+    objects.object_points, objects.share = p.object_points, p.object_share
+    objects.width = p.object_width
+    objects.freed_share, objects.freed_votes = p.freed_share, p.freed_votes
+    objects.freed_ratio = p.freed_ratio
+    moving = _core.moving_points(points, ground, votes.static, votes.dynamic, _surface(), objects)
+    return moving.view(np.bool_)
 
 
 def _check_sweep(

@@ -168,7 +168,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                         parameters.dynamics,
                         threads,
                     )
-                    classid = dynamics.classify(ground, votes, parameters.dynamics)
+                    classid = dynamics.classify(ground, votes, parameters.dynamics, record.points)
                 record = replace(
                     record,
                     key={**record.key, "classify": key},

@@ -67,15 +67,17 @@ class Trajectory:
             arc[i] = base
         return arc
 
-    def subsample(self, spacing: float) -> NDArray[np.int64]:
+    def subsample(self, spacing: float, duration: float = np.inf) -> NDArray[np.int64]:
         """Indices of poses at least ``spacing`` metres of path apart, greedily from the first.
 
+        Or ``duration`` seconds apart, to a twentieth since stamps jitter, whichever comes first.
         The end of the path is taken too: without it nothing looks back at the last sweeps.
         """
-        arc = self.arc_length
+        arc, seconds = self.arc_length, (self.times - self.times[0]) * 1e-9
         kept = [0]
         for i in range(1, len(self)):
-            if arc[i] - arc[kept[-1]] >= spacing:
+            late = seconds[i] - seconds[kept[-1]] >= 0.95 * duration
+            if late or arc[i] - arc[kept[-1]] >= spacing:
                 kept.append(i)
         if arc[-1] > arc[kept[-1]]:
             kept.append(len(self) - 1)

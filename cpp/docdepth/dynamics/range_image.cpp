@@ -6,6 +6,7 @@
 #include <limits>
 #include <stdexcept>
 
+#include "docdepth/dynamics/lanes.hpp"
 #include "docdepth/dynamics/window.hpp"
 #include "docdepth/geometry/dispatch.hpp"
 
@@ -55,10 +56,6 @@ struct SettleVotes {
     }
   }
 };
-
-constexpr int kLanes = 8;
-using Floats = float __attribute__((vector_size(4 * kLanes)));
-using Ints = std::int32_t __attribute__((vector_size(4 * kLanes)));
 
 /// Algorithm 1 for points whose windows hold returns behind and before them but not around ground:
 /// static or none, as the first return says that is not behind by the tolerance. A row of the

@@ -3,9 +3,11 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <stdexcept>
 
+#include "docdepth/dynamics/lanes.hpp"
 #include "docdepth/dynamics/window.hpp"
 #include "docdepth/geometry/dispatch.hpp"
 #include "docdepth/surface/directions.hpp"
@@ -14,28 +16,43 @@ namespace docdepth {
 namespace {
 
 constexpr float kEmpty = std::numeric_limits<float>::infinity();
+constexpr double kNearestPlane = 0.01;  // to the sensor [m]
 
-/// What the triangle says, and whether a return nearby may still object: 1 where it may.
+float as_float(std::uint32_t bits) {
+  float value;
+  std::memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
+std::uint32_t as_bits(float value) {
+  std::uint32_t bits;
+  std::memcpy(&bits, &value, sizeof bits);
+  return bits;
+}
+
+/// What the triangle says, and whether a return nearby may still object: negative where it may.
 struct AskTriangles {
   DOCDEPTH_KERNEL static void run(std::size_t count, const float* x, const float* y, const float* z,
                                   const float* range, const float* a, const float* b,
-                                  const float* c, const float* distance, SurfaceImageParameters p,
+                                  const float* c, const std::int32_t* jump, const float* nearest,
+                                  const float* farthest, SurfaceImageParameters p,
                                   std::int32_t* __restrict is_static,
                                   std::int32_t* __restrict is_dynamic,
                                   std::int32_t* __restrict open) {
     for (std::size_t i = 0; i < count; ++i) {
       const float r = range[i];
-      const float depth = (a[i] * x[i] + b[i] * y[i]) + c[i] * z[i];
-      const float gap = distance[i] - depth;
+      const float depth = (a[i] * x[i] + b[i] * y[i]) + c[i] * z[i];  // 1 on the plane
+      const float distance = 1.0f / std::sqrt((a[i] * a[i] + b[i] * b[i]) + c[i] * c[i]);
+      const float before = 1.0f - depth;
       // Choices between numbers, since compilers do not vectorise those between truth values.
-      const int level = std::fabs(c[i]) > p.level_cosine ? 1 : 0;
+      const int level = std::fabs(c[i]) * distance > p.level_cosine ? 1 : 0;
       const float across = level ? p.level.across : p.upright.across;
       const float level_along = p.level.along + p.level.growth * r;
       const float upright_along = p.upright.along + p.upright.growth * r;
       const float along = level ? level_along : upright_along;
-      const int on_plane =
-          (std::fabs(gap) < across ? 1 : 0) | (r * std::fabs(gap) < along * depth ? 1 : 0);
-      const int before_plane = (gap > 0.0f ? 1 : 0) & (depth > 0.0f ? 1 : 0);
+      const int on_plane = (std::fabs(before) * distance < across ? 1 : 0) |
+                           (r * std::fabs(before) < along * depth ? 1 : 0);
+      const int before_plane = (before > 0.0f ? 1 : 0) & (depth > 0.0f ? 1 : 0);
 
       const float to_a = r - a[i], to_b = r - b[i], to_c = r - c[i];
       const int on_corner = (std::fabs(to_a) < p.tolerance ? 1 : 0) |
@@ -44,12 +61,43 @@ struct AskTriangles {
       const int before_corners = (to_a < -p.tolerance ? 1 : 0) & (to_b < -p.tolerance ? 1 : 0) &
                                  (to_c < -p.tolerance ? 1 : 0);
 
-      const int plane = distance[i] >= 0.0f ? 1 : 0;
-      const int jump = distance[i] == -1.0f ? 1 : 0;
-      const int here = (plane & on_plane) | (jump & on_corner);
-      is_static[i] = here;
-      is_dynamic[i] = (1 - here) & ((plane & before_plane) | (jump & before_corners));
-      open[i] = -((1 - here) & (1 - (plane & level)));
+      const int on_it = jump[i] ? on_corner : on_plane;
+      const int before_it = jump[i] ? before_corners : before_plane;
+      const int flat = jump[i] ? 0 : level;
+      const int returns =
+          (r - nearest[i] > -p.tolerance ? 1 : 0) & (r - farthest[i] < p.tolerance ? 1 : 0);
+      is_static[i] = on_it;
+      is_dynamic[i] = (1 - on_it) & before_it;
+      open[i] = -((1 - on_it) & (1 - flat) & returns);
+    }
+  }
+};
+
+/// Make points static that have a return within the tolerance in their window.
+struct AskWindows {
+  DOCDEPTH_KERNEL static void run(std::size_t count, const std::int32_t* points, const float* range,
+                                  const std::int32_t* pixel, const float* corner,
+                                  std::size_t stride, int window, float tolerance,
+                                  std::int32_t* __restrict is_static,
+                                  std::int32_t* __restrict is_dynamic) {
+    for (std::size_t k = 0; k < count; ++k) {
+      const std::int32_t i = points[k];
+      const float* row = corner + pixel[i];
+      std::int32_t any = 0;
+      for (int left = 0; left < window; left += kLanes) {
+        Ints on{};
+        for (int r = 0; r < window; ++r) {
+          Floats measured;
+          std::memcpy(&measured, row + r * stride + left, sizeof measured);
+          const Floats difference = range[i] - measured;
+          on |= (difference > -tolerance) & (difference < tolerance);
+        }
+        std::int32_t lanes[kLanes];
+        std::memcpy(lanes, &on, sizeof lanes);
+        for (int lane = 0; lane < kLanes; ++lane) any |= left + lane < window ? lanes[lane] : 0;
+      }
+      is_static[i] |= any & 1;
+      is_dynamic[i] &= ~any;
     }
   }
 };
@@ -96,17 +144,21 @@ SurfaceImage::SurfaceImage(const Points& points, const SurfaceParameters& surfac
   const Returns returns(points);
   range_ = canvas_.nearest_ranges(returns, canvas_.fit(returns));
   draw(points, build_surface(points, surface));
+  summarize_windows();
+  range_.resize(canvas_.size() + kLanes, kEmpty);  // may be read, never looked at
+}
 
+void SurfaceImage::summarize_windows() {
   std::vector<float> seen(range_);
   for (float& range : seen) range = range == kEmpty ? 0.0f : range;
   const auto nearest = window_minimum(range_, canvas_.stride(), canvas_.half());
   const auto farthest = window_maximum(seen, canvas_.stride(), canvas_.half());
-  windows_.resize(range_.size());
-  for (std::size_t i = 0; i < windows_.size(); ++i) windows_[i] = {nearest[i], farthest[i]};
+  for (std::size_t i = 0; i < seen_.size(); ++i)
+    seen_[i].window |= (as_bits(nearest[i]) >> 16 << 16) | ((as_bits(farthest[i]) + 0xffff) >> 16);
 }
 
 /// The plane through three returns, in double precision and a fixed order of operations. Corners
-/// that are in line have no plane and count as a jump.
+/// in line, with each other or the sensor, have no plane that it could see and count as a jump.
 SurfaceImage::Seen SurfaceImage::triangle(const Points& points,
                                           const std::array<std::uint32_t, 3>& corners,
                                           bool cut) const {
@@ -118,39 +170,43 @@ SurfaceImage::Seen SurfaceImage::triangle(const Points& points,
     v[k] = p[2][k] - p[0][k];
   }
   double n[3] = {u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
+  const double offset = (n[0] * p[0][0] + n[1] * p[0][1]) + n[2] * p[0][2];
   const double length = std::sqrt((n[0] * n[0] + n[1] * n[1]) + n[2] * n[2]);
-  if (cut || !(length > 0.0)) {
+  if (cut || !(std::fabs(offset) > kNearestPlane * length)) {
     Seen jump{{}, kJump};
     for (int i = 0; i < 3; ++i)
       jump.values[i] =
           range_of(points(corners[i], 0), points(corners[i], 1), points(corners[i], 2));
     return jump;
   }
-  const double distance = ((n[0] * p[0][0] + n[1] * p[0][1]) + n[2] * p[0][2]) / length;
-  const double scale = distance < 0.0 ? -length : length;  // the normal points away from the sensor
-  return {{static_cast<float>(n[0] / scale), static_cast<float>(n[1] / scale),
-           static_cast<float>(n[2] / scale)},
-          static_cast<float>(std::fabs(distance))};
+  return {{static_cast<float>(n[0] / offset), static_cast<float>(n[1] / offset),
+           static_cast<float>(n[2] / offset)},
+          0};
 }
 
 void SurfaceImage::draw(const Points& points, const Surface& surface) {
-  seen_.assign(canvas_.size(), Seen{{}, kNothing});
-  const std::int64_t columns = canvas_.grid().columns();
+  seen_.assign(canvas_.size(), Seen{});
+  std::vector<std::uint8_t> drawn(canvas_.size());
+  const std::int64_t columns = canvas_.grid().columns(), turn = kTurn * columns;
+  std::vector<Corner> directions(points.rows());
+  for (Eigen::Index i = 0; i < points.rows(); ++i) {
+    const Direction d = direction_of(points(i, 0), points(i, 1), points(i, 2));
+    directions[i] = {(kTurn / 2 - d.azimuth) * columns, (kTurn / 4 - d.elevation) * columns};
+  }
   for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
     std::array<Corner, 3> corners;
     for (int i = 0; i < 3; ++i) {
-      const auto n = surface.triangles[t][i];
-      const Direction d = direction_of(points(n, 0), points(n, 1), points(n, 2));
-      corners[i] = {(kTurn / 2 - d.azimuth) * columns, (kTurn / 4 - d.elevation) * columns};
+      corners[i] = directions[surface.triangles[t][i]];
       // The shorter way around from the first corner.
-      if (corners[i][0] - corners[0][0] > kTurn / 2 * columns) corners[i][0] -= kTurn * columns;
-      if (corners[0][0] - corners[i][0] > kTurn / 2 * columns) corners[i][0] += kTurn * columns;
+      if (corners[i][0] - corners[0][0] > turn / 2) corners[i][0] -= turn;
+      if (corners[0][0] - corners[i][0] > turn / 2) corners[i][0] += turn;
     }
-    const Seen seen = triangle(points, surface.triangles[t], surface.cut[t]);
     for_each_pixel(corners, [&](std::int64_t column, std::int64_t row) {
-      column = (column + columns) % columns;
+      column += column < 0 ? columns : column >= columns ? -columns : 0;
       const std::size_t pixel = (row - canvas_.top()) * canvas_.stride() + column + canvas_.half();
-      if (seen_[pixel].distance == kNothing) seen_[pixel] = seen;
+      if (drawn[pixel]) return;
+      drawn[pixel] = 1;
+      seen_[pixel] = triangle(points, surface.triangles[t], surface.cut[t]);
     });
   }
 }
@@ -160,40 +216,33 @@ void SurfaceImage::vote(const QueryPoints& points, std::uint16_t* statics,
   constexpr std::size_t kMax = QueryPoints::kMax;
   std::int32_t pixel[kMax];
   canvas_.find(points, pixel);
-  float a[kMax], b[kMax], c[kMax], distance[kMax];
+  float a[kMax], b[kMax], c[kMax], nearest[kMax], farthest[kMax];
+  std::int32_t jump[kMax];
+  // The images of all key frames together fit into no cache.
+  for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&seen_[pixel[i]]);
   for (std::size_t i = 0; i < points.size; ++i) {
-    const Seen& seen = seen_[pixel[i]];
+    const Seen seen = seen_[pixel[i]];
     a[i] = seen.values[0];
     b[i] = seen.values[1];
     c[i] = seen.values[2];
-    distance[i] = seen.distance;
+    jump[i] = (seen.window & kJump) != 0;
+    nearest[i] = as_float(seen.window & 0x7fff0000);
+    farthest[i] = as_float(seen.window << 16);
   }
-  std::int32_t is_static[kMax], is_dynamic[kMax], open[kMax];
-  dispatch<AskTriangles>(points.size, points.x, points.y, points.z, points.range, a, b, c, distance,
-                         parameters_, is_static, is_dynamic, open);
-  for_each_flagged(points.size, open, [&](std::size_t i) {
-    if (!near_return(points.range[i], pixel[i])) return;
-    is_static[i] = 1;
-    is_dynamic[i] = 0;
-  });
+  std::int32_t is_static[kMax], is_dynamic[kMax], open[kMax], left[kMax];
+  dispatch<AskTriangles>(points.size, points.x, points.y, points.z, points.range, a, b, c, jump,
+                         nearest, farthest, parameters_, is_static, is_dynamic, open);
+  std::size_t count = 0;
+  for_each_flagged(points.size, open,
+                   [&](std::size_t i) { left[count++] = static_cast<std::int32_t>(i); });
+  const int half = canvas_.half();
+  dispatch<AskWindows>(count, left, points.range, pixel,
+                       range_.data() - half * (canvas_.stride() + 1), canvas_.stride(),
+                       2 * half + 1, parameters_.tolerance, is_static, is_dynamic);
   for (std::size_t i = 0; i < points.size; ++i) {
     statics[i] += is_static[i];
     dynamics[i] += is_dynamic[i];
   }
-}
-
-/// Is there a return within the tolerance in the window?
-bool SurfaceImage::near_return(float range, std::size_t pixel) const {
-  const float tolerance = parameters_.tolerance;
-  const Window window = windows_[pixel];
-  if (range - window.nearest <= -tolerance || range - window.farthest >= tolerance) return false;
-  const int half = canvas_.half();
-  for (int row = -half; row <= half; ++row) {
-    const float* image = &range_[pixel + row * static_cast<std::ptrdiff_t>(canvas_.stride())];
-    for (int column = -half; column <= half; ++column)
-      if (std::fabs(range - image[column]) < tolerance) return true;
-  }
-  return false;
 }
 
 }  // namespace docdepth

@@ -42,27 +42,25 @@ class SurfaceImage : public KeyFrame {
             std::uint16_t* dynamics) const override;
 
  private:
-  /// What lies in the direction of a pixel, in four numbers that are read together. The distance of
-  /// a plane is never below zero.
+  /// What lies in the direction of a pixel, in sixteen bytes: that many fetches from memory are
+  /// what a vote costs.
   struct Seen {
-    float values[3];  ///< unit normal of the plane, or ranges of the three corners
-    float distance;   ///< of the plane from the sensor, or one of the values below
+    /// Unit normal of the plane over its distance from the sensor, zeros for no plane; or the
+    /// ranges of the three corners around a depth jump.
+    float values[3];
+    /// Whether it is a jump (the highest bit), and between what ranges the returns of the window
+    /// lie: the upper halves of two floats, rounded outwards.
+    std::uint32_t window;
   };
-  static constexpr float kJump = -1.0f, kNothing = -2.0f;
+  static constexpr std::uint32_t kJump = 0x80000000;
 
   Seen triangle(const Points& points, const std::array<std::uint32_t, 3>& corners, bool cut) const;
   void draw(const Points& points, const Surface& surface);
-  bool near_return(float range, std::size_t pixel) const;
-
+  void summarize_windows();
   SurfaceImageParameters parameters_;
   Canvas canvas_;
   std::vector<Seen> seen_;
   std::vector<float> range_;  ///< nearest return, infinite where there is none
-
-  struct Window {
-    float nearest, farthest;  ///< return of the window; none of an empty window is near anything
-  };
-  std::vector<Window> windows_;
 };
 
 }  // namespace docdepth

@@ -28,9 +28,9 @@ constexpr float kLocked = std::numeric_limits<float>::infinity();  // nothing is
 struct Strip {
   int begin, end, height;
   std::vector<float> nearness;           // kStride numbers a row
-  std::vector<std::uint8_t> open_tiles;  // 1 where a pixel of the tile is not locked
+  std::vector<std::uint8_t> open_tiles;  // 0 where nothing needs to be drawn
 
-  static constexpr int kStride = kStrip + kLanes, kTile = 8, kTiles = kStride / kTile;
+  static constexpr int kStride = kStrip + kLanes, kTile = kLanes, kTiles = kStride / kTile;
   Strip(int b, int e, int h)
       : begin(b),
         end(e),
@@ -38,14 +38,14 @@ struct Strip {
         nearness(std::size_t(kStride) * h, 0.0f),
         open_tiles(std::size_t(kTiles) * ((h + kTile - 1) / kTile), 1) {}
 
-  /// Keeps pixels from being drawn over, and whole tiles from being looked at.
-  void lock(const std::vector<float>& settled) {
+  /// Keeps what has been drawn from being drawn over.
+  void lock() {
     std::fill(open_tiles.begin(), open_tiles.end(), std::uint8_t{0});
     for (int v = 0; v < height; ++v)
       for (int u = 0; u < end - begin; ++u) {
-        const std::size_t i = std::size_t(v) * kStride + u;
-        nearness[i] = settled[i] > 0 ? kLocked : 0.0f;
-        if (!(settled[i] > 0)) open_tiles[(v / kTile) * kTiles + u / kTile] = 1;
+        float& w = nearness[std::size_t(v) * kStride + u];
+        if (!(w > 0)) open_tiles[(v / kTile) * kTiles + u / kTile] = 1;
+        w = w > 0 ? kLocked : 0.0f;
       }
   }
 
@@ -144,6 +144,21 @@ DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corn
   }
 }
 
+/// Does any of the patch fall on what may still be drawn?
+DOCDEPTH_INLINE bool is_open(const Projected& p, const Mesh::Patch& patch, const Strip& strip) {
+  float low_u = strip.end, high_u = strip.begin - 1, low_v = strip.height, high_v = -1;
+  for (std::uint32_t i = 0; i < patch.vertices; ++i) {
+    if (!(p.w[i] > 0)) continue;
+    low_u = std::min(low_u, p.u[i]), high_u = std::max(high_u, p.u[i]);
+    low_v = std::min(low_v, p.v[i]), high_v = std::max(high_v, p.v[i]);
+  }
+  const auto first_u = int(std::max(low_u - 1, float(strip.begin)));
+  const auto last_u = int(std::min(high_u + 1, float(strip.end - 1)));
+  const auto first_v = int(std::max(low_v - 1, 0.0f));
+  const auto last_v = int(std::min(high_v + 1, float(strip.height - 1)));
+  return first_u <= last_u && first_v <= last_v && strip.is_open(first_u, last_u, first_v, last_v);
+}
+
 DOCDEPTH_INLINE void draw_mesh(const Camera& camera, const PlacedMesh& placed, Strip& strip) {
   const Mesh& mesh = *placed.mesh;
   Camera part = camera;  // the columns of the strip as a camera of their own, for culling
@@ -156,37 +171,61 @@ DOCDEPTH_INLINE void draw_mesh(const Camera& camera, const PlacedMesh& placed, S
   for (const Mesh::Patch& patch : mesh.patches()) {
     if (!frustum.touches(patch.box)) continue;
     project_patch(mesh, patch, T, camera, points);
+    if (!is_open(points, patch, strip)) continue;
     for (std::uint32_t t = 0; t < patch.triangles; ++t)
       draw_triangle(points, mesh.corners()[patch.triangle + t], strip);
   }
 }
 
-/// Takes one more measurement of each pixel. The first is chosen; one that is nearer waits until
-/// another confirms it.
-DOCDEPTH_INLINE void weigh(const std::vector<float>& measured, std::vector<float>& chosen,
-                           std::vector<float>& nearer) {
+DOCDEPTH_INLINE void load(const float* from, Floats& values) {
+  std::memcpy(&values, from, sizeof values);
+}
+
+DOCDEPTH_INLINE void store(const Floats& values, float* to) {
+  std::memcpy(to, &values, sizeof values);
+}
+
+/// What the strip is made of while sweeps are weighed against each other, and nothing of it yet.
+struct Scales {
+  std::vector<float> locked;  ///< the strip before a sweep is drawn
+  std::vector<float> chosen, waiting;
+
+  explicit Scales(const Strip& strip)
+      : locked(strip.nearness), chosen(locked.size(), 0.0f), waiting(locked.size(), 0.0f) {}
+};
+
+/// Takes one more measurement of each open pixel, and clears it. The first is chosen; one that is
+/// nearer waits until another confirms it.
+DOCDEPTH_INLINE void weigh(Strip& strip, Scales& scales) {
   constexpr float more = 1 / (1 - kAgree), less = 1 / (1 + kAgree);
-  for (std::size_t i = 0; i < measured.size(); ++i) {
-    const float w = measured[i], old = chosen[i], waiting = nearer[i];
-    const bool known = w > 0 && w < kLocked, first = old == 0;
-    const bool is_nearer = known && !first && w > old * more;
-    const bool confirmed = is_nearer && w < waiting * more && w > waiting * less;
-    chosen[i] = known && first ? w : confirmed ? waiting : old;
-    nearer[i] = is_nearer ? (confirmed ? 0.0f : w) : waiting;
-  }
+  for (int v = 0; v < strip.height; ++v)
+    for (int tile = 0; tile < Strip::kTiles; ++tile) {
+      if (!strip.open_tiles[(v / Strip::kTile) * Strip::kTiles + tile]) continue;
+      const std::size_t i = std::size_t(v) * Strip::kStride + tile * Strip::kTile;
+      Floats w, locked, chosen, waiting;
+      load(&strip.nearness[i], w), load(&scales.locked[i], locked);
+      load(&scales.chosen[i], chosen), load(&scales.waiting[i], waiting);
+      const Integers known = (w > 0.0f) & (w < kLocked), first = known & (chosen == 0.0f);
+      const Integers nearer = known & ~first & (w > chosen * more);
+      const Integers confirmed = nearer & (w < waiting * more) & (w > waiting * less);
+      const Floats better = confirmed ? waiting : chosen, later = nearer ? w : waiting;
+      store(first ? w : better, &scales.chosen[i]);
+      store(confirmed ? Floats{} : later, &scales.waiting[i]);
+      store(locked, &strip.nearness[i]);
+    }
 }
 
 DOCDEPTH_INLINE void draw_strip(const Camera& camera, const Drawing& drawing, Strip& strip) {
   for (const PlacedMesh& mesh : drawing.trusted) draw_mesh(camera, mesh, strip);
-  const std::vector<float> settled = strip.nearness;
-  std::vector<float> chosen(settled.size(), 0.0f), nearer(settled.size(), 0.0f);
+  std::vector<float> result = strip.nearness;
+  strip.lock();
+  Scales scales(strip);
   for (const PlacedMesh& mesh : drawing.others) {
-    strip.lock(settled);
     draw_mesh(camera, mesh, strip);
-    weigh(strip.nearness, chosen, nearer);
+    weigh(strip, scales);
   }
-  for (std::size_t i = 0; i < settled.size(); ++i)
-    strip.nearness[i] = settled[i] > 0 ? settled[i] : chosen[i];
+  for (std::size_t i = 0; i < result.size(); ++i) result[i] = std::max(result[i], scales.chosen[i]);
+  strip.nearness = std::move(result);
   std::fill(strip.open_tiles.begin(), strip.open_tiles.end(), std::uint8_t{1});
   for (const PlacedMesh& mesh : drawing.movers) draw_mesh(camera, mesh, strip);
 }

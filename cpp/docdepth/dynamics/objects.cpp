@@ -1,0 +1,172 @@
+#include "docdepth/dynamics/objects.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <unordered_map>
+
+namespace docdepth {
+namespace {
+
+using Edge = std::array<std::uint32_t, 2>;
+using Flags = std::vector<std::uint8_t>;
+
+float squared_distance(const Points& points, std::uint32_t a, std::uint32_t b) {
+  const float x = points(a, 0) - points(b, 0), y = points(a, 1) - points(b, 1),
+              z = points(a, 2) - points(b, 2);
+  return (x * x + y * y) + z * z;
+}
+
+/// Sets of points that are joined one by one.
+class Sets {
+ public:
+  explicit Sets(std::size_t count) : parent_(count) {
+    std::iota(parent_.begin(), parent_.end(), 0u);
+  }
+  std::uint32_t find(std::uint32_t a) {
+    while (parent_[a] != a) a = parent_[a] = parent_[parent_[a]];
+    return a;
+  }
+  void join(std::uint32_t a, std::uint32_t b) {
+    a = find(a);
+    b = find(b);
+    if (a != b) parent_[std::max(a, b)] = std::min(a, b);
+  }
+  /// The first point of each one's set.
+  std::vector<std::uint32_t> first() {
+    std::vector<std::uint32_t> result(parent_.size());
+    for (std::uint32_t i = 0; i < result.size(); ++i) result[i] = find(i);
+    return result;
+  }
+
+ private:
+  std::vector<std::uint32_t> parent_;
+};
+
+/// Connected components of the points that `takes_part` by edges of the surface.
+template <class TakesPart>
+std::vector<std::uint32_t> connect(const Points& points, const Surface& surface, float link,
+                                   const TakesPart& takes_part) {
+  Sets sets(points.rows());
+  for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
+    if (surface.cut[t]) continue;
+    for (int i = 0; i < 3; ++i) {
+      const auto a = surface.triangles[t][i], b = surface.triangles[t][(i + 1) % 3];
+      if (takes_part(a) && takes_part(b) && squared_distance(points, a, b) < link * link)
+        sets.join(a, b);
+    }
+  }
+  return sets.first();
+}
+
+/// What is known about connected points, at the first one's place.
+struct Object {
+  int points = 0, dynamic = 0, freed = 0;
+  float low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
+
+  bool moves(const ObjectParameters& p) const {
+    if (points < p.object_points) return false;
+    const auto count = static_cast<float>(points);
+    if (static_cast<float>(dynamic) >= p.share * count) return true;
+    const float x = high[0] - low[0], y = high[1] - low[1];
+    return static_cast<float>(freed) >= p.freed_share * count && x * x + y * y >= p.width * p.width;
+  }
+};
+
+/// Finds whether a marked point lies near, by cells of that size.
+class Neighborhood {
+ public:
+  Neighborhood(const Points& points, const Flags& marked, float distance)
+      : points_(points), distance_(distance) {
+    for (std::uint32_t i = 0; i < marked.size(); ++i)
+      if (marked[i]) cells_[key(cell(i, 0), cell(i, 1), cell(i, 2))].push_back(i);
+  }
+  bool has_near(std::uint32_t i) const {
+    for (int x = -1; x <= 1; ++x)
+      for (int y = -1; y <= 1; ++y)
+        for (int z = -1; z <= 1; ++z) {
+          const auto found = cells_.find(key(cell(i, 0) + x, cell(i, 1) + y, cell(i, 2) + z));
+          if (found == cells_.end()) continue;
+          for (const auto j : found->second)
+            if (squared_distance(points_, i, j) < distance_ * distance_) return true;
+        }
+    return false;
+  }
+
+ private:
+  std::int64_t cell(std::uint32_t i, int axis) const {
+    return static_cast<std::int64_t>(std::floor(points_(i, axis) / distance_));
+  }
+  static std::int64_t key(std::int64_t x, std::int64_t y, std::int64_t z) {
+    constexpr std::int64_t kSpan = 1 << 21;
+    return ((x & (kSpan - 1)) * kSpan + (y & (kSpan - 1))) * kSpan + (z & (kSpan - 1));
+  }
+
+  const Points& points_;
+  float distance_;
+  std::unordered_map<std::int64_t, std::vector<std::uint32_t>> cells_;
+};
+
+/// Dynamic points of their own right that are connected to enough others.
+Flags believed(const Points& points, const Surface& surface, const Flags& dynamic,
+               const ObjectParameters& p) {
+  const auto first =
+      connect(points, surface, p.link, [&](std::uint32_t i) { return dynamic[i] != 0; });
+  std::vector<int> size(first.size());
+  for (const auto f : first) ++size[f];
+  Flags result(first.size());
+  for (std::size_t i = 0; i < first.size(); ++i)
+    result[i] = dynamic[i] && size[first[i]] >= p.companions;
+  return result;
+}
+
+/// All points of the objects that move.
+void add_objects(const Points& points, const bool* ground, const Surface& surface,
+                 const Flags& freed, const ObjectParameters& p, Flags& moving) {
+  const auto first = connect(points, surface, p.link, [&](std::uint32_t i) { return !ground[i]; });
+  std::vector<Object> objects(first.size());
+  for (std::size_t i = 0; i < first.size(); ++i) {
+    Object& object = objects[first[i]];
+    ++object.points;
+    object.dynamic += moving[i];
+    object.freed += freed[i];
+    for (int axis = 0; axis < 2; ++axis) {
+      object.low[axis] = std::min(object.low[axis], points(i, axis));
+      object.high[axis] = std::max(object.high[axis], points(i, axis));
+    }
+  }
+  for (std::size_t i = 0; i < first.size(); ++i)
+    if (!ground[i] && objects[first[i]].moves(p)) moving[i] = 1;
+}
+
+}  // namespace
+
+std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground,
+                                        const std::uint16_t* statics, const std::uint16_t* dynamics,
+                                        const SurfaceParameters& surface_parameters,
+                                        const ObjectParameters& p) {
+  const auto count = static_cast<std::size_t>(points.rows());
+  Flags dynamic(count), freed(count);
+  bool any = false;
+  for (std::size_t i = 0; i < count; ++i) {
+    dynamic[i] = dynamics[i] > statics[i];
+    freed[i] = dynamics[i] >= p.freed_votes &&
+               p.freed_ratio * static_cast<float>(dynamics[i]) > static_cast<float>(statics[i]);
+    any |= dynamic[i] || freed[i];
+  }
+  if (!any) return dynamic;
+  const Surface surface = build_surface(points, surface_parameters);
+  Flags moving = believed(points, surface, dynamic, p);
+  add_objects(points, ground, surface, freed, p, moving);
+
+  const Neighborhood neighborhood(points, moving, p.company);
+  for (std::uint32_t i = 0; i < count; ++i) {
+    if (moving[i] || !dynamic[i]) continue;
+    const bool clear = dynamics[i] >= p.clear_votes &&
+                       static_cast<float>(dynamics[i]) > p.clear_ratio * statics[i];
+    moving[i] = clear || neighborhood.has_near(i);
+  }
+  return moving;
+}
+
+}  // namespace docdepth

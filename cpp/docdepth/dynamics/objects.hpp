@@ -1,0 +1,41 @@
+// Evidence shared within connected objects of a sweep: what moves, moves as a whole.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "docdepth/geometry/types.hpp"
+#include "docdepth/surface/surface.hpp"
+
+namespace docdepth {
+
+struct ObjectParameters {
+  float link = 1.0f;         ///< neighbouring returns farther apart are not connected [m]
+  int companions = 5;        ///< connected dynamic points that believe each other
+  float company = 1.0f;      ///< nearer to what is dynamic a single point is believed, too [m]
+  int clear_votes = 3;       ///< or with that many dynamic votes
+  float clear_ratio = 4;     ///< that outnumber the static ones so many times
+  int object_points = 10;    ///< an object has that many points
+  float share = 0.5f;        ///< and moves when that share of them is dynamic
+  float width = 1.5f;        ///< or when it is that wide and long, from above [m]
+  float freed_share = 0.4f;  ///< and the place of that share was seen free:
+  int freed_votes = 2;       ///< by that many key frames,
+  float freed_ratio = 4;     ///< and by one to so many that saw it taken
+};
+
+/// Which points belong to what moves at some time.
+///
+/// Returns are connected by the edges of the sweep's surface; across depth jumps there are none.
+/// Points that are dynamic by their own votes (more dynamic than static ones) and alone are
+/// withdrawn. Objects, connected points off the ground, move as a whole: those that move now, as
+/// most of their points say, and those that stand for a while and are seen to leave or to come. The
+/// latter have many static votes, but where nothing ever moves next to none is dynamic; only what
+/// is thin collects some, since key frames look past it.
+///
+/// @param ground, statics, dynamics  one value a point
+std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground,
+                                        const std::uint16_t* statics, const std::uint16_t* dynamics,
+                                        const SurfaceParameters& surface,
+                                        const ObjectParameters& parameters);
+
+}  // namespace docdepth
