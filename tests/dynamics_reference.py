@@ -218,7 +218,9 @@ def reference_moving(points, ground, static, dynamic, p):
     surface = Surface(points)
     whole = surface.triangles[~surface.cut].astype(int)
     edges = np.concatenate([whole[:, [0, 1]], whole[:, [1, 2]], whole[:, [2, 0]]])
-    edges = edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < np.float32(p.link) ** 2]
+    range_ = np.sqrt(squared(points))[edges].min(axis=1)
+    link = np.float32(p.link) + np.float32(p.link_growth) * range_
+    edges = edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < link * link]
     candidate = dynamic > static
     label, size = connected(len(points), edges[candidate[edges].all(axis=1)])
     moving = candidate & (size[label] >= p.companions)

@@ -225,7 +225,7 @@ def test_shared_evidence_equals_the_reference(yard, seed):
     rows = np.sort(rng.permutation(len(sweeps[seed]))[:15_000])
     points, ground = sweeps[seed][rows], what[seed][rows] == 0
     votes = random_votes(points, seed)
-    p = DynamicsParameters(link=0.7, company=0.4)
+    p = DynamicsParameters(link=0.4, company=0.4)
     expected = reference_moving(points, ground, votes.static, votes.dynamic, p)
     assert 0.05 < expected.mean() < 0.95
     np.testing.assert_array_equal(classify(ground, votes, p, points) == 100, expected)

@@ -400,7 +400,7 @@ def test_sweeps_of_triangles_start_with_the_nearest_and_thin_out():
     assert ahead.min() > -TRIANGLES.behind
     assert ahead.max() > 0.7 * TRIANGLES.ahead
     ordered = np.sort(ahead[1:])
-    assert np.diff(ordered)[np.abs(ordered[1:]) < 8].max() < 4.1
+    assert np.diff(ordered)[np.abs(ordered[1:]) < 4].max() < 2.1
     assert np.diff(ordered)[ordered[1:] > 50].min() >= 8
     # The next images take the same sweeps, but for the nearest and a few that enter.
     following = static_frames(trajectory, 5_130_000_000, TRIANGLES)

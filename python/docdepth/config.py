@@ -90,8 +90,9 @@ class DynamicsParameters(_Stage):
     )
     objects: bool = Field(True, description="share evidence within connected objects")
     link: float = Field(
-        1.0, gt=0, description="neighbours farther apart belong to different objects [m]"
+        0.3, gt=0, description="neighbours farther apart belong to different objects [m]"
     )
+    link_growth: float = Field(0.01, ge=0, description="growth of that with range [m/m]")
     companions: int = Field(
         5, ge=1, description="connected dynamic points that need no other evidence"
     )
@@ -108,7 +109,7 @@ class DynamicsParameters(_Stage):
         1.5, ge=0, description="extent of what may stand a while and move, from above [m]"
     )
     freed_share: float = Field(
-        0.4, gt=0, le=1, description="share of its points whose place was free at another time"
+        0.5, gt=0, le=1, description="share of its points whose place was free at another time"
     )
     freed_votes: int = Field(2, ge=1, description="dynamic votes that show a place was free")
     freed_ratio: float = Field(4.0, ge=1, description="most static votes that go with each of them")
@@ -128,9 +129,9 @@ class RenderParameters(_Stage):
         "triangles",
         description="what a sweep is drawn as: discs of the paper's size, or the surface itself",
     )
-    behind: float = Field(20.0, ge=0, description="static sweeps behind the camera, d_min [m]")
+    behind: float = Field(10.0, ge=0, description="static sweeps behind the camera, d_min [m]")
     ahead: float = Field(100.0, gt=0, description="static sweeps ahead of it, d_max [m]")
-    step: float = Field(2.0, gt=0, description="spacing of static sweeps, d_step [m]")
+    step: float = Field(1.0, gt=0, description="spacing of static sweeps, d_step [m]")
     step_growth: float = Field(
         0.2, ge=0, description="spacing of triangles over their distance to the image [-]"
     )

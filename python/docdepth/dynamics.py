@@ -311,7 +311,7 @@ def _moving_points(
     points: NDArray[np.float32], ground: NDArray[np.bool_], votes: Votes, p: DynamicsParameters
 ) -> NDArray[np.bool_]:
     objects = _core.ObjectParameters()
-    objects.link = p.link
+    objects.link, objects.link_growth = p.link, p.link_growth
     objects.companions, objects.company = p.companions, p.company
     objects.clear_votes, objects.clear_ratio = p.clear_votes, p.clear_ratio
     objects.object_points, objects.share = p.object_points, p.object_share

@@ -140,6 +140,14 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     def ground_of(index: int, count: int) -> NDArray[np.bool_]:
         return np.unpackbits(np.load(grounds / f"{index:06d}.npy"), count=count).astype(bool)
 
+    def finish(
+        index: int, record: FrameRecord, ground: NDArray[np.bool_], votes: dynamics.Votes
+    ) -> None:
+        with watch("objects"):
+            classid = dynamics.classify(ground, votes, parameters.dynamics, record.points)
+        with watch("write"):
+            _write_classified(run, index, replace(record, classid=classid))
+
     voters = dynamics.key_frames(trajectory, parameters.dynamics)
     asked: dict[int, dynamics.KeyFrame] = {}
     tell = _teller(progress, "classify")
@@ -168,18 +176,17 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                         parameters.dynamics,
                         threads,
                     )
-                    classid = dynamics.classify(ground, votes, parameters.dynamics, record.points)
                 record = replace(
                     record,
                     key={**record.key, "classify": key},
-                    classid=classid,
                     votes_static=votes.static,
                     votes_dynamic=votes.dynamic,
                 )
-                with watch("write"):
+                # The next sweep is voted on meanwhile.
+                with watch("wait for objects and files"):
                     if pending:
                         pending.result()
-                    pending = writer.submit(_write_classified, run, index, record)
+                    pending = writer.submit(finish, index, record, ground, votes)
             tell(index + 1, total)
         if pending:
             pending.result()

@@ -5,6 +5,8 @@
 #include <numeric>
 #include <unordered_map>
 
+#include "docdepth/geometry/spherical.hpp"
+
 namespace docdepth {
 namespace {
 
@@ -45,15 +47,19 @@ class Sets {
 
 /// Connected components of the points that `takes_part` by edges of the surface.
 template <class TakesPart>
-std::vector<std::uint32_t> connect(const Points& points, const Surface& surface, float link,
-                                   const TakesPart& takes_part) {
+std::vector<std::uint32_t> connect(const Points& points, const Surface& surface,
+                                   const ObjectParameters& p, const TakesPart& takes_part) {
   Sets sets(points.rows());
+  const auto range = [&](std::uint32_t i) {
+    return range_of(points(i, 0), points(i, 1), points(i, 2));
+  };
   for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
     if (surface.cut[t]) continue;
     for (int i = 0; i < 3; ++i) {
       const auto a = surface.triangles[t][i], b = surface.triangles[t][(i + 1) % 3];
-      if (takes_part(a) && takes_part(b) && squared_distance(points, a, b) < link * link)
-        sets.join(a, b);
+      if (!takes_part(a) || !takes_part(b)) continue;
+      const float link = p.link + p.link_growth * std::min(range(a), range(b));
+      if (squared_distance(points, a, b) < link * link) sets.join(a, b);
     }
   }
   return sets.first();
@@ -110,8 +116,7 @@ class Neighborhood {
 /// Dynamic points of their own right that are connected to enough others.
 Flags believed(const Points& points, const Surface& surface, const Flags& dynamic,
                const ObjectParameters& p) {
-  const auto first =
-      connect(points, surface, p.link, [&](std::uint32_t i) { return dynamic[i] != 0; });
+  const auto first = connect(points, surface, p, [&](std::uint32_t i) { return dynamic[i] != 0; });
   std::vector<int> size(first.size());
   for (const auto f : first) ++size[f];
   Flags result(first.size());
@@ -123,7 +128,7 @@ Flags believed(const Points& points, const Surface& surface, const Flags& dynami
 /// All points of the objects that move.
 void add_objects(const Points& points, const bool* ground, const Surface& surface,
                  const Flags& freed, const ObjectParameters& p, Flags& moving) {
-  const auto first = connect(points, surface, p.link, [&](std::uint32_t i) { return !ground[i]; });
+  const auto first = connect(points, surface, p, [&](std::uint32_t i) { return !ground[i]; });
   std::vector<Object> objects(first.size());
   for (std::size_t i = 0; i < first.size(); ++i) {
     Object& object = objects[first[i]];

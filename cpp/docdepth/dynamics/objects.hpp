@@ -10,17 +10,18 @@
 namespace docdepth {
 
 struct ObjectParameters {
-  float link = 1.0f;         ///< neighbouring returns farther apart are not connected [m]
-  int companions = 5;        ///< connected dynamic points that believe each other
-  float company = 1.0f;      ///< nearer to what is dynamic a single point is believed, too [m]
-  int clear_votes = 3;       ///< or with that many dynamic votes
-  float clear_ratio = 4;     ///< that outnumber the static ones so many times
-  int object_points = 10;    ///< an object has that many points
-  float share = 0.5f;        ///< and moves when that share of them is dynamic
-  float width = 1.5f;        ///< or when it is that wide and long, from above [m]
-  float freed_share = 0.4f;  ///< and the place of that share was seen free:
-  int freed_votes = 2;       ///< by that many key frames,
-  float freed_ratio = 4;     ///< and by one to so many that saw it taken
+  float link = 0.3f;          ///< neighbouring returns farther apart are not connected [m]
+  float link_growth = 0.01f;  ///< growth of that with range [m/m]
+  int companions = 5;         ///< connected dynamic points that believe each other
+  float company = 1.0f;       ///< nearer to what is dynamic a single point is believed, too [m]
+  int clear_votes = 3;        ///< or with that many dynamic votes
+  float clear_ratio = 4;      ///< that outnumber the static ones so many times
+  int object_points = 10;     ///< an object has that many points
+  float share = 0.5f;         ///< and moves when that share of them is dynamic
+  float width = 1.5f;         ///< or when it is that wide and long, from above [m]
+  float freed_share = 0.5f;   ///< and the place of that share was seen free:
+  int freed_votes = 2;        ///< by that many key frames,
+  float freed_ratio = 4;      ///< and by one to so many that saw it taken
 };
 
 /// Which points belong to what moves at some time.
