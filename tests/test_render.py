@@ -287,7 +287,7 @@ def draw_triangles(camera, vertices, triangles, threads=1):
     )
     placed = (frame, np.eye(4))
     size = camera.width, camera.height
-    return _core.render_surfaces(camera.K, *size, [placed], placed, placed, 0.0, 0.0, threads)
+    return _core.render_surfaces(camera.K, *size, [placed], placed, placed, 0.0, 0.0, 0.0, threads)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -336,21 +336,23 @@ def test_triangles_do_not_depend_on_threads():
     assert np.isfinite(one).mean() > 0.1
 
 
-@pytest.mark.parametrize("max_speed", [0.0, 50.0])
-def test_a_moving_box_is_carried_to_where_it_was_when_the_image_was_taken(max_speed):
+@pytest.mark.parametrize(("max_speed", "late"), [(0.0, None), (50.0, None), (50.0, 0.012)])
+def test_a_moving_box_is_carried_to_where_it_was_when_the_image_was_taken(max_speed, late):
     directions = spinning(columns=3000)
     camera = small_camera()
     parameters = TRIANGLES.model_copy(update={"max_speed": max_speed})
 
     def frame(index):  # sweeps a metre apart, a wall at 20 m, the box at 8 m goes 2 m a sweep
         wall = (20.0 - index) / directions[:, 0]
-        box = (8.0 + index) / directions[:, 0]
+        box = (8.0 + index + 20 * (late or 0)) / directions[:, 0]
         side = box[:, None] * directions
         on_box = (wall > 0) & (np.abs(side[:, 1]) < 2) & (np.abs(side[:, 2] + 0.5) < 1)
         ranges = np.where(on_box, box, wall)
         seen = (ranges > 0) & (ranges < 60)
         points = (directions * ranges[:, None])[seen].astype(np.float32)
-        return Frame(points, np.where(on_box[seen], 100, 50).astype(np.uint16), parameters)
+        classid = np.where(on_box[seen], 100, 50).astype(np.uint16)
+        times = None if late is None else np.full(len(points), late, np.float32)
+        return Frame(points, classid, parameters, late=times)
 
     frames = [frame(i) for i in range(4)]
     depth = render(camera, AXES, straight(4), 160_000_000, frames.__getitem__, parameters)

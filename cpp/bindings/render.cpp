@@ -1,6 +1,7 @@
 #include "render.hpp"
 
 #include <memory>
+#include <optional>
 
 namespace docdepth::bindings {
 namespace {
@@ -27,28 +28,28 @@ py::array_t<float> splats(const Array<double>& K, int width, int height,
   return to_numpy(std::move(depth), {height, width});
 }
 
-std::unique_ptr<SurfaceFrame> make_surface_frame(const Array<float>& points,
-                                                 const Array<std::uint16_t>& classid,
-                                                 const Array<std::uint32_t>& triangles,
-                                                 const Array<std::uint8_t>& cut,
-                                                 const Array<std::uint32_t>& loose,
-                                                 float loose_angle) {
+std::unique_ptr<SurfaceFrame> make_surface_frame(
+    const Array<float>& points, const Array<std::uint16_t>& classid,
+    const Array<std::uint32_t>& triangles, const Array<std::uint8_t>& cut,
+    const Array<std::uint32_t>& loose, float loose_angle, const std::optional<Array<float>>& late) {
   const PointMap map = as_points(points);
   const std::uint16_t* classes = as_column(classid, map.rows(), "classid");
   const py::ssize_t count = triangles.shape(0);
   const std::uint8_t* cuts = as_column(cut, count, "cut");
+  const float* times = late ? as_column(*late, map.rows(), "late") : nullptr;
   const auto* corners = reinterpret_cast<const std::uint32_t (*)[3]>(triangles.data());
   const py::gil_scoped_release release;
   return std::make_unique<SurfaceFrame>(map, corners, cuts, count, loose.data(), loose.size(),
-                                        loose_angle, classes);
+                                        loose_angle, classes, times);
 }
 
 py::array_t<float> surfaces(const Array<double>& K, int width, int height,
                             const std::vector<PlacedFrame>& fixed, const PlacedFrame& nearest,
-                            const PlacedFrame& other, float share, float reach, int threads) {
+                            const PlacedFrame& other, float duration, float delay, float max_speed,
+                            int threads) {
   const Camera camera = as_camera(K, width, height);
   const auto world = as_surfaces(fixed);
-  const Motion motion{as_surface(nearest), as_surface(other), share, reach};
+  const Motion motion{as_surface(nearest), as_surface(other), duration, delay, max_speed};
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
@@ -69,9 +70,9 @@ void bind_render(py::module_& m) {
                              [](const Frame& frame) { return frame.dynamic_points.size(); });
   py::class_<SurfaceFrame>(m, "SurfaceFrame")
       .def(py::init(&make_surface_frame), "points"_a, "classid"_a, "triangles"_a, "cut"_a,
-           "loose"_a, "loose_angle"_a);
+           "loose"_a, "loose_angle"_a, "late"_a = py::none());
   m.def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
-        "other"_a, "share"_a, "reach"_a, "threads"_a = 0);
+        "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "threads"_a = 0);
   m.def("render_splats", &splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0);
 }

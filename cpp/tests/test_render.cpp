@@ -184,21 +184,25 @@ TEST_CASE("objects are told apart and found again, none in another") {
     return points;
   };
   const std::vector<std::uint16_t> moving(900, 100);
-  const Objects objects = find_objects(scene({0, 0, 0}, {0, 0, 0}), moving.data());
+  const std::vector<float> late(900, 0.02f), later(900, 0.03f);
+  const Objects objects = find_objects(scene({0, 0, 0}, {0, 0, 0}), moving.data(), late.data());
   REQUIRE(objects.places.size() == 2);
   CHECK(objects.owner[0] == 1);
   CHECK(objects.owner[899] == 2);
+  CHECK(objects.late[0] == doctest::Approx(0.02));
   const Matrix after = scene({3, -0.5f, 0}, {0.1f, 0.1f, 0});
   Pose T = Pose::Identity();  // the sensor, too, has moved
   T.rotate(Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitZ())).translate(Eigen::Vector3d(1, 2, 0));
   Matrix seen = after;
   for (int i = 0; i < 900; ++i)
     seen.row(i) = (T.inverse() * after.row(i).transpose().cast<double>()).cast<float>();
-  const auto one = displacements(objects, find_objects(seen, moving.data()), T, 5, 1);
-  const auto two = displacements(objects, find_objects(seen, moving.data()), T, 5, 2);
-  CHECK((one[0] - Eigen::Vector3f(3, -0.5f, 0)).norm() < 0.08f);
-  CHECK((one[1] - Eigen::Vector3f(0.1f, 0.1f, 0)).norm() < 0.08f);
+  const Passage passage{T, 0.1f, 50};
+  const Objects other = find_objects(seen, moving.data(), later.data());
+  const auto one = velocities(objects, other, passage, 1);
+  const auto two = velocities(objects, other, passage, 2);
+  CHECK((one[0] * 0.11f - Eigen::Vector3f(3, -0.5f, 0)).norm() < 0.08f);
+  CHECK((one[1] * 0.11f - Eigen::Vector3f(0.1f, 0.1f, 0)).norm() < 0.08f);
   CHECK((one[0] == two[0] && one[1] == two[1]));
-  const auto gone = displacements(objects, Objects{}, T, 5, 1);
-  CHECK((gone[0].isZero() && gone[1].isZero()));
+  for (const auto& velocity : velocities(objects, Objects{}, passage, 1)) CHECK(velocity.isZero());
+  for (const auto& velocity : velocities(objects, other, {T, 0, 50}, 1)) CHECK(velocity.isZero());
 }

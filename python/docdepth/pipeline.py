@@ -91,6 +91,7 @@ def run_odometry(
 
         estimate = odometry(dataset, parameters, poses, registered, checkpoint)
     write_trajectory(run.trajectory_path, estimate.trajectory, np.arange(total))
+    period = np.float32(np.median(np.diff(dataset.times)) * 1e-9 if total > 1 else 0)
     for index in range(total):
         if run.frame_key(index).get("odometry") != key:
             with watch("deskew"):
@@ -108,6 +109,7 @@ def run_odometry(
                 sweep.name,
                 len(points),
                 {"odometry": key},
+                late=None if sweep.fraction is None else period * sweep.fraction[usable],
             )
             with watch("write"):
                 run.write_frame(index, record)
@@ -267,7 +269,7 @@ def run_render(
                 )
             with watch("frames"):
                 made[index] = render.Frame(
-                    record.points, record.classid, parameters, run.parameters.surface
+                    record.points, record.classid, parameters, run.parameters.surface, record.late
                 )
         return made[index]
 

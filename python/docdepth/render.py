@@ -66,6 +66,9 @@ class Frame:
         Its ``surface`` says what is made; :func:`render` wants the same.
     surface_parameters : SurfaceParameters, optional
         Of the triangles between neighbouring returns.
+    late : ndarray of float32, shape (N,), optional
+        When each point was measured, seconds after the sweep's time. Known, it tells better where
+        moving objects were.
 
     Raises
     ------
@@ -79,6 +82,7 @@ class Frame:
         classid: NDArray[np.uint16],
         parameters: RenderParameters | None = None,
         surface_parameters: SurfaceParameters | None = None,
+        late: NDArray[np.float32] | None = None,
     ) -> None:
         points, classid = np.asarray(points), np.asarray(classid)
         if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
@@ -90,13 +94,15 @@ class Frame:
                 f"classid must be uint16 of shape ({len(points)},), one for each point; "
                 f"got {classid.dtype} {classid.shape}"
             )
+        if late is not None and late.shape != (len(points),):
+            raise InputError(f"late must have shape ({len(points)},), a time a point")
         p = parameters or RenderParameters()
         points, classid = np.ascontiguousarray(points), np.ascontiguousarray(classid)
         self.core: _core.Frame | _core.SurfaceFrame
         if p.surface == "splats":
             self.core = _core.Frame(points, classid, p.crop)
         else:
-            self.core = _surface_frame(points, classid, p, surface_parameters)
+            self.core = _surface_frame(points, classid, p, surface_parameters, late)
 
 
 def _surface_frame(
@@ -104,6 +110,7 @@ def _surface_frame(
     classid: NDArray[np.uint16],
     parameters: RenderParameters,
     surface_parameters: SurfaceParameters | None,
+    late: NDArray[np.float32] | None,
 ) -> _core.SurfaceFrame:
     with np.errstate(invalid="ignore", over="ignore"):
         drawn = np.linalg.norm(points.astype(np.float64), axis=1) < parameters.crop
@@ -116,6 +123,7 @@ def _surface_frame(
         surface.cut.view(np.uint8),
         surface.loose,
         float(np.radians(parameters.loose_deg)),
+        None if late is None else late[drawn].astype(np.float32),
     )
 
 
@@ -244,7 +252,7 @@ def render(
         )
     else:
         other = _other_frame(trajectory, time)
-        period = float(trajectory.times[other] - trajectory.times[nearest])
+        stamp = trajectory.times[nearest]
         depth = core.render_surfaces(
             camera.K,
             camera.width,
@@ -252,8 +260,9 @@ def render(
             fixed=fixed,
             nearest=place(nearest),
             other=place(other),
-            share=(time - int(trajectory.times[nearest])) / period if period else 0.0,
-            reach=p.max_speed * abs(period) * 1e-9,
+            duration=float(trajectory.times[other] - stamp) * 1e-9,
+            delay=float(np.int64(time) - stamp) * 1e-9,
+            max_speed=p.max_speed,
             threads=threads,
         )
     # The far plane: nearest wins, so cutting the result is cutting the points.

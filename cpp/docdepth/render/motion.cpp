@@ -121,7 +121,7 @@ Vector middle(const Places& places) {
 
 }  // namespace
 
-Objects find_objects(const Points& points, const std::uint16_t* classid) {
+Objects find_objects(const Points& points, const std::uint16_t* classid, const float* late) {
   Objects objects;
   objects.owner.assign(points.rows(), 0);
   std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> cells;
@@ -152,7 +152,12 @@ Objects find_objects(const Points& points, const std::uint16_t* classid) {
         }
     }
     Places all;
-    for (std::size_t i = 1; i < members.size(); ++i) all.push_back(points.row(members[i]));
+    double sum = 0;
+    for (std::size_t i = 1; i < members.size(); ++i) {  // the first is met again in its cell
+      all.push_back(points.row(members[i]));
+      if (late) sum += late[members[i]];
+    }
+    objects.late.push_back(static_cast<float>(sum / double(all.size())));
     float size = kThin;
     Places places = thinned(all, size);
     while (places.size() > kPlaces) places = thinned(all, size *= 1.3f);
@@ -161,29 +166,32 @@ Objects find_objects(const Points& points, const std::uint16_t* classid) {
   return objects;
 }
 
-std::vector<Vector> displacements(const Objects& objects, const Objects& later,
-                                  const Pose& T_objects_later, float reach, int threads) {
-  std::vector<Places> candidates = later.places;
-  const RigidTransform T(T_objects_later);
+std::vector<Vector> velocities(const Objects& objects, const Objects& other, const Passage& passage,
+                               int threads) {
+  std::vector<Places> candidates = other.places;
+  const RigidTransform T(passage.T_from_to);
   for (auto& places : candidates)
     for (auto& p : places) p = T * p;
-  std::vector<Vector> shifts(objects.places.size(), Vector::Zero());
-  parallel_for(shifts.size(), 1, threads, [&](std::size_t k, std::size_t) {
+  const float reach = passage.max_speed * std::fabs(passage.duration);
+  std::vector<Vector> result(objects.places.size(), Vector::Zero());
+  if (!(reach > 0)) return result;
+  parallel_for(result.size(), 1, threads, [&](std::size_t k, std::size_t) {
     const Places& places = objects.places[k];
     const Vector here = middle(places);
     float best = 0;
-    for (const auto& candidate : candidates) {
-      if ((middle(candidate) - here).norm() > reach) continue;
-      const Match found = match(places, candidate, reach);
+    for (std::size_t c = 0; c < candidates.size(); ++c) {
+      if ((middle(candidates[c]) - here).norm() > reach) continue;
+      const Match found = match(places, candidates[c], reach);
       // Of two that fit alike the nearer is the likelier.
       const float score = found.explained * std::exp(-found.shift.norm() / (2 * reach));
-      if (found.explained >= kExplained && score > best) {
-        best = score;
-        shifts[k] = found.shift;
-      }
+      if (found.explained < kExplained || score <= best) continue;
+      best = score;
+      // Times within the sweeps change the duration a little, or they are wrong.
+      const float between = passage.duration + other.late[c] - objects.late[k];
+      result[k] = found.shift / (between / passage.duration > 0.5f ? between : passage.duration);
     }
   });
-  return shifts;
+  return result;
 }
 
 }  // namespace docdepth

@@ -1,4 +1,4 @@
-// Moving objects of a sweep, and how far each has come in another one.
+// Moving objects of a sweep, and how fast each is, told by another sweep.
 #pragma once
 
 #include <cstdint>
@@ -13,19 +13,26 @@ struct Objects {
   std::vector<std::uint32_t> owner;  ///< of each return: 0 where it does not move, else 1, 2, ...
   /// Places of each object's returns, evenly thinned; of object 1 first.
   std::vector<std::vector<Eigen::Vector3f>> places;
+  std::vector<float> late;  ///< when each was measured, seconds after the sweep's stamp
 };
 
 /// @param classid ClassId of every point
-Objects find_objects(const Points& points, const std::uint16_t* classid);
+/// @param late when every point was measured, seconds after the sweep's stamp; may be null
+Objects find_objects(const Points& points, const std::uint16_t* classid, const float* late);
 
-/// How far each object has come, in the frame of `objects`; zero where it is not found again.
+/// What is known of the way from one sweep to another.
+struct Passage {
+  Pose T_from_to;
+  float duration;  ///< seconds from stamp to stamp; negative where the other sweep came before
+  float max_speed;
+};
+
+/// Velocity of each object in the frame of `objects`, m/s; zero where it is not found again.
 ///
-/// The shift that brings most places of an object onto those of one of `later` is found by counting
+/// The shift that brings most places of an object onto those of one of `other` is found by counting
 /// all differences between them, then refined. It must explain both: a pedestrian is never lost in
 /// a passing car, nor the other way round.
-/// @param T_objects_later takes `later` to the frame of `objects`
-/// @param reach no object comes farther, metres
-std::vector<Eigen::Vector3f> displacements(const Objects& objects, const Objects& later,
-                                           const Pose& T_objects_later, float reach, int threads);
+std::vector<Eigen::Vector3f> velocities(const Objects& objects, const Objects& other,
+                                        const Passage& passage, int threads);
 
 }  // namespace docdepth

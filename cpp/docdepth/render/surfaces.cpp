@@ -42,15 +42,14 @@ Mesh small_mesh(const std::vector<Vector>& vertices, Triangles triangles) {
 std::vector<PlacedMesh> carried(const Motion& motion, int threads) {
   const SurfaceFrame& frame = *motion.nearest.frame;
   const Pose& T_camera_frame = motion.nearest.T_camera_frame;
-  std::vector<Vector> shifts(frame.surfaces.size(), Vector::Zero());
-  if (motion.share != 0)
-    shifts = displacements(frame.objects, motion.other.frame->objects,
-                           T_camera_frame.inverse() * motion.other.T_camera_frame, motion.reach,
-                           threads);
+  const Passage passage{T_camera_frame.inverse() * motion.other.T_camera_frame, motion.duration,
+                        motion.max_speed};
+  const auto velocity = velocities(frame.objects, motion.other.frame->objects, passage, threads);
   std::vector<PlacedMesh> placed;
-  for (std::size_t k = 0; k < shifts.size(); ++k) {
+  for (std::size_t k = 0; k < velocity.size(); ++k) {
+    const float seconds = motion.delay - frame.objects.late[k];
     Pose T_camera_object = T_camera_frame;
-    T_camera_object.translate((shifts[k] * motion.share).cast<double>());
+    T_camera_object.translate((velocity[k] * seconds).cast<double>());
     placed.push_back({&frame.surfaces[k], T_camera_object});
   }
   return placed;
@@ -61,8 +60,8 @@ std::vector<PlacedMesh> carried(const Motion& motion, int threads) {
 SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles)[3],
                            const std::uint8_t* cut, std::size_t triangle_count,
                            const std::uint32_t* loose, std::size_t loose_count, float loose_angle,
-                           const std::uint16_t* classid)
-    : objects(find_objects(points, classid)) {
+                           const std::uint16_t* classid, const float* late)
+    : objects(find_objects(points, classid, late)) {
   auto [vertices, parts] = part_surface(points, triangles, cut, triangle_count, objects.owner,
                                         objects.places.size() + 1);
   for (std::size_t i = 0; i < loose_count; ++i)

@@ -23,9 +23,10 @@ struct SurfaceFrame {
   /// @param loose rows of the returns that stand alone; each is drawn as a small diamond
   /// @param loose_angle half the diagonal of the diamond as the sensor sees it [rad]
   /// @param classid ClassId of every point
+  /// @param late when every point was measured, seconds after the sweep's stamp; may be null
   SurfaceFrame(const Points& points, const std::uint32_t (*triangles)[3], const std::uint8_t* cut,
                std::size_t triangle_count, const std::uint32_t* loose, std::size_t loose_count,
-               float loose_angle, const std::uint16_t* classid);
+               float loose_angle, const std::uint16_t* classid, const float* late);
 };
 
 /// A sweep where it stood relative to the camera at the image's time.
@@ -37,8 +38,9 @@ struct PlacedSurface {
 /// The sweep whose moving objects are drawn, and the one at the other side of the image's time.
 struct Motion {
   PlacedSurface nearest, other;
-  float share;  ///< of the way from the nearest to the other at which the image was taken
-  float reach;  ///< no object comes farther between the two, metres
+  float duration;   ///< seconds from the stamp of the nearest to that of the other
+  float delay;      ///< seconds from the stamp of the nearest to the image
+  float max_speed;  ///< metres per second
 };
 
 /// Depth map of what `fixed` measured of the world and what moves, row after row; NaN where there
