@@ -400,7 +400,7 @@ def _summary(folder: RunFolder) -> None:
     table = Table("stage", "frames", "seconds", "ms a frame", "where the time went", box=None)
     for name, state in folder.manifest["stages"].items():
         seconds: dict[str, float] = state.get("seconds", {})
-        total, frames = sum(seconds.values()), state.get("frames", 0)
+        total, frames = state.get("wall_seconds", 0.0), state.get("frames", 0)
         parts = ", ".join(f"{k} {v:.1f}" for k, v in sorted(seconds.items(), key=lambda x: -x[1]))
         each = f"{1000 * total / frames:.0f}" if frames else ""
         table.add_row(name, str(frames), f"{total:.1f}", each, parts)

@@ -14,6 +14,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from threading import Lock
 from typing import TypeVar
 
 import cv2
@@ -26,7 +27,7 @@ from docdepth.datasets.base import CameraStream, Dataset, usable_points
 from docdepth.errors import DatasetError, RunError
 from docdepth.ground import GroundMap
 from docdepth.io.atomic import write_atomically
-from docdepth.io.depth import encode_png
+from docdepth.io.depth import encode_png, read_depth
 from docdepth.io.ply import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.odometry import odometry
@@ -42,10 +43,16 @@ T = TypeVar("T")
 
 
 class Stopwatch:
-    """Seconds spent by name, for the profile in run.yaml."""
+    """Seconds spent by name, for the profile in run.yaml; names may run side by side."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
+        self._lock = Lock()
+        self._start = time.perf_counter()
+
+    def wall(self) -> float:
+        """Seconds since the stage began."""
+        return time.perf_counter() - self._start
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
@@ -53,7 +60,9 @@ class Stopwatch:
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            spent = time.perf_counter() - start
+            with self._lock:
+                self.seconds[name] = self.seconds.get(name, 0.0) + spent
 
 
 def run_odometry(
@@ -92,8 +101,10 @@ def run_odometry(
         estimate = odometry(dataset, parameters, poses, registered, checkpoint)
     write_trajectory(run.trajectory_path, estimate.trajectory, np.arange(total))
     period = np.float32(np.median(np.diff(dataset.times)) * 1e-9 if total > 1 else 0)
+    worked = 0
     for index in range(total):
         if run.frame_key(index).get("odometry") != key:
+            worked += 1
             with watch("deskew"):
                 sweep = dataset.sweep(index)
                 points = estimate.points(index)
@@ -114,7 +125,7 @@ def run_odometry(
             with watch("write"):
                 run.write_frame(index, record)
         tell(index + 1, total)
-    _finish(run, "odometry", watch, total)
+    _finish(run, "odometry", watch, worked)
 
 
 def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = None) -> None:
@@ -153,10 +164,12 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     voters = dynamics.key_frames(trajectory, parameters.dynamics)
     asked: dict[int, dynamics.KeyFrame] = {}
     tell = _teller(progress, "classify")
+    worked = 0
     with ThreadPoolExecutor(1) as writer:
         pending: Future[None] | None = None
         for index in range(total):
             if run.frame_key(index).get("classify") != key:
+                worked += 1
                 wanted = voters[index]
                 asked = {k: asked[k] for k in asked if k in set(wanted.tolist())}
                 for k in (int(k) for k in wanted if int(k) not in asked):
@@ -194,7 +207,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             pending.result()
     for path in grounds.glob("*"):
         path.unlink()
-    _finish(run, "classify", watch, total)
+    _finish(run, "classify", watch, worked)
 
 
 def run_render(
@@ -257,52 +270,64 @@ def run_render(
     shutter = Trajectory(times, trajectory.interpolate(times))
     write_trajectory(run.path / "traj_camera.ply", shutter, chosen)
 
-    made: dict[int, render.Frame] = {}
+    def load(index: int) -> render.Frame:
+        with watch("read"):
+            record = run.frame(index)
+        if record.classid is None:
+            raise RunError(f"frame {index} of {run.path} has no classes; run: docdepth classify")
+        with watch("frames"):
+            return render.Frame(
+                record.points, record.classid, parameters, run.parameters.surface, record.late
+            )
 
-    def frame(index: int) -> render.Frame:
-        if index not in made:
-            with watch("read"):
-                record = run.frame(index)
-            if record.classid is None:
-                raise RunError(
-                    f"frame {index} of {run.path} has no classes; run: docdepth classify"
-                )
-            with watch("frames"):
-                made[index] = render.Frame(
-                    record.points, record.classid, parameters, run.parameters.surface, record.late
-                )
-        return made[index]
+    def write(k: int, depth: NDArray[np.float32]) -> None:
+        with watch("write"):
+            picture = visualize.overlay(depth, _image(stream, k))
+            _write_image(run.path / "report" / f"{stream.names[k]}.jpg", picture)
+            png = encode_png(depth)
+            write_atomically(paths[k], lambda out: out.write(png))
 
-    densities: list[float] = []
+    paths = {int(k): run.path / "depth" / f"{stream.names[k]}.png" for k in chosen}
+    left = [
+        (int(k), int(t)) for k, t in zip(chosen, times, strict=True) if not paths[int(k)].is_file()
+    ]
+    whole = [path for path in paths.values() if path.is_file()]
+    densities = [float((read_depth(path) > 0).mean()) for path in whole]
     tell = _teller(progress, "render")
-    for done, (k, stamp) in enumerate(zip(chosen, times, strict=True)):
-        path = run.path / "depth" / f"{stream.names[k]}.png"
-        if not path.is_file():
-            stamp = int(stamp)
-            needed = render.needed_frames(trajectory, stamp, parameters)
-            made = {i: f for i, f in made.items() if i in needed}
-            for i in sorted(needed):
-                frame(i)
+    tell(len(whole), total)
+    made: dict[int, Future[render.Frame]] = {}
+    # Frames of the next image are made, and the last image is written, while one is drawn.
+    with ThreadPoolExecutor(2) as pool:
+        pending: Future[None] | None = None
+        for done, (k, stamp) in enumerate(left):
+            ahead = [t for _, t in left[done : done + 2]]
+            needed = set().union(*(render.needed_frames(trajectory, t, parameters) for t in ahead))
+            made = {i: made[i] for i in made if i in needed}
+            for i in sorted(needed - made.keys()):
+                made[i] = pool.submit(load, i)
+            for i in render.needed_frames(trajectory, stamp, parameters):
+                with watch("wait for frames"):
+                    made[i].result()
             with watch("draw"):
                 depth = render.render(
                     camera,
                     stream.T_camera_lidar,
                     trajectory,
                     stamp,
-                    frame,
+                    lambda i, made=made: made[i].result(),  # type: ignore[misc]
                     parameters,
                     threads,
                     renderer,
                 )
             densities.append(float(np.isfinite(depth).mean()))
-            with watch("write"):
-                picture = visualize.overlay(depth, _image(stream, int(k)))
-                _write_image(run.path / "report" / f"{stream.names[k]}.jpg", picture)
-                png = encode_png(depth)
-                write_atomically(path, lambda out, png=png: out.write(png))  # type: ignore[misc]
-        tell(done + 1, total)
+            if pending:
+                pending.result()
+            pending = pool.submit(write, k, depth)
+            tell(len(whole) + done + 1, total)
+        if pending:
+            pending.result()
     density = {"density": float(np.mean(densities))} if densities else {}
-    _finish(run, "render", watch, total, **density)
+    _finish(run, "render", watch, len(left), **density)
     return left_out
 
 
@@ -383,6 +408,7 @@ def _is_done(run: RunFolder, stage: str, key: str) -> bool:
 
 
 def _finish(run: RunFolder, stage: str, watch: Stopwatch, frames: int, **more: float) -> None:
+    """Mark a stage as done; ``frames`` were worked on in these seconds, others before."""
     before = run.stage(stage)
     kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     peak = kilobytes // 1024 if sys.platform != "darwin" else kilobytes // 1024**2
@@ -390,6 +416,7 @@ def _finish(run: RunFolder, stage: str, watch: Stopwatch, frames: int, **more: f
         stage,
         state="done",
         frames=frames,
+        wall_seconds=round(watch.wall(), 3),
         seconds={name: round(s, 3) for name, s in watch.seconds.items()},
         peak_memory_mb=max(peak, before.get("peak_memory_mb", 0)),
         **more,
