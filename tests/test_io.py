@@ -31,6 +31,7 @@ def frame() -> FrameRecord:
         classid=rng.choice([0, 50, 100], 100).astype(np.uint16),
         votes_static=rng.integers(0, 60, 100, dtype=np.uint16),
         votes_dynamic=rng.integers(0, 60, 100, dtype=np.uint16),
+        late=rng.uniform(-0.05, 0.05, 100).astype(np.float32),
     )
 
 
@@ -38,7 +39,7 @@ def test_frame_is_read_back_the_same(tmp_path, frame):
     path = tmp_path / "frames" / "frame_000000.ply"
     write_frame(path, frame)
     back = read_frame(path)
-    for name in ("points", "index", "classid", "votes_static", "votes_dynamic"):
+    for name in ("points", "index", "classid", "votes_static", "votes_dynamic", "late"):
         np.testing.assert_array_equal(getattr(back, name), getattr(frame, name))
     assert (back.name, back.input_points, back.key) == (frame.name, 201, frame.key)
     assert read_frame_key(path) == frame.key

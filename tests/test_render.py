@@ -10,7 +10,14 @@ import pytest
 
 from docdepth.config import RenderParameters
 from docdepth.errors import CalibrationError, InputError
-from docdepth.render import Camera, Frame, dynamic_frame, render, static_frames
+from docdepth.render import (
+    Camera,
+    Frame,
+    dynamic_frame,
+    needed_frames,
+    render,
+    static_frames,
+)
 from docdepth.trajectory import Trajectory
 
 # Camera axes in the LiDAR frame: x right = -y, y down = -z, z forward = x.
@@ -211,6 +218,10 @@ def test_bad_input_is_refused():
         Frame(np.zeros((3, 3), np.float32), np.zeros(2, np.uint16))
     with pytest.raises(InputError, match="outside the trajectory"):
         render(small_camera(), AXES, straight(2), -1, lambda _: frame_of([5, 0, 0]), PAPER)
+    with pytest.raises(InputError, match="not made for triangles"):
+        render(small_camera(), AXES, straight(2), 0, lambda _: frame_of([5, 0, 0]), TRIANGLES)
+    with pytest.raises(InputError, match="late"):
+        Frame(np.zeros((3, 3), np.float32), np.zeros(3, np.uint16), late=np.zeros(2, np.float32))
     with pytest.raises(CalibrationError, match="skew"):
         Camera(np.array([[9.0, 1, 5], [0, 9, 5], [0, 0, 1]]), 10, 10)
 
@@ -279,7 +290,8 @@ def draw_triangles(camera, vertices, triangles, threads=1):
         0.01,
     )
     placed = (frame, np.eye(4))
-    return _core.render_surfaces(camera.K, camera.width, camera.height, [placed], placed, threads)
+    size = camera.width, camera.height
+    return _core.render_surfaces(camera.K, *size, [placed], placed, placed, 0.0, 0.0, 0.0, threads)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -328,28 +340,47 @@ def test_triangles_do_not_depend_on_threads():
     assert np.isfinite(one).mean() > 0.1
 
 
-def test_a_moving_box_stands_before_the_wall_where_the_nearest_sweep_saw_it():
-    directions = spinning()
+@pytest.mark.parametrize(("max_speed", "late"), [(0.0, None), (50.0, None), (50.0, 0.012)])
+def test_a_moving_box_is_carried_to_where_it_was_when_the_image_was_taken(max_speed, late):
+    directions = spinning(columns=3000)
     camera = small_camera()
+    parameters = TRIANGLES.model_copy(update={"max_speed": max_speed})
 
-    def frame(index):  # the wall 20 m before the first sweep, the box a metre farther each time
+    def frame(index):  # sweeps a metre apart, a wall at 20 m, the box at 8 m goes 2 m a sweep
         wall = (20.0 - index) / directions[:, 0]
-        box = (8.0 + index) / directions[:, 0]
+        box = (8.0 + index + 20 * (late or 0)) / directions[:, 0]
         side = box[:, None] * directions
         on_box = (wall > 0) & (np.abs(side[:, 1]) < 2) & (np.abs(side[:, 2] + 0.5) < 1)
         ranges = np.where(on_box, box, wall)
         seen = (ranges > 0) & (ranges < 60)
         points = (directions * ranges[:, None])[seen].astype(np.float32)
-        return Frame(points, np.where(on_box[seen], 100, 50).astype(np.uint16), TRIANGLES)
+        classid = np.where(on_box[seen], 100, 50).astype(np.uint16)
+        times = None if late is None else np.full(len(points), late, np.float32)
+        return Frame(points, classid, parameters, late=times)
 
     frames = [frame(i) for i in range(4)]
-    depth = render(camera, AXES, straight(4), 160_000_000, frames.__getitem__, TRIANGLES)
+    depth = render(camera, AXES, straight(4), 160_000_000, frames.__getitem__, parameters)
+    # Sweep 2 saw the box at 12 m; 40 ms before, it was at 11.2 m and the camera at 1.6 m.
+    distance = 12 - 1.6 if max_speed == 0 else 11.2 - 1.6
     row, middle = 32, 79
-    assert depth[row, middle] == pytest.approx(2 + 10 - 1.6, rel=1e-4)
-    # 2 m at 10.4 m are 17.3 pixels; the last return lies within a quarter of a degree.
-    box = np.abs(depth[row] - 10.4) < 0.1
-    assert abs(box.sum() / 2 - 17.3) < 1.0
+    assert depth[row, middle] == pytest.approx(distance, abs=0.02)
+    box = np.abs(depth[row] - distance) < 0.1
+    assert abs(box.sum() - 4 / distance * 90) < 2.0  # 4 m wide; returns are 0.2 pixels apart
     assert np.nanmax(np.abs(depth[row, 20:140][~box[20:140]] - 18.4)) < 0.1
+
+
+@pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
+@pytest.mark.parametrize("time", [0, 130_000_000, 200_000_000, 260_000_000, 500_000_000])
+def test_needed_frames_are_those_that_are_asked_for(parameters, time):
+    trajectory, frames, _ = drive(np.random.default_rng(7), 130_000_000, parameters)
+    asked = set()
+
+    def frame(index):
+        asked.add(index)
+        return frames[index]
+
+    render(small_camera(), AXES, trajectory, time, frame, parameters)
+    assert asked == needed_frames(trajectory, time, parameters)
 
 
 def test_a_return_alone_is_a_small_diamond():
@@ -375,7 +406,7 @@ def test_sweeps_of_triangles_start_with_the_nearest_and_thin_out():
     assert ahead.min() > -TRIANGLES.behind
     assert ahead.max() > 0.7 * TRIANGLES.ahead
     ordered = np.sort(ahead[1:])
-    assert np.diff(ordered)[np.abs(ordered[1:]) < 8].max() < 4.1
+    assert np.diff(ordered)[np.abs(ordered[1:]) < 4].max() < 2.1
     assert np.diff(ordered)[ordered[1:] > 50].min() >= 8
     # The next images take the same sweeps, but for the nearest and a few that enter.
     following = static_frames(trajectory, 5_130_000_000, TRIANGLES)

@@ -1,4 +1,4 @@
-// Milliseconds a depth map, and how many times faster than drawing every disc pixel by pixel.
+// Milliseconds a depth map, and how many times faster than drawing every disc or triangle plainly.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -10,6 +10,8 @@
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/render/cloud.hpp"
 #include "docdepth/render/splats.hpp"
+#include "docdepth/render/surfaces.hpp"
+#include "docdepth/surface/surface.hpp"
 
 using namespace docdepth;
 
@@ -72,6 +74,78 @@ std::vector<float> plain(const Camera& c, const std::vector<Matrix>& sweeps,
   return depth;
 }
 
+/// Each triangle of each sweep drawn where it falls, in double precision, one thread.
+std::vector<float> plain(const Camera& c, const std::vector<Matrix>& sweeps,
+                         const std::vector<Surface>& surfaces, const std::vector<Pose>& poses) {
+  std::vector<float> depth(c.width * c.height, INFINITY);
+  for (std::size_t k = 0; k < surfaces.size(); ++k)
+    for (std::size_t t = 0; t < surfaces[k].triangles.size(); ++t) {
+      Eigen::Vector3d p[3];  // u, v, 1 / z
+      bool before = surfaces[k].cut[t] == 0;
+      for (int i = 0; i < 3; ++i) {
+        const Eigen::Vector3f point = sweeps[k].row(surfaces[k].triangles[t][i]);
+        const Eigen::Vector3d q = poses[k] * point.cast<double>();
+        before = before && q.z() > kNear;
+        p[i] = {c.fx * q.x() / q.z() + c.cx, c.fy * q.y() / q.z() + c.cy, 1 / q.z()};
+      }
+      if (!before) continue;
+      const auto low = p[0].cwiseMin(p[1]).cwiseMin(p[2]).eval();
+      const auto high = p[0].cwiseMax(p[1]).cwiseMax(p[2]).eval();
+      const auto cross = [](const Eigen::Vector3d& a, const Eigen::Vector3d& b, double u,
+                            double v) {
+        return (b.x() - a.x()) * (v - a.y()) - (b.y() - a.y()) * (u - a.x());
+      };
+      const double area = cross(p[0], p[1], p[2].x(), p[2].y());
+      for (int v = std::max(0, int(std::ceil(low.y()))); v <= high.y() && v < c.height; ++v)
+        for (int u = std::max(0, int(std::ceil(low.x()))); u <= high.x() && u < c.width; ++u) {
+          const double a = cross(p[1], p[2], u, v) / area, b = cross(p[2], p[0], u, v) / area;
+          if (!(a >= 0 && b >= 0 && a + b <= 1)) continue;
+          const double z = 1 / (a * p[0].z() + b * p[1].z() + (1 - a - b) * p[2].z());
+          depth[v * c.width + u] = std::min(depth[v * c.width + u], float(z));
+        }
+    }
+  return depth;
+}
+
+/// The default: sweeps as surfaces, at the places where static_frames() takes them.
+void measure_surfaces(const Camera& camera, const std::vector<Matrix>& sweeps,
+                      const Pose& T_camera_lidar) {
+  const std::vector<std::uint16_t> classid(sweeps[0].rows(), 50);
+  std::vector<Surface> surfaces;
+  std::vector<SurfaceFrame> frames;
+  std::vector<PlacedSurface> placed;
+  std::vector<Pose> poses;
+  const auto frame_of = [&](std::size_t k) {
+    const Surface& s = surfaces[k];
+    return SurfaceFrame(sweeps[k], reinterpret_cast<const std::uint32_t (*)[3]>(s.triangles.data()),
+                        s.cut.data(), s.triangles.size(), s.loose.data(), s.loose.size(), 0.002f,
+                        classid.data(), nullptr);
+  };
+  for (const double ahead :
+       {0, -1, 1, -2, 2, -3, 3, -4, 4, -6, 6, -8, 8, 12, 16, 24, 32, 48, 64, 80, 96}) {
+    const std::size_t k = poses.size();
+    surfaces.push_back(build_surface(sweeps[k], SurfaceParameters{}));
+    frames.push_back(frame_of(k));
+    poses.push_back(T_camera_lidar);
+    poses.back().translate(Eigen::Vector3d(ahead, 0, 0));
+  }
+  for (std::size_t k = 0; k < poses.size(); ++k) placed.push_back({&frames[k], poses[k]});
+  const double make = median_ms(5, [&] {
+    surfaces[0] = build_surface(sweeps[0], SurfaceParameters{});
+    frame_of(0);
+  });
+  std::printf("make a surface of %d points and put it in order: %.1f ms\n", int(sweeps[0].rows()),
+              make);
+  const double slow = median_ms(3, [&] { plain(camera, sweeps, surfaces, poses); });
+  std::printf("default, %zu sweeps, plain triangles: %.1f ms\n", poses.size(), slow);
+  for (const int threads : {1, 2}) {
+    const Motion still{placed[0], placed[0], 0, 0, 0};
+    const double fast = median_ms(11, [&] { render_surfaces(camera, placed, still, threads); });
+    std::printf("default, %d threads: %.1f ms, %.1f times the plain loop\n", threads, fast,
+                slow / fast);
+  }
+}
+
 }  // namespace
 
 int main() {
@@ -95,6 +169,7 @@ int main() {
     placed.push_back({&clouds[k], T, &heights});
   }
 
+  measure_surfaces(camera, sweeps, T_camera_lidar);
   std::printf("make a frame of %d points: %.2f ms\n", kPoints, make);
   std::vector<float> expected, depth;
   const double slow = median_ms(3, [&] { expected = plain(camera, sweeps, placed); });

@@ -1,6 +1,7 @@
 #include <pybind11/stl.h>
 
 #include <memory>
+#include <optional>
 
 #include "arrays.hpp"
 #include "docdepth/render/camera.hpp"
@@ -53,35 +54,38 @@ py::array_t<float> splats(const Array<double>& K, int width, int height,
   return to_numpy(std::move(depth), {height, width});
 }
 
-std::unique_ptr<SurfaceFrame> make_surface_frame(const Array<float>& points,
-                                                 const Array<std::uint16_t>& classid,
-                                                 const Array<std::uint32_t>& triangles,
-                                                 const Array<std::uint8_t>& cut,
-                                                 const Array<std::uint32_t>& loose,
-                                                 float loose_angle) {
+std::unique_ptr<SurfaceFrame> make_surface_frame(
+    const Array<float>& points, const Array<std::uint16_t>& classid,
+    const Array<std::uint32_t>& triangles, const Array<std::uint8_t>& cut,
+    const Array<std::uint32_t>& loose, float loose_angle, const std::optional<Array<float>>& late) {
   const PointMap map = as_points(points);
   const std::uint16_t* classes = as_column(classid, map.rows(), "classid");
   const py::ssize_t count = triangles.shape(0);
   const std::uint8_t* cuts = as_column(cut, count, "cut");
+  const float* times = late ? as_column(*late, map.rows(), "late") : nullptr;
   const auto* corners = reinterpret_cast<const std::uint32_t (*)[3]>(triangles.data());
   const py::gil_scoped_release release;
   return std::make_unique<SurfaceFrame>(map, corners, cuts, count, loose.data(), loose.size(),
-                                        loose_angle, classes);
+                                        loose_angle, classes, times);
 }
 
 using PlacedFrame = std::pair<const SurfaceFrame*, Array<double>>;
 
 py::array_t<float> surfaces(const Array<double>& K, int width, int height,
-                            const std::vector<PlacedFrame>& fixed, const PlacedFrame& moving,
+                            const std::vector<PlacedFrame>& fixed, const PlacedFrame& nearest,
+                            const PlacedFrame& other, float duration, float delay, float max_speed,
                             int threads) {
   const Camera camera = as_camera(K, width, height);
-  std::vector<PlacedSurface> placed;
-  for (const auto& [frame, pose] : fixed) placed.push_back({frame, as_pose(pose)});
-  const PlacedSurface mover{moving.first, as_pose(moving.second)};
+  const auto placed = [](const PlacedFrame& frame) {
+    return PlacedSurface{frame.first, as_pose(frame.second)};
+  };
+  std::vector<PlacedSurface> world;
+  for (const auto& frame : fixed) world.push_back(placed(frame));
+  const Motion motion{placed(nearest), placed(other), duration, delay, max_speed};
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth = render_surfaces(camera, placed, mover, threads);
+    depth = render_surfaces(camera, world, motion, threads);
   }
   return to_numpy(std::move(depth), {height, width});
 }
@@ -98,9 +102,9 @@ void bind_render(py::module_& m) {
                              [](const Frame& frame) { return frame.dynamic_points.size(); });
   py::class_<SurfaceFrame>(m, "SurfaceFrame")
       .def(py::init(&make_surface_frame), "points"_a, "classid"_a, "triangles"_a, "cut"_a,
-           "loose"_a, "loose_angle"_a);
-  m.def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "moving"_a,
-        "threads"_a = 0);
+           "loose"_a, "loose_angle"_a, "late"_a = py::none());
+  m.def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
+        "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "threads"_a = 0);
   m.def("render_splats", &splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0);
 }

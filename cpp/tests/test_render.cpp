@@ -5,6 +5,7 @@
 
 #include "docdepth/render/cloud.hpp"
 #include "docdepth/render/edges.hpp"
+#include "docdepth/render/motion.hpp"
 #include "docdepth/render/splats.hpp"
 #include "docdepth/render/triangles.hpp"
 
@@ -98,24 +99,32 @@ TEST_CASE("rendering does not depend on threads, and nothing gives no depth") {
   for (const float depth : render_splats(camera, {}, 2)) REQUIRE(std::isnan(depth));
 }
 
-TEST_CASE("the nearer triangle of a layer wins; a layer hides those before it only if it says so") {
+TEST_CASE("trusted surfaces stay, others come before each other where two agree, movers hide") {
   const Camera camera{100, 100, 10, 10, 21, 21};
   const auto square = [](float z, float from = -5) {
     return Mesh({{from, -5, z}, {5, -5, z}, {5, 5, z}, {from, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
   };
-  const Mesh far = square(10), near = square(5), half = square(5, 0.01f);
+  const Mesh far = square(10), near = square(5), too = square(5.05f), half = square(12, 0.01f);
   const Pose T = Pose::Identity();
-  for (const float depth : render_triangles(camera, {{{{&far, T}, {&near, T}}}}, 1))
-    REQUIRE(depth == doctest::Approx(5));
-  for (const float depth : render_triangles(camera, {{{{&far, T}}}, {{{&near, T}}}}, 1))
-    REQUIRE(depth == doctest::Approx(10));
-  for (const bool nearer_first : {true, false}) {
-    const Mesh &first = nearer_first ? near : far, &second = nearer_first ? far : near;
-    for (const float depth : render_triangles(camera, {{{{&first, T}}}, {{{&second, T}}, true}}, 1))
-      REQUIRE(depth == doctest::Approx(5));
+  const auto depth = [&](const std::vector<const Mesh*>& trusted,
+                         const std::vector<const Mesh*>& others,
+                         const std::vector<const Mesh*>& movers, int pixel) {
+    Drawing drawing;
+    for (const Mesh* mesh : trusted) drawing.trusted.push_back({mesh, T});
+    for (const Mesh* mesh : others) drawing.others.push_back({mesh, T});
+    for (const Mesh* mesh : movers) drawing.movers.push_back({mesh, T});
+    return doctest::Approx(render_triangles(camera, drawing, 1)[pixel]);
+  };
+  for (int i = 0; i < 21 * 21; ++i) {
+    CHECK(depth({&far, &near}, {}, {}, i) == 5);
+    CHECK(depth({&far}, {&near, &too}, {}, i) == 10);
+    CHECK(depth({}, {&far, &near}, {}, i) == 10);
+    CHECK(depth({}, {&far, &near, &too}, {}, i) == 5);
+    CHECK(depth({}, {&near, &far, &far}, {}, i) == 5);
+    CHECK(depth({&far}, {}, {&near}, i) == 5);
+    CHECK(depth({&near}, {}, {&far}, i) == 5);
+    CHECK(depth({&half}, {&far, &near, &too}, {}, i) == (i % 21 > 10 ? 12 : 5));
   }
-  const auto filled = render_triangles(camera, {{{{&half, T}}}, {{{&far, T}}}}, 1);
-  for (int i = 0; i < 21 * 21; ++i) REQUIRE(filled[i] == doctest::Approx(i % 21 > 10 ? 5 : 10));
 }
 
 TEST_CASE("a cut triangle is split in the middle of its angle, each part at its corners' range") {
@@ -123,21 +132,77 @@ TEST_CASE("a cut triangle is split in the middle of its angle, each part at its 
   points << 10, 0, 0, 20, 1, 0, 20, 0, 1;
   const std::uint32_t triangle[1][3] = {{0, 1, 2}};
   const std::uint8_t whole = 0, cut = 1;
-  const std::uint16_t fixed[3] = {50, 50, 50}, mixed[3] = {50, 100, 50};
-  CHECK(part_surface(points, triangle, &whole, 1, fixed).fixed.whole.size() == 1);
+  CHECK(part_surface(points, triangle, &whole, 1, {0, 0, 0}, 1).parts[0].whole.size() == 1);
 
-  const auto split = part_surface(points, triangle, &cut, 1, fixed);
-  CHECK(split.fixed.whole.empty());
-  REQUIRE(split.fixed.split.size() == 3);
-  for (const auto corner : split.fixed.split[0])
+  const auto split = part_surface(points, triangle, &cut, 1, {0, 0, 0}, 1);
+  CHECK(split.parts[0].whole.empty());
+  REQUIRE(split.parts[0].split.size() == 3);
+  for (const auto corner : split.parts[0].split[0])
     CHECK(split.vertices[corner].norm() == doctest::Approx(10));
   for (const auto part : {1, 2})
-    for (const auto corner : split.fixed.split[part]) CHECK(split.vertices[corner].norm() > 19.9);
+    for (const auto corner : split.parts[0].split[part])
+      CHECK(split.vertices[corner].norm() > 19.9);
 
-  // A class border is never joined, with or without a jump.
-  const auto border = part_surface(points, triangle, &whole, 1, mixed);
-  CHECK(border.fixed.whole.empty());
-  CHECK(border.moving.whole.empty());
-  CHECK(border.moving.split.size() == 1);
-  CHECK(border.fixed.split.size() == 2);
+  // Two owners are never joined, with or without a jump.
+  const auto border = part_surface(points, triangle, &whole, 1, {0, 1, 0}, 2);
+  CHECK(border.parts[0].whole.empty());
+  CHECK(border.parts[1].whole.empty());
+  CHECK(border.parts[1].split.size() == 1);
+  CHECK(border.parts[0].split.size() == 2);
+}
+
+TEST_CASE("where two planes meet between their last returns, each goes on to the other") {
+  // Seen from the origin: a floor 2 below, and a wall at x = 10 that stands on it.
+  Matrix points(6, 3);
+  points << 4, -1, -2, 4, 1, -2, 6, 0, -2, 10, -1, 0, 10, 1, 0, 10, 0, 1;
+  const std::uint32_t triangles[4][3] = {{0, 1, 2}, {3, 4, 5}, {2, 3, 4}, {1, 2, 4}};
+  const std::uint8_t cut[4] = {0, 0, 1, 1};
+  const auto surface = part_surface(points, triangles, cut, 4, std::vector<std::uint32_t>(6), 1);
+  CHECK(surface.parts[0].whole.size() == 2);
+  REQUIRE(surface.parts[0].split.size() == 6);
+  for (const auto& part : surface.parts[0].split)
+    for (const auto corner : part) {
+      const Eigen::Vector3f p = surface.vertices[corner];
+      const bool on_floor = p.z() == doctest::Approx(-2), on_wall = p.x() == doctest::Approx(10);
+      CHECK((on_floor || on_wall));
+    }
+}
+
+TEST_CASE("objects are told apart and found again, none in another") {
+  // The corner of a car, and a pedestrian beside it; each goes its own way.
+  std::mt19937 random(6);
+  std::uniform_real_distribution<float> along(0, 4), across(0, 1.7f), up(-1.5f, 0), person(0, 0.4f);
+  const auto scene = [&](Eigen::Vector3f car, Eigen::Vector3f walker) {
+    Matrix points(900, 3);
+    for (int i = 0; i < 800; ++i)
+      points.row(i) = (i % 4 ? Eigen::Vector3f(10 + along(random), 3, up(random))
+                             : Eigen::Vector3f(10, 3 + across(random), up(random))) +
+                      car;
+    for (int i = 800; i < 900; ++i)
+      points.row(i) =
+          Eigen::Vector3f(12 + person(random), 1.2f + person(random), up(random)) + walker;
+    return points;
+  };
+  const std::vector<std::uint16_t> moving(900, 100);
+  const std::vector<float> late(900, 0.02f), later(900, 0.03f);
+  const Objects objects = find_objects(scene({0, 0, 0}, {0, 0, 0}), moving.data(), late.data());
+  REQUIRE(objects.places.size() == 2);
+  CHECK(objects.owner[0] == 1);
+  CHECK(objects.owner[899] == 2);
+  CHECK(objects.late[0] == doctest::Approx(0.02));
+  const Matrix after = scene({3, -0.5f, 0}, {0.1f, 0.1f, 0});
+  Pose T = Pose::Identity();  // the sensor, too, has moved
+  T.rotate(Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitZ())).translate(Eigen::Vector3d(1, 2, 0));
+  Matrix seen = after;
+  for (int i = 0; i < 900; ++i)
+    seen.row(i) = (T.inverse() * after.row(i).transpose().cast<double>()).cast<float>();
+  const Passage passage{T, 0.1f, 50};
+  const Objects other = find_objects(seen, moving.data(), later.data());
+  const auto one = velocities(objects, other, passage, 1);
+  const auto two = velocities(objects, other, passage, 2);
+  CHECK((one[0] * 0.11f - Eigen::Vector3f(3, -0.5f, 0)).norm() < 0.08f);
+  CHECK((one[1] * 0.11f - Eigen::Vector3f(0.1f, 0.1f, 0)).norm() < 0.08f);
+  CHECK((one[0] == two[0] && one[1] == two[1]));
+  for (const auto& velocity : velocities(objects, Objects{}, passage, 1)) CHECK(velocity.isZero());
+  for (const auto& velocity : velocities(objects, other, {T, 0, 50}, 1)) CHECK(velocity.isZero());
 }

@@ -20,13 +20,14 @@ class _Stage(BaseModel):
 
 
 class OdometryParameters(_Stage):
-    """LiDAR odometry and deskewing (paper III-B; kiss-icp)."""
+    """LiDAR odometry and deskewing (paper III-B; kiss-icp, then small_gicp)."""
 
     max_range: float = Field(100.0, gt=0, description="points beyond are not registered [m]")
     min_range: float = Field(3.0, ge=0, description="points nearer are not registered [m]")
-    voxel_size: float = Field(1.0, gt=0, description="voxel size of the registration map [m]")
+    voxel_size: float = Field(1.0, gt=0, description="voxel size of kiss-icp's map [m]")
+    refine_voxel_size: float = Field(0.5, gt=0, description="of small_gicp's map [m]")
     passes: int = Field(
-        3, ge=1, le=5, description="registrations; from the second on, of deskewed sweeps"
+        3, ge=1, le=5, description="registrations; from the second on small_gicp's, deskewed"
     )
 
 
@@ -128,14 +129,17 @@ class RenderParameters(_Stage):
         "triangles",
         description="what a sweep is drawn as: discs of the paper's size, or the surface itself",
     )
-    behind: float = Field(20.0, ge=0, description="static sweeps behind the camera, d_min [m]")
+    behind: float = Field(10.0, ge=0, description="static sweeps behind the camera, d_min [m]")
     ahead: float = Field(100.0, gt=0, description="static sweeps ahead of it, d_max [m]")
-    step: float = Field(2.0, gt=0, description="spacing of static sweeps, d_step [m]")
+    step: float = Field(1.0, gt=0, description="spacing of static sweeps, d_step [m]")
     step_growth: float = Field(
         0.2, ge=0, description="spacing of triangles over their distance to the image [-]"
     )
     crop: float = Field(300.0, gt=0, description="points farther from their sensor, d_crop [m]")
     max_depth: float = Field(250.0, gt=0, description="nothing farther is drawn [m]")
+    max_speed: float = Field(
+        50.0, ge=0, description="moving objects are carried to the image's time up to this [m/s]"
+    )
     loose_deg: float = Field(
         0.1, gt=0, lt=10, description="half width of a return without a triangle [deg]"
     )

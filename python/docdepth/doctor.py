@@ -9,6 +9,9 @@ import platform
 
 from docdepth import __version__
 
+_REQUIRED = (
+    "numpy", "opencv-python-headless", "kiss-icp", "small-gicp", "pydantic", "plyfile",
+)  # fmt: skip
 _EXTRAS = {
     "synth": ("trimesh", "embreex"),
     "viz": ("open3d", "matplotlib"),
@@ -27,7 +30,7 @@ def doctor() -> list[tuple[str, str, bool]]:
         ("Python", platform.python_version(), True),
         ("machine", f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores", True),
     ]
-    for package in ("numpy", "opencv-python-headless", "kiss-icp", "pydantic", "plyfile"):
+    for package in _REQUIRED:
         rows.append((package, *_version(package)))
     for extra, packages in _EXTRAS.items():
         missing = [p for p in packages if not _version(p)[1]]

@@ -66,7 +66,7 @@ def run_odometry(
     Parameters
     ----------
     poses : ndarray of float64, shape (n, 4, 4), optional
-        ``T_world_lidar`` of another SLAM; kiss-icp runs when there are none.
+        ``T_world_lidar`` of another SLAM; registered here when there are none.
 
     Raises
     ------
@@ -90,6 +90,7 @@ def run_odometry(
 
         estimate = odometry(dataset, parameters, poses, registered, checkpoint)
     write_trajectory(run.trajectory_path, estimate.trajectory, np.arange(total))
+    period = np.float32(np.median(np.diff(dataset.times)) * 1e-9 if total > 1 else 0)
     for index in range(total):
         if run.frame_key(index).get("odometry") != key:
             with watch("deskew"):
@@ -107,6 +108,7 @@ def run_odometry(
                 sweep.name,
                 len(points),
                 {"odometry": key},
+                late=None if sweep.fraction is None else period * sweep.fraction[usable],
             )
             with watch("write"):
                 run.write_frame(index, record)
@@ -249,7 +251,7 @@ def run_render(
                 )
             with watch("frames"):
                 made[index] = render.Frame(
-                    record.points, record.classid, parameters, run.parameters.surface
+                    record.points, record.classid, parameters, run.parameters.surface, record.late
                 )
         return made[index]
 
@@ -259,8 +261,7 @@ def run_render(
         path = run.path / "depth" / f"{stream.names[k]}.png"
         if not path.is_file():
             stamp = int(stamp)
-            needed = set(render.static_frames(trajectory, stamp, parameters).tolist())
-            needed.add(render.dynamic_frame(trajectory, stamp))
+            needed = render.needed_frames(trajectory, stamp, parameters)
             made = {i: f for i, f in made.items() if i in needed}
             for i in sorted(needed):
                 frame(i)

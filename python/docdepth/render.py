@@ -65,6 +65,9 @@ class Frame:
         Its ``surface`` says what is made; :func:`render` wants the same.
     surface_parameters : SurfaceParameters, optional
         Of the triangles between neighbouring returns.
+    late : ndarray of float32, shape (N,), optional
+        When each point was measured, seconds after the sweep's time. Known, it tells better where
+        moving objects were.
 
     Raises
     ------
@@ -78,6 +81,7 @@ class Frame:
         classid: NDArray[np.uint16],
         parameters: RenderParameters | None = None,
         surface_parameters: SurfaceParameters | None = None,
+        late: NDArray[np.float32] | None = None,
     ) -> None:
         points, classid = np.asarray(points), np.asarray(classid)
         if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
@@ -89,13 +93,15 @@ class Frame:
                 f"classid must be uint16 of shape ({len(points)},), one for each point; "
                 f"got {classid.dtype} {classid.shape}"
             )
+        if late is not None and late.shape != (len(points),):
+            raise InputError(f"late must have shape ({len(points)},), a time a point")
         p = parameters or RenderParameters()
         points, classid = np.ascontiguousarray(points), np.ascontiguousarray(classid)
         self.core: _core.Frame | _core.SurfaceFrame
         if p.surface == "splats":
             self.core = _core.Frame(points, classid, p.crop)
         else:
-            self.core = _surface_frame(points, classid, p, surface_parameters)
+            self.core = _surface_frame(points, classid, p, surface_parameters, late)
 
 
 def _surface_frame(
@@ -103,6 +109,7 @@ def _surface_frame(
     classid: NDArray[np.uint16],
     parameters: RenderParameters,
     surface_parameters: SurfaceParameters | None,
+    late: NDArray[np.float32] | None,
 ) -> _core.SurfaceFrame:
     with np.errstate(invalid="ignore", over="ignore"):
         drawn = np.linalg.norm(points.astype(np.float64), axis=1) < parameters.crop
@@ -115,6 +122,7 @@ def _surface_frame(
         surface.cut.view(np.uint8),
         surface.loose,
         float(np.radians(parameters.loose_deg)),
+        None if late is None else late[drawn].astype(np.float32),
     )
 
 
@@ -163,6 +171,22 @@ def dynamic_frame(trajectory: Trajectory, time: int) -> int:
     return trajectory.nearest(time)
 
 
+def _other_frame(trajectory: Trajectory, time: int) -> int:
+    """The sweep on the other side of ``time`` than the nearest; that itself where there is none."""
+    nearest = trajectory.nearest(time)
+    other = nearest + int(np.sign(np.int64(time) - trajectory.times[nearest]))
+    return min(max(other, 0), len(trajectory) - 1)
+
+
+def needed_frames(
+    trajectory: Trajectory, time: int, parameters: RenderParameters | None = None
+) -> set[int]:
+    """Every sweep that :func:`render` asks for; all others can be forgotten."""
+    p = parameters or RenderParameters()
+    needed = {*static_frames(trajectory, time, p).tolist(), dynamic_frame(trajectory, time)}
+    return needed if p.surface == "splats" else needed | {_other_frame(trajectory, time)}
+
+
 def render(
     camera: Camera,
     T_camera_lidar: NDArray[np.float64],
@@ -197,16 +221,21 @@ def render(
     Raises
     ------
     InputError
-        ``time`` lies outside the trajectory.
+        ``time`` lies outside the trajectory, or a frame was made for another ``surface``.
     """
     p = parameters or RenderParameters()
     T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
 
+    kind = _core.Frame if p.surface == "splats" else _core.SurfaceFrame
+
     def place(index: int) -> tuple[Any, NDArray[np.float64]]:
-        return frames(index).core, T_camera_world @ trajectory.poses[index]
+        core = frames(index).core
+        if not isinstance(core, kind):
+            raise InputError(f"frame {index} was not made for {p.surface}; give Frame parameters")
+        return core, T_camera_world @ trajectory.poses[index]
 
     fixed = [place(int(i)) for i in static_frames(trajectory, time, p)]
-    moving = place(dynamic_frame(trajectory, time))
+    nearest = dynamic_frame(trajectory, time)
     depth: NDArray[np.float32]
     if p.surface == "splats":
         depth = _core.render_splats(
@@ -214,14 +243,25 @@ def render(
             camera.width,
             camera.height,
             static_frames=fixed,
-            dynamic_frames=[moving],
+            dynamic_frames=[place(nearest)],
             static_size=(p.static_size_max, p.static_size_min),
             dynamic_size=(p.dynamic_size_max, p.dynamic_size_min),
             threads=threads,
         )
     else:
+        other = _other_frame(trajectory, time)
+        stamp = trajectory.times[nearest]
         depth = _core.render_surfaces(
-            camera.K, camera.width, camera.height, fixed=fixed, moving=moving, threads=threads
+            camera.K,
+            camera.width,
+            camera.height,
+            fixed=fixed,
+            nearest=place(nearest),
+            other=place(other),
+            duration=float(trajectory.times[other] - stamp) * 1e-9,
+            delay=float(np.int64(time) - stamp) * 1e-9,
+            max_speed=p.max_speed,
+            threads=threads,
         )
     # The far plane: nearest wins, so cutting the result is cutting the points.
     depth[depth > p.max_depth] = np.nan

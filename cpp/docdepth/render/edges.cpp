@@ -8,78 +8,119 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// Normals of the whole surface at each point, of any length; zero where there is none.
+std::vector<Vector> normals_of(const Points& points,
+                               const std::vector<PartedSurface::Parts>& parts) {
+  std::vector<Vector> normals(points.rows(), Vector::Zero());
+  for (const auto& part : parts)
+    for (const auto& [i, j, k] : part.whole) {
+      const Vector p = points.row(i), q = points.row(j), r = points.row(k);
+      const Vector normal = (q - p).cross(r - p);
+      for (const auto corner : {i, j, k}) normals[corner] += normal;
+    }
+  return normals;
+}
+
 /// Splits triangles between one corner and the other two.
 class Splitter {
  public:
-  explicit Splitter(PartedSurface& surface) : surface_(surface) {}
+  Splitter(PartedSurface& surface, const std::vector<Vector>& normals)
+      : surface_(surface), normals_(normals) {}
 
   /// @param i corner that is alone; j and k follow it around the triangle
   void split(std::uint32_t i, std::uint32_t j, std::uint32_t k, Triangles& alone,
              Triangles& together) {
-    const Middle to_j = middle(i, j), to_k = middle(i, k);
+    const Border to_j = border(i, j), to_k = border(i, k);
     alone.push_back({i, to_j.first, to_k.first});
     together.push_back({to_j.second, j, k});
     together.push_back({to_j.second, k, to_k.second});
   }
 
  private:
-  /// The middle of an edge as seen from the sensor, at the range of its first end and of its
-  /// second.
-  struct Middle {
+  /// Where the surface of one end of an edge goes over into that of the other: the last vertex of
+  /// each, in one direction.
+  struct Border {
     std::uint32_t first, second;
   };
 
-  Middle middle(std::uint32_t a, std::uint32_t b) {
+  /// Nearness (1 / range), seen in direction `toward`, of the plane that goes on from point a.
+  float plane_nearness(std::uint32_t a, const Vector& toward) const {
+    const Vector& normal = normals_[a];
+    const float distance = normal.dot(surface_.vertices[a]);
+    return distance != 0 ? normal.dot(toward) / distance : 1 / surface_.vertices[a].norm();
+  }
+
+  Border border(std::uint32_t a, std::uint32_t b) {
     auto& vertices = surface_.vertices;
-    const Vector p = vertices[a], q = vertices[b];
-    const float range_p = p.norm(), range_q = q.norm();
-    const Vector toward = (p / range_p + q / range_q).normalized();
-    vertices.push_back(toward * range_p);
-    vertices.push_back(toward * range_q);
-    const auto count = static_cast<std::uint32_t>(vertices.size());
-    return {count - 2, count - 1};
+    const float range_a = vertices[a].norm(), range_b = vertices[b].norm();
+    const Vector toward_a = vertices[a] / range_a, toward_b = vertices[b] / range_b;
+    // Planes are linear in nearness. Where each is the nearer one at its own end they meet on the
+    // way, as the road and a wall do.
+    const float lead_a = 1 / range_a - plane_nearness(b, toward_a);
+    const float lead_b = 1 / range_b - plane_nearness(a, toward_b);
+    if (lead_a > 0 && lead_b > 0) {
+      const float share = lead_a / (lead_a + lead_b);
+      const Vector toward = toward_a * (1 - share) + toward_b * share;
+      const float nearness = plane_nearness(a, toward);
+      if (nearness > 0) return {add(toward / nearness), add(toward / nearness)};
+    }
+    const Vector toward = (toward_a + toward_b).normalized();
+    const float least = std::min(1 / range_a, 1 / range_b);
+    const float most = std::max(1 / range_a, 1 / range_b);
+    const float nearness_a = std::clamp(plane_nearness(a, toward), least, most);
+    const float nearness_b = std::clamp(plane_nearness(b, toward), least, most);
+    return {add(toward / nearness_a), add(toward / nearness_b)};
+  }
+
+  std::uint32_t add(const Vector& vertex) {
+    surface_.vertices.push_back(vertex);
+    return static_cast<std::uint32_t>(surface_.vertices.size() - 1);
   }
 
   PartedSurface& surface_;
+  const std::vector<Vector>& normals_;
 };
+
+/// The corner on its own side of the jump: that of another owner, else the nearest or the farthest,
+/// whichever lies farther from the middle one.
+int corner_alone(const std::vector<Vector>& vertices, const std::uint32_t corner[3],
+                 const std::vector<std::uint32_t>& owner) {
+  for (int i = 0; i < 3; ++i)
+    if (owner[corner[i]] != owner[corner[(i + 1) % 3]] &&
+        owner[corner[(i + 1) % 3]] == owner[corner[(i + 2) % 3]])
+      return i;
+  float range[3];
+  for (int i = 0; i < 3; ++i) range[i] = vertices[corner[i]].norm();
+  int order[3] = {0, 1, 2};
+  std::sort(order, order + 3, [&](int a, int b) { return range[a] < range[b]; });
+  const bool nearest = range[order[1]] - range[order[0]] > range[order[2]] - range[order[1]];
+  return order[nearest ? 0 : 2];
+}
 
 }  // namespace
 
 PartedSurface part_surface(const Points& points, const std::uint32_t (*triangles)[3],
                            const std::uint8_t* cut, std::size_t count,
-                           const std::uint16_t* classid) {
+                           const std::vector<std::uint32_t>& owner, std::size_t owners) {
   PartedSurface surface;
   surface.vertices.reserve(points.rows() + points.rows() / 2);
   for (Eigen::Index i = 0; i < points.rows(); ++i) surface.vertices.push_back(points.row(i));
-  Splitter splitter(surface);
+  surface.parts.resize(owners);
+  std::vector<std::size_t> jumps;
   for (std::size_t t = 0; t < count; ++t) {
+    const auto [i, j, k] = triangles[t];
+    if (cut[t] || owner[i] != owner[j] || owner[j] != owner[k])
+      jumps.push_back(t);
+    else
+      surface.parts[owner[i]].whole.push_back({i, j, k});
+  }
+  const auto normals = normals_of(points, surface.parts);
+  Splitter splitter(surface, normals);
+  for (const std::size_t t : jumps) {
     const auto* corner = triangles[t];
-    bool moves[3];
-    float range[3];
-    for (int i = 0; i < 3; ++i) {
-      moves[i] = classid[corner[i]] >= kDynamic;
-      range[i] = surface.vertices[corner[i]].norm();
-    }
-    const bool one_class = moves[0] == moves[1] && moves[1] == moves[2];
-    if (one_class && !cut[t]) {
-      (moves[0] ? surface.moving : surface.fixed)
-          .whole.push_back({corner[0], corner[1], corner[2]});
-      continue;
-    }
-    int alone = 0;
-    if (one_class) {  // the nearest or the farthest, whichever lies farther from the middle one
-      int order[3] = {0, 1, 2};
-      std::sort(order, order + 3, [&](int a, int b) { return range[a] < range[b]; });
-      const bool nearest = range[order[1]] - range[order[0]] > range[order[2]] - range[order[1]];
-      alone = order[nearest ? 0 : 2];
-    } else {
-      while (moves[alone] == moves[(alone + 1) % 3] || moves[alone] == moves[(alone + 2) % 3])
-        ++alone;
-    }
-    const int j = (alone + 1) % 3, k = (alone + 2) % 3;
-    auto& first = moves[alone] ? surface.moving : surface.fixed;
-    auto& second = moves[j] ? surface.moving : surface.fixed;
-    splitter.split(corner[alone], corner[j], corner[k], first.split, second.split);
+    const int alone = corner_alone(surface.vertices, corner, owner);
+    const std::uint32_t i = corner[alone], j = corner[(alone + 1) % 3], k = corner[(alone + 2) % 3];
+    splitter.split(i, j, k, surface.parts[owner[i]].split, surface.parts[owner[j]].split);
   }
   return surface;
 }

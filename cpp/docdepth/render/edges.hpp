@@ -12,23 +12,25 @@ namespace docdepth {
 /// Triangles of one kind, as rows of PartedSurface::vertices.
 using Triangles = std::vector<std::array<std::uint32_t, 3>>;
 
-/// A sweep's surface by what it belongs to. A triangle that spans a depth jump, or lies between a
-/// moving and a static return, is no surface; the object's edge crosses it somewhere. It is split
-/// in the middle as the sensor saw it, and each part continues its own corners at their range.
+/// A sweep's surface by what it belongs to: the world, and each moving object. A triangle that
+/// spans a depth jump, or lies between the returns of two, is no surface; an edge crosses it
+/// somewhere. It is split, and each part goes on with the plane of the surface at its own corners:
+/// to where the planes meet if they do on the way, else to the middle as the sensor saw it.
 struct PartedSurface {
   struct Parts {
     Triangles whole;  ///< measured surface
-    Triangles split;  ///< what continues it half way over depth jumps
+    Triangles split;  ///< what continues it over depth jumps
   };
   std::vector<Eigen::Vector3f> vertices;  ///< the points, and behind them those of the split
-  Parts fixed, moving;
+  std::vector<Parts> parts;               ///< by owner
 };
 
 /// @param triangles corners as rows of points
 /// @param cut 1 for each triangle across a depth jump
-/// @param classid ClassId of every point
+/// @param owner of every point: 0 the world, 1, 2, ... objects
+/// @param owners number of objects, and one
 PartedSurface part_surface(const Points& points, const std::uint32_t (*triangles)[3],
                            const std::uint8_t* cut, std::size_t count,
-                           const std::uint16_t* classid);
+                           const std::vector<std::uint32_t>& owner, std::size_t owners);
 
 }  // namespace docdepth

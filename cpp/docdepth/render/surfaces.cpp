@@ -1,5 +1,6 @@
 #include "docdepth/render/surfaces.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include "docdepth/render/edges.hpp"
@@ -23,32 +24,66 @@ void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
   triangles.push_back({first, first + 2, first + 3});
 }
 
+/// A mesh of few of the vertices.
+Mesh small_mesh(const std::vector<Vector>& vertices, Triangles triangles) {
+  std::vector<std::uint32_t> used;
+  for (const auto& corners : triangles) used.insert(used.end(), corners.begin(), corners.end());
+  std::sort(used.begin(), used.end());
+  used.erase(std::unique(used.begin(), used.end()), used.end());
+  std::vector<Vector> own;
+  for (const auto vertex : used) own.push_back(vertices[vertex]);
+  for (auto& corners : triangles)
+    for (auto& corner : corners)
+      corner = static_cast<std::uint32_t>(std::lower_bound(used.begin(), used.end(), corner) -
+                                          used.begin());
+  return Mesh(own, triangles);
+}
+
+/// The objects of the nearest sweep where they were when the image was taken.
+std::vector<PlacedMesh> carried(const Motion& motion, int threads) {
+  const SurfaceFrame& frame = *motion.nearest.frame;
+  const Pose& T_camera_frame = motion.nearest.T_camera_frame;
+  const Passage passage{T_camera_frame.inverse() * motion.other.T_camera_frame, motion.duration,
+                        motion.max_speed};
+  const auto velocity = velocities(frame.objects, motion.other.frame->objects, passage, threads);
+  std::vector<PlacedMesh> placed;
+  for (std::size_t k = 0; k < velocity.size(); ++k) {
+    const float seconds = motion.delay - frame.objects.late[k];
+    Pose T_camera_object = T_camera_frame;
+    T_camera_object.translate((velocity[k] * seconds).cast<double>());
+    placed.push_back({&frame.surfaces[k], T_camera_object});
+  }
+  return placed;
+}
+
 }  // namespace
 
 SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles)[3],
                            const std::uint8_t* cut, std::size_t triangle_count,
                            const std::uint32_t* loose, std::size_t loose_count, float loose_angle,
-                           const std::uint16_t* classid) {
-  PartedSurface surface = part_surface(points, triangles, cut, triangle_count, classid);
-  for (std::size_t i = 0; i < loose_count; ++i) {
-    auto& parts = classid[loose[i]] >= kDynamic ? surface.moving : surface.fixed;
-    add_diamond(points.row(loose[i]), loose_angle, surface.vertices, parts.whole);
+                           const std::uint16_t* classid, const float* late)
+    : objects(find_objects(points, classid, late)) {
+  auto [vertices, parts] = part_surface(points, triangles, cut, triangle_count, objects.owner,
+                                        objects.places.size() + 1);
+  for (std::size_t i = 0; i < loose_count; ++i)
+    add_diamond(points.row(loose[i]), loose_angle, vertices, parts[objects.owner[loose[i]]].whole);
+  whole = Mesh(vertices, parts[0].whole);
+  split = Mesh(vertices, parts[0].split);
+  for (std::size_t k = 1; k < parts.size(); ++k) {
+    auto& all = parts[k].whole;
+    all.insert(all.end(), parts[k].split.begin(), parts[k].split.end());
+    surfaces.push_back(small_mesh(vertices, std::move(all)));
   }
-  fixed = {Mesh(surface.vertices, surface.fixed.whole),
-           Mesh(surface.vertices, surface.fixed.split)};
-  moving = {Mesh(surface.vertices, surface.moving.whole),
-            Mesh(surface.vertices, surface.moving.split)};
 }
 
 std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
-                                   const PlacedSurface& moving, int threads) {
-  std::vector<Layer> layers;
-  for (const auto& [frame, pose] : fixed) layers.push_back({{{&frame->fixed.whole, pose}}});
-  if (!fixed.empty()) layers.push_back({{{&fixed[0].frame->fixed.split, fixed[0].T_camera_frame}}});
-  const auto& parts = moving.frame->moving;
-  layers.push_back(
-      {{{&parts.whole, moving.T_camera_frame}, {&parts.split, moving.T_camera_frame}}, true});
-  return render_triangles(camera, layers, threads);
+                                   const Motion& motion, int threads) {
+  Drawing drawing;
+  for (const auto& [frame, pose] : fixed)
+    (drawing.trusted.empty() ? drawing.trusted : drawing.others).push_back({&frame->whole, pose});
+  if (!fixed.empty()) drawing.others.push_back({&fixed[0].frame->split, fixed[0].T_camera_frame});
+  drawing.movers = carried(motion, threads);
+  return render_triangles(camera, drawing, threads);
 }
 
 }  // namespace docdepth

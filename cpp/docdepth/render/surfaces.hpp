@@ -6,25 +6,26 @@
 
 #include "docdepth/render/camera.hpp"
 #include "docdepth/render/mesh.hpp"
+#include "docdepth/render/motion.hpp"
 
 namespace docdepth {
 
-/// A sweep's surface made ready to be drawn, what moves apart from what does not.
+/// A sweep's surface made ready to be drawn, each moving object apart.
 struct SurfaceFrame {
-  struct Parts {
-    Mesh whole;  ///< measured surface, and returns that stand alone
-    Mesh split;  ///< what continues it half way over depth jumps
-  };
-  Parts fixed, moving;
+  Mesh whole;                  ///< measured surface of the world, and returns that stand alone
+  Mesh split;                  ///< what continues it over depth jumps
+  Objects objects;             ///< what moves
+  std::vector<Mesh> surfaces;  ///< of each object
 
   /// @param triangles corners as rows of points
   /// @param cut 1 for each triangle across a depth jump
   /// @param loose rows of the returns that stand alone; each is drawn as a small diamond
   /// @param loose_angle half the diagonal of the diamond as the sensor sees it [rad]
   /// @param classid ClassId of every point
+  /// @param late when every point was measured, seconds after the sweep's stamp; may be null
   SurfaceFrame(const Points& points, const std::uint32_t (*triangles)[3], const std::uint8_t* cut,
                std::size_t triangle_count, const std::uint32_t* loose, std::size_t loose_count,
-               float loose_angle, const std::uint16_t* classid);
+               float loose_angle, const std::uint16_t* classid, const float* late);
 };
 
 /// A sweep where it stood relative to the camera at the image's time.
@@ -33,12 +34,20 @@ struct PlacedSurface {
   Pose T_camera_frame;
 };
 
-/// Depth map of what `fixed` measured of the world and `moving` of what moves, row after row; NaN
-/// where there is none.
+/// The sweep whose moving objects are drawn, and the one at the other side of the image's time.
+struct Motion {
+  PlacedSurface nearest, other;
+  float duration;   ///< seconds from the stamp of the nearest to that of the other
+  float delay;      ///< seconds from the stamp of the nearest to the image
+  float max_speed;  ///< metres per second
+};
+
+/// Depth map of what `fixed` measured of the world and what moves, row after row; NaN where there
+/// is none.
 ///
-/// Two sweeps never measure quite the same. So sweeps are not mixed: each fills what those before
-/// it left empty, and the most trustworthy, which is the nearest, comes first.
+/// The sweeps of `fixed` come by trust: the first is the nearest. Moving objects are carried along
+/// their own motion to where they were when the image was taken.
 std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
-                                   const PlacedSurface& moving, int threads);
+                                   const Motion& motion, int threads);
 
 }  // namespace docdepth

@@ -9,7 +9,7 @@
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/render/dispatch.hpp"
 
-// The image is cut into strips of columns. One thread draws all of a strip, layer after layer, so
+// The image is cut into strips of columns. One thread draws all of a strip, mesh after mesh, so
 // nothing is shared and the order within a strip never changes.
 namespace docdepth {
 namespace {
@@ -22,14 +22,42 @@ typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
 /// Pixels by which triangles are larger than they are, so that rounding leaves no cracks.
 constexpr float kSlack = 0.01f;
 
-/// Nearness (1 / depth, linear on every plane's image) of the columns [begin, end).
+/// Depths that differ by less than this share of them are one surface.
+constexpr float kAgree = 0.02f;
+
+constexpr float kLocked = std::numeric_limits<float>::infinity();  // nothing is nearer
+
+/// Nearness (1 / depth, linear on every plane's image) of the columns [begin, end); 0 is empty.
 struct Strip {
   int begin, end, height;
-  std::vector<float> nearness;  // kStrip + kLanes columns a row
+  std::vector<float> nearness;           // kStride numbers a row
+  std::vector<std::uint8_t> open_tiles;  // 0 where nothing needs to be drawn
 
-  static constexpr int kStride = kStrip + kLanes;
+  static constexpr int kStride = kStrip + kLanes, kTile = kLanes, kTiles = kStride / kTile;
   Strip(int b, int e, int h)
-      : begin(b), end(e), height(h), nearness(std::size_t(kStride) * h, 0.0f) {}
+      : begin(b),
+        end(e),
+        height(h),
+        nearness(std::size_t(kStride) * h, 0.0f),
+        open_tiles(std::size_t(kTiles) * ((h + kTile - 1) / kTile), 1) {}
+
+  /// Keeps what has been drawn from being drawn over.
+  void lock() {
+    std::fill(open_tiles.begin(), open_tiles.end(), std::uint8_t{0});
+    for (int v = 0; v < height; ++v)
+      for (int u = 0; u < end - begin; ++u) {
+        float& w = nearness[std::size_t(v) * kStride + u];
+        if (!(w > 0)) open_tiles[(v / kTile) * kTiles + u / kTile] = 1;
+        w = w > 0 ? kLocked : 0.0f;
+      }
+  }
+
+  bool is_open(int first_u, int last_u, int first_v, int last_v) const {
+    for (int v = first_v / kTile; v <= last_v / kTile; ++v)
+      for (int u = (first_u - begin) / kTile; u <= (last_u - begin) / kTile; ++u)
+        if (open_tiles[v * kTiles + u]) return true;
+    return false;
+  }
 };
 
 /// Vertices of a patch in the image.
@@ -85,6 +113,7 @@ DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corn
   const int first_u = int(std::ceil(low_u)), last_u = int(high_u);
   const int first_v = int(std::ceil(low_v)), last_v = int(high_v);
   if (first_u > last_u || first_v > last_v) return;
+  if (!strip.is_open(first_u, last_u, first_v, last_v)) return;
 
   const float area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va);
   if (area == 0) return;
@@ -118,6 +147,21 @@ DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corn
   }
 }
 
+/// Does any of the patch fall on what may still be drawn?
+DOCDEPTH_INLINE bool is_open(const Projected& p, const Mesh::Patch& patch, const Strip& strip) {
+  float low_u = strip.end, high_u = strip.begin - 1, low_v = strip.height, high_v = -1;
+  for (std::uint32_t i = 0; i < patch.vertices; ++i) {
+    if (!(p.w[i] > 0)) continue;
+    low_u = std::min(low_u, p.u[i]), high_u = std::max(high_u, p.u[i]);
+    low_v = std::min(low_v, p.v[i]), high_v = std::max(high_v, p.v[i]);
+  }
+  const auto first_u = int(std::max(low_u - 1, float(strip.begin)));
+  const auto last_u = int(std::min(high_u + 1, float(strip.end - 1)));
+  const auto first_v = int(std::max(low_v - 1, 0.0f));
+  const auto last_v = int(std::min(high_v + 1, float(strip.height - 1)));
+  return first_u <= last_u && first_v <= last_v && strip.is_open(first_u, last_u, first_v, last_v);
+}
+
 DOCDEPTH_INLINE void draw_mesh(const Camera& camera, const PlacedMesh& placed, Strip& strip) {
   const Mesh& mesh = *placed.mesh;
   Camera part = camera;  // the columns of the strip as a camera of their own, for culling
@@ -130,44 +174,80 @@ DOCDEPTH_INLINE void draw_mesh(const Camera& camera, const PlacedMesh& placed, S
   for (const Mesh::Patch& patch : mesh.patches()) {
     if (!frustum.touches(patch.box)) continue;
     project_patch(mesh, patch, T, camera, points);
+    if (!is_open(points, patch, strip)) continue;
     for (std::uint32_t t = 0; t < patch.triangles; ++t)
       draw_triangle(points, mesh.corners()[patch.triangle + t], strip);
   }
 }
 
-DOCDEPTH_INLINE void draw_strip(const Camera& camera, const std::vector<Layer>& layers,
-                                Strip& strip) {
-  constexpr float locked = std::numeric_limits<float>::infinity();
-  std::vector<float> before;
-  for (const Layer& layer : layers) {
-    if (!layer.hides) {  // nothing is nearer than what is locked
-      before = strip.nearness;
-      for (float& w : strip.nearness) w = w > 0 ? locked : 0.0f;
-    }
-    for (const PlacedMesh& mesh : layer.meshes) draw_mesh(camera, mesh, strip);
-    if (!layer.hides)
-      for (std::size_t i = 0; i < before.size(); ++i)
-        if (strip.nearness[i] == locked) strip.nearness[i] = before[i];
-  }
+DOCDEPTH_INLINE void load(const float* from, Floats& values) {
+  std::memcpy(&values, from, sizeof values);
 }
 
-DOCDEPTH_AVX2 void draw_strip_avx2(const Camera& camera, const std::vector<Layer>& layers,
-                                   Strip& strip) {
-  draw_strip(camera, layers, strip);
+DOCDEPTH_INLINE void store(const Floats& values, float* to) {
+  std::memcpy(to, &values, sizeof values);
 }
-void draw_strip_plain(const Camera& camera, const std::vector<Layer>& layers, Strip& strip) {
-  draw_strip(camera, layers, strip);
+
+/// What the strip is made of while sweeps are weighed against each other, and nothing of it yet.
+struct Scales {
+  std::vector<float> locked;  ///< the strip before a sweep is drawn
+  std::vector<float> chosen, waiting;
+
+  explicit Scales(const Strip& strip)
+      : locked(strip.nearness), chosen(locked.size(), 0.0f), waiting(locked.size(), 0.0f) {}
+};
+
+/// Takes one more measurement of each open pixel, and clears it. The first is chosen; one that is
+/// nearer waits until another confirms it.
+DOCDEPTH_INLINE void weigh(Strip& strip, Scales& scales) {
+  constexpr float more = 1 / (1 - kAgree), less = 1 / (1 + kAgree);
+  for (int v = 0; v < strip.height; ++v)
+    for (int tile = 0; tile < Strip::kTiles; ++tile) {
+      if (!strip.open_tiles[(v / Strip::kTile) * Strip::kTiles + tile]) continue;
+      const std::size_t i = std::size_t(v) * Strip::kStride + tile * Strip::kTile;
+      Floats w, locked, chosen, waiting;
+      load(&strip.nearness[i], w), load(&scales.locked[i], locked);
+      load(&scales.chosen[i], chosen), load(&scales.waiting[i], waiting);
+      const Integers known = (w > 0.0f) & (w < kLocked), first = known & (chosen == 0.0f);
+      const Integers nearer = known & ~first & (w > chosen * more);
+      const Integers confirmed = nearer & (w < waiting * more) & (w > waiting * less);
+      const Floats better = confirmed ? waiting : chosen, later = nearer ? w : waiting;
+      store(first ? w : better, &scales.chosen[i]);
+      store(confirmed ? Floats{} : later, &scales.waiting[i]);
+      store(locked, &strip.nearness[i]);
+    }
+}
+
+DOCDEPTH_INLINE void draw_strip(const Camera& camera, const Drawing& drawing, Strip& strip) {
+  for (const PlacedMesh& mesh : drawing.trusted) draw_mesh(camera, mesh, strip);
+  std::vector<float> result = strip.nearness;
+  strip.lock();
+  Scales scales(strip);
+  for (const PlacedMesh& mesh : drawing.others) {
+    draw_mesh(camera, mesh, strip);
+    weigh(strip, scales);
+  }
+  for (std::size_t i = 0; i < result.size(); ++i) result[i] = std::max(result[i], scales.chosen[i]);
+  strip.nearness = std::move(result);
+  std::fill(strip.open_tiles.begin(), strip.open_tiles.end(), std::uint8_t{1});
+  for (const PlacedMesh& mesh : drawing.movers) draw_mesh(camera, mesh, strip);
+}
+
+DOCDEPTH_AVX2 void draw_strip_avx2(const Camera& camera, const Drawing& drawing, Strip& strip) {
+  draw_strip(camera, drawing, strip);
+}
+void draw_strip_plain(const Camera& camera, const Drawing& drawing, Strip& strip) {
+  draw_strip(camera, drawing, strip);
 }
 
 }  // namespace
 
-std::vector<float> render_triangles(const Camera& camera, const std::vector<Layer>& layers,
-                                    int threads) {
+std::vector<float> render_triangles(const Camera& camera, const Drawing& drawing, int threads) {
   const auto draw = DOCDEPTH_HAS_AVX2() ? draw_strip_avx2 : draw_strip_plain;
   std::vector<float> depth(std::size_t(camera.width) * camera.height);
   parallel_for(camera.width, kStrip, threads, [&](std::size_t begin, std::size_t end) {
     Strip strip(static_cast<int>(begin), static_cast<int>(end), camera.height);
-    draw(camera, layers, strip);
+    draw(camera, drawing, strip);
     for (int v = 0; v < camera.height; ++v)
       for (int u = strip.begin; u < strip.end; ++u) {
         const float w = strip.nearness[std::size_t(v) * Strip::kStride + (u - strip.begin)];

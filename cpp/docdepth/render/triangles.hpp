@@ -14,18 +14,18 @@ struct PlacedMesh {
   Pose T_camera_mesh;
 };
 
-/// Meshes among which the nearest surface wins.
-struct Layer {
-  std::vector<PlacedMesh> meshes;
-  /// Does it hide what lies farther in the layers before it? If not, it is drawn only where these
-  /// left pixels empty.
-  bool hides = false;
+/// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all
+/// surfaces is not the best: it is the one with the most noise and the widest silhouette.
+struct Drawing {
+  std::vector<PlacedMesh> trusted;  ///< nothing but what moves is drawn over these
+  /// Each fills what those before it left empty. It is drawn over them only where two agree that
+  /// something is nearer.
+  std::vector<PlacedMesh> others;
+  std::vector<PlacedMesh> movers;  ///< hide what is farther
 };
 
-/// Depth of the surface at each pixel, row after row; NaN where there is none. Layers are drawn in
-/// their order. Triangles with a corner nearer than kNear are left out. The result does not depend
-/// on the number of threads.
-std::vector<float> render_triangles(const Camera& camera, const std::vector<Layer>& layers,
-                                    int threads);
+/// Depth of the surface at each pixel, row after row; NaN where there is none. Triangles with a
+/// corner nearer than kNear are left out. The result does not depend on the number of threads.
+std::vector<float> render_triangles(const Camera& camera, const Drawing& drawing, int threads);
 
 }  // namespace docdepth

@@ -42,6 +42,8 @@ class FrameRecord:
     classid : ndarray of uint16, shape (N,), optional
         Below 50 ground, 50 to 99 static, 100 and above dynamic.
     votes_static, votes_dynamic : ndarray of uint16, shape (N,), optional
+    late : ndarray of float32, shape (N,), optional
+        When each point was measured, seconds after the sweep's stamp.
     """
 
     points: NDArray[np.float32]
@@ -52,6 +54,7 @@ class FrameRecord:
     classid: NDArray[np.uint16] | None = None
     votes_static: NDArray[np.uint16] | None = None
     votes_dynamic: NDArray[np.uint16] | None = None
+    late: NDArray[np.float32] | None = None
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, indices: NDArray[np.int64]) -> None:
@@ -95,14 +98,15 @@ def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
 
 
 def write_frame(path: Path, frame: FrameRecord) -> None:
-    """Write a frame; labels and votes only when there are any."""
+    """Write a frame; labels, votes and times only when there are any."""
     fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("index", "<u4")]
     extra = {
         name: getattr(frame, name)
-        for name in ("classid", "votes_static", "votes_dynamic")
+        for name in ("classid", "votes_static", "votes_dynamic", "late")
         if getattr(frame, name) is not None
     }
-    rows = np.empty(len(frame.points), np.dtype(fields + [(name, "<u2") for name in extra]))
+    fields += [(name, "<f4" if name == "late" else "<u2") for name in extra]
+    rows = np.empty(len(frame.points), np.dtype(fields))
     rows["x"], rows["y"], rows["z"] = frame.points.T
     rows["index"] = frame.index
     for name, values in extra.items():
@@ -146,6 +150,7 @@ def read_frame(path: Path) -> FrameRecord:
         column("classid"),
         column("votes_static"),
         column("votes_dynamic"),
+        np.ascontiguousarray(rows["late"], np.float32) if "late" in names else None,
     )
 
 

@@ -6,6 +6,7 @@ import io
 import json
 import shutil
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +49,12 @@ class TrialFolder(RunFolder):
         """Sweep of the run with the classes of the trial, where there are any."""
         record = self._source.frame(index)
         stored = self._stored(index)
-        classes = [stored.get(name) for name in _STORED]
-        return FrameRecord(
-            record.points, record.index, record.name, record.input_points, _key(stored), *classes
+        return replace(
+            record,
+            key=_key(stored),
+            classid=stored.get("classid"),
+            votes_static=stored.get("votes_static"),
+            votes_dynamic=stored.get("votes_dynamic"),
         )
 
     def frame_key(self, index: int) -> dict[str, str]:
