@@ -109,10 +109,10 @@ class DynamicsParameters(_Stage):
         1.5, ge=0, description="extent of what may stand a while and move, from above [m]"
     )
     freed_share: float = Field(
-        0.5, gt=0, le=1, description="share of its points whose place was free at another time"
+        0.6, gt=0, le=1, description="share of its points whose place was free at another time"
     )
     freed_votes: int = Field(2, ge=1, description="dynamic votes that show a place was free")
-    freed_ratio: float = Field(4.0, ge=1, description="most static votes that go with each of them")
+    freed_ratio: float = Field(8.0, ge=1, description="most static votes that go with each of them")
 
     @field_validator("window")
     @classmethod

@@ -19,9 +19,9 @@ struct ObjectParameters {
   int object_points = 10;     ///< an object has that many points
   float share = 0.5f;         ///< and moves when that share of them is dynamic
   float width = 1.5f;         ///< or when it is that wide and long, from above [m]
-  float freed_share = 0.5f;   ///< and the place of that share was seen free:
+  float freed_share = 0.6f;   ///< and the place of that share was seen free:
   int freed_votes = 2;        ///< by that many key frames,
-  float freed_ratio = 4;      ///< and by one to so many that saw it taken
+  float freed_ratio = 8;      ///< and by one to so many that saw it taken
 };
 
 /// Which points belong to what moves at some time.
