@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from docdepth import _core
-from docdepth.config import DynamicsParameters, parameters
+from docdepth.config import DynamicsParameters, SurfaceParameters, parameters
 from docdepth.dynamics import KeyFrame, Votes, classify, classify_drive, key_frames, vote
 from docdepth.errors import InputError
 from docdepth.trajectory import Trajectory
@@ -304,3 +304,17 @@ def real_sweep(k, drive="2011_09_26_drive_0005_sync"):
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = quaternion_to_matrix(row[4:]), row[1:4]
     return np.ascontiguousarray(points[:, :3]), T
+
+
+def test_the_surface_of_a_run_is_the_one_that_votes() -> None:
+    """A surface of tiny triangles only has no plane to look through."""
+    sweep = np.array([[10, y, z] for y in np.arange(-2, 2, 0.2) for z in np.arange(-1, 1, 0.2)])
+    wall = np.ascontiguousarray(sweep, np.float32)
+    query = np.ascontiguousarray(0.5 * (wall + [0, 0.1, 0.1]), np.float32)
+    none = np.zeros(len(wall), bool)
+    votes = [
+        vote(query, none, np.eye(4), [KeyFrame(wall, none, None, surface)], np.eye(4)[None])
+        for surface in (SurfaceParameters(), SurfaceParameters(max_gap_deg=0.1))
+    ]
+    assert votes[0].dynamic.mean() > 0.5
+    assert votes[1].dynamic.sum() == 0

@@ -133,7 +133,7 @@ def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
     """Ground, votes and classes again, with other parameters."""
     from docdepth.pipeline import run_classify
 
-    folder = _reopen(run, settings, "ground", "dynamics")
+    folder = _reopen(run, settings, "ground", "surface", "dynamics")
     with _progress() as progress:
         run_classify(folder, threads, progress)
     _summary(folder)

@@ -104,6 +104,9 @@ class KeyFrame:
         no returns and are left out.
     ground : ndarray of bool, shape (N,)
     parameters : DynamicsParameters, optional
+        Its ``against`` says whether pixels or the sweep's surface answer.
+    surface : SurfaceParameters, optional
+        Of that surface.
 
     Raises
     ------
@@ -116,12 +119,14 @@ class KeyFrame:
         points: NDArray[np.float32],
         ground: NDArray[np.bool_],
         parameters: DynamicsParameters | None = None,
+        surface: SurfaceParameters | None = None,
     ) -> None:
         p = parameters or DynamicsParameters()
         points, ground = _check_sweep(points, ground)
-        self._core = (
-            _range_image(points, ground, p) if p.against == "pixels" else _surface_image(points, p)
-        )
+        if p.against == "pixels":
+            self._core = _range_image(points, ground, p)
+        else:
+            self._core = _surface_image(points, p, surface)
 
 
 def vote(
@@ -184,6 +189,7 @@ def classify(
     votes: Votes,
     parameters: DynamicsParameters | None = None,
     points: NDArray[np.float32] | None = None,
+    surface: SurfaceParameters | None = None,
 ) -> NDArray[np.uint16]:
     """Turn votes into classes: dynamic where more key frames say so than say static.
 
@@ -199,6 +205,8 @@ def classify(
     parameters : DynamicsParameters, optional
     points : ndarray of float32, shape (N, 3), optional
         The deskewed sweep, LiDAR frame, metres.
+    surface : SurfaceParameters, optional
+        Of the surface that connects the points of an object.
 
     Returns
     -------
@@ -214,7 +222,7 @@ def classify(
     p = parameters or DynamicsParameters()
     if p.objects and points is not None:
         points, ground = _check_sweep(points, ground)
-        dynamic = _moving_points(points, ground, votes, p)
+        dynamic = _moving_points(points, ground, votes, p, surface)
     else:
         dynamic = votes.dynamic > votes.static
     if p.against == "pixels":
@@ -228,6 +236,7 @@ def classify_drive(
     parameters: DynamicsParameters | None = None,
     threads: int = 0,
     ground: Sequence[NDArray[np.bool_]] | None = None,
+    surface: SurfaceParameters | None = None,
 ) -> list[Labels]:
     """Classify a drive that fits into memory.
 
@@ -242,6 +251,8 @@ def classify_drive(
         0 for all cores.
     ground : sequence of ndarray of bool, optional
         Ground labels of each sweep; grown by :func:`docdepth.ground.grow_ground` when left out.
+    surface : SurfaceParameters, optional
+        Of the surfaces of key frames and objects.
 
     Returns
     -------
@@ -264,7 +275,7 @@ def classify_drive(
         )
     chosen = key_frames(trajectory, parameters)
     frames = {
-        int(j): KeyFrame(sweeps[j], ground[j], parameters)
+        int(j): KeyFrame(sweeps[j], ground[j], parameters, surface)
         for j in np.unique(np.concatenate(chosen))
     }
     labels = []
@@ -279,7 +290,7 @@ def classify_drive(
             parameters,
             threads,
         )
-        labels.append(Labels(classify(ground[i], votes, parameters, sweep), votes))
+        labels.append(Labels(classify(ground[i], votes, parameters, sweep, surface), votes))
     return labels
 
 
@@ -289,26 +300,32 @@ def _range_image(
     return _core.RangeImage(points, ground, np.radians(p.resolution_deg), p.window, p.tolerance)
 
 
-def _surface() -> _core.SurfaceParameters:
-    s = SurfaceParameters()
+def _surface(parameters: SurfaceParameters | None) -> _core.SurfaceParameters:
+    s = parameters or SurfaceParameters()
     surface = _core.SurfaceParameters()
     surface.max_gap = float(np.radians(s.max_gap_deg))
     surface.jump_ratio, surface.noise, surface.flatness = s.jump_ratio, s.noise, s.flatness
     return surface
 
 
-def _surface_image(points: NDArray[np.float32], p: DynamicsParameters) -> _core.KeyFrame:
+def _surface_image(
+    points: NDArray[np.float32], p: DynamicsParameters, surface: SurfaceParameters | None
+) -> _core.KeyFrame:
     image = _core.SurfaceImageParameters()
     image.resolution = float(np.radians(p.resolution_deg))
     image.window, image.tolerance = p.window, p.tolerance
     image.upright = _core.Margins(p.across, p.along, p.along_growth)
     image.level = _core.Margins(p.level_across, p.level_along, 0.0)
     image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
-    return _core.SurfaceImage(points, _surface(), image)
+    return _core.SurfaceImage(points, _surface(surface), image)
 
 
 def _moving_points(
-    points: NDArray[np.float32], ground: NDArray[np.bool_], votes: Votes, p: DynamicsParameters
+    points: NDArray[np.float32],
+    ground: NDArray[np.bool_],
+    votes: Votes,
+    p: DynamicsParameters,
+    surface: SurfaceParameters | None,
 ) -> NDArray[np.bool_]:
     objects = _core.ObjectParameters()
     objects.link, objects.link_growth = p.link, p.link_growth
@@ -318,7 +335,9 @@ def _moving_points(
     objects.width = p.object_width
     objects.freed_share, objects.freed_votes = p.freed_share, p.freed_votes
     objects.freed_ratio = p.freed_ratio
-    moving = _core.moving_points(points, ground, votes.static, votes.dynamic, _surface(), objects)
+    moving = _core.moving_points(
+        points, ground, votes.static, votes.dynamic, _surface(surface), objects
+    )
     return moving.view(np.bool_)
 
 

@@ -141,6 +141,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     key = stage_key(
         run.stage("odometry").get("key"),
         parameters.ground.model_dump(),
+        parameters.surface.model_dump(),
         parameters.dynamics.model_dump(),
     )
     if _is_done(run, "classify", key):
@@ -157,7 +158,9 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         index: int, record: FrameRecord, ground: NDArray[np.bool_], votes: dynamics.Votes
     ) -> None:
         with watch("objects"):
-            classid = dynamics.classify(ground, votes, parameters.dynamics, record.points)
+            classid = dynamics.classify(
+                ground, votes, parameters.dynamics, record.points, parameters.surface
+            )
         with watch("write"):
             _write_classified(run, index, replace(record, classid=classid))
 
@@ -177,7 +180,9 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                         record = run.frame(k)
                         ground = ground_of(k, len(record.points))
                     with watch("key frames"):
-                        asked[k] = dynamics.KeyFrame(record.points, ground, parameters.dynamics)
+                        asked[k] = dynamics.KeyFrame(
+                            record.points, ground, parameters.dynamics, parameters.surface
+                        )
                 with watch("read"):
                     record = run.frame(index)
                     ground = ground_of(index, len(record.points))

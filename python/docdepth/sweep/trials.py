@@ -13,7 +13,7 @@ import yaml
 from docdepth.config import Parameters, parameters, parse_settings
 from docdepth.errors import ConfigError
 
-_STAGES = ("ground", "dynamics")
+_STAGES = ("ground", "surface", "dynamics")
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def parameters_of(base: Parameters, trial: Trial) -> Parameters:
         if name != "preset" and name.partition(".")[0] not in _STAGES:
             raise ConfigError(
                 f"trial {trial.name!r}: {name!r} is no parameter of the classification; "
-                f"a sweep varies {' and '.join(_STAGES)}"
+                f"a sweep varies {', '.join(_STAGES)}"
             )
     preset = settings.pop("preset", None)
     if preset is None:
