@@ -5,6 +5,7 @@ void bind_ground(pybind11::module_& m);
 void bind_surface(pybind11::module_& m);
 void bind_dynamics(pybind11::module_& m);
 void bind_render(pybind11::module_& m);
+void bind_gl(pybind11::module_& m);
 }  // namespace docdepth::bindings
 
 PYBIND11_MODULE(_core, m) {
@@ -14,4 +15,5 @@ PYBIND11_MODULE(_core, m) {
   docdepth::bindings::bind_surface(m);
   docdepth::bindings::bind_dynamics(m);
   docdepth::bindings::bind_render(m);
+  docdepth::bindings::bind_gl(m);
 }

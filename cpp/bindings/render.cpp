@@ -1,22 +1,10 @@
-#include <pybind11/stl.h>
+#include "render.hpp"
 
 #include <memory>
 #include <optional>
 
-#include "arrays.hpp"
-#include "docdepth/render/camera.hpp"
-#include "docdepth/render/cloud.hpp"
-#include "docdepth/render/splats.hpp"
-#include "docdepth/render/surfaces.hpp"
-
 namespace docdepth::bindings {
 namespace {
-
-Camera as_camera(const Array<double>& K, int width, int height) {
-  if (K.ndim() != 2 || K.shape(0) != 3 || K.shape(1) != 3 || width < 1 || height < 1)
-    throw std::invalid_argument("K must be a float64 array of shape (3, 3), the size positive");
-  return {K.at(0, 0), K.at(1, 1), K.at(0, 2), K.at(1, 2), width, height};
-}
 
 std::unique_ptr<Frame> make_frame(const Array<float>& points, const Array<std::uint16_t>& classid,
                                   double crop) {
@@ -26,30 +14,16 @@ std::unique_ptr<Frame> make_frame(const Array<float>& points, const Array<std::u
   return std::make_unique<Frame>(map, classes, crop);
 }
 
-using Placed = std::pair<const Frame*, Array<double>>;
-
-void place(const std::vector<Placed>& frames, bool dynamic, const SplatHeights& heights,
-           std::vector<PlacedCloud>& clouds) {
-  for (const auto& [frame, pose] : frames)
-    clouds.push_back(
-        {dynamic ? &frame->dynamic_points : &frame->static_points, as_pose(pose), &heights});
-}
-
 py::array_t<float> splats(const Array<double>& K, int width, int height,
                           const std::vector<Placed>& static_frames,
-                          const std::vector<Placed>& dynamic_frames,
-                          std::pair<double, double> static_size,
-                          std::pair<double, double> dynamic_size, int threads) {
+                          const std::vector<Placed>& dynamic_frames, const Size& static_size,
+                          const Size& dynamic_size, int threads) {
   const Camera camera = as_camera(K, width, height);
-  const SplatHeights static_heights({static_size.first, static_size.second});
-  const SplatHeights dynamic_heights({dynamic_size.first, dynamic_size.second});
-  std::vector<PlacedCloud> clouds;
-  place(static_frames, false, static_heights, clouds);
-  place(dynamic_frames, true, dynamic_heights, clouds);
+  const PlacedClouds placed(static_frames, dynamic_frames, static_size, dynamic_size);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth = render_splats(camera, clouds, threads);
+    depth = render_splats(camera, placed.clouds, threads);
   }
   return to_numpy(std::move(depth), {height, width});
 }
@@ -69,19 +43,13 @@ std::unique_ptr<SurfaceFrame> make_surface_frame(
                                         loose_angle, classes, times);
 }
 
-using PlacedFrame = std::pair<const SurfaceFrame*, Array<double>>;
-
 py::array_t<float> surfaces(const Array<double>& K, int width, int height,
                             const std::vector<PlacedFrame>& fixed, const PlacedFrame& nearest,
                             const PlacedFrame& other, float duration, float delay, float max_speed,
                             int threads) {
   const Camera camera = as_camera(K, width, height);
-  const auto placed = [](const PlacedFrame& frame) {
-    return PlacedSurface{frame.first, as_pose(frame.second)};
-  };
-  std::vector<PlacedSurface> world;
-  for (const auto& frame : fixed) world.push_back(placed(frame));
-  const Motion motion{placed(nearest), placed(other), duration, delay, max_speed};
+  const auto world = as_surfaces(fixed);
+  const Motion motion{as_surface(nearest), as_surface(other), duration, delay, max_speed};
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;

@@ -3,10 +3,11 @@ C++ core of docdepth; use the documented functions of docdepth.* instead.
 """
 from __future__ import annotations
 import collections.abc
+import docdepth.errors
 import numpy
 import numpy.typing
 import typing
-__all__: list[str] = ['Frame', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'ObjectParameters', 'RangeImage', 'SurfaceFrame', 'SurfaceImage', 'SurfaceImageParameters', 'SurfaceParameters', 'moving_points', 'render_splats', 'render_surfaces', 'surface', 'vote']
+__all__: list[str] = ['Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'ObjectParameters', 'RangeImage', 'SurfaceFrame', 'SurfaceImage', 'SurfaceImageParameters', 'SurfaceParameters', 'egl_devices', 'moving_points', 'render_splats', 'render_surfaces', 'surface', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -205,6 +206,29 @@ class Frame:
 class SurfaceFrame:
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], classid: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], cut: typing.Annotated[numpy.typing.ArrayLike, numpy.uint8], loose: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], loose_angle: typing.SupportsFloat | typing.SupportsIndex, late: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
         ...
+class GlError(docdepth.errors.BackendError):
+    pass
+class GlRenderer:
+    def __init__(self, backend: str, device: typing.SupportsInt | typing.SupportsIndex = -1, library: str = '') -> None:
+        ...
+    def render_splats(self, K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], static_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], dynamic_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
+        ...
+    def render_surfaces(self, K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, fixed: collections.abc.Sequence[tuple[SurfaceFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], nearest: tuple[SurfaceFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]], other: tuple[SurfaceFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]], duration: typing.SupportsFloat | typing.SupportsIndex, delay: typing.SupportsFloat | typing.SupportsIndex, max_speed: typing.SupportsFloat | typing.SupportsIndex, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
+        ...
+    @property
+    def point_limit(self) -> int:
+        ...
+    @property
+    def renderer(self) -> str:
+        ...
+    @property
+    def software(self) -> bool:
+        ...
+    @property
+    def version(self) -> str:
+        ...
+def egl_devices(library: str = '') -> list[bool]:
+    ...
 def moving_points(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], statics: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamics: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], surface: SurfaceParameters, parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint8]:
     ...
 def render_splats(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], static_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], dynamic_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:

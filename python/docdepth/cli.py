@@ -20,6 +20,7 @@ from rich.table import Table
 from docdepth.errors import DocDepthError
 
 if TYPE_CHECKING:
+    from docdepth.backends import Renderer
     from docdepth.datasets.base import CameraStream, Dataset
     from docdepth.io.run_folder import RunFolder
 
@@ -40,6 +41,15 @@ Settings = Annotated[
     typer.Option("--set", metavar="STAGE.NAME=VALUE", help="Replace one parameter."),
 ]
 Threads = Annotated[int, typer.Option(min=0, help="Threads; 0 takes every core.")]
+RendererName = Annotated[
+    str | None,
+    typer.Option(
+        "--renderer",
+        metavar="NAME",
+        help="auto (a graphics card, else cpu), cpu, egl, egl:N, surfaceless or osmesa; "
+        "DOCDEPTH_RENDERER, else auto, if absent.",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
@@ -77,6 +87,7 @@ def run(
     preset: Annotated[str, typer.Option(help="default (measured best) or paper.")] = "default",
     settings: Settings = None,
     threads: Threads = 0,
+    renderer: RendererName = None,
 ) -> None:
     """From a recorded drive to a depth map for every camera image: all stages.
 
@@ -84,9 +95,11 @@ def run(
 
       docdepth run 2011_09_26_drive_0005_sync -o run --camera image_02
     """
+    from docdepth.backends import choose
     from docdepth.config import parameters, parse_settings
     from docdepth.io.run_folder import RunFolder
 
+    drawn_by = choose(renderer)
     values = parameters(preset, parse_settings(settings or []))  # type: ignore[arg-type]
     source = {
         "dataset": str(dataset.resolve()),
@@ -99,7 +112,7 @@ def run(
     recording, stream = _open(source)
     folder = RunFolder.create(output, source, values)
     with _progress() as progress:
-        _stages(folder, recording, stream, threads, progress)
+        _stages(folder, recording, stream, threads, progress, drawn_by)
     _summary(folder)
 
 
@@ -127,18 +140,25 @@ def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
 
 
 @app.command()
-def render(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
+def render(
+    run: RunPath,
+    settings: Settings = None,
+    threads: Threads = 0,
+    renderer: RendererName = None,
+) -> None:
     """Depth maps again, with other parameters."""
+    from docdepth.backends import choose
     from docdepth.datasets.run import RunDataset
     from docdepth.pipeline import run_render
 
+    drawn_by = choose(renderer)
     folder = _reopen(run, settings, "render")
     if folder.manifest["source"]:
         _, stream = _open(folder.manifest["source"])
     else:
         stream = RunDataset(run).cameras["camera"]
     with _progress() as progress:
-        run_render(folder, stream, threads, progress)
+        run_render(folder, stream, threads, progress, drawn_by)
     _summary(folder)
 
 
@@ -338,13 +358,18 @@ def _poses(source: dict[str, Any], recording: Dataset) -> Any:
 
 
 def _stages(
-    folder: RunFolder, recording: Dataset, stream: CameraStream, threads: int, progress: Any
+    folder: RunFolder,
+    recording: Dataset,
+    stream: CameraStream,
+    threads: int,
+    progress: Any,
+    renderer: Renderer,
 ) -> None:
     from docdepth.pipeline import run_classify, run_odometry, run_render
 
     run_odometry(folder, recording, _poses(folder.manifest["source"], recording), progress)
     run_classify(folder, threads, progress)
-    run_render(folder, stream, threads, progress)
+    run_render(folder, stream, threads, progress, renderer)
 
 
 def _reopen(path: Path, settings: list[str] | None, *stages: str) -> RunFolder:

@@ -7,7 +7,7 @@ import importlib.metadata
 import os
 import platform
 
-from docdepth import __version__
+from docdepth import __version__, backends
 
 _REQUIRED = (
     "numpy", "opencv-python-headless", "kiss-icp", "small-gicp", "pydantic", "plyfile",
@@ -36,6 +36,8 @@ def doctor() -> list[tuple[str, str, bool]]:
         missing = [p for p in packages if not _version(p)[1]]
         finding = f'missing; pip install "docdepth[{extra}]"' if missing else "installed"
         rows.append((f"extra {extra}", finding, not missing))
+    for backend in backends.available():
+        rows.append((f"renderer {backend.name}", backend.finding, backend.well))
     return rows
 
 

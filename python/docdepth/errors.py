@@ -29,5 +29,9 @@ class RunError(DocDepthError):
     """A run folder cannot be used as it is."""
 
 
+class BackendError(DocDepthError):
+    """A renderer is unknown or cannot be used on this machine."""
+
+
 class MissingExtraError(DocDepthError, ImportError):
     """An optional dependency is not installed."""

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth import dynamics, render, visualize
+from docdepth.backends import Renderer
 from docdepth.datasets.base import CameraStream, Dataset, usable_points
 from docdepth.errors import DatasetError, RunError
 from docdepth.ground import GroundMap
@@ -66,7 +67,7 @@ def run_odometry(
     Parameters
     ----------
     poses : ndarray of float64, shape (n, 4, 4), optional
-        ``T_world_lidar`` of another SLAM; kiss-icp runs when there are none.
+        ``T_world_lidar`` of another SLAM; registered here when there are none.
 
     Raises
     ------
@@ -197,9 +198,18 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
 
 
 def run_render(
-    run: RunFolder, stream: CameraStream, threads: int = 0, progress: Progress | None = None
+    run: RunFolder,
+    stream: CameraStream,
+    threads: int = 0,
+    progress: Progress | None = None,
+    renderer: Renderer | None = None,
 ) -> list[str]:
     """A depth map for every image of a camera into ``depth/``, pictures into ``report/``.
+
+    Parameters
+    ----------
+    renderer : Renderer, optional
+        What draws; the processor if absent. All draw the same.
 
     Returns
     -------
@@ -233,7 +243,15 @@ def run_render(
         run.clear("depth")
         run.clear("report")
     watch, total = Stopwatch(), len(chosen)
-    run.set_stage("render", state="running", key=key, camera=stream.name, left_out=left_out)
+    renderer = renderer or Renderer()
+    run.set_stage(
+        "render",
+        state="running",
+        key=key,
+        camera=stream.name,
+        left_out=left_out,
+        renderer=f"{renderer.name}: {renderer.description}",
+    )
     run.write_calibration(camera, stream.T_camera_lidar)
     times = stream.times[chosen]
     shutter = Trajectory(times, trajectory.interpolate(times))
@@ -267,7 +285,14 @@ def run_render(
                 frame(i)
             with watch("draw"):
                 depth = render.render(
-                    camera, stream.T_camera_lidar, trajectory, stamp, frame, parameters, threads
+                    camera,
+                    stream.T_camera_lidar,
+                    trajectory,
+                    stamp,
+                    frame,
+                    parameters,
+                    threads,
+                    renderer,
                 )
             densities.append(float(np.isfinite(depth).mean()))
             with watch("write"):

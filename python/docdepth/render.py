@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth import _core
+from docdepth.backends import Renderer
 from docdepth.config import RenderParameters, SurfaceParameters
 from docdepth.errors import CalibrationError, InputError
 from docdepth.surface import Surface
@@ -195,6 +196,7 @@ def render(
     frames: Callable[[int], Frame],
     parameters: RenderParameters | None = None,
     threads: int = 0,
+    renderer: Renderer | None = None,
 ) -> NDArray[np.float32]:
     """Depth map of the camera at one moment, composed of many sweeps (paper III-D).
 
@@ -212,6 +214,8 @@ def render(
     parameters : RenderParameters, optional
     threads : int
         0 takes all cores. The result does not depend on it.
+    renderer : Renderer, optional
+        What draws, from :func:`docdepth.backends.choose`; the processor if absent.
 
     Returns
     -------
@@ -222,6 +226,8 @@ def render(
     ------
     InputError
         ``time`` lies outside the trajectory, or a frame was made for another ``surface``.
+    BackendError
+        The renderer failed.
     """
     p = parameters or RenderParameters()
     T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
@@ -236,9 +242,10 @@ def render(
 
     fixed = [place(int(i)) for i in static_frames(trajectory, time, p)]
     nearest = dynamic_frame(trajectory, time)
+    core = (renderer or Renderer()).core
     depth: NDArray[np.float32]
     if p.surface == "splats":
-        depth = _core.render_splats(
+        depth = core.render_splats(
             camera.K,
             camera.width,
             camera.height,
@@ -251,7 +258,7 @@ def render(
     else:
         other = _other_frame(trajectory, time)
         stamp = trajectory.times[nearest]
-        depth = _core.render_surfaces(
+        depth = core.render_surfaces(
             camera.K,
             camera.width,
             camera.height,

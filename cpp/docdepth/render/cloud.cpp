@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstring>
 
+#include "docdepth/render/identity.hpp"
+
 namespace docdepth {
 namespace {
 
@@ -33,6 +35,7 @@ Box box_around(const Eigen::Vector3f& low, const Eigen::Vector3f& high) {
 }  // namespace
 
 Cloud::Cloud(const Points& points, const std::vector<std::uint8_t>& keep) {
+  id_ = new_identity();
   std::vector<std::uint32_t> cells(points.rows()), start(kSectors * kRings + 1, 0);
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     if (!keep[i]) continue;

@@ -25,6 +25,7 @@ class Cloud {
   Cloud(const Points& points, const std::vector<std::uint8_t>& keep);
 
   std::size_t size() const { return blocks_.empty() ? 0 : blocks_.back().end; }
+  std::uint64_t id() const { return id_; }  ///< see new_identity()
   const Box& box() const { return box_; }
   const std::vector<Block>& blocks() const { return blocks_; }
   const float* x() const { return x_.data(); }
@@ -32,6 +33,7 @@ class Cloud {
   const float* z() const { return z_.data(); }
 
  private:
+  std::uint64_t id_ = 0;
   Box box_{};
   std::vector<Block> blocks_;
   std::vector<float> x_, y_, z_;

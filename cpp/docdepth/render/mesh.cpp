@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "docdepth/render/identity.hpp"
+
 namespace docdepth {
 namespace {
 
@@ -49,6 +51,7 @@ Box box_around(const Vector& low, const Vector& high) {
 }  // namespace
 
 Mesh::Mesh(const std::vector<Vector>& vertices, const std::vector<Triangle>& triangles) {
+  id_ = new_identity();
   const Order order = by_direction(vertices, triangles);
   corners_.reserve(triangles.size());
   std::vector<std::uint32_t> patch_of(vertices.size(), ~0u);

@@ -31,6 +31,10 @@ class Mesh {
        const std::vector<std::array<std::uint32_t, 3>>& triangles);
 
   std::size_t size() const { return corners_.size(); }
+  std::size_t vertex_count() const {
+    return patches_.empty() ? 0 : patches_.back().vertex + patches_.back().vertices;
+  }
+  std::uint64_t id() const { return id_; }  ///< see new_identity()
   const Box& box() const { return box_; }
   const std::vector<Patch>& patches() const { return patches_; }
   const Corners* corners() const { return corners_.data(); }
@@ -40,6 +44,7 @@ class Mesh {
   const float* z() const { return z_.data(); }
 
  private:
+  std::uint64_t id_ = 0;
   Box box_{};
   std::vector<Patch> patches_;
   std::vector<Corners> corners_;

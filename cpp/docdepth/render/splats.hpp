@@ -22,6 +22,8 @@ class SplatHeights {
 
   int operator()(float squared_distance) const;
   int largest() const { return static_cast<int>(limit_.size()) - 1; }
+  /// The largest squared distance at which each height is reached.
+  const std::vector<float>& limits() const { return limit_; }
 
  private:
   std::vector<float> limit_;          // largest squared distance at which a height is reached

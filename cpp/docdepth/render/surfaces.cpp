@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "docdepth/render/edges.hpp"
-#include "docdepth/render/triangles.hpp"
 
 namespace docdepth {
 namespace {
@@ -84,8 +83,7 @@ SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles
                       small_mesh(vertices, std::move(parts[k].split))});
 }
 
-std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
-                                   const Motion& motion, int threads) {
+Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int threads) {
   Drawing drawing;
   for (const auto& [frame, pose] : fixed)
     (drawing.trusted.empty() ? drawing.trusted : drawing.others)
@@ -93,7 +91,12 @@ std::vector<float> render_surfaces(const Camera& camera, const std::vector<Place
   if (!fixed.empty())
     drawing.others.push_back({&fixed[0].frame->world.split, fixed[0].T_camera_frame});
   drawing.movers = carried(motion, threads);
-  return render_triangles(camera, drawing, threads);
+  return drawing;
+}
+
+std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
+                                   const Motion& motion, int threads) {
+  return render_triangles(camera, drawing_of(fixed, motion, threads), threads);
 }
 
 }  // namespace docdepth

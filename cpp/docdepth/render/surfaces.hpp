@@ -7,6 +7,7 @@
 #include "docdepth/render/camera.hpp"
 #include "docdepth/render/mesh.hpp"
 #include "docdepth/render/motion.hpp"
+#include "docdepth/render/triangles.hpp"
 
 namespace docdepth {
 
@@ -52,5 +53,8 @@ struct Motion {
 /// their own motion to where they were when the image was taken.
 std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
                                    const Motion& motion, int threads);
+
+/// What render_surfaces() draws, for any rasteriser of triangles.
+Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int threads);
 
 }  // namespace docdepth

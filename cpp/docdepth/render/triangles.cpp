@@ -22,9 +22,6 @@ typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
 /// Pixels by which triangles are larger than they are, so that rounding leaves no cracks.
 constexpr float kSlack = 0.01f;
 
-/// Depths that differ by less than this share of them are one surface.
-constexpr float kAgree = 0.02f;
-
 constexpr float kLocked = std::numeric_limits<float>::infinity();  // nothing is nearer
 
 /// Nearness (1 / depth, linear on every plane's image) of the columns [begin, end); 0 is empty.

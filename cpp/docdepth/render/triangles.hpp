@@ -14,6 +14,9 @@ struct PlacedMesh {
   Pose T_camera_mesh;
 };
 
+/// Depths that differ by less than this share of them are one surface.
+constexpr float kAgree = 0.02f;
+
 /// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all
 /// surfaces is not the best: it is the one with the most noise and the widest silhouette.
 struct Drawing {

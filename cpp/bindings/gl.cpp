@@ -1,0 +1,73 @@
+#include <memory>
+
+#include "docdepth/render/gl/renderer.hpp"
+#include "render.hpp"
+
+namespace docdepth::bindings {
+namespace {
+
+using gl::GlRenderer;
+
+std::unique_ptr<GlRenderer> open(const std::string& backend, int device,
+                                 const std::string& library) {
+  gl::Choice choice{gl::Backend::kEgl, device, library};
+  if (backend == "surfaceless")
+    choice.backend = gl::Backend::kSurfaceless;
+  else if (backend == "osmesa")
+    choice.backend = gl::Backend::kOsmesa;
+  else if (backend != "egl")
+    throw std::invalid_argument("backend must be egl, surfaceless or osmesa");
+  const py::gil_scoped_release release;
+  return std::make_unique<GlRenderer>(choice);
+}
+
+// The number of threads is the driver's own; the argument makes this a stand-in for the cpu.
+py::array_t<float> splats(GlRenderer& renderer, const Array<double>& K, int width, int height,
+                          const std::vector<Placed>& static_frames,
+                          const std::vector<Placed>& dynamic_frames, const Size& static_size,
+                          const Size& dynamic_size, int /*threads*/) {
+  const Camera camera = as_camera(K, width, height);
+  const PlacedClouds placed(static_frames, dynamic_frames, static_size, dynamic_size);
+  std::vector<float> depth;
+  {
+    const py::gil_scoped_release release;
+    depth = renderer.render_splats(camera, placed.clouds);
+  }
+  return to_numpy(std::move(depth), {height, width});
+}
+
+py::array_t<float> surfaces(GlRenderer& renderer, const Array<double>& K, int width, int height,
+                            const std::vector<PlacedFrame>& fixed, const PlacedFrame& nearest,
+                            const PlacedFrame& other, float duration, float delay, float max_speed,
+                            int threads) {
+  const Camera camera = as_camera(K, width, height);
+  const auto world = as_surfaces(fixed);
+  const Motion motion{as_surface(nearest), as_surface(other), duration, delay, max_speed};
+  std::vector<float> depth;
+  {
+    const py::gil_scoped_release release;
+    depth = renderer.render_triangles(camera, drawing_of(world, motion, threads));
+  }
+  return to_numpy(std::move(depth), {height, width});
+}
+
+}  // namespace
+
+void bind_gl(py::module_& m) {
+  using namespace py::literals;
+  py::register_exception<gl::GlError>(m, "GlError",
+                                      py::module_::import("docdepth.errors").attr("BackendError"));
+  m.def("egl_devices", &gl::egl_devices, "library"_a = "");
+  py::class_<GlRenderer>(m, "GlRenderer")
+      .def(py::init(&open), "backend"_a, "device"_a = -1, "library"_a = "")
+      .def_property_readonly("renderer", [](const GlRenderer& r) { return r.context().renderer(); })
+      .def_property_readonly("version", [](const GlRenderer& r) { return r.context().version(); })
+      .def_property_readonly("software", [](const GlRenderer& r) { return r.context().software(); })
+      .def_property_readonly("point_limit", &GlRenderer::point_limit)
+      .def("render_splats", &splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
+           "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0)
+      .def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
+           "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "threads"_a = 0);
+}
+
+}  // namespace docdepth::bindings

@@ -1,0 +1,53 @@
+// What the renderers' bindings share.
+#pragma once
+
+#include <pybind11/stl.h>
+
+#include "arrays.hpp"
+#include "docdepth/render/camera.hpp"
+#include "docdepth/render/cloud.hpp"
+#include "docdepth/render/splats.hpp"
+#include "docdepth/render/surfaces.hpp"
+
+namespace docdepth::bindings {
+
+inline Camera as_camera(const Array<double>& K, int width, int height) {
+  if (K.ndim() != 2 || K.shape(0) != 3 || K.shape(1) != 3 || width < 1 || height < 1)
+    throw std::invalid_argument("K must be a float64 array of shape (3, 3), the size positive");
+  return {K.at(0, 0), K.at(1, 1), K.at(0, 2), K.at(1, 2), width, height};
+}
+
+using Placed = std::pair<const Frame*, Array<double>>;
+using Size = std::pair<double, double>;  // sigma_max, sigma_min
+
+/// Static and moving points of their frames, with their sizes, as the renderers take them.
+struct PlacedClouds {
+  SplatHeights static_heights, dynamic_heights;
+  std::vector<PlacedCloud> clouds;
+
+  PlacedClouds(const std::vector<Placed>& static_frames, const std::vector<Placed>& dynamic_frames,
+               const Size& static_size, const Size& dynamic_size)
+      : static_heights({static_size.first, static_size.second}),
+        dynamic_heights({dynamic_size.first, dynamic_size.second}) {
+    for (const auto& [frame, pose] : static_frames)
+      clouds.push_back({&frame->static_points, as_pose(pose), &static_heights});
+    for (const auto& [frame, pose] : dynamic_frames)
+      clouds.push_back({&frame->dynamic_points, as_pose(pose), &dynamic_heights});
+  }
+  PlacedClouds(const PlacedClouds&) = delete;
+  PlacedClouds& operator=(const PlacedClouds&) = delete;
+};
+
+using PlacedFrame = std::pair<const SurfaceFrame*, Array<double>>;
+
+inline PlacedSurface as_surface(const PlacedFrame& placed) {
+  return {placed.first, as_pose(placed.second)};
+}
+
+inline std::vector<PlacedSurface> as_surfaces(const std::vector<PlacedFrame>& placed) {
+  std::vector<PlacedSurface> surfaces;
+  for (const auto& frame : placed) surfaces.push_back(as_surface(frame));
+  return surfaces;
+}
+
+}  // namespace docdepth::bindings

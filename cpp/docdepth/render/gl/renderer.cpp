@@ -1,0 +1,260 @@
+#include "docdepth/render/gl/renderer.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <string>
+
+#include "docdepth/geometry/rigid.hpp"
+#include "docdepth/render/gl/program.hpp"
+#include "docdepth/render/gl/shaders.hpp"
+
+namespace docdepth::gl {
+namespace {
+
+constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
+
+void check(const GlContext::Current& gl, const std::string& renderer) {
+  const unsigned error = gl->GetError();
+  if (error == kOutOfMemory) throw GlError(renderer + " is out of memory; draw fewer sweeps");
+  if (error) throw GlError(renderer + " failed with OpenGL error " + std::to_string(error));
+}
+
+/// Measurements of each pixel, one sweep after the other, weighed as render_triangles() does. The
+/// first is chosen; one that is nearer waits until another confirms it.
+class Weighed {
+ public:
+  explicit Weighed(std::size_t pixels) : chosen_(pixels, 0.0f), waiting_(pixels, 0.0f) {}
+
+  void take(const std::vector<float>& nearness) {
+    constexpr float more = 1 / (1 - kAgree), less = 1 / (1 + kAgree);
+    for (std::size_t i = 0; i < nearness.size(); ++i) {
+      const float w = nearness[i];
+      if (!(w > 0)) continue;
+      if (chosen_[i] == 0) {
+        chosen_[i] = w;
+      } else if (w > chosen_[i] * more) {
+        const bool confirmed = w < waiting_[i] * more && w > waiting_[i] * less;
+        if (confirmed) chosen_[i] = waiting_[i];
+        waiting_[i] = confirmed ? 0 : w;
+      }
+    }
+  }
+
+  const std::vector<float>& chosen() const { return chosen_; }
+
+ private:
+  std::vector<float> chosen_, waiting_;
+};
+
+}  // namespace
+
+GlRenderer::GlRenderer(const Choice& choice) : context_(choice) {
+  const Gl gl(context_);
+  float point_sizes[2] = {1, 1};
+  gl->GetFloatv(kPointSizeRange, point_sizes);
+  point_limit_ = static_cast<int>(point_sizes[1]);
+  int viewport[2] = {0, 0}, renderbuffer = 0;
+  gl->GetIntegerv(kMaxViewportSize, viewport);
+  gl->GetIntegerv(kMaxRenderbufferSize, &renderbuffer);
+  image_limit_ = std::min({viewport[0], viewport[1], renderbuffer});
+  splats_ = link(gl, {{kVertexShader, kSplatVertex}, {kFragmentShader, kSplatFragment}});
+  triangles_ = link(gl, {{kVertexShader, kTriangleVertex},
+                         {kGeometryShader, kTriangleGeometry},
+                         {kFragmentShader, kTriangleFragment}});
+
+  unsigned array = 0, framebuffer = 0;
+  gl->GenVertexArrays(1, &array);
+  gl->BindVertexArray(array);
+  for (unsigned axis = 0; axis < 3; ++axis) gl->EnableVertexAttribArray(axis);
+  gl->GenFramebuffers(1, &framebuffer);
+  gl->BindFramebuffer(kFramebuffer, framebuffer);
+  gl->GenRenderbuffers(1, &image_);
+  gl->BindRenderbuffer(kRenderbuffer, image_);
+  gl->Enable(kProgramPointSize);
+  gl->Enable(kBlend);
+  check(gl, context_.renderer());
+}
+
+/// Clears the image to `none`; of all that is drawn on a pixel the least (kMin) or most (kMax)
+/// stays.
+void GlRenderer::begin(const Gl& gl, const Camera& camera, unsigned program, unsigned keeps,
+                       float none) {
+  if (camera.width > image_limit_ || camera.height > image_limit_)
+    throw GlError(context_.renderer() + " draws images of at most " + std::to_string(image_limit_) +
+                  " pixels");
+  if (camera.width != width_ || camera.height != height_) {
+    width_ = height_ = 0;
+    gl->RenderbufferStorage(kRenderbuffer, kR32f, camera.width, camera.height);
+    gl->FramebufferRenderbuffer(kFramebuffer, kColorAttachment0, kRenderbuffer, image_);
+    if (gl->CheckFramebufferStatus(kFramebuffer) != kFramebufferComplete)
+      throw GlError(context_.renderer() + " cannot draw float images");
+    gl->Viewport(0, 0, camera.width, camera.height);
+    width_ = camera.width, height_ = camera.height;
+  }
+  gl->BlendEquation(keeps);
+  const float clear[4] = {none, none, none, none};
+  gl->ClearBufferfv(kColor, 0, clear);
+  gl->UseProgram(program);
+  const float lens[4] = {float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)};
+  gl->Uniform4fv(gl->GetUniformLocation(program, "lens"), 1, lens);
+  gl->Uniform2f(gl->GetUniformLocation(program, "size"), float(camera.width), float(camera.height));
+}
+
+void GlRenderer::place(const Gl& gl, unsigned program, const Pose& T_camera_points) {
+  const RigidTransform T(T_camera_points);
+  float rows[12];
+  for (int i = 0; i < 3; ++i) {
+    std::copy(T.r[i], T.r[i] + 3, rows + 4 * i);
+    rows[4 * i + 3] = T.t[i];
+  }
+  gl->Uniform4fv(gl->GetUniformLocation(program, "rows"), 3, rows);
+}
+
+/// Coordinates of a cloud or a mesh as attributes 0 to 2, from its copy on the device.
+template <class Shape>
+GlRenderer::Uploaded& GlRenderer::bind(const Gl& gl, const Shape& shape, std::size_t size,
+                                       unsigned divisor) {
+  Uploaded& copy = uploaded_[shape.id()];
+  copy.used = true;
+  const auto bytes = static_cast<std::ptrdiff_t>(size * sizeof(float));
+  const bool known = copy.coordinates;
+  if (!known) gl->GenBuffers(1, &copy.coordinates);
+  gl->BindBuffer(kArrayBuffer, copy.coordinates);
+  if (!known) {
+    gl->BufferData(kArrayBuffer, 3 * bytes, nullptr, kStaticDraw);
+    gl->BufferSubData(kArrayBuffer, 0, bytes, shape.x());
+    gl->BufferSubData(kArrayBuffer, bytes, bytes, shape.y());
+    gl->BufferSubData(kArrayBuffer, 2 * bytes, bytes, shape.z());
+  }
+  for (unsigned axis = 0; axis < 3; ++axis) {
+    gl->VertexAttribDivisor(axis, divisor);
+    gl->VertexAttribPointer(axis, 1, kFloat, 0, 0, reinterpret_cast<const void*>(axis * bytes));
+  }
+  return copy;
+}
+
+void GlRenderer::draw_cloud(const Gl& gl, const Camera& camera, const PlacedCloud& placed) {
+  const Cloud& cloud = *placed.cloud;
+  const Frustum frustum(camera, placed.T_camera_cloud);
+  if (!cloud.size() || !frustum.touches(cloud.box())) return;
+  std::vector<int> first, count;
+  for (const auto& block : cloud.blocks()) {
+    if (!frustum.touches(block.box)) continue;
+    first.push_back(static_cast<int>(block.begin));
+    count.push_back(static_cast<int>(block.end - block.begin));
+  }
+  if (first.empty()) return;
+
+  const auto& limits = placed.heights->limits();
+  const int largest = placed.heights->largest();
+  if (largest > kLargestSplat)
+    throw GlError("splats of " + std::to_string(largest) + " pixels are larger than the " +
+                  std::to_string(kLargestSplat) + " of OpenGL here; the cpu draws any size");
+  gl->Uniform1fv(gl->GetUniformLocation(splats_, "limits"), largest + 1, limits.data());
+  gl->Uniform1i(gl->GetUniformLocation(splats_, "largest"), largest);
+  const bool squares = largest > point_limit_;
+  gl->Uniform1i(gl->GetUniformLocation(splats_, "as_squares"), squares);
+  place(gl, splats_, placed.T_camera_cloud);
+  bind(gl, cloud, cloud.size(), squares ? 1 : 0);
+  if (squares)
+    gl->DrawArraysInstanced(kTriangleStrip, 0, 4, static_cast<int>(cloud.size()));
+  else
+    gl->MultiDrawArrays(kPoints, first.data(), count.data(), static_cast<int>(first.size()));
+}
+
+std::vector<float> GlRenderer::render_splats(const Camera& camera,
+                                             const std::vector<PlacedCloud>& clouds) {
+  return render([&](const Gl& gl) {
+    constexpr float none = std::numeric_limits<float>::infinity();
+    begin(gl, camera, splats_, kMin, none);
+    for (const auto& placed : clouds) {
+      draw_cloud(gl, camera, placed);
+      gl->Finish();  // else Mesa queues all of them, in gigabytes
+    }
+    auto depth = read(gl, camera);
+    std::replace(depth.begin(), depth.end(), none, kNone);
+    return depth;
+  });
+}
+
+void GlRenderer::draw_mesh(const Gl& gl, const Camera& camera, const PlacedMesh& placed) {
+  const Mesh& mesh = *placed.mesh;
+  const Frustum frustum(camera, placed.T_camera_mesh);
+  if (!mesh.size() || !frustum.touches(mesh.box())) return;
+  std::vector<int> count, base;
+  std::vector<const void*> corners;
+  for (const auto& patch : mesh.patches()) {
+    if (!frustum.touches(patch.box)) continue;
+    count.push_back(static_cast<int>(3 * patch.triangles));
+    base.push_back(static_cast<int>(patch.vertex));
+    corners.push_back(reinterpret_cast<const void*>(patch.triangle * sizeof(Mesh::Corners)));
+  }
+  if (count.empty()) return;
+  place(gl, triangles_, placed.T_camera_mesh);
+  Uploaded& copy = bind(gl, mesh, mesh.vertex_count(), 0);
+  const bool known = copy.corners;
+  if (!known) gl->GenBuffers(1, &copy.corners);
+  gl->BindBuffer(kElementArrayBuffer, copy.corners);
+  if (!known)
+    gl->BufferData(kElementArrayBuffer, std::ptrdiff_t(mesh.size() * sizeof(Mesh::Corners)),
+                   mesh.corners(), kStaticDraw);
+  gl->MultiDrawElementsBaseVertex(kTriangles, count.data(), kUnsignedByte, corners.data(),
+                                  static_cast<int>(count.size()), base.data());
+}
+
+/// 1 / depth of the nearest triangle, 0 where there is none.
+std::vector<float> GlRenderer::nearness(const Gl& gl, const Camera& camera,
+                                        const std::vector<PlacedMesh>& meshes) {
+  begin(gl, camera, triangles_, kMax, 0);
+  for (const auto& placed : meshes) draw_mesh(gl, camera, placed);
+  return read(gl, camera);
+}
+
+std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Drawing& drawing) {
+  return render([&](const Gl& gl) {
+    const auto trusted = nearness(gl, camera, drawing.trusted);
+    Weighed others(trusted.size());
+    for (const auto& mesh : drawing.others) others.take(nearness(gl, camera, {mesh}));
+    auto depth = nearness(gl, camera, drawing.movers);
+    for (std::size_t i = 0; i < depth.size(); ++i) {
+      const float w = std::max(depth[i], trusted[i] > 0 ? trusted[i] : others.chosen()[i]);
+      depth[i] = w > 0 ? 1.0f / w : kNone;
+    }
+    return depth;
+  });
+}
+
+std::vector<float> GlRenderer::render(const std::function<std::vector<float>(const Gl&)>& draw) {
+  const Gl gl(context_);
+  try {
+    auto depth = draw(gl);
+    forget_unused(gl);
+    return depth;
+  } catch (...) {
+    for (auto& copy : uploaded_) copy.second.used = false;  // it may not have arrived
+    forget_unused(gl);
+    throw;
+  }
+}
+
+std::vector<float> GlRenderer::read(const Gl& gl, const Camera& camera) {
+  std::vector<float> image(std::size_t(camera.width) * camera.height);
+  gl->ReadPixels(0, 0, camera.width, camera.height, kRed, kFloat, image.data());
+  check(gl, context_.renderer());
+  return image;
+}
+
+void GlRenderer::forget_unused(const Gl& gl) {
+  for (auto at = uploaded_.begin(); at != uploaded_.end();) {
+    if (!at->second.used) {
+      const unsigned buffers[] = {at->second.coordinates, at->second.corners};  // 0 is ignored
+      gl->DeleteBuffers(2, buffers);
+      at = uploaded_.erase(at);
+    } else {
+      at++->second.used = false;
+    }
+  }
+}
+
+}  // namespace docdepth::gl

@@ -1,0 +1,162 @@
+// The programs of GlRenderer. They round like the processor's: see splats.cpp and triangles.cpp.
+#pragma once
+
+namespace docdepth::gl {
+
+/// Most pixels that a splat may be high: the length of `limits`.
+constexpr int kLargestSplat = 511;
+
+/// What every shader starts with. `precise` keeps compilers from fusing.
+constexpr const char* kExact = R"(#version 330 core
+#extension GL_ARB_gpu_shader5 : enable
+#ifdef GL_ARB_gpu_shader5
+#define EXACT precise
+#else
+#define EXACT
+#endif
+uniform vec4 rows[3];  // of T_camera_points
+uniform vec4 lens;     // fx, fy, cx, cy
+uniform vec2 size;     // of the image
+
+float high_bits(float a) { return intBitsToFloat(floatBitsToInt(a) & ~0xfff); }
+
+// a / b as IEEE rounds it. GLSL's own quotient may be a few units off; its exact remainder, from
+// products of halves (Dekker 1971), corrects it.
+float divide(float a, float b) {
+  EXACT float q = a / b;
+  EXACT float q1 = high_bits(q), b1 = high_bits(b);
+  EXACT float q2 = q - q1, b2 = b - b1;
+  EXACT float remainder = ((a - q1 * b1) - q1 * b2 - q2 * b1) - q2 * b2;
+  EXACT float rounded = q + remainder / b;
+  return rounded;
+}
+
+// As RigidTransform rounds.
+float row(vec4 r, vec3 p) {
+  EXACT float moved = ((r.x * p.x + r.y * p.y) + r.z * p.z) + r.w;
+  return moved;
+}
+vec3 move(vec3 p) { return vec3(row(rows[0], p), row(rows[1], p), row(rows[2], p)); }
+)";
+
+/// A splat as a point, or as one of the four corners of a square where points cannot be so large.
+/// Its centre is snapped to a pixel and its edge is odd, so it covers the same pixels everywhere.
+constexpr const char* kSplatVertex = R"(
+layout(location = 0) in float x;
+layout(location = 1) in float y;
+layout(location = 2) in float z;
+uniform float limits[512];  // largest squared distance at which a height is reached
+uniform int largest;
+uniform int as_squares;
+flat out ivec3 splat;       // column, row, height
+flat out float depth;
+
+int height(float squared) {
+  int reached = 0, missed = largest + 1;
+  while (missed - reached > 1) {
+    int middle = (reached + missed) / 2;
+    if (squared <= limits[middle]) reached = middle; else missed = middle;
+  }
+  return reached;
+}
+
+void main() {
+  vec3 p = move(vec3(x, y, z));
+  EXACT float fx_x = lens.x * p.x, fy_y = lens.y * p.y;
+  EXACT float u = (divide(fx_x, p.z) + lens.z) + 0.5;
+  EXACT float v = (divide(fy_y, p.z) + lens.w) + 0.5;
+  EXACT float squared = (p.x * p.x + p.y * p.y) + p.z * p.z;
+  gl_PointSize = 1.0;
+  gl_Position = vec4(0.0, 0.0, 2.0, 1.0);  // outside of everything
+  splat = ivec3(0);
+  depth = p.z;
+  if (!(p.z > 0.1 && u >= 0.0 && u < size.x && v >= 0.0 && v < size.y)) return;
+  vec2 centre = floor(vec2(u, v));
+  splat = ivec3(centre, height(squared));
+  float half_edge = float(splat.z / 2) + 0.5;
+  gl_PointSize = 2.0 * half_edge;
+  vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
+  vec2 at = centre + 0.5 + (as_squares != 0 ? corner * half_edge : vec2(0.0));
+  gl_Position = vec4(at / size * 2.0 - 1.0, 0.0, 1.0);
+}
+)";
+
+constexpr const char* kSplatFragment = R"(
+flat in ivec3 splat;
+flat in float depth;
+out float nearest;
+void main() {
+  ivec2 d = ivec2(gl_FragCoord.xy) - splat.xy;
+  if (9 * d.x * d.x + 4 * d.y * d.y > splat.z * splat.z) discard;
+  nearest = depth;
+}
+)";
+
+constexpr const char* kTriangleVertex = R"(
+layout(location = 0) in float x;
+layout(location = 1) in float y;
+layout(location = 2) in float z;
+out vec3 corner;  // column, row, nearness (1 / depth), which is 0 where nothing is drawn
+void main() {
+  vec3 p = move(vec3(x, y, z));
+  float w = divide(1.0, p.z);
+  EXACT float u = (lens.x * p.x) * w + lens.z;
+  EXACT float v = (lens.y * p.y) * w + lens.w;
+  corner = vec3(u, v, p.z > 0.1 ? w : 0.0);
+}
+)";
+
+/// A triangle becomes the rectangle of pixels around it, in which the fragments look for its edges:
+/// a rasteriser of its own would first snap the corners, to 1/256 pixel or whatever it likes.
+constexpr const char* kTriangleGeometry = R"(
+layout(triangles) in;
+layout(triangle_strip, max_vertices = 4) out;
+in vec3 corner[];
+flat out vec4 edges[3];  // column and row of its start; where it goes, the inside on one side
+flat out vec3 plane;     // nearness at the first corner; its slopes along columns and rows
+flat out vec2 range;     // of nearness
+
+void main() {
+  vec3 a = corner[0], b = corner[1], c = corner[2];
+  vec3 low = min(a, min(b, c)), high = max(a, max(b, c));
+  vec2 first = ceil(max(low.xy - 0.01, 0.0)), last = floor(min(high.xy + 0.01, size - 1.0));
+  if (!(low.z > 0.0 && first.x <= last.x && first.y <= last.y)) return;
+  EXACT float area = (b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y);
+  if (area == 0.0) return;
+  float turn = area > 0.0 ? 1.0 : -1.0, inverse = divide(1.0, area);
+  EXACT float along_u = ((b.z - a.z) * (c.y - a.y) - (c.z - a.z) * (b.y - a.y)) * inverse;
+  EXACT float along_v = ((c.z - a.z) * (b.x - a.x) - (b.z - a.z) * (c.x - a.x)) * inverse;
+  for (int i = 0; i < 4; ++i) {
+    edges[0] = vec4(a.xy, (b.xy - a.xy) * turn);
+    edges[1] = vec4(b.xy, (c.xy - b.xy) * turn);
+    edges[2] = vec4(c.xy, (a.xy - c.xy) * turn);
+    plane = vec3(a.z, along_u, along_v);
+    range = vec2(low.z, high.z);
+    vec2 at = vec2((i & 1) != 0 ? last.x + 1.0 : first.x, (i & 2) != 0 ? last.y + 1.0 : first.y);
+    gl_Position = vec4(at / size * 2.0 - 1.0, 0.0, 1.0);
+    EmitVertex();
+  }
+}
+)";
+
+constexpr const char* kTriangleFragment = R"(
+flat in vec4 edges[3];
+flat in vec3 plane;
+flat in vec2 range;
+out float nearness;
+
+void main() {
+  vec2 at = floor(gl_FragCoord.xy);
+  for (int i = 0; i < 3; ++i) {
+    vec4 e = edges[i];
+    EXACT float slack = 0.01 * (abs(e.z) + abs(e.w));
+    EXACT float side = (at.y - e.y) * e.z + (slack - (at.x - e.x) * e.w);
+    if (!(side >= 0.0)) discard;
+  }
+  EXACT float w =
+      (at.y - edges[0].y) * plane.z + ((at.x - edges[0].x) * plane.y + plane.x);
+  nearness = clamp(w, range.x, range.y);
+}
+)";
+
+}  // namespace docdepth::gl
