@@ -38,19 +38,30 @@ Mesh small_mesh(const std::vector<Vector>& vertices, Triangles triangles) {
   return Mesh(own, triangles);
 }
 
-/// The objects of the nearest sweep where they were when the image was taken.
+/// The same seen from the other sweep.
+Motion reversed(const Motion& motion) {
+  return {motion.other, motion.nearest, -motion.duration, motion.delay - motion.duration,
+          motion.max_speed};
+}
+
+/// The objects of the nearest sweep where they were when the image was taken, and of those that the
+/// other one found, too, what that measured.
 std::vector<PlacedMesh> carried(const Motion& motion, int threads) {
-  const SurfaceFrame& frame = *motion.nearest.frame;
-  const Pose& T_camera_frame = motion.nearest.T_camera_frame;
-  const Passage passage{T_camera_frame.inverse() * motion.other.T_camera_frame, motion.duration,
-                        motion.max_speed};
-  const auto velocity = velocities(frame.objects, motion.other.frame->objects, passage, threads);
   std::vector<PlacedMesh> placed;
-  for (std::size_t k = 0; k < velocity.size(); ++k) {
-    const float seconds = motion.delay - frame.objects.late[k];
-    Pose T_camera_object = T_camera_frame;
-    T_camera_object.translate((velocity[k] * seconds).cast<double>());
-    placed.push_back({&frame.surfaces[k], T_camera_object});
+  for (const bool first : {true, false}) {
+    const auto& [nearest, other, duration, delay, max_speed] = first ? motion : reversed(motion);
+    const Passage passage{nearest.T_camera_frame.inverse() * other.T_camera_frame, duration,
+                          max_speed};
+    const Objects& objects = nearest.frame->objects;
+    const auto velocity = velocities(objects, other.frame->objects, passage, threads);
+    for (std::size_t k = 0; k < velocity.size(); ++k) {
+      if (!first && velocity[k].isZero(0)) continue;  // not found
+      const auto& parts = nearest.frame->movers[k];
+      Pose T_camera_object = nearest.T_camera_frame;
+      T_camera_object.translate((velocity[k] * (delay - objects.late[k])).cast<double>());
+      placed.push_back({&parts.whole, T_camera_object});
+      if (first) placed.push_back({&parts.split, T_camera_object});
+    }
   }
   return placed;
 }
@@ -66,20 +77,19 @@ SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles
                                         objects.places.size() + 1);
   for (std::size_t i = 0; i < loose_count; ++i)
     add_diamond(points.row(loose[i]), loose_angle, vertices, parts[objects.owner[loose[i]]].whole);
-  whole = Mesh(vertices, parts[0].whole);
-  split = Mesh(vertices, parts[0].split);
-  for (std::size_t k = 1; k < parts.size(); ++k) {
-    auto& all = parts[k].whole;
-    all.insert(all.end(), parts[k].split.begin(), parts[k].split.end());
-    surfaces.push_back(small_mesh(vertices, std::move(all)));
-  }
+  world = {Mesh(vertices, parts[0].whole), Mesh(vertices, parts[0].split)};
+  for (std::size_t k = 1; k < parts.size(); ++k)
+    movers.push_back({small_mesh(vertices, std::move(parts[k].whole)),
+                      small_mesh(vertices, std::move(parts[k].split))});
 }
 
 Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int threads) {
   Drawing drawing;
   for (const auto& [frame, pose] : fixed)
-    (drawing.trusted.empty() ? drawing.trusted : drawing.others).push_back({&frame->whole, pose});
-  if (!fixed.empty()) drawing.others.push_back({&fixed[0].frame->split, fixed[0].T_camera_frame});
+    (drawing.trusted.empty() ? drawing.trusted : drawing.others)
+        .push_back({&frame->world.whole, pose});
+  if (!fixed.empty())
+    drawing.others.push_back({&fixed[0].frame->world.split, fixed[0].T_camera_frame});
   drawing.movers = carried(motion, threads);
   return drawing;
 }

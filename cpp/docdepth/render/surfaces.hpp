@@ -13,10 +13,13 @@ namespace docdepth {
 
 /// A sweep's surface made ready to be drawn, each moving object apart.
 struct SurfaceFrame {
-  Mesh whole;                  ///< measured surface of the world, and returns that stand alone
-  Mesh split;                  ///< what continues it over depth jumps
-  Objects objects;             ///< what moves
-  std::vector<Mesh> surfaces;  ///< of each object
+  struct Parts {
+    Mesh whole;  ///< measured surface, and returns that stand alone
+    Mesh split;  ///< what continues it over depth jumps
+  };
+  Parts world;
+  Objects objects;            ///< what moves
+  std::vector<Parts> movers;  ///< each object
 
   /// @param triangles corners as rows of points
   /// @param cut 1 for each triangle across a depth jump
