@@ -40,6 +40,7 @@ _ALIGN = {
     "rotation_epsilon": 1e-5,
     "translation_epsilon": 1e-4,
 }
+_AROUND = 2  # sweeps on either side that tell the motion of one
 _STEP = 0.15  # metres a sweep that are no standstill
 _JUMP = 1.0  # metres; at 10 Hz a change of speed of ten times gravity
 
@@ -198,7 +199,10 @@ def deskew(points: Points, fraction: NDArray[np.float32], motion: ArrayLike) -> 
 def centred_motion(
     poses: NDArray[np.float64], times: ArrayLike | None = None
 ) -> NDArray[np.float64]:
-    """Motion of the sensor during one sweep around each stamp, from the poses before and after.
+    """Motion of the sensor during one sweep around each stamp, fitted to the poses around it.
+
+    A straight line of twists through the poses of up to two sweeps before and two after: of poses
+    that jitter by a centimetre, half as much reaches the points as with one sweep on either side.
 
     Parameters
     ----------
@@ -211,18 +215,20 @@ def centred_motion(
     Returns
     -------
     ndarray of float64, shape (n, 4, 4)
-        (T[k-1]^-1 T[k+1])^(1/2); at both ends the motion to the only neighbour.
+        The motion of one sweep's duration.
     """
     n = len(poses)
     if n < 2:
         return np.repeat(np.eye(4)[None], n, axis=0)
-    seconds = np.arange(n) if times is None else np.asarray(times, dtype=np.int64)
-    before, after = np.maximum(np.arange(n) - 1, 0), np.minimum(np.arange(n) + 1, n - 1)
-    share = float(np.median(np.diff(seconds))) / (seconds[after] - seconds[before])
+    stamps = np.arange(n) if times is None else np.asarray(times, dtype=np.int64)
+    sweeps = (stamps - stamps[0]) / float(np.median(np.diff(stamps)))
     motions = np.empty_like(poses)
-    for k, (a, b, s) in enumerate(zip(before, after, share, strict=True)):
-        omega, velocity = twist(inverse(poses[a]) @ poses[b])
-        motions[k] = exp(s * omega, s * velocity)
+    for k in range(n):
+        around = np.arange(max(k - _AROUND, 0), min(k + _AROUND, n - 1) + 1)
+        twists = np.array([np.concatenate(twist(inverse(poses[k]) @ poses[j])) for j in around])
+        x = sweeps[around] - sweeps[around].mean()
+        slope = x @ twists / (x @ x)
+        motions[k] = exp(slope[:3], slope[3:])
     return motions
 
 
