@@ -54,7 +54,6 @@ class Drive:
 def drive_of_run(run: Path, recording: Path) -> Drive:
     """Deskewed points, poses and classes of a run; labels of the recording."""
     folder, dataset = RunFolder.open(run), open_dataset(recording)
-    seconds = folder.stage("classify").get("seconds", {})
 
     def labels(index: int) -> np.ndarray:
         truth = dataset.labels(index)
@@ -64,11 +63,11 @@ def drive_of_run(run: Path, recording: Path) -> Drive:
 
     return Drive(
         poses=folder.trajectory().poses,
-        source=str(folder.manifest["source"].get("poses") or "kiss-icp, deskewed"),
+        source=str(folder.manifest["source"].get("poses") or "kiss-icp, small_gicp, deskewed"),
         points=lambda index: folder.frame(index).points,
         labels=labels,
         ours=lambda index: folder.frame(index).classid >= 100,
-        ours_seconds=sum(seconds.values()) if seconds else float("nan"),
+        ours_seconds=folder.stage("classify").get("wall_seconds", float("nan")),
     )
 
 
