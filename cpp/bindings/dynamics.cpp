@@ -71,12 +71,6 @@ void bind_dynamics(py::module_& m) {
   py::class_<RangeImage, KeyFrame>(m, "RangeImage")
       .def(py::init(&make_range_image), py::arg("points"), py::arg("ground"), py::arg("resolution"),
            py::arg("window"), py::arg("tolerance"), py::arg("plain") = false);
-  py::class_<SurfaceParameters>(m, "SurfaceParameters")
-      .def(py::init<>())
-      .def_readwrite("max_gap", &SurfaceParameters::max_gap)
-      .def_readwrite("jump_ratio", &SurfaceParameters::jump_ratio)
-      .def_readwrite("noise", &SurfaceParameters::noise)
-      .def_readwrite("flatness", &SurfaceParameters::flatness);
   py::class_<Margins>(m, "Margins")
       .def(py::init<float, float, float>(), py::arg("across"), py::arg("along"), py::arg("growth"));
   py::class_<SurfaceImageParameters>(m, "SurfaceImageParameters")

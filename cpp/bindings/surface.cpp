@@ -6,13 +6,12 @@ namespace docdepth::bindings {
 
 namespace {
 
-py::tuple surface(const Array<float>& points, float max_gap, float jump_ratio, float noise,
-                  float flatness) {
+py::tuple surface(const Array<float>& points, const SurfaceParameters& parameters) {
   const auto view = as_points(points);
   Surface result;
   {
     const py::gil_scoped_release release;
-    result = build_surface(view, {max_gap, jump_ratio, noise, flatness});
+    result = build_surface(view, parameters);
   }
   const auto count = static_cast<py::ssize_t>(result.triangles.size());
   const auto loose = static_cast<py::ssize_t>(result.loose.size());
@@ -29,8 +28,13 @@ py::tuple surface(const Array<float>& points, float max_gap, float jump_ratio, f
 }  // namespace
 
 void bind_surface(py::module_& m) {
-  m.def("surface", &surface, py::arg("points"), py::arg("max_gap"), py::arg("jump_ratio"),
-        py::arg("noise"), py::arg("flatness"));
+  py::class_<SurfaceParameters>(m, "SurfaceParameters")
+      .def(py::init<>())
+      .def_readwrite("max_gap", &SurfaceParameters::max_gap)
+      .def_readwrite("jump_ratio", &SurfaceParameters::jump_ratio)
+      .def_readwrite("noise", &SurfaceParameters::noise)
+      .def_readwrite("flatness", &SurfaceParameters::flatness);
+  m.def("surface", &surface, py::arg("points"), py::arg("parameters"));
 }
 
 }  // namespace docdepth::bindings

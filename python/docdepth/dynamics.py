@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from docdepth import _core
 from docdepth.config import DynamicsParameters, SurfaceParameters
 from docdepth.errors import InputError
+from docdepth.surface import core_parameters
 from docdepth.trajectory import Trajectory, check_rigid
 
 GROUND, STATIC, DYNAMIC = 0, 50, 100
@@ -95,7 +96,9 @@ def key_frames(
 
 
 class KeyFrame:
-    """A sweep made ready to be asked about the places of other points: the paper's range image.
+    """A sweep made ready to be asked about the places of other points.
+
+    It is the paper's range image, or one whose pixels know the triangles of the sweep's surface.
 
     Parameters
     ----------
@@ -140,7 +143,8 @@ def vote(
 ) -> Votes:
     """Ask key frames about every point of a sweep (Algorithm 1).
 
-    Ground points are static without a vote; rows that are not finite get none.
+    Against pixels, ground points are static without a vote; against surfaces every point is voted
+    on. Rows that are not finite get no votes.
 
     Parameters
     ----------
@@ -300,14 +304,6 @@ def _range_image(
     return _core.RangeImage(points, ground, np.radians(p.resolution_deg), p.window, p.tolerance)
 
 
-def _surface(parameters: SurfaceParameters | None) -> _core.SurfaceParameters:
-    s = parameters or SurfaceParameters()
-    surface = _core.SurfaceParameters()
-    surface.max_gap = float(np.radians(s.max_gap_deg))
-    surface.jump_ratio, surface.noise, surface.flatness = s.jump_ratio, s.noise, s.flatness
-    return surface
-
-
 def _surface_image(
     points: NDArray[np.float32], p: DynamicsParameters, surface: SurfaceParameters | None
 ) -> _core.KeyFrame:
@@ -317,7 +313,7 @@ def _surface_image(
     image.upright = _core.Margins(p.across, p.along, p.along_growth)
     image.level = _core.Margins(p.level_across, p.level_along, 0.0)
     image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
-    return _core.SurfaceImage(points, _surface(surface), image)
+    return _core.SurfaceImage(points, core_parameters(surface or SurfaceParameters()), image)
 
 
 def _moving_points(
@@ -335,9 +331,8 @@ def _moving_points(
     objects.width = p.object_width
     objects.freed_share, objects.freed_votes = p.freed_share, p.freed_votes
     objects.freed_ratio = p.freed_ratio
-    moving = _core.moving_points(
-        points, ground, votes.static, votes.dynamic, _surface(surface), objects
-    )
+    connected = core_parameters(surface or SurfaceParameters())
+    moving = _core.moving_points(points, ground, votes.static, votes.dynamic, connected, objects)
     return moving.view(np.bool_)
 
 

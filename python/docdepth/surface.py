@@ -59,13 +59,16 @@ class Surface:
             )
         if not np.isfinite(points).all():
             raise InputError("points contain NaN or infinite values; drop these rows first")
-        triangles, cut, loose = _core.surface(
-            np.ascontiguousarray(points),
-            float(np.radians(p.max_gap_deg)),
-            p.jump_ratio,
-            p.noise,
-            p.flatness,
-        )
+        triangles, cut, loose = _core.surface(np.ascontiguousarray(points), core_parameters(p))
         object.__setattr__(self, "triangles", triangles)
         object.__setattr__(self, "cut", cut.view(np.bool_))
         object.__setattr__(self, "loose", loose)
+
+
+def core_parameters(parameters: SurfaceParameters) -> _core.SurfaceParameters:
+    """The same parameters for the core, angles in radians."""
+    core = _core.SurfaceParameters()
+    core.max_gap = float(np.radians(parameters.max_gap_deg))
+    core.jump_ratio, core.noise = parameters.jump_ratio, parameters.noise
+    core.flatness = parameters.flatness
+    return core
