@@ -173,6 +173,57 @@ def test_distorted_images_are_rectified_under_the_depth(drive, finished, tmp_pat
         assert (run / "depth" / name).read_bytes() == (finished[0] / "depth" / name).read_bytes()
 
 
+def test_virtual_camera_beside_the_run(drive, finished, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    stream = open_dataset(drive).cameras["image_2"]
+    before = {p.name: p.read_bytes() for p in (run / "depth").glob("*")}
+    parameters = RunFolder(run).parameters
+    K = ",".join(repr(float(stream.camera.K[i])) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    times = tmp_path / "times.txt"
+    inside = [t for t in stream.times if t <= open_dataset(drive).times[-1]]
+    times.write_text("".join(f"{t // 10**9}.{t % 10**9:09d}\n" for t in inside))
+    pose = tmp_path / "pose.txt"
+    np.savetxt(pose, np.linalg.inv(stream.T_camera_lidar))
+    mounted = ("--K", K, "--size", "1242x375", "--format", "npy")
+    result = cli("render", run, "--pose", pose, *mounted, "--camera-times", times, "--name", "twin")
+    assert result.exit_code == 0, result.output
+    # Where a camera of the rig is, it sees what that sees.
+    for k, name in enumerate(sorted(n for n in before if n.endswith(".png"))):
+        twin = read_depth(run / "depth" / "twin" / f"{k:010d}.npy")
+        np.testing.assert_allclose(twin, read_depth(finished[0] / "depth" / name), atol=0.51 / 256)
+    # At the stamps of the sweeps, looking backwards along the road.
+    backwards = "0,0,0.5,-0.5,-0.5,0.5,0.5"
+    result = cli("render", run, "--pose", backwards, *mounted, "--name", "back")
+    assert result.exit_code == 0, result.output
+    known = json.loads((run / "depth" / "back" / "depth.json").read_text())
+    assert list(known["maps"]) == [f"{k:06d}" for k in range(FRAMES)]
+    T_camera_lidar = np.array(known["camera"]["T_camera_lidar"])
+    np.testing.assert_allclose(T_camera_lidar @ [-10, 0, 0.5, 1], [0, 0, 10, 1], atol=1e-9)
+    np.testing.assert_allclose(T_camera_lidar @ [-10, 1, 0.5, 1], [1, 0, 10, 1], atol=1e-9)
+    # The run itself is as it was.
+    assert {p.name: p.read_bytes() for p in (run / "depth").glob("*.*")} == before
+    assert RunFolder(run).parameters == parameters
+    assert cli("run", drive, "-o", run).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--pose", "0,0"], "needs --pose, --K and --size"),
+        (["--pose", "0,0", "--K", "9,9,4,3", "--size", "9x7"], "with a rotation"),
+        (["--pose", "0,0,0,0,0,0,0", "--K", "9,9,4,3", "--size", "9x7"], "with a rotation"),
+        (["--pose", "0,0,1", "--K", "9,9,4", "--size", "9x7"], "fx,fy,cx,cy"),
+        (["--pose", "0,0,1", "--K", "9,9,4,3", "--size", "9"], "WIDTHxHEIGHT"),
+        (["--pose", "0,0,1", "--K", "9,9,4,3", "--size", "9x7", "--name", "a/b"], "a folder"),
+    ],
+)
+def test_mistakes_with_virtual_cameras(finished, arguments, message):
+    result = cli("render", finished[0], *arguments)
+    assert result.exit_code == 2
+    assert message in str(result.exception)
+
+
 def test_a_png_that_cannot_hold_the_range_is_refused_at_once(finished, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(finished[0], run)

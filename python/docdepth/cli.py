@@ -20,6 +20,7 @@ from docdepth.errors import DocDepthError
 
 if TYPE_CHECKING:
     from docdepth.backends import Renderer
+    from docdepth.config import Parameters
     from docdepth.datasets.base import CameraStream, Dataset
     from docdepth.io.run_folder import RunFolder
 
@@ -162,17 +163,44 @@ def render(
     camera: CameraNames = None,
     format: Formats = None,
     scale: Scale = None,
+    pose: Annotated[
+        str | None,
+        typer.Option(help="Of a virtual camera on the LiDAR: x,y,z[,qx,qy,qz,qw], or a 4x4 file."),
+    ] = None,
+    K: Annotated[str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="Its pixels.")] = None,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Its image.")] = None,
+    name: Annotated[str, typer.Option(help="Its folder in depth/.")] = "virtual",
+    camera_times: Annotated[
+        Path | None, typer.Option(help="When it looks; at each sweep if absent.")
+    ] = None,
     threads: Threads = 0,
     renderer: RendererName = None,
 ) -> None:
-    """Depth maps again, with other parameters, formats or cameras."""
+    """Depth maps again, with other parameters, formats or cameras; or of a virtual camera.
+
+    docdepth render RUN --pose 0,0,0.5 --K 700,700,640,360 --size 1280x720
+    """
     from docdepth.backends import choose
     from docdepth.datasets.run import RunDataset
+    from docdepth.errors import ConfigError
     from docdepth.pipeline import run_render
     from docdepth.sources import open_source
 
     drawn_by = choose(renderer)
-    folder = _reopen(run, _changes(settings) | _output(format, scale), "render", "output")
+    changes = _changes(settings) | _output(format, scale)
+    if pose or K or size:
+        from docdepth.io.run_folder import RunFolder
+        from docdepth.virtual import virtual_camera
+
+        if not (pose and K and size) or camera:
+            raise ConfigError("a virtual camera needs --pose, --K and --size, and no --camera")
+        folder = RunFolder.open(run)
+        values = _replaced(folder, changes, "render", "output")  # the run itself keeps its own
+        stream = virtual_camera(folder, name, pose, K, size, camera_times)
+        with _progress() as progress:
+            run_render(folder, stream, threads, progress, drawn_by, f"render {name}", values)
+        return _summary(folder)
+    folder = _reopen(run, changes, "render", "output")
     source = folder.manifest["source"]
     if source:
         if camera:
@@ -366,11 +394,20 @@ def _output(format: list[str] | None, scale: float | None) -> dict[str, Any]:
 
 def _reopen(path: Path, changes: dict[str, Any], *stages: str) -> RunFolder:
     """A run with some parameters of one stage replaced."""
-    from docdepth.config import Parameters, parameters
-    from docdepth.errors import ConfigError
     from docdepth.io.run_folder import RunFolder
 
     folder = RunFolder.open(path)
+    values = _replaced(folder, changes, *stages)
+    folder.manifest["parameters"] = values.model_dump(mode="json")
+    folder.save()
+    return folder
+
+
+def _replaced(folder: RunFolder, changes: dict[str, Any], *stages: str) -> Parameters:
+    """The parameters of a run with some replaced."""
+    from docdepth.config import parameters
+    from docdepth.errors import ConfigError
+
     for name in changes:
         if name.partition(".")[0] not in stages:
             raise ConfigError(f"--set {name}: this stage knows {' and '.join(stages)} only")
@@ -380,10 +417,7 @@ def _reopen(path: Path, changes: dict[str, Any], *stages: str) -> RunFolder:
         if stage != "preset"
         for key, value in values.items()
     }
-    values: Parameters = parameters(folder.parameters.preset, {**saved, **changes})
-    folder.manifest["parameters"] = values.model_dump(mode="json")
-    folder.save()
-    return folder
+    return parameters(folder.parameters.preset, {**saved, **changes})
 
 
 def _summary(folder: RunFolder) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from docdepth import __version__, render, visualize
 from docdepth.backends import Renderer
-from docdepth.config import OutputParameters
+from docdepth.config import OutputParameters, Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import DatasetError, RunError
 from docdepth.io.atomic import write_atomically
@@ -35,7 +35,11 @@ class _Maps:
     run: RunFolder
     stream: CameraStream
     folder: str
-    output: OutputParameters
+    parameters: Parameters
+
+    @property
+    def output(self) -> OutputParameters:
+        return self.parameters.output
 
     def path(self, kind: str, k: int, suffix: str) -> Path:
         return self.run.path / kind / self.folder / f"{self.stream.names[k]}{suffix}"
@@ -67,7 +71,7 @@ class _Maps:
             "unit": "m",
             "scale": {f: output.scale if f == "png" else 1 for f in output.format},
             "none": {f: 0 if f == "png" else "NaN" for f in output.format},
-            "range": [render.NEAR, self.run.parameters.render.max_depth],
+            "range": [render.NEAR, self.parameters.render.max_depth],
             "camera": {
                 "name": stream.name,
                 "K": stream.camera.K.tolist(),
@@ -77,7 +81,7 @@ class _Maps:
             },
             "pixels": "integer coordinates are pixel centres (OpenCV)",
             "docdepth": __version__,
-            "parameters": self.run.parameters.model_dump(mode="json"),
+            "parameters": self.parameters.model_dump(mode="json"),
             "maps": {
                 stream.names[k]: {"time_ns": int(stream.times[k]), "coverage": round(share, 6)}
                 for k, share in sorted(coverage.items())
@@ -95,6 +99,7 @@ def run_render(
     progress: Progress | None = None,
     renderer: Renderer | None = None,
     stage: str = "render",
+    parameters: Parameters | None = None,
 ) -> list[str]:
     """Depth maps for every image into ``depth/``, pictures into ``report/``.
 
@@ -107,6 +112,8 @@ def run_render(
     stage : str
         Name in run.yaml. Cameras of another name than ``render`` come beside those of the run,
         each in a folder of its own.
+    parameters : Parameters, optional
+        Those of the run if absent.
 
     Returns
     -------
@@ -115,18 +122,19 @@ def run_render(
     """
     streams = [streams] if isinstance(streams, CameraStream) else list(streams)
     apart = len(streams) > 1 or stage != "render"
-    parameters, output = run.parameters.render, run.parameters.output
+    parameters = parameters or run.parameters
+    drawing, output = parameters.render, parameters.output
     for format in output.format:
-        check_format(format, output.scale, parameters.max_depth)
+        check_format(format, output.scale, drawing.max_depth)
     trajectory = run.trajectory()
     key = stage_key(
         run.stage("classify").get("key"),
-        run.parameters.surface.model_dump(),
-        parameters.model_dump(),
+        parameters.surface.model_dump(),
+        drawing.model_dump(),
         output.model_dump(),
         [_identity(stream) for stream in streams],
     )
-    maps = [_Maps(run, s, s.name if apart else "", output) for s in streams]
+    maps = [_Maps(run, s, s.name if apart else "", parameters) for s in streams]
     inside = [_inside(trajectory, stream) for stream in streams]
     left_out = [
         f"{m.folder}/{name}" if apart else name
@@ -139,7 +147,7 @@ def run_render(
     before = run.stage(stage)
     folders = [m.folder for m in maps]
     if before.get("key") != key:
-        old = set(before.get("folders", [""]))
+        old = set(before.get("folders", [""] if stage == "render" else []))
         for folder in old | set(folders):
             for kind in _FOLDERS:
                 run.clear(f"{kind}/{folder}")
@@ -181,7 +189,7 @@ def run_render(
             raise RunError(f"frame {index} of {run.path} has no classes; run: docdepth classify")
         with watch("frames"):
             return render.Frame(
-                record.points, record.classid, parameters, run.parameters.surface, record.late
+                record.points, record.classid, drawing, parameters.surface, record.late
             )
 
     def write(m: _Maps, k: int, depth: NDArray[np.float32]) -> None:
@@ -197,11 +205,11 @@ def run_render(
         pending: Future[None] | None = None
         for done, (stamp, c, k) in enumerate(jobs):
             ahead = {t for t, _, _ in jobs[done : done + 2]}
-            needed = set().union(*(render.needed_frames(trajectory, t, parameters) for t in ahead))
+            needed = set().union(*(render.needed_frames(trajectory, t, drawing) for t in ahead))
             made = {i: made[i] for i in made if i in needed}
             for i in sorted(needed - made.keys()):
                 made[i] = pool.submit(load, i)
-            for i in render.needed_frames(trajectory, stamp, parameters):
+            for i in render.needed_frames(trajectory, stamp, drawing):
                 with watch("wait for frames"):
                     made[i].result()
             with watch("draw"):
@@ -211,7 +219,7 @@ def run_render(
                     trajectory,
                     stamp,
                     lambda i, made=made: made[i].result(),  # type: ignore[misc]
-                    parameters,
+                    drawing,
                     threads,
                     renderer,
                 )
