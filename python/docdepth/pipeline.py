@@ -31,6 +31,7 @@ from docdepth.io.depth import encode_png, read_depth
 from docdepth.io.ply import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.odometry import odometry
+from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory
 
 log = logging.getLogger(__name__)
@@ -155,17 +156,27 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         return np.unpackbits(np.load(grounds / f"{index:06d}.npy"), count=count).astype(bool)
 
     def finish(
-        index: int, record: FrameRecord, ground: NDArray[np.bool_], votes: dynamics.Votes
+        index: int,
+        record: FrameRecord,
+        ground: NDArray[np.bool_],
+        votes: dynamics.Votes,
+        surface: Surface | None,
     ) -> None:
         with watch("objects"):
-            classid = dynamics.classify(
-                ground, votes, parameters.dynamics, record.points, parameters.surface
-            )
+            classid = dynamics.classify(ground, votes, parameters.dynamics, record.points, surface)
         with watch("write"):
             _write_classified(run, index, replace(record, classid=classid))
 
     voters = dynamics.key_frames(trajectory, parameters.dynamics)
     asked: dict[int, dynamics.KeyFrame] = {}
+    surfaces: dict[int, Surface | None] = {}  # of key frames whose own turn is still to come
+
+    def surface_of(k: int, points: NDArray[np.float32]) -> Surface | None:
+        if k not in surfaces:
+            with watch("surfaces"):
+                surfaces[k] = dynamics.surface_for(points, parameters.dynamics, parameters.surface)
+        return surfaces[k]
+
     tell = _teller(progress, "classify")
     worked = 0
     with ThreadPoolExecutor(1) as writer:
@@ -179,9 +190,10 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                     with watch("read"):
                         record = run.frame(k)
                         ground = ground_of(k, len(record.points))
+                    surface = surface_of(k, record.points)
                     with watch("key frames"):
                         asked[k] = dynamics.KeyFrame(
-                            record.points, ground, parameters.dynamics, parameters.surface
+                            record.points, ground, parameters.dynamics, surface
                         )
                 with watch("read"):
                     record = run.frame(index)
@@ -196,6 +208,8 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                         parameters.dynamics,
                         threads,
                     )
+                surface = surface_of(index, record.points)
+                surfaces = {k: surfaces[k] for k in surfaces if k > index}
                 record = replace(
                     record,
                     key={**record.key, "classify": key},
@@ -206,7 +220,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                 with watch("wait for objects and files"):
                     if pending:
                         pending.result()
-                    pending = writer.submit(finish, index, record, ground, votes)
+                    pending = writer.submit(finish, index, record, ground, votes, surface)
             tell(index + 1, total)
         if pending:
             pending.result()
