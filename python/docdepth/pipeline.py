@@ -25,7 +25,7 @@ from docdepth import dynamics, render, visualize
 from docdepth.backends import Renderer
 from docdepth.datasets.base import CameraStream, Dataset, usable_points
 from docdepth.errors import DatasetError, RunError
-from docdepth.ground import GroundMap
+from docdepth.ground import GroundMap, chunks
 from docdepth.io.atomic import write_atomically
 from docdepth.io.depth import encode_png, read_depth
 from docdepth.io.ply import FrameRecord, write_trajectory
@@ -366,19 +366,17 @@ def _grow_ground(
         for path in folder.glob("*"):
             path.unlink()
         write_atomically(marker, lambda stream: stream.write(key.encode()))
-    chunks = (trajectory.arc_length // parameters.chunk_length).astype(int)
     done = 0
-    for chunk in np.unique(chunks):
-        members = np.flatnonzero(chunks == chunk)
-        paths = {int(i): folder / f"{i:06d}.npy" for i in members}
+    for frames, merged in chunks(trajectory, parameters):
+        paths = {i: folder / f"{i:06d}.npy" for i in frames}
         if not all(path.is_file() for path in paths.values()):
             ground_map = GroundMap(parameters, threads)
-            for step, index in enumerate(paths):
+            for step, index in enumerate(merged):
                 with watch("read"):
                     record = run.frame(index)
                 with watch("ground: insert"):
                     ground_map.insert(record.points, trajectory.poses[index])
-                tell(done + step // 2, len(trajectory))
+                tell(done + len(paths) * step // (2 * len(merged)), len(trajectory))
             with watch("ground: grow"):
                 ground_map.grow()
             for step, (index, path) in enumerate(paths.items()):
@@ -388,7 +386,7 @@ def _grow_ground(
                     bits = np.packbits(ground_map.label(record.points, trajectory.poses[index]))
                 write_atomically(path, lambda out, bits=bits: np.save(out, bits))  # type: ignore[misc]
                 tell(done + (len(paths) + step) // 2, len(trajectory))
-        done += len(members)
+        done += len(frames)
     tell(len(trajectory), len(trajectory))
 
 
