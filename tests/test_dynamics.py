@@ -10,6 +10,7 @@ from docdepth import _core
 from docdepth.config import DynamicsParameters, SurfaceParameters, parameters
 from docdepth.dynamics import KeyFrame, Votes, classify, classify_drive, key_frames, vote
 from docdepth.errors import InputError
+from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory
 from dynamics_reference import reference_moving, reference_vote
 
@@ -314,7 +315,7 @@ def test_the_surface_of_a_run_is_the_one_that_votes() -> None:
     none = np.zeros(len(wall), bool)
     votes = [
         vote(query, none, np.eye(4), [KeyFrame(wall, none, None, surface)], np.eye(4)[None])
-        for surface in (SurfaceParameters(), SurfaceParameters(max_gap_deg=0.1))
+        for surface in (None, Surface(wall, SurfaceParameters(max_gap_deg=0.1)))
     ]
     assert votes[0].dynamic.mean() > 0.5
     assert votes[1].dynamic.sum() == 0

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import ground_reference as reference
-from docdepth.config import parameters
+from docdepth.config import GroundParameters, parameters
 from docdepth.errors import InputError
-from docdepth.ground import GroundMap, grow_ground
-from docdepth.trajectory import quaternion_to_matrix
+from docdepth.ground import GroundMap, chunks, grow_ground
+from docdepth.trajectory import Trajectory, quaternion_to_matrix
 
 PAPER = parameters("paper").ground
 COARSE = PAPER.model_copy(update={"voxel_size": 0.1, "plane_distance": 0.1})
@@ -135,6 +135,21 @@ def test_chunks_are_grown_one_by_one():
     for i in range(2):
         alone = grow_ground(sweeps[i : i + 1], far[i : i + 1], COARSE)
         np.testing.assert_array_equal(labels[i], alone[0])
+
+
+def test_chunks_share_what_lies_between_them():
+    path = np.tile(np.eye(4), (9, 1, 1))
+    path[:, 0, 3] = 10 * np.arange(9)
+    drive = Trajectory(np.arange(9), path)
+    found = chunks(drive, GroundParameters(chunk_length=30, chunk_overlap=15))
+    assert found == [
+        ([0, 1, 2], [0, 1, 2, 3]),
+        ([3, 4, 5], [2, 3, 4, 5, 6]),
+        ([6, 7, 8], [5, 6, 7, 8]),
+    ]
+    apart = chunks(drive, GroundParameters(chunk_length=30, chunk_overlap=0))
+    assert all(frames == merged for frames, merged in apart)
+    assert sorted(i for frames, _ in found for i in frames) == list(range(9))
 
 
 def test_seed_radius_widens_until_something_is_found():

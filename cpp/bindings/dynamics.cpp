@@ -21,10 +21,16 @@ std::unique_ptr<RangeImage> make_range_image(const Array<float>& points, const A
                                       RangeImageParameters{resolution, window, tolerance, plain});
 }
 
-std::unique_ptr<SurfaceImage> make_surface_image(const Array<float>& points,
-                                                 const SurfaceParameters& surface,
+/// A surface of other points would be read beyond their end.
+void check_surface(const Surface& surface, Eigen::Index rows) {
+  if (surface.points != static_cast<std::size_t>(rows))
+    throw std::invalid_argument("the surface was made of another number of points");
+}
+
+std::unique_ptr<SurfaceImage> make_surface_image(const Array<float>& points, const Surface& surface,
                                                  const SurfaceImageParameters& parameters) {
   const PointMap map = as_points(points);
+  check_surface(surface, map.rows());
   py::gil_scoped_release release;
   return std::make_unique<SurfaceImage>(map, surface, parameters);
 }
@@ -49,10 +55,10 @@ py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
 
 py::array_t<std::uint8_t> moving(const Array<float>& points, const Array<bool>& ground,
                                  const Array<std::uint16_t>& statics,
-                                 const Array<std::uint16_t>& dynamics,
-                                 const SurfaceParameters& surface,
+                                 const Array<std::uint16_t>& dynamics, const Surface& surface,
                                  const ObjectParameters& parameters) {
   const PointMap map = as_points(points);
+  check_surface(surface, map.rows());
   const bool* flags = as_column(ground, map.rows(), "ground");
   const std::uint16_t* s = as_column(statics, map.rows(), "statics");
   const std::uint16_t* d = as_column(dynamics, map.rows(), "dynamics");

@@ -1,28 +1,41 @@
 #include "docdepth/surface/surface.hpp"
 
+#include <memory>
+
 #include "arrays.hpp"
 
 namespace docdepth::bindings {
-
 namespace {
 
-py::tuple surface(const Array<float>& points, const SurfaceParameters& parameters) {
-  const auto view = as_points(points);
-  Surface result;
-  {
-    const py::gil_scoped_release release;
-    result = build_surface(view, parameters);
-  }
-  const auto count = static_cast<py::ssize_t>(result.triangles.size());
-  const auto loose = static_cast<py::ssize_t>(result.loose.size());
-  // (M, 3) corners are handed over as they lie in memory.
-  auto* owner = new std::vector<std::array<std::uint32_t, 3>>(std::move(result.triangles));
-  const py::capsule free(
-      owner, [](void* p) { delete static_cast<std::vector<std::array<std::uint32_t, 3>>*>(p); });
-  return py::make_tuple(
-      py::array_t<std::uint32_t>({count, py::ssize_t{3}},
-                                 reinterpret_cast<const std::uint32_t*>(owner->data()), free),
-      to_numpy(std::move(result.cut), {count}), to_numpy(std::move(result.loose), {loose}));
+std::unique_ptr<Surface> make_surface(const Array<float>& points,
+                                      const SurfaceParameters& parameters) {
+  const PointMap map = as_points(points);
+  const py::gil_scoped_release release;
+  return std::make_unique<Surface>(build_surface(map, parameters));
+}
+
+/// An array that reads the memory of a surface and keeps it alive.
+template <class T>
+py::array_t<T> view(const py::object& surface, const T* data, std::vector<py::ssize_t> shape) {
+  py::array_t<T> array(std::move(shape), data, surface);
+  array.attr("flags").attr("writeable") = false;
+  return array;
+}
+
+py::array_t<std::uint32_t> triangles(const py::object& self) {
+  const auto& all = self.cast<const Surface&>().triangles;
+  return view(self, reinterpret_cast<const std::uint32_t*>(all.data()),
+              {static_cast<py::ssize_t>(all.size()), 3});
+}
+
+py::array_t<std::uint8_t> cut(const py::object& self) {
+  const auto& all = self.cast<const Surface&>().cut;
+  return view(self, all.data(), {static_cast<py::ssize_t>(all.size())});
+}
+
+py::array_t<std::uint32_t> loose(const py::object& self) {
+  const auto& all = self.cast<const Surface&>().loose;
+  return view(self, all.data(), {static_cast<py::ssize_t>(all.size())});
 }
 
 }  // namespace
@@ -34,7 +47,11 @@ void bind_surface(py::module_& m) {
       .def_readwrite("jump_ratio", &SurfaceParameters::jump_ratio)
       .def_readwrite("noise", &SurfaceParameters::noise)
       .def_readwrite("flatness", &SurfaceParameters::flatness);
-  m.def("surface", &surface, py::arg("points"), py::arg("parameters"));
+  py::class_<Surface>(m, "Surface")
+      .def(py::init(&make_surface), py::arg("points"), py::arg("parameters"))
+      .def_property_readonly("triangles", &triangles)
+      .def_property_readonly("cut", &cut)
+      .def_property_readonly("loose", &loose);
 }
 
 }  // namespace docdepth::bindings

@@ -37,6 +37,9 @@ class GroundParameters(_Stage):
     """Ground growing (paper III-C1)."""
 
     chunk_length: float = Field(500.0, gt=0, description="path length of a chunk, l [m]")
+    chunk_overlap: float = Field(
+        100.0, ge=0, description="path before and after a chunk that is merged with it [m]"
+    )
     voxel_size: float = Field(0.03, gt=0, description="edge of a voxel, s [m]")
     seed_radius: float = Field(2.0, gt=0, description="seeds lie this near a pose, r_seed [m]")
     neighbors: int = Field(30, ge=3, le=200, description="neighbours of a front point, k_nn")
@@ -191,6 +194,7 @@ _STAGES: dict[str, type[_Stage]] = {
 
 # Where the paper's text differs from what measured best, a stage at a time.
 _PAPER: dict[str, dict[str, Any]] = {
+    "ground": {"chunk_overlap": 0},
     "dynamics": {"against": "pixels", "time_spacing": 0, "end_radius": 0, "objects": False},
     "render": {"surface": "splats", "behind": 0.5, "step": 0.2},
 }

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from docdepth import _core
 from docdepth.config import DynamicsParameters, SurfaceParameters
 from docdepth.errors import InputError
-from docdepth.surface import core_parameters
+from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory, check_rigid
 
 GROUND, STATIC, DYNAMIC = 0, 50, 100
@@ -108,8 +108,8 @@ class KeyFrame:
     ground : ndarray of bool, shape (N,)
     parameters : DynamicsParameters, optional
         Its ``against`` says whether pixels or the sweep's surface answer.
-    surface : SurfaceParameters, optional
-        Of that surface.
+    surface : Surface, optional
+        Of these points; made here when needed and left out.
 
     Raises
     ------
@@ -122,14 +122,14 @@ class KeyFrame:
         points: NDArray[np.float32],
         ground: NDArray[np.bool_],
         parameters: DynamicsParameters | None = None,
-        surface: SurfaceParameters | None = None,
+        surface: Surface | None = None,
     ) -> None:
         p = parameters or DynamicsParameters()
         points, ground = _check_sweep(points, ground)
         if p.against == "pixels":
             self._core = _range_image(points, ground, p)
         else:
-            self._core = _surface_image(points, p, surface)
+            self._core = _surface_image(points, p, surface or Surface(points))
 
 
 def vote(
@@ -193,7 +193,7 @@ def classify(
     votes: Votes,
     parameters: DynamicsParameters | None = None,
     points: NDArray[np.float32] | None = None,
-    surface: SurfaceParameters | None = None,
+    surface: Surface | None = None,
 ) -> NDArray[np.uint16]:
     """Turn votes into classes: dynamic where more key frames say so than say static.
 
@@ -209,8 +209,8 @@ def classify(
     parameters : DynamicsParameters, optional
     points : ndarray of float32, shape (N, 3), optional
         The deskewed sweep, LiDAR frame, metres.
-    surface : SurfaceParameters, optional
-        Of the surface that connects the points of an object.
+    surface : Surface, optional
+        Of these points, which connects those of an object; made here when needed and left out.
 
     Returns
     -------
@@ -226,7 +226,7 @@ def classify(
     p = parameters or DynamicsParameters()
     if p.objects and points is not None:
         points, ground = _check_sweep(points, ground)
-        dynamic = _moving_points(points, ground, votes, p, surface)
+        dynamic = _moving_points(points, ground, votes, p, surface or Surface(points))
     else:
         dynamic = votes.dynamic > votes.static
     if p.against == "pixels":
@@ -277,9 +277,10 @@ def classify_drive(
             f"{len(sweeps)} sweeps, {len(trajectory)} poses and {len(ground)} ground labels do not "
             "belong to the same drive; give one of each a sweep"
         )
+    surfaces = [surface_for(sweep, parameters, surface) for sweep in sweeps]
     chosen = key_frames(trajectory, parameters)
     frames = {
-        int(j): KeyFrame(sweeps[j], ground[j], parameters, surface)
+        int(j): KeyFrame(sweeps[j], ground[j], parameters, surfaces[j])
         for j in np.unique(np.concatenate(chosen))
     }
     labels = []
@@ -294,8 +295,18 @@ def classify_drive(
             parameters,
             threads,
         )
-        labels.append(Labels(classify(ground[i], votes, parameters, sweep, surface), votes))
+        labels.append(Labels(classify(ground[i], votes, parameters, sweep, surfaces[i]), votes))
     return labels
+
+
+def surface_for(
+    points: NDArray[np.float32],
+    parameters: DynamicsParameters | None = None,
+    surface: SurfaceParameters | None = None,
+) -> Surface | None:
+    """The surface of a sweep, where key frames or objects need one: to be handed to both."""
+    p = parameters or DynamicsParameters()
+    return Surface(points, surface) if p.objects or p.against == "surface" else None
 
 
 def _range_image(
@@ -305,7 +316,7 @@ def _range_image(
 
 
 def _surface_image(
-    points: NDArray[np.float32], p: DynamicsParameters, surface: SurfaceParameters | None
+    points: NDArray[np.float32], p: DynamicsParameters, surface: Surface
 ) -> _core.KeyFrame:
     image = _core.SurfaceImageParameters()
     image.resolution = float(np.radians(p.resolution_deg))
@@ -313,7 +324,7 @@ def _surface_image(
     image.upright = _core.Margins(p.across, p.along, p.along_growth)
     image.level = _core.Margins(p.level_across, p.level_along, 0.0)
     image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
-    return _core.SurfaceImage(points, core_parameters(surface or SurfaceParameters()), image)
+    return _core.SurfaceImage(points, surface.core, image)
 
 
 def _moving_points(
@@ -321,7 +332,7 @@ def _moving_points(
     ground: NDArray[np.bool_],
     votes: Votes,
     p: DynamicsParameters,
-    surface: SurfaceParameters | None,
+    surface: Surface,
 ) -> NDArray[np.bool_]:
     objects = _core.ObjectParameters()
     objects.link, objects.link_growth = p.link, p.link_growth
@@ -331,8 +342,7 @@ def _moving_points(
     objects.width = p.object_width
     objects.freed_share, objects.freed_votes = p.freed_share, p.freed_votes
     objects.freed_ratio = p.freed_ratio
-    connected = core_parameters(surface or SurfaceParameters())
-    moving = _core.moving_points(points, ground, votes.static, votes.dynamic, connected, objects)
+    moving = _core.moving_points(points, ground, votes.static, votes.dynamic, surface.core, objects)
     return moving.view(np.bool_)
 
 

@@ -159,16 +159,37 @@ def grow_ground(
     labels: list[NDArray[np.bool_]] = []
     if not len(sweeps):
         return labels
-    arc = Trajectory(np.arange(len(poses)), poses).arc_length
-    chunk = (arc / parameters.chunk_length).astype(np.int64)
-    for c in np.unique(chunk):
-        frames = np.flatnonzero(chunk == c).tolist()
+    for frames, merged in chunks(Trajectory(np.arange(len(poses)), poses), parameters):
         ground_map = GroundMap(parameters, threads)
-        for i in frames:
+        for i in merged:
             ground_map.insert(sweeps[i], poses[i])
         ground_map.grow()
         labels += [ground_map.label(sweeps[i], poses[i]) for i in frames]
     return labels
+
+
+def chunks(
+    trajectory: Trajectory, parameters: GroundParameters | None = None
+) -> list[tuple[list[int], list[int]]]:
+    """Cut a drive into chunks of path length, in order (paper III-C1, l).
+
+    Returns
+    -------
+    list of (list of int, list of int)
+        Frames of each chunk, which are labelled, and the frames that are merged for it: also those
+        on ``chunk_overlap`` of path before and after, since they see the ground of the first and
+        the last frames from nearby.
+    """
+    p, arc = parameters or GroundParameters(), trajectory.arc_length
+    number = (arc // p.chunk_length).astype(np.int64)
+    found = []
+    for c in np.unique(number):
+        frames = np.flatnonzero(number == c)
+        near = (arc >= arc[frames[0]] - p.chunk_overlap) & (
+            arc <= arc[frames[-1]] + p.chunk_overlap
+        )
+        found.append((frames.tolist(), np.flatnonzero(near).tolist()))
+    return found
 
 
 def _core_parameters(parameters: GroundParameters) -> _core.GroundParameters:

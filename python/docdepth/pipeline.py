@@ -18,12 +18,13 @@ from docdepth import dynamics
 from docdepth.datasets.base import Dataset, usable_points
 from docdepth.depth_maps import run_render
 from docdepth.errors import DatasetError
-from docdepth.ground import GroundMap
+from docdepth.ground import GroundMap, chunks
 from docdepth.io.atomic import write_atomically
 from docdepth.io.ply import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.odometry import odometry
 from docdepth.stages import Progress, Stopwatch, finish_stage, stage_is_done, teller
+from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory
 
 __all__ = ["run_classify", "run_odometry", "run_render"]
@@ -123,17 +124,27 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         return np.unpackbits(np.load(grounds / f"{index:06d}.npy"), count=count).astype(bool)
 
     def finish(
-        index: int, record: FrameRecord, ground: NDArray[np.bool_], votes: dynamics.Votes
+        index: int,
+        record: FrameRecord,
+        ground: NDArray[np.bool_],
+        votes: dynamics.Votes,
+        surface: Surface | None,
     ) -> None:
         with watch("objects"):
-            classid = dynamics.classify(
-                ground, votes, parameters.dynamics, record.points, parameters.surface
-            )
+            classid = dynamics.classify(ground, votes, parameters.dynamics, record.points, surface)
         with watch("write"):
             _write_classified(run, index, replace(record, classid=classid))
 
     voters = dynamics.key_frames(trajectory, parameters.dynamics)
     asked: dict[int, dynamics.KeyFrame] = {}
+    surfaces: dict[int, Surface | None] = {}  # of key frames whose own turn is still to come
+
+    def surface_of(k: int, points: NDArray[np.float32]) -> Surface | None:
+        if k not in surfaces:
+            with watch("surfaces"):
+                surfaces[k] = dynamics.surface_for(points, parameters.dynamics, parameters.surface)
+        return surfaces[k]
+
     tell = teller(progress, "classify")
     worked = 0
     with ThreadPoolExecutor(1) as writer:
@@ -147,9 +158,10 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                     with watch("read"):
                         record = run.frame(k)
                         ground = ground_of(k, len(record.points))
+                    surface = surface_of(k, record.points)
                     with watch("key frames"):
                         asked[k] = dynamics.KeyFrame(
-                            record.points, ground, parameters.dynamics, parameters.surface
+                            record.points, ground, parameters.dynamics, surface
                         )
                 with watch("read"):
                     record = run.frame(index)
@@ -164,6 +176,8 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                         parameters.dynamics,
                         threads,
                     )
+                surface = surface_of(index, record.points)
+                surfaces = {k: surfaces[k] for k in surfaces if k > index}
                 record = replace(
                     record,
                     key={**record.key, "classify": key},
@@ -174,7 +188,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                 with watch("wait for objects and files"):
                     if pending:
                         pending.result()
-                    pending = writer.submit(finish, index, record, ground, votes)
+                    pending = writer.submit(finish, index, record, ground, votes, surface)
             tell(index + 1, total)
         if pending:
             pending.result()
@@ -199,19 +213,17 @@ def _grow_ground(
         for path in folder.glob("*"):
             path.unlink()
         write_atomically(marker, lambda stream: stream.write(key.encode()))
-    chunks = (trajectory.arc_length // parameters.chunk_length).astype(int)
     done = 0
-    for chunk in np.unique(chunks):
-        members = np.flatnonzero(chunks == chunk)
-        paths = {int(i): folder / f"{i:06d}.npy" for i in members}
+    for frames, merged in chunks(trajectory, parameters):
+        paths = {i: folder / f"{i:06d}.npy" for i in frames}
         if not all(path.is_file() for path in paths.values()):
             ground_map = GroundMap(parameters, threads)
-            for step, index in enumerate(paths):
+            for step, index in enumerate(merged):
                 with watch("read"):
                     record = run.frame(index)
                 with watch("ground: insert"):
                     ground_map.insert(record.points, trajectory.poses[index])
-                tell(done + step // 2, len(trajectory))
+                tell(done + len(paths) * step // (2 * len(merged)), len(trajectory))
             with watch("ground: grow"):
                 ground_map.grow()
             for step, (index, path) in enumerate(paths.items()):
@@ -221,7 +233,7 @@ def _grow_ground(
                     bits = np.packbits(ground_map.label(record.points, trajectory.poses[index]))
                 write_atomically(path, lambda out, bits=bits: np.save(out, bits))  # type: ignore[misc]
                 tell(done + (len(paths) + step) // 2, len(trajectory))
-        done += len(members)
+        done += len(frames)
     tell(len(trajectory), len(trajectory))
 
 

@@ -148,8 +148,7 @@ void add_objects(const Points& points, const bool* ground, const Surface& surfac
 
 std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground,
                                         const std::uint16_t* statics, const std::uint16_t* dynamics,
-                                        const SurfaceParameters& surface_parameters,
-                                        const ObjectParameters& p) {
+                                        const Surface& surface, const ObjectParameters& p) {
   const auto count = static_cast<std::size_t>(points.rows());
   Flags dynamic(count), freed(count);
   bool any = false;
@@ -160,7 +159,6 @@ std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground
     any |= dynamic[i] || freed[i];
   }
   if (!any) return dynamic;
-  const Surface surface = build_surface(points, surface_parameters);
   Flags moving = believed(points, surface, dynamic, p);
   add_objects(points, ground, surface, freed, p, moving);
 

@@ -34,9 +34,9 @@ struct ObjectParameters {
 /// is thin collects some, since key frames look past it.
 ///
 /// @param ground, statics, dynamics  one value a point
+/// @param surface  of these points
 std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground,
                                         const std::uint16_t* statics, const std::uint16_t* dynamics,
-                                        const SurfaceParameters& surface,
-                                        const ObjectParameters& parameters);
+                                        const Surface& surface, const ObjectParameters& parameters);
 
 }  // namespace docdepth

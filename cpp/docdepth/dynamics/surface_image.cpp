@@ -136,14 +136,14 @@ void for_each_pixel(const std::array<Corner, 3>& corners, const Body& body) {
 
 }  // namespace
 
-SurfaceImage::SurfaceImage(const Points& points, const SurfaceParameters& surface,
+SurfaceImage::SurfaceImage(const Points& points, const Surface& surface,
                            const SurfaceImageParameters& parameters)
     : parameters_(parameters), canvas_(parameters.resolution, parameters.window / 2) {
   if (parameters.window < 1 || parameters.window % 2 == 0)
     throw std::invalid_argument("the window must be an odd number of pixels");
   const Returns returns(points);
   range_ = canvas_.nearest_ranges(returns, canvas_.fit(returns));
-  draw(points, build_surface(points, surface));
+  draw(points, surface);
   summarize_windows();
   range_.resize(canvas_.size() + kLanes, kEmpty);  // may be read, never looked at
 }

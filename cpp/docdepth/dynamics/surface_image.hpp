@@ -31,7 +31,7 @@ struct SurfaceImageParameters {
 class SurfaceImage : public KeyFrame {
  public:
   /// Points that are not finite or lie at the origin are left out.
-  SurfaceImage(const Points& points, const SurfaceParameters& surface,
+  SurfaceImage(const Points& points, const Surface& surface,
                const SurfaceImageParameters& parameters);
 
   /// Each point is held against the plane of the triangle in its direction: on it static, before it

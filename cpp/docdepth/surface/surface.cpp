@@ -135,6 +135,7 @@ Surface build_surface(const Points& points, const SurfaceParameters& parameters)
   const std::vector<std::uint8_t> cut = cuts(points, mesh, sides, parameters);
 
   Surface surface;
+  surface.points = rays.size();
   surface.triangles.reserve(mesh.corners.size());
   surface.cut.reserve(mesh.corners.size());
   std::vector<std::uint8_t> used(rays.size(), 0);

@@ -19,6 +19,7 @@ struct SurfaceParameters {
 /// Triangles between neighbouring returns of a sweep, whatever the sensor. Corners are rows of the
 /// sweep's points, counterclockwise where azimuth is drawn to the right and elevation up.
 struct Surface {
+  std::size_t points = 0;  ///< of the sweep
   std::vector<std::array<std::uint32_t, 3>> triangles;
   std::vector<std::uint8_t> cut;     ///< of each triangle: 1 where it spans a depth jump
   std::vector<std::uint32_t> loose;  ///< rows that no uncut triangle uses, ascending
