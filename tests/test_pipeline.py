@@ -140,6 +140,33 @@ def test_several_cameras_in_several_formats(drive, finished, tmp_path):
     assert list(open_dataset(run).cameras) == ["camera"]
 
 
+def test_layers_beside_depth(finished, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    assert cli("render", run, "--layers", "class,time", "--layers", "support").exit_code == 0
+    names = [p.stem for p in sorted((run / "depth").glob("*.png"))]
+    assert [p.stem for p in sorted((run / "layers").iterdir())] == names
+    for name in names:  # depth is the same with and without
+        png = run / "depth" / f"{name}.png"
+        assert png.read_bytes() == (finished[0] / "depth" / png.name).read_bytes()
+        layers = np.load(run / "layers" / f"{name}.npz")
+        assert list(layers) == ["class", "time", "support"]
+        none = np.isnan(read_depth(png))
+        np.testing.assert_array_equal(layers["class"] == 255, none)
+        np.testing.assert_array_equal(np.isnan(layers["time"]), none)
+    # A map whose layers are missing is not whole.
+    (run / "layers" / f"{names[0]}.npz").unlink()
+    folder = RunFolder(run)
+    folder.set_stage("render", state="running")
+    assert cli("render", run).exit_code == 0
+    assert (run / "layers" / f"{names[0]}.npz").is_file()
+    assert cli("render", run, "--set", "output.layers=[]").exit_code == 0
+    assert not (run / "layers").exists()
+    result = cli("render", run, "--layers", "colour")
+    assert result.exit_code == 2
+    assert "output.layers" in str(result.exception)
+
+
 def test_distorted_images_are_rectified_under_the_depth(drive, finished, tmp_path):
     camera = open_dataset(drive).cameras["image_2"]
     distorted = tmp_path / "drive"

@@ -63,6 +63,14 @@ Formats = Annotated[
     ),
 ]
 Scale = Annotated[float | None, typer.Option(help="Steps of a PNG a metre; 256 (KITTI) if absent.")]
+LayerNames = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--layers",
+        metavar="NAME",
+        help="Also write class, time, range, support, std, normal; several.",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
@@ -99,6 +107,7 @@ def run(
     settings: Settings = None,
     format: Formats = None,
     scale: Scale = None,
+    layers: LayerNames = None,
     threads: Threads = 0,
     renderer: RendererName = None,
 ) -> None:
@@ -114,7 +123,7 @@ def run(
     from docdepth.sources import open_source
 
     drawn_by = choose(renderer)
-    changes = parse_settings(settings or []) | _output(format, scale)
+    changes = parse_settings(settings or []) | _output(format, scale, layers)
     values = parameters(preset, changes)  # type: ignore[arg-type]
     source = {
         "dataset": str(dataset.resolve()),
@@ -163,6 +172,7 @@ def render(
     camera: CameraNames = None,
     format: Formats = None,
     scale: Scale = None,
+    layers: LayerNames = None,
     pose: Annotated[
         str | None,
         typer.Option(help="Of a virtual camera on the LiDAR: x,y,z[,qx,qy,qz,qw], or a 4x4 file."),
@@ -187,7 +197,7 @@ def render(
     from docdepth.sources import open_source
 
     drawn_by = choose(renderer)
-    changes = _changes(settings) | _output(format, scale)
+    changes = _changes(settings) | _output(format, scale, layers)
     if pose or K or size:
         from docdepth.io.run_folder import RunFolder
         from docdepth.virtual import virtual_camera
@@ -382,13 +392,17 @@ def _changes(settings: list[str] | None) -> dict[str, Any]:
     return parse_settings(settings or [])
 
 
-def _output(format: list[str] | None, scale: float | None) -> dict[str, Any]:
+def _output(
+    format: list[str] | None, scale: float | None, layers: list[str] | None
+) -> dict[str, Any]:
     """Options that stand for settings."""
     chosen: dict[str, Any] = {}
     if format:
         chosen["output.format"] = ",".join(format)
     if scale is not None:
         chosen["output.scale"] = scale
+    if layers:
+        chosen["output.layers"] = ",".join(layers)
     return chosen
 
 

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from docdepth.errors import ConfigError
 
+Layer = Literal["class", "time", "range", "support", "std", "normal"]
 DepthFormat = Literal["png", "exr-half", "exr", "tiff", "npz", "npy"]
 
 Preset = Literal["default", "paper"]
@@ -161,14 +162,20 @@ class OutputParameters(_Stage):
         ("png",), min_length=1, description="of depth maps; PNG is uint16, the others are floats"
     )
     scale: float = Field(256.0, gt=0, description="steps of a PNG a metre")
+    layers: tuple[Layer, ...] = Field((), description="what else is written of each pixel")
 
-    @field_validator("format", mode="before")
+    @field_validator("format", "layers", mode="before")
     @classmethod
-    def _listed(cls, format: Any) -> Any:
-        names = format.split(",") if isinstance(format, str) else format
-        if isinstance(names, (list, tuple)) and {"exr", "exr-half"} <= set(names):
-            raise ValueError("exr and exr-half have one file name; choose one of them")
+    def _listed(cls, names: Any) -> Any:
+        names = names.split(",") if isinstance(names, str) else names
         return tuple(dict.fromkeys(names)) if isinstance(names, (list, tuple)) else names
+
+    @field_validator("format")
+    @classmethod
+    def _apart(cls, format: tuple[str, ...]) -> tuple[str, ...]:
+        if {"exr", "exr-half"} <= set(format):
+            raise ValueError("exr and exr-half have one file name; choose one of them")
+        return format
 
 
 class Parameters(_Stage):

@@ -22,10 +22,12 @@ from docdepth.io.atomic import write_atomically
 from docdepth.io.depth import DESCRIPTION, FORMATS, check_format, encode_depth, read_depth
 from docdepth.io.ply import write_trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.layers import check_layers
+from docdepth.layers import layers as layers_of
 from docdepth.stages import Progress, Stopwatch, finish_stage, stage_is_done, teller
 from docdepth.trajectory import Trajectory
 
-_FOLDERS = ("depth", "report")
+_FOLDERS = ("depth", "report", "layers")
 
 
 @dataclass(frozen=True)
@@ -49,16 +51,20 @@ class _Maps:
         return {f: self.path("depth", k, FORMATS[f]) for f in self.output.format}
 
     def are_whole(self, k: int) -> bool:
-        return all(path.is_file() for path in self.depths(k).values())
+        layers = [self.path("layers", k, ".npz")] if self.output.layers else []
+        return all(path.is_file() for path in [*layers, *self.depths(k).values()])
 
     def coverage(self, k: int) -> float:
         first, *_ = self.depths(k).items()
         return float(np.isfinite(read_depth(first[1], self.output.scale)).mean())
 
-    def write(self, k: int, depth: NDArray[np.float32]) -> None:
+    def write(self, k: int, depth: NDArray[np.float32], layers: dict[str, NDArray[Any]]) -> None:
         """The picture first: a map that is there has all that belongs to it."""
         picture = visualize.overlay(depth, _image(self.stream, k))
         _write_image(self.path("report", k, ".jpg"), picture)
+        if layers:
+            path = self.path("layers", k, ".npz")
+            write_atomically(path, lambda out: np.savez_compressed(out, **layers))  # type: ignore[arg-type]
         for format, path in self.depths(k).items():
             content = encode_depth(depth, format, self.output.scale)
             write_atomically(path, lambda out, content=content: out.write(content))  # type: ignore[misc]
@@ -79,6 +85,7 @@ class _Maps:
                 "T_camera_lidar": stream.T_camera_lidar.tolist(),
                 "distortion_of_images": _coefficients(stream),
             },
+            "layers": list(output.layers),
             "pixels": "integer coordinates are pixel centres (OpenCV)",
             "docdepth": __version__,
             "parameters": self.parameters.model_dump(mode="json"),
@@ -101,7 +108,7 @@ def run_render(
     stage: str = "render",
     parameters: Parameters | None = None,
 ) -> list[str]:
-    """Depth maps for every image into ``depth/``, pictures into ``report/``.
+    """Depth maps for every image into ``depth/``; layers and pictures into folders beside it.
 
     Parameters
     ----------
@@ -126,6 +133,7 @@ def run_render(
     drawing, output = parameters.render, parameters.output
     for format in output.format:
         check_format(format, output.scale, drawing.max_depth)
+    check_layers(output.layers, drawing)
     trajectory = run.trajectory()
     key = stage_key(
         run.stage("classify").get("key"),
@@ -192,9 +200,9 @@ def run_render(
                 record.points, record.classid, drawing, parameters.surface, record.late
             )
 
-    def write(m: _Maps, k: int, depth: NDArray[np.float32]) -> None:
+    def write(m: _Maps, k: int, depth: NDArray[np.float32], more: dict[str, NDArray[Any]]) -> None:
         with watch("write"):
-            m.write(k, depth)
+            m.write(k, depth, more)
 
     whole = sum(map(len, coverage))
     tell = teller(progress, stage)
@@ -212,21 +220,25 @@ def run_render(
             for i in render.needed_frames(trajectory, stamp, drawing):
                 with watch("wait for frames"):
                     made[i].result()
+            scene = (
+                streams[c].camera,
+                streams[c].T_camera_lidar,
+                trajectory,
+                stamp,
+                lambda i, made=made: made[i].result(),
+                drawing,
+                threads,
+            )
             with watch("draw"):
-                depth = render.render(
-                    streams[c].camera,
-                    streams[c].T_camera_lidar,
-                    trajectory,
-                    stamp,
-                    lambda i, made=made: made[i].result(),  # type: ignore[misc]
-                    drawing,
-                    threads,
-                    renderer,
-                )
+                depth = render.render(*scene, renderer)
+            more: dict[str, NDArray[Any]] = {}
+            if output.layers:
+                with watch("layers"):
+                    more = layers_of(output.layers, depth, *scene)
             coverage[c][k] = float(np.isfinite(depth).mean())
             if pending:
                 pending.result()
-            pending = pool.submit(write, maps[c], k, depth)
+            pending = pool.submit(write, maps[c], k, depth, more)
             tell(whole + done + 1, whole + len(jobs))
         if pending:
             pending.result()

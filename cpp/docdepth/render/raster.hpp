@@ -173,14 +173,15 @@ DOCDEPTH_INLINE bool is_open(const Projected& p, const Mesh::Patch& patch, const
   return first_u <= last_u && first_v <= last_v && strip.is_open(first_u, last_u, first_v, last_v);
 }
 
+/// False if nothing of it can be seen.
 template <bool kNumbered = false>
-DOCDEPTH_INLINE void draw_mesh(const Camera& camera, const PlacedMesh& placed, Strip& strip) {
+DOCDEPTH_INLINE bool draw_mesh(const Camera& camera, const PlacedMesh& placed, Strip& strip) {
   const Mesh& mesh = *placed.mesh;
   Camera part = camera;  // the columns of the strip as a camera of their own, for culling
   part.cx -= strip.begin;
   part.width = strip.end - strip.begin;
   const Frustum frustum(part, placed.T_camera_mesh);
-  if (!mesh.size() || !frustum.touches(mesh.box())) return;
+  if (!mesh.size() || !frustum.touches(mesh.box())) return false;
   const RigidTransform T(placed.T_camera_mesh);
   Projected points;
   for (const Mesh::Patch& patch : mesh.patches()) {
@@ -190,6 +191,7 @@ DOCDEPTH_INLINE void draw_mesh(const Camera& camera, const PlacedMesh& placed, S
     for (std::uint32_t t = patch.triangle; t < patch.triangle + patch.triangles; ++t)
       draw_triangle<kNumbered>(points, mesh.corners()[t], static_cast<std::int32_t>(t), strip);
   }
+  return true;
 }
 
 }  // namespace docdepth
