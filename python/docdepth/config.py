@@ -12,6 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from docdepth.errors import ConfigError
 
+DepthFormat = Literal["png", "exr-half", "exr", "tiff", "npz", "npy"]
+
 Preset = Literal["default", "paper"]
 
 
@@ -152,6 +154,23 @@ class RenderParameters(_Stage):
     dynamic_size_min: float = Field(35.0, gt=0, description="sigma_min of dynamic points [pixel]")
 
 
+class OutputParameters(_Stage):
+    """What is written of each depth map."""
+
+    format: tuple[DepthFormat, ...] = Field(
+        ("png",), min_length=1, description="of depth maps; PNG is uint16, the others are floats"
+    )
+    scale: float = Field(256.0, gt=0, description="steps of a PNG a metre")
+
+    @field_validator("format", mode="before")
+    @classmethod
+    def _listed(cls, format: Any) -> Any:
+        names = format.split(",") if isinstance(format, str) else format
+        if isinstance(names, (list, tuple)) and {"exr", "exr-half"} <= set(names):
+            raise ValueError("exr and exr-half have one file name; choose one of them")
+        return tuple(dict.fromkeys(names)) if isinstance(names, (list, tuple)) else names
+
+
 class Parameters(_Stage):
     """All stages of a run. Unknown keys are errors."""
 
@@ -161,6 +180,7 @@ class Parameters(_Stage):
     surface: SurfaceParameters = SurfaceParameters()
     dynamics: DynamicsParameters = DynamicsParameters()
     render: RenderParameters = RenderParameters()
+    output: OutputParameters = OutputParameters()
 
 
 _STAGES: dict[str, type[_Stage]] = {
@@ -169,6 +189,7 @@ _STAGES: dict[str, type[_Stage]] = {
     "surface": SurfaceParameters,
     "dynamics": DynamicsParameters,
     "render": RenderParameters,
+    "output": OutputParameters,
 }
 
 # Where the paper's text differs from what measured best, a stage at a time.

@@ -16,6 +16,9 @@ from docdepth.errors import CalibrationError, InputError
 from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory, inverse
 
+NEAR = 0.1
+"""Nothing nearer to the image plane is drawn [m]."""
+
 
 @dataclass(frozen=True)
 class Camera:
