@@ -11,7 +11,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from docdepth import depth_maps, pipeline
+from docdepth import depth_maps, pipeline, visualize
 from docdepth.cli import app
 from docdepth.datasets import open_dataset
 from docdepth.errors import DatasetError, DocDepthError
@@ -167,6 +167,35 @@ def test_layers_beside_depth(finished, tmp_path):
     assert "output.layers" in str(result.exception)
 
 
+def test_video_of_a_run(drive, finished, tmp_path, monkeypatch):
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    assert cli("video", run).exit_code == 0
+    reader = cv2.VideoCapture(str(run / "report" / "video.mp4"))
+    names = [p.stem for p in sorted((run / "depth").glob("*.png"))]
+    assert reader.get(cv2.CAP_PROP_FRAME_COUNT) == len(names)
+    assert reader.get(cv2.CAP_PROP_FPS) == pytest.approx(10, abs=0.1)
+    for name in names:
+        whole, frame = reader.read()
+        assert whole
+        assert frame.shape == (750, 1242, 3)
+        image = cv2.imread(str(drive / "image_2" / f"{name}.png"))
+        assert np.abs(frame[:375].astype(int) - image).mean() < 12
+        colours = visualize.colorize(read_depth(run / "depth" / f"{name}.png"))
+        assert np.abs(frame[375:].astype(int) - colours).mean() < 12
+    before = (run / "report" / "video.mp4").read_bytes()
+    with monkeypatch.context() as patch:  # a full disk, as OpenCV tells it: not at all
+        patch.setattr(cv2.VideoWriter, "write", lambda *_: None)
+        result = cli("video", run)
+    assert result.exit_code == 2
+    assert "make room" in str(result.exception)
+    assert (run / "report" / "video.mp4").read_bytes() == before
+    assert not list(run.rglob(".video*"))
+    (run / "depth" / f"{names[1]}.png").unlink()
+    assert f"lacks {names[1]}" in str(cli("video", run).exception)
+    assert "not of image_7" in str(cli("video", run, "--camera", "image_7").exception)
+
+
 def test_distorted_images_are_rectified_under_the_depth(drive, finished, tmp_path):
     camera = open_dataset(drive).cameras["image_2"]
     distorted = tmp_path / "drive"
@@ -180,7 +209,7 @@ def test_distorted_images_are_rectified_under_the_depth(drive, finished, tmp_pat
     path = distorted / "image_2" / "000001.png"
     cv2.imwrite(str(path), image)
     stream = open_dataset(distorted).cameras["image_2"]
-    rectified = depth_maps._image(stream, stream.names.index("000001"))
+    rectified = depth_maps.rectified_image(stream, stream.names.index("000001"))
     row, column = np.argwhere(rectified.max(axis=2) > 128).mean(axis=0)
     straight = K @ ray[0]
     assert abs(column - straight[0]) < 1.5

@@ -225,6 +225,26 @@ def render(
 
 
 @app.command()
+def video(
+    run: RunPath,
+    camera: Annotated[str | None, typer.Option(help="Which, where there are several.")] = None,
+    fps: Annotated[
+        float | None, typer.Option(min=0.1, help="Images a second; as recorded if absent.")
+    ] = None,
+) -> None:
+    """The images of a run above their depth, as report/video.mp4."""
+    from docdepth.io.run_folder import RunFolder
+    from docdepth.sources import stream_of
+    from docdepth.video import write_video
+
+    folder = RunFolder.open(run)
+    name = folder.depth_folder(camera)
+    with _progress() as progress:
+        path = write_video(folder, name, stream_of(folder, name), fps, progress)
+    out.print(f"{path}", soft_wrap=True, markup=False)
+
+
+@app.command()
 def synth(
     output: Annotated[Path, typer.Argument(metavar="OUT", help="Folder for the drive.")],
     scene: Annotated[str, typer.Option(help="Kind of street.")] = "city",

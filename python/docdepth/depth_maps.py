@@ -60,7 +60,7 @@ class _Maps:
 
     def write(self, k: int, depth: NDArray[np.float32], layers: dict[str, NDArray[Any]]) -> None:
         """The picture first: a map that is there has all that belongs to it."""
-        picture = visualize.overlay(depth, _image(self.stream, k))
+        picture = visualize.overlay(depth, rectified_image(self.stream, k))
         _write_image(self.path("report", k, ".jpg"), picture)
         if layers:
             path = self.path("layers", k, ".npz")
@@ -278,8 +278,14 @@ def _coefficients(stream: CameraStream) -> list[float]:
     return [0.0] * 5 if stream.distortion is None else stream.distortion.tolist()
 
 
-def _image(stream: CameraStream, k: int) -> NDArray[np.uint8] | None:
-    """Image ``k``, rectified."""
+def rectified_image(stream: CameraStream, k: int) -> NDArray[np.uint8] | None:
+    """Image ``k`` of a camera as its depth map sees it, None where there is none.
+
+    Raises
+    ------
+    DatasetError
+        It cannot be read, or is not of the camera's size.
+    """
     if not stream.images:
         return None
     image = cv2.imread(str(stream.images[k]), cv2.IMREAD_COLOR)

@@ -17,6 +17,7 @@ from docdepth.datasets import CameraStream, Dataset, open_dataset
 from docdepth.datasets.times import read_times
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.io.poses import read_poses
+from docdepth.io.run_folder import RunFolder
 from docdepth.render import Camera
 
 ALL = "all"
@@ -43,6 +44,16 @@ def open_source(source: dict[str, Any]) -> tuple[Dataset, list[CameraStream]]:
     if source["camera_times"]:
         streams = [_retimed(stream, Path(source["camera_times"])) for stream in streams]
     return recording, streams
+
+
+def stream_of(run: RunFolder, folder: str) -> CameraStream | None:
+    """The camera whose maps are in ``depth/FOLDER``; None for one that was not there."""
+    stage = run.stage("render")
+    if not run.manifest["source"] or folder not in stage.get("folders", []):
+        return None
+    name = stage["cameras"][stage["folders"].index(folder)]
+    _, streams = open_source(run.manifest["source"])
+    return next((stream for stream in streams if stream.name == name), None)
 
 
 def poses_of(source: dict[str, Any], recording: Dataset) -> NDArray[np.float64] | None:

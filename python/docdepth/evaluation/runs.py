@@ -83,7 +83,7 @@ def evaluate_depth(
     if (depth / "depth_2").is_dir():
         depth = depth / "depth_2"
     classes = depth.parent / depth.name.replace("depth", "class")
-    camera = _camera(folder, camera)
+    camera = folder.depth_folder(camera)
     K = folder.calibration(camera)[0].K
     evaluation = DepthEvaluation(mode=mode, max_range=max_range, poses=_poses(folder))
     maps, truths = maps_in(run / "depth" / camera), maps_in(depth)
@@ -99,17 +99,6 @@ def evaluate_depth(
             dynamic = moving(classes_of_image.ravel()).reshape(classes_of_image.shape)
         evaluation.add(read_depth(path), read_depth(truths[name]), dynamic, K)
     return evaluation.result()
-
-
-def _camera(folder: RunFolder, asked: str | None) -> str:
-    """The folder of the camera that is meant."""
-    folders = folder.stage("render").get("folders", [""])
-    apart = sorted(p.name for p in (folder.path / "depth").glob("*") if p.is_dir())
-    if asked is None and len(folders) == 1:
-        return str(folders[0])
-    if asked is None or (asked not in apart and folders != [""]):
-        raise DatasetError(f"{folder.path} has depth of the cameras {', '.join(apart)}: say which")
-    return asked if asked in apart else ""
 
 
 def _read(path: Path, points: int) -> NDArray[np.uint32]:

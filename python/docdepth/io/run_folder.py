@@ -208,6 +208,29 @@ class RunFolder:
             raise CalibrationError(f"{extrinsic} must hold a 4x4 matrix")
         return Camera(K, int(width), int(height)), T_camera_lidar, distortion
 
+    def depth_folder(self, camera: str | None = None) -> str:
+        """The folder in ``depth/`` of a camera, empty where there is but one.
+
+        Raises
+        ------
+        RunError
+            There is no such camera, or there are several and none was named.
+        """
+        apart = sorted(p.name for p in (self.path / "depth").glob("*") if p.is_dir())
+        stage = self.stage("render")
+        folders, cameras = stage.get("folders", [""]), stage.get("cameras", [])
+        if camera is None and len(folders) == 1:
+            return str(folders[0])
+        if camera in apart:
+            return camera
+        if folders == [""] and camera in cameras:
+            return ""
+        known = ", ".join(dict.fromkeys([*cameras, *apart])) or "no camera"
+        raise RunError(
+            f"{self.path} has depth of {known}"
+            + (f", not of {camera}" if camera else ": say --camera")
+        )
+
     def clear(self, folder: str) -> None:
         """Delete the files of an output folder whose parameters have changed."""
         for path in sorted((self.path / folder).glob("*")):
