@@ -16,6 +16,7 @@ from docdepth.depth_maps import rectified_image
 from docdepth.errors import RunError
 from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
+from docdepth.report import write_index
 from docdepth.stages import Progress, teller
 
 
@@ -85,6 +86,7 @@ def write_video(
                 f"cannot write {path}: OpenCV stopped early; make room on the disk and try again"
             )
         os.replace(part, path)
+        write_index(run)
     finally:
         part.unlink(missing_ok=True)
     return path
