@@ -116,6 +116,14 @@ class DynamicsParameters(_Stage):
     )
     freed_votes: int = Field(2, ge=1, description="dynamic votes that show a place was free")
     freed_ratio: float = Field(8.0, ge=1, description="most static votes that go with each of them")
+    tracks: bool = Field(True, description="carry evidence over time along objects (of `objects`)")
+    track_sightings: int = Field(
+        3, ge=2, description="sweeps whose votes say that an object moves, at least"
+    )
+    track_distance: float = Field(1.0, ge=0, description="and its way, from above, at least [m]")
+    track_speed: float = Field(40.0, gt=0, description="nothing is faster [m/s]")
+    track_gap: float = Field(0.5, ge=0, description="an object unseen for longer is lost [s]")
+    track_hold: float = Field(5.0, ge=0, description="the same of one that stands [s]")
 
     @field_validator("window")
     @classmethod
@@ -174,7 +182,13 @@ _STAGES: dict[str, type[_Stage]] = {
 # Where the paper's text differs from what measured best, a stage at a time.
 _PAPER: dict[str, dict[str, Any]] = {
     "ground": {"chunk_overlap": 0},
-    "dynamics": {"against": "pixels", "time_spacing": 0, "end_radius": 0, "objects": False},
+    "dynamics": {
+        "against": "pixels",
+        "time_spacing": 0,
+        "end_radius": 0,
+        "objects": False,
+        "tracks": False,
+    },
     "render": {"surface": "splats", "behind": 0.5, "step": 0.2},
 }
 

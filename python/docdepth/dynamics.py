@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,6 +195,7 @@ def classify(
     parameters: DynamicsParameters | None = None,
     points: NDArray[np.float32] | None = None,
     surface: Surface | None = None,
+    objects: NDArray[np.uint32] | None = None,
 ) -> NDArray[np.uint16]:
     """Turn votes into classes: dynamic where more key frames say so than say static.
 
@@ -211,6 +213,8 @@ def classify(
         The deskewed sweep, LiDAR frame, metres.
     surface : Surface, optional
         Of these points, which connects those of an object; made here when needed and left out.
+    objects : ndarray of uint32, shape (N,), optional
+        Of these points, from :func:`connect_objects`; made here when needed and left out.
 
     Returns
     -------
@@ -226,12 +230,158 @@ def classify(
     p = parameters or DynamicsParameters()
     if p.objects and points is not None:
         points, ground = _check_sweep(points, ground)
-        dynamic = _moving_points(points, ground, votes, p, surface or Surface(points))
+        surface = surface or Surface(points)
+        if objects is None:
+            objects = connect_objects(points, ground, surface, p)
+        dynamic = _core.moving_points(
+            points,
+            ground,
+            objects,
+            votes.static,
+            votes.dynamic,
+            surface.core,
+            _object_parameters(p),
+        ).view(np.bool_)
     else:
         dynamic = votes.dynamic > votes.static
     if p.against == "pixels":
         dynamic &= ~ground
     return np.where(dynamic, DYNAMIC, np.where(ground, GROUND, STATIC)).astype(np.uint16)
+
+
+def connect_objects(
+    points: NDArray[np.float32],
+    ground: NDArray[np.bool_],
+    surface: Surface | None = None,
+    parameters: DynamicsParameters | None = None,
+) -> NDArray[np.uint32]:
+    """Find the objects of a sweep: points off the ground that its surface connects.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        The deskewed sweep, LiDAR frame, metres.
+    ground : ndarray of bool, shape (N,)
+    surface : Surface, optional
+        Of these points; made here when left out.
+    parameters : DynamicsParameters, optional
+
+    Returns
+    -------
+    ndarray of uint32, shape (N,)
+        Row of the first point of each point's object; a point of the ground is alone.
+
+    Raises
+    ------
+    InputError
+        A shape or dtype is wrong.
+    """
+    points, ground = _check_sweep(points, ground)
+    p = _object_parameters(parameters or DynamicsParameters())
+    return _core.connect_objects(points, ground, (surface or Surface(points)).core, p)
+
+
+class Sighting:
+    """What a sweep saw above the ground, object by object: little enough to keep a whole drive.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        The deskewed sweep, LiDAR frame, metres.
+    ground : ndarray of bool, shape (N,)
+    objects : ndarray of uint32, shape (N,)
+        From :func:`connect_objects`.
+    classid : ndarray of uint16, shape (N,)
+        From :func:`classify`.
+    T_world_lidar : ndarray of float64, shape (4, 4)
+        With an origin so near that float32 tells centimetres, see :func:`poses_near_start`.
+
+    Raises
+    ------
+    InputError
+        A shape or dtype is wrong.
+    """
+
+    def __init__(
+        self,
+        points: NDArray[np.float32],
+        ground: NDArray[np.bool_],
+        objects: NDArray[np.uint32],
+        classid: NDArray[np.uint16],
+        T_world_lidar: NDArray[np.float64],
+    ) -> None:
+        points, ground = _check_sweep(points, ground)
+        self._core = _core.Sighting(points, ground, objects, classid >= DYNAMIC, T_world_lidar)
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All of it as arrays, to be written."""
+        return dict(zip(("numbers", "boxes", "places"), self._core.arrays, strict=True))
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> Sighting:
+        """The one that gave these arrays."""
+        self = cls.__new__(cls)
+        self._core = _core.Sighting.of(arrays["numbers"], arrays["boxes"], arrays["places"])
+        return self
+
+
+def carries_evidence(parameters: DynamicsParameters | None = None) -> bool:
+    """Whether objects are followed over time, which needs every sweep's votes first."""
+    p = parameters or DynamicsParameters()
+    return p.objects and p.tracks
+
+
+def poses_near_start(trajectory: Trajectory) -> NDArray[np.float64]:
+    """The poses with the first one's place as origin, for sightings."""
+    poses = trajectory.poses.copy()
+    poses[:, :3, 3] -= trajectory.poses[0, :3, 3]
+    return poses
+
+
+def follow(
+    sightings: Sequence[Sighting],
+    times: NDArray[np.int64],
+    parameters: DynamicsParameters | None = None,
+    threads: int = 0,
+) -> list[NDArray[np.uint32]]:
+    """Carry evidence over time: find objects that move at another time of the drive.
+
+    What the votes call dynamic is followed forward and backward. Objects of the next sweep that
+    fall onto its places, and together explain them, are the same one; so it is followed to where
+    it waits or parks, and to where no key frame looked. What is carried along must have been free
+    while the object was elsewhere, or else it is another thing: a parked car that was passed, a
+    pole, a wall.
+
+    Parameters
+    ----------
+    sightings : sequence of Sighting
+        Of every sweep, in order.
+    times : ndarray of int64
+        Stamps of the sweeps, nanoseconds.
+    parameters : DynamicsParameters, optional
+    threads : int
+        0 for all cores. The result does not depend on it.
+
+    Returns
+    -------
+    list of ndarray of uint32
+        For each sweep the objects (first rows, as :func:`connect_objects` names them) that are
+        dynamic, too.
+
+    Raises
+    ------
+    InputError
+        There is not one time a sighting.
+    """
+    p = parameters or DynamicsParameters()
+    if len(sightings) != len(times):
+        raise InputError(f"{len(sightings)} sightings and {len(times)} times; give one of each")
+    tracks = _core.TrackParameters()
+    tracks.sightings, tracks.distance = p.track_sightings, p.track_distance
+    tracks.max_speed, tracks.gap, tracks.hold = p.track_speed, p.track_gap, p.track_hold
+    seconds = (np.asarray(times) - times[0]) * 1e-9 if len(times) else np.zeros(0)
+    return _core.follow([seen._core for seen in sightings], seconds, tracks, threads)
 
 
 def classify_drive(
@@ -283,7 +433,10 @@ def classify_drive(
         int(j): KeyFrame(sweeps[j], ground[j], parameters, surfaces[j])
         for j in np.unique(np.concatenate(chosen))
     }
-    labels = []
+    local = poses_near_start(trajectory)
+    labels: list[Labels] = []
+    objects: list[NDArray[np.uint32]] = []
+    sightings: list[Sighting] = []
     for i, sweep in enumerate(sweeps):
         asked = [frames[int(j)] for j in chosen[i]]
         votes = vote(
@@ -295,7 +448,18 @@ def classify_drive(
             parameters,
             threads,
         )
-        labels.append(Labels(classify(ground[i], votes, parameters, sweep, surfaces[i]), votes))
+        if not carries_evidence(parameters):
+            labels.append(Labels(classify(ground[i], votes, parameters, sweep, surfaces[i]), votes))
+            continue
+        surface_i = surfaces[i] or Surface(sweep)
+        objects.append(connect_objects(sweep, ground[i], surface_i, parameters))
+        classid = classify(ground[i], votes, parameters, sweep, surface_i, objects[i])
+        sightings.append(Sighting(sweep, ground[i], objects[i], classid, local[i]))
+        labels.append(Labels(classid, votes))
+    if sightings:
+        carried = follow(sightings, trajectory.times, parameters, threads)
+        for i, found in enumerate(carried):
+            labels[i].classid[np.isin(objects[i], found)] = DYNAMIC
     return labels
 
 
@@ -327,13 +491,7 @@ def _surface_image(
     return _core.SurfaceImage(points, surface.core, image)
 
 
-def _moving_points(
-    points: NDArray[np.float32],
-    ground: NDArray[np.bool_],
-    votes: Votes,
-    p: DynamicsParameters,
-    surface: Surface,
-) -> NDArray[np.bool_]:
+def _object_parameters(p: DynamicsParameters) -> _core.ObjectParameters:
     objects = _core.ObjectParameters()
     objects.link, objects.link_growth = p.link, p.link_growth
     objects.companions, objects.company = p.companions, p.company
@@ -342,8 +500,7 @@ def _moving_points(
     objects.width = p.object_width
     objects.freed_share, objects.freed_votes = p.freed_share, p.freed_votes
     objects.freed_ratio = p.freed_ratio
-    moving = _core.moving_points(points, ground, votes.static, votes.dynamic, surface.core, objects)
-    return moving.view(np.bool_)
+    return objects
 
 
 def _check_sweep(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import resource
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -155,6 +156,14 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     def ground_of(index: int, count: int) -> NDArray[np.bool_]:
         return np.unpackbits(np.load(grounds / f"{index:06d}.npy"), count=count).astype(bool)
 
+    over_time = dynamics.carries_evidence(parameters.dynamics)
+    local = dynamics.poses_near_start(trajectory)
+    seen = run.path / ".objects" / key
+
+    def is_voted(index: int) -> bool:
+        whole = not over_time or (seen / f"{index:06d}.npz").is_file()
+        return whole and run.frame_key(index).get("classify") == key
+
     def finish(
         index: int,
         record: FrameRecord,
@@ -162,8 +171,18 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         votes: dynamics.Votes,
         surface: Surface | None,
     ) -> None:
+        points, objects = record.points, None
         with watch("objects"):
-            classid = dynamics.classify(ground, votes, parameters.dynamics, record.points, surface)
+            if over_time:
+                objects = dynamics.connect_objects(points, ground, surface, parameters.dynamics)
+            classid = dynamics.classify(
+                ground, votes, parameters.dynamics, points, surface, objects
+            )
+        if objects is not None:
+            with watch("sightings"):
+                sighting = dynamics.Sighting(points, ground, objects, classid, local[index])
+            with watch("write"):
+                _write_arrays(seen / f"{index:06d}.npz", objects=objects, **sighting.arrays)
         with watch("write"):
             _write_classified(run, index, replace(record, classid=classid))
 
@@ -182,7 +201,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     with ThreadPoolExecutor(1) as writer:
         pending: Future[None] | None = None
         for index in range(total):
-            if run.frame_key(index).get("classify") != key:
+            if not is_voted(index):
                 worked += 1
                 wanted = voters[index]
                 asked = {k: asked[k] for k in asked if k in set(wanted.tolist())}
@@ -224,6 +243,9 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             tell(index + 1, total)
         if pending:
             pending.result()
+    if over_time:
+        _carry_evidence(run, trajectory, seen, watch, threads)
+        shutil.rmtree(seen.parent)
     for path in grounds.glob("*"):
         path.unlink()
     _finish(run, "classify", watch, worked)
@@ -388,6 +410,33 @@ def _grow_ground(
                 tell(done + (len(paths) + step) // 2, len(trajectory))
         done += len(frames)
     tell(len(trajectory), len(trajectory))
+
+
+def _carry_evidence(
+    run: RunFolder, trajectory: Trajectory, seen: Path, watch: Stopwatch, threads: int
+) -> None:
+    """Classes of objects that move at another time; the same again when it was interrupted."""
+    sightings = []
+    for index in range(len(trajectory)):
+        with watch("read"), np.load(seen / f"{index:06d}.npz") as arrays:
+            sightings.append(dynamics.Sighting.of(arrays))
+    with watch("tracks"):
+        carried = dynamics.follow(sightings, trajectory.times, run.parameters.dynamics, threads)
+    for index, found in enumerate(carried):
+        if not len(found):
+            continue
+        with watch("read"):
+            record = run.frame(index)
+            with np.load(seen / f"{index:06d}.npz") as arrays:
+                moving = np.isin(arrays["objects"], found)
+        assert record.classid is not None
+        classid = np.where(moving, np.uint16(dynamics.DYNAMIC), record.classid)
+        with watch("write"):
+            _write_classified(run, index, replace(record, classid=classid))
+
+
+def _write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
+    write_atomically(path, lambda out: np.savez(out, allow_pickle=False, **arrays))
 
 
 def _write_classified(run: RunFolder, index: int, record: FrameRecord) -> None:
