@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,15 @@ from numpy.typing import NDArray
 from docdepth import _core
 from docdepth.config import DynamicsParameters, SurfaceParameters
 from docdepth.errors import InputError
+from docdepth.objects import (
+    Sighting,
+    carries_evidence,
+    check_sweep,
+    connect_objects,
+    follow,
+    moving_points,
+    poses_near_start,
+)
 from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory, check_rigid
 
@@ -126,7 +134,7 @@ class KeyFrame:
         surface: Surface | None = None,
     ) -> None:
         p = parameters or DynamicsParameters()
-        points, ground = _check_sweep(points, ground)
+        points, ground = check_sweep(points, ground)
         if p.against == "pixels":
             self._core = _range_image(points, ground, p)
         else:
@@ -170,7 +178,7 @@ def vote(
     InputError
         A shape or dtype is wrong, or a pose is not rigid.
     """
-    points, ground = _check_sweep(points, ground)
+    points, ground = check_sweep(points, ground)
     pose = np.ascontiguousarray(T_world_lidar, dtype=np.float64)
     poses = np.ascontiguousarray(poses, dtype=np.float64)
     if not key_frames:
@@ -214,7 +222,8 @@ def classify(
     surface : Surface, optional
         Of these points, which connects those of an object; made here when needed and left out.
     objects : ndarray of uint32, shape (N,), optional
-        Of these points, from :func:`connect_objects`; made here when needed and left out.
+        Of these points, from :func:`docdepth.objects.connect_objects`; made here when needed and
+        left out.
 
     Returns
     -------
@@ -229,19 +238,11 @@ def classify(
     """
     p = parameters or DynamicsParameters()
     if p.objects and points is not None:
-        points, ground = _check_sweep(points, ground)
+        points, ground = check_sweep(points, ground)
         surface = surface or Surface(points)
         if objects is None:
             objects = connect_objects(points, ground, surface, p)
-        dynamic = _core.moving_points(
-            points,
-            ground,
-            objects,
-            votes.static,
-            votes.dynamic,
-            surface.core,
-            _object_parameters(p),
-        ).view(np.bool_)
+        dynamic = moving_points(points, ground, objects, votes.static, votes.dynamic, surface, p)
     else:
         dynamic = votes.dynamic > votes.static
     if p.against == "pixels":
@@ -249,139 +250,30 @@ def classify(
     return np.where(dynamic, DYNAMIC, np.where(ground, GROUND, STATIC)).astype(np.uint16)
 
 
-def connect_objects(
-    points: NDArray[np.float32],
-    ground: NDArray[np.bool_],
-    surface: Surface | None = None,
-    parameters: DynamicsParameters | None = None,
-) -> NDArray[np.uint32]:
-    """Find the objects of a sweep: points off the ground that its surface connects.
+def confidence(votes: Votes) -> NDArray[np.float32]:
+    """How sure the votes of each point are of its being static or dynamic, 0..1.
+
+    The share of dynamic votes by Laplace's rule is (d + 1) / (d + s + 2); its distance from one
+    half, doubled, is |d - s| / (d + s + 2). So it is 0 where nobody voted or votes are even, 1/3
+    after a single vote, 1/2 after two that agree, and 1 in the limit.
 
     Parameters
     ----------
-    points : ndarray of float32, shape (N, 3)
-        The deskewed sweep, LiDAR frame, metres.
-    ground : ndarray of bool, shape (N,)
-    surface : Surface, optional
-        Of these points; made here when left out.
-    parameters : DynamicsParameters, optional
+    votes : Votes
+        As a frame keeps them (``votes_static``, ``votes_dynamic``): thresholds on this need no
+        voting again. Points of the ground that nobody was asked about have no votes, thus 0.
 
     Returns
     -------
-    ndarray of uint32, shape (N,)
-        Row of the first point of each point's object; a point of the ground is alone.
-
-    Raises
-    ------
-    InputError
-        A shape or dtype is wrong.
+    ndarray of float32, shape (N,)
     """
-    points, ground = _check_sweep(points, ground)
-    p = _object_parameters(parameters or DynamicsParameters())
-    return _core.connect_objects(points, ground, (surface or Surface(points)).core, p)
-
-
-class Sighting:
-    """What a sweep saw above the ground, object by object: little enough to keep a whole drive.
-
-    Parameters
-    ----------
-    points : ndarray of float32, shape (N, 3)
-        The deskewed sweep, LiDAR frame, metres.
-    ground : ndarray of bool, shape (N,)
-    objects : ndarray of uint32, shape (N,)
-        From :func:`connect_objects`.
-    classid : ndarray of uint16, shape (N,)
-        From :func:`classify`.
-    T_world_lidar : ndarray of float64, shape (4, 4)
-        With an origin so near that float32 tells centimetres, see :func:`poses_near_start`.
-
-    Raises
-    ------
-    InputError
-        A shape or dtype is wrong.
-    """
-
-    def __init__(
-        self,
-        points: NDArray[np.float32],
-        ground: NDArray[np.bool_],
-        objects: NDArray[np.uint32],
-        classid: NDArray[np.uint16],
-        T_world_lidar: NDArray[np.float64],
-    ) -> None:
-        points, ground = _check_sweep(points, ground)
-        self._core = _core.Sighting(points, ground, objects, classid >= DYNAMIC, T_world_lidar)
-
-    @property
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """All of it as arrays, to be written."""
-        return dict(zip(("numbers", "boxes", "places"), self._core.arrays, strict=True))
-
-    @classmethod
-    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> Sighting:
-        """The one that gave these arrays."""
-        self = cls.__new__(cls)
-        self._core = _core.Sighting.of(arrays["numbers"], arrays["boxes"], arrays["places"])
-        return self
-
-
-def carries_evidence(parameters: DynamicsParameters | None = None) -> bool:
-    """Whether objects are followed over time, which needs every sweep's votes first."""
-    p = parameters or DynamicsParameters()
-    return p.objects and p.tracks
-
-
-def poses_near_start(trajectory: Trajectory) -> NDArray[np.float64]:
-    """The poses with the first one's place as origin, for sightings."""
-    poses = trajectory.poses.copy()
-    poses[:, :3, 3] -= trajectory.poses[0, :3, 3]
-    return poses
-
-
-def follow(
-    sightings: Sequence[Sighting],
-    times: NDArray[np.int64],
-    parameters: DynamicsParameters | None = None,
-    threads: int = 0,
-) -> list[NDArray[np.uint32]]:
-    """Carry evidence over time: find objects that move at another time of the drive.
-
-    What the votes call dynamic is followed forward and backward. Objects of the next sweep that
-    fall onto its places, and together explain them, are the same one; so it is followed to where
-    it waits or parks, and to where no key frame looked. What is carried along must have been free
-    while the object was elsewhere, or else it is another thing: a parked car that was passed, a
-    pole, a wall.
-
-    Parameters
-    ----------
-    sightings : sequence of Sighting
-        Of every sweep, in order.
-    times : ndarray of int64
-        Stamps of the sweeps, nanoseconds.
-    parameters : DynamicsParameters, optional
-    threads : int
-        0 for all cores. The result does not depend on it.
-
-    Returns
-    -------
-    list of ndarray of uint32
-        For each sweep the objects (first rows, as :func:`connect_objects` names them) that are
-        dynamic, too.
-
-    Raises
-    ------
-    InputError
-        There is not one time a sighting.
-    """
-    p = parameters or DynamicsParameters()
-    if len(sightings) != len(times):
-        raise InputError(f"{len(sightings)} sightings and {len(times)} times; give one of each")
-    tracks = _core.TrackParameters()
-    tracks.sightings, tracks.distance = p.track_sightings, p.track_distance
-    tracks.max_speed, tracks.gap, tracks.hold = p.track_speed, p.track_gap, p.track_hold
-    seconds = (np.asarray(times) - times[0]) * 1e-9 if len(times) else np.zeros(0)
-    return _core.follow([seen._core for seen in sightings], seconds, tracks, threads)
+    static, dynamic = votes.static.astype(np.float32), votes.dynamic.astype(np.float32)
+    if static.shape != dynamic.shape:
+        raise InputError(
+            f"votes.static {static.shape} and votes.dynamic {dynamic.shape} differ in shape; "
+            "give both counts of the same points"
+        )
+    return np.asarray(np.abs(dynamic - static) / (dynamic + static + 2), np.float32)
 
 
 def classify_drive(
@@ -454,7 +346,7 @@ def classify_drive(
         surface_i = surfaces[i] or Surface(sweep)
         objects.append(connect_objects(sweep, ground[i], surface_i, parameters))
         classid = classify(ground[i], votes, parameters, sweep, surface_i, objects[i])
-        sightings.append(Sighting(sweep, ground[i], objects[i], classid, local[i]))
+        sightings.append(Sighting(sweep, ground[i], objects[i], classid >= DYNAMIC, local[i]))
         labels.append(Labels(classid, votes))
     if sightings:
         carried = follow(sightings, trajectory.times, parameters, threads)
@@ -489,33 +381,3 @@ def _surface_image(
     image.level = _core.Margins(p.level_across, p.level_along, 0.0)
     image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
     return _core.SurfaceImage(points, surface.core, image)
-
-
-def _object_parameters(p: DynamicsParameters) -> _core.ObjectParameters:
-    objects = _core.ObjectParameters()
-    objects.link, objects.link_growth = p.link, p.link_growth
-    objects.companions, objects.company = p.companions, p.company
-    objects.clear_votes, objects.clear_ratio = p.clear_votes, p.clear_ratio
-    objects.object_points, objects.share = p.object_points, p.object_share
-    objects.width = p.object_width
-    objects.freed_share, objects.freed_votes = p.freed_share, p.freed_votes
-    objects.freed_ratio = p.freed_ratio
-    return objects
-
-
-def _check_sweep(
-    points: NDArray[np.float32], ground: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Contiguous points and ground flags, or an error that says what to change."""
-    points, ground = np.asarray(points), np.asarray(ground)
-    if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
-        raise InputError(
-            f"points must be float32 of shape (N, 3), got {points.dtype} {points.shape}; "
-            "convert them once where they are read"
-        )
-    if ground.dtype != np.bool_ or ground.shape != points.shape[:1]:
-        raise InputError(
-            f"ground must be bool of shape ({len(points)},), one flag a point, "
-            f"got {ground.dtype} {ground.shape}"
-        )
-    return np.ascontiguousarray(points), np.ascontiguousarray(ground)

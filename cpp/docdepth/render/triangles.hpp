@@ -12,6 +12,8 @@ namespace docdepth {
 struct PlacedMesh {
   const Mesh* mesh;
   Pose T_camera_mesh;
+  int sweep = 0;       ///< that it comes from, as a number of the caller's
+  bool split = false;  ///< not measured, it only goes on over a depth jump
 };
 
 /// Depths that differ by less than this share of them are one surface.
