@@ -177,7 +177,7 @@ def test_confidence_as_it_is_written():
             worst = bend[max(v - 3, 0) : v + 4, max(u - 3, 0) : u + 4].max()
             edge = np.log10(min(max(worst, 1e-3), 1)) / 3 + 1
             s, m = int(support[v, u]), int(measures[v, u])
-            expected = 1 / (1 + np.exp(-(a + b * np.log((s + 1) / (m - s + 1)) - c * edge)))
+            expected = 1 / (1 + np.exp(-(a + b * np.log((s + 0.25) / (m - s + 1)) - c * edge)))
             assert found[v, u] == pytest.approx(expected, abs=2e-4)
 
 

@@ -35,7 +35,7 @@ from docdepth.render import Camera, Frame, arguments, drawn_sweeps
 from docdepth.trajectory import Trajectory
 
 # Of confidence(): a, b, c.
-_CONFIDENCE = {"triangles": (2.4, 1.2, 2.0), "splats": (3.6, 0.95, 2.6)}
+_CONFIDENCE = {"triangles": (2.9, 0.95, 1.9), "splats": (3.6, 0.95, 2.35)}
 
 LAYERS: tuple[str, ...] = get_args(Layer)
 
@@ -106,11 +106,11 @@ def confidence(
 ) -> NDArray[np.float32]:
     """How likely the depth of each pixel is less than 5 % off.
 
-    The logistic function of ``a + b ln((s + 1) / (m - s + 1)) - c e``: of m measurements of the
-    pixel s agree with its depth, in odds by Laplace's rule; e is 0 where the map is smooth within 3
-    pixels and 1 at a depth edge, the logarithm of the largest second difference of nearness over
-    nearness, from 0.1 to 100 %. a, b and c were fitted to exact depth of synthetic drives; see
-    ``examples/confidence.py``.
+    The logistic function of ``a + b ln((s + 1/4) / (m - s + 1)) - c e``: of m measurements of the
+    pixel s agree with its depth, and a pixel that nobody measured counts as a quarter of one
+    against one; e is 0 where the map is smooth within 3 pixels and 1 at a depth edge, the logarithm
+    of the largest second difference of nearness over nearness, from 0.1 to 100 %. a, b and c were
+    fitted to exact depth of synthetic drives, see ``examples/confidence.py``.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def features(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The two terms of :func:`confidence`: logarithm of the odds, and edge, 0..1."""
     against = measures.astype(np.float32) - support
-    odds = np.log((support.astype(np.float32) + 1) / (against + 1))
+    odds = np.log((support.astype(np.float32) + 0.25) / (against + 1))
     bend = cv2.dilate(_bends(depth), np.ones((7, 7), np.uint8))
     return odds, np.log10(np.clip(bend, 1e-3, 1)) / 3 + 1
 
