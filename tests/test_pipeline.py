@@ -11,13 +11,15 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from docdepth import depth_maps, pipeline, visualize
+from docdepth import visualize
 from docdepth.cli import app
 from docdepth.datasets import open_dataset
 from docdepth.errors import DatasetError, DocDepthError
 from docdepth.io.depth import read_depth
 from docdepth.io.ply import read_frame
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline import classify as classes
+from docdepth.pipeline import render as depth_maps
 
 pytest.importorskip("embreex")
 
@@ -90,7 +92,7 @@ def test_interrupted_run_goes_on_and_ends_the_same(drive, finished, tmp_path, mo
         return wrapped
 
     for module, name, count in (
-        (pipeline, "_write_classified", 3),
+        (classes, "_write_classified", 3),
         (depth_maps, "_write_image", 2),
     ):
         written.clear()

@@ -187,7 +187,8 @@ void bind_dynamics(py::module_& m) {
       .def_readwrite("tolerance", &SurfaceImageParameters::tolerance)
       .def_readwrite("upright", &SurfaceImageParameters::upright)
       .def_readwrite("level", &SurfaceImageParameters::level)
-      .def_readwrite("level_cosine", &SurfaceImageParameters::level_cosine);
+      .def_readwrite("level_cosine", &SurfaceImageParameters::level_cosine)
+      .def_readwrite("beam", &SurfaceImageParameters::beam);
   py::class_<ObjectParameters>(m, "ObjectParameters")
       .def(py::init<>())
       .def_readwrite("link", &ObjectParameters::link)

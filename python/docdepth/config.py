@@ -94,11 +94,14 @@ class DynamicsParameters(_Stage):
     level_lean_deg: float = Field(
         25.0, ge=0, lt=90, description="a plane leaning no more lies flat, as ground does [deg]"
     )
+    beam: float = Field(
+        0.15, gt=0, description="what lies farther from a measured line of sight is not seen [m]"
+    )
     objects: bool = Field(True, description="share evidence within connected objects")
     link: float = Field(
         0.3, gt=0, description="neighbours farther apart belong to different objects [m]"
     )
-    link_growth: float = Field(0.01, ge=0, description="growth of that with range [m/m]")
+    link_growth: float = Field(0.05, ge=0, description="growth of that with range [m/m]")
     companions: int = Field(
         5, ge=1, description="connected dynamic points that need no other evidence"
     )

@@ -380,4 +380,5 @@ def _surface_image(
     image.upright = _core.Margins(p.across, p.along, p.along_growth)
     image.level = _core.Margins(p.level_across, p.level_along, 0.0)
     image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
+    image.beam = p.beam
     return _core.SurfaceImage(points, surface.core, image)

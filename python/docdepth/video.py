@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from docdepth import visualize
 from docdepth.datasets.base import CameraStream
-from docdepth.depth_maps import rectified_image
 from docdepth.errors import RunError
 from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.stages import Progress, teller
+from docdepth.pipeline.render import rectified_image
+from docdepth.pipeline.stage import Progress, teller
 
 
 def write_video(

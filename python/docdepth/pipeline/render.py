@@ -24,7 +24,7 @@ from docdepth.io.ply import write_trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.layers import check_layers
 from docdepth.layers import layers as layers_of
-from docdepth.stages import Progress, Stopwatch, finish_stage, stage_is_done, teller
+from docdepth.pipeline.stage import Progress, Stopwatch, finish_stage, stage_is_done, teller
 from docdepth.trajectory import Trajectory
 
 _FOLDERS = ("depth", "report", "layers")
