@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from docdepth.errors import ConfigError
 
-Layer = Literal["class", "time", "range", "support", "std", "normal"]
+Layer = Literal["class", "time", "range", "support", "std", "normal", "confidence"]
 DepthFormat = Literal["png", "exr-half", "exr", "tiff", "npz", "npy"]
 
 Preset = Literal["default", "paper"]
