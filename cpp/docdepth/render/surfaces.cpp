@@ -10,6 +10,9 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// Sweeps whose rays are asked, by trust. More know little more.
+constexpr std::size_t kWitnesses = 12;
+
 /// A diamond around a return, across the line of sight.
 void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
                  Triangles& triangles) {
@@ -73,8 +76,9 @@ SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles
                            const std::uint32_t* loose, std::size_t loose_count, float loose_angle,
                            const std::uint16_t* classid, const float* late)
     : objects(find_objects(points, classid, late)) {
-  auto [vertices, parts] = part_surface(points, triangles, cut, triangle_count, objects.owner,
-                                        objects.places.size() + 1);
+  auto [vertices, parts, normals] = part_surface(points, triangles, cut, triangle_count,
+                                                 objects.owner, objects.places.size() + 1);
+  rays = Rays(points, normals);
   for (std::size_t i = 0; i < loose_count; ++i)
     add_diamond(points.row(loose[i]), loose_angle, vertices, parts[objects.owner[loose[i]]].whole);
   world = {Mesh(vertices, parts[0].whole), Mesh(vertices, parts[0].split)};
@@ -90,6 +94,8 @@ Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion
         .push_back({&frame->world.whole, pose});
   if (!fixed.empty())
     drawing.others.push_back({&fixed[0].frame->world.split, fixed[0].T_camera_frame});
+  for (std::size_t i = 0; i < std::min(fixed.size(), kWitnesses); ++i)
+    drawing.rays.push_back({&fixed[i].frame->rays, fixed[i].T_camera_frame});
   drawing.movers = carried(motion, threads);
   return drawing;
 }

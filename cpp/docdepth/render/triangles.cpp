@@ -7,6 +7,7 @@
 
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/geometry/rigid.hpp"
+#include "docdepth/render/candidates.hpp"
 #include "docdepth/render/dispatch.hpp"
 
 // The image is cut into strips of columns. One thread draws all of a strip, mesh after mesh, so
@@ -22,15 +23,14 @@ typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
 /// Pixels by which triangles are larger than they are, so that rounding leaves no cracks.
 constexpr float kSlack = 0.01f;
 
-constexpr float kLocked = std::numeric_limits<float>::infinity();  // nothing is nearer
-
 /// Nearness (1 / depth, linear on every plane's image) of the columns [begin, end); 0 is empty.
 struct Strip {
   int begin, end, height;
   std::vector<float> nearness;           // kStride numbers a row
   std::vector<std::uint8_t> open_tiles;  // 0 where nothing needs to be drawn
 
-  static constexpr int kStride = kStrip + kLanes, kTile = kLanes, kTiles = kStride / kTile;
+  static constexpr int kStride = kStrip + kLanes, kTile = Candidates::kTile,
+                       kTiles = kStride / kTile;
   Strip(int b, int e, int h)
       : begin(b),
         end(e),
@@ -38,15 +38,12 @@ struct Strip {
         nearness(std::size_t(kStride) * h, 0.0f),
         open_tiles(std::size_t(kTiles) * ((h + kTile - 1) / kTile), 1) {}
 
-  /// Keeps what has been drawn from being drawn over.
-  void lock() {
-    std::fill(open_tiles.begin(), open_tiles.end(), std::uint8_t{0});
-    for (int v = 0; v < height; ++v)
-      for (int u = 0; u < end - begin; ++u) {
-        float& w = nearness[std::size_t(v) * kStride + u];
-        if (!(w > 0)) open_tiles[(v / kTile) * kTiles + u / kTile] = 1;
-        w = w > 0 ? kLocked : 0.0f;
-      }
+  /// Empties the strip, and keeps from being drawn what nobody can offer anything for.
+  void open_only(const Candidates& candidates) {
+    std::fill(nearness.begin(), nearness.end(), 0.0f);
+    const auto& open = candidates.open_tiles();
+    for (std::size_t tile = 0; tile < open.size(); ++tile)
+      open_tiles[tile / candidates.tiles() * kTiles + tile % candidates.tiles()] = open[tile];
   }
 
   bool is_open(int first_u, int last_u, int first_v, int last_v) const {
@@ -177,55 +174,16 @@ DOCDEPTH_INLINE void draw_mesh(const Camera& camera, const PlacedMesh& placed, S
   }
 }
 
-DOCDEPTH_INLINE void load(const float* from, Floats& values) {
-  std::memcpy(&values, from, sizeof values);
-}
-
-DOCDEPTH_INLINE void store(const Floats& values, float* to) {
-  std::memcpy(to, &values, sizeof values);
-}
-
-/// What the strip is made of while sweeps are weighed against each other, and nothing of it yet.
-struct Scales {
-  std::vector<float> locked;  ///< the strip before a sweep is drawn
-  std::vector<float> chosen, waiting;
-
-  explicit Scales(const Strip& strip)
-      : locked(strip.nearness), chosen(locked.size(), 0.0f), waiting(locked.size(), 0.0f) {}
-};
-
-/// Takes one more measurement of each open pixel, and clears it. The first is chosen; one that is
-/// nearer waits until another confirms it.
-DOCDEPTH_INLINE void weigh(Strip& strip, Scales& scales) {
-  constexpr float more = 1 / (1 - kAgree), less = 1 / (1 + kAgree);
-  for (int v = 0; v < strip.height; ++v)
-    for (int tile = 0; tile < Strip::kTiles; ++tile) {
-      if (!strip.open_tiles[(v / Strip::kTile) * Strip::kTiles + tile]) continue;
-      const std::size_t i = std::size_t(v) * Strip::kStride + tile * Strip::kTile;
-      Floats w, locked, chosen, waiting;
-      load(&strip.nearness[i], w), load(&scales.locked[i], locked);
-      load(&scales.chosen[i], chosen), load(&scales.waiting[i], waiting);
-      const Integers known = (w > 0.0f) & (w < kLocked), first = known & (chosen == 0.0f);
-      const Integers nearer = known & ~first & (w > chosen * more);
-      const Integers confirmed = nearer & (w < waiting * more) & (w > waiting * less);
-      const Floats better = confirmed ? waiting : chosen, later = nearer ? w : waiting;
-      store(first ? w : better, &scales.chosen[i]);
-      store(confirmed ? Floats{} : later, &scales.waiting[i]);
-      store(locked, &strip.nearness[i]);
-    }
-}
-
 DOCDEPTH_INLINE void draw_strip(const Camera& camera, const Drawing& drawing, Strip& strip) {
   for (const PlacedMesh& mesh : drawing.trusted) draw_mesh(camera, mesh, strip);
-  std::vector<float> result = strip.nearness;
-  strip.lock();
-  Scales scales(strip);
+  Candidates candidates({strip.begin, strip.end - strip.begin, strip.height, Strip::kStride},
+                        strip.nearness);
+  strip.open_only(candidates);
   for (const PlacedMesh& mesh : drawing.others) {
     draw_mesh(camera, mesh, strip);
-    weigh(strip, scales);
+    candidates.take(strip.nearness.data());
   }
-  for (std::size_t i = 0; i < result.size(); ++i) result[i] = std::max(result[i], scales.chosen[i]);
-  strip.nearness = std::move(result);
+  strip.nearness = candidates.settle(camera, drawing.rays);
   std::fill(strip.open_tiles.begin(), strip.open_tiles.end(), std::uint8_t{1});
   for (const PlacedMesh& mesh : drawing.movers) draw_mesh(camera, mesh, strip);
 }

@@ -5,6 +5,7 @@
 
 #include "docdepth/render/camera.hpp"
 #include "docdepth/render/mesh.hpp"
+#include "docdepth/render/rays.hpp"
 
 namespace docdepth {
 
@@ -14,17 +15,13 @@ struct PlacedMesh {
   Pose T_camera_mesh;
 };
 
-/// Depths that differ by less than this share of them are one surface.
-constexpr float kAgree = 0.02f;
-
 /// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all
 /// surfaces is not the best: it is the one with the most noise and the widest silhouette.
 struct Drawing {
-  std::vector<PlacedMesh> trusted;  ///< nothing but what moves is drawn over these
-  /// Each fills what those before it left empty. It is drawn over them only where two agree that
-  /// something is nearer.
-  std::vector<PlacedMesh> others;
-  std::vector<PlacedMesh> movers;  ///< hide what is farther
+  std::vector<PlacedMesh> trusted;  ///< goes on unquestioned where it has no edge
+  std::vector<PlacedMesh> others;   ///< fill what it left empty, and are offered at its edges
+  std::vector<PlacedMesh> movers;   ///< hide what is farther
+  std::vector<PlacedRays> rays;     ///< what is asked where offers differ
 };
 
 /// Depth of the surface at each pixel, row after row; NaN where there is none. Triangles with a
