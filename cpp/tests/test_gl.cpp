@@ -104,9 +104,12 @@ TEST_CASE("OpenGL draws the triangles of the processor, weighed alike") {
       {{{&third, pose}}, {{&first, pose}, {&second, pose}, {&first, Pose::Identity()}}, {}, {}},
       {{},
        {{&second, pose}, {&first, pose}, {&third, pose}, {&first, pose}},
-       {{&third, pose}},
-       {{&rays, pose}, {&rays, Pose::Identity()}}},
-      {{{&first, pose}, {&third, pose}}, {{&second, pose}}, {{&second, pose}}, {{&rays, pose}}},
+       {{&rays, pose}, {&rays, Pose::Identity()}},
+       {{{{&third, pose}}, {}}}},
+      {{{&first, pose}, {&third, pose}},
+       {{&second, pose}},
+       {{&rays, pose}},
+       {{{{&second, pose}, {&third, pose}}, {{&rays, pose}}}, {{{&third, pose}}, {}}}},
       Drawing()};
   for (const Backend backend : kBackends) {
     const auto renderer = open(backend);

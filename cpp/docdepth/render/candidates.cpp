@@ -69,35 +69,89 @@ struct Contest {
   float offers[Candidates::kMost];
 };
 
-}  // namespace
+/// Pixels [begin_u, end_u) x [begin_v, end_v).
+struct Tile {
+  int begin_u, end_u, begin_v, end_v;
 
-Candidates::Candidates(const Columns& columns, std::vector<float> trusted)
-    : columns_(columns), tiles_((columns.width + kTile - 1) / kTile), trusted_(std::move(trusted)) {
-  const int tile_rows = (columns.height + kTile - 1) / kTile;
-  open_.resize(std::size_t(tiles_) * tile_rows);
-  for (int v = 0; v < tile_rows; ++v)
-    for (int u = 0; u < tiles_; ++u) open_[std::size_t(v) * tiles_ + u] = bends(u, v);
-  offers_[0] = trusted_;
-  for (int k = 1; k < kMost; ++k) offers_[k].assign(trusted_.size(), 0.0f);
+  Tile(const Columns& columns, int u, int v)
+      : begin_u(u * Candidates::kTile),
+        end_u(std::min(begin_u + Candidates::kTile, columns.width)),
+        begin_v(v * Candidates::kTile),
+        end_v(std::min(begin_v + Candidates::kTile, columns.height)) {}
+};
+
+int tiles_along(int pixels) {
+  return (pixels + Candidates::kTile - 1) / Candidates::kTile;
 }
 
 /// Is there an edge or an empty pixel in a tile?
-bool Candidates::bends(int tile_u, int tile_v) const {
-  const int last_u = std::min((tile_u + 1) * kTile, columns_.width) - 1;
-  const int last_v = std::min((tile_v + 1) * kTile, columns_.height) - 1;
+bool has_edge(const Columns& columns, const std::vector<float>& nearness, const Tile& tile) {
   const auto bent = [](float before, float here, float after) {
     return !(std::fabs((before - here) - (here - after)) <= kEdge * here);
   };
-  for (int v = tile_v * kTile; v <= last_v; ++v)
-    for (int u = tile_u * kTile; u <= last_u; ++u) {
-      const float* at = &trusted_[std::size_t(v) * columns_.stride + u];
+  for (int v = tile.begin_v; v < tile.end_v; ++v)
+    for (int u = tile.begin_u; u < tile.end_u; ++u) {
+      const float* at = &nearness[std::size_t(v) * columns.stride + u];
       if (!(*at > 0)) return true;
-      if (u > tile_u * kTile && u < last_u && bent(at[-1], at[0], at[1])) return true;
-      if (v > tile_v * kTile && v < last_v &&
-          bent(at[-columns_.stride], at[0], at[columns_.stride]))
+      if (u > tile.begin_u && u + 1 < tile.end_u && bent(at[-1], at[0], at[1])) return true;
+      if (v > tile.begin_v && v + 1 < tile.end_v &&
+          bent(at[-columns.stride], at[0], at[columns.stride]))
         return true;
     }
   return false;
+}
+
+/// Asks the rays for the offers number k of pixels.
+class Questions {
+ public:
+  Questions(const Columns& columns, const Camera& camera, const std::vector<PlacedRays>& rays)
+      : focal_(camera.fx, camera.fy),
+        centre_(float(camera.cx) - float(columns.begin), camera.cy),
+        rays_(rays) {
+    for (const auto& placed : rays) to_rays_.emplace_back(placed.T_camera_rays.inverse());
+  }
+
+  std::vector<float> ask(const std::vector<Contest>& contests, int k) const {
+    std::vector<float> balance(contests.size(), 0.0f);
+    for (std::size_t first = 0; first < contests.size(); first += Places::kMost)
+      ask_some(&contests[first], std::min(contests.size() - first, Places::kMost), k,
+               &balance[first]);
+    return balance;
+  }
+
+ private:
+  void ask_some(const Contest* contests, std::size_t count, int k, float* balance) const {
+    Eigen::Vector3f places[Places::kMost];
+    for (std::size_t i = 0; i < count; ++i) {
+      const float depth = 1 / contests[i].offers[k];
+      places[i] = {(float(contests[i].u) - centre_.x()) / focal_.x() * depth,
+                   (float(contests[i].v) - centre_.y()) / focal_.y() * depth, depth};
+    }
+    Places seen;
+    seen.size = count;
+    for (std::size_t j = 0; j < rays_.size(); ++j) {
+      for (std::size_t i = 0; i < count; ++i) {
+        const Eigen::Vector3f p = to_rays_[j] * places[i];
+        seen.x[i] = p.x(), seen.y[i] = p.y(), seen.z[i] = p.z();
+      }
+      rays_[j].rays->ask(seen, balance);
+    }
+  }
+
+  Eigen::Vector2f focal_, centre_;
+  const std::vector<PlacedRays>& rays_;
+  std::vector<RigidTransform> to_rays_;
+};
+
+}  // namespace
+
+Candidates::Candidates(const Columns& columns, std::vector<float> trusted)
+    : columns_(columns), tiles_(tiles_along(columns.width)) {
+  for (int v = 0; v < tiles_along(columns.height); ++v)
+    for (int u = 0; u < tiles_; ++u)
+      open_.push_back(has_edge(columns, trusted, Tile(columns, u, v)));
+  for (int k = 1; k < kMost; ++k) offers_[k].assign(trusted.size(), 0.0f);
+  offers_[0] = std::move(trusted);
 }
 
 void Candidates::take(float* nearness) {
@@ -116,11 +170,11 @@ std::vector<float> Candidates::settle(const Camera& camera,
                                       const std::vector<PlacedRays>& rays) const {
   std::vector<float> result = offers_[0];
   std::vector<Contest> contests;
-  for (std::size_t tile = 0; tile < open_.size(); ++tile) {
-    if (!open_[tile]) continue;
-    const int begin_u = int(tile) % tiles_ * kTile, begin_v = int(tile) / tiles_ * kTile;
-    for (int v = begin_v; v < std::min(begin_v + kTile, columns_.height); ++v)
-      for (int u = begin_u; u < std::min(begin_u + kTile, columns_.width); ++u) {
+  for (std::size_t i = 0; i < open_.size(); ++i) {
+    if (!open_[i]) continue;
+    const Tile tile(columns_, int(i) % tiles_, int(i) / tiles_);
+    for (int v = tile.begin_v; v < tile.end_v; ++v)
+      for (int u = tile.begin_u; u < tile.end_u; ++u) {
         const std::size_t at = std::size_t(v) * columns_.stride + u;
         if (!(offers_[1][at] > 0)) continue;
         Contest contest{u, v, {}};
@@ -129,41 +183,46 @@ std::vector<float> Candidates::settle(const Camera& camera,
         contests.push_back(contest);
       }
   }
-  std::vector<RigidTransform> to_rays;
-  for (const auto& placed : rays) to_rays.emplace_back(placed.T_camera_rays.inverse());
-  const Eigen::Vector2f focal(camera.fx, camera.fy), centre(camera.cx, camera.cy);
-  for (int k = 0; k < kMost; ++k) {
+  const Questions questions(columns_, camera, rays);
+  for (int k = 0; k < kMost && !contests.empty(); ++k) {
+    const std::vector<float> balance = questions.ask(contests, k);
     std::size_t left = 0;
-    for (std::size_t first = 0; first < contests.size(); first += Places::kMost) {
-      const std::size_t count = std::min(contests.size() - first, Places::kMost);
-      Eigen::Vector3f places[Places::kMost];
-      for (std::size_t i = 0; i < count; ++i) {
-        const auto& [u, v, offers] = contests[first + i];
-        const float depth = 1 / offers[k];
-        places[i] = {(float(columns_.begin + u) - centre.x()) / focal.x() * depth,
-                     (float(v) - centre.y()) / focal.y() * depth, depth};
-      }
-      float balance[Places::kMost] = {};
-      for (std::size_t j = 0; j < rays.size(); ++j) {
-        Places seen;
-        seen.size = count;
-        for (std::size_t i = 0; i < count; ++i) {
-          const Eigen::Vector3f p = to_rays[j] * places[i];
-          seen.x[i] = p.x(), seen.y[i] = p.y(), seen.z[i] = p.z();
-        }
-        rays[j].rays->ask(seen, balance);
-      }
-      for (std::size_t i = 0; i < count; ++i) {
-        const Contest c = contests[first + i];
-        if (balance[i] > 0)
-          result[std::size_t(c.v) * columns_.stride + c.u] = c.offers[k];
-        else if (k + 1 < kMost && c.offers[k + 1] > 0)
-          contests[left++] = c;
-      }
+    for (std::size_t i = 0; i < contests.size(); ++i) {
+      const Contest c = contests[i];
+      if (balance[i] > 0)
+        result[std::size_t(c.v) * columns_.stride + c.u] = c.offers[k];
+      else if (k + 1 < kMost && c.offers[k + 1] > 0)
+        contests[left++] = c;
     }
     contests.resize(left);
   }
   return result;
+}
+
+void add_mover(const Columns& columns, const Camera& camera, const std::vector<float>& mover,
+               const std::vector<PlacedRays>& rays, std::vector<float>& nearness) {
+  std::vector<Contest> contests;
+  for (int tile_v = 0; tile_v < tiles_along(columns.height); ++tile_v)
+    for (int tile_u = 0; tile_u < tiles_along(columns.width); ++tile_u) {
+      const Tile tile(columns, tile_u, tile_v);
+      const std::size_t known = contests.size();
+      for (int v = tile.begin_v; v < tile.end_v; ++v)
+        for (int u = tile.begin_u; u < tile.end_u; ++u) {
+          const std::size_t at = std::size_t(v) * columns.stride + u;
+          if (!(mover[at] > nearness[at])) continue;
+          contests.push_back({u, v, {mover[at]}});
+        }
+      if (contests.size() == known || (!rays.empty() && has_edge(columns, mover, tile))) continue;
+      for (std::size_t i = known; i < contests.size(); ++i)
+        nearness[std::size_t(contests[i].v) * columns.stride + contests[i].u] =
+            contests[i].offers[0];
+      contests.resize(known);
+    }
+  const auto balance = Questions(columns, camera, rays).ask(contests, 0);
+  for (std::size_t i = 0; i < contests.size(); ++i) {
+    float& here = nearness[std::size_t(contests[i].v) * columns.stride + contests[i].u];
+    if (balance[i] >= 0 || !(here > 0)) here = contests[i].offers[0];
+  }
 }
 
 }  // namespace docdepth

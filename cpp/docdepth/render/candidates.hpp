@@ -36,13 +36,15 @@ class Candidates {
   std::vector<float> settle(const Camera& camera, const std::vector<PlacedRays>& rays) const;
 
  private:
-  bool bends(int tile_u, int tile_v) const;
-
   Columns columns_;
   int tiles_;
-  std::vector<float> trusted_;
   std::vector<std::uint8_t> open_;
   std::vector<float> offers_[kMost];  // each differs from those before it; 0 from the first unused
 };
+
+/// Draws a moving object over what is farther. At its edges its own rays are asked whether it is
+/// there; where they know nothing, or nothing is behind it, it is.
+void add_mover(const Columns& columns, const Camera& camera, const std::vector<float>& mover,
+               const std::vector<PlacedRays>& rays, std::vector<float>& nearness);
 
 }  // namespace docdepth

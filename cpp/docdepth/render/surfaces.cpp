@@ -49,8 +49,8 @@ Motion reversed(const Motion& motion) {
 
 /// The objects of the nearest sweep where they were when the image was taken, and of those that the
 /// other one found, too, what that measured.
-std::vector<PlacedMesh> carried(const Motion& motion, int threads) {
-  std::vector<PlacedMesh> placed;
+std::vector<PlacedMover> carried(const Motion& motion, int threads) {
+  std::vector<PlacedMover> placed;
   for (const bool first : {true, false}) {
     const auto& [nearest, other, duration, delay, max_speed] = first ? motion : reversed(motion);
     const Passage passage{nearest.T_camera_frame.inverse() * other.T_camera_frame, duration,
@@ -58,12 +58,21 @@ std::vector<PlacedMesh> carried(const Motion& motion, int threads) {
     const Objects& objects = nearest.frame->objects;
     const auto velocity = velocities(objects, other.frame->objects, passage, threads);
     for (std::size_t k = 0; k < velocity.size(); ++k) {
-      if (!first && velocity[k].isZero(0)) continue;  // not found
+      const bool found = !velocity[k].isZero(0);
+      if (!first && !found) continue;
+      // What stood in the frame of the nearest sweep some seconds after its stamp.
+      const auto carry = [&, v = velocity[k], late = objects.late[k]](float after) {
+        Pose T_camera_object = nearest.T_camera_frame;
+        T_camera_object.translate((v * (delay - late - after)).cast<double>());
+        return T_camera_object;
+      };
       const auto& parts = nearest.frame->movers[k];
-      Pose T_camera_object = nearest.T_camera_frame;
-      T_camera_object.translate((velocity[k] * (delay - objects.late[k])).cast<double>());
-      placed.push_back({&parts.whole, T_camera_object});
-      if (first) placed.push_back({&parts.split, T_camera_object});
+      PlacedMover mover{{{&parts.whole, carry(0)}}, {}};
+      if (first) mover.meshes.push_back({&parts.split, carry(0)});
+      if (found)
+        mover.rays = {{&nearest.frame->rays, carry(0)},
+                      {&other.frame->rays, carry(duration) * passage.T_from_to}};
+      placed.push_back(std::move(mover));
     }
   }
   return placed;

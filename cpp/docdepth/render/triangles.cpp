@@ -156,13 +156,14 @@ DOCDEPTH_INLINE bool is_open(const Projected& p, const Mesh::Patch& patch, const
   return first_u <= last_u && first_v <= last_v && strip.is_open(first_u, last_u, first_v, last_v);
 }
 
-DOCDEPTH_INLINE void draw_mesh(const Camera& camera, const PlacedMesh& placed, Strip& strip) {
+/// False only if none of it can be seen.
+DOCDEPTH_INLINE bool draw_mesh(const Camera& camera, const PlacedMesh& placed, Strip& strip) {
   const Mesh& mesh = *placed.mesh;
   Camera part = camera;  // the columns of the strip as a camera of their own, for culling
   part.cx -= strip.begin;
   part.width = strip.end - strip.begin;
   const Frustum frustum(part, placed.T_camera_mesh);
-  if (!mesh.size() || !frustum.touches(mesh.box())) return;
+  if (!mesh.size() || !frustum.touches(mesh.box())) return false;
   const RigidTransform T(placed.T_camera_mesh);
   Projected points;
   for (const Mesh::Patch& patch : mesh.patches()) {
@@ -172,20 +173,27 @@ DOCDEPTH_INLINE void draw_mesh(const Camera& camera, const PlacedMesh& placed, S
     for (std::uint32_t t = 0; t < patch.triangles; ++t)
       draw_triangle(points, mesh.corners()[patch.triangle + t], strip);
   }
+  return true;
 }
 
 DOCDEPTH_INLINE void draw_strip(const Camera& camera, const Drawing& drawing, Strip& strip) {
   for (const PlacedMesh& mesh : drawing.trusted) draw_mesh(camera, mesh, strip);
-  Candidates candidates({strip.begin, strip.end - strip.begin, strip.height, Strip::kStride},
-                        strip.nearness);
+  const Columns columns{strip.begin, strip.end - strip.begin, strip.height, Strip::kStride};
+  Candidates candidates(columns, strip.nearness);
   strip.open_only(candidates);
   for (const PlacedMesh& mesh : drawing.others) {
     draw_mesh(camera, mesh, strip);
     candidates.take(strip.nearness.data());
   }
-  strip.nearness = candidates.settle(camera, drawing.rays);
+  std::vector<float> nearness = candidates.settle(camera, drawing.rays);
   std::fill(strip.open_tiles.begin(), strip.open_tiles.end(), std::uint8_t{1});
-  for (const PlacedMesh& mesh : drawing.movers) draw_mesh(camera, mesh, strip);
+  for (const PlacedMover& mover : drawing.movers) {
+    std::fill(strip.nearness.begin(), strip.nearness.end(), 0.0f);
+    bool seen = false;
+    for (const PlacedMesh& mesh : mover.meshes) seen |= draw_mesh(camera, mesh, strip);
+    if (seen) add_mover(columns, camera, strip.nearness, mover.rays, nearness);
+  }
+  strip.nearness = std::move(nearness);
 }
 
 DOCDEPTH_AVX2 void draw_strip_avx2(const Camera& camera, const Drawing& drawing, Strip& strip) {

@@ -15,13 +15,19 @@ struct PlacedMesh {
   Pose T_camera_mesh;
 };
 
+/// A moving object where it was when the image was taken, as one or more sweeps saw it.
+struct PlacedMover {
+  std::vector<PlacedMesh> meshes;
+  std::vector<PlacedRays> rays;  ///< placed so that the object stands still among them
+};
+
 /// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all
 /// surfaces is not the best: it is the one with the most noise and the widest silhouette.
 struct Drawing {
   std::vector<PlacedMesh> trusted;  ///< goes on unquestioned where it has no edge
   std::vector<PlacedMesh> others;   ///< fill what it left empty, and are offered at its edges
-  std::vector<PlacedMesh> movers;   ///< hide what is farther
-  std::vector<PlacedRays> rays;     ///< what is asked where offers differ
+  std::vector<PlacedRays> rays;     ///< are asked where offers differ
+  std::vector<PlacedMover> movers;  ///< hide what is farther
 };
 
 /// Depth of the surface at each pixel, row after row; NaN where there is none. Triangles with a

@@ -200,12 +200,15 @@ std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Draw
     const auto drawn = [&](const std::vector<PlacedMesh>& meshes) {
       return widened(nearness(gl, camera, meshes), camera.width, stride);
     };
-    Candidates candidates({0, camera.width, camera.height, stride}, drawn(drawing.trusted));
+    const Columns columns{0, camera.width, camera.height, stride};
+    Candidates candidates(columns, drawn(drawing.trusted));
     for (const auto& mesh : drawing.others) candidates.take(drawn({mesh}).data());
-    const auto world = candidates.settle(camera, drawing.rays);
-    auto depth = nearness(gl, camera, drawing.movers);
+    auto world = candidates.settle(camera, drawing.rays);
+    for (const auto& mover : drawing.movers)
+      add_mover(columns, camera, drawn(mover.meshes), mover.rays, world);
+    std::vector<float> depth(std::size_t(camera.width) * camera.height);
     for (std::size_t i = 0; i < depth.size(); ++i) {
-      const float w = std::max(depth[i], world[i / camera.width * stride + i % camera.width]);
+      const float w = world[i / camera.width * stride + i % camera.width];
       depth[i] = w > 0 ? 1.0f / w : kNone;
     }
     return depth;
