@@ -9,14 +9,18 @@ with poses from --poses, deskewed with the motion of these poses unless --raw is
 
 Every method answers for every point, so that figures are by identity; the cleaned map that its
 answer leaves is judged by the 5 cm protocol of DynamicMap_Benchmark and by ERASOR's voxels too.
-BeautyMap has no package and is not here.
+
+BeautyMap (Jia et al., RA-L 2024) has no package: give a clone of its repository by --beautymap
+(pip install dztimer fire tqdm). It looks 40 m far, at the sizes its authors give for KITTI.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -128,6 +132,68 @@ def dufomap(
     return dynamic, seconds
 
 
+def write_pcd(path: Path, points: np.ndarray, number: np.ndarray, origin: np.ndarray) -> None:
+    """Points (N, 3) with a number each as intensity, seen from ``origin``."""
+    rows = np.column_stack([points, number]).astype(np.float32)
+    header = f"""VERSION .7
+FIELDS x y z intensity
+SIZE 4 4 4 4
+TYPE F F F F
+COUNT 1 1 1 1
+WIDTH {len(rows)}
+HEIGHT 1
+VIEWPOINT {origin[0]} {origin[1]} {origin[2]} 1 0 0 0
+POINTS {len(rows)}
+DATA binary
+"""
+    path.write_bytes(header.encode() + rows.tobytes())
+
+
+# It reads and writes with functions that numpy has dropped.
+_RUN_BEAUTYMAP = """
+import runpy, sys, numpy
+sys.path.insert(0, ".")
+numpy.fromstring = lambda text, dtype: numpy.frombuffer(text, dtype).copy()
+import utils.pcdpy3
+utils.pcdpy3.save_pcd = lambda path, points: numpy.save(path + ".npy", points)
+runpy.run_path("main.py", run_name="__main__")
+"""
+
+
+def beautymap(drive: Drive, clone: Path) -> tuple[list[np.ndarray], float]:
+    """BeautyMap's answer for every point, and its seconds with reading.
+
+    What is missing in the map that it leaves is dynamic. Points are known again by their number.
+    """
+    counts = [len(drive.points(index)) for index in range(len(drive))]
+    first = np.concatenate([[0], np.cumsum(counts)])
+    if first[-1] >= 1 << 24:
+        raise SystemExit("BeautyMap's floats count to 16.8 million points; give a shorter drive")
+    with tempfile.TemporaryDirectory() as folder:
+        data = Path(folder)
+        (data / "pcd").mkdir()
+        clouds = []
+        for index in range(len(drive)):
+            world, origin = drive.in_world(index), drive.poses[index][:3, 3]
+            clouds.append(world)
+            # It adds the place of the sensor to the points of a sweep.
+            number = np.arange(len(world))
+            write_pcd(data / "pcd" / f"{index:06d}.pcd", world - origin, number, origin)
+        number = np.arange(first[-1])
+        write_pcd(data / "raw_map.pcd", np.concatenate(clouds), number, np.zeros(3))
+        start = time.perf_counter()
+        command = [sys.executable, "-c", _RUN_BEAUTYMAP, "--data_dir", folder]
+        command += ["--dis_range", "40", "--xy_resolution", "1", "--h_res", "0.5"]
+        done = subprocess.run(command, cwd=clone, capture_output=True, text=True, check=False)
+        seconds = time.perf_counter() - start
+        left = data / "beautymap_output.pcd.npy"
+        if done.returncode or not left.is_file():
+            raise SystemExit(f"BeautyMap failed:\n{done.stderr[-2000:]}")
+        dynamic = np.ones(first[-1], bool)
+        dynamic[np.load(left)[:, 3].astype(np.int64)] = False
+    return np.split(dynamic, first[1:-1]), seconds
+
+
 @dataclass(frozen=True)
 class Row:
     """What one method reached."""
@@ -178,6 +244,7 @@ def main(arguments: list[str] | None = None) -> list[Row]:
     parser.add_argument("--d-s", type=float, default=0.2, help="DUFOMap's inflation of hits [m]")
     parser.add_argument("--d-p", type=int, nargs="*", default=[2, 1], help="of the unknown [voxel]")
     parser.add_argument("--threads", type=int, default=0, help="0 takes every core")
+    parser.add_argument("--beautymap", type=Path, help="a clone of BeautyMap's repository")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
     if args.run:
@@ -190,6 +257,9 @@ def main(arguments: list[str] | None = None) -> list[Row]:
     for d_p in args.d_p:
         called, seconds = dufomap(drive, d_p, args.d_s, args.resolution, args.threads)
         rows.append(judge(f"DUFOMap d_p={d_p}", drive, called.__getitem__, seconds))
+    if args.beautymap:
+        called, seconds = beautymap(drive, args.beautymap)
+        rows.append(judge("BeautyMap", drive, called.__getitem__, seconds))
     print(json.dumps([row.as_dict() for row in rows], indent=1) if args.json else table(rows))
     return rows
 

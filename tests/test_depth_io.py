@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from docdepth.errors import DatasetError, InputError
-from docdepth.io.depth import PNG_MAX_DEPTH, encode_png, read_depth, write_depth
+from docdepth.io.depth import (
+    check_format,
+    encode_depth,
+    maps_in,
+    png_range,
+    read_depth,
+    write_depth,
+)
 
 
 def depth_map() -> np.ndarray:
@@ -16,8 +23,10 @@ def depth_map() -> np.ndarray:
     return depth
 
 
-@pytest.mark.parametrize("suffix", [".npy", ".npz"])
-def test_npy_and_npz_keep_every_bit(tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".tiff", ".tif", ".exr"])
+def test_floats_keep_every_bit(tmp_path: Path, suffix: str) -> None:
+    if suffix == ".exr":
+        pytest.importorskip("OpenEXR")
     path = tmp_path / f"depth{suffix}"
     write_depth(path, depth_map())
     np.testing.assert_array_equal(read_depth(path), depth_map())
@@ -38,11 +47,11 @@ def test_png_is_metres_times_256_with_0_for_none(tmp_path: Path) -> None:
 
 
 def test_png_holds_its_whole_range_and_refuses_more(tmp_path: Path) -> None:
-    edge = np.array([[1e-4, PNG_MAX_DEPTH]], np.float32)
+    edge = np.array([[1e-4, png_range()]], np.float32)
     write_depth(tmp_path / "edge.png", edge)
-    np.testing.assert_allclose(read_depth(tmp_path / "edge.png"), [[1 / 256, PNG_MAX_DEPTH]])
+    np.testing.assert_allclose(read_depth(tmp_path / "edge.png"), [[1 / 256, png_range()]])
     edge[0, 1] = 256.0
-    with pytest.raises(InputError, match=r"256\.00 m in row 0, column 1; write NPY"):
+    with pytest.raises(InputError, match=r"256\.00 m in row 0, column 1; take another format"):
         write_depth(tmp_path / "deep.png", edge)
     assert not (tmp_path / "deep.png").exists()
 
@@ -52,20 +61,22 @@ def test_depth_that_is_no_depth_is_refused(value: float) -> None:
     depth = np.full((2, 2), 5, np.float32)
     depth[1, 0] = value
     with pytest.raises(InputError, match="row 1, column 0"):
-        encode_png(depth)
+        encode_depth(depth)
 
 
 def test_wrong_shapes_and_names_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="float32"):
-        encode_png(np.ones((2, 2)))  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"\.npz, not '\.tif'"):
-        write_depth(tmp_path / "depth.tif", np.ones((2, 2), np.float32))
+        encode_depth(np.ones((2, 2)))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"\.npz, .*, not '\.bmp'"):
+        write_depth(tmp_path / "depth.bmp", np.ones((2, 2), np.float32))
 
 
 def test_damaged_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="is missing"):
         read_depth(tmp_path / "none.png")
-    for name in ("a.png", "a.npy", "a.npz"):
+    for name in ("a.png", "a.npy", "a.npz", "a.tiff", "a.exr"):
+        if name == "a.exr":
+            pytest.importorskip("OpenEXR")
         path = tmp_path / name
         write_depth(path, depth_map())
         path.write_bytes(path.read_bytes()[:60])
@@ -83,3 +94,34 @@ def test_damaged_files_are_named(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", range=np.ones((2, 2), np.float32))
     with pytest.raises(DatasetError, match="no array named 'depth'"):
         read_depth(tmp_path / "other.npz")
+
+
+def test_half_floats_are_the_nearest_of_numpy(tmp_path: Path) -> None:
+    pytest.importorskip("OpenEXR")
+    path = tmp_path / "depth.exr"
+    write_depth(path, depth_map(), "exr-half")
+    np.testing.assert_array_equal(read_depth(path), depth_map().astype(np.float16))
+    # As the format has it: a list of channels, in it one Y of half floats (1).
+    assert b"channels\0chlist\0" in path.read_bytes()
+    assert b"Y\0\1\0\0\0" in path.read_bytes()
+
+
+def test_deep_scenes_fit_a_png_of_another_scale(tmp_path: Path) -> None:
+    depth = np.array([[699.9, 0.5]], np.float32)
+    write_depth(tmp_path / "a.png", depth, scale=64)
+    np.testing.assert_allclose(read_depth(tmp_path / "a.png", 64), depth, atol=0.5 / 64)
+    (tmp_path / "depth.json").write_text('{"scale": {"png": 64.0}}')
+    np.testing.assert_allclose(read_depth(tmp_path / "a.png"), depth, atol=0.5 / 64)
+    (tmp_path / "depth.json").write_text("{")
+    with pytest.raises(DatasetError, match=r"depth\.json does not tell the scale of a\.png"):
+        read_depth(tmp_path / "a.png")
+    check_format("png", 64, 700)
+    check_format("npy", 256, 700)
+    with pytest.raises(InputError, match=r"700 m, .* 256\.00 m; take --scale 64,"):
+        check_format("png", 256, 700)
+
+
+def test_the_most_exact_of_several_formats_is_taken(tmp_path: Path) -> None:
+    for name in ("b.png", "b.npy", "a.tiff", "a.png", "c.png", "depth.json"):
+        (tmp_path / name).touch()
+    assert [p.name for p in maps_in(tmp_path).values()] == ["a.tiff", "b.npy", "c.png"]

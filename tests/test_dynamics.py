@@ -8,7 +8,15 @@ import pytest
 
 from docdepth import _core
 from docdepth.config import DynamicsParameters, SurfaceParameters, parameters
-from docdepth.dynamics import KeyFrame, Votes, classify, classify_drive, key_frames, vote
+from docdepth.dynamics import (
+    KeyFrame,
+    Votes,
+    classify,
+    classify_drive,
+    confidence,
+    key_frames,
+    vote,
+)
 from docdepth.errors import InputError
 from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory
@@ -319,3 +327,34 @@ def test_the_surface_of_a_run_is_the_one_that_votes() -> None:
     ]
     assert votes[0].dynamic.mean() > 0.5
     assert votes[1].dynamic.sum() == 0
+
+
+def test_confidence_of_points_grows_with_agreement():
+    static = np.array([0, 5, 1, 0, 0, 30, 60000], np.uint16)
+    dynamic = np.array([0, 5, 0, 1, 2, 1, 0], np.uint16)
+    expected = [0, 0, 1 / 3, 1 / 3, 1 / 2, 29 / 33, 60000 / 60002]
+    found = confidence(Votes(static, dynamic))
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    assert found.dtype == np.float32
+    with pytest.raises(InputError, match="differ in shape"):
+        confidence(Votes(static, dynamic[:-1]))
+
+
+def test_sure_points_are_wrong_less_often():
+    """A crossing seen by few beams: the surer the votes of points are, the fewer are misjudged."""
+    pytest.importorskip("embreex")
+    from docdepth.synthetic import Drive, scene, sensor
+
+    drive = Drive(scene("crossing", 3), sensor("VLP-16"), 14, 3)
+    truth = [drive.sweep(k) for k in range(len(drive))]
+    trajectory = Trajectory(drive.times, drive.poses)
+    labels = classify_drive([s.points for s in truth], trajectory, DEFAULT)
+    sure = np.concatenate([confidence(one.votes) for one in labels])
+    moving = np.concatenate([s.speed > 0.5 for s in truth])
+    says = np.concatenate([one.votes.dynamic > one.votes.static for one in labels])
+    wrong = [
+        (says != moving)[(low <= sure) & (sure < high)].mean()
+        for low, high in ((0.01, 0.3), (0.3, 0.6), (0.6, 0.8), (0.8, 1.01))
+    ]
+    assert wrong == sorted(wrong, reverse=True), wrong
+    assert wrong[-1] < 0.01

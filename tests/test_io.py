@@ -101,8 +101,13 @@ def test_calibration_round_trip_and_missing(tmp_path):
         run.calibration()
     camera = Camera(np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]]), 1242, 375)
     pose = poses_from([rotation_exp([0.01, 1.5, 0.3])], [[0.1, 0.2, 0.3]])[0]
+    run.write_calibration(camera, pose, (-0.3, 0.1, 0, 0.01), "image_03")
+    with pytest.raises(CalibrationError, match=r"calib\.json is missing"):
+        run.calibration()
+    assert run.calibration("image_03")[2] == [-0.3, 0.1, 0, 0.01]
     run.write_calibration(camera, pose)
-    back, T_camera_lidar = run.calibration()
+    back, T_camera_lidar, distortion = run.calibration()
+    assert not any(distortion)
     np.testing.assert_array_equal(back.K, camera.K)
     np.testing.assert_array_equal(T_camera_lidar, pose)
     assert (back.width, back.height) == (1242, 375)

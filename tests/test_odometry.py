@@ -15,9 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from docdepth.config import OdometryParameters
 from docdepth.datasets import Sweep, open_dataset
+from docdepth.deskewing import centred_motion, deskew, exp, twist
 from docdepth.errors import InputError, OdometryError
 from docdepth.io.poses import read_poses
-from docdepth.odometry import centred_motion, deskew, estimate_poses, exp, odometry, twist
+from docdepth.odometry import estimate_poses, odometry
 from docdepth.trajectory import inverse
 
 MOTION = exp(np.array([0.002, -0.004, 0.06]), np.array([1.1, 0.05, -0.01]))

@@ -4,6 +4,8 @@
 #include <memory>
 #include <optional>
 
+#include "docdepth/render/layers.hpp"
+
 namespace docdepth::bindings {
 namespace {
 
@@ -85,6 +87,59 @@ py::array_t<float> ask(const Rays& rays, const Array<float>& places) {
   return to_numpy(std::move(balance), {map.rows()});
 }
 
+py::dict as_dict(Layers&& layers, int width, int height) {
+  using namespace py::literals;
+  const std::vector<py::ssize_t> shape{height, width};
+  py::dict dict;
+  if (!layers.normal.empty())
+    dict["normal"] = to_numpy(std::move(layers.normal), {height, width, 3});
+  dict["sweep"] = to_numpy(std::move(layers.sweep), shape);
+  dict["class"] = to_numpy(std::move(layers.classid), shape);
+  dict["measured"] = to_numpy(std::move(layers.measured), shape);
+  dict["range"] = to_numpy(std::move(layers.range), shape);
+  dict["support"] = to_numpy(std::move(layers.support), shape);
+  dict["measures"] = to_numpy(std::move(layers.measures), shape);
+  dict["std"] = to_numpy(std::move(layers.deviation), shape);
+  return dict;
+}
+
+const float* as_depth(const Array<float>& depth, int width, int height) {
+  if (depth.ndim() != 2 || depth.shape(0) != height || depth.shape(1) != width)
+    throw std::invalid_argument("depth must have the shape of the image");
+  return depth.data();
+}
+
+py::dict splat_layers(const Array<double>& K, int width, int height,
+                      const std::vector<Placed>& static_frames,
+                      const std::vector<Placed>& dynamic_frames, const Size& static_size,
+                      const Size& dynamic_size, const Array<float>& depth, int threads) {
+  const Camera camera = as_camera(K, width, height);
+  const PlacedClouds placed(static_frames, dynamic_frames, static_size, dynamic_size);
+  const float* z = as_depth(depth, width, height);
+  std::optional<Layers> layers;
+  {
+    const py::gil_scoped_release release;
+    layers = layers_of_splats(camera, placed.clouds, z, threads);
+  }
+  return as_dict(std::move(*layers), width, height);
+}
+
+py::dict surface_layers(const Array<double>& K, int width, int height,
+                        const std::vector<PlacedFrame>& fixed, const PlacedFrame& nearest,
+                        const PlacedFrame& other, float duration, float delay, float max_speed,
+                        const Array<float>& depth, int threads) {
+  const Camera camera = as_camera(K, width, height);
+  const auto world = as_surfaces(fixed);
+  const Motion motion{as_surface(nearest), as_surface(other), duration, delay, max_speed};
+  const float* z = as_depth(depth, width, height);
+  std::optional<Layers> layers;
+  {
+    const py::gil_scoped_release release;
+    layers = layers_of_triangles(camera, drawing_of(world, motion, threads), z, threads);
+  }
+  return as_dict(std::move(*layers), width, height);
+}
+
 }  // namespace
 
 void bind_render(py::module_& m) {
@@ -103,6 +158,10 @@ void bind_render(py::module_& m) {
       .def("ask", &ask, "places"_a);
   m.def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
         "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "threads"_a = 0);
+  m.def("surface_layers", &surface_layers, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
+        "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "depth"_a, "threads"_a = 0);
+  m.def("splat_layers", &splat_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
+        "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "depth"_a, "threads"_a = 0);
   m.def("render_splats", &splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0);
 }

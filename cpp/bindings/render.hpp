@@ -29,10 +29,11 @@ struct PlacedClouds {
                const Size& static_size, const Size& dynamic_size)
       : static_heights({static_size.first, static_size.second}),
         dynamic_heights({dynamic_size.first, dynamic_size.second}) {
+    int sweep = 0;
     for (const auto& [frame, pose] : static_frames)
-      clouds.push_back({&frame->static_points, as_pose(pose), &static_heights});
+      clouds.push_back({&frame->static_points, as_pose(pose), &static_heights, sweep++});
     for (const auto& [frame, pose] : dynamic_frames)
-      clouds.push_back({&frame->dynamic_points, as_pose(pose), &dynamic_heights});
+      clouds.push_back({&frame->dynamic_points, as_pose(pose), &dynamic_heights, sweep++});
   }
   PlacedClouds(const PlacedClouds&) = delete;
   PlacedClouds& operator=(const PlacedClouds&) = delete;

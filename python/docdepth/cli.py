@@ -7,7 +7,6 @@ import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,6 +20,7 @@ from docdepth.errors import DocDepthError
 
 if TYPE_CHECKING:
     from docdepth.backends import Renderer
+    from docdepth.config import Parameters
     from docdepth.datasets.base import CameraStream, Dataset
     from docdepth.io.run_folder import RunFolder
 
@@ -48,6 +48,27 @@ RendererName = Annotated[
         metavar="NAME",
         help="auto (a graphics card, else cpu), cpu, egl, egl:N, surfaceless or osmesa; "
         "DOCDEPTH_RENDERER, else auto, if absent.",
+    ),
+]
+CameraNames = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--camera", metavar="NAME", help="Cameras, one or several, or all; image_02 if absent."
+    ),
+]
+Formats = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--format", metavar="NAME", help="png (default), exr, exr-half, tiff, npz, npy; several."
+    ),
+]
+Scale = Annotated[float | None, typer.Option(help="Steps of a PNG a metre; 256 (KITTI) if absent.")]
+LayerNames = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--layers",
+        metavar="NAME",
+        help="Also write class, time, range, support, std, normal; several.",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
@@ -78,14 +99,15 @@ def run(
     name: Annotated[
         str | None, typer.Option("--dataset", help="Layout; guessed if absent.")
     ] = None,
-    camera: Annotated[
-        str | None, typer.Option(help="Camera; the first colour one if absent.")
-    ] = None,
+    camera: CameraNames = None,
     poses: Annotated[Path | None, typer.Option(help="LiDAR poses, TUM or KITTI format.")] = None,
     camera_times: Annotated[Path | None, typer.Option(help="Seconds, one image a line.")] = None,
     image_size: Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")] = None,
     preset: Annotated[str, typer.Option(help="default (measured best) or paper.")] = "default",
     settings: Settings = None,
+    format: Formats = None,
+    scale: Scale = None,
+    layers: LayerNames = None,
     threads: Threads = 0,
     renderer: RendererName = None,
 ) -> None:
@@ -98,21 +120,23 @@ def run(
     from docdepth.backends import choose
     from docdepth.config import parameters, parse_settings
     from docdepth.io.run_folder import RunFolder
+    from docdepth.sources import open_source
 
     drawn_by = choose(renderer)
-    values = parameters(preset, parse_settings(settings or []))  # type: ignore[arg-type]
+    changes = parse_settings(settings or []) | _output(format, scale, layers)
+    values = parameters(preset, changes)  # type: ignore[arg-type]
     source = {
         "dataset": str(dataset.resolve()),
         "name": name,
-        "camera": camera,
+        "camera": _listed(camera),
         "poses": str(poses.resolve()) if poses else None,
         "camera_times": str(camera_times.resolve()) if camera_times else None,
         "image_size": image_size,
     }
-    recording, stream = _open(source)
+    recording, streams = open_source(source)
     folder = RunFolder.create(output, source, values)
     with _progress() as progress:
-        _stages(folder, recording, stream, threads, progress, drawn_by)
+        _stages(folder, recording, streams, threads, progress, drawn_by)
     _summary(folder)
 
 
@@ -120,11 +144,13 @@ def run(
 def odometry(run: RunPath, settings: Settings = None) -> None:
     """Poses and deskewed sweeps again, with other parameters."""
     from docdepth.pipeline import run_odometry
+    from docdepth.sources import open_source, poses_of
 
-    folder = _reopen(run, settings, "odometry")
-    recording, _ = _open(folder.manifest["source"])
+    folder = _reopen(run, _changes(settings), "odometry")
+    source = folder.manifest["source"]
+    recording, _ = open_source(source)
     with _progress() as progress:
-        run_odometry(folder, recording, _poses(folder.manifest["source"], recording), progress)
+        run_odometry(folder, recording, poses_of(source, recording), progress)
     _summary(folder)
 
 
@@ -133,7 +159,7 @@ def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
     """Ground, votes and classes again, with other parameters."""
     from docdepth.pipeline import run_classify
 
-    folder = _reopen(run, settings, "ground", "surface", "dynamics")
+    folder = _reopen(run, _changes(settings), "ground", "surface", "dynamics")
     with _progress() as progress:
         run_classify(folder, threads, progress)
     _summary(folder)
@@ -143,23 +169,79 @@ def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
 def render(
     run: RunPath,
     settings: Settings = None,
+    camera: CameraNames = None,
+    format: Formats = None,
+    scale: Scale = None,
+    layers: LayerNames = None,
+    pose: Annotated[
+        str | None,
+        typer.Option(help="Of a virtual camera on the LiDAR: x,y,z[,qx,qy,qz,qw], or a 4x4 file."),
+    ] = None,
+    K: Annotated[str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="Its pixels.")] = None,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Its image.")] = None,
+    name: Annotated[str, typer.Option(help="Its folder in depth/.")] = "virtual",
+    camera_times: Annotated[
+        Path | None, typer.Option(help="When it looks; at each sweep if absent.")
+    ] = None,
     threads: Threads = 0,
     renderer: RendererName = None,
 ) -> None:
-    """Depth maps again, with other parameters."""
+    """Depth maps again, with other parameters, formats or cameras; or of a virtual camera.
+
+    docdepth render RUN --pose 0,0,0.5 --K 700,700,640,360 --size 1280x720
+    """
     from docdepth.backends import choose
     from docdepth.datasets.run import RunDataset
+    from docdepth.errors import ConfigError
     from docdepth.pipeline import run_render
+    from docdepth.sources import open_source
 
     drawn_by = choose(renderer)
-    folder = _reopen(run, settings, "render")
-    if folder.manifest["source"]:
-        _, stream = _open(folder.manifest["source"])
+    changes = _changes(settings) | _output(format, scale, layers)
+    if pose or K or size:
+        from docdepth.io.run_folder import RunFolder
+        from docdepth.virtual import virtual_camera
+
+        if not (pose and K and size) or camera:
+            raise ConfigError("a virtual camera needs --pose, --K and --size, and no --camera")
+        folder = RunFolder.open(run)
+        values = _replaced(folder, changes, "render", "output")  # the run itself keeps its own
+        stream = virtual_camera(folder, name, pose, K, size, camera_times)
+        with _progress() as progress:
+            run_render(folder, stream, threads, progress, drawn_by, f"render {name}", values)
+        return _summary(folder)
+    folder = _reopen(run, changes, "render", "output")
+    source = folder.manifest["source"]
+    if source:
+        if camera:
+            source["camera"] = _listed(camera)
+        _, streams = open_source(source)
+        folder.save()
     else:
-        stream = RunDataset(run).cameras["camera"]
+        streams = list(RunDataset(run).cameras.values())
     with _progress() as progress:
-        run_render(folder, stream, threads, progress, drawn_by)
+        run_render(folder, streams, threads, progress, drawn_by)
     _summary(folder)
+
+
+@app.command()
+def video(
+    run: RunPath,
+    camera: Annotated[str | None, typer.Option(help="Which, where there are several.")] = None,
+    fps: Annotated[
+        float | None, typer.Option(min=0.1, help="Images a second; as recorded if absent.")
+    ] = None,
+) -> None:
+    """The images of a run above their depth, as report/video.mp4."""
+    from docdepth.io.run_folder import RunFolder
+    from docdepth.sources import stream_of
+    from docdepth.video import write_video
+
+    folder = RunFolder.open(run)
+    name = folder.depth_folder(camera)
+    with _progress() as progress:
+        path = write_video(folder, name, stream_of(folder, name), fps, progress)
+    out.print(f"{path}", soft_wrap=True, markup=False)
 
 
 @app.command()
@@ -265,15 +347,16 @@ def labels(
 @evaluate.command()
 def depth(
     run: RunPath,
-    truth: Annotated[Path, typer.Option("--depth", help="Folder of true depth, .npy or .png.")],
+    truth: Annotated[Path, typer.Option("--depth", help="Folder of true depth maps.")],
     mode: Annotated[str, typer.Option(help="valid, or kitti: empty pixels filled.")] = "valid",
     max_range: Annotated[float, typer.Option(help="Farther pixels are not compared [m].")] = 80.0,
+    camera: Annotated[str | None, typer.Option(help="Which, where there are several.")] = None,
     as_json: Json = False,
 ) -> None:
     """MAE, RMSE, density, and pixels too near and too far."""
     from docdepth.evaluation.runs import evaluate_depth
 
-    _show(evaluate_depth(run, truth, mode, max_range), as_json)  # type: ignore[arg-type]
+    _show(evaluate_depth(run, truth, mode, max_range, camera), as_json)  # type: ignore[arg-type]
 
 
 def _show(result: Any, as_json: bool) -> None:
@@ -301,85 +384,64 @@ def _progress() -> Iterator[Any]:
         yield tell
 
 
-def _open(source: dict[str, Any]) -> tuple[Dataset, CameraStream]:
-    from docdepth.datasets import open_dataset
-    from docdepth.errors import CalibrationError, DatasetError
-    from docdepth.render import Camera
-
-    size = _size(source["image_size"])
-    recording = open_dataset(Path(source["dataset"]), source["name"], size)
-    if not recording.cameras:
-        raise CalibrationError(f"{recording.path} has no calibrated camera; add its calibration")
-    name = source["camera"]
-    if name is None:
-        colour = [c for c in recording.cameras if c in ("image_02", "image_2")]
-        name = colour[0] if colour else next(iter(recording.cameras))
-    if name not in recording.cameras:
-        raise DatasetError(
-            f"{recording.path} has no camera {name!r}; it has {', '.join(recording.cameras)}"
-        )
-    stream = recording.cameras[name]
-    if size and size != (stream.camera.width, stream.camera.height):
-        stream = replace(stream, camera=Camera(stream.camera.K, *size))
-    if source["camera_times"]:
-        stream = _retimed(stream, Path(source["camera_times"]))
-    return recording, stream
-
-
-def _size(text: str | None) -> tuple[int, int] | None:
-    from docdepth.errors import CalibrationError
-
-    if not text:
-        return None
-    width, _, height = text.partition("x")
-    if not (width.isdigit() and height.isdigit()):
-        raise CalibrationError(f"--image-size {text!r}: write WIDTHxHEIGHT, for example 1242x375")
-    return int(width), int(height)
-
-
-def _retimed(stream: CameraStream, path: Path) -> CameraStream:
-    """A camera whose images were taken at the times of a file."""
-    from docdepth.datasets.times import read_times
-    from docdepth.errors import DatasetError
-
-    times = read_times(path)
-    if stream.images and len(times) != len(stream.images):
-        raise DatasetError(f"{path} has {len(times)} times for {len(stream.images)} images")
-    names = stream.names if stream.images else [f"{i:010d}" for i in range(len(times))]
-    return replace(stream, times=times, names=names)
-
-
-def _poses(source: dict[str, Any], recording: Dataset) -> Any:
-    from docdepth.io.poses import read_poses
-
-    if source["poses"]:
-        return read_poses(Path(source["poses"]), len(recording))
-    return recording.poses if recording.name == "run" else None
-
-
 def _stages(
     folder: RunFolder,
     recording: Dataset,
-    stream: CameraStream,
+    streams: list[CameraStream],
     threads: int,
     progress: Any,
     renderer: Renderer,
 ) -> None:
     from docdepth.pipeline import run_classify, run_odometry, run_render
+    from docdepth.sources import poses_of
 
-    run_odometry(folder, recording, _poses(folder.manifest["source"], recording), progress)
+    run_odometry(folder, recording, poses_of(folder.manifest["source"], recording), progress)
     run_classify(folder, threads, progress)
-    run_render(folder, stream, threads, progress, renderer)
+    run_render(folder, streams, threads, progress, renderer)
 
 
-def _reopen(path: Path, settings: list[str] | None, *stages: str) -> RunFolder:
+def _listed(names: list[str] | None) -> str | list[str] | None:
+    """Names given one by one or with commas; one alone as itself."""
+    every = [name for text in names or [] for name in text.split(",")]
+    return every[0] if len(every) == 1 else every or None
+
+
+def _changes(settings: list[str] | None) -> dict[str, Any]:
+    from docdepth.config import parse_settings
+
+    return parse_settings(settings or [])
+
+
+def _output(
+    format: list[str] | None, scale: float | None, layers: list[str] | None
+) -> dict[str, Any]:
+    """Options that stand for settings."""
+    chosen: dict[str, Any] = {}
+    if format:
+        chosen["output.format"] = ",".join(format)
+    if scale is not None:
+        chosen["output.scale"] = scale
+    if layers:
+        chosen["output.layers"] = ",".join(layers)
+    return chosen
+
+
+def _reopen(path: Path, changes: dict[str, Any], *stages: str) -> RunFolder:
     """A run with some parameters of one stage replaced."""
-    from docdepth.config import Parameters, parameters, parse_settings
-    from docdepth.errors import ConfigError
     from docdepth.io.run_folder import RunFolder
 
     folder = RunFolder.open(path)
-    changes = parse_settings(settings or [])
+    values = _replaced(folder, changes, *stages)
+    folder.manifest["parameters"] = values.model_dump(mode="json")
+    folder.save()
+    return folder
+
+
+def _replaced(folder: RunFolder, changes: dict[str, Any], *stages: str) -> Parameters:
+    """The parameters of a run with some replaced."""
+    from docdepth.config import parameters
+    from docdepth.errors import ConfigError
+
     for name in changes:
         if name.partition(".")[0] not in stages:
             raise ConfigError(f"--set {name}: this stage knows {' and '.join(stages)} only")
@@ -389,10 +451,7 @@ def _reopen(path: Path, settings: list[str] | None, *stages: str) -> RunFolder:
         if stage != "preset"
         for key, value in values.items()
     }
-    values: Parameters = parameters(folder.parameters.preset, {**saved, **changes})
-    folder.manifest["parameters"] = values.model_dump()
-    folder.save()
-    return folder
+    return parameters(folder.parameters.preset, {**saved, **changes})
 
 
 def _summary(folder: RunFolder) -> None:

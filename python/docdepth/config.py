@@ -12,6 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from docdepth.errors import ConfigError
 
+Layer = Literal["class", "time", "range", "support", "std", "normal"]
+DepthFormat = Literal["png", "exr-half", "exr", "tiff", "npz", "npy"]
+
 Preset = Literal["default", "paper"]
 
 
@@ -152,6 +155,29 @@ class RenderParameters(_Stage):
     dynamic_size_min: float = Field(35.0, gt=0, description="sigma_min of dynamic points [pixel]")
 
 
+class OutputParameters(_Stage):
+    """What is written of each depth map."""
+
+    format: tuple[DepthFormat, ...] = Field(
+        ("png",), min_length=1, description="of depth maps; PNG is uint16, the others are floats"
+    )
+    scale: float = Field(256.0, gt=0, description="steps of a PNG a metre")
+    layers: tuple[Layer, ...] = Field((), description="what else is written of each pixel")
+
+    @field_validator("format", "layers", mode="before")
+    @classmethod
+    def _listed(cls, names: Any) -> Any:
+        names = names.split(",") if isinstance(names, str) else names
+        return tuple(dict.fromkeys(names)) if isinstance(names, (list, tuple)) else names
+
+    @field_validator("format")
+    @classmethod
+    def _apart(cls, format: tuple[str, ...]) -> tuple[str, ...]:
+        if {"exr", "exr-half"} <= set(format):
+            raise ValueError("exr and exr-half have one file name; choose one of them")
+        return format
+
+
 class Parameters(_Stage):
     """All stages of a run. Unknown keys are errors."""
 
@@ -161,6 +187,7 @@ class Parameters(_Stage):
     surface: SurfaceParameters = SurfaceParameters()
     dynamics: DynamicsParameters = DynamicsParameters()
     render: RenderParameters = RenderParameters()
+    output: OutputParameters = OutputParameters()
 
 
 _STAGES: dict[str, type[_Stage]] = {
@@ -169,6 +196,7 @@ _STAGES: dict[str, type[_Stage]] = {
     "surface": SurfaceParameters,
     "dynamics": DynamicsParameters,
     "render": RenderParameters,
+    "output": OutputParameters,
 }
 
 # Where the paper's text differs from what measured best, a stage at a time.

@@ -13,6 +13,7 @@ _REQUIRED = (
     "numpy", "opencv-python-headless", "kiss-icp", "small-gicp", "pydantic", "plyfile",
 )  # fmt: skip
 _EXTRAS = {
+    "exr": ("OpenEXR",),
     "synth": ("trimesh", "embreex"),
     "viz": ("open3d", "matplotlib"),
 }

@@ -234,6 +234,32 @@ def classify(
     return np.where(dynamic, DYNAMIC, np.where(ground, GROUND, STATIC)).astype(np.uint16)
 
 
+def confidence(votes: Votes) -> NDArray[np.float32]:
+    """How sure the votes of each point are of its being static or dynamic, 0..1.
+
+    The share of dynamic votes by Laplace's rule is (d + 1) / (d + s + 2); its distance from one
+    half, doubled, is |d - s| / (d + s + 2). So it is 0 where nobody voted or votes are even, 1/3
+    after a single vote, 1/2 after two that agree, and 1 in the limit.
+
+    Parameters
+    ----------
+    votes : Votes
+        As a frame keeps them (``votes_static``, ``votes_dynamic``): thresholds on this need no
+        voting again. Points of the ground that nobody was asked about have no votes, thus 0.
+
+    Returns
+    -------
+    ndarray of float32, shape (N,)
+    """
+    static, dynamic = votes.static.astype(np.float32), votes.dynamic.astype(np.float32)
+    if static.shape != dynamic.shape:
+        raise InputError(
+            f"votes.static {static.shape} and votes.dynamic {dynamic.shape} differ in shape; "
+            "give both counts of the same points"
+        )
+    return np.asarray(np.abs(dynamic - static) / (dynamic + static + 2), np.float32)
+
+
 def classify_drive(
     sweeps: Sequence[NDArray[np.float32]],
     trajectory: Trajectory,

@@ -16,6 +16,9 @@ from docdepth.errors import CalibrationError, InputError
 from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory, inverse
 
+NEAR = 0.1
+"""Nothing nearer to the image plane is drawn [m]."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -230,8 +233,36 @@ def render(
         The renderer failed.
     """
     p = parameters or RenderParameters()
-    T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
+    core = (renderer or Renderer()).core
+    draw = core.render_splats if p.surface == "splats" else core.render_surfaces
+    depth: NDArray[np.float32] = draw(
+        **arguments(camera, T_camera_lidar, trajectory, time, frames, p), threads=threads
+    )
+    # The far plane: nearest wins, so cutting the result is cutting the points.
+    depth[depth > p.max_depth] = np.nan
+    return depth
 
+
+def drawn_sweeps(
+    trajectory: Trajectory, time: int, parameters: RenderParameters
+) -> tuple[list[int], list[int]]:
+    """Sweeps that are drawn, as the core numbers them: of the world, then of what moves."""
+    moving = [dynamic_frame(trajectory, time)]
+    if parameters.surface == "triangles":
+        moving.append(_other_frame(trajectory, time))
+    return static_frames(trajectory, time, parameters).tolist(), moving
+
+
+def arguments(
+    camera: Camera,
+    T_camera_lidar: NDArray[np.float64],
+    trajectory: Trajectory,
+    time: int,
+    frames: Callable[[int], Frame],
+    p: RenderParameters,
+) -> dict[str, Any]:
+    """What the core draws, or looks at, for one image."""
+    T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
     kind = _core.Frame if p.surface == "splats" else _core.SurfaceFrame
 
     def place(index: int) -> tuple[Any, NDArray[np.float64]]:
@@ -240,36 +271,23 @@ def render(
             raise InputError(f"frame {index} was not made for {p.surface}; give Frame parameters")
         return core, T_camera_world @ trajectory.poses[index]
 
-    fixed = [place(int(i)) for i in static_frames(trajectory, time, p)]
-    nearest = dynamic_frame(trajectory, time)
-    core = (renderer or Renderer()).core
-    depth: NDArray[np.float32]
+    world, moving = drawn_sweeps(trajectory, time, p)
+    image = {"K": camera.K, "width": camera.width, "height": camera.height}
+    fixed, movers = [place(i) for i in world], [place(i) for i in moving]
     if p.surface == "splats":
-        depth = core.render_splats(
-            camera.K,
-            camera.width,
-            camera.height,
-            static_frames=fixed,
-            dynamic_frames=[place(nearest)],
-            static_size=(p.static_size_max, p.static_size_min),
-            dynamic_size=(p.dynamic_size_max, p.dynamic_size_min),
-            threads=threads,
-        )
-    else:
-        other = _other_frame(trajectory, time)
-        stamp = trajectory.times[nearest]
-        depth = core.render_surfaces(
-            camera.K,
-            camera.width,
-            camera.height,
-            fixed=fixed,
-            nearest=place(nearest),
-            other=place(other),
-            duration=float(trajectory.times[other] - stamp) * 1e-9,
-            delay=float(np.int64(time) - stamp) * 1e-9,
-            max_speed=p.max_speed,
-            threads=threads,
-        )
-    # The far plane: nearest wins, so cutting the result is cutting the points.
-    depth[depth > p.max_depth] = np.nan
-    return depth
+        return image | {
+            "static_frames": fixed,
+            "dynamic_frames": movers,
+            "static_size": (p.static_size_max, p.static_size_min),
+            "dynamic_size": (p.dynamic_size_max, p.dynamic_size_min),
+        }
+    nearest, other = moving
+    stamp = trajectory.times[nearest]
+    return image | {
+        "fixed": fixed,
+        "nearest": movers[0],
+        "other": movers[1],
+        "duration": float(trajectory.times[other] - stamp) * 1e-9,
+        "delay": float(np.int64(time) - stamp) * 1e-9,
+        "max_speed": p.max_speed,
+    }

@@ -16,4 +16,9 @@ using Pose = Eigen::Isometry3d;
 /// Class of a point, as frames/*.ply stores it (`classid`).
 enum ClassId : std::uint16_t { kGround = 0, kStatic = 50, kDynamic = 100 };
 
+/// The class of a `classid` as a byte: below 50 ground, below 100 static, else dynamic.
+inline std::uint8_t class_of(std::uint16_t classid) {
+  return classid < kStatic ? kGround : classid < kDynamic ? kStatic : kDynamic;
+}
+
 }  // namespace docdepth

@@ -34,7 +34,8 @@ Box box_around(const Eigen::Vector3f& low, const Eigen::Vector3f& high) {
 
 }  // namespace
 
-Cloud::Cloud(const Points& points, const std::vector<std::uint8_t>& keep) {
+Cloud::Cloud(const Points& points, const std::vector<std::uint8_t>& keep,
+             const std::uint16_t* classid) {
   id_ = new_identity();
   std::vector<std::uint32_t> cells(points.rows()), start(kSectors * kRings + 1, 0);
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
@@ -48,10 +49,12 @@ Cloud::Cloud(const Points& points, const std::vector<std::uint8_t>& keep) {
   for (std::uint32_t s = 1; s <= kSectors; ++s) sector_end.push_back(start[s * kRings]);
 
   for (auto* axis : {&x_, &y_, &z_}) axis->resize(count + kPadding);
+  classes_.resize(count);
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     if (!keep[i]) continue;
     const std::uint32_t at = start[cells[i]]++;
     x_[at] = points(i, 0), y_[at] = points(i, 1), z_[at] = points(i, 2);
+    classes_[at] = classid ? class_of(classid[i]) : std::uint8_t{kGround};
   }
 
   Eigen::Vector3f low = Eigen::Vector3f::Constant(INFINITY), high = -low;
@@ -80,8 +83,8 @@ Frame::Frame(const Points& points, const std::uint16_t* classid, double crop) {
     keep_static[i] = inside && classid[i] < kDynamic;
     keep_dynamic[i] = inside && classid[i] >= kDynamic;
   }
-  static_points = Cloud(points, keep_static);
-  dynamic_points = Cloud(points, keep_dynamic);
+  static_points = Cloud(points, keep_static, classid);
+  dynamic_points = Cloud(points, keep_dynamic, classid);
 }
 
 }  // namespace docdepth

@@ -22,7 +22,9 @@ class Cloud {
   Cloud() = default;
 
   /// @param keep one byte a point; points with 0 are left out. All others must be finite.
-  Cloud(const Points& points, const std::vector<std::uint8_t>& keep);
+  /// @param classid ClassId of every point; ground if null
+  Cloud(const Points& points, const std::vector<std::uint8_t>& keep,
+        const std::uint16_t* classid = nullptr);
 
   std::size_t size() const { return blocks_.empty() ? 0 : blocks_.back().end; }
   std::uint64_t id() const { return id_; }  ///< see new_identity()
@@ -31,12 +33,14 @@ class Cloud {
   const float* x() const { return x_.data(); }
   const float* y() const { return y_.data(); }
   const float* z() const { return z_.data(); }
+  const std::uint8_t* classes() const { return classes_.data(); }  ///< ClassId
 
  private:
   std::uint64_t id_ = 0;
   Box box_{};
   std::vector<Block> blocks_;
   std::vector<float> x_, y_, z_;
+  std::vector<std::uint8_t> classes_;
 };
 
 /// A sweep made ready to be drawn: moving points are drawn from one sweep, all others from many.

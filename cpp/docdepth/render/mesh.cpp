@@ -50,7 +50,8 @@ Box box_around(const Vector& low, const Vector& high) {
 
 }  // namespace
 
-Mesh::Mesh(const std::vector<Vector>& vertices, const std::vector<Triangle>& triangles) {
+Mesh::Mesh(const std::vector<Vector>& vertices, const std::vector<Triangle>& triangles,
+           const std::vector<std::uint8_t>& classes) {
   id_ = new_identity();
   const Order order = by_direction(vertices, triangles);
   corners_.reserve(triangles.size());
@@ -86,6 +87,7 @@ Mesh::Mesh(const std::vector<Vector>& vertices, const std::vector<Triangle>& tri
         local[v] = static_cast<std::uint8_t>(patch.vertices++);
         const Vector& p = vertices[v];
         x_.push_back(p.x()), y_.push_back(p.y()), z_.push_back(p.z());
+        classes_.push_back(classes.empty() ? 0 : classes[v]);
         patch_low = patch_low.cwiseMin(p), patch_high = patch_high.cwiseMax(p);
       }
       corners[k] = local[v];

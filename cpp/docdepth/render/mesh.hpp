@@ -9,6 +9,8 @@
 
 namespace docdepth {
 
+constexpr std::uint8_t kNoClass = 255;  ///< of places that are no return
+
 /// Triangles in patches of neighbours, each with its own vertices and box. A vertex on the border
 /// of two patches is kept twice, which costs less than looking it up elsewhere.
 class Mesh {
@@ -27,8 +29,10 @@ class Mesh {
   Mesh() = default;
 
   /// @param triangles corners as rows of `vertices`; vertices without a triangle are left out
+  /// @param classes a byte a vertex that is kept with it; 0 if absent
   Mesh(const std::vector<Eigen::Vector3f>& vertices,
-       const std::vector<std::array<std::uint32_t, 3>>& triangles);
+       const std::vector<std::array<std::uint32_t, 3>>& triangles,
+       const std::vector<std::uint8_t>& classes = {});
 
   std::size_t size() const { return corners_.size(); }
   std::size_t vertex_count() const {
@@ -42,6 +46,7 @@ class Mesh {
   const float* x() const { return x_.data(); }
   const float* y() const { return y_.data(); }
   const float* z() const { return z_.data(); }
+  const std::uint8_t* classes() const { return classes_.data(); }
 
  private:
   std::uint64_t id_ = 0;
@@ -49,6 +54,7 @@ class Mesh {
   std::vector<Patch> patches_;
   std::vector<Corners> corners_;
   std::vector<float> x_, y_, z_;
+  std::vector<std::uint8_t> classes_;
 };
 
 }  // namespace docdepth

@@ -35,6 +35,7 @@ struct PlacedCloud {
   const Cloud* cloud;
   Pose T_camera_cloud;
   const SplatHeights* heights;
+  int sweep = 0;  ///< that it comes from, as a number of the caller's
 };
 
 /// Depth of the nearest splat at each pixel, row after row; NaN where there is none.

@@ -11,7 +11,7 @@ namespace {
 using Vector = Eigen::Vector3f;
 
 /// Sweeps whose rays are asked, by trust. More know little more.
-constexpr std::size_t kWitnesses = 12;
+constexpr int kWitnesses = 12;
 
 /// A diamond around a return, across the line of sight.
 void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
@@ -27,18 +27,23 @@ void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
 }
 
 /// A mesh of few of the vertices.
-Mesh small_mesh(const std::vector<Vector>& vertices, Triangles triangles) {
+Mesh small_mesh(const std::vector<Vector>& vertices, Triangles triangles,
+                const std::vector<std::uint8_t>& classes) {
   std::vector<std::uint32_t> used;
   for (const auto& corners : triangles) used.insert(used.end(), corners.begin(), corners.end());
   std::sort(used.begin(), used.end());
   used.erase(std::unique(used.begin(), used.end()), used.end());
   std::vector<Vector> own;
-  for (const auto vertex : used) own.push_back(vertices[vertex]);
+  std::vector<std::uint8_t> own_classes;
+  for (const auto vertex : used) {
+    own.push_back(vertices[vertex]);
+    own_classes.push_back(classes[vertex]);
+  }
   for (auto& corners : triangles)
     for (auto& corner : corners)
       corner = static_cast<std::uint32_t>(std::lower_bound(used.begin(), used.end(), corner) -
                                           used.begin());
-  return Mesh(own, triangles);
+  return Mesh(own, triangles, own_classes);
 }
 
 /// The same seen from the other sweep.
@@ -49,7 +54,9 @@ Motion reversed(const Motion& motion) {
 
 /// The objects of the nearest sweep where they were when the image was taken, and of those that the
 /// other one found, too, what that measured.
-std::vector<PlacedMover> carried(const Motion& motion, int threads) {
+///
+/// @param sweep number of the nearest sweep; the other one has the next
+std::vector<PlacedMover> carried(const Motion& motion, int sweep, int threads) {
   std::vector<PlacedMover> placed;
   for (const bool first : {true, false}) {
     const auto& [nearest, other, duration, delay, max_speed] = first ? motion : reversed(motion);
@@ -67,8 +74,8 @@ std::vector<PlacedMover> carried(const Motion& motion, int threads) {
         return T_camera_object;
       };
       const auto& parts = nearest.frame->movers[k];
-      PlacedMover mover{{{&parts.whole, carry(0)}}, {}};
-      if (first) mover.meshes.push_back({&parts.split, carry(0)});
+      PlacedMover mover{{{&parts.whole, carry(0), first ? sweep : sweep + 1}}, {}};
+      if (first) mover.meshes.push_back({&parts.split, carry(0), sweep, true});
       if (found)
         mover.rays = {{&nearest.frame->rays, carry(0)},
                       {&other.frame->rays, carry(duration) * passage.T_from_to}};
@@ -88,24 +95,29 @@ SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles
   auto [vertices, parts, normals] = part_surface(points, triangles, cut, triangle_count,
                                                  objects.owner, objects.places.size() + 1);
   rays = Rays(points, normals);
-  for (std::size_t i = 0; i < loose_count; ++i)
+  std::vector<std::uint8_t> classes(vertices.size(), kNoClass);  // of places between returns
+  for (Eigen::Index i = 0; i < points.rows(); ++i) classes[i] = class_of(classid[i]);
+  for (std::size_t i = 0; i < loose_count; ++i) {
     add_diamond(points.row(loose[i]), loose_angle, vertices, parts[objects.owner[loose[i]]].whole);
-  world = {Mesh(vertices, parts[0].whole), Mesh(vertices, parts[0].split)};
+    classes.resize(vertices.size(), class_of(classid[loose[i]]));
+  }
+  world = {Mesh(vertices, parts[0].whole, classes), Mesh(vertices, parts[0].split, classes)};
   for (std::size_t k = 1; k < parts.size(); ++k)
-    movers.push_back({small_mesh(vertices, std::move(parts[k].whole)),
-                      small_mesh(vertices, std::move(parts[k].split))});
+    movers.push_back({small_mesh(vertices, std::move(parts[k].whole), classes),
+                      small_mesh(vertices, std::move(parts[k].split), classes)});
 }
 
 Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int threads) {
   Drawing drawing;
-  for (const auto& [frame, pose] : fixed)
-    (drawing.trusted.empty() ? drawing.trusted : drawing.others)
-        .push_back({&frame->world.whole, pose});
-  if (!fixed.empty())
-    drawing.others.push_back({&fixed[0].frame->world.split, fixed[0].T_camera_frame});
-  for (std::size_t i = 0; i < std::min(fixed.size(), kWitnesses); ++i)
+  const auto count = static_cast<int>(fixed.size());
+  for (int i = 0; i < count; ++i)
+    (i == 0 ? drawing.trusted : drawing.others)
+        .push_back({&fixed[i].frame->world.whole, fixed[i].T_camera_frame, i});
+  if (count)
+    drawing.others.push_back({&fixed[0].frame->world.split, fixed[0].T_camera_frame, 0, true});
+  for (int i = 0; i < std::min(count, kWitnesses); ++i)
     drawing.rays.push_back({&fixed[i].frame->rays, fixed[i].T_camera_frame});
-  drawing.movers = carried(motion, threads);
+  drawing.movers = carried(motion, count, threads);
   return drawing;
 }
 

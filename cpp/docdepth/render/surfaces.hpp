@@ -56,7 +56,8 @@ struct Motion {
 std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
                                    const Motion& motion, int threads);
 
-/// What render_surfaces() draws, for any rasteriser of triangles.
+/// What render_surfaces() draws, for any rasteriser of triangles. Its sweeps are numbered: those of
+/// `fixed` from 0 on, then the nearest and the other of `motion`.
 Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int threads);
 
 }  // namespace docdepth

@@ -13,6 +13,8 @@ namespace docdepth {
 struct PlacedMesh {
   const Mesh* mesh;
   Pose T_camera_mesh;
+  int sweep = 0;       ///< that it comes from, as a number of the caller's
+  bool split = false;  ///< not measured, it only goes on over a depth jump
 };
 
 /// A moving object where it was when the image was taken, as one or more sweeps saw it.

@@ -13,6 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.errors import CalibrationError
 from docdepth.render import Camera
 
 
@@ -57,6 +58,9 @@ class CameraStream:
         Stems of the images; depth maps are written under them.
     images : list of Path, optional
         Empty when the images are not on disk.
+    distortion : ndarray of float64, shape (4,), (5,), (8,), (12,) or (14,), optional
+        Of the images, as OpenCV has it: k1 k2 p1 p2 [k3 ...]. Depth maps are those of the
+        rectified camera with the same K, ``cv2.undistort(image, K, distortion)``.
     """
 
     name: str
@@ -65,6 +69,15 @@ class CameraStream:
     times: NDArray[np.int64]
     names: list[str]
     images: list[Path] = field(default_factory=list)
+    distortion: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        d, lengths = self.distortion, [(n,) for n in (4, 5, 8, 12, 14)]
+        if d is not None and (d.shape not in lengths or not np.isfinite(d).all()):
+            raise CalibrationError(
+                f"{self.name}: distortion must be 4, 5, 8, 12 or 14 numbers k1 k2 p1 p2 [k3 ...], "
+                f"got {d.tolist()}"
+            )
 
 
 @runtime_checkable

@@ -36,6 +36,8 @@ class KittiOdometry:
 
     - ``image_N/times.txt``: the camera's own times in seconds, else it fires with the sweeps;
     - ``image_N/size.txt``: ``WIDTH HEIGHT`` where there are no images to tell it;
+    - ``image_N/distortion.txt``: ``k1 k2 p1 p2 [k3 ...]`` of OpenCV where the images are not
+      rectified; the K of P0 to P3 is theirs, and depth maps are of the camera with that K;
     - ``docdepth.yaml`` with ``motion_compensated: false``: raw sweeps; then
       ``point_times/NAME.bin`` gives each point's time, float32, as :attr:`Sweep.fraction`.
 
@@ -174,6 +176,7 @@ def _cameras(
             times=times,
             names=names,
             images=images,
+            distortion=_distortion(folder / "distortion.txt"),
         )
     if not streams:
         raise CalibrationError(f"{calibration.file} has no camera (P0 to P3); {_REMEDY}")
@@ -185,6 +188,15 @@ def _cameras(
             ", ".join(guessed),
         )
     return streams
+
+
+def _distortion(file: Path) -> NDArray[np.float64] | None:
+    if not file.is_file():
+        return None
+    try:
+        return np.array(file.read_text(encoding="utf-8").split(), dtype=np.float64)
+    except ValueError as error:
+        raise CalibrationError(f"{file} must be numbers, k1 k2 p1 p2 [k3 ...]: {error}") from None
 
 
 def _size(

@@ -24,12 +24,20 @@ class RunDataset:
         self.times: NDArray[np.int64] = trajectory.times
         self.poses: NDArray[np.float64] | None = trajectory.poses
         self.cameras: dict[str, CameraStream] = {}
-        if (self.path / "traj_camera.ply").is_file():
-            camera, T_camera_lidar = self._run.calibration()
-            shutter, indices = read_trajectory(self.path / "traj_camera.ply")
-            names = self._run.stage("render").get("names") or [f"{i:010d}" for i in indices]
-            self.cameras["camera"] = CameraStream(
-                "camera", camera, T_camera_lidar, shutter.times, list(names)
+        several = sorted(p.parent.name for p in self.path.glob("cameras/*/traj_camera.ply"))
+        for name in ["", *several]:
+            trajectory_path = self._run.calibration_folder(name) / "traj_camera.ply"
+            if not trajectory_path.is_file():
+                continue
+            camera, T_camera_lidar, distortion = self._run.calibration(name)
+            shutter, indices = read_trajectory(trajectory_path)
+            self.cameras[name or "camera"] = CameraStream(
+                name or "camera",
+                camera,
+                T_camera_lidar,
+                shutter.times,
+                [f"{i:010d}" for i in indices],
+                distortion=np.array(distortion) if any(distortion) else None,
             )
 
     def __len__(self) -> int:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from docdepth.errors import DatasetError
 from docdepth.evaluation.depth import DepthEvaluation, DepthResult, Mode
 from docdepth.evaluation.labels import LabelEvaluation, LabelResult, moving
-from docdepth.io.depth import read_depth
+from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 
 
@@ -56,7 +56,11 @@ def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
 
 
 def evaluate_depth(
-    run: Path, depth: Path, mode: Mode = "valid", max_range: float = 80.0
+    run: Path,
+    depth: Path,
+    mode: Mode = "valid",
+    max_range: float = 80.0,
+    camera: str | None = None,
 ) -> DepthResult:
     """Depth maps of a run against true ones of the same names.
 
@@ -65,8 +69,10 @@ def evaluate_depth(
     run : Path
         Run folder with depth maps.
     depth : Path
-        Folder of ``NAME.npy`` or KITTI ``NAME.png`` files, or one with a folder ``depth_2``. A
-        folder ``class_2`` beside it tells which pixels move.
+        Folder of depth maps in any format, or one with a folder ``depth_2``. A folder ``class_2``
+        beside it tells which pixels move.
+    camera : str, optional
+        One of several; needed when there are.
 
     Raises
     ------
@@ -77,23 +83,21 @@ def evaluate_depth(
     if (depth / "depth_2").is_dir():
         depth = depth / "depth_2"
     classes = depth.parent / depth.name.replace("depth", "class")
-    K = folder.calibration()[0].K
+    camera = folder.depth_folder(camera)
+    K = folder.calibration(camera)[0].K
     evaluation = DepthEvaluation(mode=mode, max_range=max_range, poses=_poses(folder))
-    maps = sorted((run / "depth").glob("*.png"))
+    maps, truths = maps_in(run / "depth" / camera), maps_in(depth)
     if not maps:
         raise DatasetError(f"{run}/depth holds no depth map; run: docdepth render {run}")
-    for path in maps:
-        truth = depth / f"{path.stem}.npy"
-        if not truth.is_file():
-            truth = truth.with_suffix(".png")
-        if not truth.is_file():
-            raise DatasetError(f"{depth} has neither {path.stem}.npy nor {path.stem}.png")
-        mask = classes / f"{path.stem}.npy"
+    for name, path in maps.items():
+        if name not in truths:
+            raise DatasetError(f"{depth} has no depth map {name}, {run} has {path.name}")
+        mask = classes / f"{name}.npy"
         dynamic = None
         if classes != depth and mask.is_file():
             classes_of_image = np.load(mask)
             dynamic = moving(classes_of_image.ravel()).reshape(classes_of_image.shape)
-        evaluation.add(read_depth(path), read_depth(truth), dynamic, K)
+        evaluation.add(read_depth(path), read_depth(truths[name]), dynamic, K)
     return evaluation.result()
 
 

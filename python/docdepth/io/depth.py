@@ -1,4 +1,4 @@
-"""Depth maps on disk: PNG as KITTI writes it, NPY and NPZ with every bit.
+"""Depth maps on disk: PNG as KITTI writes it; NPY, NPZ, TIFF and EXR as floats.
 
 In memory a depth map is float32 metres along the optical axis, NaN = none.
 """
@@ -6,6 +6,8 @@ In memory a depth map is float32 metres along the optical axis, NaN = none.
 from __future__ import annotations
 
 import io
+import json
+import tempfile
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -14,85 +16,144 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import DatasetError, InputError
+from docdepth.errors import DatasetError, InputError, MissingExtraError
 from docdepth.io.atomic import write_atomically
 
+FORMATS = {  # the more exact, the later
+    "png": ".png",  # uint16, metres times a scale, 0 = none
+    "exr-half": ".exr",  # float16 metres, NaN = none; steps of 31 mm at 50 m, 62 mm at 100 m
+    "exr": ".exr",  # float32, channel Y, ZIP compressed
+    "tiff": ".tiff",  # float32, compressed
+    "npz": ".npz",  # float32, compressed, array "depth"
+    "npy": ".npy",  # float32
+}
+"""Suffix of each format."""
+
 PNG_SCALE = 256.0
-"""Steps of a PNG a metre (KITTI)."""
+"""Steps of a PNG a metre, if nothing else is said (KITTI)."""
 
-PNG_MAX_DEPTH = 65535 / PNG_SCALE
-"""The deepest that a PNG can hold [m]."""
+DESCRIPTION = "depth.json"
+"""What says of the maps in its folder how they are scaled, and more."""
 
-SUFFIXES = (".png", ".npy", ".npz")
+_READ = (*dict.fromkeys(FORMATS.values()), ".tif")
 
 
-def encode_png(depth: NDArray[np.float32]) -> bytes:
-    """A depth map as a PNG of uint16: metres x 256, rounded, 0 = none.
+def png_range(scale: float = PNG_SCALE) -> float:
+    """The deepest that a PNG can hold [m]."""
+    return 65535 / scale
+
+
+def encode_depth(
+    depth: NDArray[np.float32], format: str = "png", scale: float = PNG_SCALE
+) -> bytes:
+    """A depth map as the content of a file.
 
     Parameters
     ----------
     depth : ndarray of float32, shape (h, w)
         Metres, NaN = none.
+    format : str
+        One of :data:`FORMATS`.
+    scale : float
+        Steps of a PNG a metre; it is of use to PNG only.
 
     Raises
     ------
     InputError
-        A depth is not positive, or too large for the format: nothing is wrapped or cut.
+        The format is unknown, or a depth is not positive or too large for the format: nothing is
+        wrapped or cut.
+    MissingExtraError
+        The format needs a package that is not installed.
     """
     depth = _checked(depth)
-    with np.errstate(invalid="ignore"):
-        deep = depth * PNG_SCALE >= 65535.5
-    if deep.any():
-        row, column = np.argwhere(deep)[0]
-        raise InputError(
-            f"{np.count_nonzero(deep)} pixels are deeper than the {PNG_MAX_DEPTH:.2f} m that a PNG "
-            f"of metres x 256 can hold, the first is {depth[row, column]:.2f} m in row {row}, "
-            f"column {column}; write NPY, or leave out points beyond with render.crop"
-        )
-    # A depth that would round to 0 would be lost; one step is as near as the format gets.
-    steps = np.maximum(np.rint(depth * PNG_SCALE), 1)
-    pixels = np.where(np.isnan(depth), 0, steps).astype(np.uint16)
-    _, encoded = cv2.imencode(".png", pixels)
-    return bytes(encoded.tobytes())
+    if format == "png":
+        return _encode_png(depth, scale)
+    if format in ("exr", "exr-half"):
+        return _encode_exr(depth, np.dtype(np.float16 if format == "exr-half" else np.float32))
+    if format == "tiff":
+        return bytes(cv2.imencode(".tiff", depth)[1].tobytes())
+    stream = io.BytesIO()
+    if format == "npy":
+        np.save(stream, depth)
+    elif format == "npz":
+        np.savez_compressed(stream, depth=depth)
+    else:
+        raise InputError(f"unknown depth format {format!r}; there are {', '.join(FORMATS)}")
+    return stream.getvalue()
 
 
-def write_depth(path: Path, depth: NDArray[np.float32]) -> None:
-    """Write a depth map in the format that the name ends in: .png, .npy or .npz.
+def write_depth(
+    path: Path, depth: NDArray[np.float32], format: str | None = None, scale: float = PNG_SCALE
+) -> None:
+    """Write a depth map.
 
     Parameters
     ----------
     path : Path
     depth : ndarray of float32, shape (h, w)
         Metres, NaN = none.
+    format : str, optional
+        One of :data:`FORMATS`; what the name ends in if absent.
+    scale : float
+        Steps of a PNG a metre.
 
     Raises
     ------
     InputError
         The format is unknown or cannot hold the depth.
+    MissingExtraError
+        The format needs a package that is not installed.
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix == ".png":
-        content = encode_png(depth)
-    elif suffix in SUFFIXES:
-        stream = io.BytesIO()
-        if suffix == ".npy":
-            np.save(stream, _checked(depth))
-        else:
-            np.savez_compressed(stream, depth=_checked(depth))
-        content = stream.getvalue()
-    else:
-        raise InputError(f"{path}: depth is written as {', '.join(SUFFIXES)}, not {suffix!r}")
+    named = {".tif": "tiff", **{s: f for f, s in FORMATS.items()}}
+    format = format or named.get(suffix)
+    if format is None:
+        raise InputError(f"{path}: depth is written as {', '.join(_READ)}, not {suffix!r}")
+    content = encode_depth(depth, format, scale)
     write_atomically(path, lambda out: out.write(content))
 
 
-def read_depth(path: Path) -> NDArray[np.float32]:
+def check_format(format: str, scale: float, max_depth: float) -> None:
+    """Refuse what could not be written hours later.
+
+    Parameters
+    ----------
+    format : str
+        One of :data:`FORMATS`.
+    scale : float
+        Steps of a PNG a metre.
+    max_depth : float
+        The deepest that will be drawn [m].
+
+    Raises
+    ------
+    InputError
+        The format cannot hold such depth.
+    MissingExtraError
+        The format needs a package that is not installed.
+    """
+    if format == "png" and max_depth > png_range(scale):
+        most = 2.0 ** np.floor(np.log2(65535 / max_depth))
+        remedy = f"take --scale {most:g}, "
+        raise InputError(
+            f"render.max_depth is {max_depth:g} m, a PNG of metres x {scale:g} holds no more than "
+            f"{png_range(scale):.2f} m; {remedy}another --format (exr, tiff, npy) or a smaller "
+            "render.max_depth"
+        )
+    if format in ("exr", "exr-half"):
+        _open_exr()
+
+
+def read_depth(path: Path, scale: float | None = None) -> NDArray[np.float32]:
     """Read a depth map written by :func:`write_depth` or by others in these formats.
 
     Parameters
     ----------
     path : Path
-        A PNG of uint16 (metres x 256, 0 = none), or NPY or NPZ of float metres (NaN or 0 = none).
+        A PNG of uint16 (0 = none), or NPY, NPZ, TIFF or EXR of float metres (NaN or 0 = none).
+    scale : float, optional
+        Steps of a PNG a metre; if absent what :data:`DESCRIPTION` beside it says, else 256.
 
     Returns
     -------
@@ -103,16 +164,21 @@ def read_depth(path: Path) -> NDArray[np.float32]:
     ------
     DatasetError
         The file is missing, damaged or of another kind.
+    MissingExtraError
+        The format needs a package that is not installed.
     """
     path = Path(path)
     if not path.is_file():
         raise DatasetError(f"{path} is missing")
     suffix = path.suffix.lower()
     if suffix == ".png":
-        return _read_png(path)
-    if suffix not in SUFFIXES:
-        raise DatasetError(f"{path}: depth is read from {', '.join(SUFFIXES)}, not {suffix!r}")
-    depth = _load(path)
+        return _read_png(path, scale or _scale_beside(path))
+    if suffix not in _READ:
+        raise DatasetError(f"{path}: depth is read from {', '.join(_READ)}, not {suffix!r}")
+    if suffix == ".exr":
+        depth = _read_exr(path)
+    else:
+        depth = _decoded(path) if suffix in (".tiff", ".tif") else _load(path)
     if depth.ndim != 2 or depth.dtype.kind != "f":
         raise DatasetError(
             f"{path} holds {depth.dtype} {depth.shape}, not float metres of shape (h, w)"
@@ -120,18 +186,104 @@ def read_depth(path: Path) -> NDArray[np.float32]:
     return np.where(depth == 0, np.float32(np.nan), depth).astype(np.float32)
 
 
-def _read_png(path: Path) -> NDArray[np.float32]:
+def maps_in(folder: Path) -> dict[str, Path]:
+    """The depth maps of a folder by name, of several formats the most exact.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    dict of str to Path
+        In order of names.
+    """
+    found: dict[str, Path] = {}
+    for suffix in _READ:
+        found |= {path.stem: path for path in folder.glob(f"*{suffix}")}
+    return dict(sorted(found.items()))
+
+
+def _scale_beside(path: Path) -> float:
+    beside = path.with_name(DESCRIPTION)
+    if not beside.is_file():
+        return PNG_SCALE
+    try:
+        return float(json.loads(beside.read_text())["scale"]["png"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(
+            f"{beside} does not tell the scale of {path.name} ({error!r}); render again"
+        ) from None
+
+
+def _encode_png(depth: NDArray[np.float32], scale: float) -> bytes:
+    with np.errstate(invalid="ignore"):
+        deep = depth * scale >= 65535.5
+    if deep.any():
+        row, column = np.argwhere(deep)[0]
+        raise InputError(
+            f"{np.count_nonzero(deep)} pixels are deeper than the {png_range(scale):.2f} m that a "
+            f"PNG of metres x {scale:g} can hold, the first is {depth[row, column]:.2f} m in row "
+            f"{row}, column {column}; take another format, a smaller scale or render.max_depth"
+        )
+    # A depth that would round to 0 would be lost; one step is as near as the format gets.
+    steps = np.maximum(np.rint(depth * scale), 1)
+    pixels = np.where(np.isnan(depth), 0, steps).astype(np.uint16)
+    return bytes(cv2.imencode(".png", pixels)[1].tobytes())
+
+
+def _open_exr() -> Any:
+    # OpenCV's wheels can read EXR only if a variable was set before the import, or not at all.
+    try:
+        import OpenEXR
+    except ImportError:
+        raise MissingExtraError('EXR needs a package: pip install "docdepth[exr]"') from None
+    return OpenEXR
+
+
+def _encode_exr(depth: NDArray[np.float32], dtype: np.dtype[Any]) -> bytes:
+    OpenEXR = _open_exr()
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    # One channel Y is what OpenCV writes, and all that it reads.
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "depth.exr"
+        OpenEXR.File(header, {"Y": depth.astype(dtype)}).write(str(path))
+        return path.read_bytes()
+
+
+def _read_exr(path: Path) -> NDArray[Any]:
+    OpenEXR = _open_exr()
+    try:
+        with OpenEXR.File(str(path)) as image:
+            channels = {name: c.pixels.copy() for name, c in image.channels().items()}
+    except (RuntimeError, ValueError) as error:
+        raise DatasetError(f"{path} is damaged: {error}; delete it and render again") from None
+    for name in ("Y", "Z", *(channels if len(channels) == 1 else ())):
+        if name in channels:
+            return np.asarray(channels[name])
+    raise DatasetError(f"{path} has the channels {', '.join(channels)}; depth is one, Y or Z")
+
+
+def _decoded(path: Path) -> NDArray[Any]:
     # Read in Python and decoded from memory: OpenCV complains on its own channels otherwise.
     content = np.frombuffer(path.read_bytes(), np.uint8)
-    pixels = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if len(content) else None
+    try:
+        pixels = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if len(content) else None
+    except cv2.error:
+        pixels = None
     if pixels is None:
-        raise DatasetError(f"{path} is not a readable PNG; delete it and render again")
+        raise DatasetError(f"{path} is not a readable image; delete it and render again")
+    return np.asarray(pixels)
+
+
+def _read_png(path: Path, scale: float) -> NDArray[np.float32]:
+    pixels = _decoded(path)
     if pixels.dtype != np.uint16 or pixels.ndim != 2:
         raise DatasetError(
             f"{path} holds {pixels.dtype} {pixels.shape}; depth is one channel of uint16, "
-            "metres x 256"
+            "metres times a scale"
         )
-    depth = pixels.astype(np.float32) / np.float32(PNG_SCALE)
+    depth = pixels.astype(np.float32) / np.float32(scale)
     depth[pixels == 0] = np.nan
     return np.asarray(depth, np.float32)
 

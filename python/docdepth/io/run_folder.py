@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ class RunFolder:
             The folder holds another run, or files that are not a run.
         """
         run = cls(path)
-        wanted = {"source": source, "parameters": parameters.model_dump()}
+        wanted = {"source": source, "parameters": parameters.model_dump(mode="json")}
         if run.manifest:
             for part, value in wanted.items():
                 if run.manifest.get(part) != value:
@@ -83,7 +84,8 @@ class RunFolder:
                 raise RunError(
                     f"{path} holds no run; start one with: docdepth run DATASET -o {path}"
                 )
-            run.manifest = {"source": {}, "parameters": Parameters().model_dump(), "stages": {}}
+            defaults = Parameters().model_dump(mode="json")
+            run.manifest = {"source": {}, "parameters": defaults, "stages": {}}
         return run
 
     @property
@@ -139,35 +141,64 @@ class RunFolder:
             )
         return trajectory
 
-    def write_calibration(self, camera: Camera, T_camera_lidar: NDArray[np.float64]) -> None:
-        """Write calib.json and calib_lidar_ref_cam.txt."""
+    def calibration_folder(self, camera: str = "") -> Path:
+        """Where a camera's calibration and trajectory are: here, or its own folder."""
+        return self.path / "cameras" / camera if camera else self.path
+
+    def write_calibration(
+        self,
+        camera: Camera,
+        T_camera_lidar: NDArray[np.float64],
+        distortion: Sequence[float] = (0.0,) * 5,
+        name: str = "",
+    ) -> None:
+        """Write calib.json and calib_lidar_ref_cam.txt of a camera.
+
+        Parameters
+        ----------
+        distortion : sequence of float
+            Of its images before they are rectified, as OpenCV has it.
+        name : str
+            Of one camera among several.
+        """
+        folder = self.calibration_folder(name)
         calibration = {
             "mtx": camera.K.tolist(),
-            "dist": [0.0] * 5,
+            "dist": list(distortion),
             "size": [camera.width, camera.height],
         }
         rows = "\n".join(" ".join(repr(float(v)) for v in row) for row in T_camera_lidar) + "\n"
         write_atomically(
-            self.path / "calib.json",
+            folder / "calib.json",
             lambda stream: stream.write(json.dumps(calibration, indent=1).encode()),
         )
         write_atomically(
-            self.path / "calib_lidar_ref_cam.txt", lambda stream: stream.write(rows.encode())
+            folder / "calib_lidar_ref_cam.txt", lambda stream: stream.write(rows.encode())
         )
 
-    def calibration(self) -> tuple[Camera, NDArray[np.float64]]:
-        """Camera and ``T_camera_lidar``.
+    def forget_calibration(self, name: str) -> None:
+        """Delete what :meth:`write_calibration` wrote, and the camera's trajectory."""
+        folder = self.calibration_folder(name)
+        for file in ("calib.json", "calib_lidar_ref_cam.txt", "traj_camera.ply"):
+            (folder / file).unlink(missing_ok=True)
+        if name:
+            self.clear(f"cameras/{name}")
+
+    def calibration(self, name: str = "") -> tuple[Camera, NDArray[np.float64], list[float]]:
+        """Camera, ``T_camera_lidar`` and distortion of the images.
 
         Raises
         ------
         CalibrationError
             A calibration file is missing or damaged.
         """
-        intrinsic, extrinsic = self.path / "calib.json", self.path / "calib_lidar_ref_cam.txt"
+        folder = self.calibration_folder(name)
+        intrinsic, extrinsic = folder / "calib.json", folder / "calib_lidar_ref_cam.txt"
         try:
             calibration = json.loads(intrinsic.read_text())
             K = np.array(calibration["mtx"], dtype=np.float64)
             width, height = calibration.get("size") or np.round(2 * K[:2, 2]).astype(int).tolist()
+            distortion = np.ravel(calibration.get("dist") or []).astype(float).tolist()
             T_camera_lidar = np.loadtxt(extrinsic)
         except FileNotFoundError as error:
             raise CalibrationError(f"{error.filename} is missing") from None
@@ -175,13 +206,38 @@ class RunFolder:
             raise CalibrationError(f"{intrinsic} or {extrinsic.name} is damaged: {error}") from None
         if T_camera_lidar.shape != (4, 4):
             raise CalibrationError(f"{extrinsic} must hold a 4x4 matrix")
-        return Camera(K, int(width), int(height)), T_camera_lidar
+        return Camera(K, int(width), int(height)), T_camera_lidar, distortion
+
+    def depth_folder(self, camera: str | None = None) -> str:
+        """The folder in ``depth/`` of a camera, empty where there is but one.
+
+        Raises
+        ------
+        RunError
+            There is no such camera, or there are several and none was named.
+        """
+        apart = sorted(p.name for p in (self.path / "depth").glob("*") if p.is_dir())
+        stage = self.stage("render")
+        folders, cameras = stage.get("folders", [""]), stage.get("cameras", [])
+        if camera is None and len(folders) == 1:
+            return str(folders[0])
+        if camera in apart:
+            return camera
+        if folders == [""] and camera in cameras:
+            return ""
+        known = ", ".join(dict.fromkeys([*cameras, *apart])) or "no camera"
+        raise RunError(
+            f"{self.path} has depth of {known}"
+            + (f", not of {camera}" if camera else ": say --camera")
+        )
 
     def clear(self, folder: str) -> None:
         """Delete the files of an output folder whose parameters have changed."""
         for path in sorted((self.path / folder).glob("*")):
             with contextlib.suppress(IsADirectoryError, PermissionError):
                 path.unlink()
+        with contextlib.suppress(OSError):
+            (self.path / folder).rmdir()
 
 
 def stage_key(*parts: Any) -> str:

@@ -1,0 +1,194 @@
+// How triangles become pixels: what drawing depth and gathering its layers share.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <vector>
+
+#include "docdepth/geometry/rigid.hpp"
+#include "docdepth/render/camera.hpp"
+#include "docdepth/render/candidates.hpp"
+#include "docdepth/render/dispatch.hpp"
+#include "docdepth/render/triangles.hpp"
+
+// The image is cut into strips of columns. One thread draws all of a strip, mesh after mesh, so
+// nothing is shared and the order within a strip never changes.
+namespace docdepth {
+
+constexpr int kStrip = 96;  // columns; 375 rows of them fit the first cache levels
+constexpr int kLanes = 8;
+typedef float Floats __attribute__((vector_size(4 * kLanes)));
+typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
+
+/// Pixels by which triangles are larger than they are, so that rounding leaves no cracks.
+constexpr float kSlack = 0.01f;
+
+/// Nearness (1 / depth, linear on every plane's image) of the columns [begin, end); 0 is empty.
+struct Strip {
+  int begin, end, height;
+  std::vector<float> nearness;           // kStride numbers a row
+  std::vector<std::uint8_t> open_tiles;  // 0 where nothing needs to be drawn
+  std::vector<std::int32_t> numbers;     // of the triangles, like nearness; empty in plain drawing
+
+  static constexpr int kStride = kStrip + kLanes, kTile = Candidates::kTile,
+                       kTiles = kStride / kTile;
+  Strip(int b, int e, int h)
+      : begin(b),
+        end(e),
+        height(h),
+        nearness(std::size_t(kStride) * h, 0.0f),
+        open_tiles(std::size_t(kTiles) * ((h + kTile - 1) / kTile), 1) {}
+
+  /// Empties the strip, and keeps from being drawn what nobody can offer anything for.
+  void open_only(const Candidates& candidates) {
+    std::fill(nearness.begin(), nearness.end(), 0.0f);
+    const auto& open = candidates.open_tiles();
+    for (std::size_t tile = 0; tile < open.size(); ++tile)
+      open_tiles[tile / candidates.tiles() * kTiles + tile % candidates.tiles()] = open[tile];
+  }
+
+  bool is_open(int first_u, int last_u, int first_v, int last_v) const {
+    for (int v = first_v / kTile; v <= last_v / kTile; ++v)
+      for (int u = (first_u - begin) / kTile; u <= (last_u - begin) / kTile; ++u)
+        if (open_tiles[v * kTiles + u]) return true;
+    return false;
+  }
+};
+
+/// Vertices of a patch in the image.
+struct Projected {
+  alignas(32) float u[Mesh::kVertices + kLanes], v[Mesh::kVertices + kLanes],
+      w[Mesh::kVertices + kLanes];  // w is 1 / depth, 0 where there is none
+};
+
+DOCDEPTH_INLINE void project_patch(const Mesh& mesh, const Mesh::Patch& patch,
+                                   const RigidTransform& T, const Camera& camera, Projected& out) {
+  const auto& r = T.r;
+  const auto fx = float(camera.fx), fy = float(camera.fy), cx = float(camera.cx),
+             cy = float(camera.cy);
+  for (std::uint32_t i = 0; i < patch.vertices; i += kLanes) {
+    Floats a, b, c;
+    std::memcpy(&a, mesh.x() + patch.vertex + i, sizeof a);
+    std::memcpy(&b, mesh.y() + patch.vertex + i, sizeof b);
+    std::memcpy(&c, mesh.z() + patch.vertex + i, sizeof c);
+    const Floats x = ((r[0][0] * a + r[0][1] * b) + r[0][2] * c) + T.t[0];
+    const Floats y = ((r[1][0] * a + r[1][1] * b) + r[1][2] * c) + T.t[1];
+    const Floats z = ((r[2][0] * a + r[2][1] * b) + r[2][2] * c) + T.t[2];
+    const Integers seen = z > kNear;
+    const Floats w = 1.0f / z;
+    const Floats u = (fx * x) * w + cx, v = (fy * y) * w + cy;
+    const Floats shown = seen ? w : Floats{};
+    std::memcpy(out.u + i, &u, sizeof u);
+    std::memcpy(out.v + i, &v, sizeof v);
+    std::memcpy(out.w + i, &shown, sizeof shown);
+  }
+}
+
+/// One edge of a triangle: its value at a pixel is not negative inside.
+struct Edge {
+  float u, v, du, dv, slack;
+};
+
+DOCDEPTH_INLINE Edge edge(float u0, float v0, float u1, float v1, float turn) {
+  const float du = (u1 - u0) * turn, dv = (v1 - v0) * turn;
+  return {u0, v0, du, dv, kSlack * (std::fabs(du) + std::fabs(dv))};
+}
+
+/// @tparam kNumbered also keeps the number of the triangle
+template <bool kNumbered>
+DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corners,
+                                   std::int32_t number, Strip& strip) {
+  const int a = corners[0], b = corners[1], c = corners[2];
+  const float wa = p.w[a], wb = p.w[b], wc = p.w[c];
+  const float low_w = std::min(wa, std::min(wb, wc)), high_w = std::max(wa, std::max(wb, wc));
+  const float ua = p.u[a], ub = p.u[b], uc = p.u[c], va = p.v[a], vb = p.v[b], vc = p.v[c];
+  const float low_u = std::max(std::min(ua, std::min(ub, uc)) - kSlack, float(strip.begin));
+  const float high_u = std::min(std::max(ua, std::max(ub, uc)) + kSlack, float(strip.end - 1));
+  const float low_v = std::max(std::min(va, std::min(vb, vc)) - kSlack, 0.0f);
+  const float high_v = std::min(std::max(va, std::max(vb, vc)) + kSlack, float(strip.height - 1));
+  // Also false where a corner lies behind the camera.
+  if (!(low_w > 0 && low_u <= high_u && low_v <= high_v)) return;
+  const int first_u = int(std::ceil(low_u)), last_u = int(high_u);
+  const int first_v = int(std::ceil(low_v)), last_v = int(high_v);
+  if (first_u > last_u || first_v > last_v) return;
+  if (!strip.is_open(first_u, last_u, first_v, last_v)) return;
+
+  const float area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va);
+  if (area == 0) return;
+  const float turn = area > 0 ? 1.0f : -1.0f, inverse = 1.0f / area;
+  const Edge e0 = edge(ua, va, ub, vb, turn), e1 = edge(ub, vb, uc, vc, turn),
+             e2 = edge(uc, vc, ua, va, turn);
+  const float slope_u = ((wb - wa) * (vc - va) - (wc - wa) * (vb - va)) * inverse;
+  const float slope_v = ((wc - wa) * (ub - ua) - (wb - wa) * (uc - ua)) * inverse;
+
+  const Floats lanes = {0, 1, 2, 3, 4, 5, 6, 7};
+  for (int u = first_u; u <= last_u; u += kLanes) {
+    const Floats column = lanes + float(u);
+    const Integers within = column <= high_u;
+    const Floats at0 = e0.slack - (column - e0.u) * e0.dv, at1 = e1.slack - (column - e1.u) * e1.dv,
+                 at2 = e2.slack - (column - e2.u) * e2.dv, w_column = (column - ua) * slope_u + wa;
+    for (int v = first_v; v <= last_v; ++v) {
+      const auto row = float(v);
+      const Integers inside = within & ((row - e0.v) * e0.du + at0 >= 0.0f) &
+                              ((row - e1.v) * e1.du + at1 >= 0.0f) &
+                              ((row - e2.v) * e2.du + at2 >= 0.0f);
+      Floats w = (row - va) * slope_v + w_column;
+      w = w < low_w ? Floats{} + low_w : w;
+      w = w > high_w ? Floats{} + high_w : w;
+      float* cell = strip.nearness.data() + std::size_t(v) * Strip::kStride + (u - strip.begin);
+      Floats old;
+      std::memcpy(&old, cell, sizeof old);
+      const Integers nearer = inside & (w > old);
+      const Floats now = nearer ? w : old;
+      std::memcpy(cell, &now, sizeof now);
+      if constexpr (kNumbered) {
+        std::int32_t* numbers = strip.numbers.data() + (cell - strip.nearness.data());
+        Integers before;
+        std::memcpy(&before, numbers, sizeof before);
+        const Integers after = nearer ? Integers{} + number : before;
+        std::memcpy(numbers, &after, sizeof after);
+      }
+    }
+  }
+}
+
+/// Does any of the patch fall on what may still be drawn?
+DOCDEPTH_INLINE bool is_open(const Projected& p, const Mesh::Patch& patch, const Strip& strip) {
+  float low_u = strip.end, high_u = strip.begin - 1, low_v = strip.height, high_v = -1;
+  for (std::uint32_t i = 0; i < patch.vertices; ++i) {
+    if (!(p.w[i] > 0)) continue;
+    low_u = std::min(low_u, p.u[i]), high_u = std::max(high_u, p.u[i]);
+    low_v = std::min(low_v, p.v[i]), high_v = std::max(high_v, p.v[i]);
+  }
+  const auto first_u = int(std::max(low_u - 1, float(strip.begin)));
+  const auto last_u = int(std::min(high_u + 1, float(strip.end - 1)));
+  const auto first_v = int(std::max(low_v - 1, 0.0f));
+  const auto last_v = int(std::min(high_v + 1, float(strip.height - 1)));
+  return first_u <= last_u && first_v <= last_v && strip.is_open(first_u, last_u, first_v, last_v);
+}
+
+/// False if nothing of it can be seen.
+template <bool kNumbered = false>
+DOCDEPTH_INLINE bool draw_mesh(const Camera& camera, const PlacedMesh& placed, Strip& strip) {
+  const Mesh& mesh = *placed.mesh;
+  Camera part = camera;  // the columns of the strip as a camera of their own, for culling
+  part.cx -= strip.begin;
+  part.width = strip.end - strip.begin;
+  const Frustum frustum(part, placed.T_camera_mesh);
+  if (!mesh.size() || !frustum.touches(mesh.box())) return false;
+  const RigidTransform T(placed.T_camera_mesh);
+  Projected points;
+  for (const Mesh::Patch& patch : mesh.patches()) {
+    if (!frustum.touches(patch.box)) continue;
+    project_patch(mesh, patch, T, camera, points);
+    if (!is_open(points, patch, strip)) continue;
+    for (std::uint32_t t = patch.triangle; t < patch.triangle + patch.triangles; ++t)
+      draw_triangle<kNumbered>(points, mesh.corners()[t], static_cast<std::int32_t>(t), strip);
+  }
+  return true;
+}
+
+}  // namespace docdepth

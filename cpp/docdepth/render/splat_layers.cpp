@@ -1,0 +1,108 @@
+#include <atomic>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <memory>
+
+#include "docdepth/geometry/parallel.hpp"
+#include "docdepth/geometry/rigid.hpp"
+#include "docdepth/render/layers.hpp"
+
+namespace docdepth {
+namespace {
+
+/// What the splats over a pixel say. Sums of whole numbers, so that their order does not matter.
+struct Tally {
+  std::atomic<std::uint64_t> best{~0ull};  // relative difference, then the number of the point
+  std::atomic<std::uint32_t> support{0}, measures{0};
+  std::atomic<std::int64_t> sum{0}, squares{0};  // of differences in kSteps
+};
+
+constexpr float kSteps = 1 << 20;
+
+/// The splat of one point over the depth that is there.
+void hold_against(const Camera& camera, const Eigen::Vector3f& p, int size, std::uint32_t number,
+                  const float* depth, Tally* tallies) {
+  // As splats.cpp finds the pixel, operation by operation.
+  const float column = (float(camera.fx) * p.x()) / p.z() + float(camera.cx) + 0.5f;
+  const float row = (float(camera.fy) * p.y()) / p.z() + float(camera.cy) + 0.5f;
+  if (!(p.z() > kNear && column >= 0 && column < float(camera.width) && row >= 0 &&
+        row < float(camera.height)))
+    return;
+  const int u = int(column), v = int(row);
+  for (int dv = -size / 2; dv <= size / 2; ++dv) {
+    if (v + dv < 0 || v + dv >= camera.height) continue;
+    const int half = int(std::sqrt(float(size * size - 4 * dv * dv)) / 3.0f + 1e-4f);
+    for (int at = std::max(u - half, 0); at <= std::min(u + half, camera.width - 1); ++at) {
+      const std::size_t i = std::size_t(v + dv) * camera.width + at;
+      if (!(depth[i] > 0)) continue;
+      Tally& tally = tallies[i];
+      tally.measures.fetch_add(1, std::memory_order_relaxed);
+      const float off = (p.z() - depth[i]) / depth[i], difference = std::fabs(off);
+      if (difference > kAgree) continue;
+      const auto steps = std::int64_t(std::lround(off * kSteps));
+      tally.support.fetch_add(1, std::memory_order_relaxed);
+      tally.sum.fetch_add(steps, std::memory_order_relaxed);
+      tally.squares.fetch_add(steps * steps, std::memory_order_relaxed);
+      std::uint32_t bits;  // ordered like the floats, which are not negative
+      std::memcpy(&bits, &difference, sizeof bits);
+      const std::uint64_t mine = (std::uint64_t(bits) << 32) | number;
+      std::uint64_t best = tally.best.load(std::memory_order_relaxed);
+      while (mine < best && !tally.best.compare_exchange_weak(best, mine)) {
+      }
+    }
+  }
+}
+
+float deviation_of(const Tally& tally, float depth) {
+  const double n = tally.support;
+  if (n < 2) return std::numeric_limits<float>::quiet_NaN();
+  const double sum = double(tally.sum), squares = double(tally.squares);
+  return depth * float(std::sqrt(std::max((squares - sum * sum / n) / (n - 1), 0.0)) / kSteps);
+}
+
+}  // namespace
+
+Layers layers_of_splats(const Camera& camera, const std::vector<PlacedCloud>& clouds,
+                        const float* depth, int threads) {
+  const std::size_t pixels = std::size_t(camera.width) * camera.height;
+  const auto tallies = std::make_unique<Tally[]>(pixels);
+  std::vector<std::uint32_t> first{0};  // number of each cloud's first point
+  for (const auto& placed : clouds)
+    first.push_back(first.back() + std::uint32_t(placed.cloud->size()));
+  parallel_for(clouds.size(), 1, threads, [&](std::size_t c, std::size_t) {
+    const Frustum frustum(camera, clouds[c].T_camera_cloud);
+    const Cloud& cloud = *clouds[c].cloud;
+    if (!cloud.size() || !frustum.touches(cloud.box())) return;
+    const RigidTransform T(clouds[c].T_camera_cloud);
+    for (const auto& block : cloud.blocks()) {
+      if (!frustum.touches(block.box)) continue;
+      for (std::uint32_t i = block.begin; i < block.end; ++i) {
+        const Eigen::Vector3f p = T * Eigen::Vector3f(cloud.x()[i], cloud.y()[i], cloud.z()[i]);
+        const float squared = (p.x() * p.x() + p.y() * p.y()) + p.z() * p.z();
+        hold_against(camera, p, (*clouds[c].heights)(squared), first[c] + i, depth, tallies.get());
+      }
+    }
+  });
+
+  Layers layers(camera, false);
+  for (std::size_t i = 0; i < pixels; ++i) {
+    const Tally& tally = tallies[i];
+    if (!tally.support) continue;
+    const auto number = std::uint32_t(tally.best.load());
+    const std::size_t c =
+        std::size_t(std::upper_bound(first.begin(), first.end(), number) - first.begin()) - 1;
+    const Cloud& cloud = *clouds[c].cloud;
+    const std::uint32_t k = number - first[c];
+    layers.sweep[i] = clouds[c].sweep;
+    layers.classid[i] = cloud.classes()[k];
+    layers.measured[i] = 1;
+    layers.range[i] = Eigen::Vector3f(cloud.x()[k], cloud.y()[k], cloud.z()[k]).norm();
+    layers.support[i] = std::uint16_t(std::min<std::uint32_t>(tally.support, 65535));
+    layers.measures[i] = std::uint16_t(std::min<std::uint32_t>(tally.measures, 65535));
+    layers.deviation[i] = deviation_of(tally, depth[i]);
+  }
+  return layers;
+}
+
+}  // namespace docdepth
