@@ -89,13 +89,19 @@ DOCDEPTH_INLINE Nearest nearest(const Rays::Cells& cells, std::int32_t azimuth,
     const std::uint32_t* start = &cells.start[std::size_t(c) * cells.rows];
     look(cells, start[first], start[last + 1], azimuth, elevation, narrowed, least, found);
   }
-  Nearest result;
-  for (int k = 0; k < kLanes; ++k) {
-    const bool first_of_equals =
-        least[k] == result.squared && std::uint32_t(found[k]) < result.number;
-    if (least[k] < result.squared || first_of_equals) result = {least[k], std::uint32_t(found[k])};
-  }
-  return result;
+  // The best of eight, four, two.
+  const auto fold = [&](const Floats& other, const Integers& number) {
+    const Integers better = (other < least) | ((other == least) & (number < found));
+    least = better ? other : least;
+    found = better ? number : found;
+  };
+  fold(__builtin_shufflevector(least, least, 4, 5, 6, 7, 0, 1, 2, 3),
+       __builtin_shufflevector(found, found, 4, 5, 6, 7, 0, 1, 2, 3));
+  fold(__builtin_shufflevector(least, least, 2, 3, 0, 1, 6, 7, 4, 5),
+       __builtin_shufflevector(found, found, 2, 3, 0, 1, 6, 7, 4, 5));
+  fold(__builtin_shufflevector(least, least, 1, 0, 3, 2, 5, 4, 7, 6),
+       __builtin_shufflevector(found, found, 1, 0, 3, 2, 5, 4, 7, 6));
+  return {least[0], std::uint32_t(found[0])};
 }
 
 /// What a ray tells of a place, `miss` metres beside it.
