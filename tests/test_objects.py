@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from docdepth import pipeline
 from docdepth.config import DynamicsParameters, Parameters, parameters
 from docdepth.dynamics import classify_drive
 from docdepth.errors import InputError
 from docdepth.io.ply import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.objects import Sighting, connect_objects, follow
+from docdepth.pipeline import classify as stage
+from docdepth.pipeline import run_classify
 from docdepth.trajectory import Trajectory
 from tracks_reference import follow as reference_follow
 
@@ -265,7 +266,7 @@ def folder_of(path, trajectory, sweeps):
 def test_a_run_gives_the_labels_of_the_drive_in_memory_and_goes_on(street, tmp_path, monkeypatch):
     trajectory, sweeps, _ = street
     run = folder_of(tmp_path / "run", trajectory, sweeps)
-    pipeline.run_classify(run, threads=1)
+    run_classify(run, threads=1)
     labels = classify_drive(sweeps, Trajectory(trajectory.times, run.trajectory().poses),
                             run.parameters.dynamics)  # fmt: skip
     for i, label in enumerate(labels):
@@ -273,7 +274,7 @@ def test_a_run_gives_the_labels_of_the_drive_in_memory_and_goes_on(street, tmp_p
     assert not (run.path / ".objects").exists()
 
     again = folder_of(tmp_path / "again", trajectory, sweeps)
-    whole = pipeline._write_classified
+    whole = stage._write_classified
     for stop in (7, len(sweeps) + 3):  # while it votes, and while evidence is carried
         left = iter(range(stop - sum(bool(again.frame_key(i).get("classify")) for i in range(30))))
 
@@ -282,11 +283,11 @@ def test_a_run_gives_the_labels_of_the_drive_in_memory_and_goes_on(street, tmp_p
                 raise KeyboardInterrupt
             whole(*arguments)
 
-        monkeypatch.setattr(pipeline, "_write_classified", interrupted)
+        monkeypatch.setattr(stage, "_write_classified", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            pipeline.run_classify(again)
-    monkeypatch.setattr(pipeline, "_write_classified", whole)
-    pipeline.run_classify(again)
+            run_classify(again)
+    monkeypatch.setattr(stage, "_write_classified", whole)
+    run_classify(again)
     for i in range(len(sweeps)):
         assert run.frame_path(i).read_bytes() == again.frame_path(i).read_bytes()
 
