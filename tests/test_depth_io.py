@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from docdepth.errors import DatasetError, InputError
+from docdepth.errors import DatasetError, InputError, RunError
 from docdepth.io.depth import (
     check_format,
     encode_depth,
@@ -104,6 +104,18 @@ def test_half_floats_are_the_nearest_of_numpy(tmp_path: Path) -> None:
     # As the format has it: a list of channels, in it one Y of half floats (1).
     assert b"channels\0chlist\0" in path.read_bytes()
     assert b"Y\0\1\0\0\0" in path.read_bytes()
+
+
+def test_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    OpenEXR = pytest.importorskip("OpenEXR")
+
+    def full(*_: object) -> None:
+        raise RuntimeError("No space left on device")
+
+    monkeypatch.setattr(OpenEXR.File, "write", full)
+    with pytest.raises(RunError, match="No space left on device; make room there"):
+        write_depth(tmp_path / "a.exr", depth_map())
+    assert not list(tmp_path.iterdir())
 
 
 def test_deep_scenes_fit_a_png_of_another_scale(tmp_path: Path) -> None:

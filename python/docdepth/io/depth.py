@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import DatasetError, InputError, MissingExtraError
+from docdepth.errors import DatasetError, InputError, MissingExtraError, RunError
 from docdepth.io.atomic import write_atomically
 
 FORMATS = {  # the more exact, the later
@@ -245,10 +245,16 @@ def _encode_exr(depth: NDArray[np.float32], dtype: np.dtype[Any]) -> bytes:
     OpenEXR = _open_exr()
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     # One channel Y is what OpenCV writes, and all that it reads.
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "depth.exr"
-        OpenEXR.File(header, {"Y": depth.astype(dtype)}).write(str(path))
-        return path.read_bytes()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "depth.exr"
+            OpenEXR.File(header, {"Y": depth.astype(dtype)}).write(str(path))
+            return path.read_bytes()
+    except (OSError, RuntimeError) as error:  # OpenEXR writes to files only
+        raise RunError(
+            f"cannot write an EXR to {tempfile.gettempdir()}: {error}; make room there or set "
+            "TMPDIR"
+        ) from None
 
 
 def _read_exr(path: Path) -> NDArray[Any]:
