@@ -107,15 +107,16 @@ def ask_surface(query, sweep, p):
     )  # fmt: skip
     near_return = (np.abs(rho - window) < np.float32(p.tolerance)).any(axis=0)
 
+    f = np.float32
     seen = triangle_image(sweep, surface, columns)[row, column]
     corners = sweep[surface.triangles]
     normal, flat = planes(corners)
+    in_sight = rho * nearest_corner(sweep, surface, columns, seen, row, column) < f(p.beam)
     jump = (surface.cut | flat)[seen] & (seen >= 0)
     plane = ~jump & (seen >= 0)
 
     a, b, c = normal[seen].T
     x, y, z = query
-    f = np.float32
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = (a * x + b * y) + c * z
         distance = f(1) / np.sqrt((a * a + b * b) + c * c)
@@ -131,8 +132,10 @@ def ask_surface(query, sweep, p):
     before_corners = (beyond < -f(p.tolerance)).all(axis=1)
 
     outcome = np.full(len(rho), "none   ")
-    outcome[(plane & (before > 0) & (depth > 0)) | (jump & before_corners)] = "dynamic"
-    outcome[(plane & on_plane) | (jump & on_corner) | (near_return & ~level)] = "static"
+    free = (plane & (before > 0) & (depth > 0)) | (jump & before_corners)
+    met = (plane & on_plane) | (jump & on_corner)
+    outcome[free & ~met & in_sight] = "dynamic"
+    outcome[(met & in_sight) | (near_return & ~level)] = "static"
     return outcome
 
 
@@ -182,6 +185,17 @@ def triangle_image(sweep, surface, columns):
     image = np.full((columns // 2 + 1, columns), len(x))
     np.minimum.at(image, (row[inside], column[inside] % columns), triangle[inside])
     return np.where(image == len(x), -1, image)
+
+
+def nearest_corner(sweep, surface, columns, triangle, row, column):
+    """Angle from the centre of a pixel to its triangle's nearest corner, in steps of 1/16 pixel."""
+    turn = 65536
+    azimuth, elevation = (angle[surface.triangles[triangle]] for angle in directions(sweep))
+    x = (turn // 2 - azimuth) * columns - (column * turn + turn // 2)[:, None]
+    y = (turn // 4 - elevation) * columns - (row * turn + turn // 2)[:, None]
+    x = (x + turn * columns // 2) % (turn * columns) - turn * columns // 2
+    steps = np.floor(np.sqrt((x * x + y * y).min(axis=1)) / (turn / 16))
+    return np.float32(2 * np.pi / columns / 16) * np.minimum(steps, 127).astype(np.float32)
 
 
 def directions(points):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from docdepth.errors import InputError
-from docdepth.layers import LAYERS, layers
+from docdepth.layers import _CONFIDENCE, LAYERS, confidence, layers
 from docdepth.render import Camera, Frame, render, static_frames
 from test_render import AXES, PAPER, TRIANGLES, drive, small_camera, straight
 
@@ -148,3 +148,68 @@ def test_layers_that_there_are_not():
         layers(("class",), depth[:-1], *scene)
     with pytest.raises(InputError, match="no normal"):
         layers(("normal",), depth, *scene[:-1], PAPER)
+
+
+def test_confidence_as_it_is_written():
+    rng = np.random.default_rng(2)
+    depth = np.full((20, 30), 10, np.float32) + rng.normal(0, 0.02, (20, 30)).astype(np.float32)
+    depth[:, 18:] = 30
+    depth[3:6, 4:7] = np.nan
+    measures = rng.integers(1, 9, depth.shape).astype(np.uint16)
+    support = np.minimum(rng.integers(0, 9, depth.shape), measures).astype(np.uint16)
+    bend = np.ones(depth.shape)
+    near = 1 / depth.astype(np.float64)
+    for v in range(20):
+        for u in range(30):
+            known = []
+            for dv, du in ((0, 1), (1, 0)):
+                if v - dv >= 0 and v + dv < 20 and u - du >= 0 and u + du < 30:
+                    known.append(near[v - dv, u - du] + near[v + dv, u + du] - 2 * near[v, u])
+            known = [abs(k) / near[v, u] for k in known if np.isfinite(k)]
+            bend[v, u] = max(known) if known else 1
+    a, b, c = _CONFIDENCE["triangles"]
+    found = confidence(depth, support, measures)
+    for v in range(20):
+        for u in range(30):
+            if np.isnan(depth[v, u]):
+                assert np.isnan(found[v, u])
+                continue
+            worst = bend[max(v - 3, 0) : v + 4, max(u - 3, 0) : u + 4].max()
+            edge = np.log10(min(max(worst, 1e-3), 1)) / 3 + 1
+            s, m = int(support[v, u]), int(measures[v, u])
+            expected = 1 / (1 + np.exp(-(a + b * np.log((s + 1) / (m - s + 1)) - c * edge)))
+            assert found[v, u] == pytest.approx(expected, abs=2e-4)
+
+
+@pytest.mark.parametrize("preset", [TRIANGLES, PAPER])
+def test_error_falls_as_confidence_rises(preset):
+    """A crossing, a seed and a sensor of its own; exact classes and depth."""
+    pytest.importorskip("embreex")
+    from docdepth.synthetic import Drive, scene, sensor
+    from docdepth.trajectory import Trajectory
+
+    drive = Drive(scene("crossing", 7), sensor("XT-32"), 25, 7)
+    trajectory, camera = Trajectory(drive.times, drive.poses), drive.rig.camera
+    frames = {}
+
+    def frame(i):
+        if i not in frames:
+            sweep = drive.sweep(i)
+            classid = np.where(sweep.moving, 100, 50).astype(np.uint16)
+            frames[i] = Frame(sweep.points, classid, preset)
+        return frames[i]
+
+    time = int(drive.camera_times[8])
+    scene_of = (camera, drive.rig.T_camera_lidar, trajectory, time, frame, preset)
+    depth, truth = render(*scene_of), drive.image(8).depth
+    sure = layers(("confidence",), depth, *scene_of)["confidence"]
+    np.testing.assert_array_equal(np.isnan(sure), np.isnan(depth))
+    known = np.isfinite(depth) & (truth < 80)
+    wrong = np.abs(depth - truth)[known] > 0.05 * truth[known]
+    edges = np.unique(np.quantile(sure[known], [0.03, 0.1, 0.3, 0.6]))
+    bins = np.digitize(sure[known], edges)
+    shares = [wrong[bins == b].mean() for b in np.unique(bins)]
+    assert len(shares) > 3
+    assert (np.diff(shares) < 0.005).all(), shares
+    assert shares[0] > 5 * shares[-1]
+    assert abs(sure[known].mean() - (1 - wrong.mean())) < 0.1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 
 import cv2
@@ -11,13 +12,15 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from docdepth import depth_maps, pipeline, visualize
+from docdepth import visualize
 from docdepth.cli import app
 from docdepth.datasets import open_dataset
 from docdepth.errors import DatasetError, DocDepthError
 from docdepth.io.depth import read_depth
 from docdepth.io.ply import read_frame
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline import classify as classes
+from docdepth.pipeline import render as depth_maps
 
 pytest.importorskip("embreex")
 
@@ -72,6 +75,9 @@ def test_outputs_of_a_run(drive, finished):
     for name in ("traj_odometry.ply", "traj_camera.ply", "calib.json", "calib_lidar_ref_cam.txt"):
         assert (run / name).is_file()
     assert not list(run.rglob("*.part"))
+    page = (run / "report" / "index.html").read_text()
+    assert [f"{name}.jpg" for name in inside] == re.findall(r'src="([^"]+)"', page)
+    assert str(drive) in page
     if left_out:
         assert f"{len(left_out)} images outside" in output
 
@@ -90,7 +96,7 @@ def test_interrupted_run_goes_on_and_ends_the_same(drive, finished, tmp_path, mo
         return wrapped
 
     for module, name, count in (
-        (pipeline, "_write_classified", 3),
+        (classes, "_write_classified", 3),
         (depth_maps, "_write_image", 2),
     ):
         written.clear()
@@ -171,6 +177,7 @@ def test_video_of_a_run(drive, finished, tmp_path, monkeypatch):
     run = tmp_path / "run"
     shutil.copytree(finished[0], run)
     assert cli("video", run).exit_code == 0
+    assert 'href="video.mp4"' in (run / "report" / "index.html").read_text()
     reader = cv2.VideoCapture(str(run / "report" / "video.mp4"))
     names = [p.stem for p in sorted((run / "depth").glob("*.png"))]
     assert reader.get(cv2.CAP_PROP_FRAME_COUNT) == len(names)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from docdepth import pipeline
+from docdepth import dynamics, pipeline
 from docdepth.cli import app
 from docdepth.config import Parameters, parameters
 from docdepth.dynamics import classify_drive
@@ -103,7 +103,7 @@ def test_a_sweep_goes_on_where_it_stopped(run, tmp_path, monkeypatch) -> None:
     labels, out = run.parent / "labels", tmp_path / "out"
     whole = sweep(run, labels, TRIALS[:2], tmp_path / "whole", threads=1)
     done = []
-    original, write = pipeline.run_classify, pipeline.dynamics.vote
+    original, write = pipeline.run_classify, dynamics.vote
 
     def stop_in_the_second(folder, *rest):
         done.append(folder.path.name)
@@ -115,13 +115,13 @@ def test_a_sweep_goes_on_where_it_stopped(run, tmp_path, monkeypatch) -> None:
                     raise KeyboardInterrupt
                 return write(*arguments, **named)
 
-            monkeypatch.setattr(pipeline.dynamics, "vote", fail)
+            monkeypatch.setattr(dynamics, "vote", fail)
         original(folder, *rest)
 
     monkeypatch.setattr(pipeline, "run_classify", stop_in_the_second)
     with pytest.raises(KeyboardInterrupt):
         sweep(run, labels, TRIALS[:2], out, threads=1)
-    monkeypatch.setattr(pipeline.dynamics, "vote", write)
+    monkeypatch.setattr(dynamics, "vote", write)
     # The last of the three may still have been on its way to the disk.
     assert 2 <= len(list((out / ".narrow" / "frames").iterdir())) <= 3
     done.clear()

@@ -68,7 +68,7 @@ LayerNames = Annotated[
     typer.Option(
         "--layers",
         metavar="NAME",
-        help="Also write class, time, range, support, std, normal; several.",
+        help="Also write class, time, range, support, std, normal, confidence.",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from docdepth.errors import ConfigError
 
-Layer = Literal["class", "time", "range", "support", "std", "normal"]
+Layer = Literal["class", "time", "range", "support", "std", "normal", "confidence"]
 DepthFormat = Literal["png", "exr-half", "exr", "tiff", "npz", "npy"]
 
 Preset = Literal["default", "paper"]
@@ -94,11 +94,14 @@ class DynamicsParameters(_Stage):
     level_lean_deg: float = Field(
         25.0, ge=0, lt=90, description="a plane leaning no more lies flat, as ground does [deg]"
     )
+    beam: float = Field(
+        0.15, gt=0, description="what lies farther from a measured line of sight is not seen [m]"
+    )
     objects: bool = Field(True, description="share evidence within connected objects")
     link: float = Field(
         0.3, gt=0, description="neighbours farther apart belong to different objects [m]"
     )
-    link_growth: float = Field(0.01, ge=0, description="growth of that with range [m/m]")
+    link_growth: float = Field(0.05, ge=0, description="growth of that with range [m/m]")
     companions: int = Field(
         5, ge=1, description="connected dynamic points that need no other evidence"
     )
@@ -119,6 +122,14 @@ class DynamicsParameters(_Stage):
     )
     freed_votes: int = Field(2, ge=1, description="dynamic votes that show a place was free")
     freed_ratio: float = Field(8.0, ge=1, description="most static votes that go with each of them")
+    tracks: bool = Field(True, description="carry evidence over time along objects (of `objects`)")
+    track_sightings: int = Field(
+        3, ge=2, description="sweeps whose votes say that an object moves, at least"
+    )
+    track_distance: float = Field(1.0, ge=0, description="and its way, from above, at least [m]")
+    track_speed: float = Field(40.0, gt=0, description="nothing is faster [m/s]")
+    track_gap: float = Field(0.5, ge=0, description="an object unseen for longer is lost [s]")
+    track_hold: float = Field(5.0, ge=0, description="the same of one that stands [s]")
 
     @field_validator("window")
     @classmethod
@@ -202,7 +213,13 @@ _STAGES: dict[str, type[_Stage]] = {
 # Where the paper's text differs from what measured best, a stage at a time.
 _PAPER: dict[str, dict[str, Any]] = {
     "ground": {"chunk_overlap": 0},
-    "dynamics": {"against": "pixels", "time_spacing": 0, "end_radius": 0, "objects": False},
+    "dynamics": {
+        "against": "pixels",
+        "time_spacing": 0,
+        "end_radius": 0,
+        "objects": False,
+        "tracks": False,
+    },
     "render": {"surface": "splats", "behind": 0.5, "step": 0.2},
 }
 

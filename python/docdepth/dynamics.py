@@ -11,6 +11,15 @@ from numpy.typing import NDArray
 from docdepth import _core
 from docdepth.config import DynamicsParameters, SurfaceParameters
 from docdepth.errors import InputError
+from docdepth.objects import (
+    Sighting,
+    carries_evidence,
+    check_sweep,
+    connect_objects,
+    follow,
+    moving_points,
+    poses_near_start,
+)
 from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory, check_rigid
 
@@ -125,7 +134,7 @@ class KeyFrame:
         surface: Surface | None = None,
     ) -> None:
         p = parameters or DynamicsParameters()
-        points, ground = _check_sweep(points, ground)
+        points, ground = check_sweep(points, ground)
         if p.against == "pixels":
             self._core = _range_image(points, ground, p)
         else:
@@ -169,7 +178,7 @@ def vote(
     InputError
         A shape or dtype is wrong, or a pose is not rigid.
     """
-    points, ground = _check_sweep(points, ground)
+    points, ground = check_sweep(points, ground)
     pose = np.ascontiguousarray(T_world_lidar, dtype=np.float64)
     poses = np.ascontiguousarray(poses, dtype=np.float64)
     if not key_frames:
@@ -194,6 +203,7 @@ def classify(
     parameters: DynamicsParameters | None = None,
     points: NDArray[np.float32] | None = None,
     surface: Surface | None = None,
+    objects: NDArray[np.uint32] | None = None,
 ) -> NDArray[np.uint16]:
     """Turn votes into classes: dynamic where more key frames say so than say static.
 
@@ -211,6 +221,9 @@ def classify(
         The deskewed sweep, LiDAR frame, metres.
     surface : Surface, optional
         Of these points, which connects those of an object; made here when needed and left out.
+    objects : ndarray of uint32, shape (N,), optional
+        Of these points, from :func:`docdepth.objects.connect_objects`; made here when needed and
+        left out.
 
     Returns
     -------
@@ -225,8 +238,11 @@ def classify(
     """
     p = parameters or DynamicsParameters()
     if p.objects and points is not None:
-        points, ground = _check_sweep(points, ground)
-        dynamic = _moving_points(points, ground, votes, p, surface or Surface(points))
+        points, ground = check_sweep(points, ground)
+        surface = surface or Surface(points)
+        if objects is None:
+            objects = connect_objects(points, ground, surface, p)
+        dynamic = moving_points(points, ground, objects, votes.static, votes.dynamic, surface, p)
     else:
         dynamic = votes.dynamic > votes.static
     if p.against == "pixels":
@@ -309,7 +325,10 @@ def classify_drive(
         int(j): KeyFrame(sweeps[j], ground[j], parameters, surfaces[j])
         for j in np.unique(np.concatenate(chosen))
     }
-    labels = []
+    local = poses_near_start(trajectory)
+    labels: list[Labels] = []
+    objects: list[NDArray[np.uint32]] = []
+    sightings: list[Sighting] = []
     for i, sweep in enumerate(sweeps):
         asked = [frames[int(j)] for j in chosen[i]]
         votes = vote(
@@ -321,7 +340,18 @@ def classify_drive(
             parameters,
             threads,
         )
-        labels.append(Labels(classify(ground[i], votes, parameters, sweep, surfaces[i]), votes))
+        if not carries_evidence(parameters):
+            labels.append(Labels(classify(ground[i], votes, parameters, sweep, surfaces[i]), votes))
+            continue
+        surface_i = surfaces[i] or Surface(sweep)
+        objects.append(connect_objects(sweep, ground[i], surface_i, parameters))
+        classid = classify(ground[i], votes, parameters, sweep, surface_i, objects[i])
+        sightings.append(Sighting(sweep, ground[i], objects[i], classid >= DYNAMIC, local[i]))
+        labels.append(Labels(classid, votes))
+    if sightings:
+        carried = follow(sightings, trajectory.times, parameters, threads)
+        for i, found in enumerate(carried):
+            labels[i].classid[np.isin(objects[i], found)] = DYNAMIC
     return labels
 
 
@@ -350,41 +380,5 @@ def _surface_image(
     image.upright = _core.Margins(p.across, p.along, p.along_growth)
     image.level = _core.Margins(p.level_across, p.level_along, 0.0)
     image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
+    image.beam = p.beam
     return _core.SurfaceImage(points, surface.core, image)
-
-
-def _moving_points(
-    points: NDArray[np.float32],
-    ground: NDArray[np.bool_],
-    votes: Votes,
-    p: DynamicsParameters,
-    surface: Surface,
-) -> NDArray[np.bool_]:
-    objects = _core.ObjectParameters()
-    objects.link, objects.link_growth = p.link, p.link_growth
-    objects.companions, objects.company = p.companions, p.company
-    objects.clear_votes, objects.clear_ratio = p.clear_votes, p.clear_ratio
-    objects.object_points, objects.share = p.object_points, p.object_share
-    objects.width = p.object_width
-    objects.freed_share, objects.freed_votes = p.freed_share, p.freed_votes
-    objects.freed_ratio = p.freed_ratio
-    moving = _core.moving_points(points, ground, votes.static, votes.dynamic, surface.core, objects)
-    return moving.view(np.bool_)
-
-
-def _check_sweep(
-    points: NDArray[np.float32], ground: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Contiguous points and ground flags, or an error that says what to change."""
-    points, ground = np.asarray(points), np.asarray(ground)
-    if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
-        raise InputError(
-            f"points must be float32 of shape (N, 3), got {points.dtype} {points.shape}; "
-            "convert them once where they are read"
-        )
-    if ground.dtype != np.bool_ or ground.shape != points.shape[:1]:
-        raise InputError(
-            f"ground must be bool of shape ({len(points)},), one flag a point, "
-            f"got {ground.dtype} {ground.shape}"
-        )
-    return np.ascontiguousarray(points), np.ascontiguousarray(ground)

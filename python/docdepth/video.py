@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from docdepth import visualize
 from docdepth.datasets.base import CameraStream
-from docdepth.depth_maps import rectified_image
 from docdepth.errors import RunError
 from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.stages import Progress, teller
+from docdepth.pipeline.render import rectified_image
+from docdepth.pipeline.stage import Progress, teller
+from docdepth.report import write_index
 
 
 def write_video(
@@ -85,6 +86,7 @@ def write_video(
                 f"cannot write {path}: OpenCV stopped early; make room on the disk and try again"
             )
         os.replace(part, path)
+        write_index(run)
     finally:
         part.unlink(missing_ok=True)
     return path

@@ -126,11 +126,11 @@ Flags believed(const Points& points, const Surface& surface, const Flags& dynami
 }
 
 /// All points of the objects that move.
-void add_objects(const Points& points, const bool* ground, const Surface& surface,
+void add_objects(const Points& points, const bool* ground, const std::uint32_t* first,
                  const Flags& freed, const ObjectParameters& p, Flags& moving) {
-  const auto first = connect(points, surface, p, [&](std::uint32_t i) { return !ground[i]; });
-  std::vector<Object> objects(first.size());
-  for (std::size_t i = 0; i < first.size(); ++i) {
+  const std::size_t count = moving.size();
+  std::vector<Object> objects(count);
+  for (std::size_t i = 0; i < count; ++i) {
     Object& object = objects[first[i]];
     ++object.points;
     object.dynamic += moving[i];
@@ -140,15 +140,21 @@ void add_objects(const Points& points, const bool* ground, const Surface& surfac
       object.high[axis] = std::max(object.high[axis], points(i, axis));
     }
   }
-  for (std::size_t i = 0; i < first.size(); ++i)
+  for (std::size_t i = 0; i < count; ++i)
     if (!ground[i] && objects[first[i]].moves(p)) moving[i] = 1;
 }
 
 }  // namespace
 
+std::vector<std::uint32_t> connect_objects(const Points& points, const bool* ground,
+                                           const Surface& surface, const ObjectParameters& p) {
+  return connect(points, surface, p, [&](std::uint32_t i) { return !ground[i]; });
+}
+
 std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground,
-                                        const std::uint16_t* statics, const std::uint16_t* dynamics,
-                                        const Surface& surface, const ObjectParameters& p) {
+                                        const std::uint32_t* first, const std::uint16_t* statics,
+                                        const std::uint16_t* dynamics, const Surface& surface,
+                                        const ObjectParameters& p) {
   const auto count = static_cast<std::size_t>(points.rows());
   Flags dynamic(count), freed(count);
   bool any = false;
@@ -160,7 +166,7 @@ std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground
   }
   if (!any) return dynamic;
   Flags moving = believed(points, surface, dynamic, p);
-  add_objects(points, ground, surface, freed, p, moving);
+  add_objects(points, ground, first, freed, p, moving);
 
   const Neighborhood neighborhood(points, moving, p.company);
   for (std::uint32_t i = 0; i < count; ++i) {

@@ -11,7 +11,7 @@ namespace docdepth {
 
 struct ObjectParameters {
   float link = 0.3f;          ///< neighbouring returns farther apart are not connected [m]
-  float link_growth = 0.01f;  ///< growth of that with range [m/m]
+  float link_growth = 0.05f;  ///< growth of that with range [m/m]
   int companions = 5;         ///< connected dynamic points that believe each other
   float company = 1.0f;       ///< nearer to what is dynamic a single point is believed, too [m]
   int clear_votes = 3;        ///< or with that many dynamic votes
@@ -24,19 +24,27 @@ struct ObjectParameters {
   float freed_ratio = 8;      ///< and by one to so many that saw it taken
 };
 
-/// Which points belong to what moves at some time.
+/// Objects of a sweep, connected points off the ground: of each point the row of the first one.
 ///
 /// Returns are connected by the edges of the sweep's surface; across depth jumps there are none.
+std::vector<std::uint32_t> connect_objects(const Points& points, const bool* ground,
+                                           const Surface& surface,
+                                           const ObjectParameters& parameters);
+
+/// Which points belong to what moves at some time.
+///
 /// Points that are dynamic by their own votes (more dynamic than static ones) and alone are
-/// withdrawn. Objects, connected points off the ground, move as a whole: those that move now, as
-/// most of their points say, and those that stand for a while and are seen to leave or to come. The
-/// latter have many static votes, but where nothing ever moves next to none is dynamic; only what
-/// is thin collects some, since key frames look past it.
+/// withdrawn. Objects move as a whole: those that move now, as most of their points say, and those
+/// that stand for a while and are seen to leave or to come. The latter have many static votes, but
+/// where nothing ever moves next to none is dynamic; only what is thin collects some, since key
+/// frames look past it.
 ///
 /// @param ground, statics, dynamics  one value a point
+/// @param first  the sweep's objects
 /// @param surface  of these points
 std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground,
-                                        const std::uint16_t* statics, const std::uint16_t* dynamics,
-                                        const Surface& surface, const ObjectParameters& parameters);
+                                        const std::uint32_t* first, const std::uint16_t* statics,
+                                        const std::uint16_t* dynamics, const Surface& surface,
+                                        const ObjectParameters& parameters);
 
 }  // namespace docdepth

@@ -18,6 +18,12 @@ namespace {
 constexpr float kEmpty = std::numeric_limits<float>::infinity();
 constexpr double kNearestPlane = 0.01;  // to the sensor [m]
 
+// What a pixel keeps in 32 bits, from the highest one: whether its triangle is a jump (1); between
+// what ranges the returns of its window lie (12 and 12, the highest of two floats after the sign,
+// rounded outwards); how far from its centre the nearest corner lies (7, in kSteps a pixel).
+constexpr std::uint32_t kJump = 0x80000000, kRange = 0x7ff80000, kMostSteps = 0x7f;
+constexpr int kSteps = 16;
+
 float as_float(std::uint32_t bits) {
   float value;
   std::memcpy(&value, &bits, sizeof value);
@@ -35,8 +41,8 @@ struct AskTriangles {
   DOCDEPTH_KERNEL static void run(std::size_t count, const float* x, const float* y, const float* z,
                                   const float* range, const float* a, const float* b,
                                   const float* c, const std::int32_t* jump, const float* nearest,
-                                  const float* farthest, SurfaceImageParameters p,
-                                  std::int32_t* __restrict is_static,
+                                  const float* farthest, const float* angle,
+                                  SurfaceImageParameters p, std::int32_t* __restrict is_static,
                                   std::int32_t* __restrict is_dynamic,
                                   std::int32_t* __restrict open) {
     for (std::size_t i = 0; i < count; ++i) {
@@ -66,9 +72,10 @@ struct AskTriangles {
       const int flat = jump[i] ? 0 : level;
       const int returns =
           (r - nearest[i] > -p.tolerance ? 1 : 0) & (r - farthest[i] < p.tolerance ? 1 : 0);
-      is_static[i] = on_it;
-      is_dynamic[i] = (1 - on_it) & before_it;
-      open[i] = -((1 - on_it) & (1 - flat) & returns);
+      const int in_sight = r * angle[i] < p.beam ? 1 : 0;
+      is_static[i] = in_sight & on_it;
+      is_dynamic[i] = in_sight & (1 - on_it) & before_it;
+      open[i] = -((1 - is_static[i]) & (1 - flat) & returns);
     }
   }
 };
@@ -134,6 +141,19 @@ void for_each_pixel(const std::array<Corner, 3>& corners, const Body& body) {
   }
 }
 
+/// From the centre of a pixel to the nearest corner, in kSteps a pixel.
+std::uint32_t steps_to_nearest(const std::array<Corner, 3>& corners, std::int64_t column,
+                               std::int64_t row) {
+  std::int64_t least = std::numeric_limits<std::int64_t>::max();
+  for (const Corner& corner : corners) {
+    const std::int64_t x = corner[0] - column * kTurn - kTurn / 2;
+    const std::int64_t y = corner[1] - row * kTurn - kTurn / 2;
+    least = std::min(least, x * x + y * y);
+  }
+  const double steps = std::sqrt(static_cast<double>(least)) / (kTurn / kSteps);
+  return static_cast<std::uint32_t>(std::min(steps, static_cast<double>(kMostSteps)));
+}
+
 }  // namespace
 
 SurfaceImage::SurfaceImage(const Points& points, const Surface& surface,
@@ -154,7 +174,8 @@ void SurfaceImage::summarize_windows() {
   const auto nearest = window_minimum(range_, canvas_.stride(), canvas_.half());
   const auto farthest = window_maximum(seen, canvas_.stride(), canvas_.half());
   for (std::size_t i = 0; i < seen_.size(); ++i)
-    seen_[i].window |= (as_bits(nearest[i]) >> 16 << 16) | ((as_bits(farthest[i]) + 0xffff) >> 16);
+    seen_[i].bits |=
+        (as_bits(nearest[i]) & kRange) | ((as_bits(farthest[i]) + 0x7ffff) & kRange) >> 12;
 }
 
 /// The plane through three returns, in double precision and a fixed order of operations. Corners
@@ -202,11 +223,13 @@ void SurfaceImage::draw(const Points& points, const Surface& surface) {
       if (corners[0][0] - corners[i][0] > turn / 2) corners[i][0] += turn;
     }
     for_each_pixel(corners, [&](std::int64_t column, std::int64_t row) {
+      const std::int64_t unwrapped = column;
       column += column < 0 ? columns : column >= columns ? -columns : 0;
       const std::size_t pixel = (row - canvas_.top()) * canvas_.stride() + column + canvas_.half();
       if (drawn[pixel]) return;
       drawn[pixel] = 1;
       seen_[pixel] = triangle(points, surface.triangles[t], surface.cut[t]);
+      seen_[pixel].bits |= steps_to_nearest(corners, unwrapped, row);
     });
   }
 }
@@ -216,7 +239,8 @@ void SurfaceImage::vote(const QueryPoints& points, std::uint16_t* statics,
   constexpr std::size_t kMax = QueryPoints::kMax;
   std::int32_t pixel[kMax];
   canvas_.find(points, pixel);
-  float a[kMax], b[kMax], c[kMax], nearest[kMax], farthest[kMax];
+  const auto step = static_cast<float>(canvas_.grid().pixel() / kSteps);
+  float a[kMax], b[kMax], c[kMax], nearest[kMax], farthest[kMax], angle[kMax];
   std::int32_t jump[kMax];
   // The images of all key frames together fit into no cache.
   for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&seen_[pixel[i]]);
@@ -225,13 +249,14 @@ void SurfaceImage::vote(const QueryPoints& points, std::uint16_t* statics,
     a[i] = seen.values[0];
     b[i] = seen.values[1];
     c[i] = seen.values[2];
-    jump[i] = (seen.window & kJump) != 0;
-    nearest[i] = as_float(seen.window & 0x7fff0000);
-    farthest[i] = as_float(seen.window << 16);
+    jump[i] = (seen.bits & kJump) != 0;
+    nearest[i] = as_float(seen.bits & kRange);
+    farthest[i] = as_float(seen.bits << 12 & kRange);
+    angle[i] = step * static_cast<float>(seen.bits & kMostSteps);
   }
   std::int32_t is_static[kMax], is_dynamic[kMax], open[kMax], left[kMax];
   dispatch<AskTriangles>(points.size, points.x, points.y, points.z, points.range, a, b, c, jump,
-                         nearest, farthest, parameters_, is_static, is_dynamic, open);
+                         nearest, farthest, angle, parameters_, is_static, is_dynamic, open);
   std::size_t count = 0;
   for_each_flagged(points.size, open,
                    [&](std::size_t i) { left[count++] = static_cast<std::int32_t>(i); });

@@ -25,6 +25,7 @@ struct SurfaceImageParameters {
   Margins upright{0.2f, 0.3f, 0.01f};
   Margins level{0.08f, 0.1f, 0.0f};  ///< of planes that lie flat, as ground does
   float level_cosine = 0.9f;         ///< these are planes whose normal leans no more than that
+  float beam = 0.15f;                ///< what lies farther from a line of sight is not seen [m]
 };
 
 /// For each pixel the triangle of the surface that its centre lies in, and the nearest return.
@@ -37,7 +38,9 @@ class SurfaceImage : public KeyFrame {
   /// Each point is held against the plane of the triangle in its direction: on it static, before it
   /// dynamic, behind it unknown. Across a depth jump nothing is known but that what lies nearer
   /// than all three corners was looked through. But a return of the same range nearby is static,
-  /// unless the triangle lies flat: window and ground would find the feet of everything.
+  /// unless the triangle lies flat: window and ground would find the feet of everything. And a
+  /// triangle tells nothing about what lies far from the lines of sight to its corners: between the
+  /// rings of a sparse sensor it bridges balconies and posts that none of them met.
   void vote(const QueryPoints& points, std::uint16_t* statics,
             std::uint16_t* dynamics) const override;
 
@@ -48,11 +51,10 @@ class SurfaceImage : public KeyFrame {
     /// Unit normal of the plane over its distance from the sensor, zeros for no plane; or the
     /// ranges of the three corners around a depth jump.
     float values[3];
-    /// Whether it is a jump (the highest bit), and between what ranges the returns of the window
-    /// lie: the upper halves of two floats, rounded outwards.
-    std::uint32_t window;
+    /// Whether it is a jump, between what ranges the returns of the window lie, and how far the
+    /// nearest corner is from the centre of the pixel.
+    std::uint32_t bits;
   };
-  static constexpr std::uint32_t kJump = 0x80000000;
 
   Seen triangle(const Points& points, const std::array<std::uint32_t, 3>& corners, bool cut) const;
   void draw(const Points& points, const Surface& surface);

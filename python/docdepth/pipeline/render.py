@@ -24,7 +24,8 @@ from docdepth.io.ply import write_trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.layers import check_layers
 from docdepth.layers import layers as layers_of
-from docdepth.stages import Progress, Stopwatch, finish_stage, stage_is_done, teller
+from docdepth.pipeline.stage import Progress, Stopwatch, finish_stage, stage_is_done, teller
+from docdepth.report import write_index
 from docdepth.trajectory import Trajectory
 
 _FOLDERS = ("depth", "report", "layers")
@@ -246,6 +247,7 @@ def run_render(
         m.describe(shares)
     every = [share for shares in coverage for share in shares.values()]
     finish_stage(run, stage, watch, len(jobs), density=float(np.mean(every)))
+    write_index(run)
     return left_out
 
 

@@ -1,0 +1,34 @@
+// Evidence carried over time: what moved once is dynamic also while it stands, and where no key
+// frame looked.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "docdepth/dynamics/sighting.hpp"
+
+namespace docdepth {
+
+struct TrackParameters {
+  int sightings = 3;        ///< in so many sweeps the votes say that it moves,
+  float distance = 1.0f;    ///< and it went so far, from above [m]
+  float max_speed = 40.0f;  ///< [m/s]
+  float gap = 0.5f;         ///< unseen for longer it is lost [s]
+  float hold = 5.0f;        ///< where it stands, only after that time [s]
+};
+
+/// Objects that move at some time of the drive, for each sweep the `first` of those that the votes
+/// on it do not call dynamic.
+///
+/// An object that the votes call dynamic is followed from sweep to sweep, forward and once more
+/// backward: objects that fall onto its shifted places, and together explain them, are the same
+/// one. So it is followed into where it stands before or after, and to where nobody voted. What is
+/// carried along in this way must have been free while the object was elsewhere, else another thing
+/// stands there: a parked car that was passed closely, a pole, a wall.
+///
+/// @param times seconds
+std::vector<std::vector<std::uint32_t>> follow(const std::vector<const Sighting*>& sightings,
+                                               const std::vector<double>& times,
+                                               const TrackParameters& parameters, int threads);
+
+}  // namespace docdepth

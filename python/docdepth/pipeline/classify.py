@@ -1,0 +1,237 @@
+"""Ground, votes and class of every point of a run (paper III-C)."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth import dynamics, objects
+from docdepth.ground import GroundMap, chunks
+from docdepth.io.atomic import write_atomically
+from docdepth.io.ply import FrameRecord
+from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.pipeline.stage import Progress, Stopwatch, finish_stage, stage_is_done, teller
+from docdepth.surface import Surface
+from docdepth.trajectory import Trajectory
+
+_MOVING, _STATIC = 251, 9  # SemanticKITTI's moving-object labels
+
+
+class _Sweep(NamedTuple):
+    """A sweep made ready to be voted on, and to become a key frame."""
+
+    record: FrameRecord
+    ground: NDArray[np.bool_]
+    surface: Surface | None
+
+
+def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = None) -> None:
+    """Ground, votes and class of every point into ``frames/`` and ``labels/``.
+
+    Parameters
+    ----------
+    threads : int
+        0 takes every core.
+    """
+    parameters = run.parameters
+    trajectory = run.trajectory()
+    key = stage_key(
+        run.stage("odometry").get("key"),
+        parameters.ground.model_dump(),
+        parameters.surface.model_dump(),
+        parameters.dynamics.model_dump(),
+    )
+    if stage_is_done(run, "classify", key):
+        return
+    watch, total = Stopwatch(), len(trajectory)
+    run.set_stage("classify", state="running", key=key)
+    grounds = run.path / ".ground"
+    _grow_ground(run, trajectory, grounds, watch, threads, teller(progress, "ground"))
+
+    over_time = objects.carries_evidence(parameters.dynamics)
+    local = objects.poses_near_start(trajectory)
+    seen = run.path / ".objects" / key
+    voters = dynamics.key_frames(trajectory, parameters.dynamics)
+
+    def is_voted(index: int) -> bool:
+        whole = not over_time or (seen / f"{index:06d}.npy").is_file()
+        return whole and run.frame_key(index).get("classify") == key
+
+    def prepare(index: int) -> _Sweep:
+        with watch("read"):
+            record = run.frame(index)
+            bits = np.load(grounds / f"{index:06d}.npy")
+            ground = np.unpackbits(bits, count=len(record.points)).astype(bool)
+        with watch("surfaces"):
+            surface = dynamics.surface_for(record.points, parameters.dynamics, parameters.surface)
+        return _Sweep(record, ground, surface)
+
+    def make_key_frame(sweep: Future[_Sweep]) -> dynamics.KeyFrame:
+        record, ground, surface = sweep.result()
+        with watch("key frames"):
+            return dynamics.KeyFrame(record.points, ground, parameters.dynamics, surface)
+
+    def finish(index: int, sweep: _Sweep, votes: dynamics.Votes) -> None:
+        (record, ground, surface), first = sweep, None
+        with watch("objects"):
+            if over_time:
+                first = objects.connect_objects(record.points, ground, surface, parameters.dynamics)
+            classid = dynamics.classify(
+                ground, votes, parameters.dynamics, record.points, surface, first
+            )
+        if first is not None:
+            with watch("sightings"):
+                moving = classid >= dynamics.DYNAMIC
+                sighting = objects.Sighting(record.points, ground, first, moving, local[index])
+            with watch("write"):
+                _write_arrays(seen / f"{index:06d}.npy", first, *sighting.arrays)
+        with watch("write"):
+            classified = replace(
+                record,
+                key={**record.key, "classify": key},
+                votes_static=votes.static,
+                votes_dynamic=votes.dynamic,
+                classid=classid,
+            )
+            _write_classified(run, index, classified)
+
+    left = [index for index in range(total) if not is_voted(index)]
+    tell = teller(progress, "classify")
+    tell(total - len(left), total)
+    sweeps: dict[int, Future[_Sweep]] = {}
+    key_frames: dict[int, Future[dynamics.KeyFrame]] = {}
+    # Sweeps of the next vote are prepared, and the last votes made classes, during a vote. Workers
+    # take jobs in order, so that a key frame never waits for a sweep that waits for a worker.
+    with ThreadPoolExecutor(2) as pool:
+        pending: Future[None] | None = None
+        for done, index in enumerate(left):
+            ahead = left[done : done + 2]
+            asked = {k for i in ahead for k in voters[i].tolist()}
+            sweeps = {k: sweeps[k] for k in sweeps if k >= index}
+            key_frames = {k: key_frames[k] for k in key_frames if k in asked}
+            for k in sorted({*ahead, *asked} - sweeps.keys() - key_frames.keys()):
+                sweeps[k] = pool.submit(prepare, k)
+            for k in sorted(asked - key_frames.keys()):
+                key_frames[k] = pool.submit(make_key_frame, sweeps[k])
+            with watch("wait for sweeps"):
+                sweep = sweeps[index].result()
+                answering = [key_frames[k].result() for k in voters[index].tolist()]
+            with watch("vote"):
+                votes = dynamics.vote(
+                    sweep.record.points,
+                    sweep.ground,
+                    trajectory.poses[index],
+                    answering,
+                    trajectory.poses[voters[index]],
+                    parameters.dynamics,
+                    threads,
+                )
+            with watch("wait for objects and files"):
+                if pending:
+                    pending.result()
+                pending = pool.submit(finish, index, sweep, votes)
+            tell(total - len(left) + done + 1, total)
+        if pending:
+            pending.result()
+    if over_time:
+        _carry_evidence(run, trajectory, seen, watch, threads)
+        shutil.rmtree(seen.parent)
+    for path in grounds.glob("*"):
+        path.unlink()
+    finish_stage(run, "classify", watch, len(left))
+
+
+def _grow_ground(
+    run: RunFolder,
+    trajectory: Trajectory,
+    folder: Path,
+    watch: Stopwatch,
+    threads: int,
+    tell: Callable[[int, int], None],
+) -> None:
+    """Ground labels of every frame as packed bits, a chunk of path length at a time."""
+    parameters = run.parameters.ground
+    key = stage_key(run.stage("odometry").get("key"), parameters.model_dump())
+    marker = folder / "key"
+    if not (marker.is_file() and marker.read_text() == key):
+        for path in folder.glob("*"):
+            path.unlink()
+        write_atomically(marker, lambda stream: stream.write(key.encode()))
+    done = 0
+    for frames, merged in chunks(trajectory, parameters):
+        paths = {i: folder / f"{i:06d}.npy" for i in frames}
+        if not all(path.is_file() for path in paths.values()):
+            ground_map = GroundMap(parameters, threads)
+            for step, index in enumerate(merged):
+                with watch("read"):
+                    record = run.frame(index)
+                with watch("ground: insert"):
+                    ground_map.insert(record.points, trajectory.poses[index])
+                tell(done + len(paths) * step // (2 * len(merged)), len(trajectory))
+            with watch("ground: grow"):
+                ground_map.grow()
+            for step, (index, path) in enumerate(paths.items()):
+                with watch("read"):
+                    record = run.frame(index)
+                with watch("ground: label"):
+                    bits = np.packbits(ground_map.label(record.points, trajectory.poses[index]))
+                write_atomically(path, lambda out, bits=bits: np.save(out, bits))  # type: ignore[misc]
+                tell(done + (len(paths) + step) // 2, len(trajectory))
+        done += len(frames)
+    tell(len(trajectory), len(trajectory))
+
+
+def _carry_evidence(
+    run: RunFolder, trajectory: Trajectory, seen: Path, watch: Stopwatch, threads: int
+) -> None:
+    """Classes of objects that move at another time; the same again when it was interrupted."""
+    sightings = []
+    for index in range(len(trajectory)):
+        with watch("read"):
+            _, *arrays = _read_arrays(seen / f"{index:06d}.npy", 4)
+            sightings.append(objects.Sighting.of(arrays))
+    with watch("tracks"):
+        carried = objects.follow(sightings, trajectory.times, run.parameters.dynamics, threads)
+    for index, found in enumerate(carried):
+        if not len(found):
+            continue
+        with watch("read"):
+            record = run.frame(index)
+            (first,) = _read_arrays(seen / f"{index:06d}.npy", 1)
+        assert record.classid is not None
+        classid = np.where(np.isin(first, found), np.uint16(dynamics.DYNAMIC), record.classid)
+        with watch("write"):
+            _write_classified(run, index, replace(record, classid=classid))
+
+
+def _write_arrays(path: Path, *arrays: NDArray[Any]) -> None:
+    """One after the other into one file."""
+
+    def write(out: BinaryIO) -> None:
+        for array in arrays:
+            np.save(out, array)
+
+    write_atomically(path, write)
+
+
+def _read_arrays(path: Path, count: int) -> list[NDArray[Any]]:
+    """The first ones of a file."""
+    with path.open("rb") as stream:
+        return [np.load(stream) for _ in range(count)]
+
+
+def _write_classified(run: RunFolder, index: int, record: FrameRecord) -> None:
+    assert record.classid is not None
+    labels = np.full(record.input_points, _STATIC, np.uint32)
+    labels[record.index[record.classid >= 100]] = _MOVING
+    path = run.path / "labels" / f"{record.name}.label"
+    write_atomically(path, lambda stream: stream.write(labels.tobytes()))
+    # Last, because its key says that this frame is done.
+    run.write_frame(index, record)

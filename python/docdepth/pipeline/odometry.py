@@ -1,0 +1,80 @@
+"""Poses and deskewed sweeps of a run (paper III-B)."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import Dataset, usable_points
+from docdepth.errors import DatasetError
+from docdepth.io.ply import FrameRecord, write_trajectory
+from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.odometry import odometry
+from docdepth.pipeline.stage import Progress, Stopwatch, finish_stage, stage_is_done, teller
+
+log = logging.getLogger(__name__)
+
+
+def run_odometry(
+    run: RunFolder,
+    dataset: Dataset,
+    poses: NDArray[np.float64] | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Poses of every sweep, and the sweeps deskewed to their stamp, into ``frames/``.
+
+    Parameters
+    ----------
+    poses : ndarray of float64, shape (n, 4, 4), optional
+        ``T_world_lidar`` of another SLAM; registered here when there are none.
+
+    Raises
+    ------
+    DatasetError
+        A sweep is damaged or empty.
+    """
+    parameters = run.parameters.odometry
+    key = stage_key(run.manifest["source"], parameters.model_dump())
+    if stage_is_done(run, "odometry", key):
+        return
+    watch, total = Stopwatch(), len(dataset)
+    run.set_stage("odometry", state="running", key=key)
+    tell = teller(progress, "odometry")
+    with watch("poses"):
+        checkpoint = run.path / ".odometry" / key
+
+        def registered(done: int, total: int, what: str) -> None:
+            log.debug("%s", what)
+            if progress:
+                progress("register", done, total)
+
+        estimate = odometry(dataset, parameters, poses, registered, checkpoint)
+    write_trajectory(run.trajectory_path, estimate.trajectory, np.arange(total))
+    period = np.float32(np.median(np.diff(dataset.times)) * 1e-9 if total > 1 else 0)
+    worked = 0
+    for index in range(total):
+        if run.frame_key(index).get("odometry") != key:
+            worked += 1
+            with watch("deskew"):
+                sweep = dataset.sweep(index)
+                points = estimate.points(index)
+                usable = usable_points(points)
+            if not usable.any():
+                raise DatasetError(
+                    f"{dataset.path}: sweep {sweep.name} (frame {index}) holds no usable point; "
+                    "leave this frame out of the recording"
+                )
+            record = FrameRecord(
+                np.ascontiguousarray(points[usable]),
+                np.flatnonzero(usable).astype(np.uint32),
+                sweep.name,
+                len(points),
+                {"odometry": key},
+                late=None if sweep.fraction is None else period * sweep.fraction[usable],
+            )
+            with watch("write"):
+                run.write_frame(index, record)
+        tell(index + 1, total)
+    finish_stage(run, "odometry", watch, worked)
