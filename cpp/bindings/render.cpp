@@ -1,5 +1,6 @@
 #include "render.hpp"
 
+#include <algorithm>
 #include <memory>
 #include <optional>
 
@@ -58,6 +59,32 @@ py::array_t<float> surfaces(const Array<double>& K, int width, int height,
     depth = render_surfaces(camera, world, motion, threads);
   }
   return to_numpy(std::move(depth), {height, width});
+}
+
+std::unique_ptr<Rays> make_rays(const Array<float>& points, const Array<float>& normals) {
+  const PointMap map = as_points(points), directions = as_points(normals);
+  if (directions.rows() != map.rows())
+    throw std::invalid_argument("normals must be as many as points");
+  const py::gil_scoped_release release;
+  std::vector<Eigen::Vector3f> rows;
+  for (Eigen::Index i = 0; i < map.rows(); ++i) rows.push_back(directions.row(i));
+  return std::make_unique<Rays>(map, rows);
+}
+
+py::array_t<float> ask(const Rays& rays, const Array<float>& places) {
+  const PointMap map = as_points(places);
+  std::vector<float> balance(map.rows(), 0.0f);
+  {
+    const py::gil_scoped_release release;
+    Places some;
+    for (Eigen::Index first = 0; first < map.rows(); first += Eigen::Index(some.size)) {
+      some.size = std::min<std::size_t>(map.rows() - first, Places::kMost);
+      for (std::size_t i = 0; i < some.size; ++i)
+        some.x[i] = map(first + i, 0), some.y[i] = map(first + i, 1), some.z[i] = map(first + i, 2);
+      rays.ask(some, balance.data() + first);
+    }
+  }
+  return to_numpy(std::move(balance), {map.rows()});
 }
 
 py::dict as_dict(Layers&& layers, int width, int height) {
@@ -126,6 +153,9 @@ void bind_render(py::module_& m) {
   py::class_<SurfaceFrame>(m, "SurfaceFrame")
       .def(py::init(&make_surface_frame), "points"_a, "classid"_a, "triangles"_a, "cut"_a,
            "loose"_a, "loose_angle"_a, "late"_a = py::none());
+  py::class_<Rays>(m, "Rays")
+      .def(py::init(&make_rays), "points"_a, "normals"_a)
+      .def("ask", &ask, "places"_a);
   m.def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
         "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "threads"_a = 0);
   m.def("surface_layers", &surface_layers, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,

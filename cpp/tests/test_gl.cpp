@@ -54,6 +54,15 @@ Mesh scattered_mesh(unsigned seed, int count) {
   return Mesh(vertices, triangles);
 }
 
+Rays scattered_rays(unsigned seed, int count) {
+  std::mt19937 random(seed);
+  std::normal_distribution<float> place(0, 8);
+  Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor> points(count, 3);
+  for (int i = 0; i < count; ++i)
+    for (int k = 0; k < 3; ++k) points(i, k) = place(random);
+  return Rays(points, std::vector<Eigen::Vector3f>(count, Eigen::Vector3f::Zero()));
+}
+
 std::size_t differences(const std::vector<float>& a, const std::vector<float>& b) {
   REQUIRE(a.size() == b.size());
   std::size_t count = 0;
@@ -89,12 +98,19 @@ TEST_CASE("OpenGL draws the triangles of the processor, weighed alike") {
              third = scattered_mesh(3, 40);
   Pose pose = Pose::Identity();
   pose.translation() << 0.3, -0.2, 1.7;
+  const Rays rays = scattered_rays(5, 20000);
   const std::vector<Drawing> scenes{
-      {{{&first, pose}}, {}, {}},
-      {{{&third, pose}}, {{&first, pose}, {&second, pose}, {&first, Pose::Identity()}}, {}},
-      {{}, {{&second, pose}, {&first, pose}, {&third, pose}, {&first, pose}}, {{&third, pose}}},
-      {{{&first, pose}, {&third, pose}}, {}, {{&second, Pose::Identity()}}},
-      {}};
+      {{{&first, pose}}, {}, {}, {}},
+      {{{&third, pose}}, {{&first, pose}, {&second, pose}, {&first, Pose::Identity()}}, {}, {}},
+      {{},
+       {{&second, pose}, {&first, pose}, {&third, pose}, {&first, pose}},
+       {{&rays, pose}, {&rays, Pose::Identity()}},
+       {{{{&third, pose}}, {}}}},
+      {{{&first, pose}, {&third, pose}},
+       {{&second, pose}},
+       {{&rays, pose}},
+       {{{{&second, pose}, {&third, pose}}, {{&rays, pose}}}, {{{&third, pose}}, {}}}},
+      Drawing()};
   for (const Backend backend : kBackends) {
     const auto renderer = open(backend);
     if (!renderer) continue;

@@ -99,12 +99,12 @@ TEST_CASE("rendering does not depend on threads, and nothing gives no depth") {
   for (const float depth : render_splats(camera, {}, 2)) REQUIRE(std::isnan(depth));
 }
 
-TEST_CASE("trusted surfaces stay, others come before each other where two agree, movers hide") {
+TEST_CASE("the first to offer something stays, movers hide, where no ray is asked") {
   const Camera camera{100, 100, 10, 10, 21, 21};
   const auto square = [](float z, float from = -5) {
     return Mesh({{from, -5, z}, {5, -5, z}, {5, 5, z}, {from, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
   };
-  const Mesh far = square(10), near = square(5), too = square(5.05f), half = square(12, 0.01f);
+  const Mesh far = square(10), near = square(5), half = square(12, 0.01f);
   const Pose T = Pose::Identity();
   const auto depth = [&](const std::vector<const Mesh*>& trusted,
                          const std::vector<const Mesh*>& others,
@@ -112,18 +112,57 @@ TEST_CASE("trusted surfaces stay, others come before each other where two agree,
     Drawing drawing;
     for (const Mesh* mesh : trusted) drawing.trusted.push_back({mesh, T});
     for (const Mesh* mesh : others) drawing.others.push_back({mesh, T});
-    for (const Mesh* mesh : movers) drawing.movers.push_back({mesh, T});
+    for (const Mesh* mesh : movers) drawing.movers.push_back({{{mesh, T}}, {}});
     return doctest::Approx(render_triangles(camera, drawing, 1)[pixel]);
   };
   for (int i = 0; i < 21 * 21; ++i) {
     CHECK(depth({&far, &near}, {}, {}, i) == 5);
-    CHECK(depth({&far}, {&near, &too}, {}, i) == 10);
-    CHECK(depth({}, {&far, &near}, {}, i) == 10);
-    CHECK(depth({}, {&far, &near, &too}, {}, i) == 5);
-    CHECK(depth({}, {&near, &far, &far}, {}, i) == 5);
+    CHECK(depth({&far}, {&near}, {}, i) == 10);
+    CHECK(depth({}, {&far, &near, &near}, {}, i) == 10);
+    CHECK(depth({}, {&near, &far}, {}, i) == 5);
     CHECK(depth({&far}, {}, {&near}, i) == 5);
     CHECK(depth({&near}, {}, {&far}, i) == 5);
-    CHECK(depth({&half}, {&far, &near, &too}, {}, i) == (i % 21 > 10 ? 12 : 5));
+    CHECK(depth({&half}, {&far, &near}, {}, i) == (i % 21 > 10 ? 12 : 10));
+  }
+}
+
+TEST_CASE(
+    "rays tell a surface from what was looked through, at edges and where nothing is trusted") {
+  const Camera camera{100, 100, 10, 10, 21, 21};
+  const auto square = [](float z, float from = -5) {
+    return Mesh({{from, -5, z}, {5, -5, z}, {5, 5, z}, {from, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
+  };
+  const Mesh far = square(10), near = square(5), nearer = square(2.5f), half = square(10, 0.05f);
+  // A sensor at the camera, x ahead: its rays end at 5 m in the right half of the image (y < 0),
+  // at 10 m in the left one.
+  Matrix points(200 * 200, 3);
+  for (int i = 0; i < 200; ++i)
+    for (int j = 0; j < 200; ++j) {
+      const float left = 0.002f * float(i - 100) + 1e-4f, up = 0.002f * float(j - 100);
+      points.row(200 * i + j) = Eigen::Vector3f(1, left, up) * (left < 0 ? 5.0f : 10.0f);
+    }
+  const Rays rays(points, std::vector<Eigen::Vector3f>(points.rows(), Eigen::Vector3f::Zero()));
+  Pose T_camera_sensor = Pose::Identity();
+  T_camera_sensor.linear() << 0, -1, 0, 0, 0, -1, 1, 0, 0;
+  const auto draw = [&](const Mesh* trusted, const std::vector<const Mesh*>& others) {
+    Drawing drawing;
+    if (trusted) drawing.trusted.push_back({trusted, Pose::Identity()});
+    for (const Mesh* mesh : others) drawing.others.push_back({mesh, Pose::Identity()});
+    drawing.rays.push_back({&rays, T_camera_sensor});
+    return render_triangles(camera, drawing, 1);
+  };
+  for (int i = 0; i < 21 * 21; ++i) {
+    if (i % 21 == 10) continue;  // on the edge
+    const bool right = i % 21 > 10;
+    const auto truth = doctest::Approx(right ? 5 : 10);
+    CHECK(draw(nullptr, {&near, &far})[i] == truth);
+    CHECK(draw(nullptr, {&far, &near})[i] == truth);
+    CHECK(draw(nullptr, {&nearer, &far, &near})[i] == truth);
+    CHECK(draw(nullptr, {&far, &nearer})[i] == doctest::Approx(10));  // neither is there
+    CHECK(draw(&far, {&near})[i] == doctest::Approx(10));             // no edge, nobody is asked
+    // The tiles in which the trusted one has its edge are open: the columns 8 to 15.
+    const bool open = i % 21 < 16;
+    CHECK(draw(&half, {&near, &far})[i] == (open ? truth : doctest::Approx(10)));
   }
 }
 

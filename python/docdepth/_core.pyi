@@ -7,7 +7,7 @@ import docdepth.errors
 import numpy
 import numpy.typing
 import typing
-__all__: list[str] = ['Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'ObjectParameters', 'RangeImage', 'Sighting', 'Surface', 'SurfaceFrame', 'SurfaceImage', 'SurfaceImageParameters', 'SurfaceParameters', 'TrackParameters', 'connect_objects', 'egl_devices', 'follow', 'moving_points', 'render_splats', 'render_surfaces', 'splat_layers', 'surface_layers', 'vote']
+__all__: list[str] = ['Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'ObjectParameters', 'RangeImage', 'Rays', 'Sighting', 'Surface', 'SurfaceFrame', 'SurfaceImage', 'SurfaceImageParameters', 'SurfaceParameters', 'TrackParameters', 'connect_objects', 'egl_devices', 'follow', 'moving_points', 'render_splats', 'render_surfaces', 'splat_layers', 'surface_layers', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -265,6 +265,11 @@ class Frame:
         ...
 class SurfaceFrame:
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], classid: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], cut: typing.Annotated[numpy.typing.ArrayLike, numpy.uint8], loose: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], loose_angle: typing.SupportsFloat | typing.SupportsIndex, late: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
+        ...
+class Rays:
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float32]) -> None:
+        ...
+    def ask(self, places: typing.Annotated[numpy.typing.ArrayLike, numpy.float32]) -> numpy.typing.NDArray[numpy.float32]:
         ...
 class GlError(docdepth.errors.BackendError):
     pass

@@ -8,7 +8,6 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
-/// Normals of the whole surface at each point, of any length; zero where there is none.
 std::vector<Vector> normals_of(const Points& points,
                                const std::vector<PartedSurface::Parts>& parts) {
   std::vector<Vector> normals(points.rows(), Vector::Zero());
@@ -114,8 +113,8 @@ PartedSurface part_surface(const Points& points, const std::uint32_t (*triangles
     else
       surface.parts[owner[i]].whole.push_back({i, j, k});
   }
-  const auto normals = normals_of(points, surface.parts);
-  Splitter splitter(surface, normals);
+  surface.normals = normals_of(points, surface.parts);
+  Splitter splitter(surface, surface.normals);
   for (const std::size_t t : jumps) {
     const auto* corner = triangles[t];
     const int alone = corner_alone(surface.vertices, corner, owner);

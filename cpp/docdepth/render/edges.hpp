@@ -23,6 +23,8 @@ struct PartedSurface {
   };
   std::vector<Eigen::Vector3f> vertices;  ///< the points, and behind them those of the split
   std::vector<Parts> parts;               ///< by owner
+  /// Of the whole surface at each point, of any length; zero where there is none.
+  std::vector<Eigen::Vector3f> normals;
 };
 
 /// @param triangles corners as rows of points

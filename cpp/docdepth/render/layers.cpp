@@ -23,8 +23,10 @@ struct Tally {
 
 std::vector<const PlacedMesh*> meshes_of(const Drawing& drawing) {
   std::vector<const PlacedMesh*> meshes;
-  for (const auto* list : {&drawing.trusted, &drawing.others, &drawing.movers})
+  for (const auto* list : {&drawing.trusted, &drawing.others})
     for (const PlacedMesh& mesh : *list) meshes.push_back(&mesh);
+  for (const PlacedMover& mover : drawing.movers)
+    for (const PlacedMesh& mesh : mover.meshes) meshes.push_back(&mesh);
   return meshes;
 }
 

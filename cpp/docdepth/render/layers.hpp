@@ -10,6 +10,9 @@
 
 namespace docdepth {
 
+/// Depths that differ by less than this share of them are one surface.
+constexpr float kAgree = 0.02f;
+
 /// Row after row like the depth map that they belong to.
 struct Layers {
   std::vector<std::int32_t> sweep;      ///< that the depth comes from; -1 where there is none

@@ -10,6 +10,7 @@
 
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/render/camera.hpp"
+#include "docdepth/render/candidates.hpp"
 #include "docdepth/render/dispatch.hpp"
 #include "docdepth/render/triangles.hpp"
 
@@ -25,8 +26,6 @@ typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
 /// Pixels by which triangles are larger than they are, so that rounding leaves no cracks.
 constexpr float kSlack = 0.01f;
 
-constexpr float kLocked = std::numeric_limits<float>::infinity();  // nothing is nearer
-
 /// Nearness (1 / depth, linear on every plane's image) of the columns [begin, end); 0 is empty.
 struct Strip {
   int begin, end, height;
@@ -34,7 +33,8 @@ struct Strip {
   std::vector<std::uint8_t> open_tiles;  // 0 where nothing needs to be drawn
   std::vector<std::int32_t> numbers;     // of the triangles, like nearness; empty in plain drawing
 
-  static constexpr int kStride = kStrip + kLanes, kTile = kLanes, kTiles = kStride / kTile;
+  static constexpr int kStride = kStrip + kLanes, kTile = Candidates::kTile,
+                       kTiles = kStride / kTile;
   Strip(int b, int e, int h)
       : begin(b),
         end(e),
@@ -42,15 +42,12 @@ struct Strip {
         nearness(std::size_t(kStride) * h, 0.0f),
         open_tiles(std::size_t(kTiles) * ((h + kTile - 1) / kTile), 1) {}
 
-  /// Keeps what has been drawn from being drawn over.
-  void lock() {
-    std::fill(open_tiles.begin(), open_tiles.end(), std::uint8_t{0});
-    for (int v = 0; v < height; ++v)
-      for (int u = 0; u < end - begin; ++u) {
-        float& w = nearness[std::size_t(v) * kStride + u];
-        if (!(w > 0)) open_tiles[(v / kTile) * kTiles + u / kTile] = 1;
-        w = w > 0 ? kLocked : 0.0f;
-      }
+  /// Empties the strip, and keeps from being drawn what nobody can offer anything for.
+  void open_only(const Candidates& candidates) {
+    std::fill(nearness.begin(), nearness.end(), 0.0f);
+    const auto& open = candidates.open_tiles();
+    for (std::size_t tile = 0; tile < open.size(); ++tile)
+      open_tiles[tile / candidates.tiles() * kTiles + tile % candidates.tiles()] = open[tile];
   }
 
   bool is_open(int first_u, int last_u, int first_v, int last_v) const {

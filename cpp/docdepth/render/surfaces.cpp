@@ -10,6 +10,9 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// Sweeps whose rays are asked, by trust. More know little more.
+constexpr int kWitnesses = 12;
+
 /// A diamond around a return, across the line of sight.
 void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
                  Triangles& triangles) {
@@ -53,8 +56,8 @@ Motion reversed(const Motion& motion) {
 /// other one found, too, what that measured.
 ///
 /// @param sweep number of the nearest sweep; the other one has the next
-std::vector<PlacedMesh> carried(const Motion& motion, int sweep, int threads) {
-  std::vector<PlacedMesh> placed;
+std::vector<PlacedMover> carried(const Motion& motion, int sweep, int threads) {
+  std::vector<PlacedMover> placed;
   for (const bool first : {true, false}) {
     const auto& [nearest, other, duration, delay, max_speed] = first ? motion : reversed(motion);
     const Passage passage{nearest.T_camera_frame.inverse() * other.T_camera_frame, duration,
@@ -62,12 +65,21 @@ std::vector<PlacedMesh> carried(const Motion& motion, int sweep, int threads) {
     const Objects& objects = nearest.frame->objects;
     const auto velocity = velocities(objects, other.frame->objects, passage, threads);
     for (std::size_t k = 0; k < velocity.size(); ++k) {
-      if (!first && velocity[k].isZero(0)) continue;  // not found
+      const bool found = !velocity[k].isZero(0);
+      if (!first && !found) continue;
+      // What stood in the frame of the nearest sweep some seconds after its stamp.
+      const auto carry = [&, v = velocity[k], late = objects.late[k]](float after) {
+        Pose T_camera_object = nearest.T_camera_frame;
+        T_camera_object.translate((v * (delay - late - after)).cast<double>());
+        return T_camera_object;
+      };
       const auto& parts = nearest.frame->movers[k];
-      Pose T_camera_object = nearest.T_camera_frame;
-      T_camera_object.translate((velocity[k] * (delay - objects.late[k])).cast<double>());
-      placed.push_back({&parts.whole, T_camera_object, first ? sweep : sweep + 1});
-      if (first) placed.push_back({&parts.split, T_camera_object, sweep, true});
+      PlacedMover mover{{{&parts.whole, carry(0), first ? sweep : sweep + 1}}, {}};
+      if (first) mover.meshes.push_back({&parts.split, carry(0), sweep, true});
+      if (found)
+        mover.rays = {{&nearest.frame->rays, carry(0)},
+                      {&other.frame->rays, carry(duration) * passage.T_from_to}};
+      placed.push_back(std::move(mover));
     }
   }
   return placed;
@@ -80,8 +92,9 @@ SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles
                            const std::uint32_t* loose, std::size_t loose_count, float loose_angle,
                            const std::uint16_t* classid, const float* late)
     : objects(find_objects(points, classid, late)) {
-  auto [vertices, parts] = part_surface(points, triangles, cut, triangle_count, objects.owner,
-                                        objects.places.size() + 1);
+  auto [vertices, parts, normals] = part_surface(points, triangles, cut, triangle_count,
+                                                 objects.owner, objects.places.size() + 1);
+  rays = Rays(points, normals);
   std::vector<std::uint8_t> classes(vertices.size(), kNoClass);  // of places between returns
   for (Eigen::Index i = 0; i < points.rows(); ++i) classes[i] = class_of(classid[i]);
   for (std::size_t i = 0; i < loose_count; ++i) {
@@ -102,6 +115,8 @@ Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion
         .push_back({&fixed[i].frame->world.whole, fixed[i].T_camera_frame, i});
   if (count)
     drawing.others.push_back({&fixed[0].frame->world.split, fixed[0].T_camera_frame, 0, true});
+  for (int i = 0; i < std::min(count, kWitnesses); ++i)
+    drawing.rays.push_back({&fixed[i].frame->rays, fixed[i].T_camera_frame});
   drawing.movers = carried(motion, count, threads);
   return drawing;
 }

@@ -7,6 +7,7 @@
 #include "docdepth/render/camera.hpp"
 #include "docdepth/render/mesh.hpp"
 #include "docdepth/render/motion.hpp"
+#include "docdepth/render/rays.hpp"
 #include "docdepth/render/triangles.hpp"
 
 namespace docdepth {
@@ -18,6 +19,7 @@ struct SurfaceFrame {
     Mesh split;  ///< what continues it over depth jumps
   };
   Parts world;
+  Rays rays;
   Objects objects;            ///< what moves
   std::vector<Parts> movers;  ///< each object
 

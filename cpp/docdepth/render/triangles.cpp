@@ -1,62 +1,30 @@
 #include "docdepth/render/triangles.hpp"
 
 #include "docdepth/geometry/parallel.hpp"
+#include "docdepth/render/candidates.hpp"
 #include "docdepth/render/raster.hpp"
 
 namespace docdepth {
 namespace {
 
-DOCDEPTH_INLINE void load(const float* from, Floats& values) {
-  std::memcpy(&values, from, sizeof values);
-}
-
-DOCDEPTH_INLINE void store(const Floats& values, float* to) {
-  std::memcpy(to, &values, sizeof values);
-}
-
-/// What the strip is made of while sweeps are weighed against each other, and nothing of it yet.
-struct Scales {
-  std::vector<float> locked;  ///< the strip before a sweep is drawn
-  std::vector<float> chosen, waiting;
-
-  explicit Scales(const Strip& strip)
-      : locked(strip.nearness), chosen(locked.size(), 0.0f), waiting(locked.size(), 0.0f) {}
-};
-
-/// Takes one more measurement of each open pixel, and clears it. The first is chosen; one that is
-/// nearer waits until another confirms it.
-DOCDEPTH_INLINE void weigh(Strip& strip, Scales& scales) {
-  constexpr float more = 1 / (1 - kAgree), less = 1 / (1 + kAgree);
-  for (int v = 0; v < strip.height; ++v)
-    for (int tile = 0; tile < Strip::kTiles; ++tile) {
-      if (!strip.open_tiles[(v / Strip::kTile) * Strip::kTiles + tile]) continue;
-      const std::size_t i = std::size_t(v) * Strip::kStride + tile * Strip::kTile;
-      Floats w, locked, chosen, waiting;
-      load(&strip.nearness[i], w), load(&scales.locked[i], locked);
-      load(&scales.chosen[i], chosen), load(&scales.waiting[i], waiting);
-      const Integers known = (w > 0.0f) & (w < kLocked), first = known & (chosen == 0.0f);
-      const Integers nearer = known & ~first & (w > chosen * more);
-      const Integers confirmed = nearer & (w < waiting * more) & (w > waiting * less);
-      const Floats better = confirmed ? waiting : chosen, later = nearer ? w : waiting;
-      store(first ? w : better, &scales.chosen[i]);
-      store(confirmed ? Floats{} : later, &scales.waiting[i]);
-      store(locked, &strip.nearness[i]);
-    }
-}
-
 DOCDEPTH_INLINE void draw_strip(const Camera& camera, const Drawing& drawing, Strip& strip) {
   for (const PlacedMesh& mesh : drawing.trusted) draw_mesh(camera, mesh, strip);
-  std::vector<float> result = strip.nearness;
-  strip.lock();
-  Scales scales(strip);
+  const Columns columns{strip.begin, strip.end - strip.begin, strip.height, Strip::kStride};
+  Candidates candidates(columns, strip.nearness);
+  strip.open_only(candidates);
   for (const PlacedMesh& mesh : drawing.others) {
     draw_mesh(camera, mesh, strip);
-    weigh(strip, scales);
+    candidates.take(strip.nearness.data());
   }
-  for (std::size_t i = 0; i < result.size(); ++i) result[i] = std::max(result[i], scales.chosen[i]);
-  strip.nearness = std::move(result);
+  std::vector<float> nearness = candidates.settle(camera, drawing.rays);
   std::fill(strip.open_tiles.begin(), strip.open_tiles.end(), std::uint8_t{1});
-  for (const PlacedMesh& mesh : drawing.movers) draw_mesh(camera, mesh, strip);
+  for (const PlacedMover& mover : drawing.movers) {
+    std::fill(strip.nearness.begin(), strip.nearness.end(), 0.0f);
+    bool seen = false;
+    for (const PlacedMesh& mesh : mover.meshes) seen |= draw_mesh(camera, mesh, strip);
+    if (seen) add_mover(columns, camera, strip.nearness, mover.rays, nearness);
+  }
+  strip.nearness = std::move(nearness);
 }
 
 DOCDEPTH_AVX2 void draw_strip_avx2(const Camera& camera, const Drawing& drawing, Strip& strip) {

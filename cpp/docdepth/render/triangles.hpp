@@ -5,6 +5,7 @@
 
 #include "docdepth/render/camera.hpp"
 #include "docdepth/render/mesh.hpp"
+#include "docdepth/render/rays.hpp"
 
 namespace docdepth {
 
@@ -16,17 +17,19 @@ struct PlacedMesh {
   bool split = false;  ///< not measured, it only goes on over a depth jump
 };
 
-/// Depths that differ by less than this share of them are one surface.
-constexpr float kAgree = 0.02f;
+/// A moving object where it was when the image was taken, as one or more sweeps saw it.
+struct PlacedMover {
+  std::vector<PlacedMesh> meshes;
+  std::vector<PlacedRays> rays;  ///< placed so that the object stands still among them
+};
 
 /// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all
 /// surfaces is not the best: it is the one with the most noise and the widest silhouette.
 struct Drawing {
-  std::vector<PlacedMesh> trusted;  ///< nothing but what moves is drawn over these
-  /// Each fills what those before it left empty. It is drawn over them only where two agree that
-  /// something is nearer.
-  std::vector<PlacedMesh> others;
-  std::vector<PlacedMesh> movers;  ///< hide what is farther
+  std::vector<PlacedMesh> trusted;  ///< goes on unquestioned where it has no edge
+  std::vector<PlacedMesh> others;   ///< fill what it left empty, and are offered at its edges
+  std::vector<PlacedRays> rays;     ///< are asked where offers differ
+  std::vector<PlacedMover> movers;  ///< hide what is farther
 };
 
 /// Depth of the surface at each pixel, row after row; NaN where there is none. Triangles with a

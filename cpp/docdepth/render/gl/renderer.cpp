@@ -6,6 +6,7 @@
 #include <string>
 
 #include "docdepth/geometry/rigid.hpp"
+#include "docdepth/render/candidates.hpp"
 #include "docdepth/render/gl/program.hpp"
 #include "docdepth/render/gl/shaders.hpp"
 
@@ -20,32 +21,13 @@ void check(const GlContext::Current& gl, const std::string& renderer) {
   if (error) throw GlError(renderer + " failed with OpenGL error " + std::to_string(error));
 }
 
-/// Measurements of each pixel, one sweep after the other, weighed as render_triangles() does. The
-/// first is chosen; one that is nearer waits until another confirms it.
-class Weighed {
- public:
-  explicit Weighed(std::size_t pixels) : chosen_(pixels, 0.0f), waiting_(pixels, 0.0f) {}
-
-  void take(const std::vector<float>& nearness) {
-    constexpr float more = 1 / (1 - kAgree), less = 1 / (1 + kAgree);
-    for (std::size_t i = 0; i < nearness.size(); ++i) {
-      const float w = nearness[i];
-      if (!(w > 0)) continue;
-      if (chosen_[i] == 0) {
-        chosen_[i] = w;
-      } else if (w > chosen_[i] * more) {
-        const bool confirmed = w < waiting_[i] * more && w > waiting_[i] * less;
-        if (confirmed) chosen_[i] = waiting_[i];
-        waiting_[i] = confirmed ? 0 : w;
-      }
-    }
-  }
-
-  const std::vector<float>& chosen() const { return chosen_; }
-
- private:
-  std::vector<float> chosen_, waiting_;
-};
+/// The image with rows of `stride` numbers, zeros behind each.
+std::vector<float> widened(const std::vector<float>& image, std::size_t width, std::size_t stride) {
+  std::vector<float> wide(image.size() / width * stride, 0.0f);
+  for (std::size_t from = 0, to = 0; from < image.size(); from += width, to += stride)
+    std::copy_n(&image[from], width, &wide[to]);
+  return wide;
+}
 
 }  // namespace
 
@@ -213,12 +195,20 @@ std::vector<float> GlRenderer::nearness(const Gl& gl, const Camera& camera,
 
 std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Drawing& drawing) {
   return render([&](const Gl& gl) {
-    const auto trusted = nearness(gl, camera, drawing.trusted);
-    Weighed others(trusted.size());
-    for (const auto& mesh : drawing.others) others.take(nearness(gl, camera, {mesh}));
-    auto depth = nearness(gl, camera, drawing.movers);
+    const int stride =
+        (camera.width + Candidates::kTile - 1) / Candidates::kTile * Candidates::kTile;
+    const auto drawn = [&](const std::vector<PlacedMesh>& meshes) {
+      return widened(nearness(gl, camera, meshes), camera.width, stride);
+    };
+    const Columns columns{0, camera.width, camera.height, stride};
+    Candidates candidates(columns, drawn(drawing.trusted));
+    for (const auto& mesh : drawing.others) candidates.take(drawn({mesh}).data());
+    auto world = candidates.settle(camera, drawing.rays);
+    for (const auto& mover : drawing.movers)
+      add_mover(columns, camera, drawn(mover.meshes), mover.rays, world);
+    std::vector<float> depth(std::size_t(camera.width) * camera.height);
     for (std::size_t i = 0; i < depth.size(); ++i) {
-      const float w = std::max(depth[i], trusted[i] > 0 ? trusted[i] : others.chosen()[i]);
+      const float w = world[i / camera.width * stride + i % camera.width];
       depth[i] = w > 0 ? 1.0f / w : kNone;
     }
     return depth;

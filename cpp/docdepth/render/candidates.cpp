@@ -1,0 +1,232 @@
+#include "docdepth/render/candidates.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <functional>
+
+#include "docdepth/geometry/rigid.hpp"
+#include "docdepth/render/dispatch.hpp"
+
+namespace docdepth {
+namespace {
+
+constexpr float kSame = 0.04f;  ///< offers that differ less are of one surface
+constexpr float kEdge = 0.05f;  ///< bend of nearness, linear on every plane, as a share of it
+
+/// Movers are not rigid, nor is their motion known to the centimetre: they are there unless a ray
+/// passed within a tenth of a metre, or many did.
+constexpr float kDoubt = 100.0f;
+
+constexpr int kLanes = Candidates::kTile;
+typedef float Floats __attribute__((vector_size(4 * kLanes)));
+typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
+
+DOCDEPTH_INLINE bool any(const Integers& lanes) {
+  std::int64_t halves[kLanes / 2];
+  std::memcpy(halves, &lanes, sizeof lanes);
+  return (halves[0] | halves[1] | halves[2] | halves[3]) != 0;
+}
+
+/// Adds what is new of eight pixels to their offers.
+template <class Each>
+DOCDEPTH_INLINE void take_row(float* nearness, const Each& offers) {
+  constexpr float more = 1 + kSame, less = 1 / (1 + kSame);
+  Floats w;
+  std::memcpy(&w, nearness, sizeof w);
+  const Floats none{};
+  std::memcpy(nearness, &none, sizeof none);
+  Integers left = w > 0.0f;
+  for (int k = 0; k < Candidates::kMost && any(left); ++k) {
+    Floats known;
+    std::memcpy(&known, offers(k), sizeof known);
+    const Integers empty = left & (known == 0.0f);
+    known = empty ? w : known;
+    std::memcpy(offers(k), &known, sizeof known);
+    left &= ~((w < known * more) & (w > known * less));
+  }
+}
+
+struct TakeRows {
+  float* nearness;
+  float* offers[Candidates::kMost];
+  int stride, rows;
+
+  DOCDEPTH_INLINE void run() const {
+    for (int v = 0; v < rows; ++v) {
+      const std::size_t at = std::size_t(v) * stride;
+      take_row(nearness + at, [&](int k) { return offers[k] + at; });
+    }
+  }
+};
+
+DOCDEPTH_AVX2 void take_avx2(const TakeRows& rows) {
+  rows.run();
+}
+void take_plain(const TakeRows& rows) {
+  rows.run();
+}
+
+/// A pixel with different offers, the nearest first; 0 from the first unused.
+struct Contest {
+  int u, v;
+  float offers[Candidates::kMost];
+};
+
+/// Pixels [begin_u, end_u) x [begin_v, end_v).
+struct Tile {
+  int begin_u, end_u, begin_v, end_v;
+
+  Tile(const Columns& columns, int u, int v)
+      : begin_u(u * Candidates::kTile),
+        end_u(std::min(begin_u + Candidates::kTile, columns.width)),
+        begin_v(v * Candidates::kTile),
+        end_v(std::min(begin_v + Candidates::kTile, columns.height)) {}
+};
+
+int tiles_along(int pixels) {
+  return (pixels + Candidates::kTile - 1) / Candidates::kTile;
+}
+
+/// Is there an edge or an empty pixel in a tile?
+bool has_edge(const Columns& columns, const std::vector<float>& nearness, const Tile& tile) {
+  const auto bent = [](float before, float here, float after) {
+    return !(std::fabs((before - here) - (here - after)) <= kEdge * here);
+  };
+  for (int v = tile.begin_v; v < tile.end_v; ++v)
+    for (int u = tile.begin_u; u < tile.end_u; ++u) {
+      const float* at = &nearness[std::size_t(v) * columns.stride + u];
+      if (!(*at > 0)) return true;
+      if (u > tile.begin_u && u + 1 < tile.end_u && bent(at[-1], at[0], at[1])) return true;
+      if (v > tile.begin_v && v + 1 < tile.end_v &&
+          bent(at[-columns.stride], at[0], at[columns.stride]))
+        return true;
+    }
+  return false;
+}
+
+/// Asks the rays for the offers number k of pixels.
+class Questions {
+ public:
+  Questions(const Columns& columns, const Camera& camera, const std::vector<PlacedRays>& rays)
+      : focal_(camera.fx, camera.fy),
+        centre_(float(camera.cx) - float(columns.begin), camera.cy),
+        rays_(rays) {
+    for (const auto& placed : rays) to_rays_.emplace_back(placed.T_camera_rays.inverse());
+  }
+
+  std::vector<float> ask(const std::vector<Contest>& contests, int k) const {
+    std::vector<float> balance(contests.size(), 0.0f);
+    for (std::size_t first = 0; first < contests.size(); first += Places::kMost)
+      ask_some(&contests[first], std::min(contests.size() - first, Places::kMost), k,
+               &balance[first]);
+    return balance;
+  }
+
+ private:
+  void ask_some(const Contest* contests, std::size_t count, int k, float* balance) const {
+    Eigen::Vector3f places[Places::kMost];
+    for (std::size_t i = 0; i < count; ++i) {
+      const float depth = 1 / contests[i].offers[k];
+      places[i] = {(float(contests[i].u) - centre_.x()) / focal_.x() * depth,
+                   (float(contests[i].v) - centre_.y()) / focal_.y() * depth, depth};
+    }
+    Places seen;
+    seen.size = count;
+    for (std::size_t j = 0; j < rays_.size(); ++j) {
+      for (std::size_t i = 0; i < count; ++i) {
+        const Eigen::Vector3f p = to_rays_[j] * places[i];
+        seen.x[i] = p.x(), seen.y[i] = p.y(), seen.z[i] = p.z();
+      }
+      rays_[j].rays->ask(seen, balance);
+    }
+  }
+
+  Eigen::Vector2f focal_, centre_;
+  const std::vector<PlacedRays>& rays_;
+  std::vector<RigidTransform> to_rays_;
+};
+
+}  // namespace
+
+Candidates::Candidates(const Columns& columns, std::vector<float> trusted)
+    : columns_(columns), tiles_(tiles_along(columns.width)) {
+  for (int v = 0; v < tiles_along(columns.height); ++v)
+    for (int u = 0; u < tiles_; ++u)
+      open_.push_back(has_edge(columns, trusted, Tile(columns, u, v)));
+  for (int k = 1; k < kMost; ++k) offers_[k].assign(trusted.size(), 0.0f);
+  offers_[0] = std::move(trusted);
+}
+
+void Candidates::take(float* nearness) {
+  const auto rows = DOCDEPTH_HAS_AVX2() ? take_avx2 : take_plain;
+  for (std::size_t tile = 0; tile < open_.size(); ++tile) {
+    if (!open_[tile]) continue;
+    const int u = int(tile) % tiles_ * kTile, v = int(tile) / tiles_ * kTile;
+    const std::size_t at = std::size_t(v) * columns_.stride + u;
+    TakeRows part{nearness + at, {}, columns_.stride, std::min(kTile, columns_.height - v)};
+    for (int k = 0; k < kMost; ++k) part.offers[k] = offers_[k].data() + at;
+    rows(part);
+  }
+}
+
+std::vector<float> Candidates::settle(const Camera& camera,
+                                      const std::vector<PlacedRays>& rays) const {
+  std::vector<float> result = offers_[0];
+  std::vector<Contest> contests;
+  for (std::size_t i = 0; i < open_.size(); ++i) {
+    if (!open_[i]) continue;
+    const Tile tile(columns_, int(i) % tiles_, int(i) / tiles_);
+    for (int v = tile.begin_v; v < tile.end_v; ++v)
+      for (int u = tile.begin_u; u < tile.end_u; ++u) {
+        const std::size_t at = std::size_t(v) * columns_.stride + u;
+        if (!(offers_[1][at] > 0)) continue;
+        Contest contest{u, v, {}};
+        for (int k = 0; k < kMost; ++k) contest.offers[k] = offers_[k][at];
+        std::sort(contest.offers, contest.offers + kMost, std::greater<float>());
+        contests.push_back(contest);
+      }
+  }
+  const Questions questions(columns_, camera, rays);
+  for (int k = 0; k < kMost && !contests.empty(); ++k) {
+    const std::vector<float> balance = questions.ask(contests, k);
+    std::size_t left = 0;
+    for (std::size_t i = 0; i < contests.size(); ++i) {
+      const Contest c = contests[i];
+      if (balance[i] > 0)
+        result[std::size_t(c.v) * columns_.stride + c.u] = c.offers[k];
+      else if (k + 1 < kMost && c.offers[k + 1] > 0)
+        contests[left++] = c;
+    }
+    contests.resize(left);
+  }
+  return result;
+}
+
+void add_mover(const Columns& columns, const Camera& camera, const std::vector<float>& mover,
+               const std::vector<PlacedRays>& rays, std::vector<float>& nearness) {
+  std::vector<Contest> contests;
+  for (int tile_v = 0; tile_v < tiles_along(columns.height); ++tile_v)
+    for (int tile_u = 0; tile_u < tiles_along(columns.width); ++tile_u) {
+      const Tile tile(columns, tile_u, tile_v);
+      const std::size_t known = contests.size();
+      for (int v = tile.begin_v; v < tile.end_v; ++v)
+        for (int u = tile.begin_u; u < tile.end_u; ++u) {
+          const std::size_t at = std::size_t(v) * columns.stride + u;
+          if (!(mover[at] > nearness[at])) continue;
+          contests.push_back({u, v, {mover[at]}});
+        }
+      if (contests.size() == known || (!rays.empty() && has_edge(columns, mover, tile))) continue;
+      for (std::size_t i = known; i < contests.size(); ++i)
+        nearness[std::size_t(contests[i].v) * columns.stride + contests[i].u] =
+            contests[i].offers[0];
+      contests.resize(known);
+    }
+  const auto balance = Questions(columns, camera, rays).ask(contests, 0);
+  for (std::size_t i = 0; i < contests.size(); ++i) {
+    float& here = nearness[std::size_t(contests[i].v) * columns.stride + contests[i].u];
+    if (balance[i] > -kDoubt || !(here > 0)) here = contests[i].offers[0];
+  }
+}
+
+}  // namespace docdepth

@@ -1,0 +1,50 @@
+// What the sweeps offer for a pixel, and which of it is true.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "docdepth/render/camera.hpp"
+#include "docdepth/render/rays.hpp"
+
+namespace docdepth {
+
+/// Columns of an image, row after row: `nearness[v * stride + u]` is 1 / depth, 0 where it is
+/// empty.
+struct Columns {
+  int begin, width, height, stride;
+};
+
+/// The nearest sweep is trusted, but not at its edges: near a depth jump and where it measured
+/// nothing, all sweeps offer what they have. Of different offers for a pixel, the nearest stays
+/// that more rays met than went through.
+class Candidates {
+ public:
+  static constexpr int kTile = 8;  ///< edge of the squares of pixels that are open or not
+  static constexpr int kMost = 3;  ///< offers that are kept for a pixel
+
+  Candidates(const Columns& columns, std::vector<float> trusted);
+
+  /// Of each tile, row after row, 1 where the sweeps are to offer what they have.
+  const std::vector<std::uint8_t>& open_tiles() const { return open_; }
+  int tiles() const { return tiles_; }  ///< in a row
+
+  /// One more sweep, by falling trust. Clears it where tiles are open.
+  void take(float* nearness);
+
+  /// The nearness that is true, as far as `rays` know.
+  std::vector<float> settle(const Camera& camera, const std::vector<PlacedRays>& rays) const;
+
+ private:
+  Columns columns_;
+  int tiles_;
+  std::vector<std::uint8_t> open_;
+  std::vector<float> offers_[kMost];  // each differs from those before it; 0 from the first unused
+};
+
+/// Draws a moving object over what is farther. At its edges the rays that saw it are asked; it stays
+/// unless they clearly passed, and where nothing is behind it.
+void add_mover(const Columns& columns, const Camera& camera, const std::vector<float>& mover,
+               const std::vector<PlacedRays>& rays, std::vector<float>& nearness);
+
+}  // namespace docdepth

@@ -1,0 +1,57 @@
+// What the rays of a sweep met, and what they went through on their way.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "docdepth/geometry/types.hpp"
+
+namespace docdepth {
+
+/// Some places, coordinate by coordinate.
+struct Places {
+  static constexpr std::size_t kMost = 256;
+  std::size_t size = 0;
+  float x[kMost], y[kMost], z[kMost];
+};
+
+/// The returns of a sweep by direction.
+class Rays {
+ public:
+  Rays() = default;
+
+  /// @param normals of the surface at each point, of any length; zero where there is none
+  Rays(const Points& points, const std::vector<Eigen::Vector3f>& normals);
+
+  /// Adds to each balance what the ray that passed nearest to a place, in the frame of the sweep,
+  /// tells of it: more than 0 if it met a surface there, less if it went on, nothing if it ended
+  /// before or no ray came near. The nearer it passed the more it counts: 1 / distance^2.
+  void ask(const Places& places, float* balance) const;
+
+  /// Where a ray ended.
+  struct End {
+    Eigen::Vector3f plane;  ///< of the surface there: plane . x = 1
+    float range;
+  };
+
+  /// Returns in cells of direction, column after column.
+  struct Cells {
+    int side = 1, columns = 0, rows = 0, low = 0;  ///< angles in units of kTurn
+    std::vector<std::uint32_t> start;              ///< of each cell, and the end
+    /// Elevation in the upper half, azimuth in the lower, whose differences wrap as the turn does.
+    std::vector<std::int32_t> directions;
+    std::vector<End> ends;
+  };
+
+ private:
+  Cells cells_;
+};
+
+/// A sweep's rays where it stood relative to the camera at the image's time.
+struct PlacedRays {
+  const Rays* rays;
+  Pose T_camera_rays;
+};
+
+}  // namespace docdepth

@@ -1,0 +1,300 @@
+"""Evidence carried over time: exact scenes, plain numpy, and runs that stop and go on."""
+
+import numpy as np
+import pytest
+
+from docdepth.config import DynamicsParameters, Parameters, parameters
+from docdepth.dynamics import classify_drive
+from docdepth.errors import InputError
+from docdepth.io.ply import FrameRecord, write_trajectory
+from docdepth.io.run_folder import RunFolder
+from docdepth.objects import Sighting, connect_objects, follow
+from docdepth.pipeline import classify as stage
+from docdepth.pipeline import run_classify
+from docdepth.trajectory import Trajectory
+from tracks_reference import follow as reference_follow
+
+DEFAULT = parameters("default").dynamics
+CAR, PERSON, POLE, WALL = (4.2, 1.8, 1.5), (0.6, 0.6, 1.7), (0.3, 0.3, 2.0), (12.0, 0.3, 2.5)
+
+
+# Things as the votes of their sweeps leave them --------------------------------------------------
+
+
+class Thing:
+    """A block of points: where it is at each sweep (None: unseen), and when the votes find it."""
+
+    def __init__(self, size, at, dynamic=(), step=0.2):
+        axes = [np.arange(-s / 2, s / 2 + 1e-6, step) for s in size]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        self.shape = grid[(np.abs(grid) > np.array(size) / 2 - step).any(1)]
+        self.at, self.dynamic = at, set(dynamic)
+
+
+def sightings_of(things, count, seed=0, joined=None):
+    """Sightings from an ego that goes ahead, and of every sweep the first row of each thing.
+
+    ``joined`` tells in which sweeps a pair of things (by number) is taken for one object.
+    """
+    rng = np.random.default_rng(seed)
+    sightings, rows = [], []
+    for i in range(count):
+        T = np.eye(4)
+        T[:2, 3] = 0.8 * i, 0.1 * i
+        points, first, moving, firsts, wholes = [], [], [], {}, {}
+        for k, thing in enumerate(things):
+            place = thing.at(i)
+            if place is None:
+                continue
+            firsts[k] = len(points)
+            shape = thing.shape + [*place, 0.8] + rng.normal(0, 0.01, thing.shape.shape)
+            whole = next((wholes[a] for (a, b), sweeps in (joined or {}).items()
+                          if b == k and a in wholes and i in sweeps), firsts[k])  # fmt: skip
+            wholes[k] = whole
+            points += list(shape - T[:3, 3])
+            first += [whole] * len(shape)
+            moving += [i in thing.dynamic] * len(shape)
+        cloud = np.array(points, np.float32).reshape(-1, 3)
+        none = np.zeros(len(cloud), bool)
+        objects, flags = np.array(first, np.uint32), np.array(moving, bool)
+        sightings.append(Sighting(cloud, none, objects, flags, T))
+        rows.append(firsts)
+    return sightings, rows
+
+
+def carried(things, count, p=DEFAULT, **more):
+    """For each thing the sweeps in which it is dynamic only because of other times."""
+    sightings, rows = sightings_of(things, count, **more)
+    found = follow(sightings, np.arange(count) * 100_000_000, p)
+    return [
+        [i for i in range(count) if k in rows[i] and rows[i][k] in found[i]]
+        for k in range(len(things))
+    ]
+
+
+def waits(start, leaves, acceleration=2.0):
+    """Position of what stands until a sweep and then drives off along x."""
+    return lambda i: (start[0] + 0.5 * acceleration * (0.1 * max(i - leaves, 0)) ** 2, start[1])
+
+
+def passes(y, speed=8.0, start=-10.0):
+    return lambda i: (start + 0.1 * speed * i, y)
+
+
+def still(x, y):
+    return lambda i: (x, y)
+
+
+def test_a_car_that_waits_and_drives_off_is_dynamic_all_the_time():
+    # The votes find it when it has gone half a metre.
+    (car,) = carried([Thing(CAR, waits((15, 3), 20), range(28, 50))], 50)
+    assert car == list(range(28))
+
+
+def test_a_car_that_arrives_and_parks_stays_dynamic_to_the_end():
+    stop = waits((15, 3), 20)
+    (car,) = carried([Thing(CAR, lambda i: stop(49 - i), range(22))], 50)
+    assert car == list(range(22, 50))
+
+
+def test_last_sweeps_without_votes():
+    (car,) = carried([Thing(CAR, passes(4), range(17))], 20)
+    assert car == [17, 18, 19]
+
+
+def test_hidden_for_a_while():
+    moving = passes(4)
+    hidden = Thing(CAR, lambda i: None if 6 <= i < 9 else moving(i), [*range(6), *range(11, 20)])
+    assert carried([hidden], 20) == [[9, 10]]
+    stands = waits((15, 3), 50)
+    hidden = Thing(CAR, lambda i: None if 10 <= i < 40 else stands(i), range(58, 80))
+    assert carried([hidden], 80) == [[*range(10), *range(40, 58)]]
+
+
+def test_a_parked_car_that_is_passed_closely_stays_static():
+    parked = Thing(CAR, still(8, 6.2))
+    # It passes 40 cm away, and is not seen again after it has come abreast.
+    mover = Thing(CAR, lambda i: passes(4)(i) if i < 23 else None, range(23))
+    assert carried([mover, parked], 40) == [[], []]
+    # Some sweeps take both for one object.
+    mover = Thing(CAR, passes(4), range(40))
+    assert carried([parked, mover], 40, joined={(0, 1): range(20, 25)})[0] == []
+
+
+def test_a_parked_car_in_the_place_where_another_one_stopped_was_seen_free():
+    """The same car cannot stand where something stood while it came."""
+    parked = Thing(CAR, still(8, 4))
+    mover = Thing(CAR, lambda i: passes(4)(i) if i < 17 else None, range(17))
+    assert carried([mover, parked], 40) == [[], []]
+
+
+def test_a_pole_and_a_wall_beside_somebody_who_disappears_stay_static():
+    walker = Thing(PERSON, lambda i: (2 + 0.12 * i, 3) if i < 25 else None, range(25), 0.1)
+    pole = Thing(POLE, still(5.1, 3.1), step=0.1)
+    wall = Thing(WALL, still(4, 3.5))
+    assert carried([walker, pole, wall], 40) == [[], [], []]
+
+
+def test_a_walker_beside_a_wall_is_followed_past_it():
+    walker = Thing(PERSON, lambda i: (2 + 0.12 * i, 3), [*range(10), *range(20, 30)], 0.1)
+    wall = Thing(WALL, still(4, 3.5))
+    assert carried([walker, wall], 30) == [list(range(10, 20)), []]
+
+
+def test_what_shakes_in_its_place_has_not_moved():
+    rng = np.random.default_rng(1)
+    bush = Thing((1.2, 1.2, 1.2), lambda i: (6 + rng.normal(0, 0.1), 3), range(0, 30, 2))
+    assert carried([bush], 30) == [[]]
+
+
+def test_two_dynamic_sweeps_are_no_track():
+    assert carried([Thing(CAR, passes(4), range(10, 12))], 20) == [[]]
+
+
+def random_things(rng, count):
+    things = []
+    for _ in range(12):
+        size = [CAR, PERSON, WALL, (2.0, 1.0, 0.2)][rng.integers(4)]
+        start, leaves = rng.uniform((-5, -15), (25, 15)), rng.integers(0, count // 2)
+        moves = waits(start, leaves, rng.choice([0.0, 1.5, 6.0], p=[0.2, 0.4, 0.4]))
+        hidden = set(rng.integers(0, count, 3).tolist())
+        first = leaves + rng.integers(0, 9)
+        things.append(
+            Thing(
+                size,
+                lambda i, moves=moves, hidden=hidden: None if i in hidden else moves(i),
+                range(first, count, rng.integers(1, 3)),
+                0.3,
+            )
+        )
+    return things
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_followed_objects_equal_the_reference(seed):
+    rng = np.random.default_rng(seed)
+    pairs = [pair for pair in np.sort(rng.integers(0, 12, (3, 2)), 1).tolist() if pair[0] < pair[1]]
+    joined = {tuple(pair): range(rng.integers(0, 20), 25) for pair in pairs}
+    sightings, _ = sightings_of(random_things(rng, 30), 30, seed, joined)
+    p = DynamicsParameters(track_gap=0.3, track_hold=1.0)
+    times = np.arange(30) * 100_000_000
+    found = [follow(sightings, times, p, threads) for threads in (1, 2)]
+    again = [Sighting.of(seen.arrays) for seen in sightings]
+    expected = reference_follow([seen.arrays for seen in sightings], times * 1e-9, p)
+    assert sum(len(rows) for rows in expected) > 10
+    for one, two, three, right in zip(*found, follow(again, times, p), expected, strict=True):
+        np.testing.assert_array_equal(one, right)
+        np.testing.assert_array_equal(two, right)
+        np.testing.assert_array_equal(three, right)
+
+
+def test_a_sighting_is_the_objects_of_its_sweep():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-5, 5, (400, 3)).astype(np.float32)
+    ground = rng.random(400) < 0.3
+    objects = rng.integers(0, 6, 400).astype(np.uint32)
+    objects = np.array([np.flatnonzero((objects == o) & ~ground)[0] for o in objects], np.uint32)
+    objects[ground] = np.flatnonzero(ground)
+    moving = rng.random(400) < 0.5
+    T = np.eye(4)
+    T[:3, 3] = 3, -2, 1
+    numbers, boxes, places = Sighting(points, ground, objects, moving, T).arrays
+    assert list(numbers[:, 0]) == sorted(set(objects[~ground]))
+    for (first, count, dynamic, _), box in zip(numbers, boxes, strict=True):
+        members = ~ground & (objects == first)
+        assert count == members.sum()
+        assert dynamic == (members & moving).sum()
+        world = points[members] + np.float32([3, -2, 1])
+        np.testing.assert_array_equal(box, [*world.min(0), *world.max(0)])
+    assert numbers[:, 3].sum() == len(places)
+    assert numbers[:, 3].max() <= 100
+
+
+def test_wrong_objects_are_refused():
+    points, ground = np.ones((3, 3), np.float32), np.zeros(3, bool)
+    objects, moving = np.array([0, 1, 1], np.uint32), np.zeros(3, bool)
+    with pytest.raises(ValueError, match="connect_objects"):
+        Sighting(points, ground, objects[::-1].copy(), moving, np.eye(4))
+    with pytest.raises(InputError, match="one of each"):
+        follow([Sighting(points, ground, objects, moving, np.eye(4))], np.arange(2))
+    assert follow([], np.zeros(0, np.int64)) == []
+
+
+# Whole drives -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def street():
+    """A box that waits beside a slow ego for 20 sweeps and is gone soon after."""
+    from test_dynamics import scan, straight
+
+    trajectory = straight(30, 0.1)
+    box = [-3 + 3.0 * max(i - 20, 0) * 0.5 for i in range(30)]
+    scans = [scan(T, x) for T, x in zip(trajectory.poses, box, strict=True)]
+    return trajectory, [p for p, _ in scans], [w for _, w in scans]
+
+
+def test_a_box_that_waits_is_dynamic_in_the_whole_drive(street):
+    trajectory, sweeps, what = street
+    ground = [w == 0 for w in what]
+    alone = DEFAULT.model_copy(update={"tracks": False, "freed_share": 1.0})
+    together = alone.model_copy(update={"tracks": True})
+    shares = []
+    for p in (alone, together):
+        labels = classify_drive(sweeps, trajectory, p, ground=ground)
+        box = [(label.classid[w == 2] == 100).mean() for label, w in zip(labels, what, strict=True)]
+        rest = [(label.classid[w != 2] < 100).mean() for label, w in zip(labels, what, strict=True)]
+        assert min(rest) > 0.999
+        shares.append(np.mean(box[:20]))
+    assert shares[0] < 0.2
+    assert shares[1] > 0.9
+
+
+def folder_of(path, trajectory, sweeps):
+    """A run whose odometry is done."""
+    settings = {"ground.seed_radius": 3.0, "dynamics.freed_share": 1.0}
+    run = RunFolder.create(path, {}, Parameters.model_validate(parameters("default", settings)))
+    for i, points in enumerate(sweeps):
+        record = FrameRecord(points, np.arange(len(points), dtype=np.uint32), f"{i:06d}",
+                             len(points), {"odometry": "exact"})  # fmt: skip
+        run.write_frame(i, record)
+    write_trajectory(run.trajectory_path, trajectory, np.arange(len(sweeps)))
+    run.set_stage("odometry", state="done", key="exact")
+    return run
+
+
+def test_a_run_gives_the_labels_of_the_drive_in_memory_and_goes_on(street, tmp_path, monkeypatch):
+    trajectory, sweeps, _ = street
+    run = folder_of(tmp_path / "run", trajectory, sweeps)
+    run_classify(run, threads=1)
+    labels = classify_drive(sweeps, Trajectory(trajectory.times, run.trajectory().poses),
+                            run.parameters.dynamics)  # fmt: skip
+    for i, label in enumerate(labels):
+        np.testing.assert_array_equal(run.frame(i).classid, label.classid)
+    assert not (run.path / ".objects").exists()
+
+    again = folder_of(tmp_path / "again", trajectory, sweeps)
+    whole = stage._write_classified
+    for stop in (7, len(sweeps) + 3):  # while it votes, and while evidence is carried
+        left = iter(range(stop - sum(bool(again.frame_key(i).get("classify")) for i in range(30))))
+
+        def interrupted(*arguments, left=left):
+            if next(left, None) is None:
+                raise KeyboardInterrupt
+            whole(*arguments)
+
+        monkeypatch.setattr(stage, "_write_classified", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run_classify(again)
+    monkeypatch.setattr(stage, "_write_classified", whole)
+    run_classify(again)
+    for i in range(len(sweeps)):
+        assert run.frame_path(i).read_bytes() == again.frame_path(i).read_bytes()
+
+
+def test_objects_are_connected_points_off_the_ground(street):
+    _, sweeps, what = street
+    objects = connect_objects(sweeps[0], what[0] == 0)
+    assert (objects[what[0] == 0] == np.flatnonzero(what[0] == 0)).all()
+    box = np.flatnonzero(what[0] == 2)
+    assert np.bincount(objects[box]).max() > 0.9 * len(box)
