@@ -138,6 +138,10 @@ def test_several_cameras_in_several_formats(drive, finished, tmp_path):
     np.testing.assert_allclose(left, before, atol=0.51 / 256)
     assert not np.array_equal(left, right, equal_nan=True)
     assert list(open_dataset(run).cameras) == ["image_2", "image_3"]
+    result = cli("evaluate", "depth", run, "--depth", drive)
+    assert "image_2, image_3: say --camera" in str(result.exception)
+    result = cli("evaluate", "depth", run, "--depth", drive, "--camera", "image_2", "--json")
+    assert json.loads(result.output)["all"]["mae"] < 3
 
     # And back to one.
     assert cli("render", run, "--camera", "image_2", "--format", "png").exit_code == 0

@@ -1,0 +1,164 @@
+"""What the verbs of the command line share: consoles, options, progress and summaries."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from docdepth.config import Parameters
+    from docdepth.io.run_folder import RunFolder
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Dense, metric depth maps for camera images from LiDAR recordings (DOC-Depth).",
+)
+out = Console(highlight=False)
+err = Console(stderr=True, highlight=False)
+
+RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="STAGE.NAME=VALUE", help="Replace one parameter."),
+]
+Threads = Annotated[int, typer.Option(min=0, help="Threads; 0 takes every core.")]
+RendererName = Annotated[
+    str | None,
+    typer.Option(
+        "--renderer",
+        metavar="NAME",
+        help="auto (a graphics card, else cpu), cpu, egl, egl:N, surfaceless or osmesa; "
+        "DOCDEPTH_RENDERER, else auto, if absent.",
+    ),
+]
+CameraNames = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--camera", metavar="NAME", help="Cameras, one or several, or all; image_02 if absent."
+    ),
+]
+Formats = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--format", metavar="NAME", help="png (default), exr, exr-half, tiff, npz, npy; several."
+    ),
+]
+Scale = Annotated[float | None, typer.Option(help="Steps of a PNG a metre; 256 (KITTI) if absent.")]
+LayerNames = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--layers",
+        metavar="NAME",
+        help="Also write class, time, range, support, std, normal, confidence.",
+    ),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+def show(result: Any, as_json: bool) -> None:
+    text = json.dumps(result.as_dict(), indent=1) if as_json else str(result.table())
+    out.print(text, soft_wrap=True, markup=False)
+
+
+@contextmanager
+def progress_bars() -> Iterator[Any]:
+    """A bar a stage, with the time left."""
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    with Progress(*columns, console=err) as bars:
+        tasks: dict[str, Any] = {}
+
+        def tell(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done, total=total)
+
+        yield tell
+
+
+def listed(names: list[str] | None) -> str | list[str] | None:
+    """Names given one by one or with commas; one alone as itself."""
+    every = [name for text in names or [] for name in text.split(",")]
+    return every[0] if len(every) == 1 else every or None
+
+
+def changes_of(settings: list[str] | None) -> dict[str, Any]:
+    from docdepth.config import parse_settings
+
+    return parse_settings(settings or [])
+
+
+def output_of(
+    format: list[str] | None, scale: float | None, layers: list[str] | None
+) -> dict[str, Any]:
+    """Options that stand for settings."""
+    chosen: dict[str, Any] = {}
+    if format:
+        chosen["output.format"] = ",".join(format)
+    if scale is not None:
+        chosen["output.scale"] = scale
+    if layers:
+        chosen["output.layers"] = ",".join(layers)
+    return chosen
+
+
+def reopen(path: Path, changes: dict[str, Any], *stages: str) -> RunFolder:
+    """A run with some parameters of one stage replaced."""
+    from docdepth.io.run_folder import RunFolder
+
+    folder = RunFolder.open(path)
+    values = replaced(folder, changes, *stages)
+    folder.manifest["parameters"] = values.model_dump(mode="json")
+    folder.save()
+    return folder
+
+
+def replaced(folder: RunFolder, changes: dict[str, Any], *stages: str) -> Parameters:
+    """The parameters of a run with some replaced."""
+    from docdepth.config import parameters
+    from docdepth.errors import ConfigError
+
+    for name in changes:
+        if name.partition(".")[0] not in stages:
+            raise ConfigError(f"--set {name}: this stage knows {' and '.join(stages)} only")
+    saved = {
+        f"{stage}.{key}": value
+        for stage, values in folder.parameters.model_dump().items()
+        if stage != "preset"
+        for key, value in values.items()
+    }
+    return parameters(folder.parameters.preset, {**saved, **changes})
+
+
+def show_summary(folder: RunFolder) -> None:
+    """Seconds by stage, density and what was left out."""
+    table = Table("stage", "frames", "seconds", "ms a frame", "where the time went", box=None)
+    for name, state in folder.manifest["stages"].items():
+        seconds: dict[str, float] = state.get("seconds", {})
+        total, frames = state.get("wall_seconds", 0.0), state.get("frames", 0)
+        parts = ", ".join(f"{k} {v:.1f}" for k, v in sorted(seconds.items(), key=lambda x: -x[1]))
+        each = f"{1000 * total / frames:.0f}" if frames else ""
+        table.add_row(name, str(frames), f"{total:.1f}", each, parts)
+    out.print(table)
+    rendered = folder.stage("render")
+    if "density" in rendered:
+        out.print(f"density {100 * rendered['density']:.1f} % of the pixels", style="bold")
+    if rendered.get("left_out"):
+        names = ", ".join(rendered["left_out"])
+        out.print(f"{len(rendered['left_out'])} images outside the sweeps left out: {names}")
+    peak = max((s.get("peak_memory_mb", 0) for s in folder.manifest["stages"].values()), default=0)
+    out.print(f"peak memory {peak} MB; results in {folder.path}")

@@ -1,0 +1,128 @@
+"""Verbs that make drives with exact truth, and hold runs against it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from docdepth.cli.shared import Json, RunPath, Threads, app, out, progress_bars, show, show_summary
+
+evaluate = typer.Typer(no_args_is_help=True, help="Compare a run with the truth.")
+app.add_typer(evaluate, name="evaluate")
+
+
+@app.command()
+def synth(
+    output: Annotated[Path, typer.Argument(metavar="OUT", help="Folder for the drive.")],
+    scene: Annotated[str, typer.Option(help="Kind of street.")] = "city",
+    sensor: Annotated[str, typer.Option(help="Kind of LiDAR.")] = "HDL-64",
+    frames: Annotated[int, typer.Option(min=2, help="Number of sweeps.")] = 60,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed, another street.")] = 0,
+    skew: Annotated[bool, typer.Option(help="Write raw sweeps, not motion compensated.")] = False,
+) -> None:
+    """A synthetic drive with exact labels, poses and depth, in SemanticKITTI layout."""
+    from docdepth.synthetic import write_drive
+
+    with progress_bars() as progress:
+        write_drive(
+            output, scene=scene, sensor=sensor, frames=frames, seed=seed, skew=skew,
+            progress=lambda done, total: progress("synth", done, total),
+        )  # fmt: skip
+    out.print(f"{frames} sweeps in {output}")
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder.")] = Path("demo"),
+    frames: Annotated[int, typer.Option(min=3, help="Sweeps of the synthetic drive.")] = 40,
+    preset: Annotated[str, typer.Option(help="default (measured best) or paper.")] = "default",
+    threads: Threads = 0,
+) -> None:
+    """A synthetic drive, its depth maps and pictures, and how true they are."""
+    from docdepth.demo import demo as make
+    from docdepth.io.run_folder import RunFolder
+
+    with progress_bars() as progress:
+        sequence, folder = make(output, preset, frames, threads, progress)  # type: ignore[arg-type]
+    show_summary(RunFolder(folder))
+    labels(folder, sequence)
+    depth(folder, sequence)
+    out.print(f"look at the pictures in {folder / 'report'}")
+
+
+@app.command()
+def sweep(
+    run: RunPath,
+    truth: Annotated[Path, typer.Option("--labels", help="Folder of SemanticKITTI labels.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="Results.")],
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(metavar="STAGE.NAME=A,B,C", help="Values to combine with all others."),
+    ] = None,
+    trials: Annotated[
+        Path | None, typer.Option(help="YAML, a line a trial: NAME: {stage.name: value}.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Trials at a time.")] = 1,
+    threads: Threads = 0,
+) -> None:
+    """Classify a run with many parameter sets: a table, CSV and a plot.
+
+    The same command goes on where an interrupted sweep stopped.
+
+      docdepth sweep RUN --labels DRIVE -o out --vary dynamics.tolerance=0.1,0.2,0.4
+    """
+    from docdepth.errors import ConfigError, MissingExtraError
+    from docdepth.sweep import grid, parse_axes, plot, read_trials, table
+    from docdepth.sweep import sweep as work
+
+    if bool(vary) == bool(trials):
+        raise ConfigError("say what to vary: --vary STAGE.NAME=A,B or --trials FILE")
+    sets = read_trials(trials) if trials else grid(parse_axes(vary or []))
+    with progress_bars() as progress:
+        outcomes = work(
+            run, truth, sets, output, jobs, threads,
+            lambda done, total: progress("trials", done, total),
+        )  # fmt: skip
+    out.print(str(table(outcomes)), soft_wrap=True, markup=False)
+    try:
+        plot(outcomes, output / "sweep.png")
+    except MissingExtraError as error:
+        out.print(f"no plot: {error}", markup=False)
+
+
+@app.command()
+def doctor() -> None:
+    """What this installation can do, and why it cannot do the rest."""
+    from docdepth.doctor import doctor as examine
+
+    for name, finding, well in examine():
+        out.print(f"{'ok' if well else '--'}  {name:<24} {finding}", markup=False)
+
+
+@evaluate.command()
+def labels(
+    run: RunPath,
+    truth: Annotated[Path, typer.Option("--labels", help="Folder of SemanticKITTI labels.")],
+    as_json: Json = False,
+) -> None:
+    """SA, DA, F1, precision and IoU of the dynamic class, point by point."""
+    from docdepth.evaluation.runs import evaluate_labels
+
+    show(evaluate_labels(run, truth), as_json)
+
+
+@evaluate.command()
+def depth(
+    run: RunPath,
+    truth: Annotated[Path, typer.Option("--depth", help="Folder of true depth maps.")],
+    mode: Annotated[str, typer.Option(help="valid, or kitti: empty pixels filled.")] = "valid",
+    max_range: Annotated[float, typer.Option(help="Farther pixels are not compared [m].")] = 80.0,
+    camera: Annotated[str | None, typer.Option(help="Which, where there are several.")] = None,
+    as_json: Json = False,
+) -> None:
+    """MAE, RMSE, density, and pixels too near and too far."""
+    from docdepth.evaluation.runs import evaluate_depth
+
+    show(evaluate_depth(run, truth, mode, max_range, camera), as_json)  # type: ignore[arg-type]
