@@ -253,6 +253,17 @@ def reference_moving(points, ground, static, dynamic, p):
     for i in np.flatnonzero(candidate & ~moving):
         clear = dynamic[i] >= p.clear_votes and dynamic[i] > p.clear_ratio * static[i]
         moving[i] = clear or (squared(sure - points[i]) < np.float32(p.company) ** 2).any()
+
+    share = np.bincount(label, moving) / size
+    loose = ~moving & ~ground & (size[label] < 5) & (static <= dynamic + p.loose_votes)
+    for k in np.flatnonzero((share >= 0.5) & (size >= p.object_points)):
+        members = points[(label == k) & ~ground]
+        low, high = members.min(0), members.max(0)
+        x, y = high[:2] - low[:2]
+        margin = np.float32(0.2)
+        if x * x + y * y <= 25**2:
+            inside = (points <= high + margin).all(1) & (low <= points + margin).all(1)
+            moving |= loose & inside
     return moving
 
 

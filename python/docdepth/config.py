@@ -122,6 +122,9 @@ class DynamicsParameters(_Stage):
     )
     freed_votes: int = Field(2, ge=1, description="dynamic votes that show a place was free")
     freed_ratio: float = Field(8.0, ge=1, description="most static votes that go with each of them")
+    loose_votes: int = Field(
+        2, description="a loose point inside a moving object has so many more static votes at most"
+    )
     tracks: bool = Field(True, description="carry evidence over time along objects (of `objects`)")
     track_sightings: int = Field(
         3, ge=2, description="sweeps whose votes say that an object moves, at least"

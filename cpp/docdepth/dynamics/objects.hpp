@@ -22,6 +22,7 @@ struct ObjectParameters {
   float freed_share = 0.6f;   ///< and the place of that share was seen free:
   int freed_votes = 2;        ///< by that many key frames,
   float freed_ratio = 8;      ///< and by one to so many that saw it taken
+  int loose_votes = 2;        ///< most static votes more than dynamic ones of a loose point
 };
 
 /// Objects of a sweep, connected points off the ground: of each point the row of the first one.
@@ -46,5 +47,11 @@ std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground
                                         const std::uint32_t* first, const std::uint16_t* statics,
                                         const std::uint16_t* dynamics, const Surface& surface,
                                         const ObjectParameters& parameters);
+
+/// Loose points, of no object worth the name, inside the extent of one that moves: unless many more
+/// votes are static than dynamic, they move, too. `moving_points` ends with it.
+void add_loose_points(const Points& points, const bool* ground, const std::uint32_t* first,
+                      const std::uint16_t* statics, const std::uint16_t* dynamics,
+                      const ObjectParameters& parameters, std::vector<std::uint8_t>& moving);
 
 }  // namespace docdepth
