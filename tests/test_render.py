@@ -291,7 +291,9 @@ def draw_triangles(camera, vertices, triangles, threads=1):
     )
     placed = (frame, np.eye(4))
     size = camera.width, camera.height
-    return _core.render_surfaces(camera.K, *size, [placed], placed, placed, 0.0, 0.0, 0.0, threads)
+    return _core.render_surfaces(
+        camera.K, *size, [placed], placed, placed, 0.0, 0.0, 0.0, 12, threads
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
