@@ -232,8 +232,7 @@ def reference_moving(points, ground, static, dynamic, p):
     surface = Surface(points)
     whole = surface.triangles[~surface.cut].astype(int)
     edges = np.concatenate([whole[:, [0, 1]], whole[:, [1, 2]], whole[:, [2, 0]]])
-    range_ = np.sqrt(squared(points))[edges].min(axis=1)
-    link = np.maximum(np.float32(p.link), np.float32(p.link_growth) * range_)
+    link = np.float32(p.link) + np.float32(p.link_growth) * across(*points[edges.T])
     edges = edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < link * link]
     candidate = dynamic > static
     label, size = connected(len(points), edges[candidate[edges].all(axis=1)])
@@ -253,7 +252,25 @@ def reference_moving(points, ground, static, dynamic, p):
     for i in np.flatnonzero(candidate & ~moving):
         clear = dynamic[i] >= p.clear_votes and dynamic[i] > p.clear_ratio * static[i]
         moving[i] = clear or (squared(sure - points[i]) < np.float32(p.company) ** 2).any()
+
+    share = np.bincount(label, moving) / size
+    loose = ~moving & ~ground & (size[label] < 5) & (static <= dynamic + p.loose_votes)
+    for k in np.flatnonzero((share >= 0.5) & (size >= p.object_points)):
+        members = points[(label == k) & ~ground]
+        low, high = members.min(0), members.max(0)
+        x, y = high[:2] - low[:2]
+        margin = np.float32(0.2)
+        if x * x + y * y <= 25**2:
+            inside = (points <= high + margin).all(1) & (low <= points + margin).all(1)
+            moving |= loose & inside
     return moving
+
+
+def across(a, b):
+    """Distance across the line of sight, at the nearer one's range."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    cross = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], 1)
+    return np.sqrt(squared(cross)) / np.sqrt(np.maximum(squared(a), squared(b)))
 
 
 def squared(v):

@@ -75,7 +75,7 @@ def starts(track, seen, free, dt, reach):
 def match_from(track, seen, free, start, reach):
     shape = track["places"]
     low, high = shape.min(0), shape.max(0)
-    most = (high - low) * F(1.5) + F(1)
+    most = (high - low) * F(1.5) + F(0.5)
     near = [
         k
         for k, o in enumerate(seen)

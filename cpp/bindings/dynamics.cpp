@@ -98,6 +98,26 @@ py::array_t<std::uint8_t> moving(const Array<float>& points, const Array<bool>& 
   return to_numpy(std::move(result), {static_cast<py::ssize_t>(map.rows())});
 }
 
+py::array_t<std::uint8_t> with_loose(const Array<float>& points, const Array<bool>& ground,
+                                     const Array<std::uint32_t>& first,
+                                     const Array<std::uint16_t>& statics,
+                                     const Array<std::uint16_t>& dynamics,
+                                     const Array<bool>& moving,
+                                     const ObjectParameters& parameters) {
+  const PointMap map = as_points(points);
+  const bool* flags = as_column(ground, map.rows(), "ground");
+  const std::uint32_t* f = as_first(first, map.rows());
+  const std::uint16_t* s = as_column(statics, map.rows(), "statics");
+  const std::uint16_t* d = as_column(dynamics, map.rows(), "dynamics");
+  const bool* m = as_column(moving, map.rows(), "moving");
+  std::vector<std::uint8_t> result(m, m + map.rows());
+  {
+    py::gil_scoped_release release;
+    add_loose_points(map, flags, f, s, d, parameters, result);
+  }
+  return to_numpy(std::move(result), {static_cast<py::ssize_t>(map.rows())});
+}
+
 std::unique_ptr<Sighting> make_sighting(const Array<float>& points, const Array<bool>& ground,
                                         const Array<std::uint32_t>& first,
                                         const Array<bool>& moving, const Array<double>& pose) {
@@ -202,11 +222,14 @@ void bind_dynamics(py::module_& m) {
       .def_readwrite("width", &ObjectParameters::width)
       .def_readwrite("freed_share", &ObjectParameters::freed_share)
       .def_readwrite("freed_votes", &ObjectParameters::freed_votes)
-      .def_readwrite("freed_ratio", &ObjectParameters::freed_ratio);
+      .def_readwrite("freed_ratio", &ObjectParameters::freed_ratio)
+      .def_readwrite("loose_votes", &ObjectParameters::loose_votes);
   m.def("connect_objects", &objects_of, py::arg("points"), py::arg("ground"), py::arg("surface"),
         py::arg("parameters"));
   m.def("moving_points", &moving, py::arg("points"), py::arg("ground"), py::arg("first"),
         py::arg("statics"), py::arg("dynamics"), py::arg("surface"), py::arg("parameters"));
+  m.def("add_loose_points", &with_loose, py::arg("points"), py::arg("ground"), py::arg("first"),
+        py::arg("statics"), py::arg("dynamics"), py::arg("moving"), py::arg("parameters"));
   py::class_<Sighting>(m, "Sighting")
       .def(py::init(&make_sighting), py::arg("points"), py::arg("ground"), py::arg("first"),
            py::arg("moving"), py::arg("T_world_lidar"))

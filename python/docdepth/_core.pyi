@@ -7,7 +7,7 @@ import docdepth.errors
 import numpy
 import numpy.typing
 import typing
-__all__: list[str] = ['Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'ObjectParameters', 'RangeImage', 'Rays', 'Sighting', 'Surface', 'SurfaceFrame', 'SurfaceImage', 'SurfaceImageParameters', 'SurfaceParameters', 'TrackParameters', 'connect_objects', 'egl_devices', 'follow', 'moving_points', 'render_splats', 'render_surfaces', 'splat_layers', 'surface_layers', 'vote']
+__all__: list[str] = ['Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'ObjectParameters', 'RangeImage', 'Rays', 'Sighting', 'Surface', 'SurfaceFrame', 'SurfaceImage', 'SurfaceImageParameters', 'SurfaceParameters', 'TrackParameters', 'add_loose_points', 'connect_objects', 'egl_devices', 'follow', 'moving_points', 'render_splats', 'render_surfaces', 'splat_layers', 'surface_layers', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -192,6 +192,12 @@ class ObjectParameters:
     def link_growth(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
+    def loose_votes(self) -> int:
+        ...
+    @loose_votes.setter
+    def loose_votes(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+    @property
     def object_points(self) -> int:
         ...
     @object_points.setter
@@ -292,6 +298,8 @@ class GlRenderer:
     @property
     def version(self) -> str:
         ...
+def add_loose_points(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], first: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], statics: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamics: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], moving: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint8]:
+    ...
 def connect_objects(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], surface: Surface, parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint32]:
     ...
 def egl_devices(library: str = '') -> list[bool]:

@@ -102,7 +102,7 @@ class DynamicsParameters(_Stage):
         0.3, gt=0, description="neighbours farther apart belong to different objects [m]"
     )
     link_growth: float = Field(
-        0.05, ge=0, description="or, where beams are wider apart, than so much of their range [-]"
+        1.0, ge=0, description="growth of that with their distance across the line of sight [m/m]"
     )
     companions: int = Field(
         5, ge=1, description="connected dynamic points that need no other evidence"
@@ -124,6 +124,9 @@ class DynamicsParameters(_Stage):
     )
     freed_votes: int = Field(2, ge=1, description="dynamic votes that show a place was free")
     freed_ratio: float = Field(8.0, ge=1, description="most static votes that go with each of them")
+    loose_votes: int = Field(
+        2, description="a loose point inside a moving object has so many more static votes at most"
+    )
     tracks: bool = Field(True, description="carry evidence over time along objects (of `objects`)")
     track_sightings: int = Field(
         3, ge=2, description="sweeps whose votes say that an object moves, at least"

@@ -13,6 +13,7 @@ from docdepth.config import DynamicsParameters, SurfaceParameters
 from docdepth.errors import InputError
 from docdepth.objects import (
     Sighting,
+    add_carried,
     carries_evidence,
     check_sweep,
     connect_objects,
@@ -350,8 +351,14 @@ def classify_drive(
         labels.append(Labels(classid, votes))
     if sightings:
         carried = follow(sightings, trajectory.times, parameters, threads)
+        p = parameters or DynamicsParameters()
         for i, found in enumerate(carried):
-            labels[i].classid[np.isin(objects[i], found)] = DYNAMIC
+            if len(found):
+                votes, old = labels[i].votes, labels[i].classid
+                classid = add_carried(
+                    sweeps[i], objects[i], found, votes.static, votes.dynamic, old, p
+                )
+                labels[i] = Labels(classid, votes)
     return labels
 
 

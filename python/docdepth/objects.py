@@ -66,6 +66,25 @@ def moving_points(
     return moving.view(np.bool_)
 
 
+def add_carried(
+    points: NDArray[np.float32],
+    objects: NDArray[np.uint32],
+    found: NDArray[np.uint32],
+    static: NDArray[np.uint16],
+    dynamic: NDArray[np.uint16],
+    classid: NDArray[np.uint16],
+    parameters: DynamicsParameters,
+) -> NDArray[np.uint16]:
+    """Classes with the objects that :func:`follow` found in this sweep, and what is loose in them.
+
+    The other arrays are those of :func:`moving_points`.
+    """
+    p = _object_parameters(parameters)
+    moving, ground = (classid >= 100) | np.isin(objects, found), classid < 50
+    all_moving = _core.add_loose_points(points, ground, objects, static, dynamic, moving, p)
+    return np.where(all_moving, np.uint16(100), classid)
+
+
 class Sighting:
     """What a sweep saw above the ground, object by object: little enough to keep a whole drive.
 
@@ -177,7 +196,7 @@ def _object_parameters(p: DynamicsParameters) -> _core.ObjectParameters:
     objects.object_points, objects.share = p.object_points, p.object_share
     objects.width = p.object_width
     objects.freed_share, objects.freed_votes = p.freed_share, p.freed_votes
-    objects.freed_ratio = p.freed_ratio
+    objects.freed_ratio, objects.loose_votes = p.freed_ratio, p.loose_votes
     return objects
 
 

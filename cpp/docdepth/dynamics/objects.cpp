@@ -5,6 +5,7 @@
 #include <numeric>
 #include <unordered_map>
 
+#include "docdepth/geometry/places.hpp"
 #include "docdepth/geometry/spherical.hpp"
 
 namespace docdepth {
@@ -17,6 +18,14 @@ float squared_distance(const Points& points, std::uint32_t a, std::uint32_t b) {
   const float x = points(a, 0) - points(b, 0), y = points(a, 1) - points(b, 1),
               z = points(a, 2) - points(b, 2);
   return (x * x + y * y) + z * z;
+}
+
+/// Distance across the line of sight, at the nearer one's range.
+float across(const Points& points, std::uint32_t a, std::uint32_t b) {
+  const float ax = points(a, 0), ay = points(a, 1), az = points(a, 2);
+  const float bx = points(b, 0), by = points(b, 1), bz = points(b, 2);
+  const float x = ay * bz - az * by, y = az * bx - ax * bz, z = ax * by - ay * bx;
+  return std::sqrt((x * x + y * y) + z * z) / std::max(range_of(ax, ay, az), range_of(bx, by, bz));
 }
 
 /// Sets of points that are joined one by one.
@@ -50,15 +59,12 @@ template <class TakesPart>
 std::vector<std::uint32_t> connect(const Points& points, const Surface& surface,
                                    const ObjectParameters& p, const TakesPart& takes_part) {
   Sets sets(points.rows());
-  const auto range = [&](std::uint32_t i) {
-    return range_of(points(i, 0), points(i, 1), points(i, 2));
-  };
   for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
     if (surface.cut[t]) continue;
     for (int i = 0; i < 3; ++i) {
       const auto a = surface.triangles[t][i], b = surface.triangles[t][(i + 1) % 3];
       if (!takes_part(a) || !takes_part(b)) continue;
-      const float link = std::max(p.link, p.link_growth * std::min(range(a), range(b)));
+      const float link = p.link + p.link_growth * across(points, a, b);
       if (squared_distance(points, a, b) < link * link) sets.join(a, b);
     }
   }
@@ -78,6 +84,10 @@ struct Object {
     return static_cast<float>(freed) >= p.freed_share * count && x * x + y * y >= p.width * p.width;
   }
 };
+
+constexpr int kFewestPoints = 5;  ///< of what is an object
+constexpr float kWidest = 25;     ///< of what moves, from above [m]
+constexpr float kAround = 0.2f;   ///< an extent's [m]
 
 /// Finds whether a marked point lies near, by cells of that size.
 class Neighborhood {
@@ -175,7 +185,35 @@ std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground
                        static_cast<float>(dynamics[i]) > p.clear_ratio * statics[i];
     moving[i] = clear || neighborhood.has_near(i);
   }
+  add_loose_points(points, ground, first, statics, dynamics, p, moving);
   return moving;
+}
+
+void add_loose_points(const Points& points, const bool* ground, const std::uint32_t* first,
+                      const std::uint16_t* statics, const std::uint16_t* dynamics,
+                      const ObjectParameters& p, Flags& moving) {
+  const std::size_t count = moving.size();
+  std::vector<int> points_of(count, 0), moving_of(count, 0);
+  std::vector<Extent> extents(count);
+  const auto at = [&](std::size_t i) { return Extent{points.row(i), points.row(i)}; };
+  for (std::size_t i = 0; i < count; ++i) {
+    if (ground[i]) continue;
+    const std::uint32_t f = first[i];
+    if (points_of[f]++ == 0) extents[f] = at(i);
+    extents[f].add(at(i));
+    moving_of[f] += moving[i] != 0;
+  }
+  std::vector<Extent> movers;
+  for (std::size_t f = 0; f < count; ++f)
+    if (points_of[f] >= p.object_points && 2 * moving_of[f] >= points_of[f] &&
+        extents[f].width() <= kWidest)
+      movers.push_back(extents[f]);
+  for (std::size_t i = 0; i < count; ++i) {
+    if (moving[i] || ground[i] || points_of[first[i]] >= kFewestPoints) continue;
+    if (statics[i] > dynamics[i] + p.loose_votes) continue;
+    moving[i] = std::any_of(movers.begin(), movers.end(),
+                            [&](const Extent& mover) { return mover.overlaps(at(i), kAround); });
+  }
 }
 
 }  // namespace docdepth

@@ -12,7 +12,7 @@ constexpr float kWide = 25.0f;        ///< no vehicle; its places only tell what
 constexpr float kThinWide = 0.25f;
 
 Places thinned_fast(const Places& points, const Extent& box) {
-  if (box.size().head<2>().norm() > kWide) return thinned(points, kThinWide);
+  if (box.width() > kWide) return thinned(points, kThinWide);
   float size = kThin;
   Places places = thinned(points, size);
   while (places.size() > kPlaces) places = thinned(places, size *= 1.3f);

@@ -9,17 +9,6 @@
 
 namespace docdepth {
 
-/// From above and from the side, in the world.
-struct Extent {
-  Eigen::Vector3f low, high;
-
-  Eigen::Vector3f size() const { return high - low; }
-  void add(const Extent& other) {
-    low = low.cwiseMin(other.low);
-    high = high.cwiseMax(other.high);
-  }
-};
-
 /// Connected returns off the ground.
 struct SeenObject {
   std::uint32_t first = 0;    ///< row of its first point

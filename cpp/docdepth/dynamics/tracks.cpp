@@ -18,7 +18,7 @@ constexpr std::uint32_t kFewestPoints = 10;    ///< of an object that is worth t
 constexpr std::size_t kFewestPlaces = 5;       ///< which has a shape to be found by
 constexpr float kLowest = 0.3f;                ///< flatter things are ground that was not grown [m]
 constexpr float kWidest = 25.0f;               ///< [m]
-constexpr float kGrowth = 1.5f, kMore = 1.0f;  ///< the same thing looks so much larger at most [m]
+constexpr float kGrowth = 1.5f, kMore = 0.5f;  ///< the same thing looks so much larger at most [m]
 constexpr float kMargin = 0.5f;                ///< about where it is looked for [m]
 constexpr float kExplained = 0.4f;  ///< share of places found again, of one times the other
 constexpr float kInside = 0.6f;     ///< share of the places of what belongs to it
@@ -61,14 +61,8 @@ Extent box_of(const Places& places) {
   return box;
 }
 
-bool overlap(const Extent& a, const Extent& b, float margin) {
-  return ((a.low.array() <= b.high.array() + margin) && (b.low.array() <= a.high.array() + margin))
-      .all();
-}
-
 bool can_be_followed(const SeenObject& object) {
-  const Vector size = object.box.size();
-  return size.z() >= kLowest && size.head<2>().norm() <= kWidest;
+  return object.box.size().z() >= kLowest && object.box.width() <= kWidest;
 }
 
 void append(Places& places, const Places& more) {
@@ -132,7 +126,7 @@ class Follower {
     }
     const Extent box = box_of(track.places);
     for (std::size_t k = 0; k < seen.size(); ++k)
-      if (!taken[k] && seen[k].moves() && overlap(seen[k].box, box, reach))
+      if (!taken[k] && seen[k].moves() && seen[k].box.overlaps(box, reach))
         attempt(most_frequent_shift(track.places, seen[k].places, reach));
     return best;
   }
@@ -147,7 +141,7 @@ class Follower {
     Rows near;
     Places there;
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
-      if (taken[k] || !overlap(seen[k].box, box, kMargin)) continue;
+      if (taken[k] || !seen[k].box.overlaps(box, kMargin)) continue;
       if (!track.has_velocity() && !seen[k].moves()) continue;
       if ((seen[k].box.size().array() >= most.array()).any()) continue;
       near.push_back(k);
@@ -205,9 +199,9 @@ float share_taken(const Places& places, const Sighting& seen) {
   const Extent box = box_of(places);
   Places there;
   for (const SeenObject& object : seen) {
-    if (object.moves() || !overlap(object.box, box, kSame)) continue;
+    if (object.moves() || !object.box.overlaps(box, kSame)) continue;
     for (const Vector& p : object.places)
-      if (overlap({p, p}, box, kSame)) there.push_back(p);
+      if (box.overlaps({p, p}, kSame)) there.push_back(p);
   }
   return share_found(places, Vector::Zero(), there, kSame);
 }

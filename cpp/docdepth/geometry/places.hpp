@@ -10,6 +10,23 @@ namespace docdepth {
 
 using Places = std::vector<Eigen::Vector3f>;
 
+/// From where to where something reaches along the axes.
+struct Extent {
+  Eigen::Vector3f low, high;
+
+  Eigen::Vector3f size() const { return high - low; }
+  float width() const { return size().head<2>().norm(); }  ///< from above
+  void add(const Extent& other) {
+    low = low.cwiseMin(other.low);
+    high = high.cwiseMax(other.high);
+  }
+  bool overlaps(const Extent& other, float margin) const {
+    return ((low.array() <= other.high.array() + margin) &&
+            (other.low.array() <= high.array() + margin))
+        .all();
+  }
+};
+
 /// Number of the cube of that size that holds a coordinate, and a key of three such numbers.
 std::int64_t cube_step(float value, float size);
 std::uint64_t cube_key(std::int64_t x, std::int64_t y, std::int64_t z = 0);

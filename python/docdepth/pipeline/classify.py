@@ -206,7 +206,17 @@ def _carry_evidence(
             record = run.frame(index)
             (first,) = _read_arrays(seen / f"{index:06d}.npy", 1)
         assert record.classid is not None
-        classid = np.where(np.isin(first, found), np.uint16(dynamics.DYNAMIC), record.classid)
+        assert record.votes_static is not None
+        assert record.votes_dynamic is not None
+        classid = objects.add_carried(
+            record.points,
+            first,
+            found,
+            record.votes_static,
+            record.votes_dynamic,
+            record.classid,
+            run.parameters.dynamics,
+        )
         with watch("write"):
             _write_classified(run, index, replace(record, classid=classid))
 
