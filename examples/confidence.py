@@ -63,7 +63,7 @@ def reliability(columns: Columns, bins: int = 10) -> list[tuple[float, ...]]:
     rows = []
     for b in range(bins):
         inside = which == b
-        if inside.any():
+        if inside.sum() >= 100:  # fewer tell nothing
             sure, right = columns["sure"][inside], columns["right"][inside]
             error = float(np.median(columns["error"][inside]))
             rows.append((float(inside.mean()), float(sure.mean()), float(right.mean()), error))

@@ -87,7 +87,7 @@ def yard():
 
 
 def test_key_frames_are_near_along_the_path_and_never_the_sweep_itself():
-    chosen = key_frames(straight(101, 1.0))
+    chosen = key_frames(straight(101, 1.0), PAPER)
     expected = set(range(30, 71, 2)) | {0, 10, 20, 80, 90, 100}
     assert set(chosen[50]) == expected - {50}
     assert set(chosen[51]) == {i for i in range(32, 71, 2)} | {10, 20, 30, 80, 90, 100}
@@ -348,7 +348,9 @@ def test_sure_points_are_wrong_less_often():
     drive = Drive(scene("crossing", 3), sensor("VLP-16"), 14, 3)
     truth = [drive.sweep(k) for k in range(len(drive))]
     trajectory = Trajectory(drive.times, drive.poses)
-    labels = classify_drive([s.points for s in truth], trajectory, DEFAULT)
+    ends = {"end_spacing": 0.2, "end_radius": 1.0, "time_spacing": 1.0}  # few sweeps, many votes
+    often = DEFAULT.model_copy(update=ends)
+    labels = classify_drive([s.points for s in truth], trajectory, often)
     sure = np.concatenate([confidence(one.votes) for one in labels])
     moving = np.concatenate([s.speed > 0.5 for s in truth])
     says = np.concatenate([one.votes.dynamic > one.votes.static for one in labels])

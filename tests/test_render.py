@@ -291,7 +291,9 @@ def draw_triangles(camera, vertices, triangles, threads=1):
     )
     placed = (frame, np.eye(4))
     size = camera.width, camera.height
-    return _core.render_surfaces(camera.K, *size, [placed], placed, placed, 0.0, 0.0, 0.0, threads)
+    return _core.render_surfaces(
+        camera.K, *size, [placed], placed, placed, 0.0, 0.0, 0.0, 12, threads
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -437,3 +439,19 @@ def test_equals_plain_numpy_on_real_sweeps():
     depth = render(camera, AXES, trajectory, time, frames.__getitem__, PAPER)
     np.testing.assert_array_equal(depth, reference(camera, clouds))
     assert np.isfinite(depth).mean() > 0.5
+
+
+@pytest.mark.parametrize("surface", ["splats", "triangles"])
+def test_scenes_of_700_metres(surface):
+    parameters = RenderParameters(surface=surface, crop=800, max_depth=700)
+    y, z = np.meshgrid(np.arange(-60, 61, 2.0), np.arange(-60, 61, 2.0))
+    far = np.stack([np.full(y.shape, 690.0), y, z], axis=-1).reshape(-1, 3).astype(np.float32)
+    beyond = far + np.float32([30, 200, 0])
+    points = np.concatenate([far, beyond])
+    frame = Frame(points, np.full(len(points), 50, np.uint16), parameters)
+    camera = Camera(np.array([[700.0, 0, 300], [0, 700, 60], [0, 0, 1]]), 601, 121)
+    depth = render(camera, AXES, straight(1), 0, lambda _: frame, parameters)
+    wall = depth[30:90, 270:330]
+    assert np.isfinite(wall).mean() > 0.9
+    np.testing.assert_allclose(wall[np.isfinite(wall)], 690, rtol=1e-5)
+    assert np.nanmax(depth) <= 700

@@ -49,14 +49,14 @@ std::unique_ptr<SurfaceFrame> make_surface_frame(
 py::array_t<float> surfaces(const Array<double>& K, int width, int height,
                             const std::vector<PlacedFrame>& fixed, const PlacedFrame& nearest,
                             const PlacedFrame& other, float duration, float delay, float max_speed,
-                            int threads) {
+                            int witnesses, int threads) {
   const Camera camera = as_camera(K, width, height);
   const auto world = as_surfaces(fixed);
   const Motion motion{as_surface(nearest), as_surface(other), duration, delay, max_speed};
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth = render_surfaces(camera, world, motion, threads);
+    depth = render_surfaces(camera, world, motion, witnesses, threads);
   }
   return to_numpy(std::move(depth), {height, width});
 }
@@ -127,7 +127,7 @@ py::dict splat_layers(const Array<double>& K, int width, int height,
 py::dict surface_layers(const Array<double>& K, int width, int height,
                         const std::vector<PlacedFrame>& fixed, const PlacedFrame& nearest,
                         const PlacedFrame& other, float duration, float delay, float max_speed,
-                        const Array<float>& depth, int threads) {
+                        int witnesses, const Array<float>& depth, int threads) {
   const Camera camera = as_camera(K, width, height);
   const auto world = as_surfaces(fixed);
   const Motion motion{as_surface(nearest), as_surface(other), duration, delay, max_speed};
@@ -135,7 +135,7 @@ py::dict surface_layers(const Array<double>& K, int width, int height,
   std::optional<Layers> layers;
   {
     const py::gil_scoped_release release;
-    layers = layers_of_triangles(camera, drawing_of(world, motion, threads), z, threads);
+    layers = layers_of_triangles(camera, drawing_of(world, motion, witnesses, threads), z, threads);
   }
   return as_dict(std::move(*layers), width, height);
 }
@@ -157,9 +157,10 @@ void bind_render(py::module_& m) {
       .def(py::init(&make_rays), "points"_a, "normals"_a)
       .def("ask", &ask, "places"_a);
   m.def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
-        "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "threads"_a = 0);
+        "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "witnesses"_a, "threads"_a = 0);
   m.def("surface_layers", &surface_layers, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
-        "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "depth"_a, "threads"_a = 0);
+        "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "witnesses"_a, "depth"_a,
+        "threads"_a = 0);
   m.def("splat_layers", &splat_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "depth"_a, "threads"_a = 0);
   m.def("render_splats", &splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,

@@ -70,18 +70,18 @@ class DynamicsParameters(_Stage):
         "surface", description="what points are held against: a key frame's pixels or its surface"
     )
     fine_spacing: float = Field(2.0, gt=0, description="spacing of fine key frames, d_fine [m]")
-    coarse_spacing: float = Field(10.0, gt=0, description="of coarse key frames, d_coarse [m]")
+    coarse_spacing: float = Field(5.0, gt=0, description="of coarse key frames, d_coarse [m]")
     fine_radius: float = Field(20.0, gt=0, description="arc length to fine ones, R_fine [m]")
-    coarse_radius: float = Field(50.0, gt=0, description="arc length to coarse, R_coarse [m]")
+    coarse_radius: float = Field(80.0, gt=0, description="arc length to coarse, R_coarse [m]")
     time_spacing: float = Field(
-        1.0, ge=0, description="and a key frame as often, where the ego crawls; 0 for none [s]"
+        0.5, ge=0, description="and a key frame as often, where the ego crawls; 0 for none [s]"
     )
     time_radius: float = Field(10.0, ge=0, description="time to these [s]")
     end_spacing: float = Field(
-        0.2, ge=0, description="of key frames between a sweep and an end that is near [s]"
+        0.4, ge=0, description="of key frames between a sweep and an end that is near [s]"
     )
     end_radius: float = Field(
-        1.0, ge=0, description="that near an end of the drive; 0 adds no key frames [s]"
+        3.0, ge=0, description="that near an end of the drive; 0 adds no key frames [s]"
     )
     resolution_deg: float = Field(0.2, gt=0, le=5, description="pixel, d_theta = d_phi [deg]")
     window: int = Field(5, ge=1, le=15, description="edge of the compared window, w [pixels]")
@@ -160,6 +160,9 @@ class RenderParameters(_Stage):
     max_speed: float = Field(
         50.0, ge=0, description="moving objects are carried to the image's time up to this [m/s]"
     )
+    witnesses: int = Field(
+        12, ge=0, le=100, description="sweeps whose rays are asked at edges; 0 believes the nearest"
+    )
     loose_deg: float = Field(
         0.1, gt=0, lt=10, description="half width of a return without a triangle [deg]"
     )
@@ -218,6 +221,8 @@ _PAPER: dict[str, dict[str, Any]] = {
     "ground": {"chunk_overlap": 0},
     "dynamics": {
         "against": "pixels",
+        "coarse_spacing": 10,
+        "coarse_radius": 50,
         "time_spacing": 0,
         "end_radius": 0,
         "objects": False,

@@ -290,4 +290,5 @@ def arguments(
         "duration": float(trajectory.times[other] - stamp) * 1e-9,
         "delay": float(np.int64(time) - stamp) * 1e-9,
         "max_speed": p.max_speed,
+        "witnesses": p.witnesses,
     }

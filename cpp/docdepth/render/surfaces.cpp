@@ -10,9 +10,6 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
-/// Sweeps whose rays are asked, by trust. More know little more.
-constexpr int kWitnesses = 12;
-
 /// A diamond around a return, across the line of sight.
 void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
                  Triangles& triangles) {
@@ -107,7 +104,8 @@ SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles
                       small_mesh(vertices, std::move(parts[k].split), classes)});
 }
 
-Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int threads) {
+Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int witnesses,
+                   int threads) {
   Drawing drawing;
   const auto count = static_cast<int>(fixed.size());
   for (int i = 0; i < count; ++i)
@@ -115,15 +113,17 @@ Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion
         .push_back({&fixed[i].frame->world.whole, fixed[i].T_camera_frame, i});
   if (count)
     drawing.others.push_back({&fixed[0].frame->world.split, fixed[0].T_camera_frame, 0, true});
-  for (int i = 0; i < std::min(count, kWitnesses); ++i)
+  for (int i = 0; i < std::min(count, witnesses); ++i)
     drawing.rays.push_back({&fixed[i].frame->rays, fixed[i].T_camera_frame});
   drawing.movers = carried(motion, count, threads);
+  if (witnesses == 0)
+    for (PlacedMover& mover : drawing.movers) mover.rays.clear();
   return drawing;
 }
 
 std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
-                                   const Motion& motion, int threads) {
-  return render_triangles(camera, drawing_of(fixed, motion, threads), threads);
+                                   const Motion& motion, int witnesses, int threads) {
+  return render_triangles(camera, drawing_of(fixed, motion, witnesses, threads), threads);
 }
 
 }  // namespace docdepth

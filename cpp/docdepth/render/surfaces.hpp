@@ -53,11 +53,16 @@ struct Motion {
 ///
 /// The sweeps of `fixed` come by trust: the first is the nearest. Moving objects are carried along
 /// their own motion to where they were when the image was taken.
+///
+/// @param witnesses number of sweeps of `fixed` whose rays are asked where sweeps differ; with 0
+/// the
+///   first to offer something is believed, and moving objects end in the middle between returns
 std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
-                                   const Motion& motion, int threads);
+                                   const Motion& motion, int witnesses, int threads);
 
 /// What render_surfaces() draws, for any rasteriser of triangles. Its sweeps are numbered: those of
 /// `fixed` from 0 on, then the nearest and the other of `motion`.
-Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int threads);
+Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int witnesses,
+                   int threads);
 
 }  // namespace docdepth
