@@ -232,7 +232,8 @@ def reference_moving(points, ground, static, dynamic, p):
     surface = Surface(points)
     whole = surface.triangles[~surface.cut].astype(int)
     edges = np.concatenate([whole[:, [0, 1]], whole[:, [1, 2]], whole[:, [2, 0]]])
-    link = np.float32(p.link) + np.float32(p.link_growth) * across(*points[edges.T])
+    range_ = np.sqrt(squared(points))[edges].min(axis=1)
+    link = np.float32(p.link) + np.float32(p.link_growth) * range_
     edges = edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < link * link]
     candidate = dynamic > static
     label, size = connected(len(points), edges[candidate[edges].all(axis=1)])
@@ -264,13 +265,6 @@ def reference_moving(points, ground, static, dynamic, p):
             inside = (points <= high + margin).all(1) & (low <= points + margin).all(1)
             moving |= loose & inside
     return moving
-
-
-def across(a, b):
-    """Distance across the line of sight, at the nearer one's range."""
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    cross = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], 1)
-    return np.sqrt(squared(cross)) / np.sqrt(np.maximum(squared(a), squared(b)))
 
 
 def squared(v):

@@ -101,9 +101,7 @@ class DynamicsParameters(_Stage):
     link: float = Field(
         0.3, gt=0, description="neighbours farther apart belong to different objects [m]"
     )
-    link_growth: float = Field(
-        1.0, ge=0, description="growth of that with their distance across the line of sight [m/m]"
-    )
+    link_growth: float = Field(0.05, ge=0, description="growth of that with range [m/m]")
     companions: int = Field(
         5, ge=1, description="connected dynamic points that need no other evidence"
     )

@@ -20,14 +20,6 @@ float squared_distance(const Points& points, std::uint32_t a, std::uint32_t b) {
   return (x * x + y * y) + z * z;
 }
 
-/// Distance across the line of sight, at the nearer one's range.
-float across(const Points& points, std::uint32_t a, std::uint32_t b) {
-  const float ax = points(a, 0), ay = points(a, 1), az = points(a, 2);
-  const float bx = points(b, 0), by = points(b, 1), bz = points(b, 2);
-  const float x = ay * bz - az * by, y = az * bx - ax * bz, z = ax * by - ay * bx;
-  return std::sqrt((x * x + y * y) + z * z) / std::max(range_of(ax, ay, az), range_of(bx, by, bz));
-}
-
 /// Sets of points that are joined one by one.
 class Sets {
  public:
@@ -59,12 +51,15 @@ template <class TakesPart>
 std::vector<std::uint32_t> connect(const Points& points, const Surface& surface,
                                    const ObjectParameters& p, const TakesPart& takes_part) {
   Sets sets(points.rows());
+  const auto range = [&](std::uint32_t i) {
+    return range_of(points(i, 0), points(i, 1), points(i, 2));
+  };
   for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
     if (surface.cut[t]) continue;
     for (int i = 0; i < 3; ++i) {
       const auto a = surface.triangles[t][i], b = surface.triangles[t][(i + 1) % 3];
       if (!takes_part(a) || !takes_part(b)) continue;
-      const float link = p.link + p.link_growth * across(points, a, b);
+      const float link = p.link + p.link_growth * std::min(range(a), range(b));
       if (squared_distance(points, a, b) < link * link) sets.join(a, b);
     }
   }

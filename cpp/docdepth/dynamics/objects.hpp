@@ -10,19 +10,19 @@
 namespace docdepth {
 
 struct ObjectParameters {
-  float link = 0.3f;         ///< neighbouring returns farther apart are not connected [m]
-  float link_growth = 1;     ///< growth of that with their distance across the line of sight
-  int companions = 5;        ///< connected dynamic points that believe each other
-  float company = 1.0f;      ///< nearer to what is dynamic a single point is believed, too [m]
-  int clear_votes = 3;       ///< or with that many dynamic votes
-  float clear_ratio = 4;     ///< that outnumber the static ones so many times
-  int object_points = 10;    ///< an object has that many points
-  float share = 0.5f;        ///< and moves when that share of them is dynamic
-  float width = 1.5f;        ///< or when it is that wide and long, from above [m]
-  float freed_share = 0.6f;  ///< and the place of that share was seen free:
-  int freed_votes = 2;       ///< by that many key frames,
-  float freed_ratio = 8;     ///< and by one to so many that saw it taken
-  int loose_votes = 2;       ///< most static votes more than dynamic ones of a loose point
+  float link = 0.3f;          ///< neighbouring returns farther apart are not connected [m]
+  float link_growth = 0.05f;  ///< growth of that with range [m/m]
+  int companions = 5;         ///< connected dynamic points that believe each other
+  float company = 1.0f;       ///< nearer to what is dynamic a single point is believed, too [m]
+  int clear_votes = 3;        ///< or with that many dynamic votes
+  float clear_ratio = 4;      ///< that outnumber the static ones so many times
+  int object_points = 10;     ///< an object has that many points
+  float share = 0.5f;         ///< and moves when that share of them is dynamic
+  float width = 1.5f;         ///< or when it is that wide and long, from above [m]
+  float freed_share = 0.6f;   ///< and the place of that share was seen free:
+  int freed_votes = 2;        ///< by that many key frames,
+  float freed_ratio = 8;      ///< and by one to so many that saw it taken
+  int loose_votes = 2;        ///< most static votes more than dynamic ones of a loose point
 };
 
 /// Objects of a sweep, connected points off the ground: of each point the row of the first one.
