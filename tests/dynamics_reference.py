@@ -233,7 +233,7 @@ def reference_moving(points, ground, static, dynamic, p):
     whole = surface.triangles[~surface.cut].astype(int)
     edges = np.concatenate([whole[:, [0, 1]], whole[:, [1, 2]], whole[:, [2, 0]]])
     range_ = np.sqrt(squared(points))[edges].min(axis=1)
-    link = np.float32(p.link) + np.float32(p.link_growth) * range_
+    link = np.maximum(np.float32(p.link), np.float32(p.link_growth) * range_)
     edges = edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < link * link]
     candidate = dynamic > static
     label, size = connected(len(points), edges[candidate[edges].all(axis=1)])

@@ -101,7 +101,9 @@ class DynamicsParameters(_Stage):
     link: float = Field(
         0.3, gt=0, description="neighbours farther apart belong to different objects [m]"
     )
-    link_growth: float = Field(0.05, ge=0, description="growth of that with range [m/m]")
+    link_growth: float = Field(
+        0.05, ge=0, description="or, where beams are wider apart, than so much of their range [-]"
+    )
     companions: int = Field(
         5, ge=1, description="connected dynamic points that need no other evidence"
     )

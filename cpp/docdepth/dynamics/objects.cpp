@@ -59,7 +59,7 @@ std::vector<std::uint32_t> connect(const Points& points, const Surface& surface,
     for (int i = 0; i < 3; ++i) {
       const auto a = surface.triangles[t][i], b = surface.triangles[t][(i + 1) % 3];
       if (!takes_part(a) || !takes_part(b)) continue;
-      const float link = p.link + p.link_growth * std::min(range(a), range(b));
+      const float link = std::max(p.link, p.link_growth * std::min(range(a), range(b)));
       if (squared_distance(points, a, b) < link * link) sets.join(a, b);
     }
   }

@@ -10,8 +10,8 @@
 namespace docdepth {
 
 struct ObjectParameters {
-  float link = 0.3f;          ///< neighbouring returns farther apart are not connected [m]
-  float link_growth = 0.05f;  ///< growth of that with range [m/m]
+  float link = 0.3f;          ///< neighbouring returns farther apart are not connected [m],
+  float link_growth = 0.05f;  ///< or, where beams are wider apart, than so much of their range
   int companions = 5;         ///< connected dynamic points that believe each other
   float company = 1.0f;       ///< nearer to what is dynamic a single point is believed, too [m]
   int clear_votes = 3;        ///< or with that many dynamic votes
