@@ -223,6 +223,10 @@ def test_wrong_objects_are_refused():
 # Whole drives -------------------------------------------------------------------------------------
 
 
+# So that votes do not tell already what is to be told by following.
+FEW_VOTES = {"freed_share": 1.0, "time_spacing": 1, "end_spacing": 0.2, "end_radius": 1}
+
+
 @pytest.fixture(scope="module")
 def street():
     """A box that waits beside a slow ego for 20 sweeps and is gone soon after."""
@@ -237,7 +241,7 @@ def street():
 def test_a_box_that_waits_is_dynamic_in_the_whole_drive(street):
     trajectory, sweeps, what = street
     ground = [w == 0 for w in what]
-    alone = DEFAULT.model_copy(update={"tracks": False, "freed_share": 1.0})
+    alone = DEFAULT.model_copy(update={"tracks": False, **FEW_VOTES})
     together = alone.model_copy(update={"tracks": True})
     shares = []
     for p in (alone, together):
@@ -252,7 +256,7 @@ def test_a_box_that_waits_is_dynamic_in_the_whole_drive(street):
 
 def folder_of(path, trajectory, sweeps):
     """A run whose odometry is done."""
-    settings = {"ground.seed_radius": 3.0, "dynamics.freed_share": 1.0}
+    settings = {"ground.seed_radius": 3.0, **{f"dynamics.{k}": v for k, v in FEW_VOTES.items()}}
     run = RunFolder.create(path, {}, Parameters.model_validate(parameters("default", settings)))
     for i, points in enumerate(sweeps):
         record = FrameRecord(points, np.arange(len(points), dtype=np.uint32), f"{i:06d}",
