@@ -111,6 +111,29 @@ def test_interrupted_run_goes_on_and_ends_the_same(drive, finished, tmp_path, mo
             assert path.read_bytes() == (run / folder / path.name).read_bytes(), path.name
 
 
+def test_votes_are_kept_when_only_their_use_changes(finished, tmp_path, monkeypatch):
+    kept, again = tmp_path / "kept", tmp_path / "again"
+    asked = []
+    vote = classes.dynamics.vote
+
+    def counted(*arguments):
+        asked.append(1)
+        return vote(*arguments)
+
+    monkeypatch.setattr(classes.dynamics, "vote", counted)
+    for run in (kept, again):
+        shutil.copytree(finished[0], run)
+    assert cli("classify", kept, "--set", "dynamics.object_share=0.05").exit_code == 0
+    assert not asked
+    # The same from votes that are cast anew: a change there and back.
+    assert cli("classify", again, "--set", "dynamics.tolerance=0.3").exit_code == 0
+    settings = ("--set", "dynamics.object_share=0.05", "--set", "dynamics.tolerance=0.2")
+    assert cli("classify", again, *settings).exit_code == 0
+    assert len(asked) == 2 * FRAMES
+    for path in sorted((kept / "frames").iterdir()):
+        assert path.read_bytes() == (again / "frames" / path.name).read_bytes()
+
+
 def test_several_cameras_in_several_formats(drive, finished, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(finished[0], run)

@@ -63,8 +63,8 @@ class SurfaceParameters(_Stage):
     )
 
 
-class DynamicsParameters(_Stage):
-    """Key frames and voting (paper III-C2, Algorithm 1)."""
+class VotingParameters(_Stage):
+    """Key frames, and how they vote (paper III-C2, Algorithm 1)."""
 
     against: Literal["pixels", "surface"] = Field(
         "surface", description="what points are held against: a key frame's pixels or its surface"
@@ -97,6 +97,18 @@ class DynamicsParameters(_Stage):
     beam: float = Field(
         0.15, gt=0, description="what lies farther from a measured line of sight is not seen [m]"
     )
+
+    @field_validator("window")
+    @classmethod
+    def _odd(cls, window: int) -> int:
+        if window % 2 == 0:
+            raise ValueError("the window has a centre pixel, so its edge is odd")
+        return window
+
+
+class DynamicsParameters(VotingParameters):
+    """Key frames, votes, and what makes classes of votes (paper III-C2)."""
+
     objects: bool = Field(True, description="share evidence within connected objects")
     link: float = Field(
         0.3, gt=0, description="neighbours farther apart belong to different objects [m]"
@@ -136,12 +148,9 @@ class DynamicsParameters(_Stage):
     track_gap: float = Field(0.5, ge=0, description="an object unseen for longer is lost [s]")
     track_hold: float = Field(5.0, ge=0, description="the same of one that stands [s]")
 
-    @field_validator("window")
-    @classmethod
-    def _odd(cls, window: int) -> int:
-        if window % 2 == 0:
-            raise ValueError("the window has a centre pixel, so its edge is odd")
-        return window
+    def voting(self) -> dict[str, Any]:
+        """The values that votes depend on; all others make classes of votes."""
+        return self.model_dump(include=set(VotingParameters.model_fields))
 
 
 class RenderParameters(_Stage):

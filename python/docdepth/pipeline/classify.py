@@ -35,6 +35,8 @@ class _Sweep(NamedTuple):
 def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = None) -> None:
     """Ground, votes and class of every point into ``frames/`` and ``labels/``.
 
+    Votes that are there are kept when only what makes classes of them has changed.
+
     Parameters
     ----------
     threads : int
@@ -42,12 +44,13 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     """
     parameters = run.parameters
     trajectory = run.trajectory()
-    key = stage_key(
+    made_of = (
         run.stage("odometry").get("key"),
         parameters.ground.model_dump(),
         parameters.surface.model_dump(),
-        parameters.dynamics.model_dump(),
     )
+    key = stage_key(*made_of, parameters.dynamics.model_dump())
+    votes_key = stage_key(*made_of, parameters.dynamics.voting())
     if stage_is_done(run, "classify", key):
         return
     watch, total = Stopwatch(), len(trajectory)
@@ -60,7 +63,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     seen = run.path / ".objects" / key
     voters = dynamics.key_frames(trajectory, parameters.dynamics)
 
-    def is_voted(index: int) -> bool:
+    def is_classified(index: int) -> bool:
         whole = not over_time or (seen / f"{index:06d}.npy").is_file()
         return whole and run.frame_key(index).get("classify") == key
 
@@ -95,14 +98,15 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         with watch("write"):
             classified = replace(
                 record,
-                key={**record.key, "classify": key},
+                key={**record.key, "votes": votes_key, "classify": key},
                 votes_static=votes.static,
                 votes_dynamic=votes.dynamic,
                 classid=classid,
             )
             _write_classified(run, index, classified)
 
-    left = [index for index in range(total) if not is_voted(index)]
+    left = [index for index in range(total) if not is_classified(index)]
+    voted = {index for index in left if run.frame_key(index).get("votes") == votes_key}
     tell = teller(progress, "classify")
     tell(total - len(left), total)
     sweeps: dict[int, Future[_Sweep]] = {}
@@ -113,7 +117,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         pending: Future[None] | None = None
         for done, index in enumerate(left):
             ahead = left[done : done + 2]
-            asked = {k for i in ahead for k in voters[i].tolist()}
+            asked = {k for i in ahead if i not in voted for k in voters[i].tolist()}
             sweeps = {k: sweeps[k] for k in sweeps if k >= index}
             key_frames = {k: key_frames[k] for k in key_frames if k in asked}
             for k in sorted({*ahead, *asked} - sweeps.keys() - key_frames.keys()):
@@ -122,17 +126,21 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                 key_frames[k] = pool.submit(make_key_frame, sweeps[k])
             with watch("wait for sweeps"):
                 sweep = sweeps[index].result()
-                answering = [key_frames[k].result() for k in voters[index].tolist()]
-            with watch("vote"):
-                votes = dynamics.vote(
-                    sweep.record.points,
-                    sweep.ground,
-                    trajectory.poses[index],
-                    answering,
-                    trajectory.poses[voters[index]],
-                    parameters.dynamics,
-                    threads,
-                )
+            if index in voted:
+                votes = _votes_of(sweep.record)
+            else:
+                with watch("wait for sweeps"):
+                    answering = [key_frames[k].result() for k in voters[index].tolist()]
+                with watch("vote"):
+                    votes = dynamics.vote(
+                        sweep.record.points,
+                        sweep.ground,
+                        trajectory.poses[index],
+                        answering,
+                        trajectory.poses[voters[index]],
+                        parameters.dynamics,
+                        threads,
+                    )
             with watch("wait for objects and files"):
                 if pending:
                     pending.result()
@@ -235,6 +243,12 @@ def _read_arrays(path: Path, count: int) -> list[NDArray[Any]]:
     """The first ones of a file."""
     with path.open("rb") as stream:
         return [np.load(stream) for _ in range(count)]
+
+
+def _votes_of(record: FrameRecord) -> dynamics.Votes:
+    assert record.votes_static is not None
+    assert record.votes_dynamic is not None
+    return dynamics.Votes(record.votes_static, record.votes_dynamic)
 
 
 def _write_classified(run: RunFolder, index: int, record: FrameRecord) -> None:
