@@ -23,8 +23,8 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.render import Camera, Frame, needed_frames, render
 
 PRESETS = ("default", "paper")
-# Every so manieth point; length of the drawn path [m]; size of the image over the camera's.
-THINNED, PATHS, SIZES = (1, 2, 4, 8), (10, 20, 40, 70, 100), (0.5, 0.75, 1.0, 1.5, 2.0)
+# Every so manieth point; spacing of the drawn sweeps [m]; size of the image over the camera's.
+THINNED, STEPS, SIZES = (1, 2, 4, 8), (0.2, 0.5, 1, 2, 5), (0.5, 0.75, 1.0, 1.5, 2.0)
 
 
 class Scene:
@@ -37,9 +37,9 @@ class Scene:
         self.time = int(self.stream.times[len(self.stream.times) // 2])
         self.seconds_a_frame: dict[str, list[float]] = {preset: [] for preset in PRESETS}
 
-    def job(self, preset: str, thin: int = 1, path: float = 100, size: float = 1):
+    def job(self, preset: str, thin: int = 1, step: float | None = None, size: float = 1):
         """What draws, and how many sweeps and points it draws from."""
-        p = parameters(preset, {"render.ahead": path}).render
+        p = parameters(preset, {} if step is None else {"render.step": step}).render
         frames, points = {}, 0
         for k in sorted(needed_frames(self.trajectory, self.time, p)):
             record = self.run.frame(k)
@@ -86,7 +86,7 @@ def main() -> None:
     for preset in PRESETS:
         for label, unit, jobs in (
             ("points", 1e6, [scene.job(preset, thin=n) for n in THINNED]),
-            ("sweeps", 1, [scene.job(preset, path=d) for d in PATHS]),
+            ("sweeps", 1, [scene.job(preset, step=d) for d in STEPS]),
             ("pixels", 1e6, [scene.job(preset, size=s) for s in SIZES]),
         ):
             pixels = scene.stream.camera.width * scene.stream.camera.height
@@ -116,8 +116,8 @@ def plot(axes: dict, path: Path) -> None:
         for preset, (x, y) in curves.items():
             panel.plot(x, y, "o-", label=preset)
         panel.set_xlabel({"points": "million points", "pixels": "million pixels"}.get(label, label))
-        panel.set_ylim(bottom=0)
     panels[0].set_ylabel("ms a map")
+    panels[0].set_ylim(0, 1.05 * max(max(y) for c in axes.values() for _, y in c.values()))
     panels[0].legend()
     figure.tight_layout()
     figure.savefig(path, dpi=110)
