@@ -48,7 +48,7 @@ def pixels(cell: Cell, p: RenderParameters, images: int, threads: int) -> Column
         depth, truth = render(*view), drive.image(int(k)).depth
         found = layers(("support", "measures"), depth, *view)
         sure = confidence(depth, found["support"], found["measures"], p.surface)
-        odds, edge = features(depth, found["support"], found["measures"])
+        odds, edge = features(depth, found["support"], found["measures"], p.surface)
         known = np.isfinite(depth) & (truth <= 80)
         error = np.abs(depth - truth)
         columns = {"sure": sure, "error": error, "right": error < 0.05 * truth}

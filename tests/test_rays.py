@@ -134,8 +134,9 @@ def test_bars_of_a_fence_are_where_many_sweeps_met_them():
     pixels = np.stack([np.ones(columns.shape), -columns / 500, -rows / 500], -1)
     truth = fence_and_wall(pixels, 0.0)
     wrong = {}
-    for witnesses in (0, 12):
-        parameters = RenderParameters(step=0.5, behind=0.0, witnesses=witnesses)
+    ways = {"alone": {"ahead": 0.1}, "not asked": {"witnesses": 0}, "asked": {}}
+    for way, settings in ways.items():
+        parameters = RenderParameters(step=0.5, behind=0.0, **settings)
         frames = []
         for pose in poses:
             ranges = fence_and_wall(directions, pose[0, 3])
@@ -143,8 +144,10 @@ def test_bars_of_a_fence_are_where_many_sweeps_met_them():
             frames.append(Frame(points, np.full(len(points), 50, np.uint16), parameters))
         depth = render(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 1)
         assert np.isfinite(depth).all()
-        wrong[witnesses] = (np.abs(depth - truth) > 0.05 * truth).mean()
+        wrong[way] = (np.abs(depth - truth) > 0.05 * truth).mean()
         threaded = render(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 3)
         np.testing.assert_array_equal(threaded, depth)
-    assert 0.05 < wrong[0] < 0.3
-    assert wrong[12] < 0.8 * wrong[0]
+    assert 0.05 < wrong["alone"] < 0.3
+    assert wrong["asked"] < 0.65 * wrong["alone"]
+    assert 0.05 < wrong["not asked"] < 0.3
+    assert wrong["asked"] < 0.8 * wrong["not asked"]

@@ -108,9 +108,11 @@ def confidence(
 
     The logistic function of ``a + b ln((s + 1/4) / (m - s + 1)) - c e``: of m measurements of the
     pixel s agree with its depth, and a pixel that nobody measured counts as a quarter of one
-    against one; e is 0 where the map is smooth within 3 pixels and 1 at a depth edge, the logarithm
-    of the largest second difference of nearness over nearness, from 0.1 to 100 %. a, b and c were
-    fitted to exact depth of synthetic drives, see ``examples/confidence.py``.
+    against one. Of triangles the logarithm is that of such a pixel at the least: sweeps that all
+    measured another depth make it no worse than none did. e is 0 where the map is smooth within 3
+    pixels and 1 at a depth edge, the logarithm of the largest second difference of nearness over
+    nearness, from 0.1 to 100 %. a, b and c were fitted to exact depth of synthetic drives, see
+    ``examples/confidence.py``.
 
     Parameters
     ----------
@@ -127,17 +129,22 @@ def confidence(
         NaN where there is no depth.
     """
     a, b, c = _CONFIDENCE[surface]
-    odds, edge = features(depth, support, measures)
+    odds, edge = features(depth, support, measures, surface)
     chance = 1 / (1 + np.exp(-(a + b * odds - c * edge)))
     return np.where(np.isnan(depth), np.nan, chance).astype(np.float32)
 
 
 def features(
-    depth: NDArray[np.float32], support: NDArray[np.uint16], measures: NDArray[np.uint16]
+    depth: NDArray[np.float32],
+    support: NDArray[np.uint16],
+    measures: NDArray[np.uint16],
+    surface: str = "triangles",
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The two terms of :func:`confidence`: logarithm of the odds, and edge, 0..1."""
     against = measures.astype(np.float32) - support
     odds = np.log((support.astype(np.float32) + 0.25) / (against + 1))
+    if surface == "triangles":
+        odds = np.maximum(odds, np.float32(np.log(0.25)))
     bend = cv2.dilate(_bends(depth), np.ones((7, 7), np.uint8))
     return odds, np.log10(np.clip(bend, 1e-3, 1)) / 3 + 1
 
