@@ -160,10 +160,11 @@ void RangeImage::vote(const QueryPoints& points, const std::int32_t* pixel, std:
     left[count] = static_cast<std::int32_t>(i);
     count += open[i];
   }
-  const int half = canvas_.half();
-  if (2 * half < kLanes) {
-    const float* corner = range_.data() - half * (canvas_.stride() + 1);
-    dispatch<ScanWindows>(count, left, points.range, pixel, corner, canvas_.stride(), 2 * half + 1,
+  const int window = 2 * canvas_.half() + 1;
+  if (window <= kLanes) {
+    const float* corner = canvas_.corner(range_);
+    fetch_windows(corner, canvas_.stride(), window, left, count, pixel);
+    dispatch<ScanWindows>(count, left, points.range, pixel, corner, canvas_.stride(), window,
                           tolerance_, statics);
     return;
   }

@@ -267,10 +267,8 @@ void SurfaceImage::vote(const QueryPoints& points, const std::int32_t* pixels,
     count += open[i] < 0;
   }
   const int window = 2 * canvas_.half() + 1;
-  const float* corner = range_.data() - canvas_.half() * (canvas_.stride() + 1);
-  for (std::size_t k = 0; k < count; ++k)
-    for (int row = 0; row < window; ++row)
-      __builtin_prefetch(corner + pixels[left[k]] + row * canvas_.stride());
+  const float* corner = canvas_.corner(range_);
+  fetch_windows(corner, canvas_.stride(), window, left, count, pixels);
   dispatch<AskWindows>(count, left, points.range, pixels, open, corner, canvas_.stride(), window,
                        parameters_.tolerance, statics, dynamics);
 }
