@@ -6,9 +6,9 @@
 #include <limits>
 #include <stdexcept>
 
-#include "docdepth/dynamics/lanes.hpp"
 #include "docdepth/dynamics/window.hpp"
 #include "docdepth/geometry/dispatch.hpp"
+#include "docdepth/geometry/lanes.hpp"
 
 namespace docdepth {
 namespace {

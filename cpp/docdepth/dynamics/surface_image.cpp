@@ -7,9 +7,9 @@
 #include <limits>
 #include <stdexcept>
 
-#include "docdepth/dynamics/lanes.hpp"
 #include "docdepth/dynamics/window.hpp"
 #include "docdepth/geometry/dispatch.hpp"
+#include "docdepth/geometry/lanes.hpp"
 #include "docdepth/surface/directions.hpp"
 
 namespace docdepth {

@@ -2,35 +2,54 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
+
+#include "docdepth/geometry/dispatch.hpp"
+#include "docdepth/geometry/lanes.hpp"
 
 namespace docdepth {
 namespace {
 
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
-constexpr std::size_t kLanes = 8;  // arrays are padded to whole vectors
-
-/// Squared distances of n points (a multiple of kLanes) to (x, y, z), and the smallest of an open
-/// one.
-float measure(const float* xs, const float* ys, const float* zs, const float* closed, std::size_t n,
-              float x, float y, float z, float* squared) {
-  float smallest[kLanes];
-  std::fill_n(smallest, kLanes, kInfinity);
-  for (std::size_t i = 0; i < n; i += kLanes)
-    for (std::size_t l = 0; l < kLanes; ++l) {
-      const float dx = xs[i + l] - x, dy = ys[i + l] - y, dz = zs[i + l] - z;
-      const float d = (dx * dx + dy * dy) + dz * dz;
-      squared[i + l] = d;
-      const float open = d + closed[i + l];
-      smallest[l] = open < smallest[l] ? open : smallest[l];
+/// Squared distances of n points (whole vectors) to (x, y, z), and the smallest of an open one.
+struct Measure {
+  DOCDEPTH_KERNEL static void run(const float* xs, const float* ys, const float* zs,
+                                  const float* closed, std::size_t n, float x, float y, float z,
+                                  float* squared, float* smallest) {
+    Floats least = kInfinity - Floats{};
+    for (std::size_t i = 0; i < n; i += kLanes) {
+      Floats dx, dy, dz, open;
+      std::memcpy(&dx, xs + i, sizeof dx);
+      std::memcpy(&dy, ys + i, sizeof dy);
+      std::memcpy(&dz, zs + i, sizeof dz);
+      std::memcpy(&open, closed + i, sizeof open);
+      dx -= x;
+      dy -= y;
+      dz -= z;
+      const Floats d = (dx * dx + dy * dy) + dz * dz;
+      std::memcpy(squared + i, &d, sizeof d);
+      open += d;
+      least = open < least ? open : least;
     }
-  return *std::min_element(smallest, smallest + kLanes);
-}
+    *smallest = least[0];
+    for (int lane = 1; lane < kLanes; ++lane) *smallest = std::min(*smallest, least[lane]);
+  }
+};
 
-std::size_t count_within(const float* squared, std::size_t n, float radius) {
-  int count = 0;
-  for (std::size_t i = 0; i < n; ++i) count += squared[i] <= radius;
-  return static_cast<std::size_t>(count);
+struct CountWithin {
+  DOCDEPTH_KERNEL static void run(const float* squared, std::size_t n, float radius,
+                                  std::size_t* result) {
+    int count = 0;
+    for (std::size_t i = 0; i < n; ++i) count += squared[i] <= radius;
+    *result = static_cast<std::size_t>(count);
+  }
+};
+
+std::size_t count_within(const std::vector<float>& squared, std::size_t n, float radius) {
+  std::size_t count;
+  dispatch<CountWithin>(squared.data(), n, radius, &count);
+  return count;
 }
 
 }  // namespace
@@ -94,11 +113,12 @@ Neighborhood::Outcome Neighborhood::search(std::uint32_t point) {
     needed_reach_ = 2.0 * reach_;
     return Outcome::kReachTooShort;
   }
-  const float nearest_open = measure(x_.data(), y_.data(), z_.data(), closed_.data(), padded_,
-                                     x_[candidate], y_[candidate], z_[candidate], squared_.data());
+  float nearest_open;
+  dispatch<Measure>(x_.data(), y_.data(), z_.data(), closed_.data(), padded_, x_[candidate],
+                    y_[candidate], z_[candidate], squared_.data(), &nearest_open);
   const auto reach = static_cast<float>(reach_ * reach_);
   const float labelled = std::min(nearest_open, reach) - 4.f * error_;
-  if (labelled > 0.f && count_within(squared_.data(), padded_, labelled) >= k_)
+  if (labelled > 0.f && count_within(squared_, padded_, labelled) >= k_)
     return Outcome::kNothingNew;
   return select(candidate, radius_of_k());
 }
@@ -109,7 +129,7 @@ float Neighborhood::radius_of_k() {
   float low = 0.f, high = kInfinity;
   float radius = guess_ > 0.f ? guess_ : std::max(error_, 1e-6f);
   for (int i = 0; i < 64; ++i) {
-    const std::size_t count = count_within(squared_.data(), padded_, radius);
+    const std::size_t count = count_within(squared_, padded_, radius);
     (count >= k_ ? high : low) = radius;
     if (count >= k_ && (count <= k_ + 6 || i > 6)) break;
     // On a surface the count grows like the squared radius.
