@@ -10,4 +10,7 @@ constexpr int kLanes = 8;
 using Floats = float __attribute__((vector_size(4 * kLanes)));
 using Ints = std::int32_t __attribute__((vector_size(4 * kLanes)));
 
+constexpr int kDoubleLanes = 4;
+using Doubles = double __attribute__((vector_size(8 * kDoubleLanes)));
+
 }  // namespace docdepth
