@@ -107,7 +107,8 @@ def write_frame(path: Path, frame: FrameRecord) -> None:
     }
     fields += [(name, "<f4" if name == "late" else "<u2") for name in extra]
     rows = np.empty(len(frame.points), np.dtype(fields))
-    rows["x"], rows["y"], rows["z"] = frame.points.T
+    # Numpy is slow where both sides are strided and one of them is not aligned.
+    rows["x"], rows["y"], rows["z"] = np.ascontiguousarray(frame.points.T)
     rows["index"] = frame.index
     for name, values in extra.items():
         rows[name] = values
@@ -128,9 +129,7 @@ def read_frame(path: Path) -> FrameRecord:
     names = rows.dtype.names or ()
     if not {"x", "y", "z"} <= set(names):
         raise RunError(f"{path}: has no x y z")
-    points = np.empty((len(rows), 3), np.float32)
-    for axis, name in enumerate("xyz"):
-        points[:, axis] = rows[name]
+    points = np.stack([np.ascontiguousarray(rows[name], np.float32) for name in "xyz"], axis=1)
     notes = _notes(comments)
 
     def column(name: str) -> NDArray[np.uint16] | None:
