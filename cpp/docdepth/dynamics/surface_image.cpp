@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <optional>
 #include <stdexcept>
 
 #include "docdepth/dynamics/window.hpp"
@@ -122,15 +123,10 @@ struct AskWindows {
 
 using Corner = std::array<std::int64_t, 2>;
 
-/// Twice the area of a, b, c.
-std::int64_t area(const Corner& a, const Corner& b, const Corner& c) {
-  return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-}
-
 /// First pixel whose centre, (2 k + 1) kTurn / 2, is not below a coordinate.
 std::int64_t first_pixel(std::int64_t coordinate) {
-  const std::int64_t twice = coordinate - kTurn / 2;
-  return twice >= 0 ? (twice + kTurn - 1) / kTurn : -(-twice / kTurn);
+  static_assert(kTurn == 1 << 16);
+  return (coordinate + kTurn / 2 - 1) >> 16;
 }
 
 /// Call body(column, row) for the pixels whose centres lie in a triangle, its border included.
@@ -142,13 +138,24 @@ void for_each_pixel(const std::array<Corner, 3>& corners, const Body& body) {
     return std::array<std::int64_t, 2>{first_pixel(low), first_pixel(high + 1)};
   };
   const auto columns = span(0), rows = span(1);
+  if (columns[0] == columns[1] || rows[0] == rows[1]) return;
+  // Twice the areas of the first centre with each side, and how they grow from pixel to pixel.
+  std::int64_t area[3], right[3], down[3];
+  for (int i = 0; i < 3; ++i) {
+    const Corner &a = corners[i], &b = corners[(i + 1) % 3];
+    const std::int64_t x = b[0] - a[0], y = b[1] - a[1];
+    area[i] =
+        x * (rows[0] * kTurn + kTurn / 2 - a[1]) - y * (columns[0] * kTurn + kTurn / 2 - a[0]);
+    right[i] = -y * kTurn;
+    down[i] = x * kTurn;
+  }
   for (std::int64_t row = rows[0]; row < rows[1]; ++row) {
+    std::int64_t at[3] = {area[0], area[1], area[2]};
     for (std::int64_t column = columns[0]; column < columns[1]; ++column) {
-      const Corner centre{column * kTurn + kTurn / 2, row * kTurn + kTurn / 2};
-      bool inside = true;
-      for (int i = 0; i < 3; ++i) inside &= area(corners[i], corners[(i + 1) % 3], centre) >= 0;
-      if (inside) body(column, row);
+      if ((at[0] | at[1] | at[2]) >= 0) body(column, row);
+      for (int i = 0; i < 3; ++i) at[i] += right[i];
     }
+    for (int i = 0; i < 3; ++i) area[i] += down[i];
   }
 }
 
@@ -233,14 +240,17 @@ void SurfaceImage::draw(const Points& points, const Surface& surface) {
       if (corners[i][0] - corners[0][0] > turn / 2) corners[i][0] -= turn;
       if (corners[0][0] - corners[i][0] > turn / 2) corners[i][0] += turn;
     }
+    std::optional<Seen> seen;
     for_each_pixel(corners, [&](std::int64_t column, std::int64_t row) {
-      const std::int64_t unwrapped = column;
-      column += column < 0 ? columns : column >= columns ? -columns : 0;
-      const std::size_t pixel = (row - canvas_.top()) * canvas_.stride() + column + canvas_.half();
+      const std::int64_t wrapped = column + (column < 0          ? columns
+                                             : column >= columns ? -columns
+                                                                 : 0);
+      const std::size_t pixel = (row - canvas_.top()) * canvas_.stride() + wrapped + canvas_.half();
       if (drawn[pixel]) return;
       drawn[pixel] = 1;
-      seen_[pixel] = triangle(points, surface.triangles[t], surface.cut[t]);
-      seen_[pixel].bits |= steps_to_nearest(corners, unwrapped, row);
+      if (!seen) seen = triangle(points, surface.triangles[t], surface.cut[t]);
+      seen_[pixel] = *seen;
+      seen_[pixel].bits |= steps_to_nearest(corners, column, row);
     });
   }
 }
