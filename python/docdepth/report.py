@@ -14,7 +14,8 @@ _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 1300px; padding: 0 1em }
 table { border-collapse: collapse; margin: 1em 0 }
 td, th { padding: .2em 1em .2em 0; text-align: left; vertical-align: top }
-figure { margin: 0 0 1em } img, video { max-width: 100% } figcaption { color: #666; font-size: 13px }
+figure { margin: 0 0 1em } img, video { max-width: 100% }
+figcaption { color: #666; font-size: 13px }
 """
 
 

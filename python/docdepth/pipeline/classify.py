@@ -21,7 +21,7 @@ from docdepth.pipeline.stage import Progress, Stopwatch, finish_stage, stage_is_
 from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory
 
-_MOVING, _STATIC = 251, 9  # SemanticKITTI's moving-object labels
+_MOVING, _STATIC, _OUTLIER = 251, 9, 1  # SemanticKITTI's labels
 
 
 class _Sweep(NamedTuple):
@@ -253,8 +253,8 @@ def _votes_of(record: FrameRecord) -> dynamics.Votes:
 
 def _write_classified(run: RunFolder, index: int, record: FrameRecord) -> None:
     assert record.classid is not None
-    labels = np.full(record.input_points, _STATIC, np.uint32)
-    labels[record.index[record.classid >= 100]] = _MOVING
+    labels = np.full(record.input_points, _OUTLIER, np.uint32)
+    labels[record.index] = np.where(record.classid >= dynamics.DYNAMIC, _MOVING, _STATIC)
     path = run.path / "labels" / f"{record.name}.label"
     write_atomically(path, lambda stream: stream.write(labels.tobytes()))
     # Last, because its key says that this frame is done.
