@@ -73,13 +73,17 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             bits = np.load(grounds / f"{index:06d}.npy")
             ground = np.unpackbits(bits, count=len(record.points)).astype(bool)
         with watch("surfaces"):
-            surface = dynamics.surface_for(record.points, parameters.dynamics, parameters.surface)
+            surface = dynamics.surface_for(
+                record.points, parameters.dynamics, parameters.surface, run.sensors(record)
+            )
         return _Sweep(record, ground, surface)
 
     def make_key_frame(sweep: Future[_Sweep]) -> dynamics.KeyFrame:
         record, ground, surface = sweep.result()
         with watch("key frames"):
-            return dynamics.KeyFrame(record.points, ground, parameters.dynamics, surface)
+            return dynamics.KeyFrame(
+                record.points, ground, parameters.dynamics, surface, run.sensors(record)
+            )
 
     def finish(index: int, sweep: _Sweep, votes: dynamics.Votes) -> None:
         (record, ground, surface), first = sweep, None
