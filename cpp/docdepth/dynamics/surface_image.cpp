@@ -7,9 +7,9 @@
 #include <limits>
 #include <stdexcept>
 
-#include "docdepth/dynamics/lanes.hpp"
 #include "docdepth/dynamics/window.hpp"
 #include "docdepth/geometry/dispatch.hpp"
+#include "docdepth/geometry/lanes.hpp"
 #include "docdepth/surface/directions.hpp"
 
 namespace docdepth {
@@ -37,21 +37,26 @@ std::uint32_t as_bits(float value) {
 }
 
 /// What the triangle says, and whether a return nearby may still object: negative where it may.
+/// @param seen  what the pixels keep, one after the other
 struct AskTriangles {
   DOCDEPTH_KERNEL static void run(std::size_t count, const float* x, const float* y, const float* z,
-                                  const float* range, const float* a, const float* b,
-                                  const float* c, const std::int32_t* jump, const float* nearest,
-                                  const float* farthest, const float* angle,
-                                  SurfaceImageParameters p, std::int32_t* __restrict is_static,
-                                  std::int32_t* __restrict is_dynamic,
+                                  const float* range, const float* seen, float step,
+                                  SurfaceImageParameters p, std::uint16_t* __restrict statics,
+                                  std::uint16_t* __restrict dynamics,
                                   std::int32_t* __restrict open) {
     for (std::size_t i = 0; i < count; ++i) {
+      const float a = seen[4 * i], b = seen[4 * i + 1], c = seen[4 * i + 2];
+      const std::uint32_t bits = as_bits(seen[4 * i + 3]);
+      const float nearest = as_float(bits & kRange), farthest = as_float(bits << 12 & kRange);
+      const float angle = step * static_cast<float>(static_cast<std::int32_t>(bits & kMostSteps));
+      const int jump = static_cast<int>(bits >> 31);
+
       const float r = range[i];
-      const float depth = (a[i] * x[i] + b[i] * y[i]) + c[i] * z[i];  // 1 on the plane
-      const float distance = 1.0f / std::sqrt((a[i] * a[i] + b[i] * b[i]) + c[i] * c[i]);
+      const float depth = (a * x[i] + b * y[i]) + c * z[i];  // 1 on the plane
+      const float distance = 1.0f / std::sqrt((a * a + b * b) + c * c);
       const float before = 1.0f - depth;
       // Choices between numbers, since compilers do not vectorise those between truth values.
-      const int level = std::fabs(c[i]) * distance > p.level_cosine ? 1 : 0;
+      const int level = std::fabs(c) * distance > p.level_cosine ? 1 : 0;
       const float across = level ? p.level.across : p.upright.across;
       const float level_along = p.level.along + p.level.growth * r;
       const float upright_along = p.upright.along + p.upright.growth * r;
@@ -60,51 +65,57 @@ struct AskTriangles {
                            (r * std::fabs(before) < along * depth ? 1 : 0);
       const int before_plane = (before > 0.0f ? 1 : 0) & (depth > 0.0f ? 1 : 0);
 
-      const float to_a = r - a[i], to_b = r - b[i], to_c = r - c[i];
+      const float to_a = r - a, to_b = r - b, to_c = r - c;
       const int on_corner = (std::fabs(to_a) < p.tolerance ? 1 : 0) |
                             (std::fabs(to_b) < p.tolerance ? 1 : 0) |
                             (std::fabs(to_c) < p.tolerance ? 1 : 0);
       const int before_corners = (to_a < -p.tolerance ? 1 : 0) & (to_b < -p.tolerance ? 1 : 0) &
                                  (to_c < -p.tolerance ? 1 : 0);
 
-      const int on_it = jump[i] ? on_corner : on_plane;
-      const int before_it = jump[i] ? before_corners : before_plane;
-      const int flat = jump[i] ? 0 : level;
+      const int on_it = jump ? on_corner : on_plane;
+      const int before_it = jump ? before_corners : before_plane;
+      const int flat = jump ? 0 : level;
       const int returns =
-          (r - nearest[i] > -p.tolerance ? 1 : 0) & (r - farthest[i] < p.tolerance ? 1 : 0);
-      const int in_sight = r * angle[i] < p.beam ? 1 : 0;
-      is_static[i] = in_sight & on_it;
-      is_dynamic[i] = in_sight & (1 - on_it) & before_it;
-      open[i] = -((1 - is_static[i]) & (1 - flat) & returns);
+          (r - nearest > -p.tolerance ? 1 : 0) & (r - farthest < p.tolerance ? 1 : 0);
+      const int in_sight = r * angle < p.beam ? 1 : 0;
+      const int is_static = in_sight & on_it;
+      const int is_dynamic = in_sight & (1 - on_it) & before_it;
+      statics[i] = static_cast<std::uint16_t>(statics[i] + is_static);
+      dynamics[i] = static_cast<std::uint16_t>(dynamics[i] + is_dynamic);
+      // Which of the two the window may overrule.
+      open[i] = ((1 - is_static) & (1 - flat) & returns) ? -1 - is_dynamic : 0;
     }
   }
 };
 
-/// Make points static that have a return within the tolerance in their window.
+/// Make open points static that have a return within the tolerance in their window.
 struct AskWindows {
   DOCDEPTH_KERNEL static void run(std::size_t count, const std::int32_t* points, const float* range,
-                                  const std::int32_t* pixel, const float* corner,
-                                  std::size_t stride, int window, float tolerance,
-                                  std::int32_t* __restrict is_static,
-                                  std::int32_t* __restrict is_dynamic) {
+                                  const std::int32_t* pixel, const std::int32_t* open,
+                                  const float* corner, std::size_t stride, int window,
+                                  float tolerance, std::uint16_t* __restrict statics,
+                                  std::uint16_t* __restrict dynamics) {
+    Ints lanes;
+    for (int lane = 0; lane < kLanes; ++lane) lanes[lane] = lane;
     for (std::size_t k = 0; k < count; ++k) {
       const std::int32_t i = points[k];
       const float* row = corner + pixel[i];
-      std::int32_t any = 0;
+      Ints on{};
       for (int left = 0; left < window; left += kLanes) {
-        Ints on{};
+        Ints here{};
         for (int r = 0; r < window; ++r) {
           Floats measured;
           std::memcpy(&measured, row + r * stride + left, sizeof measured);
           const Floats difference = range[i] - measured;
-          on |= (difference > -tolerance) & (difference < tolerance);
+          here |= (difference > -tolerance) & (difference < tolerance);
         }
-        std::int32_t lanes[kLanes];
-        std::memcpy(lanes, &on, sizeof lanes);
-        for (int lane = 0; lane < kLanes; ++lane) any |= left + lane < window ? lanes[lane] : 0;
+        on |= here & (left + lanes < window);
       }
-      is_static[i] |= any & 1;
-      is_dynamic[i] &= ~any;
+      std::int64_t halves[kLanes / 2];
+      std::memcpy(halves, &on, sizeof halves);
+      const int any = (halves[0] | halves[1] | halves[2] | halves[3]) ? -1 : 0;
+      statics[i] += any & 1;
+      dynamics[i] -= any & (-1 - open[i]);
     }
   }
 };
@@ -234,40 +245,32 @@ void SurfaceImage::draw(const Points& points, const Surface& surface) {
   }
 }
 
-void SurfaceImage::vote(const QueryPoints& points, std::uint16_t* statics,
-                        std::uint16_t* dynamics) const {
+void SurfaceImage::find(const QueryPoints& points, std::int32_t* pixels) const {
+  canvas_.find(points, pixels);
+  for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&seen_[pixels[i]]);
+}
+
+void SurfaceImage::vote(const QueryPoints& points, const std::int32_t* pixels,
+                        std::uint16_t* statics, std::uint16_t* dynamics) const {
   constexpr std::size_t kMax = QueryPoints::kMax;
-  std::int32_t pixel[kMax];
-  canvas_.find(points, pixel);
+  static_assert(sizeof(Seen) == 4 * sizeof(float));
+  float seen[4 * kMax];
+  for (std::size_t i = 0; i < points.size; ++i)
+    std::memcpy(&seen[4 * i], &seen_[pixels[i]], sizeof(Seen));
   const auto step = static_cast<float>(canvas_.grid().pixel() / kSteps);
-  float a[kMax], b[kMax], c[kMax], nearest[kMax], farthest[kMax], angle[kMax];
-  std::int32_t jump[kMax];
-  // The images of all key frames together fit into no cache.
-  for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&seen_[pixel[i]]);
-  for (std::size_t i = 0; i < points.size; ++i) {
-    const Seen seen = seen_[pixel[i]];
-    a[i] = seen.values[0];
-    b[i] = seen.values[1];
-    c[i] = seen.values[2];
-    jump[i] = (seen.bits & kJump) != 0;
-    nearest[i] = as_float(seen.bits & kRange);
-    farthest[i] = as_float(seen.bits << 12 & kRange);
-    angle[i] = step * static_cast<float>(seen.bits & kMostSteps);
-  }
-  std::int32_t is_static[kMax], is_dynamic[kMax], open[kMax], left[kMax];
-  dispatch<AskTriangles>(points.size, points.x, points.y, points.z, points.range, a, b, c, jump,
-                         nearest, farthest, angle, parameters_, is_static, is_dynamic, open);
+  std::int32_t open[kMax], left[kMax];
+  dispatch<AskTriangles>(points.size, points.x, points.y, points.z, points.range, seen, step,
+                         parameters_, statics, dynamics, open);
   std::size_t count = 0;
-  for_each_flagged(points.size, open,
-                   [&](std::size_t i) { left[count++] = static_cast<std::int32_t>(i); });
-  const int half = canvas_.half();
-  dispatch<AskWindows>(count, left, points.range, pixel,
-                       range_.data() - half * (canvas_.stride() + 1), canvas_.stride(),
-                       2 * half + 1, parameters_.tolerance, is_static, is_dynamic);
   for (std::size_t i = 0; i < points.size; ++i) {
-    statics[i] += is_static[i];
-    dynamics[i] += is_dynamic[i];
+    left[count] = static_cast<std::int32_t>(i);
+    count += open[i] < 0;
   }
+  const int window = 2 * canvas_.half() + 1;
+  const float* corner = canvas_.corner(range_);
+  fetch_windows(corner, canvas_.stride(), window, left, count, pixels);
+  dispatch<AskWindows>(count, left, points.range, pixels, open, corner, canvas_.stride(), window,
+                       parameters_.tolerance, statics, dynamics);
 }
 
 }  // namespace docdepth
