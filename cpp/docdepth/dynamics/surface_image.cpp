@@ -7,7 +7,7 @@
 #include <limits>
 #include <stdexcept>
 
-#include "docdepth/dynamics/lanes.hpp"
+#include "docdepth/geometry/lanes.hpp"
 #include "docdepth/dynamics/window.hpp"
 #include "docdepth/geometry/dispatch.hpp"
 #include "docdepth/surface/directions.hpp"
