@@ -8,6 +8,7 @@
 #include <cmath>
 #include <cstdint>
 #include <iterator>
+#include <memory>
 
 namespace docdepth {
 namespace {
@@ -133,7 +134,7 @@ class Mesh {
 
   void lay_out(const std::vector<Direction>& directions, const std::vector<std::uint32_t>& numbers);
   void join(std::size_t lower, std::size_t upper);
-  void legalize(std::size_t first);
+  void legalize(std::uint32_t first);
   std::uint32_t add(std::uint32_t a, std::uint32_t b, std::uint32_t c);
   void link(std::uint32_t e, std::uint32_t beyond);
 
@@ -142,24 +143,27 @@ class Mesh {
 
   std::vector<Vertex> vertices_;
   std::vector<std::uint32_t> strip_begin_;  // of the non-empty strips, and the end
-  std::vector<HalfEdge> edges_;
+  // Plain memory, since vectors write it before it is used, and look whether it suffices.
+  std::unique_ptr<HalfEdge[]> edges_;  // at most two triangles a vertex
+  std::uint32_t edge_count_ = 0;
   std::vector<std::uint32_t> below_;  // half edge below vertex k and the next of its strip
 
   struct Open {
     std::uint32_t vertex;
     std::uint32_t line;  // to the vertex before on the stack: what lies beyond it
   };
-  std::vector<Open> stack_;
+  std::unique_ptr<Open[]> stack_;
   std::vector<std::uint32_t> doubtful_;  // half edges that may have to flip
 };
 
 Mesh::Mesh(const std::vector<Direction>& directions, const std::vector<std::uint32_t>& numbers) {
   lay_out(directions, numbers);
-  edges_.reserve(8 * vertices_.size());
+  edges_.reset(new HalfEdge[8 * vertices_.size()]);
   below_.assign(vertices_.size(), kNone);
+  stack_.reset(new Open[vertices_.size()]);
   // Strip after strip, while it is in the cache.
   for (std::size_t s = 0; s + 2 < strip_begin_.size(); ++s) {
-    const std::size_t first = edges_.size();
+    const std::uint32_t first = edge_count_;
     join(s, s + 1);
     legalize(first);
   }
@@ -221,8 +225,10 @@ void Mesh::lay_out(const std::vector<Direction>& directions,
 }
 
 std::uint32_t Mesh::add(std::uint32_t a, std::uint32_t b, std::uint32_t c) {
-  const auto e = static_cast<std::uint32_t>(edges_.size());
-  edges_.insert(edges_.end(), {{a, kNone}, {b, kNone}, {c, kNone}, {kNone, kNone}});
+  const std::uint32_t e = edge_count_;
+  edges_[e] = {a, kNone}, edges_[e + 1] = {b, kNone}, edges_[e + 2] = {c, kNone};
+  edges_[e + 3] = {kNone, kNone};
+  edge_count_ += 4;
   return e;
 }
 
@@ -240,9 +246,9 @@ void Mesh::link(std::uint32_t e, std::uint32_t beyond) {
 void Mesh::join(std::size_t lower, std::size_t upper) {
   std::uint32_t i = strip_begin_[lower], j = strip_begin_[upper];
   const std::uint32_t i_end = strip_begin_[lower + 1], j_end = strip_begin_[upper + 1];
-  stack_.clear();
-  stack_.push_back({i++, kNone});
-  stack_.push_back({j++, kNone});
+  std::size_t open = 0;
+  stack_[open++] = {i++, kNone};
+  stack_[open++] = {j++, kNone};
   bool top_on_upper = true;
   while (i < i_end || j < j_end) {
     const bool on_upper = i == i_end || (j < j_end && before(vertices_[j], vertices_[i]));
@@ -251,8 +257,8 @@ void Mesh::join(std::size_t lower, std::size_t upper) {
     std::uint32_t line = on_upper ? (kOpenChain | (v - 1)) : below_[v - 1];
     if (on_upper == top_on_upper) {
       // Cut off the corners of the chain that v sees.
-      while (stack_.size() >= 2) {
-        const Open mid = stack_.back(), far = stack_[stack_.size() - 2];
+      while (open >= 2) {
+        const Open mid = stack_[open - 1], far = stack_[open - 2];
         const auto turn = orientation(vertices_[far.vertex], vertices_[mid.vertex], vertices_[v]);
         if (on_upper ? turn >= 0 : turn <= 0) break;
         const std::uint32_t e = on_upper ? add(v, mid.vertex, far.vertex)   // v-mid, mid-far, far-v
@@ -260,11 +266,11 @@ void Mesh::join(std::size_t lower, std::size_t upper) {
         link(e + 1, mid.line);
         link(on_upper ? e : e + 2, line);
         line = on_upper ? e + 2 : e;
-        stack_.pop_back();
+        --open;
       }
     } else {
       // v sees all that is open of the other chain; `line` leads to the first of it.
-      for (std::size_t k = 0; k + 1 < stack_.size(); ++k) {
+      for (std::size_t k = 0; k + 1 < open; ++k) {
         const std::uint32_t far = stack_[k].vertex, mid = stack_[k + 1].vertex;
         const std::uint32_t e = on_upper ? add(v, far, mid)   // v-far, far-mid, mid-v
                                          : add(v, mid, far);  // v-mid, mid-far, far-v
@@ -272,17 +278,17 @@ void Mesh::join(std::size_t lower, std::size_t upper) {
         link(on_upper ? e : e + 2, line);
         line = on_upper ? e + 2 : e;
       }
-      stack_.front() = {stack_.back().vertex, kNone};
-      stack_.resize(1);
+      stack_[0] = {stack_[open - 1].vertex, kNone};
+      open = 1;
     }
-    stack_.push_back({v, line});
+    stack_[open++] = {v, line};
     top_on_upper = on_upper;
   }
 }
 
 /// Lawson's flips, until no half edge from `first` on asks for one, nor any other.
-void Mesh::legalize(std::size_t first) {
-  for (auto start = static_cast<std::uint32_t>(first); start < edges_.size(); ++start) {
+void Mesh::legalize(std::uint32_t first) {
+  for (std::uint32_t start = first; start < edge_count_; ++start) {
     if (edges_[start].across > start) continue;  // it will be asked from there, if at all
     doubtful_.push_back(start);
     while (!doubtful_.empty()) {
@@ -313,7 +319,7 @@ Triangulation Mesh::triangulation(std::size_t returns) const {
     return std::max(a.number, std::max(b.number, c.number)) < returns && left >= -kTurn / 2 &&
            left < kTurn / 2;
   };
-  std::vector<std::uint32_t> renamed(edges_.size() / 4, kNone), chosen;
+  std::vector<std::uint32_t> renamed(edge_count_ / 4, kNone), chosen;
   chosen.reserve(renamed.size());
   for (std::uint32_t t = 0; t < renamed.size(); ++t) {
     if (!kept(t)) continue;
