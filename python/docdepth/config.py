@@ -32,6 +32,9 @@ class OdometryParameters(_Stage):
     passes: int = Field(
         3, ge=1, le=5, description="registrations; from the second on small_gicp's, deskewed"
     )
+    bloom_deg: float = Field(
+        0.0, ge=0, le=5, description="phantoms this far around reflectors are left out [deg]"
+    )
 
 
 class GroundParameters(_Stage):

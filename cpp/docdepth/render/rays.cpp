@@ -141,13 +141,12 @@ void ask_plain(const Rays::Cells& cells, const Places& places, float* balance) {
 }  // namespace
 
 Rays::Rays(const Points& points, const std::vector<Vector>& normals) {
-  std::vector<Direction> all(points.rows());
+  const std::vector<Direction> all = directions_of(points);
   std::vector<std::uint32_t> rows;
   int high = -kTurn;
   cells_.low = kTurn;
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     if (!usable(points, i)) continue;
-    all[i] = direction_of(points(i, 0), points(i, 1), points(i, 2));
     cells_.low = std::min(cells_.low, all[i].elevation), high = std::max(high, all[i].elevation);
     rows.push_back(static_cast<std::uint32_t>(i));
   }

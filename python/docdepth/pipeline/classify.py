@@ -21,7 +21,7 @@ from docdepth.pipeline.stage import Progress, Stopwatch, finish_stage, stage_is_
 from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory
 
-_MOVING, _STATIC = 251, 9  # SemanticKITTI's moving-object labels
+_MOVING, _STATIC, _OUTLIER = 251, 9, 1  # SemanticKITTI's labels
 
 
 class _Sweep(NamedTuple):
@@ -73,13 +73,17 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             bits = np.load(grounds / f"{index:06d}.npy")
             ground = np.unpackbits(bits, count=len(record.points)).astype(bool)
         with watch("surfaces"):
-            surface = dynamics.surface_for(record.points, parameters.dynamics, parameters.surface)
+            surface = dynamics.surface_for(
+                record.points, parameters.dynamics, parameters.surface, run.sensors(record)
+            )
         return _Sweep(record, ground, surface)
 
     def make_key_frame(sweep: Future[_Sweep]) -> dynamics.KeyFrame:
         record, ground, surface = sweep.result()
         with watch("key frames"):
-            return dynamics.KeyFrame(record.points, ground, parameters.dynamics, surface)
+            return dynamics.KeyFrame(
+                record.points, ground, parameters.dynamics, surface, run.sensors(record)
+            )
 
     def finish(index: int, sweep: _Sweep, votes: dynamics.Votes) -> None:
         (record, ground, surface), first = sweep, None
@@ -253,8 +257,8 @@ def _votes_of(record: FrameRecord) -> dynamics.Votes:
 
 def _write_classified(run: RunFolder, index: int, record: FrameRecord) -> None:
     assert record.classid is not None
-    labels = np.full(record.input_points, _STATIC, np.uint32)
-    labels[record.index[record.classid >= 100]] = _MOVING
+    labels = np.full(record.input_points, _OUTLIER, np.uint32)
+    labels[record.index] = np.where(record.classid >= dynamics.DYNAMIC, _MOVING, _STATIC)
     path = run.path / "labels" / f"{record.name}.label"
     write_atomically(path, lambda stream: stream.write(labels.tobytes()))
     # Last, because its key says that this frame is done.
