@@ -5,7 +5,6 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
-#include <optional>
 #include <stdexcept>
 
 #include "docdepth/dynamics/window.hpp"
@@ -227,20 +226,18 @@ void SurfaceImage::draw(const Points& points, const Surface& surface) {
   seen_.assign(canvas_.size(), Seen{});
   std::vector<std::uint8_t> drawn(canvas_.size());
   const std::int64_t columns = canvas_.grid().columns(), turn = kTurn * columns;
-  std::vector<Corner> directions(points.rows());
-  for (Eigen::Index i = 0; i < points.rows(); ++i) {
-    const Direction d = direction_of(points(i, 0), points(i, 1), points(i, 2));
-    directions[i] = {(kTurn / 2 - d.azimuth) * columns, (kTurn / 4 - d.elevation) * columns};
-  }
+  const std::vector<Direction> directions = directions_of(points);
   for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
     std::array<Corner, 3> corners;
     for (int i = 0; i < 3; ++i) {
-      corners[i] = directions[surface.triangles[t][i]];
+      const Direction d = directions[surface.triangles[t][i]];
+      corners[i] = {(kTurn / 2 - d.azimuth) * columns, (kTurn / 4 - d.elevation) * columns};
       // The shorter way around from the first corner.
       if (corners[i][0] - corners[0][0] > turn / 2) corners[i][0] -= turn;
       if (corners[0][0] - corners[i][0] > turn / 2) corners[i][0] += turn;
     }
-    std::optional<Seen> seen;
+    Seen seen;
+    bool is_seen = false;
     for_each_pixel(corners, [&](std::int64_t column, std::int64_t row) {
       const std::int64_t wrapped = column + (column < 0          ? columns
                                              : column >= columns ? -columns
@@ -248,8 +245,9 @@ void SurfaceImage::draw(const Points& points, const Surface& surface) {
       const std::size_t pixel = (row - canvas_.top()) * canvas_.stride() + wrapped + canvas_.half();
       if (drawn[pixel]) return;
       drawn[pixel] = 1;
-      if (!seen) seen = triangle(points, surface.triangles[t], surface.cut[t]);
-      seen_[pixel] = *seen;
+      if (!is_seen) seen = triangle(points, surface.triangles[t], surface.cut[t]);
+      is_seen = true;
+      seen_[pixel] = seen;
       seen_[pixel].bits |= steps_to_nearest(corners, column, row);
     });
   }
