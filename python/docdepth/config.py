@@ -116,6 +116,9 @@ class DynamicsParameters(VotingParameters):
     link_growth: float = Field(
         0.05, ge=0, description="or, where beams are wider apart, than so much of their range [-]"
     )
+    link_jump: float = Field(
+        0.25, ge=0, description="nor across a depth jump, unless ranges differ by less [m]"
+    )
     companions: int = Field(
         5, ge=1, description="connected dynamic points that need no other evidence"
     )
@@ -126,11 +129,15 @@ class DynamicsParameters(VotingParameters):
     clear_ratio: float = Field(4.0, ge=1, description="and so many times more than static ones")
     object_points: int = Field(10, ge=1, description="points of an object, at least")
     object_share: float = Field(
-        0.5, gt=0, le=1, description="share of dynamic points that makes all of it dynamic"
+        0.5, gt=0, le=1, description="share of its points with votes that, dynamic, makes all so"
+    )
+    object_least: float = Field(
+        0.2, gt=0, le=1, description="and share of all its points, votes or not"
     )
     object_width: float = Field(
         1.5, ge=0, description="extent of what may stand a while and move, from above [m]"
     )
+    object_height: float = Field(0.3, ge=0, description="and its height [m]")
     freed_share: float = Field(
         0.6, gt=0, le=1, description="share of its points whose place was free at another time"
     )

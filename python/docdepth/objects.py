@@ -191,10 +191,12 @@ def follow(
 def _object_parameters(p: DynamicsParameters) -> _core.ObjectParameters:
     objects = _core.ObjectParameters()
     objects.link, objects.link_growth = p.link, p.link_growth
+    objects.link_jump = p.link_jump
     objects.companions, objects.company = p.companions, p.company
     objects.clear_votes, objects.clear_ratio = p.clear_votes, p.clear_ratio
     objects.object_points, objects.share = p.object_points, p.object_share
-    objects.width = p.object_width
+    objects.least = p.object_least
+    objects.width, objects.height = p.object_width, p.object_height
     objects.freed_share, objects.freed_votes = p.freed_share, p.freed_votes
     objects.freed_ratio, objects.loose_votes = p.freed_ratio, p.loose_votes
     return objects
