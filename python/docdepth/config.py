@@ -154,6 +154,11 @@ class DynamicsParameters(VotingParameters):
     track_speed: float = Field(40.0, gt=0, description="nothing is faster [m/s]")
     track_gap: float = Field(0.5, ge=0, description="an object unseen for longer is lost [s]")
     track_hold: float = Field(5.0, ge=0, description="the same of one that stands [s]")
+    track_window: float = Field(
+        0.5,
+        ge=0,
+        description="sightings that near tell the box in which points move; 0: none [s]",
+    )
 
     def voting(self) -> dict[str, Any]:
         """The values that votes depend on; all others make classes of votes."""

@@ -5,7 +5,7 @@
 #include <numeric>
 #include <unordered_map>
 
-#include "docdepth/geometry/places.hpp"
+#include "docdepth/geometry/rigid.hpp"
 #include "docdepth/geometry/spherical.hpp"
 
 namespace docdepth {
@@ -86,9 +86,10 @@ struct Object {
   }
 };
 
-constexpr int kFewestPoints = 5;  ///< of what is an object
-constexpr float kWidest = 25;     ///< of what moves, from above [m]
-constexpr float kAround = 0.2f;   ///< an extent's [m]
+constexpr int kFewestPoints = 5;    ///< of what is an object
+constexpr float kWidest = 25;       ///< of what moves, from above [m]
+constexpr float kAround = 0.2f;     ///< an extent's [m]
+constexpr float kAroundWay = 0.1f;  ///< a box on its way [m]
 
 /// Finds whether a marked point lies near, by cells of that size.
 class Neighborhood {
@@ -217,6 +218,18 @@ void add_loose_points(const Points& points, const bool* ground, const std::uint3
     if (statics[i] > dynamics[i] + p.loose_votes) continue;
     moving[i] = std::any_of(movers.begin(), movers.end(),
                             [&](const Extent& mover) { return mover.overlaps(at(i), kAround); });
+  }
+}
+
+void add_points_inside(const Points& points, const bool* ground, const std::uint16_t* statics,
+                       const std::uint16_t* dynamics, const Pose& T_world_lidar,
+                       const std::vector<Extent>& boxes, const ObjectParameters& p, Flags& moving) {
+  const RigidTransform T(T_world_lidar);
+  for (std::size_t i = 0; i < moving.size() && !boxes.empty(); ++i) {
+    if (moving[i] || ground[i] || statics[i] > dynamics[i] + p.loose_votes) continue;
+    const Eigen::Vector3f at = T * Eigen::Vector3f(points(i, 0), points(i, 1), points(i, 2));
+    moving[i] = std::any_of(boxes.begin(), boxes.end(),
+                            [&](const Extent& box) { return box.overlaps({at, at}, kAroundWay); });
   }
 }
 

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "docdepth/geometry/places.hpp"
 #include "docdepth/geometry/types.hpp"
 #include "docdepth/surface/surface.hpp"
 
@@ -58,5 +59,14 @@ std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground
 void add_loose_points(const Points& points, const bool* ground, const std::uint32_t* first,
                       const std::uint16_t* statics, const std::uint16_t* dynamics,
                       const ObjectParameters& parameters, std::vector<std::uint8_t>& moving);
+
+/// Points off the ground inside one of the boxes, where something is on its way: unless many more
+/// votes are static than dynamic, they move, too.
+///
+/// @param boxes  in the world of T_world_lidar
+void add_points_inside(const Points& points, const bool* ground, const std::uint16_t* statics,
+                       const std::uint16_t* dynamics, const Pose& T_world_lidar,
+                       const std::vector<Extent>& boxes, const ObjectParameters& parameters,
+                       std::vector<std::uint8_t>& moving);
 
 }  // namespace docdepth
