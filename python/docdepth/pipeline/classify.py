@@ -211,8 +211,9 @@ def _carry_evidence(
             sightings.append(objects.Sighting.of(arrays))
     with watch("tracks"):
         carried = objects.follow(sightings, trajectory.times, run.parameters.dynamics, threads)
+    local = objects.poses_near_start(trajectory)
     for index, found in enumerate(carried):
-        if not len(found):
+        if not found:
             continue
         with watch("read"):
             record = run.frame(index)
@@ -227,8 +228,11 @@ def _carry_evidence(
             record.votes_static,
             record.votes_dynamic,
             record.classid,
+            local[index],
             run.parameters.dynamics,
         )
+        if (classid == record.classid).all():
+            continue
         with watch("write"):
             _write_classified(run, index, replace(record, classid=classid))
 
