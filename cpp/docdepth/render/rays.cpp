@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "docdepth/geometry/lanes.hpp"
 #include "docdepth/render/dispatch.hpp"
 #include "docdepth/surface/directions.hpp"
 
@@ -22,10 +23,6 @@ constexpr float kGrazing = 0.02f;
 /// Cells are this many times larger than one of each return would be. It takes both of two rings
 /// ten times farther apart than their returns into the cells around a place between them.
 constexpr double kCell = 1.6;
-
-constexpr int kLanes = 8;
-typedef float Floats __attribute__((vector_size(4 * kLanes)));
-typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
 
 bool usable(const Points& points, Eigen::Index i) {
   const float squared = points.row(i).squaredNorm();
@@ -49,49 +46,54 @@ DOCDEPTH_INLINE void directions_to(const Places& places, Toward& toward) {
   }
 }
 
-/// The least squared angle in units of kTurn to a return, and which; of equals the first.
+/// The least squared angle in units of kTurn to a return, infinite without any, and which.
 struct Nearest {
-  float squared = INFINITY;
-  std::uint32_t number = 0;
+  float squared[Places::kMost];
+  std::uint32_t number[Places::kMost];
 };
 
-/// Looks at the returns [begin, end), eight at a time.
-DOCDEPTH_INLINE void look(const Rays::Cells& cells, std::uint32_t begin, std::uint32_t end,
+/// Looks at eight returns from `first` on, without those from `end` on.
+DOCDEPTH_INLINE void look(const Rays::Cells& cells, std::uint32_t first, std::uint32_t end,
                           std::int32_t azimuth, std::int32_t elevation, float narrowed,
-                          Floats& least, Integers& found) {
-  const Integers lanes = {0, 1, 2, 3, 4, 5, 6, 7};
-  for (std::uint32_t i = begin; i < end; i += kLanes) {
-    Integers direction;
-    std::memcpy(&direction, &cells.directions[i], sizeof direction);
-    const Integers number = lanes + std::int32_t(i);
-    const Integers across = ((direction - azimuth) << 16) >> 16;
-    const Integers along = (direction >> 16) - elevation;
-    const Floats u = __builtin_convertvector(across, Floats) * narrowed;
-    const Floats v = __builtin_convertvector(along, Floats);
-    const Floats squared = u * u + v * v;
-    const Integers nearer = (squared < least) & (number < std::int32_t(end));
-    least = nearer ? squared : least;
-    found = nearer ? number : found;
-  }
+                          Floats& least, Ints& found) {
+  Ints direction;
+  std::memcpy(&direction, &cells.directions[first], sizeof direction);
+  const Ints number = Ints{0, 1, 2, 3, 4, 5, 6, 7} + std::int32_t(first);
+  const Ints across = ((direction - azimuth) << 16) >> 16;
+  const Ints along = (direction >> 16) - elevation;
+  const Floats u = __builtin_convertvector(across, Floats) * narrowed;
+  const Floats v = __builtin_convertvector(along, Floats);
+  const Floats squared = u * u + v * v;
+  const Ints nearer = (squared < least) & (number < std::int32_t(end));
+  least = nearer ? squared : least;
+  found = nearer ? number : found;
 }
 
-DOCDEPTH_INLINE Nearest nearest(const Rays::Cells& cells, std::int32_t azimuth,
-                                std::int32_t elevation, float narrowed) {
+/// Of equals the first.
+DOCDEPTH_INLINE void find_nearest(const Rays::Cells& cells, std::int32_t azimuth,
+                                  std::int32_t elevation, float narrowed, float& squared,
+                                  std::uint32_t& which) {
+  squared = INFINITY, which = 0;
   // One more and one less, so that the division never rounds up.
   const int row = (elevation - cells.low + cells.side) / cells.side - 1;
   const int first = std::max(row - 1, 0), last = std::min(row + 1, cells.rows - 1);
-  if (elevation - cells.low + cells.side < 0 || first > last) return {};
+  if (elevation - cells.low + cells.side < 0 || first > last) return;
   const int column = int(std::int64_t(azimuth + kTurn / 2) * cells.columns / kTurn);
   Floats least = Floats{} + INFINITY;
-  Integers found{};
+  Ints found{};
   for (int k = -1; k <= 1; ++k) {
     const int c = column + k < 0 ? cells.columns - 1 : column + k == cells.columns ? 0 : column + k;
     const std::uint32_t* start = &cells.start[std::size_t(c) * cells.rows];
-    look(cells, start[first], start[last + 1], azimuth, elevation, narrowed, least, found);
+    const std::uint32_t begin = start[first], end = start[last + 1];
+    // Mostly that is all, and looking too far costs less than not knowing how far.
+    look(cells, begin, end, azimuth, elevation, narrowed, least, found);
+    look(cells, begin + kLanes, end, azimuth, elevation, narrowed, least, found);
+    for (std::uint32_t i = begin + 2 * kLanes; i < end; i += kLanes)
+      look(cells, i, end, azimuth, elevation, narrowed, least, found);
   }
   // The best of eight, four, two.
-  const auto fold = [&](const Floats& other, const Integers& number) {
-    const Integers better = (other < least) | ((other == least) & (number < found));
+  const auto fold = [&](const Floats& other, const Ints& number) {
+    const Ints better = (other < least) | ((other == least) & (number < found));
     least = better ? other : least;
     found = better ? number : found;
   };
@@ -101,34 +103,49 @@ DOCDEPTH_INLINE Nearest nearest(const Rays::Cells& cells, std::int32_t azimuth,
        __builtin_shufflevector(found, found, 2, 3, 0, 1, 6, 7, 4, 5));
   fold(__builtin_shufflevector(least, least, 1, 0, 3, 2, 5, 4, 7, 6),
        __builtin_shufflevector(found, found, 1, 0, 3, 2, 5, 4, 7, 6));
-  return {least[0], std::uint32_t(found[0])};
+  squared = least[0], which = std::uint32_t(found[0]);
 }
 
-/// What a ray tells of a place, `miss` metres beside it.
-DOCDEPTH_INLINE float told(const Rays::End& end, const Vector& place, float range, float miss) {
-  const float margin = kMargin + kMarginGrowth * range;
-  // The surface at the end of the ray, seen in the direction of the place, is at range / before.
-  const float before =
-      (end.plane.x() * place.x() + end.plane.y() * place.y()) + end.plane.z() * place.z();
-  const bool met =
-      std::fabs(end.range - range) < margin || range * std::fabs(1 - before) < margin * before;
-  const bool passed = end.range > range + margin && before < 1;
-  const float weight = 1 / ((miss + kBlur) * (miss + kBlur));
-  return met ? weight : passed ? -weight : 0.0f;
+/// What the nearest rays tell of places, so many metres beside them.
+DOCDEPTH_INLINE void add_told(const Rays::Cells& cells, const Places& places, const Toward& toward,
+                              const Nearest& nearest, float* balance) {
+  for (std::size_t first = 0; first < places.size; first += kLanes) {
+    const std::size_t some = std::min(places.size - first, std::size_t{kLanes});
+    float end[4][kLanes] = {};
+    for (std::size_t lane = 0; lane < some; ++lane) {
+      const Rays::End& met = cells.ends[nearest.number[first + lane]];
+      end[0][lane] = met.plane.x(), end[1][lane] = met.plane.y(), end[2][lane] = met.plane.z();
+      end[3][lane] = met.range;
+    }
+    const Floats range = load(toward.range + first), squared = load(nearest.squared + first);
+    const Floats miss = (root(squared) * kRadiansPerUnit) * range;
+    const Floats margin = kMargin + kMarginGrowth * range, ray = load(end[3]);
+    // The surface at the end of the ray, seen in the direction of the place, is at range / before.
+    const Floats before =
+        (load(end[0]) * load(places.x + first) + load(end[1]) * load(places.y + first)) +
+        load(end[2]) * load(places.z + first);
+    const Ints met =
+        (absolute(ray - range) < margin) | (range * absolute(1.0f - before) < margin * before);
+    const Ints passed = (ray > range + margin) & (before < 1.0f);
+    const Floats weight = 1.0f / ((miss + kBlur) * (miss + kBlur));
+    const Ints known = (range > 0.0f) & (squared < INFINITY);
+    Floats told = passed ? -weight : Floats{};
+    told = met ? weight : told;
+    for (std::size_t lane = 0; lane < some; ++lane)
+      if (known[lane]) balance[first + lane] += told[lane];
+  }
 }
 
 DOCDEPTH_INLINE void ask_all(const Rays::Cells& cells, const Places& places, float* balance) {
   Toward toward;
   directions_to(places, toward);
+  Nearest nearest;
   for (std::size_t i = 0; i < places.size; ++i) {
-    const float range = toward.range[i];
-    if (!(range > 0)) continue;
-    const auto [squared, number] =
-        nearest(cells, toward.azimuth[i], toward.elevation[i], toward.narrowed[i]);
-    if (squared == INFINITY) continue;
-    const float miss = (std::sqrt(squared) * kRadiansPerUnit) * range;
-    balance[i] += told(cells.ends[number], {places.x[i], places.y[i], places.z[i]}, range, miss);
+    find_nearest(cells, toward.azimuth[i], toward.elevation[i], toward.narrowed[i],
+                 nearest.squared[i], nearest.number[i]);
+    __builtin_prefetch(&cells.ends[nearest.number[i]]);
   }
+  add_told(cells, places, toward, nearest, balance);
 }
 
 DOCDEPTH_AVX2 void ask_avx2(const Rays::Cells& cells, const Places& places, float* balance) {
@@ -163,7 +180,7 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals) {
   cells_.start.assign(std::size_t(cells_.columns) * cells_.rows + 1, 0);
   for (const auto i : rows) ++cells_.start[cell(all[i]) + 1];
   for (std::size_t c = 1; c < cells_.start.size(); ++c) cells_.start[c] += cells_.start[c - 1];
-  cells_.directions.resize(rows.size() + kLanes);  // some are read behind the last
+  cells_.directions.resize(rows.size() + 2 * kLanes);  // some are read behind the last
   cells_.ends.resize(rows.size());
   auto next = cells_.start;
   for (const auto i : rows) {
