@@ -29,81 +29,106 @@ bool usable(const Points& points, Eigen::Index i) {
   return squared > 0 && squared < 1e12f;  // false for NaN
 }
 
-/// The directions of places, range and cosine of elevation beside them.
+/// The directions of places, the cells they lie in, range and cosine of elevation.
 struct Toward {
-  std::int32_t azimuth[Places::kMost], elevation[Places::kMost];
+  float azimuth[Places::kMost], elevation[Places::kMost];
   float range[Places::kMost], narrowed[Places::kMost];
+  std::int32_t column[Places::kMost], row[Places::kMost];
 };
 
-DOCDEPTH_INLINE void directions_to(const Places& places, Toward& toward) {
+DOCDEPTH_INLINE void directions_to(const Rays::Cells& cells, const Places& places, Toward& toward) {
+  const std::int32_t low = cells.low, side = cells.side, columns = cells.columns;
   for (std::size_t i = 0; i < places.size; ++i) {
     const float x = places.x[i], y = places.y[i], z = places.z[i];
     const Direction direction = direction_of(x, y, z);
-    toward.azimuth[i] = direction.azimuth;
-    toward.elevation[i] = direction.elevation;
-    toward.range[i] = std::sqrt((x * x + y * y) + z * z);
-    toward.narrowed[i] = std::sqrt(x * x + y * y) / toward.range[i];
+    toward.azimuth[i] = float(direction.azimuth);
+    toward.elevation[i] = float(direction.elevation);
+    const float range = std::sqrt((x * x + y * y) + z * z);
+    toward.range[i] = range;
+    toward.narrowed[i] = std::sqrt(x * x + y * y) / range;
+    // Angles times columns need more than 32 bits, their sixteenths do not.
+    const std::int32_t turned = direction.azimuth + kTurn / 2;
+    toward.column[i] = ((turned >> 4) * columns + (((turned & 15) * columns) >> 4)) / (kTurn >> 4);
+    // Quotients of such small numbers are never rounded to the next one.
+    const std::int32_t above = direction.elevation - low + side;
+    toward.row[i] = above < 0 ? -9 : std::int32_t(float(above) / float(side)) - 1;
   }
 }
 
 /// The least squared angle in units of kTurn to a return, infinite without any, and which.
 struct Nearest {
   float squared[Places::kMost];
-  std::uint32_t number[Places::kMost];
+  std::int32_t number[Places::kMost];
 };
 
-/// Looks at eight returns from `first` on, without those from `end` on.
-DOCDEPTH_INLINE void look(const Rays::Cells& cells, std::uint32_t first, std::uint32_t end,
-                          std::int32_t azimuth, std::int32_t elevation, float narrowed,
-                          Floats& least, Ints& found) {
-  Ints direction;
-  std::memcpy(&direction, &cells.directions[first], sizeof direction);
-  const Ints number = Ints{0, 1, 2, 3, 4, 5, 6, 7} + std::int32_t(first);
-  const Ints across = ((direction - azimuth) << 16) >> 16;
-  const Ints along = (direction >> 16) - elevation;
-  const Floats u = __builtin_convertvector(across, Floats) * narrowed;
-  const Floats v = __builtin_convertvector(along, Floats);
-  const Floats squared = u * u + v * v;
-  const Ints nearer = (squared < least) & (number < std::int32_t(end));
-  least = nearer ? squared : least;
-  found = nearer ? number : found;
-}
+/// Up to eight places whose directions lie in one cell.
+struct Group {
+  std::int32_t column, row, size;
+  std::uint8_t places[kLanes];
+};
 
-/// Of equals the first.
-DOCDEPTH_INLINE void find_nearest(const Rays::Cells& cells, std::int32_t azimuth,
-                                  std::int32_t elevation, float narrowed, float& squared,
-                                  std::uint32_t& which) {
-  squared = INFINITY, which = 0;
-  // One more and one less, so that the division never rounds up.
-  const int row = (elevation - cells.low + cells.side) / cells.side - 1;
-  const int first = std::max(row - 1, 0), last = std::min(row + 1, cells.rows - 1);
-  if (elevation - cells.low + cells.side < 0 || first > last) return;
-  const int column = int(std::int64_t(azimuth + kTurn / 2) * cells.columns / kTurn);
+/// Brings places together that lie in one cell, as far as a glance at the latest groups tells.
+class Groups {
+ public:
+  DOCDEPTH_INLINE Groups(const Toward& toward, std::size_t places) {
+    static_assert(Places::kMost <= 256, "places are numbered by bytes");
+    std::uint8_t latest[kSlots] = {};
+    groups_[0] = {-1, -1, kLanes, {}};
+    for (std::size_t i = 0; i < places; ++i) {
+      const std::int32_t column = toward.column[i], row = toward.row[i];
+      std::uint8_t& at = latest[std::uint32_t(5 * column + row) % kSlots];
+      const Group& known = groups_[at];
+      if (known.column != column || known.row != row || known.size == kLanes) {
+        groups_[size_] = {column, row, 0, {}};
+        at = static_cast<std::uint8_t>(size_++);
+      }
+      groups_[at].places[groups_[at].size++] = static_cast<std::uint8_t>(i);
+    }
+  }
+  const Group* begin() const { return groups_; }
+  const Group* end() const { return groups_ + size_; }
+
+ private:
+  static constexpr int kSlots = 64;
+  Group groups_[Places::kMost];
+  int size_ = 0;
+};
+
+/// The nearest returns to the places of a group in the nine cells around it; of equals the first.
+DOCDEPTH_INLINE void find_nearest(const Rays::Cells& cells, const Toward& toward,
+                                  const Group& group, Nearest& nearest) {
+  float to[3][kLanes];
+  for (int lane = 0; lane < kLanes; ++lane) {  // unused ones repeat the last
+    const std::size_t i = group.places[std::min(lane, group.size - 1)];
+    to[0][lane] = toward.azimuth[i], to[1][lane] = toward.elevation[i];
+    to[2][lane] = toward.narrowed[i];
+  }
+  const Floats azimuth = load(to[0]), elevation = load(to[1]), narrowed = load(to[2]);
   Floats least = Floats{} + INFINITY;
   Ints found{};
-  for (int k = -1; k <= 1; ++k) {
-    const int c = column + k < 0 ? cells.columns - 1 : column + k == cells.columns ? 0 : column + k;
-    const std::uint32_t* start = &cells.start[std::size_t(c) * cells.rows];
-    const std::uint32_t begin = start[first], end = start[last + 1];
-    // Mostly that is all, and looking too far costs less than not knowing how far.
-    look(cells, begin, end, azimuth, elevation, narrowed, least, found);
-    look(cells, begin + kLanes, end, azimuth, elevation, narrowed, least, found);
-    for (std::uint32_t i = begin + 2 * kLanes; i < end; i += kLanes)
-      look(cells, i, end, azimuth, elevation, narrowed, least, found);
+  const int low = std::max(group.row - 1, 0);
+  const int high = std::min(group.row + 1, cells.rows - 1);
+  const int left = group.column - 1;
+  // As they lie in memory, those that are met around the turn before or after the others.
+  const int turn = left + 2 == cells.columns ? 2 : left < 0 ? 1 : 0;
+  for (int k = turn; low <= high && k < turn + 3; ++k) {
+    const int column = left + k % 3;
+    const int turns = column < 0 ? -1 : column == cells.columns ? 1 : 0;
+    const std::uint32_t* start =
+        &cells.start[std::size_t(column - turns * cells.columns) * cells.rows];
+    const Floats from = azimuth - float(turns * kTurn);
+    for (std::uint32_t i = start[low]; i < start[high + 1]; ++i) {
+      const Floats u = (cells.azimuth[i] - from) * narrowed, v = cells.elevation[i] - elevation;
+      const Floats squared = u * u + v * v;
+      found = squared < least ? Ints{} + std::int32_t(i) : found;
+      least = squared < least ? squared : least;
+    }
   }
-  // The best of eight, four, two.
-  const auto fold = [&](const Floats& other, const Ints& number) {
-    const Ints better = (other < least) | ((other == least) & (number < found));
-    least = better ? other : least;
-    found = better ? number : found;
-  };
-  fold(__builtin_shufflevector(least, least, 4, 5, 6, 7, 0, 1, 2, 3),
-       __builtin_shufflevector(found, found, 4, 5, 6, 7, 0, 1, 2, 3));
-  fold(__builtin_shufflevector(least, least, 2, 3, 0, 1, 6, 7, 4, 5),
-       __builtin_shufflevector(found, found, 2, 3, 0, 1, 6, 7, 4, 5));
-  fold(__builtin_shufflevector(least, least, 1, 0, 3, 2, 5, 4, 7, 6),
-       __builtin_shufflevector(found, found, 1, 0, 3, 2, 5, 4, 7, 6));
-  squared = least[0], which = std::uint32_t(found[0]);
+  for (int lane = 0; lane < group.size; ++lane) {
+    nearest.squared[group.places[lane]] = least[lane];
+    nearest.number[group.places[lane]] = found[lane];
+    __builtin_prefetch(&cells.ends[found[lane]]);
+  }
 }
 
 /// What the nearest rays tell of places, so many metres beside them.
@@ -111,9 +136,9 @@ DOCDEPTH_INLINE void add_told(const Rays::Cells& cells, const Places& places, co
                               const Nearest& nearest, float* balance) {
   for (std::size_t first = 0; first < places.size; first += kLanes) {
     const std::size_t some = std::min(places.size - first, std::size_t{kLanes});
-    float end[4][kLanes] = {};
-    for (std::size_t lane = 0; lane < some; ++lane) {
-      const Rays::End& met = cells.ends[nearest.number[first + lane]];
+    float end[4][kLanes];
+    for (std::size_t lane = 0; lane < kLanes; ++lane) {
+      const Rays::End& met = cells.ends[nearest.number[first + std::min(lane, some - 1)]];
       end[0][lane] = met.plane.x(), end[1][lane] = met.plane.y(), end[2][lane] = met.plane.z();
       end[3][lane] = met.range;
     }
@@ -138,13 +163,10 @@ DOCDEPTH_INLINE void add_told(const Rays::Cells& cells, const Places& places, co
 
 DOCDEPTH_INLINE void ask_all(const Rays::Cells& cells, const Places& places, float* balance) {
   Toward toward;
-  directions_to(places, toward);
+  directions_to(cells, places, toward);
   Nearest nearest;
-  for (std::size_t i = 0; i < places.size; ++i) {
-    find_nearest(cells, toward.azimuth[i], toward.elevation[i], toward.narrowed[i],
-                 nearest.squared[i], nearest.number[i]);
-    __builtin_prefetch(&cells.ends[nearest.number[i]]);
-  }
+  for (const Group& group : Groups(toward, places.size))
+    find_nearest(cells, toward, group, nearest);
   add_told(cells, places, toward, nearest, balance);
 }
 
@@ -170,7 +192,8 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals) {
   if (rows.empty()) return;
   const double area = double(kTurn) * (high - cells_.low + 1);
   cells_.side = std::max(1, int(kCell * std::sqrt(area / double(rows.size()))));
-  cells_.columns = std::max(3, kTurn / cells_.side);
+  // With four, neighbours are less than half a turn apart.
+  cells_.columns = std::max(4, kTurn / cells_.side);
   cells_.rows = (high - cells_.low) / cells_.side + 1;
 
   const auto cell = [&](const Direction& d) {
@@ -180,7 +203,8 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals) {
   cells_.start.assign(std::size_t(cells_.columns) * cells_.rows + 1, 0);
   for (const auto i : rows) ++cells_.start[cell(all[i]) + 1];
   for (std::size_t c = 1; c < cells_.start.size(); ++c) cells_.start[c] += cells_.start[c - 1];
-  cells_.directions.resize(rows.size() + 2 * kLanes);  // some are read behind the last
+  cells_.azimuth.resize(rows.size());
+  cells_.elevation.resize(rows.size());
   cells_.ends.resize(rows.size());
   auto next = cells_.start;
   for (const auto i : rows) {
@@ -191,7 +215,7 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals) {
     const float offset = (n.x() * p.x() + n.y() * p.y()) + n.z() * p.z();
     const float range = std::sqrt(squared);
     const bool known = std::fabs(offset) > kGrazing * length * range;
-    cells_.directions[to] = all[i].elevation * 65536 + (all[i].azimuth & 0xffff);
+    cells_.azimuth[to] = float(all[i].azimuth), cells_.elevation[to] = float(all[i].elevation);
     cells_.ends[to] = {known ? Vector(n / offset) : Vector(p / squared), range};
   }
 }
