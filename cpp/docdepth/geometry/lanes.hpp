@@ -1,4 +1,5 @@
-// Eight numbers at a time, each in a lane of its own.
+// As many numbers at once as vector instructions take, each in a lane of its own. Also without
+// such instructions they may be used as they are here.
 #pragma once
 
 #include <cmath>
@@ -17,6 +18,9 @@ namespace docdepth {
 constexpr int kLanes = 8;
 using Floats = float __attribute__((vector_size(4 * kLanes)));
 using Ints = std::int32_t __attribute__((vector_size(4 * kLanes)));
+
+constexpr int kDoubleLanes = 4;
+using Doubles = double __attribute__((vector_size(8 * kDoubleLanes)));
 
 DOCDEPTH_KERNEL Floats load(const float* from) {
   Floats lanes;

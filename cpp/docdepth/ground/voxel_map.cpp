@@ -102,10 +102,14 @@ void VoxelMap::Shard::widen(VoxelBlock& block, std::uint32_t used) {
   block.capacity = capacity;
 }
 
-void VoxelMap::Shard::add(std::uint64_t key, std::uint32_t bit, const Eigen::Vector3d& p) {
-  VoxelBlock& block = find_or_make(key);
-  const int place = rank(block, bit);
-  const std::uint64_t mask = std::uint64_t{1} << bit;
+void VoxelMap::Shard::fetch(std::uint64_t key) const {
+  if (!table.empty()) __builtin_prefetch(&table[hash(key) & (table.size() - 1)]);
+}
+
+void VoxelMap::Shard::add(const VoxelAddress& address, const Eigen::Vector3d& p) {
+  VoxelBlock& block = find_or_make(address.key);
+  const int place = rank(block, address.bit);
+  const std::uint64_t mask = std::uint64_t{1} << address.bit;
   if (block.occupied & mask) {
     Voxel& voxel = voxels[block.first + place];
     voxel.sum += p;
@@ -124,34 +128,30 @@ void VoxelMap::Shard::add(std::uint64_t key, std::uint32_t bit, const Eigen::Vec
 void VoxelMap::insert(const Points& points, const VoxelGrid& grid, int threads) {
   const auto count = static_cast<std::size_t>(points.rows());
   const std::size_t parts = (count + kPart - 1) / kPart;
-  world_.resize(count);
-  addresses_.resize(count);
-  order_.resize(count);
+  addressed_.resize(count);
+  sorted_.resize(count);
   // Each part sorts its points by shard and keeps their order within one.
   std::vector<std::array<std::uint32_t, kShards + 1>> starts(parts);
   parallel_for(count, kPart, threads, [&](std::size_t begin, std::size_t end) {
     auto& start = starts[begin / kPart];
     start.fill(0);
     for (std::size_t i = begin; i < end; ++i) {
-      world_[i] = grid * (points.data() + 3 * i);
-      addresses_[i] = grid.address(world_[i]);
-      ++start[addresses_[i].shard + 1];
+      const Eigen::Vector3d p = grid * (points.data() + 3 * i);
+      addressed_[i] = {p, grid.address(p)};
+      ++start[addressed_[i].address.shard + 1];
     }
     start[0] = static_cast<std::uint32_t>(begin);
     for (std::size_t s = 0; s < kShards; ++s) start[s + 1] += start[s];
     auto next = start;
     for (std::size_t i = begin; i < end; ++i)
-      order_[next[addresses_[i].shard]++] = static_cast<std::uint32_t>(i);
+      sorted_[next[addressed_[i].address.shard]++] = addressed_[i];
   });
   parallel_for(kShards, 1, threads, [&](std::size_t s, std::size_t) {
     Shard& shard = shards[s];
     for (const auto& start : starts)
       for (std::uint32_t k = start[s]; k < start[s + 1]; ++k) {
-        if (k + kAhead < start[s + 1] && !shard.table.empty())
-          __builtin_prefetch(
-              &shard.table[hash(addresses_[order_[k + kAhead]].key) & (shard.table.size() - 1)]);
-        const VoxelAddress& address = addresses_[order_[k]];
-        shard.add(address.key, address.bit, world_[order_[k]]);
+        if (k + kAhead < start[s + 1]) shard.fetch(sorted_[k + kAhead].address.key);
+        shard.add(sorted_[k].address, sorted_[k].point);
       }
   });
 }
@@ -164,8 +164,7 @@ void VoxelMap::label(const Points& points, const VoxelGrid& grid, int threads, b
     for (std::size_t i = begin; i < end; ++i) {
       if (i + kAhead < end) {
         const VoxelAddress& ahead = addresses[i - begin + kAhead];
-        const auto& table = shards[ahead.shard].table;
-        if (!table.empty()) __builtin_prefetch(&table[hash(ahead.key) & (table.size() - 1)]);
+        shards[ahead.shard].fetch(ahead.key);
       }
       const VoxelAddress& address = addresses[i - begin];
       const VoxelBlock* block = shards[address.shard].find(address.key);

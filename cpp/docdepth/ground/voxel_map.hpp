@@ -82,7 +82,9 @@ class VoxelMap {
     std::array<std::vector<std::uint32_t>, 65> unused;  ///< given back, by capacity
 
     const VoxelBlock* find(std::uint64_t key) const;
-    void add(std::uint64_t key, std::uint32_t bit, const Eigen::Vector3d& p);
+    /// Have the memory fetch where find() and add() begin to look.
+    void fetch(std::uint64_t key) const;
+    void add(const VoxelAddress& address, const Eigen::Vector3d& p);
 
    private:
     VoxelBlock& find_or_make(std::uint64_t key);
@@ -92,10 +94,11 @@ class VoxelMap {
   std::array<Shard, kShards> shards;
 
  private:
-  // What insert() knows of each point of a sweep; kept to be used again.
-  std::vector<Eigen::Vector3d> world_;
-  std::vector<VoxelAddress> addresses_;
-  std::vector<std::uint32_t> order_;
+  struct Addressed {
+    Eigen::Vector3d point;
+    VoxelAddress address;
+  };
+  std::vector<Addressed> addressed_, sorted_;  // of insert(), kept to be used again
 };
 
 }  // namespace docdepth

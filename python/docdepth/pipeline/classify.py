@@ -73,13 +73,17 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             bits = np.load(grounds / f"{index:06d}.npy")
             ground = np.unpackbits(bits, count=len(record.points)).astype(bool)
         with watch("surfaces"):
-            surface = dynamics.surface_for(record.points, parameters.dynamics, parameters.surface)
+            surface = dynamics.surface_for(
+                record.points, parameters.dynamics, parameters.surface, run.sensors(record)
+            )
         return _Sweep(record, ground, surface)
 
     def make_key_frame(sweep: Future[_Sweep]) -> dynamics.KeyFrame:
         record, ground, surface = sweep.result()
         with watch("key frames"):
-            return dynamics.KeyFrame(record.points, ground, parameters.dynamics, surface)
+            return dynamics.KeyFrame(
+                record.points, ground, parameters.dynamics, surface, run.sensors(record)
+            )
 
     def finish(index: int, sweep: _Sweep, votes: dynamics.Votes) -> None:
         (record, ground, surface), first = sweep, None
@@ -207,8 +211,9 @@ def _carry_evidence(
             sightings.append(objects.Sighting.of(arrays))
     with watch("tracks"):
         carried = objects.follow(sightings, trajectory.times, run.parameters.dynamics, threads)
+    local = objects.poses_near_start(trajectory)
     for index, found in enumerate(carried):
-        if not len(found):
+        if not found:
             continue
         with watch("read"):
             record = run.frame(index)
@@ -223,8 +228,11 @@ def _carry_evidence(
             record.votes_static,
             record.votes_dynamic,
             record.classid,
+            local[index],
             run.parameters.dynamics,
         )
+        if (classid == record.classid).all():
+            continue
         with watch("write"):
             _write_classified(run, index, replace(record, classid=classid))
 

@@ -76,11 +76,14 @@ def run_odometry(
                 len(points),
                 {"odometry": key},
                 late=None if sweep.fraction is None else period * sweep.fraction[usable],
+                sensor=sweep.sensors.index[usable] if sweep.sensors else None,
             )
             with watch("write"):
                 run.write_frame(index, record)
         tell(index + 1, total)
-    finish_stage(run, "odometry", watch, worked)
+    sensors = dataset.sweep(0).sensors
+    more = {"T_lidar_sensor": sensors.T_lidar_sensor.tolist()} if sensors else {}
+    finish_stage(run, "odometry", watch, worked, **more)
 
 
 def _phantoms(dataset: Dataset, sweep: Sweep, bloom_deg: float) -> NDArray[np.bool_]:

@@ -73,8 +73,9 @@ def write_drive(
         "seed": seed,
         "frames": frames,
         "motion_compensated": not skew,
-        "bloom_deg": bloom_deg,
     }
+    if bloom_deg:
+        about["bloom_deg"] = bloom_deg
     # Written last: a folder with it is a whole drive.
     (folder / "docdepth.yaml").write_text(yaml.safe_dump(about, sort_keys=False))
     return folder
