@@ -193,10 +193,12 @@ std::vector<float> Candidates::settle(const Camera& camera,
     std::size_t left = 0;
     for (std::size_t i = 0; i < contests.size(); ++i) {
       const Contest c = contests[i];
+      float& here = result[std::size_t(c.v) * columns_.stride + c.u];
+      const auto offer = [&](int n) { return n < kMost ? c.offers[n] : 0.0f; };
       if (balance[i] > 0)
-        result[std::size_t(c.v) * columns_.stride + c.u] = c.offers[k];
-      else if (k + 1 < kMost && c.offers[k + 1] > 0)
-        contests[left++] = c;
+        here = c.offers[k];
+      else if (offer(k + 1) > 0 && !(offer(k + 1) == here && offer(k + 2) == 0))
+        contests[left++] = c;  // else what is there stays, whatever the rays tell
     }
     contests.resize(left);
   }
