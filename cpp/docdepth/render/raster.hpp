@@ -18,7 +18,7 @@
 // nothing is shared and the order within a strip never changes.
 namespace docdepth {
 
-constexpr int kStrip = 96;  // columns; 375 rows of them fit the first cache levels
+constexpr int kStrip = 104;  // columns; 375 rows of them fit the first cache levels
 constexpr int kLanes = 8;
 typedef float Floats __attribute__((vector_size(4 * kLanes)));
 typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
