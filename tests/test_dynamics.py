@@ -261,6 +261,35 @@ def test_an_object_moves_as_a_whole_and_single_points_alone_do_not(yard):
     assert (classify(ground, votes, off, points)[box] == 50).all()
 
 
+def test_points_without_votes_do_not_speak_against_their_object(yard):
+    _, sweeps, what = yard
+    points, ground = sweeps[6], what[6] == 0
+    box = np.flatnonzero(what[6] == 2)
+    votes = Votes(*np.zeros((2, len(points)), np.uint16))
+    seen = box[np.argsort(points[box, 2])[-(len(box) // 3) :]]  # the rest stands before the sky
+    votes.dynamic[seen] = 3
+    assert (classify(ground, votes, DEFAULT, points)[box] == 100).all()
+    off = DEFAULT.model_copy(update={"object_least": 0.5})
+    assert (classify(ground, votes, off, points)[box] == 100).mean() < 0.9
+    # But where most of those who looked saw it stand, or hardly anybody looked, it does not move.
+    votes.static[np.setdiff1d(box, seen)] = 3
+    assert (classify(ground, votes, DEFAULT, points)[box] == 100).mean() < 0.9
+    votes.static[:], votes.dynamic[:] = 0, 0
+    votes.dynamic[seen[-len(box) // 8 :]] = 3
+    assert (classify(ground, votes, DEFAULT, points)[box] == 100).mean() < 0.9
+
+
+def test_what_lies_flat_and_was_seen_free_at_times_does_not_move():
+    """Boughs and signs that key frames look past; as wide as a car, one row of returns high."""
+    x, y = np.meshgrid(np.arange(10, 13, 0.1), np.arange(-1, 1, 0.1))
+    for height, classid in ((0.0, 50), (0.1, 100)):
+        points = np.stack([x, y, 1 + height * (x - 10) / 0.1 / 3], -1).reshape(-1, 3)
+        points = points.astype(np.float32)
+        votes = Votes(*np.full((2, len(points)), 3, np.uint16))
+        votes.static[:] = 9
+        assert set(classify(np.zeros(len(points), bool), votes, DEFAULT, points)) == {classid}
+
+
 def test_ties_and_unseen_points_are_static():
     votes = Votes(np.array([0, 1, 1, 0, 0], np.uint16), np.array([0, 1, 2, 1, 9], np.uint16))
     ground = np.array([False, False, False, False, True])

@@ -8,7 +8,7 @@ from docdepth.dynamics import classify_drive
 from docdepth.errors import InputError
 from docdepth.io.ply import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder
-from docdepth.objects import Sighting, connect_objects, follow
+from docdepth.objects import Followed, Sighting, add_carried, connect_objects, follow
 from docdepth.pipeline import classify as stage
 from docdepth.pipeline import run_classify
 from docdepth.trajectory import Trajectory
@@ -67,7 +67,7 @@ def carried(things, count, p=DEFAULT, **more):
     sightings, rows = sightings_of(things, count, **more)
     found = follow(sightings, np.arange(count) * 100_000_000, p)
     return [
-        [i for i in range(count) if k in rows[i] and rows[i][k] in found[i]]
+        [i for i in range(count) if k in rows[i] and rows[i][k] in found[i].objects]
         for k in range(len(things))
     ]
 
@@ -151,6 +151,41 @@ def test_two_dynamic_sweeps_are_no_track():
     assert carried([Thing(CAR, passes(4), range(10, 12))], 20) == [[]]
 
 
+def test_what_is_lost_on_its_way_is_where_its_way_leads():
+    """Too few points, or a wall taken for a part of it: no object of those sweeps is the car."""
+    at, lost = passes(4), {0, 1, 7, 8, 9, 27}
+    car = Thing(CAR, lambda i: None if i in lost else at(i), set(range(28)) - lost)
+    found = follow(sightings_of([car], 28)[0], np.arange(28) * 100_000_000, DEFAULT)
+    for i in lost:
+        for box in found[i].boxes:
+            np.testing.assert_allclose(0.5 * (box[:2] + box[3:5]), at(i), atol=0.05)
+            np.testing.assert_allclose(box[3:] - box[:3], CAR, atol=0.2)
+        assert len(found[i].boxes) == 2  # forward and backward
+    off = DEFAULT.model_copy(update={"track_window": 0})
+    found = follow(sightings_of([car], 28)[0], np.arange(28) * 100_000_000, off)
+    assert not any(len(sweep.boxes) for sweep in found)
+
+
+def test_what_stands_is_on_no_way():
+    car = Thing(CAR, waits((15, 3), 20), range(50))
+    found = follow(sightings_of([car], 50)[0], np.arange(50) * 100_000_000, DEFAULT)
+    assert not any(len(sweep.boxes) for sweep in found[:18])
+    assert all(len(sweep.boxes) for sweep in found[26:])
+
+
+def test_points_on_the_way_move_unless_votes_or_ground_speak_against_it():
+    T = np.eye(4)
+    T[:3, 3] = 2, 0, 1
+    points = np.array([[5, 0, 0], [5, 1, 0], [5, 2, 0], [5, 0, 0], [9, 0, 0]], np.float32)
+    box = np.array([[6, -1, 0, 8, 3, 2]], np.float32)  # in the world: [4, -1, -1, 6, 3, 1] here
+    static, dynamic = np.array([[0, 2, 3, 0, 0], [0] * 5], np.uint16)
+    classid = np.array([50, 50, 50, 0, 50], np.uint16)
+    alone = np.arange(5, dtype=np.uint32)
+    found = Followed(np.zeros(0, np.uint32), box)
+    classid = add_carried(points, alone, found, static, dynamic, classid, T, DEFAULT)
+    assert list(classid) == [100, 100, 50, 0, 50]
+
+
 def random_things(rng, count):
     things = []
     for _ in range(12):
@@ -181,11 +216,13 @@ def test_followed_objects_equal_the_reference(seed):
     found = [follow(sightings, times, p, threads) for threads in (1, 2)]
     again = [Sighting.of(seen.arrays) for seen in sightings]
     expected = reference_follow([seen.arrays for seen in sightings], times * 1e-9, p)
-    assert sum(len(rows) for rows in expected) > 10
+    assert sum(len(rows) for rows, _ in expected) > 10
+    assert sum(len(boxes) for _, boxes in expected) > 50
     for one, two, three, right in zip(*found, follow(again, times, p), expected, strict=True):
-        np.testing.assert_array_equal(one, right)
-        np.testing.assert_array_equal(two, right)
-        np.testing.assert_array_equal(three, right)
+        for result in (one, two, three):
+            np.testing.assert_array_equal(result.objects, right[0])
+            np.testing.assert_allclose(result.boxes, right[1], atol=1e-4)
+        np.testing.assert_array_equal(one.boxes, two.boxes)
 
 
 def test_a_sighting_is_the_objects_of_its_sweep():
@@ -302,3 +339,20 @@ def test_objects_are_connected_points_off_the_ground(street):
     assert (objects[what[0] == 0] == np.flatnonzero(what[0] == 0)).all()
     box = np.flatnonzero(what[0] == 2)
     assert np.bincount(objects[box]).max() > 0.9 * len(box)
+
+
+def test_a_single_row_of_returns_before_a_far_wall_is_one_object():
+    """A roof or a thin body that one ring meets: every triangle there is cut by a depth jump."""
+    azimuth, elevation = np.meshgrid(np.radians(np.arange(-20, 20, 0.4)), np.radians([4, 2, 0, -2]))
+    row = (elevation == 0) & (np.abs(azimuth) < np.radians(5))
+    range_ = np.where(row, 12.0, 30.0) / np.cos(azimuth)
+    points = range_[..., None] * np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
+         np.sin(elevation)], -1)  # fmt: skip
+    points, row = points.reshape(-1, 3).astype(np.float32), row.ravel()
+    ground = np.zeros(len(points), bool)
+    objects = connect_objects(points, ground)
+    assert len(set(objects[row])) == 1
+    assert not set(objects[row]) & set(objects[~row])
+    off = DEFAULT.model_copy(update={"link_jump": 0})
+    assert len(set(connect_objects(points, ground, parameters=off)[row])) == row.sum()

@@ -7,14 +7,22 @@ ZERO = np.zeros(3, F)
 
 
 def follow(sightings, times, p):
-    """For each sweep the first rows of what moves at another time; sightings as arrays."""
+    """For each sweep the first rows of what moves at another time, and boxes on their way.
+
+    Sightings are given as arrays.
+    """
     sightings = [objects_of(*arrays) for arrays in sightings]
-    found = [set() for _ in sightings]
+    found, boxes = [set() for _ in sightings], [[] for _ in sightings]
     for order in (range(len(sightings)), range(len(sightings) - 1, -1, -1)):
         for track in tracks_of(sightings, times, order, p):
             for sweep, first in carried(track, sightings, p):
                 found[sweep].add(first)
-    return [np.array(sorted(rows), np.uint32) for rows in found]
+            for sweep, box in on_its_way(track, times, p):
+                boxes[sweep].append(box)
+    return [
+        (np.array(sorted(rows), np.uint32), np.array(of, F).reshape(-1, 6))
+        for rows, of in zip(found, boxes, strict=True)
+    ]
 
 
 def objects_of(numbers, boxes, places):
@@ -116,12 +124,44 @@ def go_on(track, sweep, shift, members, seen, free, times):
     track["members"].append((sweep, members, moves, low, high))
 
 
-def carried(track, sightings, p):
+def moved(track, p):
     members = track["members"]
     way = [F(0.5) * (m[3] + m[4]) for m in (members[0], members[-1])]
-    if sum(m[2] for m in members) < p.track_sightings or (
-        norm(way[1] - way[0], 2) < F(p.track_distance)
-    ):
+    far = norm(way[1] - way[0], 2) >= F(p.track_distance)
+    return far and sum(m[2] for m in members) >= p.track_sightings
+
+
+def on_its_way(track, times, p):
+    """Where it is in each sweep of its life, and a little before and after, unless it stands."""
+    if not moved(track, p):
+        return
+    members = sorted(track["members"], key=lambda m: m[0])
+    seen, way = times[[m[0] for m in members]], np.array([F(0.5) * (m[3] + m[4]) for m in members])
+    way[:, 2] = 0
+
+    def at(t):
+        k = np.searchsorted(seen, t)
+        if k == 0:
+            a, b, start = 0, min(4, len(seen)) - 1, 0
+        elif k == len(seen):
+            a, b, start = len(seen) - min(4, len(seen)), len(seen) - 1, len(seen) - 1
+        else:
+            a, b, start = k - 1, k, k
+        return way[start] + F((t - seen[start]) / (seen[b] - seen[a])) * (way[b] - way[a])
+
+    for sweep, t in enumerate(times):
+        if not seen[0] - p.track_gap - 1e-3 <= t <= seen[-1] + p.track_gap + 1e-3:
+            continue
+        near = np.flatnonzero(np.abs(seen - t) <= p.track_window + 1e-3)
+        if len(near) and norm(at(t + 0.3) - at(t - 0.3), 2) / F(0.6) >= F(0.5):
+            low = np.min([members[k][3] + (at(t) - way[k]) for k in near], 0)
+            high = np.max([members[k][4] + (at(t) - way[k]) for k in near], 0)
+            yield sweep, [*low, *high]
+
+
+def carried(track, sightings, p):
+    members = track["members"]
+    if not moved(track, p):
         return
     for sweep, objects, _, low, high in members:
         away = [

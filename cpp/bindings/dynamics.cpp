@@ -118,6 +118,33 @@ py::array_t<std::uint8_t> with_loose(const Array<float>& points, const Array<boo
   return to_numpy(std::move(result), {static_cast<py::ssize_t>(map.rows())});
 }
 
+py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bool>& ground,
+                                      const Array<std::uint16_t>& statics,
+                                      const Array<std::uint16_t>& dynamics,
+                                      const Array<double>& pose, const Array<float>& boxes,
+                                      const Array<bool>& moving,
+                                      const ObjectParameters& parameters) {
+  const PointMap map = as_points(points);
+  const bool* flags = as_column(ground, map.rows(), "ground");
+  const std::uint16_t* s = as_column(statics, map.rows(), "statics");
+  const std::uint16_t* d = as_column(dynamics, map.rows(), "dynamics");
+  const bool* m = as_column(moving, map.rows(), "moving");
+  const Pose T_world_lidar = as_pose(pose);
+  if (boxes.ndim() != 2 || boxes.shape(1) != 6)
+    throw std::invalid_argument("boxes are low and high corners, (K, 6)");
+  std::vector<Extent> extents(boxes.shape(0));
+  for (std::size_t k = 0; k < extents.size(); ++k) {
+    extents[k].low = Eigen::Map<const Eigen::Vector3f>(boxes.data() + 6 * k);
+    extents[k].high = Eigen::Map<const Eigen::Vector3f>(boxes.data() + 6 * k + 3);
+  }
+  std::vector<std::uint8_t> result(m, m + map.rows());
+  {
+    py::gil_scoped_release release;
+    add_points_inside(map, flags, s, d, T_world_lidar, extents, parameters, result);
+  }
+  return to_numpy(std::move(result), {static_cast<py::ssize_t>(map.rows())});
+}
+
 std::unique_ptr<Sighting> make_sighting(const Array<float>& points, const Array<bool>& ground,
                                         const Array<std::uint32_t>& first,
                                         const Array<bool>& moving, const Array<double>& pose) {
@@ -178,15 +205,21 @@ py::list follow_all(const std::vector<const Sighting*>& sightings, const Array<d
   const double* t = as_column(times, count, "times");
   for (const Sighting* seen : sightings)
     if (!seen) throw std::invalid_argument("follow needs a sighting of each sweep");
-  std::vector<std::vector<std::uint32_t>> found;
+  std::vector<Followed> found;
   {
     py::gil_scoped_release release;
     found = follow(sightings, {t, t + count}, parameters, threads);
   }
   py::list result;
-  for (auto& rows : found) {
-    const auto size = static_cast<py::ssize_t>(rows.size());
-    result.append(to_numpy(std::move(rows), {size}));
+  for (auto& [rows, boxes] : found) {
+    const auto objects = static_cast<py::ssize_t>(rows.size());
+    std::vector<float> corners;
+    for (const Extent& box : boxes)
+      for (const auto* corner : {&box.low, &box.high})
+        corners.insert(corners.end(), corner->data(), corner->data() + 3);
+    const auto ways = static_cast<py::ssize_t>(boxes.size());
+    result.append(py::make_tuple(to_numpy(std::move(rows), {objects}),
+                                 to_numpy(std::move(corners), {ways, 6})));
   }
   return result;
 }
@@ -213,13 +246,16 @@ void bind_dynamics(py::module_& m) {
       .def(py::init<>())
       .def_readwrite("link", &ObjectParameters::link)
       .def_readwrite("link_growth", &ObjectParameters::link_growth)
+      .def_readwrite("link_jump", &ObjectParameters::link_jump)
       .def_readwrite("companions", &ObjectParameters::companions)
       .def_readwrite("company", &ObjectParameters::company)
       .def_readwrite("clear_votes", &ObjectParameters::clear_votes)
       .def_readwrite("clear_ratio", &ObjectParameters::clear_ratio)
       .def_readwrite("object_points", &ObjectParameters::object_points)
       .def_readwrite("share", &ObjectParameters::share)
+      .def_readwrite("least", &ObjectParameters::least)
       .def_readwrite("width", &ObjectParameters::width)
+      .def_readwrite("height", &ObjectParameters::height)
       .def_readwrite("freed_share", &ObjectParameters::freed_share)
       .def_readwrite("freed_votes", &ObjectParameters::freed_votes)
       .def_readwrite("freed_ratio", &ObjectParameters::freed_ratio)
@@ -230,6 +266,9 @@ void bind_dynamics(py::module_& m) {
         py::arg("statics"), py::arg("dynamics"), py::arg("surface"), py::arg("parameters"));
   m.def("add_loose_points", &with_loose, py::arg("points"), py::arg("ground"), py::arg("first"),
         py::arg("statics"), py::arg("dynamics"), py::arg("moving"), py::arg("parameters"));
+  m.def("add_points_inside", &with_inside, py::arg("points"), py::arg("ground"), py::arg("statics"),
+        py::arg("dynamics"), py::arg("T_world_lidar"), py::arg("boxes"), py::arg("moving"),
+        py::arg("parameters"));
   py::class_<Sighting>(m, "Sighting")
       .def(py::init(&make_sighting), py::arg("points"), py::arg("ground"), py::arg("first"),
            py::arg("moving"), py::arg("T_world_lidar"))
@@ -241,7 +280,8 @@ void bind_dynamics(py::module_& m) {
       .def_readwrite("distance", &TrackParameters::distance)
       .def_readwrite("max_speed", &TrackParameters::max_speed)
       .def_readwrite("gap", &TrackParameters::gap)
-      .def_readwrite("hold", &TrackParameters::hold);
+      .def_readwrite("hold", &TrackParameters::hold)
+      .def_readwrite("window", &TrackParameters::window);
   m.def("follow", &follow_all, py::arg("sightings"), py::arg("times"), py::arg("parameters"),
         py::arg("threads") = 0);
   py::class_<SurfaceImage, KeyFrame>(m, "SurfaceImage")

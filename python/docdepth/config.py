@@ -119,6 +119,9 @@ class DynamicsParameters(VotingParameters):
     link_growth: float = Field(
         0.05, ge=0, description="or, where beams are wider apart, than so much of their range [-]"
     )
+    link_jump: float = Field(
+        0.25, ge=0, description="nor across a depth jump, unless ranges differ by less [m]"
+    )
     companions: int = Field(
         5, ge=1, description="connected dynamic points that need no other evidence"
     )
@@ -129,11 +132,15 @@ class DynamicsParameters(VotingParameters):
     clear_ratio: float = Field(4.0, ge=1, description="and so many times more than static ones")
     object_points: int = Field(10, ge=1, description="points of an object, at least")
     object_share: float = Field(
-        0.5, gt=0, le=1, description="share of dynamic points that makes all of it dynamic"
+        0.5, gt=0, le=1, description="share of its points with votes that, dynamic, makes all so"
+    )
+    object_least: float = Field(
+        0.2, gt=0, le=1, description="and share of all its points, votes or not"
     )
     object_width: float = Field(
         1.5, ge=0, description="extent of what may stand a while and move, from above [m]"
     )
+    object_height: float = Field(0.3, ge=0, description="and its height [m]")
     freed_share: float = Field(
         0.6, gt=0, le=1, description="share of its points whose place was free at another time"
     )
@@ -150,6 +157,11 @@ class DynamicsParameters(VotingParameters):
     track_speed: float = Field(40.0, gt=0, description="nothing is faster [m/s]")
     track_gap: float = Field(0.5, ge=0, description="an object unseen for longer is lost [s]")
     track_hold: float = Field(5.0, ge=0, description="the same of one that stands [s]")
+    track_window: float = Field(
+        0.5,
+        ge=0,
+        description="sightings that near tell the box in which points move; 0: none [s]",
+    )
 
     def voting(self) -> dict[str, Any]:
         """The values that votes depend on; all others make classes of votes."""

@@ -379,10 +379,10 @@ def classify_drive(
         carried = follow(sightings, trajectory.times, parameters, threads)
         p = parameters or DynamicsParameters()
         for i, found in enumerate(carried):
-            if len(found):
+            if found:
                 votes, old = labels[i].votes, labels[i].classid
                 classid = add_carried(
-                    sweeps[i], objects[i], found, votes.static, votes.dynamic, old, p
+                    sweeps[i], objects[i], found, votes.static, votes.dynamic, old, local[i], p
                 )
                 labels[i] = Labels(classid, votes)
     return labels

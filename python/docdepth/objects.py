@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,20 +69,43 @@ def moving_points(
 def add_carried(
     points: NDArray[np.float32],
     objects: NDArray[np.uint32],
-    found: NDArray[np.uint32],
+    found: Followed,
     static: NDArray[np.uint16],
     dynamic: NDArray[np.uint16],
     classid: NDArray[np.uint16],
+    T_world_lidar: NDArray[np.float64],
     parameters: DynamicsParameters,
 ) -> NDArray[np.uint16]:
-    """Classes with the objects that :func:`follow` found in this sweep, and what is loose in them.
+    """Classes with what :func:`follow` found in this sweep.
 
-    The other arrays are those of :func:`moving_points`.
+    The other arrays are those of :func:`moving_points`, and the pose that of the sighting.
     """
     p = _object_parameters(parameters)
-    moving, ground = (classid >= 100) | np.isin(objects, found), classid < 50
-    all_moving = _core.add_loose_points(points, ground, objects, static, dynamic, moving, p)
+    moving, ground = (classid >= 100) | np.isin(objects, found.objects), classid < 50
+    inside = _core.add_points_inside(
+        points, ground, static, dynamic, T_world_lidar, found.boxes, moving, p
+    ).view(np.bool_)
+    all_moving = _core.add_loose_points(points, ground, objects, static, dynamic, inside, p)
     return np.where(all_moving, np.uint16(100), classid)
+
+
+class Followed(NamedTuple):
+    """What :func:`follow` finds in a sweep.
+
+    Attributes
+    ----------
+    objects : ndarray of uint32
+        First rows, as :func:`connect_objects` names them, of those that are dynamic, too.
+    boxes : ndarray of float32, shape (K, 6)
+        Low and high corners, in the world of the sightings, of where something is on its way:
+        points that no object of this sweep holds, and in which nobody saw what stands, are of it.
+    """
+
+    objects: NDArray[np.uint32]
+    boxes: NDArray[np.float32]
+
+    def __bool__(self) -> bool:
+        return len(self.objects) > 0 or len(self.boxes) > 0
 
 
 class Sighting:
@@ -148,14 +171,15 @@ def follow(
     times: NDArray[np.int64],
     parameters: DynamicsParameters | None = None,
     threads: int = 0,
-) -> list[NDArray[np.uint32]]:
+) -> list[Followed]:
     """Carry evidence over time: find objects that move at another time of the drive.
 
     What the votes call dynamic is followed forward and backward. Objects of the next sweep that
     fall onto its places, and together explain them, are the same one; so it is followed to where
     it waits or parks, and to where no key frame looked. What is carried along must have been free
     while the object was elsewhere, or else it is another thing: a parked car that was passed, a
-    pole, a wall.
+    pole, a wall. Between its sightings an object is where its way leads, though its points may be
+    too few, too scattered or too little seen by key frames to be found without knowing it.
 
     Parameters
     ----------
@@ -169,9 +193,8 @@ def follow(
 
     Returns
     -------
-    list of ndarray of uint32
-        For each sweep the objects (first rows, as :func:`connect_objects` names them) that are
-        dynamic, too.
+    list of Followed
+        For each sweep.
 
     Raises
     ------
@@ -184,17 +207,21 @@ def follow(
     tracks = _core.TrackParameters()
     tracks.sightings, tracks.distance = p.track_sightings, p.track_distance
     tracks.max_speed, tracks.gap, tracks.hold = p.track_speed, p.track_gap, p.track_hold
+    tracks.window = p.track_window
     seconds = (np.asarray(times) - times[0]) * 1e-9 if len(times) else np.zeros(0)
-    return _core.follow([seen._core for seen in sightings], seconds, tracks, threads)
+    found = _core.follow([seen._core for seen in sightings], seconds, tracks, threads)
+    return [Followed(*sweep) for sweep in found]
 
 
 def _object_parameters(p: DynamicsParameters) -> _core.ObjectParameters:
     objects = _core.ObjectParameters()
     objects.link, objects.link_growth = p.link, p.link_growth
+    objects.link_jump = p.link_jump
     objects.companions, objects.company = p.companions, p.company
     objects.clear_votes, objects.clear_ratio = p.clear_votes, p.clear_ratio
     objects.object_points, objects.share = p.object_points, p.object_share
-    objects.width = p.object_width
+    objects.least = p.object_least
+    objects.width, objects.height = p.object_width, p.object_height
     objects.freed_share, objects.freed_votes = p.freed_share, p.freed_votes
     objects.freed_ratio, objects.loose_votes = p.freed_ratio, p.loose_votes
     return objects

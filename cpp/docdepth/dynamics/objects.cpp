@@ -5,7 +5,7 @@
 #include <numeric>
 #include <unordered_map>
 
-#include "docdepth/geometry/places.hpp"
+#include "docdepth/geometry/rigid.hpp"
 #include "docdepth/geometry/spherical.hpp"
 
 namespace docdepth {
@@ -46,20 +46,24 @@ class Sets {
   std::vector<std::uint32_t> parent_;
 };
 
-/// Connected components of the points that `takes_part` by edges of the surface.
+/// Connected components of the points that `takes_part` by edges of the surface, and by those edges
+/// of cut triangles whose ends differ in range by less than `jump`.
 template <class TakesPart>
 std::vector<std::uint32_t> connect(const Points& points, const Surface& surface,
-                                   const ObjectParameters& p, const TakesPart& takes_part) {
+                                   const ObjectParameters& p, float jump,
+                                   const TakesPart& takes_part) {
   Sets sets(points.rows());
   const auto range = [&](std::uint32_t i) {
     return range_of(points(i, 0), points(i, 1), points(i, 2));
   };
   for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
-    if (surface.cut[t]) continue;
+    if (surface.cut[t] && jump <= 0) continue;
     for (int i = 0; i < 3; ++i) {
       const auto a = surface.triangles[t][i], b = surface.triangles[t][(i + 1) % 3];
       if (!takes_part(a) || !takes_part(b)) continue;
-      const float link = std::max(p.link, p.link_growth * std::min(range(a), range(b)));
+      const float ra = range(a), rb = range(b);
+      if (surface.cut[t] && std::fabs(ra - rb) >= jump) continue;
+      const float link = std::max(p.link, p.link_growth * std::min(ra, rb));
       if (squared_distance(points, a, b) < link * link) sets.join(a, b);
     }
   }
@@ -68,21 +72,24 @@ std::vector<std::uint32_t> connect(const Points& points, const Surface& surface,
 
 /// What is known about connected points, at the first one's place.
 struct Object {
-  int points = 0, dynamic = 0, freed = 0;
-  float low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
+  int points = 0, voted = 0, dynamic = 0, freed = 0;
+  float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
 
   bool moves(const ObjectParameters& p) const {
     if (points < p.object_points) return false;
     const auto count = static_cast<float>(points);
-    if (static_cast<float>(dynamic) >= p.share * count) return true;
+    const auto found = static_cast<float>(dynamic);
+    if (found >= p.share * static_cast<float>(voted) && found >= p.least * count) return true;
+    if (high[2] - low[2] < p.height) return false;
     const float x = high[0] - low[0], y = high[1] - low[1];
     return static_cast<float>(freed) >= p.freed_share * count && x * x + y * y >= p.width * p.width;
   }
 };
 
-constexpr int kFewestPoints = 5;  ///< of what is an object
-constexpr float kWidest = 25;     ///< of what moves, from above [m]
-constexpr float kAround = 0.2f;   ///< an extent's [m]
+constexpr int kFewestPoints = 5;    ///< of what is an object
+constexpr float kWidest = 25;       ///< of what moves, from above [m]
+constexpr float kAround = 0.2f;     ///< an extent's [m]
+constexpr float kAroundWay = 0.1f;  ///< a box on its way [m]
 
 /// Finds whether a marked point lies near, by cells of that size.
 class Neighborhood {
@@ -121,7 +128,8 @@ class Neighborhood {
 /// Dynamic points of their own right that are connected to enough others.
 Flags believed(const Points& points, const Surface& surface, const Flags& dynamic,
                const ObjectParameters& p) {
-  const auto first = connect(points, surface, p, [&](std::uint32_t i) { return dynamic[i] != 0; });
+  const auto first =
+      connect(points, surface, p, 0, [&](std::uint32_t i) { return dynamic[i] != 0; });
   std::vector<int> size(first.size());
   for (const auto f : first) ++size[f];
   Flags result(first.size());
@@ -132,15 +140,16 @@ Flags believed(const Points& points, const Surface& surface, const Flags& dynami
 
 /// All points of the objects that move.
 void add_objects(const Points& points, const bool* ground, const std::uint32_t* first,
-                 const Flags& freed, const ObjectParameters& p, Flags& moving) {
+                 const Flags& voted, const Flags& freed, const ObjectParameters& p, Flags& moving) {
   const std::size_t count = moving.size();
   std::vector<Object> objects(count);
   for (std::size_t i = 0; i < count; ++i) {
     Object& object = objects[first[i]];
     ++object.points;
+    object.voted += voted[i];
     object.dynamic += moving[i];
     object.freed += freed[i];
-    for (int axis = 0; axis < 2; ++axis) {
+    for (int axis = 0; axis < 3; ++axis) {
       object.low[axis] = std::min(object.low[axis], points(i, axis));
       object.high[axis] = std::max(object.high[axis], points(i, axis));
     }
@@ -153,7 +162,7 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
 
 std::vector<std::uint32_t> connect_objects(const Points& points, const bool* ground,
                                            const Surface& surface, const ObjectParameters& p) {
-  return connect(points, surface, p, [&](std::uint32_t i) { return !ground[i]; });
+  return connect(points, surface, p, p.link_jump, [&](std::uint32_t i) { return !ground[i]; });
 }
 
 std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground,
@@ -161,9 +170,10 @@ std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground
                                         const std::uint16_t* dynamics, const Surface& surface,
                                         const ObjectParameters& p) {
   const auto count = static_cast<std::size_t>(points.rows());
-  Flags dynamic(count), freed(count);
+  Flags voted(count), dynamic(count), freed(count);
   bool any = false;
   for (std::size_t i = 0; i < count; ++i) {
+    voted[i] = statics[i] || dynamics[i];
     dynamic[i] = dynamics[i] > statics[i];
     freed[i] = dynamics[i] >= p.freed_votes &&
                p.freed_ratio * static_cast<float>(dynamics[i]) > static_cast<float>(statics[i]);
@@ -171,7 +181,7 @@ std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground
   }
   if (!any) return dynamic;
   Flags moving = believed(points, surface, dynamic, p);
-  add_objects(points, ground, first, freed, p, moving);
+  add_objects(points, ground, first, voted, freed, p, moving);
 
   const Neighborhood neighborhood(points, moving, p.company);
   for (std::uint32_t i = 0; i < count; ++i) {
@@ -208,6 +218,18 @@ void add_loose_points(const Points& points, const bool* ground, const std::uint3
     if (statics[i] > dynamics[i] + p.loose_votes) continue;
     moving[i] = std::any_of(movers.begin(), movers.end(),
                             [&](const Extent& mover) { return mover.overlaps(at(i), kAround); });
+  }
+}
+
+void add_points_inside(const Points& points, const bool* ground, const std::uint16_t* statics,
+                       const std::uint16_t* dynamics, const Pose& T_world_lidar,
+                       const std::vector<Extent>& boxes, const ObjectParameters& p, Flags& moving) {
+  const RigidTransform T(T_world_lidar);
+  for (std::size_t i = 0; i < moving.size() && !boxes.empty(); ++i) {
+    if (moving[i] || ground[i] || statics[i] > dynamics[i] + p.loose_votes) continue;
+    const Eigen::Vector3f at = T * Eigen::Vector3f(points(i, 0), points(i, 1), points(i, 2));
+    moving[i] = std::any_of(boxes.begin(), boxes.end(),
+                            [&](const Extent& box) { return box.overlaps({at, at}, kAroundWay); });
   }
 }
 

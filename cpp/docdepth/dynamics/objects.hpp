@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "docdepth/geometry/places.hpp"
 #include "docdepth/geometry/types.hpp"
 #include "docdepth/surface/surface.hpp"
 
@@ -12,13 +13,16 @@ namespace docdepth {
 struct ObjectParameters {
   float link = 0.3f;          ///< neighbouring returns farther apart are not connected [m],
   float link_growth = 0.05f;  ///< or, where beams are wider apart, than so much of their range
+  float link_jump = 0.25f;    ///< nor across a depth jump, unless ranges differ by less [m]
   int companions = 5;         ///< connected dynamic points that believe each other
   float company = 1.0f;       ///< nearer to what is dynamic a single point is believed, too [m]
   int clear_votes = 3;        ///< or with that many dynamic votes
   float clear_ratio = 4;      ///< that outnumber the static ones so many times
   int object_points = 10;     ///< an object has that many points
-  float share = 0.5f;         ///< and moves when that share of them is dynamic
-  float width = 1.5f;         ///< or when it is that wide and long, from above [m]
+  float share = 0.5f;         ///< and moves when that share of those with votes is dynamic
+  float least = 0.2f;         ///< and that share of all of them,
+  float width = 1.5f;         ///< or when it is that wide and long, from above [m],
+  float height = 0.3f;        ///< and that high [m]
   float freed_share = 0.6f;   ///< and the place of that share was seen free:
   int freed_votes = 2;        ///< by that many key frames,
   float freed_ratio = 8;      ///< and by one to so many that saw it taken
@@ -27,7 +31,9 @@ struct ObjectParameters {
 
 /// Objects of a sweep, connected points off the ground: of each point the row of the first one.
 ///
-/// Returns are connected by the edges of the sweep's surface; across depth jumps there are none.
+/// Returns are connected by the edges of the sweep's surface. A triangle that a depth jump cuts has
+/// two corners on one side of it, which are as far away as each other: a single row of returns from
+/// a roof, or a thin body before a far wall, has no other edges.
 std::vector<std::uint32_t> connect_objects(const Points& points, const bool* ground,
                                            const Surface& surface,
                                            const ObjectParameters& parameters);
@@ -53,5 +59,14 @@ std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground
 void add_loose_points(const Points& points, const bool* ground, const std::uint32_t* first,
                       const std::uint16_t* statics, const std::uint16_t* dynamics,
                       const ObjectParameters& parameters, std::vector<std::uint8_t>& moving);
+
+/// Points off the ground inside one of the boxes, where something is on its way: unless many more
+/// votes are static than dynamic, they move, too.
+///
+/// @param boxes  in the world of T_world_lidar
+void add_points_inside(const Points& points, const bool* ground, const std::uint16_t* statics,
+                       const std::uint16_t* dynamics, const Pose& T_world_lidar,
+                       const std::vector<Extent>& boxes, const ObjectParameters& parameters,
+                       std::vector<std::uint8_t>& moving);
 
 }  // namespace docdepth

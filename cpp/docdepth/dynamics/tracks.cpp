@@ -24,10 +24,12 @@ constexpr float kExplained = 0.4f;  ///< share of places found again, of one tim
 constexpr float kInside = 0.6f;     ///< share of the places of what belongs to it
 constexpr std::size_t kPlaces = 100;
 constexpr float kThin = 0.15f;
-constexpr float kStanding = 0.5f;  ///< slower things may be hidden for long [m/s]
-constexpr float kApart = 0.1f;     ///< boxes that far apart: it has left [m]
-constexpr float kSame = 0.25f;     ///< a place is taken when another one is that near [m]
-constexpr float kTaken = 0.4f;     ///< share of taken places
+constexpr float kStanding = 0.5f;   ///< slower things may be hidden for long [m/s]
+constexpr double kSpeedOver = 0.3;  ///< time before and after over which a speed is taken [s]
+constexpr std::size_t kLast = 4;    ///< sightings that tell how a way goes on
+constexpr float kApart = 0.1f;      ///< boxes that far apart: it has left [m]
+constexpr float kSame = 0.25f;      ///< a place is taken when another one is that near [m]
+constexpr float kTaken = 0.4f;      ///< share of taken places
 constexpr std::size_t kEvery = 5, kWitnesses = 4;  ///< sweeps that are asked whether it was free
 
 struct Member {
@@ -35,6 +37,12 @@ struct Member {
   Rows objects;
   bool moves;  ///< by the votes on that sweep
   Extent box;
+
+  /// The middle of its box, from above.
+  Vector place() const {
+    const Vector middle = 0.5f * (box.low + box.high);
+    return {middle.x(), middle.y(), 0};
+  }
 };
 
 struct Track {
@@ -189,9 +197,8 @@ class Follower {
 };
 
 bool moved(const Track& track, const TrackParameters& p) {
-  const auto middle = [](const Member& m) { return Vector(0.5f * (m.box.low + m.box.high)); };
-  const Vector way = middle(track.members.back()) - middle(track.members.front());
-  return track.moved >= p.sightings && way.head<2>().norm() >= p.distance;
+  const Vector way = track.members.back().place() - track.members.front().place();
+  return track.moved >= p.sightings && way.norm() >= p.distance;
 }
 
 /// Share of the places where a sweep saw something that does not move.
@@ -250,26 +257,96 @@ void take_carried(const Track& track, const std::vector<const Sighting*>& sighti
   }
 }
 
+/// Where a track is at any time, from its members in the order of time.
+class Way {
+ public:
+  Way(std::vector<Member> members, const std::vector<double>& times)
+      : members_(std::move(members)), times_(times) {
+    if (members_.front().sweep > members_.back().sweep)
+      std::reverse(members_.begin(), members_.end());
+  }
+  double start() const { return time(0); }
+  double end() const { return time(members_.size() - 1); }
+
+  /// Between two members, or on from the first or last ones.
+  Vector at(double t) const {
+    const std::size_t count = members_.size();
+    if (t <= start()) return between(0, std::min(kLast, count) - 1, 0, t);
+    if (t >= end()) return between(count - std::min(kLast, count), count - 1, count - 1, t);
+    std::size_t k = 1;
+    while (time(k) < t) ++k;
+    return between(k - 1, k, k, t);
+  }
+  float speed(double t) const {
+    return (at(t + kSpeedOver) - at(t - kSpeedOver)).norm() / float(2 * kSpeedOver);
+  }
+  /// The boxes of members within `window`, moved along.
+  bool box(double t, double window, Extent& box) const {
+    bool any = false;
+    const Vector here = at(t);
+    for (std::size_t k = 0; k < members_.size(); ++k) {
+      if (std::fabs(time(k) - t) > window + 1e-3) continue;
+      const Vector shift = here - members_[k].place();
+      const Extent moved{members_[k].box.low + shift, members_[k].box.high + shift};
+      if (any) box.add(moved);
+      if (!any) box = moved;
+      any = true;
+    }
+    return any;
+  }
+
+ private:
+  double time(std::size_t k) const { return times_[members_[k].sweep]; }
+  /// On the line through members a and b, counted from member `from`.
+  Vector between(std::size_t a, std::size_t b, std::size_t from, double t) const {
+    const auto share = float((t - time(from)) / (time(b) - time(a)));
+    return members_[from].place() + share * (members_[b].place() - members_[a].place());
+  }
+
+  std::vector<Member> members_;
+  const std::vector<double>& times_;
+};
+
+/// Where the track is on its way, from a little before its first sighting to after its last.
+template <class Take>
+void take_boxes(const Track& track, const std::vector<double>& times, const TrackParameters& p,
+                const Take& take) {
+  if (p.window <= 0) return;
+  const Way way(track.members, times);
+  Extent box;
+  for (std::size_t i = 0; i < times.size(); ++i) {
+    const double t = times[i], far = p.gap + 1e-3;
+    if (t < way.start() - far || t > way.end() + far || way.speed(t) < kStanding) continue;
+    if (way.box(t, p.window, box)) take(i, box);
+  }
+}
+
 }  // namespace
 
-std::vector<std::vector<std::uint32_t>> follow(const std::vector<const Sighting*>& sightings,
-                                               const std::vector<double>& times,
-                                               const TrackParameters& p, int threads) {
-  std::vector<Rows> ways[2] = {std::vector<Rows>(sightings.size()),
-                               std::vector<Rows>(sightings.size())};
+std::vector<Followed> follow(const std::vector<const Sighting*>& sightings,
+                             const std::vector<double>& times, const TrackParameters& p,
+                             int threads) {
+  std::vector<Followed> ways[2] = {std::vector<Followed>(sightings.size()),
+                                   std::vector<Followed>(sightings.size())};
   parallel_for(2, 1, threads, [&](std::size_t backward, std::size_t) {
-    for (const Track& track : Follower(sightings, times, p).run(backward != 0))
-      if (moved(track, p))
-        take_carried(track, sightings, [&](std::size_t sweep, std::uint32_t first) {
-          ways[backward][sweep].push_back(first);
-        });
+    auto& found = ways[backward];
+    for (const Track& track : Follower(sightings, times, p).run(backward != 0)) {
+      if (!moved(track, p)) continue;
+      take_carried(track, sightings, [&](std::size_t sweep, std::uint32_t first) {
+        found[sweep].objects.push_back(first);
+      });
+      take_boxes(track, times, p,
+                 [&](std::size_t sweep, const Extent& box) { found[sweep].boxes.push_back(box); });
+    }
   });
-  std::vector<Rows> result = std::move(ways[0]);
+  std::vector<Followed> result = std::move(ways[0]);
   for (std::size_t i = 0; i < result.size(); ++i) {
-    Rows& rows = result[i];
-    rows.insert(rows.end(), ways[1][i].begin(), ways[1][i].end());
+    Rows& rows = result[i].objects;
+    rows.insert(rows.end(), ways[1][i].objects.begin(), ways[1][i].objects.end());
     std::sort(rows.begin(), rows.end());
     rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
+    auto& boxes = result[i].boxes;
+    boxes.insert(boxes.end(), ways[1][i].boxes.begin(), ways[1][i].boxes.end());
   }
   return result;
 }

@@ -15,10 +15,16 @@ struct TrackParameters {
   float max_speed = 40.0f;  ///< [m/s]
   float gap = 0.5f;         ///< unseen for longer it is lost [s]
   float hold = 5.0f;        ///< where it stands, only after that time [s]
+  float window = 0.5f;      ///< sightings so near in time tell how far it reaches [s]
 };
 
-/// Objects that move at some time of the drive, for each sweep the `first` of those that the votes
-/// on it do not call dynamic.
+/// What following finds in a sweep.
+struct Followed {
+  std::vector<std::uint32_t> objects;  ///< `first` of those that move, but not by votes on it
+  std::vector<Extent> boxes;           ///< where something is on its way, seen or not
+};
+
+/// Objects that move at some time of the drive, and where they are, sweep by sweep.
 ///
 /// An object that the votes call dynamic is followed from sweep to sweep, forward and once more
 /// backward: objects that fall onto its shifted places, and together explain them, are the same
@@ -26,9 +32,12 @@ struct TrackParameters {
 /// carried along in this way must have been free while the object was elsewhere, else another thing
 /// stands there: a parked car that was passed closely, a pole, a wall.
 ///
+/// Between its sightings, and a little before and after, an object is where its way leads; its box
+/// there is that of all sightings which are near in time, moved along.
+///
 /// @param times seconds
-std::vector<std::vector<std::uint32_t>> follow(const std::vector<const Sighting*>& sightings,
-                                               const std::vector<double>& times,
-                                               const TrackParameters& parameters, int threads);
+std::vector<Followed> follow(const std::vector<const Sighting*>& sightings,
+                             const std::vector<double>& times, const TrackParameters& parameters,
+                             int threads);
 
 }  // namespace docdepth

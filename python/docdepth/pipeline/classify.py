@@ -219,6 +219,8 @@ def _carry_evidence(
 ) -> None:
     """Classes of objects that move at another time; the same again when it was interrupted."""
 
+    local = objects.poses_near_start(trajectory)
+
     def read_sighting(index: int) -> objects.Sighting:
         with watch("read"):
             _, *arrays = _read_arrays(seen / f"{index:06d}.npy", 4)
@@ -237,8 +239,11 @@ def _carry_evidence(
             votes.static,
             votes.dynamic,
             record.classid,
+            local[index],
             run.parameters.dynamics,
         )
+        if (classid == record.classid).all():
+            return
         with watch("write"):
             _write_classified(run, index, replace(record, classid=classid))
 
@@ -246,7 +251,7 @@ def _carry_evidence(
         sightings = list(pool.map(read_sighting, range(len(trajectory))))
         with watch("tracks"):
             carried = objects.follow(sightings, trajectory.times, run.parameters.dynamics, threads)
-        changed = [index for index, found in enumerate(carried) if len(found)]
+        changed = [index for index, found in enumerate(carried) if found]
         for _ in made_ahead(pool, classify_again, changed, 3):
             pass
 
