@@ -13,7 +13,7 @@ namespace {
 using Vector = Eigen::Vector3f;
 using Triangle = std::array<std::uint32_t, 3>;
 
-constexpr std::uint32_t kColumns = 256, kRows = 64, kPadding = 16;
+constexpr std::uint32_t kColumns = 64, kRows = 128, kPadding = 16;
 
 /// Which of the cells of direction around the sensor each vertex lies in, column by column.
 struct FindCells {
