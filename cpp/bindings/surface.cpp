@@ -1,6 +1,10 @@
 #include "docdepth/surface/surface.hpp"
 
+#include <pybind11/stl.h>
+
+#include <algorithm>
 #include <memory>
+#include <vector>
 
 #include "arrays.hpp"
 
@@ -12,6 +16,20 @@ std::unique_ptr<Surface> make_surface(const Array<float>& points,
   const PointMap map = as_points(points);
   const py::gil_scoped_release release;
   return std::make_unique<Surface>(build_surface(map, parameters));
+}
+
+/// The surfaces of several LiDARs, each of its own rows of the same points, as one.
+std::unique_ptr<Surface> join_surfaces(const std::vector<Surface*>& surfaces) {
+  auto joined = std::make_unique<Surface>();
+  for (const Surface* part : surfaces) {
+    joined->points = part->points;
+    joined->triangles.insert(joined->triangles.end(), part->triangles.begin(),
+                             part->triangles.end());
+    joined->cut.insert(joined->cut.end(), part->cut.begin(), part->cut.end());
+    joined->loose.insert(joined->loose.end(), part->loose.begin(), part->loose.end());
+  }
+  std::sort(joined->loose.begin(), joined->loose.end());
+  return joined;
 }
 
 /// An array that reads the memory of a surface and keeps it alive.
@@ -52,6 +70,7 @@ void bind_surface(py::module_& m) {
       .def_property_readonly("triangles", &triangles)
       .def_property_readonly("cut", &cut)
       .def_property_readonly("loose", &loose);
+  m.def("join_surfaces", &join_surfaces, py::arg("surfaces"));
 }
 
 }  // namespace docdepth::bindings

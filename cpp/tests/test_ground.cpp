@@ -1,11 +1,13 @@
 #include <doctest/doctest.h>
 
 #include <cmath>
+#include <memory>
 #include <random>
 #include <vector>
 
 #include "docdepth/ground/ground.hpp"
 #include "docdepth/ground/normal.hpp"
+#include "docdepth/ground/voxel_map.hpp"
 
 using namespace docdepth;
 using Matrix = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
@@ -59,4 +61,36 @@ TEST_CASE("an empty map has no ground") {
   CHECK(map.grow() == 0);
   map.insert(Matrix(0, 3), Pose::Identity());
   CHECK(map.grow() == 0);
+}
+
+TEST_CASE("the voxels of many points at once are those of each") {
+  Pose pose(Eigen::AngleAxisd(0.4, Eigen::Vector3d(1, 2, 3).normalized()));
+  for (const bool turned : {false, true}) {
+    const VoxelGrid grid(turned ? pose : Pose::Identity(), {0.3 * turned, 0, 0}, 0.03125);
+    Matrix points(Addressed::kMost, 3);
+    std::mt19937 random(1);
+    std::uniform_real_distribution<float> place(-80.f, 80.f);
+    for (Eigen::Index i = 0; i < points.size(); ++i) {
+      points.data()[i] = place(random);
+      // Every other one on a border between voxels.
+      if (i % 2) points.data()[i] = std::round(points.data()[i] * 32.f) / 32.f;
+    }
+    if (!turned) points.row(0) << -32768.f, 0.f, 32767.998f;
+    const auto found = std::make_unique<Addressed>();
+    grid.find(points.data(), points.rows(), *found);
+    bool same = true;
+    for (Eigen::Index i = 0; i < points.rows(); ++i) {
+      const Eigen::Vector3d p = grid * (points.data() + 3 * i);
+      const VoxelAddress address = grid.address(p), other = found->address(i);
+      same &= p == found->point(i) && address.key == other.key && address.bit == other.bit &&
+              address.shard == other.shard;
+    }
+    CHECK(same);
+    for (const float wild : {NAN, INFINITY, -32768.01f, 32768.f}) {
+      if (turned && std::isfinite(wild)) continue;
+      points(7, 1) = wild;
+      CHECK_THROWS_AS(grid.find(points.data(), points.rows(), *found), std::out_of_range);
+      CHECK_THROWS_AS(grid.address(grid * (points.data() + 21)), std::out_of_range);
+    }
+  }
 }

@@ -166,6 +166,38 @@ TEST_CASE(
   }
 }
 
+TEST_CASE("rays are asked by falling trust until they are sure") {
+  const Camera camera{100, 100, 3, 3, 7, 7};
+  const auto square = [](float z) {
+    return Mesh({{-5, -5, z}, {5, -5, z}, {5, 5, z}, {-5, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
+  };
+  const Mesh far = square(10), near = square(5);
+  // Rays 5 cm apart at 5 m, of which one goes through the middle of the image; `aside` of that.
+  const auto sweep = [](float range, float aside) {
+    Matrix points(41 * 41, 3);
+    for (int i = 0; i < 41; ++i)
+      for (int j = 0; j < 41; ++j)
+        points.row(41 * i + j) =
+            Eigen::Vector3f(5, 0.05f * float(i - 20) + aside, 0.05f * float(j - 20)) * (range / 5);
+    return Rays(points, std::vector<Eigen::Vector3f>(points.rows(), Eigen::Vector3f::Zero()));
+  };
+  const Rays met = sweep(5, 0), met_aside = sweep(5, 0.018f), passed = sweep(10, 0);
+  Pose T_camera_sensor = Pose::Identity();
+  T_camera_sensor.linear() << 0, -1, 0, 0, 0, -1, 1, 0, 0;
+  const auto middle = [&](const std::vector<const Rays*>& rays) {
+    Drawing drawing;
+    for (const Mesh* mesh : {&far, &near}) drawing.others.push_back({mesh, Pose::Identity()});
+    for (const Rays* some : rays) drawing.rays.push_back({some, T_camera_sensor});
+    return doctest::Approx(render_triangles(camera, drawing, 1)[3 * 7 + 3]);
+  };
+  CHECK(middle({&met, &passed, &passed}) == 5);
+  CHECK(middle({&passed, &met, &met}) == 10);
+  // Two centimetres beside it none is sure, two are, and what none is sure of goes to the others.
+  CHECK(middle({&met_aside}) == 5);
+  CHECK(middle({&met_aside, &passed}) == 10);
+  CHECK(middle({&met_aside, &met_aside, &passed}) == 5);
+}
+
 TEST_CASE("a cut triangle is split in the middle of its angle, each part at its corners' range") {
   Matrix points(3, 3);
   points << 10, 0, 0, 20, 1, 0, 20, 0, 1;

@@ -7,7 +7,7 @@ import docdepth.errors
 import numpy
 import numpy.typing
 import typing
-__all__: list[str] = ['Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'ObjectParameters', 'RangeImage', 'Rays', 'Sighting', 'Surface', 'SurfaceFrame', 'SurfaceImage', 'SurfaceImageParameters', 'SurfaceParameters', 'TrackParameters', 'add_loose_points', 'add_points_inside', 'connect_objects', 'egl_devices', 'follow', 'moving_points', 'render_splats', 'render_surfaces', 'splat_layers', 'surface_layers', 'vote']
+__all__: list[str] = ['Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'ObjectParameters', 'RangeImage', 'Rays', 'Sighting', 'Surface', 'SurfaceFrame', 'SurfaceImage', 'SurfaceImageParameters', 'SurfaceParameters', 'TrackParameters', 'add_loose_points', 'add_points_inside', 'connect_objects', 'egl_devices', 'follow', 'join_surfaces', 'moving_points', 'render_splats', 'render_surfaces', 'splat_layers', 'surface_layers', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -331,6 +331,8 @@ def connect_objects(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float
 def egl_devices(library: str = '') -> list[bool]:
     ...
 def follow(sightings: collections.abc.Sequence[Sighting], times: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], parameters: TrackParameters, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> list:
+    ...
+def join_surfaces(surfaces: collections.abc.Sequence[Surface]) -> Surface:
     ...
 def moving_points(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], first: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], statics: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamics: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], surface: Surface, parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint8]:
     ...

@@ -32,6 +32,9 @@ class OdometryParameters(_Stage):
     passes: int = Field(
         3, ge=1, le=5, description="registrations; from the second on small_gicp's, deskewed"
     )
+    bloom_deg: float = Field(
+        0.0, ge=0, le=5, description="phantoms this far around reflectors are left out [deg]"
+    )
 
 
 class GroundParameters(_Stage):
@@ -184,7 +187,7 @@ class RenderParameters(_Stage):
         50.0, ge=0, description="moving objects are carried to the image's time up to this [m/s]"
     )
     witnesses: int = Field(
-        12, ge=0, le=100, description="sweeps whose rays are asked at edges; 0 believes the nearest"
+        18, ge=0, le=100, description="sweeps whose rays are asked at edges; 0 believes the nearest"
     )
     loose_deg: float = Field(
         0.1, gt=0, lt=10, description="half width of a return without a triangle [deg]"

@@ -21,7 +21,8 @@ from docdepth.objects import (
     moving_points,
     poses_near_start,
 )
-from docdepth.surface import Surface
+from docdepth.sensors import Sensors, views
+from docdepth.surface import Surface, SurfacePart
 from docdepth.trajectory import Trajectory, check_rigid
 
 GROUND, STATIC, DYNAMIC = 0, 50, 100
@@ -120,6 +121,8 @@ class KeyFrame:
         Its ``against`` says whether pixels or the sweep's surface answer.
     surface : Surface, optional
         Of these points; made here when needed and left out.
+    sensors : Sensors, optional
+        Where several LiDARs measured the sweep: each answers from its own place.
 
     Raises
     ------
@@ -133,13 +136,19 @@ class KeyFrame:
         ground: NDArray[np.bool_],
         parameters: DynamicsParameters | None = None,
         surface: Surface | None = None,
+        sensors: Sensors | None = None,
     ) -> None:
         p = parameters or DynamicsParameters()
         points, ground = check_sweep(points, ground)
+        self._views: list[tuple[_core.KeyFrame, NDArray[np.float64]]]
         if p.against == "pixels":
-            self._core = _range_image(points, ground, p)
+            self._views = [
+                (_range_image(seen, ground, p), T_lidar_sensor)
+                for seen, T_lidar_sensor in views(points, sensors)
+            ]
         else:
-            self._core = _surface_image(points, p, surface or Surface(points))
+            parts = (surface or Surface(points, None, sensors)).parts
+            self._views = [(_surface_image(part, p), part.T_lidar_sensor) for part in parts]
 
 
 def vote(
@@ -192,8 +201,18 @@ def vote(
     check_rigid(np.concatenate([pose[None], poses]))
     if (parameters or DynamicsParameters()).against == "surface":
         ground = np.zeros_like(ground)
+    answering = [
+        (core, T_world_lidar @ T_lidar_sensor)
+        for frame, T_world_lidar in zip(key_frames, poses, strict=True)
+        for core, T_lidar_sensor in frame._views
+    ]
     static, dynamic = _core.vote(
-        points, ground, pose, [frame._core for frame in key_frames], poses, threads
+        points,
+        ground,
+        pose,
+        [core for core, _ in answering],
+        np.array([T for _, T in answering]).reshape(-1, 4, 4),
+        threads,
     )
     return Votes(static, dynamic)
 
@@ -284,6 +303,7 @@ def classify_drive(
     threads: int = 0,
     ground: Sequence[NDArray[np.bool_]] | None = None,
     surface: SurfaceParameters | None = None,
+    sensors: Sequence[Sensors] | None = None,
 ) -> list[Labels]:
     """Classify a drive that fits into memory.
 
@@ -300,6 +320,8 @@ def classify_drive(
         Ground labels of each sweep; grown by :func:`docdepth.ground.grow_ground` when left out.
     surface : SurfaceParameters, optional
         Of the surfaces of key frames and objects.
+    sensors : sequence of Sensors, optional
+        Of each sweep, where several LiDARs measured it.
 
     Returns
     -------
@@ -315,15 +337,19 @@ def classify_drive(
         from docdepth.ground import grow_ground
 
         ground = grow_ground(sweeps, trajectory.poses, threads=threads)
-    if not len(sweeps) == len(trajectory) == len(ground):
+    seen_by = [None] * len(sweeps) if sensors is None else list(sensors)
+    if not len(sweeps) == len(trajectory) == len(ground) == len(seen_by):
         raise InputError(
             f"{len(sweeps)} sweeps, {len(trajectory)} poses and {len(ground)} ground labels do not "
             "belong to the same drive; give one of each a sweep"
         )
-    surfaces = [surface_for(sweep, parameters, surface) for sweep in sweeps]
+    surfaces = [
+        surface_for(sweep, parameters, surface, seen)
+        for sweep, seen in zip(sweeps, seen_by, strict=True)
+    ]
     chosen = key_frames(trajectory, parameters)
     frames = {
-        int(j): KeyFrame(sweeps[j], ground[j], parameters, surfaces[j])
+        int(j): KeyFrame(sweeps[j], ground[j], parameters, surfaces[j], seen_by[j])
         for j in np.unique(np.concatenate(chosen))
     }
     local = poses_near_start(trajectory)
@@ -366,10 +392,11 @@ def surface_for(
     points: NDArray[np.float32],
     parameters: DynamicsParameters | None = None,
     surface: SurfaceParameters | None = None,
+    sensors: Sensors | None = None,
 ) -> Surface | None:
     """The surface of a sweep, where key frames or objects need one: to be handed to both."""
     p = parameters or DynamicsParameters()
-    return Surface(points, surface) if p.objects or p.against == "surface" else None
+    return Surface(points, surface, sensors) if p.objects or p.against == "surface" else None
 
 
 def _range_image(
@@ -378,9 +405,7 @@ def _range_image(
     return _core.RangeImage(points, ground, np.radians(p.resolution_deg), p.window, p.tolerance)
 
 
-def _surface_image(
-    points: NDArray[np.float32], p: DynamicsParameters, surface: Surface
-) -> _core.KeyFrame:
+def _surface_image(part: SurfacePart, p: DynamicsParameters) -> _core.KeyFrame:
     image = _core.SurfaceImageParameters()
     image.resolution = float(np.radians(p.resolution_deg))
     image.window, image.tolerance = p.window, p.tolerance
@@ -388,4 +413,4 @@ def _surface_image(
     image.level = _core.Margins(p.level_across, p.level_along, 0.0)
     image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
     image.beam = p.beam
-    return _core.SurfaceImage(points, surface.core, image)
+    return _core.SurfaceImage(part.points, part.core, image)

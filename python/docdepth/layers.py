@@ -90,6 +90,7 @@ def layers(
         threads=threads,
     )
     world, moving = drawn_sweeps(trajectory, time, p)
+    world = [i for i in world for _ in frames(i).parts]
     delays = (trajectory.times[[*world, *moving]] - np.int64(time)).astype(np.float64) * 1e-9
     sweep = found["sweep"]
     if "confidence" in names:

@@ -13,6 +13,7 @@ from docdepth import _core
 from docdepth.backends import Renderer
 from docdepth.config import RenderParameters, SurfaceParameters
 from docdepth.errors import CalibrationError, InputError
+from docdepth.sensors import Sensors
 from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory, inverse
 
@@ -72,6 +73,8 @@ class Frame:
     late : ndarray of float32, shape (N,), optional
         When each point was measured, seconds after the sweep's time. Known, it tells better where
         moving objects were.
+    sensors : Sensors, optional
+        Where several LiDARs measured the sweep: each has a surface and lines of sight of its own.
 
     Raises
     ------
@@ -86,6 +89,7 @@ class Frame:
         parameters: RenderParameters | None = None,
         surface_parameters: SurfaceParameters | None = None,
         late: NDArray[np.float32] | None = None,
+        sensors: Sensors | None = None,
     ) -> None:
         points, classid = np.asarray(points), np.asarray(classid)
         if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
@@ -102,31 +106,45 @@ class Frame:
         p = parameters or RenderParameters()
         points, classid = np.ascontiguousarray(points), np.ascontiguousarray(classid)
         self.core: _core.Frame | _core.SurfaceFrame
+        self.parts: list[tuple[_core.Frame | _core.SurfaceFrame, NDArray[np.float64]]]
         if p.surface == "splats":
             self.core = _core.Frame(points, classid, p.crop)
-        else:
-            self.core = _surface_frame(points, classid, p, surface_parameters, late)
+            self.parts = [(self.core, np.eye(4))]
+            return
+        with np.errstate(invalid="ignore", over="ignore"):
+            drawn = np.linalg.norm(points.astype(np.float64), axis=1) < p.crop
+        points, classid = points[drawn], classid[drawn]
+        late = None if late is None else late[drawn].astype(np.float32)
+        # What moves is small, and drawn as if one LiDAR had seen it.
+        whole = Surface(points, surface_parameters)
+        self.core = _surface_frame(points, classid, whole.core, p, late)
+        self.parts = [(self.core, np.eye(4))]
+        if sensors is not None:
+            surface = Surface(points, surface_parameters, sensors.of(drawn))
+            self.parts = [
+                (_surface_frame(part.points, classid, part.core, p, late), part.T_lidar_sensor)
+                for part in surface.parts
+            ]
 
 
 def _surface_frame(
     points: NDArray[np.float32],
     classid: NDArray[np.uint16],
+    surface: _core.Surface,
     parameters: RenderParameters,
-    surface_parameters: SurfaceParameters | None,
     late: NDArray[np.float32] | None,
 ) -> _core.SurfaceFrame:
-    with np.errstate(invalid="ignore", over="ignore"):
-        drawn = np.linalg.norm(points.astype(np.float64), axis=1) < parameters.crop
-    points = points[drawn]
-    surface = Surface(points, surface_parameters)
+    """Rows that are not finite are no points of this surface."""
+    own = np.isfinite(points).all(axis=1)
+    row = np.cumsum(own, dtype=np.uint32) - np.uint32(1)
     return _core.SurfaceFrame(
-        points,
-        classid[drawn],
-        surface.triangles,
-        surface.cut.view(np.uint8),
-        surface.loose,
+        points[own],
+        classid[own],
+        row[surface.triangles],
+        surface.cut,
+        row[surface.loose],
         float(np.radians(parameters.loose_deg)),
-        None if late is None else late[drawn].astype(np.float32),
+        None if late is None else late[own],
     )
 
 
@@ -265,15 +283,17 @@ def arguments(
     T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
     kind = _core.Frame if p.surface == "splats" else _core.SurfaceFrame
 
-    def place(index: int) -> tuple[Any, NDArray[np.float64]]:
-        core = frames(index).core
-        if not isinstance(core, kind):
+    def frame(index: int) -> Frame:
+        found = frames(index)
+        if not isinstance(found.core, kind):
             raise InputError(f"frame {index} was not made for {p.surface}; give Frame parameters")
-        return core, T_camera_world @ trajectory.poses[index]
+        return found
 
+    T_camera_sweep = T_camera_world @ trajectory.poses
     world, moving = drawn_sweeps(trajectory, time, p)
     image = {"K": camera.K, "width": camera.width, "height": camera.height}
-    fixed, movers = [place(i) for i in world], [place(i) for i in moving]
+    fixed = [(core, T_camera_sweep[i] @ T) for i in world for core, T in frame(i).parts]
+    movers = [(frame(i).core, T_camera_sweep[i]) for i in moving]
     if p.surface == "splats":
         return image | {
             "static_frames": fixed,

@@ -14,7 +14,8 @@ _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 1300px; padding: 0 1em }
 table { border-collapse: collapse; margin: 1em 0 }
 td, th { padding: .2em 1em .2em 0; text-align: left; vertical-align: top }
-figure { margin: 0 0 1em } img { max-width: 100% } figcaption { color: #666; font-size: 13px }
+figure { margin: 0 0 1em } img, video { max-width: 100% }
+figcaption { color: #666; font-size: 13px }
 """
 
 
@@ -77,9 +78,9 @@ def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
 
 def _pictures(report: Path, folder: Path) -> str:
     lines = [f"<h2>{escape(folder.name)}</h2>"] if folder != report else []
-    if (folder / "video.mp4").is_file():
-        link = escape((folder / "video.mp4").relative_to(report).as_posix())
-        lines.append(f'<p><a href="{link}">video</a></p>')
+    if (folder / "video.webm").is_file():
+        link = escape((folder / "video.webm").relative_to(report).as_posix())
+        lines.append(f'<p><video controls loop preload=metadata src="{link}"></video></p>')
     for picture in sorted(folder.glob("*.jpg")):
         link = escape(picture.relative_to(report).as_posix())
         lines.append(

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth import _core
 from docdepth.config import SurfaceParameters
 from docdepth.errors import InputError
+from docdepth.sensors import Sensors, views
+
+
+class SurfacePart(NamedTuple):
+    """What one LiDAR saw of a sweep: its points in its own frame, NaN for those of others."""
+
+    points: NDArray[np.float32]
+    core: _core.Surface
+    T_lidar_sensor: NDArray[np.float64]
 
 
 class Surface:
@@ -23,6 +34,8 @@ class Surface:
         LiDAR frame (z up), metres. Points that are not finite or lie at the origin are no returns:
         they take no part.
     parameters : SurfaceParameters, optional
+    sensors : Sensors, optional
+        Where several LiDARs measured the sweep: each has a surface of its own.
 
     Attributes
     ----------
@@ -33,6 +46,9 @@ class Surface:
     loose : ndarray of uint32, shape (K,)
         Returns that no uncut triangle uses (poles, twigs, wires), ascending.
 
+    parts : list of SurfacePart
+        One a LiDAR.
+
     Raises
     ------
     InputError
@@ -40,7 +56,10 @@ class Surface:
     """
 
     def __init__(
-        self, points: NDArray[np.float32], parameters: SurfaceParameters | None = None
+        self,
+        points: NDArray[np.float32],
+        parameters: SurfaceParameters | None = None,
+        sensors: Sensors | None = None,
     ) -> None:
         points, p = np.asarray(points), parameters or SurfaceParameters()
         if points.ndim != 2 or points.shape[1] != 3:
@@ -54,7 +73,12 @@ class Surface:
         core = _core.SurfaceParameters()
         core.max_gap = float(np.radians(p.max_gap_deg))
         core.jump_ratio, core.noise, core.flatness = p.jump_ratio, p.noise, p.flatness
-        self.core = _core.Surface(np.ascontiguousarray(points), core)
+        self.parts = [
+            SurfacePart(seen, _core.Surface(seen, core), T_lidar_sensor)
+            for seen, T_lidar_sensor in views(np.ascontiguousarray(points), sensors)
+        ]
+        cores = [part.core for part in self.parts]
+        self.core = cores[0] if len(cores) == 1 else _core.join_surfaces(cores)
         self.triangles = self.core.triangles
         self.cut = self.core.cut.view(np.bool_)
         self.loose = self.core.loose

@@ -27,9 +27,9 @@ def write_video(
     fps: float | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Join the depth maps of a camera to ``report/video.mp4``, in order of time.
+    """Join the depth maps of a camera to ``report/video.webm``, in order of time.
 
-    MPEG-4 (``mp4v``), which OpenCV writes on every machine.
+    VP8, which OpenCV writes on every machine and every browser and notebook plays.
 
     Parameters
     ----------
@@ -65,8 +65,8 @@ def write_video(
         pause = np.diff([times[name] for name in names]) * 1e-9
         fps = float(1 / np.median(pause)) if len(pause) else 1.0
     images = {name: k for k, name in enumerate(stream.names)} if stream else {}
-    path = run.path / "report" / folder / "video.mp4"
-    part = path.with_name(".video.part.mp4")
+    path = run.path / "report" / folder / "video.webm"
+    part = path.with_name(".video.part.webm")
     path.parent.mkdir(parents=True, exist_ok=True)
     tell = teller(progress, "video")
     writer: cv2.VideoWriter | None = None
@@ -75,8 +75,7 @@ def write_video(
             image = rectified_image(stream, images[name]) if stream and name in images else None
             frame = _frame(read_depth(maps[name]), image)
             if writer is None:
-                code = cv2.VideoWriter.fourcc(*"mp4v")
-                writer = cv2.VideoWriter(str(part), code, fps, (frame.shape[1], frame.shape[0]))
+                writer = _writer(part, fps, frame)
             writer.write(frame)
             tell(done + 1, len(names))
         if writer is not None:
@@ -90,6 +89,19 @@ def write_video(
     finally:
         part.unlink(missing_ok=True)
     return path
+
+
+def _writer(path: Path, fps: float, frame: NDArray[np.uint8]) -> cv2.VideoWriter:
+    code = cv2.VideoWriter.fourcc(*"VP80")
+    # OpenCV opens WebM, but tells first on standard error that WebM has no such codes.
+    stderr, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
+        return cv2.VideoWriter(str(path), code, fps, (frame.shape[1], frame.shape[0]))
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(null)
 
 
 def _times(path: Path) -> dict[str, int]:

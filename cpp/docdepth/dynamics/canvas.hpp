@@ -55,6 +55,11 @@ class Canvas {
   std::vector<float> nearest_ranges(const Returns& returns, const std::vector<std::int32_t>& pixels,
                                     std::vector<std::uint32_t>* nearest = nullptr) const;
 
+  /// The window of pixel p has its first corner there + p.
+  const float* corner(const std::vector<float>& image) const {
+    return image.data() - half_ * (stride_ + 1);
+  }
+
   const SphericalGrid& grid() const { return grid_; }
   int half() const { return half_; }
   int top() const { return top_; }    ///< row of the grid that is the first of the images

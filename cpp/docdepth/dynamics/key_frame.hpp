@@ -26,8 +26,13 @@ class KeyFrame {
  public:
   virtual ~KeyFrame() = default;
 
+  /// Find the pixel of each point, and have the memory fetch what it holds: the images of all key
+  /// frames together fit into no cache, and while it comes others are voted on.
+  virtual void find(const QueryPoints& points, std::int32_t* pixels) const = 0;
+
   /// Add this key frame's vote on each point: one to statics, one to dynamics, or none.
-  virtual void vote(const QueryPoints& points, std::uint16_t* statics,
+  /// @param pixels  from find()
+  virtual void vote(const QueryPoints& points, const std::int32_t* pixels, std::uint16_t* statics,
                     std::uint16_t* dynamics) const = 0;
 };
 

@@ -6,9 +6,9 @@
 #include <limits>
 #include <stdexcept>
 
-#include "docdepth/dynamics/lanes.hpp"
 #include "docdepth/dynamics/window.hpp"
 #include "docdepth/geometry/dispatch.hpp"
+#include "docdepth/geometry/lanes.hpp"
 
 namespace docdepth {
 namespace {
@@ -132,11 +132,20 @@ void RangeImage::summarize_windows() {
   tie_free_ = tie_free_range(tolerance_);
 }
 
-void RangeImage::vote(const QueryPoints& points, std::uint16_t* statics,
+void RangeImage::find(const QueryPoints& points, std::int32_t* pixels) const {
+  if (plain_) {
+    for (std::size_t i = 0; i < points.size; ++i)
+      pixels[i] = static_cast<std::int32_t>(
+          canvas_.pixel(points.x[i], points.y[i], points.z[i], points.range[i]));
+    return;
+  }
+  canvas_.find(points, pixels);
+  for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&windows_[pixels[i]]);
+}
+
+void RangeImage::vote(const QueryPoints& points, const std::int32_t* pixel, std::uint16_t* statics,
                       std::uint16_t* dynamics) const {
-  if (plain_) return vote_plainly(points, statics, dynamics);
-  std::int32_t pixel[QueryPoints::kMax];
-  canvas_.find(points, pixel);
+  if (plain_) return vote_plainly(points, pixel, statics, dynamics);
   float nearest[QueryPoints::kMax], first[QueryPoints::kMax];
   for (std::size_t i = 0; i < points.size; ++i) {
     nearest[i] = windows_[pixel[i]].nearest;
@@ -151,10 +160,11 @@ void RangeImage::vote(const QueryPoints& points, std::uint16_t* statics,
     left[count] = static_cast<std::int32_t>(i);
     count += open[i];
   }
-  const int half = canvas_.half();
-  if (2 * half < kLanes) {
-    const float* corner = range_.data() - half * (canvas_.stride() + 1);
-    dispatch<ScanWindows>(count, left, points.range, pixel, corner, canvas_.stride(), 2 * half + 1,
+  const int window = 2 * canvas_.half() + 1;
+  if (window <= kLanes) {
+    const float* corner = canvas_.corner(range_);
+    fetch_windows(corner, canvas_.stride(), window, left, count, pixel);
+    dispatch<ScanWindows>(count, left, points.range, pixel, corner, canvas_.stride(), window,
                           tolerance_, statics);
     return;
   }
@@ -162,13 +172,11 @@ void RangeImage::vote(const QueryPoints& points, std::uint16_t* statics,
     statics[left[k]] += ask(points.range[left[k]], pixel[left[k]]) == Vote::kStatic;
 }
 
-void RangeImage::vote_plainly(const QueryPoints& points, std::uint16_t* statics,
-                              std::uint16_t* dynamics) const {
+void RangeImage::vote_plainly(const QueryPoints& points, const std::int32_t* pixel,
+                              std::uint16_t* statics, std::uint16_t* dynamics) const {
   for (std::size_t i = 0; i < points.size; ++i) {
-    const std::ptrdiff_t pixel =
-        canvas_.pixel(points.x[i], points.y[i], points.z[i], points.range[i]);
-    if (pixel < 0) continue;
-    const Vote vote = ask(points.range[i], pixel);
+    if (pixel[i] < 0) continue;
+    const Vote vote = ask(points.range[i], pixel[i]);
     statics[i] += vote == Vote::kStatic;
     dynamics[i] += vote == Vote::kDynamic;
   }

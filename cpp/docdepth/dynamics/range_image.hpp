@@ -24,8 +24,10 @@ class RangeImage : public KeyFrame {
   /// Points that are not finite or lie at the origin are left out.
   RangeImage(const Points& points, const bool* ground, const RangeImageParameters& parameters);
 
+  void find(const QueryPoints& points, std::int32_t* pixels) const override;
+
   /// Algorithm 1 on every point.
-  void vote(const QueryPoints& points, std::uint16_t* statics,
+  void vote(const QueryPoints& points, const std::int32_t* pixels, std::uint16_t* statics,
             std::uint16_t* dynamics) const override;
 
  private:
@@ -33,7 +35,7 @@ class RangeImage : public KeyFrame {
 
   void draw(const Points& points, const bool* ground);
   void summarize_windows();
-  void vote_plainly(const QueryPoints& points, std::uint16_t* statics,
+  void vote_plainly(const QueryPoints& points, const std::int32_t* pixels, std::uint16_t* statics,
                     std::uint16_t* dynamics) const;
   Vote ask(float range, std::size_t pixel) const;
 

@@ -7,9 +7,9 @@
 #include <limits>
 #include <stdexcept>
 
-#include "docdepth/dynamics/lanes.hpp"
 #include "docdepth/dynamics/window.hpp"
 #include "docdepth/geometry/dispatch.hpp"
+#include "docdepth/geometry/lanes.hpp"
 #include "docdepth/surface/directions.hpp"
 
 namespace docdepth {
@@ -37,21 +37,26 @@ std::uint32_t as_bits(float value) {
 }
 
 /// What the triangle says, and whether a return nearby may still object: negative where it may.
+/// @param seen  what the pixels keep, one after the other
 struct AskTriangles {
   DOCDEPTH_KERNEL static void run(std::size_t count, const float* x, const float* y, const float* z,
-                                  const float* range, const float* a, const float* b,
-                                  const float* c, const std::int32_t* jump, const float* nearest,
-                                  const float* farthest, const float* angle,
-                                  SurfaceImageParameters p, std::int32_t* __restrict is_static,
-                                  std::int32_t* __restrict is_dynamic,
+                                  const float* range, const float* seen, float step,
+                                  SurfaceImageParameters p, std::uint16_t* __restrict statics,
+                                  std::uint16_t* __restrict dynamics,
                                   std::int32_t* __restrict open) {
     for (std::size_t i = 0; i < count; ++i) {
+      const float a = seen[4 * i], b = seen[4 * i + 1], c = seen[4 * i + 2];
+      const std::uint32_t bits = as_bits(seen[4 * i + 3]);
+      const float nearest = as_float(bits & kRange), farthest = as_float(bits << 12 & kRange);
+      const float angle = step * static_cast<float>(static_cast<std::int32_t>(bits & kMostSteps));
+      const int jump = static_cast<int>(bits >> 31);
+
       const float r = range[i];
-      const float depth = (a[i] * x[i] + b[i] * y[i]) + c[i] * z[i];  // 1 on the plane
-      const float distance = 1.0f / std::sqrt((a[i] * a[i] + b[i] * b[i]) + c[i] * c[i]);
+      const float depth = (a * x[i] + b * y[i]) + c * z[i];  // 1 on the plane
+      const float distance = 1.0f / std::sqrt((a * a + b * b) + c * c);
       const float before = 1.0f - depth;
       // Choices between numbers, since compilers do not vectorise those between truth values.
-      const int level = std::fabs(c[i]) * distance > p.level_cosine ? 1 : 0;
+      const int level = std::fabs(c) * distance > p.level_cosine ? 1 : 0;
       const float across = level ? p.level.across : p.upright.across;
       const float level_along = p.level.along + p.level.growth * r;
       const float upright_along = p.upright.along + p.upright.growth * r;
@@ -60,66 +65,67 @@ struct AskTriangles {
                            (r * std::fabs(before) < along * depth ? 1 : 0);
       const int before_plane = (before > 0.0f ? 1 : 0) & (depth > 0.0f ? 1 : 0);
 
-      const float to_a = r - a[i], to_b = r - b[i], to_c = r - c[i];
+      const float to_a = r - a, to_b = r - b, to_c = r - c;
       const int on_corner = (std::fabs(to_a) < p.tolerance ? 1 : 0) |
                             (std::fabs(to_b) < p.tolerance ? 1 : 0) |
                             (std::fabs(to_c) < p.tolerance ? 1 : 0);
       const int before_corners = (to_a < -p.tolerance ? 1 : 0) & (to_b < -p.tolerance ? 1 : 0) &
                                  (to_c < -p.tolerance ? 1 : 0);
 
-      const int on_it = jump[i] ? on_corner : on_plane;
-      const int before_it = jump[i] ? before_corners : before_plane;
-      const int flat = jump[i] ? 0 : level;
+      const int on_it = jump ? on_corner : on_plane;
+      const int before_it = jump ? before_corners : before_plane;
+      const int flat = jump ? 0 : level;
       const int returns =
-          (r - nearest[i] > -p.tolerance ? 1 : 0) & (r - farthest[i] < p.tolerance ? 1 : 0);
-      const int in_sight = r * angle[i] < p.beam ? 1 : 0;
-      is_static[i] = in_sight & on_it;
-      is_dynamic[i] = in_sight & (1 - on_it) & before_it;
-      open[i] = -((1 - is_static[i]) & (1 - flat) & returns);
+          (r - nearest > -p.tolerance ? 1 : 0) & (r - farthest < p.tolerance ? 1 : 0);
+      const int in_sight = r * angle < p.beam ? 1 : 0;
+      const int is_static = in_sight & on_it;
+      const int is_dynamic = in_sight & (1 - on_it) & before_it;
+      statics[i] = static_cast<std::uint16_t>(statics[i] + is_static);
+      dynamics[i] = static_cast<std::uint16_t>(dynamics[i] + is_dynamic);
+      // Which of the two the window may overrule.
+      open[i] = ((1 - is_static) & (1 - flat) & returns) ? -1 - is_dynamic : 0;
     }
   }
 };
 
-/// Make points static that have a return within the tolerance in their window.
+/// Make open points static that have a return within the tolerance in their window.
 struct AskWindows {
   DOCDEPTH_KERNEL static void run(std::size_t count, const std::int32_t* points, const float* range,
-                                  const std::int32_t* pixel, const float* corner,
-                                  std::size_t stride, int window, float tolerance,
-                                  std::int32_t* __restrict is_static,
-                                  std::int32_t* __restrict is_dynamic) {
+                                  const std::int32_t* pixel, const std::int32_t* open,
+                                  const float* corner, std::size_t stride, int window,
+                                  float tolerance, std::uint16_t* __restrict statics,
+                                  std::uint16_t* __restrict dynamics) {
+    Ints lanes;
+    for (int lane = 0; lane < kLanes; ++lane) lanes[lane] = lane;
     for (std::size_t k = 0; k < count; ++k) {
       const std::int32_t i = points[k];
       const float* row = corner + pixel[i];
-      std::int32_t any = 0;
+      Ints on{};
       for (int left = 0; left < window; left += kLanes) {
-        Ints on{};
+        Ints here{};
         for (int r = 0; r < window; ++r) {
           Floats measured;
           std::memcpy(&measured, row + r * stride + left, sizeof measured);
           const Floats difference = range[i] - measured;
-          on |= (difference > -tolerance) & (difference < tolerance);
+          here |= (difference > -tolerance) & (difference < tolerance);
         }
-        std::int32_t lanes[kLanes];
-        std::memcpy(lanes, &on, sizeof lanes);
-        for (int lane = 0; lane < kLanes; ++lane) any |= left + lane < window ? lanes[lane] : 0;
+        on |= here & (left + lanes < window);
       }
-      is_static[i] |= any & 1;
-      is_dynamic[i] &= ~any;
+      std::int64_t halves[kLanes / 2];
+      std::memcpy(halves, &on, sizeof halves);
+      const int any = (halves[0] | halves[1] | halves[2] | halves[3]) ? -1 : 0;
+      statics[i] += any & 1;
+      dynamics[i] -= any & (-1 - open[i]);
     }
   }
 };
 
 using Corner = std::array<std::int64_t, 2>;
 
-/// Twice the area of a, b, c.
-std::int64_t area(const Corner& a, const Corner& b, const Corner& c) {
-  return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-}
-
 /// First pixel whose centre, (2 k + 1) kTurn / 2, is not below a coordinate.
 std::int64_t first_pixel(std::int64_t coordinate) {
-  const std::int64_t twice = coordinate - kTurn / 2;
-  return twice >= 0 ? (twice + kTurn - 1) / kTurn : -(-twice / kTurn);
+  static_assert(kTurn == 1 << 16);
+  return (coordinate + kTurn / 2 - 1) >> 16;
 }
 
 /// Call body(column, row) for the pixels whose centres lie in a triangle, its border included.
@@ -131,13 +137,24 @@ void for_each_pixel(const std::array<Corner, 3>& corners, const Body& body) {
     return std::array<std::int64_t, 2>{first_pixel(low), first_pixel(high + 1)};
   };
   const auto columns = span(0), rows = span(1);
+  if (columns[0] == columns[1] || rows[0] == rows[1]) return;
+  // Twice the areas of the first centre with each side, and how they grow from pixel to pixel.
+  std::int64_t area[3], right[3], down[3];
+  for (int i = 0; i < 3; ++i) {
+    const Corner &a = corners[i], &b = corners[(i + 1) % 3];
+    const std::int64_t x = b[0] - a[0], y = b[1] - a[1];
+    area[i] =
+        x * (rows[0] * kTurn + kTurn / 2 - a[1]) - y * (columns[0] * kTurn + kTurn / 2 - a[0]);
+    right[i] = -y * kTurn;
+    down[i] = x * kTurn;
+  }
   for (std::int64_t row = rows[0]; row < rows[1]; ++row) {
+    std::int64_t at[3] = {area[0], area[1], area[2]};
     for (std::int64_t column = columns[0]; column < columns[1]; ++column) {
-      const Corner centre{column * kTurn + kTurn / 2, row * kTurn + kTurn / 2};
-      bool inside = true;
-      for (int i = 0; i < 3; ++i) inside &= area(corners[i], corners[(i + 1) % 3], centre) >= 0;
-      if (inside) body(column, row);
+      if ((at[0] | at[1] | at[2]) >= 0) body(column, row);
+      for (int i = 0; i < 3; ++i) at[i] += right[i];
     }
+    for (int i = 0; i < 3; ++i) area[i] += down[i];
   }
 }
 
@@ -209,65 +226,59 @@ void SurfaceImage::draw(const Points& points, const Surface& surface) {
   seen_.assign(canvas_.size(), Seen{});
   std::vector<std::uint8_t> drawn(canvas_.size());
   const std::int64_t columns = canvas_.grid().columns(), turn = kTurn * columns;
-  std::vector<Corner> directions(points.rows());
-  for (Eigen::Index i = 0; i < points.rows(); ++i) {
-    const Direction d = direction_of(points(i, 0), points(i, 1), points(i, 2));
-    directions[i] = {(kTurn / 2 - d.azimuth) * columns, (kTurn / 4 - d.elevation) * columns};
-  }
+  const std::vector<Direction> directions = directions_of(points);
   for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
     std::array<Corner, 3> corners;
     for (int i = 0; i < 3; ++i) {
-      corners[i] = directions[surface.triangles[t][i]];
+      const Direction d = directions[surface.triangles[t][i]];
+      corners[i] = {(kTurn / 2 - d.azimuth) * columns, (kTurn / 4 - d.elevation) * columns};
       // The shorter way around from the first corner.
       if (corners[i][0] - corners[0][0] > turn / 2) corners[i][0] -= turn;
       if (corners[0][0] - corners[i][0] > turn / 2) corners[i][0] += turn;
     }
+    Seen seen;
+    bool is_seen = false;
     for_each_pixel(corners, [&](std::int64_t column, std::int64_t row) {
-      const std::int64_t unwrapped = column;
-      column += column < 0 ? columns : column >= columns ? -columns : 0;
-      const std::size_t pixel = (row - canvas_.top()) * canvas_.stride() + column + canvas_.half();
+      const std::int64_t wrapped = column + (column < 0          ? columns
+                                             : column >= columns ? -columns
+                                                                 : 0);
+      const std::size_t pixel = (row - canvas_.top()) * canvas_.stride() + wrapped + canvas_.half();
       if (drawn[pixel]) return;
       drawn[pixel] = 1;
-      seen_[pixel] = triangle(points, surface.triangles[t], surface.cut[t]);
-      seen_[pixel].bits |= steps_to_nearest(corners, unwrapped, row);
+      if (!is_seen) seen = triangle(points, surface.triangles[t], surface.cut[t]);
+      is_seen = true;
+      seen_[pixel] = seen;
+      seen_[pixel].bits |= steps_to_nearest(corners, column, row);
     });
   }
 }
 
-void SurfaceImage::vote(const QueryPoints& points, std::uint16_t* statics,
-                        std::uint16_t* dynamics) const {
+void SurfaceImage::find(const QueryPoints& points, std::int32_t* pixels) const {
+  canvas_.find(points, pixels);
+  for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&seen_[pixels[i]]);
+}
+
+void SurfaceImage::vote(const QueryPoints& points, const std::int32_t* pixels,
+                        std::uint16_t* statics, std::uint16_t* dynamics) const {
   constexpr std::size_t kMax = QueryPoints::kMax;
-  std::int32_t pixel[kMax];
-  canvas_.find(points, pixel);
+  static_assert(sizeof(Seen) == 4 * sizeof(float));
+  float seen[4 * kMax];
+  for (std::size_t i = 0; i < points.size; ++i)
+    std::memcpy(&seen[4 * i], &seen_[pixels[i]], sizeof(Seen));
   const auto step = static_cast<float>(canvas_.grid().pixel() / kSteps);
-  float a[kMax], b[kMax], c[kMax], nearest[kMax], farthest[kMax], angle[kMax];
-  std::int32_t jump[kMax];
-  // The images of all key frames together fit into no cache.
-  for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&seen_[pixel[i]]);
-  for (std::size_t i = 0; i < points.size; ++i) {
-    const Seen seen = seen_[pixel[i]];
-    a[i] = seen.values[0];
-    b[i] = seen.values[1];
-    c[i] = seen.values[2];
-    jump[i] = (seen.bits & kJump) != 0;
-    nearest[i] = as_float(seen.bits & kRange);
-    farthest[i] = as_float(seen.bits << 12 & kRange);
-    angle[i] = step * static_cast<float>(seen.bits & kMostSteps);
-  }
-  std::int32_t is_static[kMax], is_dynamic[kMax], open[kMax], left[kMax];
-  dispatch<AskTriangles>(points.size, points.x, points.y, points.z, points.range, a, b, c, jump,
-                         nearest, farthest, angle, parameters_, is_static, is_dynamic, open);
+  std::int32_t open[kMax], left[kMax];
+  dispatch<AskTriangles>(points.size, points.x, points.y, points.z, points.range, seen, step,
+                         parameters_, statics, dynamics, open);
   std::size_t count = 0;
-  for_each_flagged(points.size, open,
-                   [&](std::size_t i) { left[count++] = static_cast<std::int32_t>(i); });
-  const int half = canvas_.half();
-  dispatch<AskWindows>(count, left, points.range, pixel,
-                       range_.data() - half * (canvas_.stride() + 1), canvas_.stride(),
-                       2 * half + 1, parameters_.tolerance, is_static, is_dynamic);
   for (std::size_t i = 0; i < points.size; ++i) {
-    statics[i] += is_static[i];
-    dynamics[i] += is_dynamic[i];
+    left[count] = static_cast<std::int32_t>(i);
+    count += open[i] < 0;
   }
+  const int window = 2 * canvas_.half() + 1;
+  const float* corner = canvas_.corner(range_);
+  fetch_windows(corner, canvas_.stride(), window, left, count, pixels);
+  dispatch<AskWindows>(count, left, points.range, pixels, open, corner, canvas_.stride(), window,
+                       parameters_.tolerance, statics, dynamics);
 }
 
 }  // namespace docdepth

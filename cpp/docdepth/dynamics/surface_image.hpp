@@ -41,8 +41,9 @@ class SurfaceImage : public KeyFrame {
   /// unless the triangle lies flat: window and ground would find the feet of everything. And a
   /// triangle tells nothing about what lies far from the lines of sight to its corners: between the
   /// rings of a sparse sensor it bridges balconies and posts that none of them met.
-  void vote(const QueryPoints& points, std::uint16_t* statics,
+  void vote(const QueryPoints& points, const std::int32_t* pixels, std::uint16_t* statics,
             std::uint16_t* dynamics) const override;
+  void find(const QueryPoints& points, std::int32_t* pixels) const override;
 
  private:
   /// What lies in the direction of a pixel, in sixteen bytes: that many fetches from memory are

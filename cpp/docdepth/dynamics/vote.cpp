@@ -18,6 +18,8 @@ constexpr std::size_t kBlock = 8192;
 struct Columns {
   std::vector<float> x, y, z;
   std::vector<std::size_t> index;
+
+  std::size_t size() const { return index.size(); }
 };
 
 // Farther than any sensor measures, and still far from overflow.
@@ -64,6 +66,33 @@ Columns select(const Points& points, const bool* ground, std::size_t begin, std:
   return columns;
 }
 
+/// Points of a block on their way through a key frame.
+class Group {
+ public:
+  /// Move the points from `begin` on to the key frame and find their pixels.
+  void find(const Columns& query, std::size_t begin, const KeyFrame& key_frame,
+            const RigidTransform& T_key_query) {
+    key_frame_ = &key_frame;
+    begin_ = begin;
+    size_ = std::min(QueryPoints::kMax, query.size() - begin);
+    dispatch<MovePoints>(size_, &query.x[begin], &query.y[begin], &query.z[begin], T_key_query, x_,
+                         y_, z_, range_);
+    key_frame.find(points(), pixels_);
+  }
+  void vote(std::uint16_t* statics, std::uint16_t* dynamics) const {
+    key_frame_->vote(points(), pixels_, statics + begin_, dynamics + begin_);
+  }
+
+ private:
+  QueryPoints points() const { return {size_, x_, y_, z_, range_}; }
+
+  const KeyFrame* key_frame_;
+  std::size_t begin_, size_;
+  float x_[QueryPoints::kMax], y_[QueryPoints::kMax], z_[QueryPoints::kMax],
+      range_[QueryPoints::kMax];
+  std::int32_t pixels_[QueryPoints::kMax];
+};
+
 }  // namespace
 
 Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
@@ -78,18 +107,18 @@ Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
 
   parallel_for(count, kBlock, threads, [&](std::size_t begin, std::size_t end) {
     const Columns query = select(points, ground, begin, end);
-    std::vector<std::uint16_t> statics(query.index.size()), dynamics(query.index.size());
-    for (std::size_t k = 0; k < key_frames.size(); ++k) {
-      float x[QueryPoints::kMax], y[QueryPoints::kMax], z[QueryPoints::kMax],
-          range[QueryPoints::kMax];
-      for (std::size_t i = 0; i < query.index.size(); i += QueryPoints::kMax) {
-        const std::size_t size = std::min(QueryPoints::kMax, query.index.size() - i);
-        dispatch<MovePoints>(size, &query.x[i], &query.y[i], &query.z[i], T_key_query[k], x, y, z,
-                             range);
-        key_frames[k]->vote({size, x, y, z, range}, &statics[i], &dynamics[i]);
-      }
+    std::vector<std::uint16_t> statics(query.size()), dynamics(query.size());
+    const std::size_t groups = (query.size() + QueryPoints::kMax - 1) / QueryPoints::kMax;
+    Group found[2];
+    for (std::size_t n = 0; n <= groups * key_frames.size(); ++n) {
+      Group& next = found[n % 2];
+      const Group& last = found[1 - n % 2];
+      if (n < groups * key_frames.size())
+        next.find(query, n % groups * QueryPoints::kMax, *key_frames[n / groups],
+                  T_key_query[n / groups]);
+      if (n > 0) last.vote(statics.data(), dynamics.data());
     }
-    for (std::size_t i = 0; i < query.index.size(); ++i) {
+    for (std::size_t i = 0; i < query.size(); ++i) {
       votes.statics[query.index[i]] = statics[i];
       votes.dynamics[query.index[i]] = dynamics[i];
     }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <vector>
 
 namespace docdepth {
@@ -13,5 +14,14 @@ std::vector<float> window_minimum(const std::vector<float>& image, std::size_t s
 std::vector<float> window_maximum(const std::vector<float>& image, std::size_t stride, int half);
 /// The first finite value, row by row; infinite where there is none.
 std::vector<float> window_first(const std::vector<float>& image, std::size_t stride, int half);
+
+/// Have the memory fetch the windows of those points, before the first one is looked at.
+inline void fetch_windows(const float* corner, std::size_t stride, int window,
+                          const std::int32_t* points, std::size_t count,
+                          const std::int32_t* pixel) {
+  for (std::size_t k = 0; k < count; ++k)
+    for (int row = 0; row < window; ++row)
+      __builtin_prefetch(corner + pixel[points[k]] + row * stride);
+}
 
 }  // namespace docdepth

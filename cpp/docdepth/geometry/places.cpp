@@ -54,7 +54,9 @@ std::uint64_t cube_key(std::int64_t x, std::int64_t y, std::int64_t z) {
 }
 
 std::int64_t cube_step(float value, float size) {
-  return static_cast<std::int64_t>(std::floor(value / size));
+  const float steps = value / size;  // floor, without the call that old processors need
+  const auto whole = static_cast<std::int64_t>(steps);
+  return whole - (static_cast<float>(whole) > steps);
 }
 
 Places thinned(const Places& points, float size) {

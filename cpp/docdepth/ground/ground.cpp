@@ -122,22 +122,16 @@ void Front::carry_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood
                      std::vector<std::uint32_t>& pending, Leaves& reached) {
   const auto& nearest = hood.nearest();
   if (nearest.size() < 3) return;
-  Vector3d mean = Vector3d::Zero();
-  for (const std::uint32_t c : nearest) mean += hood.point(c) - hood.point(nearest[0]);
-  mean = hood.point(nearest[0]) + mean / static_cast<double>(nearest.size());
-  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
-  for (const std::uint32_t c : nearest) {
-    const Vector3d d = hood.point(c) - mean;
-    covariance += d * d.transpose();
-  }
-  const Vector3d normal = smallest_eigenvector(covariance);
+  const Vector3d mean = hood.mean();
+  const Vector3d normal = smallest_eigenvector(hood.covariance(mean));
   if (!(std::abs(normal.z()) >= cos_max_slope_)) return;
   const bool is_seed = std::binary_search(seeds_.begin(), seeds_.end(), point);
-  const Vector3d& on_plane = is_seed ? mean : tree_.points()[point];
+  const Vector3d on_plane = is_seed ? mean : Vector3d::Zero();
 
-  for (const std::uint32_t c : nearest) {
+  for (std::size_t n = 0; n < nearest.size(); ++n) {
+    const std::uint32_t c = nearest[n];
     if (!hood.open(c)) continue;
-    if (!(std::abs(normal.dot(hood.point(c) - on_plane)) < parameters_.plane_distance)) continue;
+    if (!(std::abs(normal.dot(hood.offset(n) - on_plane)) < parameters_.plane_distance)) continue;
     hood.close(c);
     std::uint8_t none = kNone;
     if (!labels_[hood.index(c)].compare_exchange_strong(none, kReached)) continue;

@@ -2,36 +2,80 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
+
+#include "docdepth/geometry/dispatch.hpp"
+#include "docdepth/geometry/lanes.hpp"
 
 namespace docdepth {
 namespace {
 
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
-constexpr std::size_t kLanes = 8;  // arrays are padded to whole vectors
-
-/// Squared distances of n points (a multiple of kLanes) to (x, y, z), and the smallest of an open
-/// one.
-float measure(const float* xs, const float* ys, const float* zs, const float* closed, std::size_t n,
-              float x, float y, float z, float* squared) {
-  float smallest[kLanes];
-  std::fill_n(smallest, kLanes, kInfinity);
-  for (std::size_t i = 0; i < n; i += kLanes)
-    for (std::size_t l = 0; l < kLanes; ++l) {
-      const float dx = xs[i + l] - x, dy = ys[i + l] - y, dz = zs[i + l] - z;
-      const float d = (dx * dx + dy * dy) + dz * dz;
-      squared[i + l] = d;
-      const float open = d + closed[i + l];
-      smallest[l] = open < smallest[l] ? open : smallest[l];
+/// Squared distances of n points (whole vectors) to (x, y, z), and the smallest of an open one.
+struct Measure {
+  DOCDEPTH_KERNEL static void run(const float* xs, const float* ys, const float* zs,
+                                  const float* closed, std::size_t n, float x, float y, float z,
+                                  float* squared, float* smallest) {
+    Floats least = kInfinity - Floats{};
+    for (std::size_t i = 0; i < n; i += kLanes) {
+      Floats dx, dy, dz, open;
+      std::memcpy(&dx, xs + i, sizeof dx);
+      std::memcpy(&dy, ys + i, sizeof dy);
+      std::memcpy(&dz, zs + i, sizeof dz);
+      std::memcpy(&open, closed + i, sizeof open);
+      dx -= x;
+      dy -= y;
+      dz -= z;
+      const Floats d = (dx * dx + dy * dy) + dz * dz;
+      std::memcpy(squared + i, &d, sizeof d);
+      open += d;
+      least = open < least ? open : least;
     }
-  return *std::min_element(smallest, smallest + kLanes);
+    *smallest = least[0];
+    for (int lane = 1; lane < kLanes; ++lane) *smallest = std::min(*smallest, least[lane]);
+  }
+};
+
+struct CountWithin {
+  DOCDEPTH_KERNEL static void run(const float* squared, std::size_t n, float radius,
+                                  std::size_t* result) {
+    int count = 0;
+    for (std::size_t i = 0; i < n; ++i) count += squared[i] <= radius;
+    *result = static_cast<std::size_t>(count);
+  }
+};
+
+std::size_t count_within(const std::vector<float>& squared, std::size_t n, float radius) {
+  std::size_t count;
+  dispatch<CountWithin>(squared.data(), n, radius, &count);
+  return count;
 }
 
-std::size_t count_within(const float* squared, std::size_t n, float radius) {
-  int count = 0;
-  for (std::size_t i = 0; i < n; ++i) count += squared[i] <= radius;
-  return static_cast<std::size_t>(count);
-}
+/// Sums of the products of offsets from the mean: xx, xy, xz, yy, yz, zz of n points (whole
+/// vectors).
+struct Spread {
+  DOCDEPTH_KERNEL static void run(const double* xs, const double* ys, const double* zs,
+                                  std::size_t n, double x, double y, double z, double* sums) {
+    Doubles sum[6] = {};
+    for (std::size_t i = 0; i < n; i += kDoubleLanes) {
+      Doubles dx, dy, dz;
+      std::memcpy(&dx, xs + i, sizeof dx);
+      std::memcpy(&dy, ys + i, sizeof dy);
+      std::memcpy(&dz, zs + i, sizeof dz);
+      dx -= x;
+      dy -= y;
+      dz -= z;
+      sum[0] += dx * dx;
+      sum[1] += dx * dy;
+      sum[2] += dx * dz;
+      sum[3] += dy * dy;
+      sum[4] += dy * dz;
+      sum[5] += dz * dz;
+    }
+    for (int k = 0; k < 6; ++k) sums[k] = (sum[k][0] + sum[k][1]) + (sum[k][2] + sum[k][3]);
+  }
+};
 
 }  // namespace
 
@@ -42,6 +86,7 @@ void Neighborhood::gather(std::uint32_t leaf, double reach) {
   const Eigen::Vector3d margin = Eigen::Vector3d::Constant(reach * (1.0 + 1e-6));
   box.min() -= margin;
   box.max() += margin;
+  const Eigen::Vector3f half = ((0.5 + 1e-6) * box.sizes()).cast<float>();
   reach_ = reach;
   leaves_.clear();
   std::size_t size = 0;
@@ -51,27 +96,23 @@ void Neighborhood::gather(std::uint32_t leaf, double reach) {
   });
   reserve(size);
   std::uint32_t n = 0;
-  float largest = 0.f;
   for (auto& [stop, other] : leaves_) {
     const Octree::Node& found = tree_.nodes()[other];
     if (other == leaf) offset_ = node.begin - n;
     for (std::uint32_t i = found.begin; i < found.end; ++i) {
-      const Eigen::Vector3d& p = tree_.points()[i];
-      const Eigen::Vector3d q = p - center;
+      const Eigen::Vector3f q = (tree_.points()[i] - center).cast<float>();
       index_[n] = i;
-      points_[n] = p;
-      x_[n] = static_cast<float>(q.x());
-      y_[n] = static_cast<float>(q.y());
-      z_[n] = static_cast<float>(q.z());
+      x_[n] = q.x();
+      y_[n] = q.y();
+      z_[n] = q.z();
       closed_[n] = labels_[i].load(std::memory_order_relaxed) ? kInfinity : 0.f;
-      const bool inside = box.contains(p);
-      largest = inside ? std::max(largest, static_cast<float>(q.cwiseAbs().maxCoeff())) : largest;
-      n += inside;
+      n += (std::fabs(q.x()) <= half.x()) & (std::fabs(q.y()) <= half.y()) &
+           (std::fabs(q.z()) <= half.z());
     }
     stop = n;
   }
   // Coordinates are rounded to 2^-24 of the largest, differences and squares as often again.
-  error_ = 1e-5f * largest * largest;
+  error_ = 1e-5f * half.maxCoeff() * half.maxCoeff();
   size_ = n;
   padded_ = (size_ + kLanes - 1) / kLanes * kLanes;
   for (auto* column : {&x_, &y_, &z_, &closed_})
@@ -82,9 +123,8 @@ void Neighborhood::reserve(std::size_t size) {
   size += kLanes;  // for the padding, and for the candidate that is written and not kept
   if (index_.size() >= size) return;
   index_.resize(size);
-  points_.resize(size);
-  exact_.resize(size);
   nearest_.reserve(size);
+  for (auto* column : {&exact_, &dx_, &dy_, &dz_}) column->resize(size);
   for (auto* column : {&x_, &y_, &z_, &closed_, &squared_}) column->resize(size);
 }
 
@@ -94,11 +134,12 @@ Neighborhood::Outcome Neighborhood::search(std::uint32_t point) {
     needed_reach_ = 2.0 * reach_;
     return Outcome::kReachTooShort;
   }
-  const float nearest_open = measure(x_.data(), y_.data(), z_.data(), closed_.data(), padded_,
-                                     x_[candidate], y_[candidate], z_[candidate], squared_.data());
+  float nearest_open;
+  dispatch<Measure>(x_.data(), y_.data(), z_.data(), closed_.data(), padded_, x_[candidate],
+                    y_[candidate], z_[candidate], squared_.data(), &nearest_open);
   const auto reach = static_cast<float>(reach_ * reach_);
   const float labelled = std::min(nearest_open, reach) - 4.f * error_;
-  if (labelled > 0.f && count_within(squared_.data(), padded_, labelled) >= k_)
+  if (labelled > 0.f && count_within(squared_, padded_, labelled) >= k_)
     return Outcome::kNothingNew;
   return select(candidate, radius_of_k());
 }
@@ -109,7 +150,7 @@ float Neighborhood::radius_of_k() {
   float low = 0.f, high = kInfinity;
   float radius = guess_ > 0.f ? guess_ : std::max(error_, 1e-6f);
   for (int i = 0; i < 64; ++i) {
-    const std::size_t count = count_within(squared_.data(), padded_, radius);
+    const std::size_t count = count_within(squared_, padded_, radius);
     (count >= k_ ? high : low) = radius;
     if (count >= k_ && (count <= k_ + 6 || i > 6)) break;
     // On a surface the count grows like the squared radius.
@@ -121,7 +162,6 @@ float Neighborhood::radius_of_k() {
 }
 
 Neighborhood::Outcome Neighborhood::select(std::uint32_t candidate, float radius) {
-  const Eigen::Vector3d& p = points_[candidate];
   // The k-th distance is at most radius + error, and who is nearer looks at most error farther.
   const float limit = radius + 2.f * error_;
   nearest_.resize(size_ + 1);
@@ -132,7 +172,10 @@ Neighborhood::Outcome Neighborhood::select(std::uint32_t candidate, float radius
   }
   nearest_.resize(count);
   for (std::size_t n = 0; n < count; ++n) {
-    const Eigen::Vector3d d = points_[nearest_[n]] - p;
+    const Eigen::Vector3d d = point(nearest_[n]) - point(candidate);
+    dx_[n] = d.x();
+    dy_[n] = d.y();
+    dz_[n] = d.z();
     exact_[n] = (d.x() * d.x() + d.y() * d.y()) + d.z() * d.z();
   }
   sorted_.assign(exact_.begin(), exact_.begin() + count);
@@ -148,22 +191,47 @@ Neighborhood::Outcome Neighborhood::select(std::uint32_t candidate, float radius
 
 /// Of those in nearest_ the k up to the distance `last`; of several there the first by coordinates.
 void Neighborhood::keep_nearest(double last) {
+  std::vector<std::uint32_t> equal;
+  const auto within = std::count_if(exact_.begin(), exact_.begin() + nearest_.size(),
+                                    [&](double squared) { return squared <= last; });
+  if (static_cast<std::size_t>(within) > k_) {
+    for (std::size_t n = 0; n < nearest_.size(); ++n)
+      if (exact_[n] == last) equal.push_back(nearest_[n]);
+    std::sort(equal.begin(), equal.end(), [&](std::uint32_t a, std::uint32_t b) {
+      return nearer(0.0, point(a), 0.0, point(b));
+    });
+    equal.erase(equal.begin(), equal.end() - (within - k_));  // these are left out
+  }
   std::size_t kept = 0;
   for (std::size_t n = 0; n < nearest_.size(); ++n) {
     nearest_[kept] = nearest_[n];
-    exact_[kept] = exact_[n];
-    kept += exact_[n] <= last;
+    dx_[kept] = dx_[n];
+    dy_[kept] = dy_[n];
+    dz_[kept] = dz_[n];
+    kept += exact_[n] <= last &&
+            (equal.empty() || std::find(equal.begin(), equal.end(), nearest_[n]) == equal.end());
   }
   nearest_.resize(kept);
-  if (kept == k_) return;
-  std::vector<std::uint32_t> equal;
-  for (std::size_t n = 0; n < kept; ++n)
-    if (exact_[n] == last) equal.push_back(nearest_[n]);
-  std::sort(equal.begin(), equal.end(), [&](std::uint32_t a, std::uint32_t b) {
-    return nearer(0.0, points_[a], 0.0, points_[b]);
-  });
-  for (std::size_t n = equal.size() - (kept - k_); n < equal.size(); ++n)
-    nearest_.erase(std::find(nearest_.begin(), nearest_.end(), equal[n]));
+}
+
+Eigen::Vector3d Neighborhood::mean() const {
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (std::size_t n = 0; n < nearest_.size(); ++n) sum += offset(n);
+  return sum / static_cast<double>(nearest_.size());
+}
+
+Eigen::Matrix3d Neighborhood::covariance(const Eigen::Vector3d& mean) {
+  std::size_t n = nearest_.size();
+  for (; n % kDoubleLanes; ++n) {
+    dx_[n] = mean.x();
+    dy_[n] = mean.y();
+    dz_[n] = mean.z();
+  }
+  double s[6];
+  dispatch<Spread>(dx_.data(), dy_.data(), dz_.data(), n, mean.x(), mean.y(), mean.z(), s);
+  Eigen::Matrix3d sums;
+  sums << s[0], s[1], s[2], s[1], s[3], s[4], s[2], s[4], s[5];
+  return sums;
 }
 
 std::uint32_t Neighborhood::leaf(std::uint32_t candidate) const {

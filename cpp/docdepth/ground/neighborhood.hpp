@@ -33,11 +33,18 @@ class Neighborhood {
 
   /// Candidates in the order of their points.
   const std::vector<std::uint32_t>& nearest() const { return nearest_; }
+  /// From the point that was searched for to its n-th neighbour, all neighbours' mean, and their
+  /// covariance (times their number) around that mean.
+  Eigen::Vector3d offset(std::size_t n) const { return {dx_[n], dy_[n], dz_[n]}; }
+  Eigen::Vector3d mean() const;
+  Eigen::Matrix3d covariance(const Eigen::Vector3d& mean);
   /// Reach that the last search asks for, or would have been content with.
   double needed_reach() const { return needed_reach_; }
 
   std::uint32_t index(std::uint32_t candidate) const { return index_[candidate]; }
-  const Eigen::Vector3d& point(std::uint32_t candidate) const { return points_[candidate]; }
+  const Eigen::Vector3d& point(std::uint32_t candidate) const {
+    return tree_.points()[index_[candidate]];
+  }
   std::uint32_t leaf(std::uint32_t candidate) const;
   /// Whether the candidate had no label when it was gathered, nor was closed since.
   bool open(std::uint32_t candidate) const { return closed_[candidate] == 0.f; }
@@ -58,11 +65,11 @@ class Neighborhood {
   float guess_ = 0;                    ///< squared radius that held about k points the last time
   std::size_t size_ = 0, padded_ = 0;  ///< candidates, and the same in whole vectors
   std::vector<std::uint32_t> index_;
-  std::vector<Eigen::Vector3d> points_;
   std::vector<std::pair<std::uint32_t, std::uint32_t>> leaves_;  ///< end of its candidates, leaf
   std::vector<float> x_, y_, z_, squared_;
   std::vector<float> closed_;  ///< 0 for open candidates, else infinity
   std::vector<double> exact_, sorted_;
+  std::vector<double> dx_, dy_, dz_;  ///< offsets of the nearest
   std::vector<std::uint32_t> nearest_;
 };
 

@@ -3,16 +3,19 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include "docdepth/geometry/dispatch.hpp"
 #include "docdepth/geometry/parallel.hpp"
 
 namespace docdepth {
 namespace {
 
 constexpr std::int64_t kReach = std::int64_t{1} << 20;  // voxels on either side of the origin
-constexpr std::size_t kPart = 4096;                     // points a thread takes at once
-constexpr std::size_t kAhead = 8;                       // points whose memory is fetched early
+constexpr std::size_t kPart = Addressed::kMost;         // points a thread takes at once
+constexpr double kLast = kReach - 0x1p-33;              // the last number below
+constexpr const char* kTooFar = "a point is not finite or too far from the first pose";
+constexpr std::size_t kAhead = 8;  // points whose memory is fetched early
 
-std::uint64_t hash(std::uint64_t key) {
+DOCDEPTH_KERNEL std::uint64_t hash(std::uint64_t key) {
   key *= 0x9e3779b97f4a7c15u;
   return key ^ (key >> 32);
 }
@@ -26,6 +29,40 @@ std::uint32_t wider(std::uint32_t capacity) {
 int rank(const VoxelBlock& block, std::uint32_t bit) {
   return count_bits(block.occupied & ((std::uint64_t{1} << bit) - 1));
 }
+
+/// VoxelGrid's operator* and address() of many points.
+struct FindVoxels {
+  DOCDEPTH_KERNEL static void run(std::size_t count, const float* points, const double (*r)[3],
+                                  const double* t, double voxel_size, Addressed* __restrict found,
+                                  bool* far) {
+    int outside = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+      const double x = points[3 * i], y = points[3 * i + 1], z = points[3 * i + 2];
+      const double p[3] = {((r[0][0] * x + r[0][1] * y) + r[0][2] * z) + t[0],
+                           ((r[1][0] * x + r[1][1] * y) + r[1][2] * z) + t[1],
+                           ((r[2][0] * x + r[2][1] * y) + r[2][2] * z) + t[2]};
+      std::uint64_t key = 0, bit = 0;
+      for (int axis = 0; axis < 3; ++axis) {
+        const double asked = p[axis] / voxel_size;
+        double cell = asked > -kReach ? asked : -kReach;  // also for NaN
+        cell = cell < kLast ? cell : kLast;
+        outside |= cell == asked ? 0 : 1;
+        const auto whole = static_cast<std::int32_t>(cell);
+        const std::int32_t below = static_cast<double>(whole) > cell ? 1 : 0;
+        const auto index = static_cast<std::uint64_t>(whole + (std::int32_t{kReach} - below));
+        key = key << 19 | index >> 2;
+        bit = bit << 2 | (index & 3);
+      }
+      found->x[i] = p[0];
+      found->y[i] = p[1];
+      found->z[i] = p[2];
+      found->key[i] = key;
+      found->bit[i] = static_cast<std::uint32_t>(bit);
+      found->shard[i] = static_cast<std::uint32_t>(hash(key) >> 60);
+    }
+    *far = outside;
+  }
+};
 
 }  // namespace
 
@@ -42,14 +79,19 @@ VoxelAddress VoxelGrid::address(const Eigen::Vector3d& p) const {
   std::uint32_t bit = 0;
   for (int i = 0; i < 3; ++i) {
     const double cell = p[i] / voxel_size_;
-    if (!(cell >= -kReach && cell < kReach))
-      throw std::out_of_range("a point is not finite or too far from the first pose");
+    if (!(cell >= -kReach && cell < kReach)) throw std::out_of_range(kTooFar);
     auto index = static_cast<std::int64_t>(cell);
     index += kReach - (static_cast<double>(index) > cell);  // floor
     key = key << 19 | static_cast<std::uint64_t>(index >> 2);
     bit = bit << 2 | static_cast<std::uint32_t>(index & 3);
   }
   return {key, static_cast<std::uint32_t>(hash(key) >> 60), bit};
+}
+
+void VoxelGrid::find(const float* points, std::size_t count, Addressed& found) const {
+  bool far;
+  dispatch<FindVoxels>(count, points, r_, t_, voxel_size_, &found, &far);
+  if (far) throw std::out_of_range(kTooFar);
 }
 
 const VoxelBlock* VoxelMap::Shard::find(std::uint64_t key) const {
@@ -102,10 +144,14 @@ void VoxelMap::Shard::widen(VoxelBlock& block, std::uint32_t used) {
   block.capacity = capacity;
 }
 
-void VoxelMap::Shard::add(std::uint64_t key, std::uint32_t bit, const Eigen::Vector3d& p) {
-  VoxelBlock& block = find_or_make(key);
-  const int place = rank(block, bit);
-  const std::uint64_t mask = std::uint64_t{1} << bit;
+void VoxelMap::Shard::fetch(std::uint64_t key) const {
+  if (!table.empty()) __builtin_prefetch(&table[hash(key) & (table.size() - 1)]);
+}
+
+void VoxelMap::Shard::add(const VoxelAddress& address, const Eigen::Vector3d& p) {
+  VoxelBlock& block = find_or_make(address.key);
+  const int place = rank(block, address.bit);
+  const std::uint64_t mask = std::uint64_t{1} << address.bit;
   if (block.occupied & mask) {
     Voxel& voxel = voxels[block.first + place];
     voxel.sum += p;
@@ -124,52 +170,39 @@ void VoxelMap::Shard::add(std::uint64_t key, std::uint32_t bit, const Eigen::Vec
 void VoxelMap::insert(const Points& points, const VoxelGrid& grid, int threads) {
   const auto count = static_cast<std::size_t>(points.rows());
   const std::size_t parts = (count + kPart - 1) / kPart;
-  world_.resize(count);
-  addresses_.resize(count);
-  order_.resize(count);
+  sorted_.resize(count);
   // Each part sorts its points by shard and keeps their order within one.
   std::vector<std::array<std::uint32_t, kShards + 1>> starts(parts);
   parallel_for(count, kPart, threads, [&](std::size_t begin, std::size_t end) {
+    Addressed found;
+    grid.find(points.data() + 3 * begin, end - begin, found);
     auto& start = starts[begin / kPart];
     start.fill(0);
-    for (std::size_t i = begin; i < end; ++i) {
-      world_[i] = grid * (points.data() + 3 * i);
-      addresses_[i] = grid.address(world_[i]);
-      ++start[addresses_[i].shard + 1];
-    }
+    for (std::size_t i = 0; i < end - begin; ++i) ++start[found.shard[i] + 1];
     start[0] = static_cast<std::uint32_t>(begin);
     for (std::size_t s = 0; s < kShards; ++s) start[s + 1] += start[s];
     auto next = start;
-    for (std::size_t i = begin; i < end; ++i)
-      order_[next[addresses_[i].shard]++] = static_cast<std::uint32_t>(i);
+    for (std::size_t i = 0; i < end - begin; ++i)
+      sorted_[next[found.shard[i]]++] = {found.point(i), found.address(i)};
   });
   parallel_for(kShards, 1, threads, [&](std::size_t s, std::size_t) {
     Shard& shard = shards[s];
     for (const auto& start : starts)
       for (std::uint32_t k = start[s]; k < start[s + 1]; ++k) {
-        if (k + kAhead < start[s + 1] && !shard.table.empty())
-          __builtin_prefetch(
-              &shard.table[hash(addresses_[order_[k + kAhead]].key) & (shard.table.size() - 1)]);
-        const VoxelAddress& address = addresses_[order_[k]];
-        shard.add(address.key, address.bit, world_[order_[k]]);
+        if (k + kAhead < start[s + 1]) shard.fetch(sorted_[k + kAhead].address.key);
+        shard.add(sorted_[k].address, sorted_[k].point);
       }
   });
 }
 
 void VoxelMap::label(const Points& points, const VoxelGrid& grid, int threads, bool* ground) const {
   parallel_for(points.rows(), kPart, threads, [&](std::size_t begin, std::size_t end) {
-    std::array<VoxelAddress, kPart> addresses;
-    for (std::size_t i = begin; i < end; ++i)
-      addresses[i - begin] = grid.address(grid * (points.data() + 3 * i));
-    for (std::size_t i = begin; i < end; ++i) {
-      if (i + kAhead < end) {
-        const VoxelAddress& ahead = addresses[i - begin + kAhead];
-        const auto& table = shards[ahead.shard].table;
-        if (!table.empty()) __builtin_prefetch(&table[hash(ahead.key) & (table.size() - 1)]);
-      }
-      const VoxelAddress& address = addresses[i - begin];
-      const VoxelBlock* block = shards[address.shard].find(address.key);
-      ground[i] = block && (block->ground >> address.bit & 1);
+    Addressed found;
+    grid.find(points.data() + 3 * begin, end - begin, found);
+    for (std::size_t i = 0; i < end - begin; ++i) {
+      if (i + kAhead < end - begin) shards[found.shard[i + kAhead]].fetch(found.key[i + kAhead]);
+      const VoxelBlock* block = shards[found.shard[i]].find(found.key[i]);
+      ground[begin + i] = block && (block->ground >> found.bit[i] & 1);
     }
   });
 }

@@ -42,6 +42,18 @@ struct VoxelAddress {
   std::uint32_t bit;
 };
 
+/// As many points as a thread takes at once: relative to the origin, and the voxel of each.
+struct Addressed {
+  static constexpr std::size_t kMost = 2048;
+
+  double x[kMost], y[kMost], z[kMost];
+  std::uint64_t key[kMost];
+  std::uint32_t shard[kMost], bit[kMost];
+
+  Eigen::Vector3d point(std::size_t i) const { return {x[i], y[i], z[i]}; }
+  VoxelAddress address(std::size_t i) const { return {key[i], shard[i], bit[i]}; }
+};
+
 /// World coordinates relative to an origin, in double precision rows added in the order of
 /// RigidTransform, and the voxel of each.
 class VoxelGrid {
@@ -51,6 +63,8 @@ class VoxelGrid {
   Eigen::Vector3d operator*(const float* p) const { return {row(0, p), row(1, p), row(2, p)}; }
   /// @throws std::out_of_range a point is not finite or too far from the origin.
   VoxelAddress address(const Eigen::Vector3d& p) const;
+  /// Both for up to Addressed::kMost points; many times faster, the same result.
+  void find(const float* points, std::size_t count, Addressed& found) const;
 
  private:
   double row(int i, const float* p) const {
@@ -82,7 +96,9 @@ class VoxelMap {
     std::array<std::vector<std::uint32_t>, 65> unused;  ///< given back, by capacity
 
     const VoxelBlock* find(std::uint64_t key) const;
-    void add(std::uint64_t key, std::uint32_t bit, const Eigen::Vector3d& p);
+    /// Have the memory fetch where find() and add() begin to look.
+    void fetch(std::uint64_t key) const;
+    void add(const VoxelAddress& address, const Eigen::Vector3d& p);
 
    private:
     VoxelBlock& find_or_make(std::uint64_t key);
@@ -92,10 +108,11 @@ class VoxelMap {
   std::array<Shard, kShards> shards;
 
  private:
-  // What insert() knows of each point of a sweep; kept to be used again.
-  std::vector<Eigen::Vector3d> world_;
-  std::vector<VoxelAddress> addresses_;
-  std::vector<std::uint32_t> order_;
+  struct Inserted {
+    Eigen::Vector3d point;
+    VoxelAddress address;
+  };
+  std::vector<Inserted> sorted_;  // the points of a sweep by shards; kept to be used again
 };
 
 }  // namespace docdepth

@@ -18,6 +18,9 @@ constexpr float kEdge = 0.05f;  ///< bend of nearness, linear on every plane, as
 /// passed within a tenth of a metre, or many did.
 constexpr float kDoubt = 100.0f;
 
+/// A ray that passed within a centimetre, or many farther off, decide: no more are asked.
+constexpr float kSure = 1000.0f;
+
 constexpr int kLanes = Candidates::kTile;
 typedef float Floats __attribute__((vector_size(4 * kLanes)));
 typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
@@ -131,14 +134,24 @@ class Questions {
       places[i] = {(float(contests[i].u) - centre_.x()) / focal_.x() * depth,
                    (float(contests[i].v) - centre_.y()) / focal_.y() * depth, depth};
     }
+    std::uint32_t open[Places::kMost];  // what is not sure yet
+    for (std::uint32_t i = 0; i < count; ++i) open[i] = i;
+    float told[Places::kMost] = {};
     Places seen;
     seen.size = count;
-    for (std::size_t j = 0; j < rays_.size(); ++j) {
-      for (std::size_t i = 0; i < count; ++i) {
-        const Eigen::Vector3f p = to_rays_[j] * places[i];
-        seen.x[i] = p.x(), seen.y[i] = p.y(), seen.z[i] = p.z();
+    for (std::size_t j = 0; j < rays_.size() && seen.size > 0; ++j) {
+      for (std::size_t n = 0; n < seen.size; ++n) {
+        const Eigen::Vector3f p = to_rays_[j] * places[open[n]];
+        seen.x[n] = p.x(), seen.y[n] = p.y(), seen.z[n] = p.z();
       }
-      rays_[j].rays->ask(seen, balance);
+      rays_[j].rays->ask(seen, told);
+      std::size_t left = 0;
+      for (std::size_t n = 0; n < seen.size; ++n) {
+        balance[open[n]] = told[n];
+        if (std::fabs(told[n]) >= kSure) continue;
+        open[left] = open[n], told[left++] = told[n];
+      }
+      seen.size = left;
     }
   }
 
@@ -193,10 +206,12 @@ std::vector<float> Candidates::settle(const Camera& camera,
     std::size_t left = 0;
     for (std::size_t i = 0; i < contests.size(); ++i) {
       const Contest c = contests[i];
+      float& here = result[std::size_t(c.v) * columns_.stride + c.u];
+      const auto offer = [&](int n) { return n < kMost ? c.offers[n] : 0.0f; };
       if (balance[i] > 0)
-        result[std::size_t(c.v) * columns_.stride + c.u] = c.offers[k];
-      else if (k + 1 < kMost && c.offers[k + 1] > 0)
-        contests[left++] = c;
+        here = c.offers[k];
+      else if (offer(k + 1) > 0 && !(offer(k + 1) == here && offer(k + 2) == 0))
+        contests[left++] = c;  // else what is there stays, whatever the rays tell
     }
     contests.resize(left);
   }

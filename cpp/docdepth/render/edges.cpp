@@ -8,18 +8,6 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
-std::vector<Vector> normals_of(const Points& points,
-                               const std::vector<PartedSurface::Parts>& parts) {
-  std::vector<Vector> normals(points.rows(), Vector::Zero());
-  for (const auto& part : parts)
-    for (const auto& [i, j, k] : part.whole) {
-      const Vector p = points.row(i), q = points.row(j), r = points.row(k);
-      const Vector normal = (q - p).cross(r - p);
-      for (const auto corner : {i, j, k}) normals[corner] += normal;
-    }
-  return normals;
-}
-
 /// Splits triangles between one corner and the other two.
 class Splitter {
  public:
@@ -104,16 +92,21 @@ PartedSurface part_surface(const Points& points, const std::uint32_t (*triangles
   PartedSurface surface;
   surface.vertices.reserve(points.rows() + points.rows() / 2);
   for (Eigen::Index i = 0; i < points.rows(); ++i) surface.vertices.push_back(points.row(i));
+  surface.normals.assign(points.rows(), Vector::Zero());
   surface.parts.resize(owners);
+  surface.parts[0].whole.reserve(count);
   std::vector<std::size_t> jumps;
   for (std::size_t t = 0; t < count; ++t) {
     const auto [i, j, k] = triangles[t];
-    if (cut[t] || owner[i] != owner[j] || owner[j] != owner[k])
+    if (cut[t] || owner[i] != owner[j] || owner[j] != owner[k]) {
       jumps.push_back(t);
-    else
-      surface.parts[owner[i]].whole.push_back({i, j, k});
+      continue;
+    }
+    surface.parts[owner[i]].whole.push_back({i, j, k});
+    const Vector &p = surface.vertices[i], &q = surface.vertices[j], &r = surface.vertices[k];
+    const Vector normal = (q - p).cross(r - p);
+    for (const auto corner : {i, j, k}) surface.normals[corner] += normal;
   }
-  surface.normals = normals_of(points, surface.parts);
   Splitter splitter(surface, surface.normals);
   for (const std::size_t t : jumps) {
     const auto* corner = triangles[t];

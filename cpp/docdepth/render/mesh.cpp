@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
+#include "docdepth/geometry/dispatch.hpp"
 #include "docdepth/render/identity.hpp"
 
 namespace docdepth {
@@ -11,36 +13,48 @@ namespace {
 using Vector = Eigen::Vector3f;
 using Triangle = std::array<std::uint32_t, 3>;
 
-constexpr std::uint32_t kColumns = 256, kRows = 64, kPadding = 16;
+constexpr std::uint32_t kColumns = 64, kRows = 128, kPadding = 16;
 
-/// Which of the cells of direction around the sensor, column by column.
-std::uint32_t cell(const Vector& p) {
-  const float sum = std::abs(p.x()) + std::abs(p.y());
-  // Diamond angles grow with the angles themselves and need no trigonometry.
-  float turn = sum > 0 ? p.x() / sum : 0.0f;
-  turn = p.y() < 0 ? 3.0f + turn : 1.0f - turn;
-  const float rise = p.z() / (sum + std::abs(p.z()) + 1e-6f);  // -1 to 1
-  const auto column = std::min(static_cast<std::uint32_t>(turn * (kColumns / 4.0f)), kColumns - 1);
-  const auto row = std::min(static_cast<std::uint32_t>((rise + 1.0f) * (kRows / 2.0f)), kRows - 1);
-  return column * kRows + row;
-}
+/// Which of the cells of direction around the sensor each vertex lies in, column by column.
+struct FindCells {
+  DOCDEPTH_KERNEL static void run(std::size_t count, const float* vertices,
+                                  std::uint16_t* __restrict cells) {
+    for (std::size_t i = 0; i < count; ++i) {
+      const float x = vertices[3 * i], y = vertices[3 * i + 1], z = vertices[3 * i + 2];
+      // Diamond angles grow with the angles themselves and need no trigonometry.
+      const float sum = std::fabs(x) + std::fabs(y);
+      const float part = x / (sum + 1e-30f);
+      const float turn = y < 0 ? 3.0f + part : 1.0f - part;
+      const float rise = z / (sum + std::fabs(z) + 1e-30f);  // -1 to 1
+      const auto column = static_cast<std::int32_t>(turn * (kColumns / 4.0f));
+      const auto row = static_cast<std::int32_t>((rise + 1.0f) * (kRows / 2.0f));
+      const std::int32_t last_column = kColumns - 1, last_row = kRows - 1;
+      cells[i] = static_cast<std::uint16_t>((column < last_column ? column : last_column) *
+                                                std::int32_t{kRows} +
+                                            (row < last_row ? row : last_row));
+    }
+  }
+};
 
 /// Numbers of the triangles, cell after cell, and where each column of cells ends.
 struct Order {
   std::vector<std::uint32_t> triangles, column_ends;
 };
 
-Order by_direction(const std::vector<Vector>& vertices, const std::vector<Triangle>& triangles) {
-  std::vector<std::uint32_t> cells(triangles.size()), start(kColumns * kRows + 1, 0);
-  for (std::size_t t = 0; t < triangles.size(); ++t) {
-    const auto& [a, b, c] = triangles[t];
-    cells[t] = cell(vertices[a] + vertices[b] + vertices[c]);
-    ++start[cells[t] + 1];
-  }
-  for (std::size_t c = 1; c < start.size(); ++c) start[c] += start[c - 1];
+Order by_direction(const std::vector<std::uint16_t>& cells,
+                   const std::vector<Triangle>& triangles) {
   Order order{std::vector<std::uint32_t>(triangles.size()), {}};
+  if (triangles.size() <= Mesh::kTriangles) {
+    std::iota(order.triangles.begin(), order.triangles.end(), 0);
+    order.column_ends.push_back(static_cast<std::uint32_t>(triangles.size()));
+    return order;
+  }
+  std::vector<std::uint32_t> start(kColumns * kRows + 1, 0);
+  for (const Triangle& corners : triangles) ++start[cells[corners[0]] + 1];
+  for (std::size_t c = 1; c < start.size(); ++c) start[c] += start[c - 1];
   for (std::uint32_t c = 1; c <= kColumns; ++c) order.column_ends.push_back(start[c * kRows]);
-  for (std::uint32_t t = 0; t < triangles.size(); ++t) order.triangles[start[cells[t]]++] = t;
+  for (std::uint32_t t = 0; t < triangles.size(); ++t)
+    order.triangles[start[cells[triangles[t][0]]]++] = t;
   return order;
 }
 
@@ -50,13 +64,25 @@ Box box_around(const Vector& low, const Vector& high) {
 
 }  // namespace
 
+MeshVertices::MeshVertices(const std::vector<Vector>& vertices,
+                           const std::vector<std::uint8_t>& classes)
+    : vertices_(vertices), classes_(classes), cells_(vertices.size()), place_(vertices.size(), 0) {
+  dispatch<FindCells>(vertices.size(), vertices.empty() ? nullptr : vertices[0].data(),
+                      cells_.data());
+}
+
 Mesh::Mesh(const std::vector<Vector>& vertices, const std::vector<Triangle>& triangles,
            const std::vector<std::uint8_t>& classes) {
+  MeshVertices all(vertices, classes);
+  *this = Mesh(all, triangles);
+}
+
+Mesh::Mesh(MeshVertices& vertices, const std::vector<Triangle>& triangles) {
   id_ = new_identity();
-  const Order order = by_direction(vertices, triangles);
-  corners_.reserve(triangles.size());
-  std::vector<std::uint32_t> patch_of(vertices.size(), ~0u);
-  std::vector<std::uint8_t> local(vertices.size());
+  const Order order = by_direction(vertices.cells_, triangles);
+  corners_.resize(triangles.size());
+  for (auto* axis : {&x_, &y_, &z_}) axis->reserve(triangles.size() + kPadding);
+  classes_.reserve(triangles.size());
   Vector low = Vector::Constant(INFINITY), high = -low, patch_low, patch_high;
 
   const auto close = [&] {
@@ -74,25 +100,24 @@ Mesh::Mesh(const std::vector<Vector>& vertices, const std::vector<Triangle>& tri
     }
     if (full) {
       close();
-      patches_.push_back({{}, std::uint32_t(x_.size()), 0, std::uint32_t(corners_.size()), 0});
+      patches_.push_back({{}, std::uint32_t(x_.size()), 0, i, 0});
+      ++vertices.patches_;
       patch_low = Vector::Constant(INFINITY), patch_high = -patch_low;
       full = false;
     }
     Patch& patch = patches_.back();
-    Corners corners;
     for (int k = 0; k < 3; ++k) {
       const std::uint32_t v = triangles[order.triangles[i]][k];
-      if (patch_of[v] != patches_.size()) {
-        patch_of[v] = static_cast<std::uint32_t>(patches_.size());
-        local[v] = static_cast<std::uint8_t>(patch.vertices++);
-        const Vector& p = vertices[v];
+      std::uint32_t& place = vertices.place_[v];
+      if (place / kVertices != vertices.patches_) {
+        place = vertices.patches_ * kVertices + patch.vertices++;
+        const Vector& p = vertices.vertices_[v];
         x_.push_back(p.x()), y_.push_back(p.y()), z_.push_back(p.z());
-        classes_.push_back(classes.empty() ? 0 : classes[v]);
+        classes_.push_back(vertices.classes_.empty() ? 0 : vertices.classes_[v]);
         patch_low = patch_low.cwiseMin(p), patch_high = patch_high.cwiseMax(p);
       }
-      corners[k] = local[v];
+      corners_[i][k] = static_cast<std::uint8_t>(place % kVertices);
     }
-    corners_.push_back(corners);
     ++patch.triangles;
   }
   close();

@@ -11,6 +11,24 @@ namespace docdepth {
 
 constexpr std::uint8_t kNoClass = 255;  ///< of places that are no return
 
+/// Vertices that meshes are made of, and what one leaves for the next, so that a hundred small ones
+/// cost little.
+class MeshVertices {
+ public:
+  /// Both must live as long.
+  /// @param classes a byte a vertex that is kept with it, or empty for 0
+  MeshVertices(const std::vector<Eigen::Vector3f>& vertices,
+               const std::vector<std::uint8_t>& classes);
+
+ private:
+  friend class Mesh;
+  const std::vector<Eigen::Vector3f>& vertices_;
+  const std::vector<std::uint8_t>& classes_;
+  std::vector<std::uint16_t> cells_;  // of direction, of each vertex
+  std::vector<std::uint32_t> place_;  // of each vertex: last patch with it, number within that
+  std::uint32_t patches_ = 0;         // made so far
+};
+
 /// Triangles in patches of neighbours, each with its own vertices and box. A vertex on the border
 /// of two patches is kept twice, which costs less than looking it up elsewhere.
 class Mesh {
@@ -29,7 +47,7 @@ class Mesh {
   Mesh() = default;
 
   /// @param triangles corners as rows of `vertices`; vertices without a triangle are left out
-  /// @param classes a byte a vertex that is kept with it; 0 if absent
+  Mesh(MeshVertices& vertices, const std::vector<std::array<std::uint32_t, 3>>& triangles);
   Mesh(const std::vector<Eigen::Vector3f>& vertices,
        const std::vector<std::array<std::uint32_t, 3>>& triangles,
        const std::vector<std::uint8_t>& classes = {});

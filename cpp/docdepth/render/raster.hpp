@@ -18,7 +18,7 @@
 // nothing is shared and the order within a strip never changes.
 namespace docdepth {
 
-constexpr int kStrip = 96;  // columns; 375 rows of them fit the first cache levels
+constexpr int kStrip = 104;  // columns; 375 rows of them fit the first cache levels
 constexpr int kLanes = 8;
 typedef float Floats __attribute__((vector_size(4 * kLanes)));
 typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
@@ -58,17 +58,27 @@ struct Strip {
   }
 };
 
-/// Vertices of a patch in the image.
+/// Vertices of a patch in the image, and where they lie beside the strip.
 struct Projected {
   alignas(32) float u[Mesh::kVertices + kLanes], v[Mesh::kVertices + kLanes],
       w[Mesh::kVertices + kLanes];  // w is 1 / depth, 0 where there is none
+  alignas(32) std::int32_t beside[Mesh::kVertices + kLanes];
 };
 
-DOCDEPTH_INLINE void project_patch(const Mesh& mesh, const Mesh::Patch& patch,
-                                   const RigidTransform& T, const Camera& camera, Projected& out) {
+/// Sides of the strip that vertices may lie beyond; what all corners lie beyond is not seen, nor is
+/// what has a corner behind the camera.
+constexpr std::int32_t kLeft = 1, kRight = 2, kAbove = 4, kBelow = 8, kBehind = 16;
+
+/// False if nothing of the patch falls on what may still be drawn.
+DOCDEPTH_INLINE bool project_patch(const Mesh& mesh, const Mesh::Patch& patch,
+                                   const RigidTransform& T, const Camera& camera,
+                                   const Strip& strip, Projected& out) {
   const auto& r = T.r;
   const auto fx = float(camera.fx), fy = float(camera.fy), cx = float(camera.cx),
              cy = float(camera.cy);
+  const auto left = float(strip.begin), right = float(strip.end - 1);
+  const auto bottom = float(strip.height - 1);
+  Floats low_u = Floats{} + INFINITY, high_u = -low_u, low_v = low_u, high_v = -low_u;
   for (std::uint32_t i = 0; i < patch.vertices; i += kLanes) {
     Floats a, b, c;
     std::memcpy(&a, mesh.x() + patch.vertex + i, sizeof a);
@@ -81,10 +91,29 @@ DOCDEPTH_INLINE void project_patch(const Mesh& mesh, const Mesh::Patch& patch,
     const Floats w = 1.0f / z;
     const Floats u = (fx * x) * w + cx, v = (fy * y) * w + cy;
     const Floats shown = seen ? w : Floats{};
+    const Integers beside = ((u + kSlack < left) & kLeft) | ((u - kSlack > right) & kRight) |
+                            ((v + kSlack < 0.0f) & kAbove) | ((v - kSlack > bottom) & kBelow) |
+                            (~seen & kBehind);
     std::memcpy(out.u + i, &u, sizeof u);
     std::memcpy(out.v + i, &v, sizeof v);
     std::memcpy(out.w + i, &shown, sizeof shown);
+    std::memcpy(out.beside + i, &beside, sizeof beside);
+    const Integers part =
+        seen & (Integers{0, 1, 2, 3, 4, 5, 6, 7} + std::int32_t(i) < std::int32_t(patch.vertices));
+    low_u = part & (u < low_u) ? u : low_u, high_u = part & (u > high_u) ? u : high_u;
+    low_v = part & (v < low_v) ? v : low_v, high_v = part & (v > high_v) ? v : high_v;
   }
+  const auto least = [](const Floats& lanes) {
+    float low = lanes[0];
+    for (int lane = 1; lane < kLanes; ++lane) low = std::min(low, lanes[lane]);
+    return low;
+  };
+  const float first_u = std::max(least(low_u) - 1, left);
+  const float last_u = std::min(1 - least(-high_u), right);
+  const float first_v = std::max(least(low_v) - 1, 0.0f);
+  const float last_v = std::min(1 - least(-high_v), bottom);
+  return first_u <= last_u && first_v <= last_v &&
+         strip.is_open(int(first_u), int(last_u), int(first_v), int(last_v));
 }
 
 /// One edge of a triangle: its value at a pixel is not negative inside.
@@ -97,6 +126,8 @@ DOCDEPTH_INLINE Edge edge(float u0, float v0, float u1, float v1, float turn) {
   return {u0, v0, du, dv, kSlack * (std::fabs(du) + std::fabs(dv))};
 }
 
+/// No corner is behind the camera, and not all are beside the strip on one side.
+///
 /// @tparam kNumbered also keeps the number of the triangle
 template <bool kNumbered>
 DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corners,
@@ -109,8 +140,6 @@ DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corn
   const float high_u = std::min(std::max(ua, std::max(ub, uc)) + kSlack, float(strip.end - 1));
   const float low_v = std::max(std::min(va, std::min(vb, vc)) - kSlack, 0.0f);
   const float high_v = std::min(std::max(va, std::max(vb, vc)) + kSlack, float(strip.height - 1));
-  // Also false where a corner lies behind the camera.
-  if (!(low_w > 0 && low_u <= high_u && low_v <= high_v)) return;
   const int first_u = int(std::ceil(low_u)), last_u = int(high_u);
   const int first_v = int(std::ceil(low_v)), last_v = int(high_v);
   if (first_u > last_u || first_v > last_v) return;
@@ -155,21 +184,6 @@ DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corn
   }
 }
 
-/// Does any of the patch fall on what may still be drawn?
-DOCDEPTH_INLINE bool is_open(const Projected& p, const Mesh::Patch& patch, const Strip& strip) {
-  float low_u = strip.end, high_u = strip.begin - 1, low_v = strip.height, high_v = -1;
-  for (std::uint32_t i = 0; i < patch.vertices; ++i) {
-    if (!(p.w[i] > 0)) continue;
-    low_u = std::min(low_u, p.u[i]), high_u = std::max(high_u, p.u[i]);
-    low_v = std::min(low_v, p.v[i]), high_v = std::max(high_v, p.v[i]);
-  }
-  const auto first_u = int(std::max(low_u - 1, float(strip.begin)));
-  const auto last_u = int(std::min(high_u + 1, float(strip.end - 1)));
-  const auto first_v = int(std::max(low_v - 1, 0.0f));
-  const auto last_v = int(std::min(high_v + 1, float(strip.height - 1)));
-  return first_u <= last_u && first_v <= last_v && strip.is_open(first_u, last_u, first_v, last_v);
-}
-
 /// False if nothing of it can be seen.
 template <bool kNumbered = false>
 DOCDEPTH_INLINE bool draw_mesh(const Camera& camera, const PlacedMesh& placed, Strip& strip) {
@@ -183,10 +197,13 @@ DOCDEPTH_INLINE bool draw_mesh(const Camera& camera, const PlacedMesh& placed, S
   Projected points;
   for (const Mesh::Patch& patch : mesh.patches()) {
     if (!frustum.touches(patch.box)) continue;
-    project_patch(mesh, patch, T, camera, points);
-    if (!is_open(points, patch, strip)) continue;
-    for (std::uint32_t t = patch.triangle; t < patch.triangle + patch.triangles; ++t)
+    if (!project_patch(mesh, patch, T, camera, strip, points)) continue;
+    for (std::uint32_t t = patch.triangle; t < patch.triangle + patch.triangles; ++t) {
+      const auto& [i, j, k] = mesh.corners()[t];
+      const std::int32_t a = points.beside[i], b = points.beside[j], c = points.beside[k];
+      if ((a & b & c) || ((a | b | c) & kBehind)) continue;
       draw_triangle<kNumbered>(points, mesh.corners()[t], static_cast<std::int32_t>(t), strip);
+    }
   }
   return true;
 }

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "docdepth/geometry/lanes.hpp"
 #include "docdepth/render/dispatch.hpp"
 #include "docdepth/surface/directions.hpp"
 
@@ -23,112 +24,150 @@ constexpr float kGrazing = 0.02f;
 /// ten times farther apart than their returns into the cells around a place between them.
 constexpr double kCell = 1.6;
 
-constexpr int kLanes = 8;
-typedef float Floats __attribute__((vector_size(4 * kLanes)));
-typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
-
 bool usable(const Points& points, Eigen::Index i) {
   const float squared = points.row(i).squaredNorm();
   return squared > 0 && squared < 1e12f;  // false for NaN
 }
 
-/// The directions of places, range and cosine of elevation beside them.
+/// The directions of places, the cells they lie in, range and cosine of elevation.
 struct Toward {
-  std::int32_t azimuth[Places::kMost], elevation[Places::kMost];
+  float azimuth[Places::kMost], elevation[Places::kMost];
   float range[Places::kMost], narrowed[Places::kMost];
+  std::int32_t column[Places::kMost], row[Places::kMost];
 };
 
-DOCDEPTH_INLINE void directions_to(const Places& places, Toward& toward) {
+DOCDEPTH_INLINE void directions_to(const Rays::Cells& cells, const Places& places, Toward& toward) {
+  const std::int32_t low = cells.low, side = cells.side, columns = cells.columns;
   for (std::size_t i = 0; i < places.size; ++i) {
     const float x = places.x[i], y = places.y[i], z = places.z[i];
     const Direction direction = direction_of(x, y, z);
-    toward.azimuth[i] = direction.azimuth;
-    toward.elevation[i] = direction.elevation;
-    toward.range[i] = std::sqrt((x * x + y * y) + z * z);
-    toward.narrowed[i] = std::sqrt(x * x + y * y) / toward.range[i];
+    toward.azimuth[i] = float(direction.azimuth);
+    toward.elevation[i] = float(direction.elevation);
+    const float range = std::sqrt((x * x + y * y) + z * z);
+    toward.range[i] = range;
+    toward.narrowed[i] = std::sqrt(x * x + y * y) / range;
+    // Angles times columns need more than 32 bits, their sixteenths do not.
+    const std::int32_t turned = direction.azimuth + kTurn / 2;
+    toward.column[i] = ((turned >> 4) * columns + (((turned & 15) * columns) >> 4)) / (kTurn >> 4);
+    // Quotients of such small numbers are never rounded to the next one.
+    const std::int32_t above = direction.elevation - low + side;
+    toward.row[i] = above < 0 ? -9 : std::int32_t(float(above) / float(side)) - 1;
   }
 }
 
-/// The least squared angle in units of kTurn to a return, and which; of equals the first.
+/// The least squared angle in units of kTurn to a return, infinite without any, and which.
 struct Nearest {
-  float squared = INFINITY;
-  std::uint32_t number = 0;
+  float squared[Places::kMost];
+  std::int32_t number[Places::kMost];
 };
 
-/// Looks at the returns [begin, end), eight at a time.
-DOCDEPTH_INLINE void look(const Rays::Cells& cells, std::uint32_t begin, std::uint32_t end,
-                          std::int32_t azimuth, std::int32_t elevation, float narrowed,
-                          Floats& least, Integers& found) {
-  const Integers lanes = {0, 1, 2, 3, 4, 5, 6, 7};
-  for (std::uint32_t i = begin; i < end; i += kLanes) {
-    Integers direction;
-    std::memcpy(&direction, &cells.directions[i], sizeof direction);
-    const Integers number = lanes + std::int32_t(i);
-    const Integers across = ((direction - azimuth) << 16) >> 16;
-    const Integers along = (direction >> 16) - elevation;
-    const Floats u = __builtin_convertvector(across, Floats) * narrowed;
-    const Floats v = __builtin_convertvector(along, Floats);
-    const Floats squared = u * u + v * v;
-    const Integers nearer = (squared < least) & (number < std::int32_t(end));
-    least = nearer ? squared : least;
-    found = nearer ? number : found;
-  }
-}
+/// Up to eight places whose directions lie in one cell.
+struct Group {
+  std::int32_t column, row, size;
+  std::uint8_t places[kLanes];
+};
 
-DOCDEPTH_INLINE Nearest nearest(const Rays::Cells& cells, std::int32_t azimuth,
-                                std::int32_t elevation, float narrowed) {
-  // One more and one less, so that the division never rounds up.
-  const int row = (elevation - cells.low + cells.side) / cells.side - 1;
-  const int first = std::max(row - 1, 0), last = std::min(row + 1, cells.rows - 1);
-  if (elevation - cells.low + cells.side < 0 || first > last) return {};
-  const int column = int(std::int64_t(azimuth + kTurn / 2) * cells.columns / kTurn);
+/// Brings places together that lie in one cell, as far as a glance at the latest groups tells.
+class Groups {
+ public:
+  DOCDEPTH_INLINE Groups(const Toward& toward, std::size_t places) {
+    static_assert(Places::kMost <= 256, "places are numbered by bytes");
+    std::uint8_t latest[kSlots] = {};
+    groups_[0] = {-1, -1, kLanes, {}};
+    for (std::size_t i = 0; i < places; ++i) {
+      const std::int32_t column = toward.column[i], row = toward.row[i];
+      std::uint8_t& at = latest[std::uint32_t(5 * column + row) % kSlots];
+      const Group& known = groups_[at];
+      if (known.column != column || known.row != row || known.size == kLanes) {
+        groups_[size_] = {column, row, 0, {}};
+        at = static_cast<std::uint8_t>(size_++);
+      }
+      groups_[at].places[groups_[at].size++] = static_cast<std::uint8_t>(i);
+    }
+  }
+  const Group* begin() const { return groups_; }
+  const Group* end() const { return groups_ + size_; }
+
+ private:
+  static constexpr int kSlots = 64;
+  Group groups_[Places::kMost];
+  int size_ = 0;
+};
+
+/// The nearest returns to the places of a group in the nine cells around it; of equals the first.
+DOCDEPTH_INLINE void find_nearest(const Rays::Cells& cells, const Toward& toward,
+                                  const Group& group, Nearest& nearest) {
+  float to[3][kLanes];
+  for (int lane = 0; lane < kLanes; ++lane) {  // unused ones repeat the last
+    const std::size_t i = group.places[std::min(lane, group.size - 1)];
+    to[0][lane] = toward.azimuth[i], to[1][lane] = toward.elevation[i];
+    to[2][lane] = toward.narrowed[i];
+  }
+  const Floats azimuth = load(to[0]), elevation = load(to[1]), narrowed = load(to[2]);
   Floats least = Floats{} + INFINITY;
-  Integers found{};
-  for (int k = -1; k <= 1; ++k) {
-    const int c = column + k < 0 ? cells.columns - 1 : column + k == cells.columns ? 0 : column + k;
-    const std::uint32_t* start = &cells.start[std::size_t(c) * cells.rows];
-    look(cells, start[first], start[last + 1], azimuth, elevation, narrowed, least, found);
+  Ints found{};
+  const int low = std::max(group.row - 1, 0);
+  const int high = std::min(group.row + 1, cells.rows - 1);
+  const int left = group.column - 1;
+  // As they lie in memory, those that are met around the turn before or after the others.
+  const int turn = left + 2 == cells.columns ? 2 : left < 0 ? 1 : 0;
+  for (int k = turn; low <= high && k < turn + 3; ++k) {
+    const int column = left + k % 3;
+    const int turns = column < 0 ? -1 : column == cells.columns ? 1 : 0;
+    const std::uint32_t* start =
+        &cells.start[std::size_t(column - turns * cells.columns) * cells.rows];
+    const Floats from = azimuth - float(turns * kTurn);
+    for (std::uint32_t i = start[low]; i < start[high + 1]; ++i) {
+      const Floats u = (cells.azimuth[i] - from) * narrowed, v = cells.elevation[i] - elevation;
+      const Floats squared = u * u + v * v;
+      found = squared < least ? Ints{} + std::int32_t(i) : found;
+      least = squared < least ? squared : least;
+    }
   }
-  // The best of eight, four, two.
-  const auto fold = [&](const Floats& other, const Integers& number) {
-    const Integers better = (other < least) | ((other == least) & (number < found));
-    least = better ? other : least;
-    found = better ? number : found;
-  };
-  fold(__builtin_shufflevector(least, least, 4, 5, 6, 7, 0, 1, 2, 3),
-       __builtin_shufflevector(found, found, 4, 5, 6, 7, 0, 1, 2, 3));
-  fold(__builtin_shufflevector(least, least, 2, 3, 0, 1, 6, 7, 4, 5),
-       __builtin_shufflevector(found, found, 2, 3, 0, 1, 6, 7, 4, 5));
-  fold(__builtin_shufflevector(least, least, 1, 0, 3, 2, 5, 4, 7, 6),
-       __builtin_shufflevector(found, found, 1, 0, 3, 2, 5, 4, 7, 6));
-  return {least[0], std::uint32_t(found[0])};
+  for (int lane = 0; lane < group.size; ++lane) {
+    nearest.squared[group.places[lane]] = least[lane];
+    nearest.number[group.places[lane]] = found[lane];
+    __builtin_prefetch(&cells.ends[found[lane]]);
+  }
 }
 
-/// What a ray tells of a place, `miss` metres beside it.
-DOCDEPTH_INLINE float told(const Rays::End& end, const Vector& place, float range, float miss) {
-  const float margin = kMargin + kMarginGrowth * range;
-  // The surface at the end of the ray, seen in the direction of the place, is at range / before.
-  const float before =
-      (end.plane.x() * place.x() + end.plane.y() * place.y()) + end.plane.z() * place.z();
-  const bool met =
-      std::fabs(end.range - range) < margin || range * std::fabs(1 - before) < margin * before;
-  const bool passed = end.range > range + margin && before < 1;
-  const float weight = 1 / ((miss + kBlur) * (miss + kBlur));
-  return met ? weight : passed ? -weight : 0.0f;
+/// What the nearest rays tell of places, so many metres beside them.
+DOCDEPTH_INLINE void add_told(const Rays::Cells& cells, const Places& places, const Toward& toward,
+                              const Nearest& nearest, float* balance) {
+  for (std::size_t first = 0; first < places.size; first += kLanes) {
+    const std::size_t some = std::min(places.size - first, std::size_t{kLanes});
+    float end[4][kLanes];
+    for (std::size_t lane = 0; lane < kLanes; ++lane) {
+      const Rays::End& met = cells.ends[nearest.number[first + std::min(lane, some - 1)]];
+      end[0][lane] = met.plane.x(), end[1][lane] = met.plane.y(), end[2][lane] = met.plane.z();
+      end[3][lane] = met.range;
+    }
+    const Floats range = load(toward.range + first), squared = load(nearest.squared + first);
+    const Floats miss = (root(squared) * kRadiansPerUnit) * range;
+    const Floats margin = kMargin + kMarginGrowth * range, ray = load(end[3]);
+    // The surface at the end of the ray, seen in the direction of the place, is at range / before.
+    const Floats before =
+        (load(end[0]) * load(places.x + first) + load(end[1]) * load(places.y + first)) +
+        load(end[2]) * load(places.z + first);
+    const Ints met =
+        (absolute(ray - range) < margin) | (range * absolute(1.0f - before) < margin * before);
+    const Ints passed = (ray > range + margin) & (before < 1.0f);
+    const Floats weight = 1.0f / ((miss + kBlur) * (miss + kBlur));
+    const Ints known = (range > 0.0f) & (squared < INFINITY);
+    Floats told = passed ? -weight : Floats{};
+    told = met ? weight : told;
+    for (std::size_t lane = 0; lane < some; ++lane)
+      if (known[lane]) balance[first + lane] += told[lane];
+  }
 }
 
 DOCDEPTH_INLINE void ask_all(const Rays::Cells& cells, const Places& places, float* balance) {
   Toward toward;
-  directions_to(places, toward);
-  for (std::size_t i = 0; i < places.size; ++i) {
-    const float range = toward.range[i];
-    if (!(range > 0)) continue;
-    const auto [squared, number] =
-        nearest(cells, toward.azimuth[i], toward.elevation[i], toward.narrowed[i]);
-    if (squared == INFINITY) continue;
-    const float miss = (std::sqrt(squared) * kRadiansPerUnit) * range;
-    balance[i] += told(cells.ends[number], {places.x[i], places.y[i], places.z[i]}, range, miss);
-  }
+  directions_to(cells, places, toward);
+  Nearest nearest;
+  for (const Group& group : Groups(toward, places.size))
+    find_nearest(cells, toward, group, nearest);
+  add_told(cells, places, toward, nearest, balance);
 }
 
 DOCDEPTH_AVX2 void ask_avx2(const Rays::Cells& cells, const Places& places, float* balance) {
@@ -141,20 +180,20 @@ void ask_plain(const Rays::Cells& cells, const Places& places, float* balance) {
 }  // namespace
 
 Rays::Rays(const Points& points, const std::vector<Vector>& normals) {
-  std::vector<Direction> all(points.rows());
+  const std::vector<Direction> all = directions_of(points);
   std::vector<std::uint32_t> rows;
   int high = -kTurn;
   cells_.low = kTurn;
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     if (!usable(points, i)) continue;
-    all[i] = direction_of(points(i, 0), points(i, 1), points(i, 2));
     cells_.low = std::min(cells_.low, all[i].elevation), high = std::max(high, all[i].elevation);
     rows.push_back(static_cast<std::uint32_t>(i));
   }
   if (rows.empty()) return;
   const double area = double(kTurn) * (high - cells_.low + 1);
   cells_.side = std::max(1, int(kCell * std::sqrt(area / double(rows.size()))));
-  cells_.columns = std::max(3, kTurn / cells_.side);
+  // With four, neighbours are less than half a turn apart.
+  cells_.columns = std::max(4, kTurn / cells_.side);
   cells_.rows = (high - cells_.low) / cells_.side + 1;
 
   const auto cell = [&](const Direction& d) {
@@ -164,7 +203,8 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals) {
   cells_.start.assign(std::size_t(cells_.columns) * cells_.rows + 1, 0);
   for (const auto i : rows) ++cells_.start[cell(all[i]) + 1];
   for (std::size_t c = 1; c < cells_.start.size(); ++c) cells_.start[c] += cells_.start[c - 1];
-  cells_.directions.resize(rows.size() + kLanes);  // some are read behind the last
+  cells_.azimuth.resize(rows.size());
+  cells_.elevation.resize(rows.size());
   cells_.ends.resize(rows.size());
   auto next = cells_.start;
   for (const auto i : rows) {
@@ -175,7 +215,7 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals) {
     const float offset = (n.x() * p.x() + n.y() * p.y()) + n.z() * p.z();
     const float range = std::sqrt(squared);
     const bool known = std::fabs(offset) > kGrazing * length * range;
-    cells_.directions[to] = all[i].elevation * 65536 + (all[i].azimuth & 0xffff);
+    cells_.azimuth[to] = float(all[i].azimuth), cells_.elevation[to] = float(all[i].elevation);
     cells_.ends[to] = {known ? Vector(n / offset) : Vector(p / squared), range};
   }
 }

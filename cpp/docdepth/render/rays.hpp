@@ -39,8 +39,7 @@ class Rays {
   struct Cells {
     int side = 1, columns = 0, rows = 0, low = 0;  ///< angles in units of kTurn
     std::vector<std::uint32_t> start;              ///< of each cell, and the end
-    /// Elevation in the upper half, azimuth in the lower, whose differences wrap as the turn does.
-    std::vector<std::int32_t> directions;
+    std::vector<float> azimuth, elevation;         ///< of each return; whole numbers
     std::vector<End> ends;
   };
 

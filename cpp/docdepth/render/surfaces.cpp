@@ -23,26 +23,6 @@ void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
   triangles.push_back({first, first + 2, first + 3});
 }
 
-/// A mesh of few of the vertices.
-Mesh small_mesh(const std::vector<Vector>& vertices, Triangles triangles,
-                const std::vector<std::uint8_t>& classes) {
-  std::vector<std::uint32_t> used;
-  for (const auto& corners : triangles) used.insert(used.end(), corners.begin(), corners.end());
-  std::sort(used.begin(), used.end());
-  used.erase(std::unique(used.begin(), used.end()), used.end());
-  std::vector<Vector> own;
-  std::vector<std::uint8_t> own_classes;
-  for (const auto vertex : used) {
-    own.push_back(vertices[vertex]);
-    own_classes.push_back(classes[vertex]);
-  }
-  for (auto& corners : triangles)
-    for (auto& corner : corners)
-      corner = static_cast<std::uint32_t>(std::lower_bound(used.begin(), used.end(), corner) -
-                                          used.begin());
-  return Mesh(own, triangles, own_classes);
-}
-
 /// The same seen from the other sweep.
 Motion reversed(const Motion& motion) {
   return {motion.other, motion.nearest, -motion.duration, motion.delay - motion.duration,
@@ -98,10 +78,10 @@ SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles
     add_diamond(points.row(loose[i]), loose_angle, vertices, parts[objects.owner[loose[i]]].whole);
     classes.resize(vertices.size(), class_of(classid[loose[i]]));
   }
-  world = {Mesh(vertices, parts[0].whole, classes), Mesh(vertices, parts[0].split, classes)};
+  MeshVertices all(vertices, classes);
+  world = {Mesh(all, parts[0].whole), Mesh(all, parts[0].split)};
   for (std::size_t k = 1; k < parts.size(); ++k)
-    movers.push_back({small_mesh(vertices, std::move(parts[k].whole), classes),
-                      small_mesh(vertices, std::move(parts[k].split), classes)});
+    movers.push_back({Mesh(all, parts[k].whole), Mesh(all, parts[k].split)});
 }
 
 Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int witnesses,

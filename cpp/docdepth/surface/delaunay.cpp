@@ -7,6 +7,8 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <iterator>
+#include <memory>
 
 namespace docdepth {
 namespace {
@@ -26,111 +28,179 @@ bool same(const Vertex& a, const Vertex& b) {
 bool before(const Vertex& a, const Vertex& b) {
   return a.x != b.x ? a.x < b.x : a.y < b.y;
 }
-bool ahead(const Vertex& a, const Vertex& b) {
-  return same(a, b) ? a.number < b.number : before(a, b);
-}
 
 /// Twice the area of a, b, c: positive when they turn counterclockwise.
 std::int64_t orientation(const Vertex& a, const Vertex& b, const Vertex& c) {
   return std::int64_t{b.x - a.x} * (c.y - a.y) - std::int64_t{b.y - a.y} * (c.x - a.x);
 }
 
-template <class Integer>
-int in_circle_sign(std::int64_t ax, std::int64_t ay, std::int64_t bx, std::int64_t by,
-                   std::int64_t cx, std::int64_t cy) {
-  const Integer a = ax * ax + ay * ay, b = bx * bx + by * by, c = cx * cx + cy * cy;
-  const Integer det = a * (bx * cy - by * cx) + b * (cx * ay - cy * ax) + c * (ax * by - ay * bx);
-  return det > 0 ? 1 : det < 0 ? -1 : 0;
+__extension__ typedef __int128 Wide;
+
+struct Offset {
+  std::int32_t x, y;
+};
+
+Offset operator-(const Vertex& a, const Vertex& b) {
+  return {a.x - b.x, a.y - b.y};
 }
 
-__extension__ typedef __int128 Wide;
+/// Do the angles from ca to cb and from db to da add up to more than half a turn (1), just to that
+/// (0), or to less (-1)? Then a, b, c, d turn, and each lies within, on, or outside the circle
+/// through the other three (Cline and Renka 1984).
+template <class Integer>
+int angles_over(const Offset& ca, const Offset& cb, const Offset& da, const Offset& db) {
+  const auto sine = [](const Offset& a, const Offset& b) {
+    return std::int64_t{a.x} * b.y - std::int64_t{a.y} * b.x;
+  };
+  const auto cosine = [](const Offset& a, const Offset& b) {
+    return std::int64_t{a.x} * b.x + std::int64_t{a.y} * b.y;
+  };
+  const Integer sum =
+      Integer{sine(ca, cb)} * cosine(da, db) + Integer{cosine(ca, cb)} * sine(db, da);
+  return sum < 0 ? 1 : sum > 0 ? -1 : 0;
+}
+
+/// Hardly ever needed, so kept out of the way of what always is.
+[[gnu::noinline]] int far_angles_over(const Offset& ca, const Offset& cb, const Offset& da,
+                                      const Offset& db) {
+  return angles_over<Wide>(ca, cb, da, db);
+}
 
 /// Is d inside the circle through a, b, c (counterclockwise)? On the circle the edge must touch the
 /// lowest number, as if its return were lifted off the paraboloid downwards the most.
-bool must_flip(const Vertex& a, const Vertex& b, const Vertex& c, const Vertex& d) {
-  const std::int64_t ax = a.x - d.x, ay = a.y - d.y, bx = b.x - d.x, by = b.y - d.y;
-  const std::int64_t cx = c.x - d.x, cy = c.y - d.y;
-  const std::int64_t extent =
-      (std::abs(ax) | std::abs(ay) | std::abs(bx) | std::abs(by) | std::abs(cx) | std::abs(cy));
-  const int sign = extent < (1 << 14) ? in_circle_sign<std::int64_t>(ax, ay, bx, by, cx, cy)
-                                      : in_circle_sign<Wide>(ax, ay, bx, by, cx, cy);
-  if (sign != 0) return sign > 0;
+bool is_within(const Vertex& a, const Vertex& b, const Vertex& c, const Vertex& d) {
+  const Offset ca = a - c, cb = b - c, da = a - d, db = b - d;
+  constexpr std::uint32_t limit = 1 << 14;  // squares of squares fit 64 bits
+  std::uint32_t all = 0;
+  for (const Offset& o : {ca, cb, da, db}) all |= (o.x + limit) | (o.y + limit);
+  const int over =
+      all < 2 * limit ? angles_over<std::int64_t>(ca, cb, da, db) : far_angles_over(ca, cb, da, db);
+  if (over != 0) return over > 0;
   return std::min(c.number, d.number) < std::min(a.number, b.number);
 }
 
-constexpr std::uint32_t kOpenChain = 0x80000000;  // marks an edge of a chain instead of a half edge
+/// What lies beyond a half edge: its other half, or from here on the edge of a chain (after vertex
+/// n - kOpenChain) whose upper side is still to come, or nothing at all (kNone).
+constexpr std::uint32_t kOpenChain = 0x80000000;
+
+/// Sorts by counting; equals keep their order. Keys are below `keys`.
+template <class Key>
+std::vector<std::uint32_t> counting_sort(std::vector<Vertex>& vertices, std::size_t keys,
+                                         const Key& key) {
+  std::vector<std::uint32_t> begin(keys + 1, 0);
+  for (const Vertex& v : vertices) ++begin[key(v) + 1];
+  for (std::size_t k = 0; k < keys; ++k) begin[k + 1] += begin[k];
+  auto position = begin;
+  std::vector<Vertex> sorted(vertices.size());
+  for (const Vertex& v : vertices) sorted[position[key(v)]++] = v;
+  vertices.swap(sorted);
+  return begin;
+}
+
+/// Cuts elevations into strips about `height` high where few returns are, so that none cuts through
+/// a ring. That would make a row of slivers between its halves, and of them up to ten times the
+/// flips (measured: sixteen rings).
+///
+/// @param below number of returns below each elevation, and of all
+std::vector<std::int32_t> strips_of(const std::vector<std::uint32_t>& below, std::int32_t height) {
+  const auto count = static_cast<std::int32_t>(below.size()) - 1, reach = height / 4;
+  const auto around = [&](std::int32_t y) {
+    return below[std::min(y + reach, count)] - below[std::max(y - reach, 0)];
+  };
+  std::vector<std::int32_t> borders = {0};
+  while (borders.back() < count) {
+    const std::int32_t aim = borders.back() + height, last = std::min(aim + height / 2, count);
+    std::int32_t best = std::min(aim, count);
+    for (std::int32_t y = aim - height / 2; y <= last; ++y) {
+      const auto gain = std::int64_t{around(best)} - around(y);
+      if (gain > 0 || (gain == 0 && std::abs(y - aim) < std::abs(best - aim))) best = y;
+    }
+    borders.push_back(best);
+  }
+  return borders;
+}
 
 class Mesh {
  public:
   Mesh(const std::vector<Direction>& directions, const std::vector<std::uint32_t>& numbers);
-  Triangulation triangles(std::size_t returns) const;
+  Triangulation triangulation(std::size_t returns) const;
 
  private:
+  /// From a corner to the next, counterclockwise. Those of triangle t are number 4 t, 4 t + 1 and
+  /// 4 t + 2, side by side in the cache; the fourth is not used.
+  struct HalfEdge {
+    std::uint32_t corner, across;
+  };
+
   void lay_out(const std::vector<Direction>& directions, const std::vector<std::uint32_t>& numbers);
   void join(std::size_t lower, std::size_t upper);
+  void legalize(std::uint32_t first);
   std::uint32_t add(std::uint32_t a, std::uint32_t b, std::uint32_t c);
-  void link(std::uint32_t e, std::uint32_t f);
-  void use(std::uint32_t line, std::uint32_t e);
-  void legalize();
+  void link(std::uint32_t e, std::uint32_t beyond);
 
-  static std::uint32_t next(std::uint32_t e) { return e % 3 == 2 ? e - 2 : e + 1; }
-  static std::uint32_t previous(std::uint32_t e) { return e % 3 == 0 ? e + 2 : e - 1; }
+  static std::uint32_t next(std::uint32_t e) { return e % 4 == 2 ? e - 2 : e + 1; }
+  static std::uint32_t previous(std::uint32_t e) { return e % 4 == 0 ? e + 2 : e - 1; }
 
   std::vector<Vertex> vertices_;
   std::vector<std::uint32_t> strip_begin_;  // of the non-empty strips, and the end
-  std::vector<std::uint32_t> start_;        // start vertex of each half edge, three a triangle
-  std::vector<std::uint32_t> twin_;         // the other half of the edge, kNone at the border
-  std::vector<std::uint32_t> below_;        // half edge below vertex k and the next of its strip
+  // Plain memory, since vectors write it before it is used, and look whether it suffices.
+  std::unique_ptr<HalfEdge[]> edges_;  // at most two triangles a vertex
+  std::uint32_t edge_count_ = 0;
+  std::vector<std::uint32_t> below_;  // half edge below vertex k and the next of its strip
 
   struct Open {
     std::uint32_t vertex;
-    std::uint32_t line;  // to the vertex before on the stack; what use() takes
+    std::uint32_t line;  // to the vertex before on the stack: what lies beyond it
   };
-  std::vector<Open> stack_;
+  std::unique_ptr<Open[]> stack_;
+  std::vector<std::uint32_t> doubtful_;  // half edges that may have to flip
 };
 
 Mesh::Mesh(const std::vector<Direction>& directions, const std::vector<std::uint32_t>& numbers) {
   lay_out(directions, numbers);
-  start_.reserve(6 * vertices_.size());
-  twin_.reserve(6 * vertices_.size());
+  edges_.reset(new HalfEdge[8 * vertices_.size()]);
   below_.assign(vertices_.size(), kNone);
-  for (std::size_t s = 0; s + 2 < strip_begin_.size(); ++s) join(s, s + 1);
-  legalize();
+  stack_.reset(new Open[vertices_.size()]);
+  // Strip after strip, while it is in the cache.
+  for (std::size_t s = 0; s + 2 < strip_begin_.size(); ++s) {
+    const std::uint32_t first = edge_count_;
+    join(s, s + 1);
+    legalize(first);
+  }
 }
 
 void Mesh::lay_out(const std::vector<Direction>& directions,
                    const std::vector<std::uint32_t>& numbers) {
+  std::vector<Vertex> sorted;
+  sorted.reserve(numbers.size() + numbers.size() / 8);
   std::int32_t low = kTurn, high = -kTurn, left = kTurn, right = -kTurn;
   for (const auto n : numbers) {
-    low = std::min(low, directions[n].elevation);
-    high = std::max(high, directions[n].elevation);
-    left = std::min(left, directions[n].azimuth);
-    right = std::max(right, directions[n].azimuth);
+    const auto [x, y] = directions[n];
+    low = std::min(low, y), high = std::max(high, y);
+    left = std::min(left, x), right = std::max(right, x);
+    sorted.push_back({x, y, n});
+    if (x < -kTurn / 2 + kOverlap) sorted.push_back({x + kTurn, y, n});
+    if (x >= kTurn / 2 - kOverlap) sorted.push_back({x - kTurn, y, n});
   }
   // Twice as high as the returns would be apart if they were spread evenly: about a ring or two.
   // Measured on HDL-64: half of that makes six times the flips, twice of that half as many more.
   const double area = (high - low + 1.0) * (right - left + 1.0);
   const auto height =
-      std::max<std::int32_t>(1, std::lround(2.0 * std::sqrt(area / numbers.size())));
+      std::max<std::int32_t>(2, std::lround(2.0 * std::sqrt(area / numbers.size())));
   // Guards stand so far out that they take only slivers from the border.
   const std::int32_t guard_distance = std::max(kTurn / 360, 2 * height);
-  const std::size_t strips = (high - low) / height + 1;
 
-  // Counting sort by strip, then radix sort of each strip by azimuth.
-  std::vector<std::uint32_t> count(strips + 1, 0);
-  const auto each_copy = [&](auto&& visit) {
-    for (const auto n : numbers) {
-      const Direction d = directions[n];
-      visit(Vertex{d.azimuth, d.elevation, n});
-      if (d.azimuth < -kTurn / 2 + kOverlap) visit(Vertex{d.azimuth + kTurn, d.elevation, n});
-      if (d.azimuth >= kTurn / 2 - kOverlap) visit(Vertex{d.azimuth - kTurn, d.elevation, n});
-    }
-  };
-  each_copy([&](const Vertex& v) { ++count[(v.y - low) / height + 1]; });
-  for (std::size_t s = 0; s < strips; ++s) count[s + 1] += count[s];
-  std::vector<Vertex> sorted(count[strips]);
-  auto position = count;
-  each_copy([&](const Vertex& v) { sorted[position[(v.y - low) / height]++] = v; });
+  // By strip, of a strip by azimuth, then elevation, then number.
+  const auto by_elevation = [&](const Vertex& v) { return v.y - low; };
+  const auto below = counting_sort(sorted, high - low + 1, by_elevation);
+  counting_sort(sorted, 2 * kLimit, [](const Vertex& v) { return v.x + kLimit; });
+  const std::vector<std::int32_t> borders = strips_of(below, height);
+  const std::size_t strips = borders.size() - 1;
+  std::vector<std::uint16_t> strip_of(high - low + 1);
+  for (std::size_t s = 0; s < strips; ++s)
+    std::fill(strip_of.begin() + borders[s], strip_of.begin() + borders[s + 1], s);
+  const auto begin =
+      counting_sort(sorted, strips, [&](const Vertex& v) { return strip_of[v.y - low]; });
 
   auto guard = static_cast<std::uint32_t>(directions.size());
   const auto guard_row = [&](std::int32_t y) {
@@ -142,14 +212,12 @@ void Mesh::lay_out(const std::vector<Direction>& directions,
   vertices_.reserve(sorted.size() + 2 * strips + 4 * kLimit / guard_distance + 4);
   guard_row(low - guard_distance);
   for (std::size_t s = 0; s < strips; ++s) {
-    if (count[s] == count[s + 1]) continue;
-    const auto middle = low + static_cast<std::int32_t>(s) * height + height / 2;
-    const auto begin = sorted.begin() + count[s];
-    std::sort(begin, sorted.begin() + count[s + 1], ahead);
-    const auto end = std::unique(begin, sorted.begin() + count[s + 1], same);
+    if (begin[s] == begin[s + 1]) continue;
+    const std::int32_t middle = low + (borders[s] + borders[s + 1] - 1) / 2;
     strip_begin_.push_back(static_cast<std::uint32_t>(vertices_.size()));
     vertices_.push_back({-kLimit, middle, guard++});
-    vertices_.insert(vertices_.end(), begin, end);
+    std::unique_copy(sorted.begin() + begin[s], sorted.begin() + begin[s + 1],
+                     std::back_inserter(vertices_), same);
     vertices_.push_back({kLimit, middle, guard++});
   }
   guard_row(high + guard_distance);
@@ -157,27 +225,20 @@ void Mesh::lay_out(const std::vector<Direction>& directions,
 }
 
 std::uint32_t Mesh::add(std::uint32_t a, std::uint32_t b, std::uint32_t c) {
-  const auto e = static_cast<std::uint32_t>(start_.size());
-  start_.insert(start_.end(), {a, b, c});
-  twin_.insert(twin_.end(), {kNone, kNone, kNone});
+  const std::uint32_t e = edge_count_;
+  edges_[e] = {a, kNone}, edges_[e + 1] = {b, kNone}, edges_[e + 2] = {c, kNone};
+  edges_[e + 3] = {kNone, kNone};
+  edge_count_ += 4;
   return e;
 }
 
-void Mesh::link(std::uint32_t e, std::uint32_t f) {
-  if (e != kNone) twin_[e] = f;
-  if (f != kNone) twin_[f] = e;
-}
-
-/// Take note that half edge e lies on `line`: a half edge made before (its twin), or an edge of a
-/// chain whose upper side is still to come.
-void Mesh::use(std::uint32_t line, std::uint32_t e) {
-  if (line == kNone) return;
-  if (line & kOpenChain) {
-    below_[line & ~kOpenChain] = e;
-  } else {
-    twin_[line] = e;
-    twin_[e] = line;
-  }
+/// Lay half edge e along what lies beyond it.
+void Mesh::link(std::uint32_t e, std::uint32_t beyond) {
+  edges_[e].across = beyond;
+  if (beyond < kOpenChain)
+    edges_[beyond].across = e;
+  else if (beyond != kNone)
+    below_[beyond - kOpenChain] = e;
 }
 
 /// Triangulate between two neighbouring strips: their chains bound a polygon that every vertical
@@ -185,7 +246,9 @@ void Mesh::use(std::uint32_t line, std::uint32_t e) {
 void Mesh::join(std::size_t lower, std::size_t upper) {
   std::uint32_t i = strip_begin_[lower], j = strip_begin_[upper];
   const std::uint32_t i_end = strip_begin_[lower + 1], j_end = strip_begin_[upper + 1];
-  stack_.assign({{i++, kNone}, {j++, kNone}});
+  std::size_t open = 0;
+  stack_[open++] = {i++, kNone};
+  stack_[open++] = {j++, kNone};
   bool top_on_upper = true;
   while (i < i_end || j < j_end) {
     const bool on_upper = i == i_end || (j < j_end && before(vertices_[j], vertices_[i]));
@@ -194,93 +257,93 @@ void Mesh::join(std::size_t lower, std::size_t upper) {
     std::uint32_t line = on_upper ? (kOpenChain | (v - 1)) : below_[v - 1];
     if (on_upper == top_on_upper) {
       // Cut off the corners of the chain that v sees.
-      while (stack_.size() >= 2) {
-        const Open mid = stack_.back(), far = stack_[stack_.size() - 2];
+      while (open >= 2) {
+        const Open mid = stack_[open - 1], far = stack_[open - 2];
         const auto turn = orientation(vertices_[far.vertex], vertices_[mid.vertex], vertices_[v]);
         if (on_upper ? turn >= 0 : turn <= 0) break;
         const std::uint32_t e = on_upper ? add(v, mid.vertex, far.vertex)   // v-mid, mid-far, far-v
                                          : add(v, far.vertex, mid.vertex);  // v-far, far-mid, mid-v
-        use(mid.line, e + 1);
-        use(line, on_upper ? e : e + 2);
+        link(e + 1, mid.line);
+        link(on_upper ? e : e + 2, line);
         line = on_upper ? e + 2 : e;
-        stack_.pop_back();
+        --open;
       }
-      stack_.push_back({v, line});
     } else {
       // v sees all that is open of the other chain; `line` leads to the first of it.
-      for (std::size_t k = 0; k + 1 < stack_.size(); ++k) {
+      for (std::size_t k = 0; k + 1 < open; ++k) {
         const std::uint32_t far = stack_[k].vertex, mid = stack_[k + 1].vertex;
         const std::uint32_t e = on_upper ? add(v, far, mid)   // v-far, far-mid, mid-v
                                          : add(v, mid, far);  // v-mid, mid-far, far-v
-        use(stack_[k + 1].line, e + 1);
-        use(line, on_upper ? e : e + 2);
+        link(e + 1, stack_[k + 1].line);
+        link(on_upper ? e : e + 2, line);
         line = on_upper ? e + 2 : e;
       }
-      stack_.assign({{stack_.back().vertex, kNone}, {v, line}});
+      stack_[0] = {stack_[open - 1].vertex, kNone};
+      open = 1;
     }
+    stack_[open++] = {v, line};
     top_on_upper = on_upper;
   }
 }
 
-/// Lawson's flips, until no edge asks for one.
-void Mesh::legalize() {
-  std::vector<std::uint32_t> todo;
-  for (std::uint32_t first = 0; first < start_.size(); ++first) {
-    if (twin_[first] == kNone || twin_[first] < first) continue;
-    todo.push_back(first);
-    while (!todo.empty()) {
-      const std::uint32_t e = todo.back(), f = twin_[e];
-      todo.pop_back();
-      if (f == kNone) continue;
-      const std::uint32_t en = next(e), ep = previous(e), fn = next(f), fp = previous(f);
-      const std::uint32_t a = start_[e], b = start_[f], c = start_[ep], d = start_[fp];
-      if (!must_flip(vertices_[a], vertices_[b], vertices_[c], vertices_[d])) continue;
+/// Lawson's flips, until no half edge from `first` on asks for one, nor any other.
+void Mesh::legalize(std::uint32_t first) {
+  for (std::uint32_t start = first; start < edge_count_; ++start) {
+    if (edges_[start].across > start) continue;  // it will be asked from there, if at all
+    doubtful_.push_back(start);
+    while (!doubtful_.empty()) {
+      const std::uint32_t e = doubtful_.back(), f = edges_[e].across;
+      doubtful_.pop_back();
+      if (f >= kOpenChain) continue;
+      const std::uint32_t ep = previous(e), fp = previous(f);
+      const std::uint32_t a = edges_[e].corner, b = edges_[f].corner;
+      const std::uint32_t c = edges_[ep].corner, d = edges_[fp].corner;
+      if (!is_within(vertices_[a], vertices_[b], vertices_[c], vertices_[d])) continue;
       // a b c and b a d become d b c and c a d.
-      start_[e] = d;
-      start_[f] = c;
-      link(e, twin_[fp]);
-      link(f, twin_[ep]);
+      edges_[e].corner = d;
+      edges_[f].corner = c;
+      link(e, edges_[fp].across);
+      link(f, edges_[ep].across);
       link(ep, fp);
-      todo.insert(todo.end(), {e, en, f, fn});
+      for (const auto outer : {e, next(e), f, next(f)}) doubtful_.push_back(outer);
     }
   }
 }
 
-Triangulation Mesh::triangles(std::size_t returns) const {
+Triangulation Mesh::triangulation(std::size_t returns) const {
   // Of the copies of a triangle near the seam the one whose leftmost corner is no copy is kept.
-  const auto kept = [&](std::uint32_t t) {
-    std::int32_t left = kTurn;
-    for (int i = 0; i < 3; ++i) {
-      const Vertex& v = vertices_[start_[3 * t + i]];
-      if (v.number >= returns) return false;
-      left = std::min(left, v.x);
-    }
-    return left >= -kTurn / 2 && left < kTurn / 2;
+  const auto kept = [&](std::size_t t) {
+    const Vertex &a = vertices_[edges_[4 * t].corner], &b = vertices_[edges_[4 * t + 1].corner],
+                 &c = vertices_[edges_[4 * t + 2].corner];
+    const std::int32_t left = std::min(a.x, std::min(b.x, c.x));
+    return std::max(a.number, std::max(b.number, c.number)) < returns && left >= -kTurn / 2 &&
+           left < kTurn / 2;
   };
-  const auto count = static_cast<std::uint32_t>(start_.size() / 3);
-  std::vector<std::uint32_t> renamed(count, kNone);
-  Triangulation result;
-  result.corners.reserve(count);
-  result.across.reserve(count);
-  for (std::uint32_t t = 0; t < count; ++t) {
+  std::vector<std::uint32_t> renamed(edge_count_ / 4, kNone), chosen;
+  chosen.reserve(renamed.size());
+  for (std::uint32_t t = 0; t < renamed.size(); ++t) {
     if (!kept(t)) continue;
-    renamed[t] = static_cast<std::uint32_t>(result.corners.size());
-    result.corners.push_back({vertices_[start_[3 * t]].number, vertices_[start_[3 * t + 1]].number,
-                              vertices_[start_[3 * t + 2]].number});
+    renamed[t] = static_cast<std::uint32_t>(chosen.size());
+    chosen.push_back(t);
   }
   // At the seam the neighbour that is kept is another copy; the pairs find each other by name.
   std::vector<std::array<std::uint32_t, 4>> seam;  // the edge's two returns, triangle, edge
-  for (std::uint32_t t = 0; t < count; ++t) {
-    if (renamed[t] == kNone) continue;
-    std::array<std::uint32_t, 3> across = {kNone, kNone, kNone};
-    for (std::uint32_t i = 0; i < 3; ++i) {
-      const std::uint32_t f = twin_[3 * t + i];
-      if (f != kNone) across[i] = renamed[f / 3];
-      if (across[i] != kNone) continue;
-      const auto a = vertices_[start_[3 * t + i]].number;
-      const auto b = vertices_[start_[3 * t + (i + 1) % 3]].number;
-      seam.push_back({std::min(a, b), std::max(a, b), renamed[t], i});
+  Triangulation result;
+  result.corners.reserve(chosen.size());
+  result.across.reserve(chosen.size());
+  for (const auto t : chosen) {
+    std::array<std::uint32_t, 3> corners, across = {kNone, kNone, kNone};
+    for (std::size_t i = 0; i < 3; ++i) {
+      const auto [corner, f] = edges_[4 * t + i];
+      corners[i] = vertices_[corner].number;
+      if (f < kOpenChain) across[i] = renamed[f / 4];
     }
+    for (std::uint32_t i = 0; i < 3; ++i) {
+      if (across[i] != kNone) continue;
+      const auto [a, b] = std::minmax(corners[i], corners[(i + 1) % 3]);
+      seam.push_back({a, b, static_cast<std::uint32_t>(result.corners.size()), i});
+    }
+    result.corners.push_back(corners);
     result.across.push_back(across);
   }
   std::sort(seam.begin(), seam.end());
@@ -298,7 +361,7 @@ Triangulation Mesh::triangles(std::size_t returns) const {
 Triangulation triangulate(const std::vector<Direction>& directions,
                           const std::vector<std::uint32_t>& numbers) {
   if (numbers.size() < 3) return {};
-  return Mesh(directions, numbers).triangles(directions.size());
+  return Mesh(directions, numbers).triangulation(directions.size());
 }
 
 }  // namespace docdepth

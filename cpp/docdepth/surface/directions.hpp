@@ -3,6 +3,9 @@
 
 #include <cmath>
 #include <cstdint>
+#include <vector>
+
+#include "docdepth/geometry/types.hpp"
 
 namespace docdepth {
 
@@ -46,5 +49,8 @@ inline Direction direction_of(float x, float y, float z) {
       std::floor(atan2_fixed(z, across) * (1.0f / kRadiansPerUnit) + 0.5f));
   return {azimuth, elevation};
 }
+
+/// Of all points; 0 and 0 for those that are no returns, at the origin or too far to be squared.
+std::vector<Direction> directions_of(const Points& points);
 
 }  // namespace docdepth

@@ -3,45 +3,120 @@
 #include <algorithm>
 #include <cmath>
 
+#include "docdepth/geometry/dispatch.hpp"
+#include "docdepth/geometry/lanes.hpp"
 #include "docdepth/surface/delaunay.hpp"
 
 namespace docdepth {
 namespace {
 
-using Vector = Eigen::Vector3f;
-
 /// Largest range that squares without overflow; what lies beyond is no measurement.
 constexpr float kFarthest = 1e6f;
 
 struct Ray {
-  Vector toward;  // unit
-  float range;
+  float x, y, z;  ///< unit vector
+  float range;    ///< 0 for points that cannot be used
 };
 
-/// Rays of all points, range 0 for those that cannot be used.
-std::vector<Ray> rays_of(const Points& points) {
-  std::vector<Ray> rays(points.rows());
-  for (Eigen::Index i = 0; i < points.rows(); ++i) {
-    const float x = points(i, 0), y = points(i, 1), z = points(i, 2);
-    const float range = std::sqrt((x * x + y * y) + z * z);
-    const bool usable = range > 0.0f && range < kFarthest;  // false for NaN
-    rays[i].range = usable ? range : 0.0f;
-    rays[i].toward = usable ? Vector(x / range, y / range, z / range) : Vector(0, 0, 0);
+struct FindRays {
+  DOCDEPTH_KERNEL static void run(std::size_t count, const float* points, std::size_t stride,
+                                  Ray* __restrict rays) {
+    for (std::size_t i = 0; i < count; ++i) {
+      const float* p = points + stride * i;
+      const float x = p[0], y = p[1], z = p[2];
+      const float range = std::sqrt((x * x + y * y) + z * z);
+      const bool usable = range > 0.0f && range < kFarthest;  // false for NaN
+      rays[i].x = usable ? x / range : 0.0f;
+      rays[i].y = usable ? y / range : 0.0f;
+      rays[i].z = usable ? z / range : 0.0f;
+      rays[i].range = usable ? range : 0.0f;
+    }
   }
-  return rays;
+};
+
+/// Eight places at a time.
+struct Vectors {
+  Floats x, y, z;
+};
+DOCDEPTH_KERNEL Vectors operator-(const Vectors& a, const Vectors& b) {
+  return {a.x - b.x, a.y - b.y, a.z - b.z};
+}
+DOCDEPTH_KERNEL Vectors cross(const Vectors& a, const Vectors& b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+DOCDEPTH_KERNEL Floats dot(const Vectors& a, const Vectors& b) {
+  return a.x * b.x + (a.y * b.y + a.z * b.z);
+}
+DOCDEPTH_KERNEL Floats length(const Vectors& v) {
+  return root(dot(v, v));
 }
 
-/// Squared chord between two unit vectors: near the squared angle for what a triangle spans.
-float gap_squared(const Ray& a, const Ray& b) {
-  const Vector d = a.toward - b.toward;
-  return (d.x() * d.x() + d.y() * d.y()) + d.z() * d.z();
+/// A corner of each of eight triangles, coordinate by coordinate.
+struct Corners {
+  float x[kLanes] = {}, y[kLanes] = {}, z[kLanes] = {}, range[kLanes] = {};
+
+  DOCDEPTH_KERNEL void set(std::size_t lane, const Ray& ray) {
+    x[lane] = ray.x, y[lane] = ray.y, z[lane] = ray.z, range[lane] = ray.range;
+  }
+  DOCDEPTH_KERNEL void set(std::size_t lane, const float* point) {
+    x[lane] = point[0], y[lane] = point[1], z[lane] = point[2];
+  }
+  DOCDEPTH_KERNEL Vectors places() const { return {load(x), load(y), load(z)}; }
+};
+
+/// What a side of a triangle tells.
+struct Side {
+  Floats gap_squared;  ///< chord between two directions, near the angle
+  Floats change;       ///< of range
+  Floats steepness;    ///< how many times more that is than the distance across; 0 within noise
+
+  DOCDEPTH_KERNEL Side(const Corners& a, const Corners& b, float noise) {
+    const Vectors d = a.places() - b.places();
+    const Floats range_a = load(a.range), range_b = load(b.range);
+    gap_squared = (d.x * d.x + d.y * d.y) + d.z * d.z;
+    change = absolute(range_a - range_b);
+    steepness = change / ((range_a < range_b ? range_a : range_b) * root(gap_squared));
+    steepness = change <= noise ? Floats{} : steepness;
+  }
+};
+
+DOCDEPTH_KERNEL Floats largest(const Floats& a, const Floats& b, const Floats& c) {
+  const Floats larger = a > b ? a : b;
+  return larger > c ? larger : c;
 }
 
-/// How many times more the range changes along an edge than the distance across; 0 within noise.
-float steepness(const Ray& a, const Ray& b, float gap, float noise) {
-  const float change = std::fabs(a.range - b.range);
-  return change <= noise ? 0.0f : change / (std::min(a.range, b.range) * gap);
-}
+/// What the sides of a triangle tell.
+struct Shape {
+  bool is_wide, is_steep;
+  std::uint8_t flattest;  ///< side with the least change of range
+};
+
+struct FindShapes {
+  DOCDEPTH_KERNEL static void run(std::size_t count, const std::array<std::uint32_t, 3>* triangles,
+                                  const Ray* rays, const SurfaceParameters& parameters,
+                                  Shape* shapes) {
+    for (std::size_t first = 0; first < count; first += kLanes) {
+      const std::size_t some = std::min(count - first, std::size_t{kLanes});
+      Corners a, b, c;
+      for (std::size_t lane = 0; lane < some; ++lane) {
+        const auto& [i, j, k] = triangles[first + lane];
+        a.set(lane, rays[i]), b.set(lane, rays[j]), c.set(lane, rays[k]);
+      }
+      const float noise = parameters.noise;
+      const Side ab(a, b, noise), bc(b, c, noise), ca(c, a, noise);
+      const Ints is_wide = largest(ab.gap_squared, bc.gap_squared, ca.gap_squared) >
+                           parameters.max_gap * parameters.max_gap;
+      const Ints is_steep =
+          largest(ab.steepness, bc.steepness, ca.steepness) > parameters.jump_ratio;
+      const Floats less = bc.change < ab.change ? bc.change : ab.change;
+      const Ints flatter = -(bc.change < ab.change);
+      const Ints flattest = ca.change < less ? Ints{} + 2 : flatter;
+      for (std::size_t lane = 0; lane < some; ++lane)
+        shapes[first + lane] = {is_wide[lane] != 0, is_steep[lane] != 0,
+                                static_cast<std::uint8_t>(flattest[lane])};
+    }
+  }
+};
 
 /// Sine of the angle between a line of sight and the flattest plane that is still believed: the
 /// road 80 m ahead. What is flatter joins the edge of an object to what lies behind it.
@@ -50,89 +125,102 @@ constexpr float kGrazing = 0.02f;
 /// Does d continue the plane of the triangle (a, b, c) beyond a-b? Each far corner is asked about
 /// the other triangle's plane, since a small triangle always fits a large one, and they must lie on
 /// two sides of a-b: a thin thing and the wall to its left and right is a fold.
-bool one_plane(const Vector& a, const Vector& b, const Vector& c, const Vector& d,
-               float tolerance) {
-  const Vector side = b - a;
-  const Vector n = side.cross(c - a), m = side.cross(d - a);
-  const float over_n = std::fabs(n.dot(d - a)), over_m = std::fabs(m.dot(c - a));
-  return n.dot(m) < 0 && std::fabs(n.dot(a)) > kGrazing * n.norm() * a.norm() &&
-         over_n <= tolerance * n.norm() && over_m <= tolerance * m.norm();
+DOCDEPTH_KERNEL Ints is_one_plane(const Vectors& a, const Vectors& b, const Vectors& c,
+                                  const Vectors& d, float tolerance) {
+  const Vectors side = b - a, n = cross(side, c - a), m = cross(side, d - a);
+  const Floats length_n = length(n), length_m = length(m);
+  const Floats over_n = absolute(dot(n, d - a)), over_m = absolute(dot(m, c - a));
+  return (dot(n, m) < 0.0f) & (absolute(dot(n, a)) > kGrazing * length_n * length(a)) &
+         (over_n <= tolerance * length_n) & (over_m <= tolerance * length_m);
 }
 
-/// What the sides of a triangle tell.
-struct Sides {
-  float widest_squared = 0.0f;
-  float steepest = 0.0f;
-  int flattest = 0;  // side with the least change of range
+/// Two triangles side by side: the edge between them, the corner of one, that of the other.
+struct Fold {
+  std::uint32_t a, b, c, d;
 };
 
-Sides sides_of(const std::array<std::uint32_t, 3>& corners, const std::vector<Ray>& rays,
-               float noise) {
-  Sides sides;
-  float least = INFINITY;
-  for (int i = 0; i < 3; ++i) {
-    const Ray &a = rays[corners[i]], &b = rays[corners[(i + 1) % 3]];
-    const float squared = gap_squared(a, b);
-    const float change = std::fabs(a.range - b.range);
-    sides.widest_squared = std::max(sides.widest_squared, squared);
-    sides.steepest = std::max(sides.steepest, steepness(a, b, std::sqrt(squared), noise));
-    if (change < least) {
-      least = change;
-      sides.flattest = i;
+struct JudgeFolds {
+  DOCDEPTH_KERNEL static void run(std::size_t count, const Fold* folds, const float* points,
+                                  std::size_t stride, float tolerance, std::uint8_t* is_flat) {
+    for (std::size_t first = 0; first < count; first += kLanes) {
+      const std::size_t some = std::min(count - first, std::size_t{kLanes});
+      Corners a, b, c, d;
+      for (std::size_t lane = 0; lane < some; ++lane) {
+        const Fold& fold = folds[first + lane];
+        a.set(lane, points + stride * fold.a), b.set(lane, points + stride * fold.b);
+        c.set(lane, points + stride * fold.c), d.set(lane, points + stride * fold.d);
+      }
+      const Ints flat = is_one_plane(a.places(), b.places(), c.places(), d.places(), tolerance);
+      for (std::size_t lane = 0; lane < some; ++lane) is_flat[first + lane] = flat[lane] != 0;
     }
   }
-  return sides;
-}
+};
 
-/// Does triangle t go on the plane of its neighbour beyond side i?
-bool goes_on(const Points& points, const Triangulation& mesh, std::size_t t, int i,
-             float tolerance) {
-  const std::uint32_t neighbour = mesh.across[t][i];
-  if (neighbour == kNone) return false;
-  const auto &corners = mesh.corners[t], &other = mesh.corners[neighbour];
-  const std::uint32_t a = corners[i], b = corners[(i + 1) % 3], c = corners[(i + 2) % 3];
-  const std::uint32_t d = other[0] ^ other[1] ^ other[2] ^ a ^ b;  // the corner off the side
-  const auto at = [&](std::uint32_t n) -> Vector { return points.row(n).transpose(); };
-  return one_plane(at(a), at(b), at(c), at(d), tolerance);
-}
+/// Asks about triangles and a neighbour of theirs, and remembers which go on its plane.
+class Folds {
+ public:
+  explicit Folds(const Triangulation& mesh) : mesh_(mesh) {}
+
+  /// About triangle t and what lies beyond its side i.
+  void add(std::uint32_t t, std::uint32_t i) {
+    const std::uint32_t neighbour = mesh_.across[t][i];
+    if (neighbour == kNone) return;
+    const auto &corners = mesh_.corners[t], &other = mesh_.corners[neighbour];
+    const std::uint32_t a = corners[i], b = corners[(i + 1) % 3], c = corners[(i + 2) % 3];
+    folds_.push_back({a, b, c, other[0] ^ other[1] ^ other[2] ^ a ^ b});
+    triangles_.push_back(t);
+  }
+
+  /// Clears the mark of those that go on the plane of one of the neighbours asked about.
+  void clear_flat(const Points& points, float tolerance, std::vector<std::uint8_t>& marks) {
+    std::vector<std::uint8_t> is_flat(folds_.size());
+    dispatch<JudgeFolds>(folds_.size(), folds_.data(), points.data(),
+                         static_cast<std::size_t>(points.outerStride()), tolerance, is_flat.data());
+    for (std::size_t k = 0; k < folds_.size(); ++k)
+      if (is_flat[k]) marks[triangles_[k]] = 0;
+    folds_.clear(), triangles_.clear();
+  }
+
+ private:
+  const Triangulation& mesh_;
+  std::vector<Fold> folds_;
+  std::vector<std::uint32_t> triangles_;
+};
 
 /// Which triangles span a depth jump. First each steep one is held against its neighbour beyond the
 /// side that changes range the least (along a ring); then, for the last ring of a ground or wall,
 /// against its other neighbours that are whole.
 std::vector<std::uint8_t> cuts(const Points& points, const Triangulation& mesh,
-                               const std::vector<Sides>& sides,
-                               const SurfaceParameters& parameters) {
-  const std::size_t count = mesh.corners.size();
+                               const std::vector<Shape>& shapes, float flatness) {
+  const auto count = static_cast<std::uint32_t>(mesh.corners.size());
   std::vector<std::uint8_t> cut(count);
-  for (std::size_t t = 0; t < count; ++t)
-    cut[t] = sides[t].steepest > parameters.jump_ratio &&
-             !goes_on(points, mesh, t, sides[t].flattest, parameters.flatness);
-  const std::vector<std::uint8_t> first = cut;
-  for (std::size_t t = 0; t < count; ++t)
-    for (int i = 0; cut[t] && i < 3; ++i)
-      if (mesh.across[t][i] != kNone && !first[mesh.across[t][i]])
-        cut[t] = !goes_on(points, mesh, t, i, parameters.flatness);
+  Folds folds(mesh);
+  for (std::uint32_t t = 0; t < count; ++t) {
+    cut[t] = shapes[t].is_steep;
+    if (cut[t]) folds.add(t, shapes[t].flattest);
+  }
+  folds.clear_flat(points, flatness, cut);
+  for (std::uint32_t t = 0; t < count; ++t)
+    for (std::uint32_t i = 0; cut[t] && i < 3; ++i)
+      if (mesh.across[t][i] != kNone && !cut[mesh.across[t][i]]) folds.add(t, i);
+  folds.clear_flat(points, flatness, cut);
   return cut;
 }
 
 }  // namespace
 
 Surface build_surface(const Points& points, const SurfaceParameters& parameters) {
-  const std::vector<Ray> rays = rays_of(points);
-  std::vector<Direction> directions(rays.size());
+  std::vector<Ray> rays(points.rows());
+  dispatch<FindRays>(rays.size(), points.data(), static_cast<std::size_t>(points.outerStride()),
+                     rays.data());
   std::vector<std::uint32_t> usable;
   usable.reserve(rays.size());
-  for (std::uint32_t i = 0; i < rays.size(); ++i) {
-    if (rays[i].range == 0.0f) continue;
-    directions[i] = direction_of(points(i, 0), points(i, 1), points(i, 2));
-    usable.push_back(i);
-  }
-  const Triangulation mesh = triangulate(directions, usable);
-  std::vector<Sides> sides;
-  sides.reserve(mesh.corners.size());
-  for (const auto& corners : mesh.corners)
-    sides.push_back(sides_of(corners, rays, parameters.noise));
-  const std::vector<std::uint8_t> cut = cuts(points, mesh, sides, parameters);
+  for (std::uint32_t i = 0; i < rays.size(); ++i)
+    if (rays[i].range > 0.0f) usable.push_back(i);
+  const Triangulation mesh = triangulate(directions_of(points), usable);
+  std::vector<Shape> shapes(mesh.corners.size());
+  dispatch<FindShapes>(shapes.size(), mesh.corners.data(), rays.data(), parameters, shapes.data());
+  const std::vector<std::uint8_t> cut = cuts(points, mesh, shapes, parameters.flatness);
 
   Surface surface;
   surface.points = rays.size();
@@ -140,7 +228,7 @@ Surface build_surface(const Points& points, const SurfaceParameters& parameters)
   surface.cut.reserve(mesh.corners.size());
   std::vector<std::uint8_t> used(rays.size(), 0);
   for (std::size_t t = 0; t < mesh.corners.size(); ++t) {
-    if (sides[t].widest_squared > parameters.max_gap * parameters.max_gap) continue;
+    if (shapes[t].is_wide) continue;
     surface.triangles.push_back(mesh.corners[t]);
     surface.cut.push_back(cut[t]);
     if (!cut[t])

@@ -173,7 +173,7 @@ def video(
         float | None, typer.Option(min=0.1, help="Images a second; as recorded if absent.")
     ] = None,
 ) -> None:
-    """The images of a run above their depth, as report/video.mp4."""
+    """The images of a run above their depth, as report/video.webm."""
     from docdepth.io.run_folder import RunFolder
     from docdepth.sources import stream_of
     from docdepth.video import write_video

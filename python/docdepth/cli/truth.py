@@ -21,6 +21,9 @@ def synth(
     frames: Annotated[int, typer.Option(min=2, help="Number of sweeps.")] = 60,
     seed: Annotated[int, typer.Option(min=0, help="Another seed, another street.")] = 0,
     skew: Annotated[bool, typer.Option(help="Write raw sweeps, not motion compensated.")] = False,
+    bloom: Annotated[
+        float, typer.Option(min=0, help="Phantoms this far around retro-reflectors [deg].")
+    ] = 0.0,
 ) -> None:
     """A synthetic drive with exact labels, poses and depth, in SemanticKITTI layout."""
     from docdepth.synthetic import write_drive
@@ -28,6 +31,7 @@ def synth(
     with progress_bars() as progress:
         write_drive(
             output, scene=scene, sensor=sensor, frames=frames, seed=seed, skew=skew,
+            bloom_deg=bloom,
             progress=lambda done, total: progress("synth", done, total),
         )  # fmt: skip
     out.print(f"{frames} sweeps in {output}")

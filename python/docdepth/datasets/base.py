@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import CalibrationError
 from docdepth.render import Camera
+from docdepth.sensors import Sensors
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ class Sweep:
     fraction : ndarray of float32, shape (N,), optional
         When each point was measured, as a share of the sweep's duration before (negative) or
         after (positive) ``time``. None when the sweep is motion compensated already.
+    sensors : Sensors, optional
+        Where several LiDARs measured the sweep.
     """
 
     points: NDArray[np.float32]
@@ -40,6 +43,7 @@ class Sweep:
     time: int
     intensity: NDArray[np.float32] | None = None
     fraction: NDArray[np.float32] | None = None
+    sensors: Sensors | None = None
 
 
 @dataclass(frozen=True)

@@ -50,11 +50,12 @@ def _check_sweep_size(file: Path, frame: int, size: int) -> None:
         )
 
 
-def read_labels(file: Path, sweep: Path, frame: int) -> NDArray[np.uint32] | None:
-    """SemanticKITTI labels of every point of ``sweep``, shape (N,), or None without the file."""
+def read_labels(file: Path, sweeps: Sequence[Path], frame: int) -> NDArray[np.uint32] | None:
+    """SemanticKITTI labels of every point of a sweep of one LiDAR or more, or None."""
     if not file.is_file():
         return None
-    size, points = file.stat().st_size, sweep.stat().st_size // _POINT_BYTES
+    size = file.stat().st_size
+    points = sum(sweep.stat().st_size // _POINT_BYTES for sweep in sweeps)
     if size != 4 * points:
         raise DatasetError(
             f"{file} (frame {frame}) has {size} bytes for a sweep of {points} points; "

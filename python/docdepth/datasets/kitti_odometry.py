@@ -17,6 +17,7 @@ from docdepth.datasets.times import nanoseconds
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.io.poses import read_kitti
 from docdepth.render import Camera
+from docdepth.sensors import Sensors
 from docdepth.trajectory import inverse
 
 log = logging.getLogger(__name__)
@@ -39,7 +40,10 @@ class KittiOdometry:
     - ``image_N/distortion.txt``: ``k1 k2 p1 p2 [k3 ...]`` of OpenCV where the images are not
       rectified; the K of P0 to P3 is theirs, and depth maps are of the camera with that K;
     - ``docdepth.yaml`` with ``motion_compensated: false``: raw sweeps; then
-      ``point_times/NAME.bin`` gives each point's time, float32, as :attr:`Sweep.fraction`.
+      ``point_times/NAME.bin`` gives each point's time, float32, as :attr:`Sweep.fraction`;
+    - ``velodyne_2/NAME.bin`` and further ones: sweeps of more LiDARs at the same time, and a row
+      ``Tr_2`` in ``calib.txt`` that takes their points to camera 0 as Tr does. Their points, labels
+      and times come after those of the first LiDAR in one sweep.
 
     Parameters
     ----------
@@ -71,6 +75,7 @@ class KittiOdometry:
         self.poses = _poses(self.path, self.sweeps, T_camera_lidar)
         self.motion_compensated = _motion_compensated(self.path / "docdepth.yaml")
         self.cameras = _cameras(self, calibration, T_camera_lidar, image_size)
+        self._others = _other_lidars(self.path, calibration, T_camera_lidar, self.sweeps)
 
     def __len__(self) -> int:
         return len(self.sweeps)
@@ -79,15 +84,38 @@ class KittiOdometry:
         """Sweep ``index`` as it is on disk."""
         file = self.sweeps[index]
         points, intensity = kitti_files.read_sweep(file, index)
+        sensors = None
+        if self._others:
+            points, intensity, sensors = self._join(points, intensity, file.name, index)
         fraction = (
             None if self.motion_compensated else self._fraction(file.stem, index, len(points))
         )
-        return Sweep(points, file.stem, int(self.times[index]), intensity, fraction)
+        return Sweep(points, file.stem, int(self.times[index]), intensity, fraction, sensors)
+
+    def _join(
+        self,
+        points: NDArray[np.float32],
+        intensity: NDArray[np.float32],
+        name: str,
+        frame: int,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], Sensors]:
+        """A sweep of the first LiDAR and those of the others, in the frame of the first."""
+        parts, brightness, counts = [points], [intensity], [len(points)]
+        for folder, T_lidar_sensor in self._others:
+            own, bright = kitti_files.read_sweep(folder / name, frame)
+            parts.append((own @ T_lidar_sensor[:3, :3].T + T_lidar_sensor[:3, 3]).astype("f4"))
+            brightness.append(bright)
+            counts.append(len(own))
+        mounted = np.array([np.eye(4), *(T for _, T in self._others)])
+        index = np.repeat(np.arange(len(counts), dtype=np.uint8), counts)
+        return np.concatenate(parts), np.concatenate(brightness), Sensors(index, mounted)
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``, None when there are none."""
         sweep = self.sweeps[index]
-        return kitti_files.read_labels(self.path / "labels" / f"{sweep.stem}.label", sweep, index)
+        all_lidars = [sweep, *(folder / sweep.name for folder, _ in self._others)]
+        file = self.path / "labels" / f"{sweep.stem}.label"
+        return kitti_files.read_labels(file, all_lidars, index)
 
     def _fraction(self, stem: str, frame: int, points: int) -> NDArray[np.float32]:
         file = self.path / "point_times" / f"{stem}.bin"
@@ -126,6 +154,27 @@ def _poses(
             rows = kitti_files.rows_of(sweeps, len(poses), file, "poses")
             return inverse(T_camera_lidar) @ poses[rows] @ T_camera_lidar
     return None
+
+
+def _other_lidars(
+    sequence: Path,
+    calibration: Calibration,
+    T_camera_lidar: NDArray[np.float64],
+    sweeps: list[Path],
+) -> list[tuple[Path, NDArray[np.float64]]]:
+    """Folder and ``T_lidar_sensor`` of each LiDAR but the first."""
+    found = []
+    for folder in sorted(sequence.glob("velodyne_[2-9]")):
+        Tr = calibration.matrix(f"Tr_{folder.name[-1]}", 3, 4)
+        names = [file.name for file in kitti_files.sweep_files(folder)]
+        lacking = sorted({file.name for file in sweeps}.symmetric_difference(names))
+        if lacking:
+            raise DatasetError(
+                f"{lacking[0]} is in one of {sequence / 'velodyne'} and {folder} only; "
+                "the LiDARs of a sequence measure each sweep together"
+            )
+        found.append((folder, inverse(T_camera_lidar) @ kitti_files.rigid(Tr[:, :3], Tr[:, 3])))
+    return found
 
 
 def _motion_compensated(file: Path) -> bool:

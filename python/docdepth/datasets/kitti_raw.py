@@ -62,7 +62,7 @@ class KittiRaw:
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``, None when there are none."""
         sweep = self._sweeps[index]
-        return kitti_files.read_labels(self.path / "labels" / f"{sweep.stem}.label", sweep, index)
+        return kitti_files.read_labels(self.path / "labels" / f"{sweep.stem}.label", [sweep], index)
 
 
 def azimuth_fraction(points: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -22,6 +22,14 @@ _TRAJECTORY = np.dtype(
     + [("indices", "<i4"), ("seconds", "<u4"), ("nanoseconds", "<u4")]
 )
 
+_EXTRA = {
+    "classid": "<u2",
+    "votes_static": "<u2",
+    "votes_dynamic": "<u2",
+    "late": "<f4",
+    "sensor": "<u1",
+}
+
 
 @dataclass(frozen=True)
 class FrameRecord:
@@ -44,6 +52,8 @@ class FrameRecord:
     votes_static, votes_dynamic : ndarray of uint16, shape (N,), optional
     late : ndarray of float32, shape (N,), optional
         When each point was measured, seconds after the sweep's stamp.
+    sensor : ndarray of uint8, shape (N,), optional
+        Which LiDAR measured each point, where there are several.
     """
 
     points: NDArray[np.float32]
@@ -55,6 +65,7 @@ class FrameRecord:
     votes_static: NDArray[np.uint16] | None = None
     votes_dynamic: NDArray[np.uint16] | None = None
     late: NDArray[np.float32] | None = None
+    sensor: NDArray[np.uint8] | None = None
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, indices: NDArray[np.int64]) -> None:
@@ -100,14 +111,11 @@ def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
 def write_frame(path: Path, frame: FrameRecord) -> None:
     """Write a frame; labels, votes and times only when there are any."""
     fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("index", "<u4")]
-    extra = {
-        name: getattr(frame, name)
-        for name in ("classid", "votes_static", "votes_dynamic", "late")
-        if getattr(frame, name) is not None
-    }
-    fields += [(name, "<f4" if name == "late" else "<u2") for name in extra]
+    extra = {name: getattr(frame, name) for name in _EXTRA if getattr(frame, name) is not None}
+    fields += [(name, _EXTRA[name]) for name in extra]
     rows = np.empty(len(frame.points), np.dtype(fields))
-    rows["x"], rows["y"], rows["z"] = frame.points.T
+    # Numpy is slow where both sides are strided and one of them is not aligned.
+    rows["x"], rows["y"], rows["z"] = np.ascontiguousarray(frame.points.T)
     rows["index"] = frame.index
     for name, values in extra.items():
         rows[name] = values
@@ -128,13 +136,11 @@ def read_frame(path: Path) -> FrameRecord:
     names = rows.dtype.names or ()
     if not {"x", "y", "z"} <= set(names):
         raise RunError(f"{path}: has no x y z")
-    points = np.empty((len(rows), 3), np.float32)
-    for axis, name in enumerate("xyz"):
-        points[:, axis] = rows[name]
+    points = np.stack([np.ascontiguousarray(rows[name], np.float32) for name in "xyz"], axis=1)
     notes = _notes(comments)
 
-    def column(name: str) -> NDArray[np.uint16] | None:
-        return np.ascontiguousarray(rows[name], np.uint16) if name in names else None
+    def column(name: str) -> NDArray[Any] | None:
+        return np.ascontiguousarray(rows[name], _EXTRA[name]) if name in names else None
 
     index = (
         rows["index"].astype(np.uint32)
@@ -147,10 +153,7 @@ def read_frame(path: Path) -> FrameRecord:
         notes.get("name", path.stem),
         int(notes.get("input_points", len(rows))),
         {k.removeprefix("key "): v for k, v in notes.items() if k.startswith("key ")},
-        column("classid"),
-        column("votes_static"),
-        column("votes_dynamic"),
-        np.ascontiguousarray(rows["late"], np.float32) if "late" in names else None,
+        *map(column, _EXTRA),
     )
 
 

@@ -19,6 +19,7 @@ from docdepth.errors import CalibrationError, ConfigError, RunError
 from docdepth.io.atomic import write_atomically
 from docdepth.io.ply import FrameRecord, read_frame, read_frame_key, read_trajectory, write_frame
 from docdepth.render import Camera
+from docdepth.sensors import Sensors
 from docdepth.trajectory import Trajectory
 
 
@@ -124,6 +125,12 @@ class RunFolder:
     def frame(self, index: int) -> FrameRecord:
         """Frame number ``index``."""
         return read_frame(self.frame_path(index))
+
+    def sensors(self, frame: FrameRecord) -> Sensors | None:
+        """The LiDARs of a frame, where there are several."""
+        if frame.sensor is None:
+            return None
+        return Sensors(frame.sensor, np.array(self.stage("odometry")["T_lidar_sensor"]))
 
     def frame_key(self, index: int) -> dict[str, str]:
         """Which parameters made frame ``index``; empty when it is not there."""

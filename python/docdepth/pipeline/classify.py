@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -17,11 +18,18 @@ from docdepth.ground import GroundMap, chunks
 from docdepth.io.atomic import write_atomically
 from docdepth.io.ply import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.pipeline.stage import Progress, Stopwatch, finish_stage, stage_is_done, teller
+from docdepth.pipeline.stage import (
+    Progress,
+    Stopwatch,
+    finish_stage,
+    made_ahead,
+    stage_is_done,
+    teller,
+)
 from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory
 
-_MOVING, _STATIC = 251, 9  # SemanticKITTI's moving-object labels
+_MOVING, _STATIC, _OUTLIER = 251, 9, 1  # SemanticKITTI's labels
 
 
 class _Sweep(NamedTuple):
@@ -73,13 +81,17 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             bits = np.load(grounds / f"{index:06d}.npy")
             ground = np.unpackbits(bits, count=len(record.points)).astype(bool)
         with watch("surfaces"):
-            surface = dynamics.surface_for(record.points, parameters.dynamics, parameters.surface)
+            surface = dynamics.surface_for(
+                record.points, parameters.dynamics, parameters.surface, run.sensors(record)
+            )
         return _Sweep(record, ground, surface)
 
     def make_key_frame(sweep: Future[_Sweep]) -> dynamics.KeyFrame:
         record, ground, surface = sweep.result()
         with watch("key frames"):
-            return dynamics.KeyFrame(record.points, ground, parameters.dynamics, surface)
+            return dynamics.KeyFrame(
+                record.points, ground, parameters.dynamics, surface, run.sensors(record)
+            )
 
     def finish(index: int, sweep: _Sweep, votes: dynamics.Votes) -> None:
         (record, ground, surface), first = sweep, None
@@ -112,8 +124,9 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     sweeps: dict[int, Future[_Sweep]] = {}
     key_frames: dict[int, Future[dynamics.KeyFrame]] = {}
     # Sweeps of the next vote are prepared, and the last votes made classes, during a vote. Workers
-    # take jobs in order, so that a key frame never waits for a sweep that waits for a worker.
-    with ThreadPoolExecutor(2) as pool:
+    # take jobs in order, so that a key frame never waits for a sweep that waits for a worker; the
+    # third one, since one mostly waits for the disk.
+    with ThreadPoolExecutor(3) as pool:
         pending: Future[None] | None = None
         for done, index in enumerate(left):
             ahead = left[done : done + 2]
@@ -172,27 +185,32 @@ def _grow_ground(
         for path in folder.glob("*"):
             path.unlink()
         write_atomically(marker, lambda stream: stream.write(key.encode()))
+
+    def read(index: int) -> FrameRecord:
+        with watch("read"):
+            return run.frame(index)
+
+    def label(ground_map: GroundMap, index: int) -> None:
+        record = read(index)
+        with watch("ground: label"):
+            bits = np.packbits(ground_map.label(record.points, trajectory.poses[index]))
+        write_atomically(folder / f"{index:06d}.npy", lambda out: np.save(out, bits))
+
     done = 0
-    for frames, merged in chunks(trajectory, parameters):
-        paths = {i: folder / f"{i:06d}.npy" for i in frames}
-        if not all(path.is_file() for path in paths.values()):
-            ground_map = GroundMap(parameters, threads)
-            for step, index in enumerate(merged):
-                with watch("read"):
-                    record = run.frame(index)
-                with watch("ground: insert"):
-                    ground_map.insert(record.points, trajectory.poses[index])
-                tell(done + len(paths) * step // (2 * len(merged)), len(trajectory))
-            with watch("ground: grow"):
-                ground_map.grow()
-            for step, (index, path) in enumerate(paths.items()):
-                with watch("read"):
-                    record = run.frame(index)
-                with watch("ground: label"):
-                    bits = np.packbits(ground_map.label(record.points, trajectory.poses[index]))
-                write_atomically(path, lambda out, bits=bits: np.save(out, bits))  # type: ignore[misc]
-                tell(done + (len(paths) + step) // 2, len(trajectory))
-        done += len(frames)
+    with ThreadPoolExecutor(2) as pool:
+        for frames, merged in chunks(trajectory, parameters):
+            if not all((folder / f"{index:06d}.npy").is_file() for index in frames):
+                ground_map = GroundMap(parameters, threads)
+                for step, record in enumerate(made_ahead(pool, read, merged)):
+                    with watch("ground: insert"):
+                        ground_map.insert(record.points, trajectory.poses[merged[step]])
+                    tell(done + len(frames) * step // (2 * len(merged)), len(trajectory))
+                with watch("ground: grow"):
+                    ground_map.grow()
+                labelled = made_ahead(pool, partial(label, ground_map), frames)
+                for step, _ in enumerate(labelled):
+                    tell(done + (len(frames) + step) // 2, len(trajectory))
+            done += len(frames)
     tell(len(trajectory), len(trajectory))
 
 
@@ -200,37 +218,42 @@ def _carry_evidence(
     run: RunFolder, trajectory: Trajectory, seen: Path, watch: Stopwatch, threads: int
 ) -> None:
     """Classes of objects that move at another time; the same again when it was interrupted."""
-    sightings = []
-    for index in range(len(trajectory)):
+
+    local = objects.poses_near_start(trajectory)
+
+    def read_sighting(index: int) -> objects.Sighting:
         with watch("read"):
             _, *arrays = _read_arrays(seen / f"{index:06d}.npy", 4)
-            sightings.append(objects.Sighting.of(arrays))
-    with watch("tracks"):
-        carried = objects.follow(sightings, trajectory.times, run.parameters.dynamics, threads)
-    local = objects.poses_near_start(trajectory)
-    for index, found in enumerate(carried):
-        if not found:
-            continue
+            return objects.Sighting.of(arrays)
+
+    def classify_again(index: int) -> None:
         with watch("read"):
             record = run.frame(index)
             (first,) = _read_arrays(seen / f"{index:06d}.npy", 1)
         assert record.classid is not None
-        assert record.votes_static is not None
-        assert record.votes_dynamic is not None
+        votes = _votes_of(record)
         classid = objects.add_carried(
             record.points,
             first,
-            found,
-            record.votes_static,
-            record.votes_dynamic,
+            carried[index],
+            votes.static,
+            votes.dynamic,
             record.classid,
             local[index],
             run.parameters.dynamics,
         )
         if (classid == record.classid).all():
-            continue
+            return
         with watch("write"):
             _write_classified(run, index, replace(record, classid=classid))
+
+    with ThreadPoolExecutor(3) as pool:
+        sightings = list(pool.map(read_sighting, range(len(trajectory))))
+        with watch("tracks"):
+            carried = objects.follow(sightings, trajectory.times, run.parameters.dynamics, threads)
+        changed = [index for index, found in enumerate(carried) if found]
+        for _ in made_ahead(pool, classify_again, changed, 3):
+            pass
 
 
 def _write_arrays(path: Path, *arrays: NDArray[Any]) -> None:
@@ -257,8 +280,8 @@ def _votes_of(record: FrameRecord) -> dynamics.Votes:
 
 def _write_classified(run: RunFolder, index: int, record: FrameRecord) -> None:
     assert record.classid is not None
-    labels = np.full(record.input_points, _STATIC, np.uint32)
-    labels[record.index[record.classid >= 100]] = _MOVING
+    labels = np.full(record.input_points, _OUTLIER, np.uint32)
+    labels[record.index] = np.where(record.classid >= dynamics.DYNAMIC, _MOVING, _STATIC)
     path = run.path / "labels" / f"{record.name}.label"
     write_atomically(path, lambda stream: stream.write(labels.tobytes()))
     # Last, because its key says that this frame is done.

@@ -7,11 +7,12 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import Dataset, usable_points
-from docdepth.errors import DatasetError
+from docdepth.datasets.base import Dataset, Sweep, usable_points
+from docdepth.errors import ConfigError, DatasetError
 from docdepth.io.ply import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.odometry import odometry
+from docdepth.phantoms import phantom_points
 from docdepth.pipeline.stage import Progress, Stopwatch, finish_stage, stage_is_done, teller
 
 log = logging.getLogger(__name__)
@@ -61,6 +62,8 @@ def run_odometry(
                 sweep = dataset.sweep(index)
                 points = estimate.points(index)
                 usable = usable_points(points)
+                if parameters.bloom_deg:
+                    usable &= ~_phantoms(dataset, sweep, parameters.bloom_deg)
             if not usable.any():
                 raise DatasetError(
                     f"{dataset.path}: sweep {sweep.name} (frame {index}) holds no usable point; "
@@ -73,8 +76,20 @@ def run_odometry(
                 len(points),
                 {"odometry": key},
                 late=None if sweep.fraction is None else period * sweep.fraction[usable],
+                sensor=sweep.sensors.index[usable] if sweep.sensors else None,
             )
             with watch("write"):
                 run.write_frame(index, record)
         tell(index + 1, total)
-    finish_stage(run, "odometry", watch, worked)
+    sensors = dataset.sweep(0).sensors
+    more = {"T_lidar_sensor": sensors.T_lidar_sensor.tolist()} if sensors else {}
+    finish_stage(run, "odometry", watch, worked, **more)
+
+
+def _phantoms(dataset: Dataset, sweep: Sweep, bloom_deg: float) -> NDArray[np.bool_]:
+    if sweep.intensity is None:
+        raise ConfigError(
+            f"{dataset.path}: sweep {sweep.name} has no intensity, by which reflectors are known; "
+            "leave odometry.bloom_deg at 0"
+        )
+    return phantom_points(sweep.points, sweep.intensity, bloom_deg)

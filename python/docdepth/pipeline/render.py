@@ -198,7 +198,12 @@ def run_render(
             raise RunError(f"frame {index} of {run.path} has no classes; run: docdepth classify")
         with watch("frames"):
             return render.Frame(
-                record.points, record.classid, drawing, parameters.surface, record.late
+                record.points,
+                record.classid,
+                drawing,
+                parameters.surface,
+                record.late,
+                run.sensors(record),
             )
 
     def write(m: _Maps, k: int, depth: NDArray[np.float32], more: dict[str, NDArray[Any]]) -> None:

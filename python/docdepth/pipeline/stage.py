@@ -5,11 +5,17 @@ from __future__ import annotations
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from threading import Lock
+from typing import TypeVar
 
 from docdepth.io.run_folder import RunFolder
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how many frames are done and how many there are."""
@@ -68,3 +74,16 @@ def teller(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
             progress(stage, done, total)
 
     return tell
+
+
+def made_ahead(
+    pool: Executor, make: Callable[[_Item], _Result], items: Iterable[_Item], count: int = 2
+) -> Iterator[_Result]:
+    """``map`` that makes no more than ``count`` results before they are asked for."""
+    waiting: deque[Future[_Result]] = deque()
+    for item in items:
+        waiting.append(pool.submit(make, item))
+        if len(waiting) > count:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()

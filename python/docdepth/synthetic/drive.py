@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
 from docdepth.render import Camera
-from docdepth.synthetic.casting import Rays, World
+from docdepth.synthetic.casting import Hits, Rays, World
 from docdepth.synthetic.photo import View, photograph
 from docdepth.synthetic.sensors import Sensor
 from docdepth.synthetic.street import Scene
@@ -173,6 +173,8 @@ class Drive:
         rays = Rays(poses[:, :3, 3], directions, seconds, which)
         hits = self.world.cast(rays, sensor.max_range)
         reflectivity = self.world.reflectivity[hits.face]
+        if sensor.bloom:
+            hits, reflectivity = _bloomed(hits, reflectivity, directions, sensor.bloom, rng)
         kept = np.flatnonzero(sensor.returned(hits.range, reflectivity, hits.cosine, rng))
         measured = hits.range[kept] + sensor.noise * rng.normal(size=len(kept))
         measured += self._bias[pattern.rings[kept]]
@@ -202,6 +204,36 @@ class Drive:
         """Exact depth (h, w) of any camera at any time [ns]; NaN where there is no surface."""
         pose = self.T_scene_world @ T_world_camera
         return photograph(self.world, camera, pose, time / _NS).depth
+
+
+def _bloomed(
+    hits: Hits,
+    reflectivity: NDArray[np.float32],
+    directions: Floats,
+    bloom: float,
+    rng: np.random.Generator,
+) -> tuple[Hits, NDArray[np.float32]]:
+    """Phantoms: rays that pass a retro-reflector closely come back dimly from its range.
+
+    The nearer they pass, the likelier. They are outliers (class 1) without a speed.
+    """
+    bright = np.flatnonzero((reflectivity > 1) & np.isfinite(hits.range))
+    if not len(bright):
+        return hits, reflectivity
+    source, cosine = np.empty(len(directions), np.int64), np.empty(len(directions))
+    for rows in np.array_split(np.arange(len(directions)), len(directions) // 8192 + 1):
+        cosines = directions[rows] @ directions[bright].T
+        source[rows], cosine[rows] = bright[cosines.argmax(axis=1)], cosines.max(axis=1)
+    phantom = rng.random(len(cosine)) < 1 - np.arccos(np.clip(cosine, -1, 1)) / bloom
+    phantom &= (reflectivity <= 1) & (hits.range > hits.range[source] + 0.3)
+    values = replace(
+        hits,
+        range=np.where(phantom, hits.range[source], hits.range),
+        cosine=np.where(phantom, 1, hits.cosine),
+        labels=np.where(phantom, 1, hits.labels).astype(hits.labels.dtype),
+        speed=np.where(phantom, 0, hits.speed).astype(hits.speed.dtype),
+    )
+    return values, np.where(phantom, 0.3, reflectivity).astype(np.float32)
 
 
 def sweeps_of(drive: Drive, indices: Sequence[int] | None = None) -> list[TrueSweep]:

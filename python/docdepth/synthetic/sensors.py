@@ -57,6 +57,8 @@ class Sensor:
         Seconds a sweep.
     height : float
         Metres above the ground.
+    bloom : float
+        Around a retro-reflector, echoes as if it were wider by this angle, radians.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Sensor:
     bias: float = 0.0
     period: float = 0.1
     height: float = 1.73
+    bloom: float = 0.0
 
     def returned(
         self,

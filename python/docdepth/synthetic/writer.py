@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -24,6 +25,7 @@ def write_drive(
     seed: int = 0,
     skew: bool = False,
     images: bool = True,
+    bloom_deg: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Make a synthetic drive and write it below ``out``.
@@ -42,6 +44,8 @@ def write_drive(
         compensated with the exact motion of the ego, as SemanticKITTI's are.
     images : bool
         Write the camera's pictures and exact depth.
+    bloom_deg : float
+        Phantom returns around retro-reflectors, up to so many degrees from them; class 1, outlier.
     progress : callable, optional
         Called with sweeps done and all sweeps.
 
@@ -50,7 +54,8 @@ def write_drive(
     Path
         The sequence folder.
     """
-    drive = Drive(make_scene(scene, seed), make_sensor(sensor), frames, seed, skew)
+    lidar = replace(make_sensor(sensor), bloom=float(np.radians(bloom_deg)))
+    drive = Drive(make_scene(scene, seed), lidar, frames, seed, skew)
     folder = Path(out) / "sequences" / "00"
     folder.mkdir(parents=True, exist_ok=True)
     _write_frame_of_reference(folder, drive)
@@ -69,6 +74,8 @@ def write_drive(
         "frames": frames,
         "motion_compensated": not skew,
     }
+    if bloom_deg:
+        about["bloom_deg"] = bloom_deg
     # Written last: a folder with it is a whole drive.
     (folder / "docdepth.yaml").write_text(yaml.safe_dump(about, sort_keys=False))
     return folder
