@@ -5,8 +5,12 @@
 
 makes a drive for each cell (a scene seen by a sensor) below ``drives`` and writes tables and the
 figures of each cell below ``suite``. Poses are exact and sweeps motion compensated: what is
-measured are classes and depth, not odometry. Killed, it goes on where it stopped when it is given
-again; after a change of the code, give another -o.
+measured are classes and depth, not odometry. `standing` are points of objects that wait at that
+moment and move at another, `seen to move` those of them whose object goes at least half a metre
+while it has returns: of a car that leaves its place as the drive ends nobody can know it.
+
+Killed, it goes on where it stopped when it is given again; after a change of the code, give
+another -o.
 
 ``--trials examples/switches.yaml`` puts parts on and off, as ``docdepth sweep`` does. With --depth
 a trial may hold parameters of ``render``, and IP-Basic on the nearest sweep is always beside it.
@@ -123,7 +127,9 @@ def label_rows(
     for outcome in outcomes:
         row = {name: outcome.figure(name) for name in ("sa", "da", "f1", "precision", "iou")}
         standing = outcome.figures["temporarily_static"]["da"]
+        seen = outcome.figures["seen_to_move"]["da"]
         row["standing"] = math.nan if standing is None else standing
+        row["seen"] = math.nan if seen is None else seen
         rows[outcome.name] = row
     return rows
 
@@ -245,7 +251,7 @@ def _depth_row(figures: dict[str, Any]) -> Row:
 # Name of a figure, heading, digits, and 1 where more is better, -1 where less is.
 LABEL_COLUMNS = [("sa", "SA %", 2, 1), ("da", "DA %", 2, 1), ("f1", "F1", 4, 1)]
 LABEL_COLUMNS += [("precision", "precision", 4, 1), ("iou", "IoU", 4, 1)]
-LABEL_COLUMNS += [("standing", "standing DA %", 1, 1)]
+LABEL_COLUMNS += [("standing", "standing DA %", 1, 1), ("seen", "seen to move DA %", 1, 1)]
 DEPTH_COLUMNS = [("density", "density on surfaces %", 1, 1), ("mae", "MAE m", 3, -1)]
 DEPTH_COLUMNS += [("shifts", "shifts", 2, -1), ("too_near", "too near %", 2, -1)]
 DEPTH_COLUMNS += [("too_far", "too far %", 2, -1), ("interior_mae", "interior MAE m", 3, -1)]

@@ -180,3 +180,18 @@ def test_a_removed_point_beside_a_kept_one_counts_as_kept() -> None:
     evaluation.add(points, labels, np.array([False, True, True]))
     nearest = evaluation.result().nearest
     assert (nearest.dynamic_missed, nearest.dynamic_found) == (1, 1)
+
+
+def test_who_goes_half_a_metre_in_view_is_told_from_who_leaves_when_the_drive_ends():
+    """Two cars wait in sweeps 0 to 5; then one goes 1 m/s, and the other 0.4 m/s for 0.2 s."""
+    labels = np.array([252 | 1 << 16, 252 | 1 << 16, 252 | 2 << 16, 40], np.uint32)
+    evaluation = LabelEvaluation()
+    for i in range(12):
+        speeds = np.array([1.0, 1.0, 0.4 * (i >= 10), 0]) * (i >= 6)
+        found = np.array([True, i < 2, False, False])
+        evaluation.add(labels, found, speeds=speeds, seconds=0.1)
+    result = evaluation.result()
+    assert result.temporarily_static.dynamic == 6 * 3 + 4
+    assert result.seen_to_move.dynamic == 6 * 2
+    assert result.seen_to_move.da == pytest.approx(100 * 8 / 12)
+    assert result.as_dict()["seen_to_move"] == {"points": 12, "da": result.seen_to_move.da}

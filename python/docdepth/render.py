@@ -135,17 +135,14 @@ def _surface_frame(
     late: NDArray[np.float32] | None,
 ) -> _core.SurfaceFrame:
     """Rows that are not finite are no points of this surface."""
-    own = np.isfinite(points).all(axis=1)
-    row = np.cumsum(own, dtype=np.uint32) - np.uint32(1)
-    return _core.SurfaceFrame(
-        points[own],
-        classid[own],
-        row[surface.triangles],
-        surface.cut,
-        row[surface.loose],
-        float(np.radians(parameters.loose_deg)),
-        None if late is None else late[own],
-    )
+    triangles, loose = surface.triangles, surface.loose
+    if not np.isfinite(points).all():
+        own = np.isfinite(points).all(axis=1)
+        row = np.cumsum(own, dtype=np.uint32) - np.uint32(1)
+        points, classid, late = points[own], classid[own], None if late is None else late[own]
+        triangles, loose = row[triangles], row[loose]
+    angle = float(np.radians(parameters.loose_deg))
+    return _core.SurfaceFrame(points, classid, triangles, surface.cut, loose, angle, late)
 
 
 def static_frames(

@@ -133,19 +133,14 @@ void RangeImage::summarize_windows() {
 }
 
 void RangeImage::find(const QueryPoints& points, std::int32_t* pixels) const {
-  if (plain_) {
-    for (std::size_t i = 0; i < points.size; ++i)
-      pixels[i] = static_cast<std::int32_t>(
-          canvas_.pixel(points.x[i], points.y[i], points.z[i], points.range[i]));
-    return;
-  }
+  if (plain_) return;  // the plain loop finds them itself
   canvas_.find(points, pixels);
   for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&windows_[pixels[i]]);
 }
 
 void RangeImage::vote(const QueryPoints& points, const std::int32_t* pixel, std::uint16_t* statics,
                       std::uint16_t* dynamics) const {
-  if (plain_) return vote_plainly(points, pixel, statics, dynamics);
+  if (plain_) return vote_plainly(points, statics, dynamics);
   float nearest[QueryPoints::kMax], first[QueryPoints::kMax];
   for (std::size_t i = 0; i < points.size; ++i) {
     nearest[i] = windows_[pixel[i]].nearest;
@@ -172,11 +167,13 @@ void RangeImage::vote(const QueryPoints& points, const std::int32_t* pixel, std:
     statics[left[k]] += ask(points.range[left[k]], pixel[left[k]]) == Vote::kStatic;
 }
 
-void RangeImage::vote_plainly(const QueryPoints& points, const std::int32_t* pixel,
-                              std::uint16_t* statics, std::uint16_t* dynamics) const {
+void RangeImage::vote_plainly(const QueryPoints& points, std::uint16_t* statics,
+                              std::uint16_t* dynamics) const {
   for (std::size_t i = 0; i < points.size; ++i) {
-    if (pixel[i] < 0) continue;
-    const Vote vote = ask(points.range[i], pixel[i]);
+    const std::ptrdiff_t pixel =
+        canvas_.pixel(points.x[i], points.y[i], points.z[i], points.range[i]);
+    if (pixel < 0) continue;
+    const Vote vote = ask(points.range[i], pixel);
     statics[i] += vote == Vote::kStatic;
     dynamics[i] += vote == Vote::kDynamic;
   }

@@ -35,7 +35,7 @@ class RangeImage : public KeyFrame {
 
   void draw(const Points& points, const bool* ground);
   void summarize_windows();
-  void vote_plainly(const QueryPoints& points, const std::int32_t* pixels, std::uint16_t* statics,
+  void vote_plainly(const QueryPoints& points, std::uint16_t* statics,
                     std::uint16_t* dynamics) const;
   Vote ask(float range, std::size_t pixel) const;
 

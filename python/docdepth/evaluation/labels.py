@@ -16,6 +16,8 @@ from docdepth.evaluation.tables import Table, number, percent, plain, ratio
 
 # Below this an object counts as standing at that moment [m/s].
 _MOVING_SPEED = 0.3
+# What goes less while the sensor sees it, nobody can see move [m].
+_SEEN_WAY = 0.5
 
 RANGE_BINS = (0.0, 10.0, 20.0, 30.0, 50.0, 80.0, math.inf)
 
@@ -166,6 +168,10 @@ class LabelResult:
         SemanticKITTI, whose moving classes hold for the whole drive. None without speeds.
     temporarily_static : LabelCounts, optional
         Only points of moving classes that stand at that moment. None without speeds.
+    seen_to_move : LabelCounts, optional
+        Those of them whose object goes half a metre or more while it has returns. Of the others no
+        measurement tells that they move: a car may leave its place as the drive ends, or be out of
+        sight by then.
     by_range : tuple of RangeCounts
         Empty when no ranges were given.
     ignored : int
@@ -178,6 +184,7 @@ class LabelResult:
     counts: LabelCounts
     with_standing: LabelCounts | None = None
     temporarily_static: LabelCounts | None = None
+    seen_to_move: LabelCounts | None = None
     by_range: tuple[RangeCounts, ...] = field(default=())
     ignored: int = 0
 
@@ -196,6 +203,9 @@ class LabelResult:
                 "points": self.temporarily_static.dynamic,
                 "da": self.temporarily_static.da,
             }
+        if self.seen_to_move is not None:
+            seen = self.seen_to_move
+            result["seen_to_move"] = {"points": seen.dynamic, "da": seen.da}
         result["by_range"] = [
             {"near": row.near, "far": row.far, **row.counts.as_dict()} for row in self.by_range
         ]
@@ -243,6 +253,8 @@ class LabelEvaluation:
             raise InputError(f"range bins must increase, got {self._bins}")
         self._counts, self._standing = LabelCounts(), LabelCounts()
         self._by_range = [LabelCounts() for _ in self._bins[1:]]
+        self._way: dict[int, float] = {}
+        self._standing_of: dict[int, LabelCounts] = {}
         self._sweeps = self._ignored = self._with_speeds = self._with_ranges = 0
 
     def add(
@@ -251,6 +263,7 @@ class LabelEvaluation:
         dynamic: NDArray[np.bool_],
         ranges: NDArray[np.floating[Any]] | None = None,
         speeds: NDArray[np.floating[Any]] | None = None,
+        seconds: float = 0.1,
     ) -> None:
         """Count one sweep.
 
@@ -264,6 +277,8 @@ class LabelEvaluation:
             Distance of each point from its sensor [m].
         speeds : ndarray of float, shape (N,), optional
             Speed over ground of each point's object at that moment [m/s]; for all sweeps or none.
+        seconds : float
+            Time from sweep to sweep, in which objects go on with that speed [s].
 
         Raises
         ------
@@ -277,6 +292,8 @@ class LabelEvaluation:
             speeds = _values("speeds", speeds, len(truth))
             standing = truth & counted & ~(speeds > self._min_speed)
             self._standing += LabelCounts.of(truth[standing], dynamic[standing])
+            instance = np.asarray(labels).astype(np.uint32, copy=False) >> np.uint32(16)
+            self._follow(instance, truth & counted, standing, dynamic, speeds * seconds)
         now = counted & ~standing
         self._counts += LabelCounts.of(truth[now], dynamic[now])
         if ranges is not None:
@@ -288,6 +305,22 @@ class LabelEvaluation:
         self._ignored += int(len(truth) - np.count_nonzero(counted))
         self._with_speeds += speeds is not None
         self._with_ranges += ranges is not None
+
+    def _follow(
+        self,
+        instance: NDArray[np.uint32],
+        truth: NDArray[np.bool_],
+        standing: NDArray[np.bool_],
+        dynamic: NDArray[np.bool_],
+        way: NDArray[Any],
+    ) -> None:
+        """Count the way of each moving object, and its points while it stands."""
+        for k in np.unique(instance[truth]).tolist():
+            here = truth & (instance == k)
+            still = here & standing
+            self._way[k] = self._way.get(k, 0.0) + float(np.median(way[here]))
+            counts = LabelCounts.of(truth[still], dynamic[still])
+            self._standing_of[k] = self._standing_of.get(k, LabelCounts()) + counts
 
     def result(self) -> LabelResult:
         """The figures of everything added so far.
@@ -306,6 +339,8 @@ class LabelEvaluation:
         protocol = "every labelled point by identity, classes 251..259 dynamic, 0 and 1 ignored"
         if speeds:
             protocol += f", moving now means above {self._min_speed:g} m/s"
+        far = [of for k, of in self._standing_of.items() if self._way[k] >= _SEEN_WAY]
+        seen = sum(far, LabelCounts())
         by_range: tuple[RangeCounts, ...] = ()
         if self._with_ranges:
             bins = zip(pairwise(self._bins), self._by_range, strict=True)
@@ -317,6 +352,7 @@ class LabelEvaluation:
             counts=self._counts,
             with_standing=self._counts + self._standing if speeds else None,
             temporarily_static=self._standing if speeds else None,
+            seen_to_move=seen if speeds else None,
             by_range=by_range,
             ignored=self._ignored,
         )

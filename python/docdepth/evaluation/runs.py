@@ -38,7 +38,9 @@ def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
         labels = labels / "labels"
     speeds = labels.parent / "speeds"
     evaluation = LabelEvaluation(poses=_poses(folder))
-    for index in range(len(folder.trajectory())):
+    times = folder.trajectory().times
+    seconds = float(np.median(np.diff(times))) * 1e-9 if len(times) > 1 else 0.0
+    for index in range(len(times)):
         record = folder.frame(index)
         if record.classid is None:
             raise DatasetError(
@@ -51,7 +53,8 @@ def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
         ranges = np.full(record.input_points, np.nan)
         ranges[record.index] = np.linalg.norm(record.points, axis=1)
         speed = speeds / f"{record.name}.npy"
-        evaluation.add(truth, dynamic, ranges, np.load(speed) if speed.is_file() else None)
+        known = np.load(speed).astype(np.float32) if speed.is_file() else None
+        evaluation.add(truth, dynamic, ranges, known, seconds)
     return evaluation.result()
 
 
