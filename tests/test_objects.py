@@ -22,10 +22,7 @@ CAR, PERSON, POLE, WALL = (4.2, 1.8, 1.5), (0.6, 0.6, 1.7), (0.3, 0.3, 2.0), (12
 
 
 class Thing:
-    """A block of points: where it is at each sweep (None: unseen), and when the votes find it.
-
-    Places are (x, y), or (x, y, z).
-    """
+    """A block of points: where it is at each sweep (None: unseen), and when the votes find it."""
 
     def __init__(self, size, at, dynamic=(), step=0.2):
         axes = [np.arange(-s / 2, s / 2 + 1e-6, step) for s in size]
@@ -50,8 +47,7 @@ def sightings_of(things, count, seed=0, joined=None):
             if place is None:
                 continue
             firsts[k] = len(points)
-            middle = (*place[:2], *(place[2:] or (0.8,)))
-            shape = thing.shape + middle + rng.normal(0, 0.01, thing.shape.shape)
+            shape = thing.shape + [*place, 0.8] + rng.normal(0, 0.01, thing.shape.shape)
             whole = next((wholes[a] for (a, b), sweeps in (joined or {}).items()
                           if b == k and a in wholes and i in sweeps), firsts[k])  # fmt: skip
             wholes[k] = whole
@@ -188,25 +184,6 @@ def test_points_on_the_way_move_unless_votes_or_ground_speak_against_it():
     found = Followed(np.zeros(0, np.uint32), box)
     classid = add_carried(points, alone, found, static, dynamic, classid, T, DEFAULT)
     assert list(classid) == [100, 100, 50, 0, 50]
-
-
-def test_a_waiting_car_of_which_each_sweep_sees_another_part_is_dynamic_whole():
-    """Its halves are followed apart, and the upper one is lost where it stands."""
-    at = waits((15, 3), 30)
-    lower = Thing((4.2, 1.8, 0.8), at, range(33, 60))
-    upper = Thing((2.0, 1.6, 0.6), lambda i: (*at(i), 1.5) if i % 3 == 0 else None, range(36, 60))
-    post = Thing(POLE, still(12.3, 3), step=0.1)
-    found = carried([lower, upper, post], 60)
-    assert found[0] == list(range(33))
-    assert found[1] == list(range(0, 36, 3))
-    assert found[2] == []
-
-
-def test_a_car_that_goes_less_than_its_length_was_seen_to_free_its_place():
-    at = waits((15, 3), 30)
-    car = Thing(CAR, lambda i: at(i) if i < 47 else None, range(35, 47))
-    assert at(46)[0] - at(0)[0] < CAR[0]
-    assert carried([car], 47) == [list(range(35))]
 
 
 def random_things(rng, count):
