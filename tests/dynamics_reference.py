@@ -230,19 +230,16 @@ def reference_moving(points, ground, static, dynamic, p):
     """Evidence shared within connected objects, with scipy's graphs and all distances."""
     static, dynamic = static.astype(int), dynamic.astype(int)
     surface = Surface(points)
-    triangles = surface.triangles.astype(int)
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    cut = np.tile(surface.cut, 3)
-    range_ = np.sqrt(squared(points))[edges]
-    link = np.maximum(np.float32(p.link), np.float32(p.link_growth) * range_.min(axis=1))
-    near = squared(points[edges[:, 0]] - points[edges[:, 1]]) < link * link
-    level = abs(range_[:, 0] - range_[:, 1]) < np.float32(p.link_jump)
-    joined, edges = edges[near & (~cut | level)], edges[near & ~cut]
+    whole = surface.triangles[~surface.cut].astype(int)
+    edges = np.concatenate([whole[:, [0, 1]], whole[:, [1, 2]], whole[:, [2, 0]]])
+    range_ = np.sqrt(squared(points))[edges].min(axis=1)
+    link = np.maximum(np.float32(p.link), np.float32(p.link_growth) * range_)
+    edges = edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < link * link]
     candidate = dynamic > static
     label, size = connected(len(points), edges[candidate[edges].all(axis=1)])
     moving = candidate & (size[label] >= p.companions)
 
-    label, size = connected(len(points), joined[~ground[joined].any(axis=1)])
+    label, size = connected(len(points), edges[~ground[edges].any(axis=1)])
     freed = (dynamic >= p.freed_votes) & (p.freed_ratio * dynamic > static)
     found, voted = np.bincount(label, moving), np.bincount(label, static + dynamic > 0)
     goes = found >= np.float32(p.object_share) * voted

@@ -280,11 +280,10 @@ def test_points_without_votes_do_not_speak_against_their_object(yard):
 
 
 def test_what_lies_flat_and_was_seen_free_at_times_does_not_move():
-    """Boughs and signs that key frames look past; as wide as a car, one row of returns high."""
-    x, y = np.meshgrid(np.arange(10, 13, 0.1), np.arange(-1, 1, 0.1))
-    for height, classid in ((0.0, 50), (0.1, 100)):
-        points = np.stack([x, y, 1 + height * (x - 10) / 0.1 / 3], -1).reshape(-1, 3)
-        points = points.astype(np.float32)
+    """Boughs and signs that key frames look past; as wide as a car, two rows of returns high."""
+    for height, classid in ((0.1, 50), (0.5, 100)):
+        y, z = np.meshgrid(np.arange(-1, 1, 0.05), np.arange(1, 1 + height, 0.05))
+        points = np.stack([np.full(y.shape, 10), y, z], -1).reshape(-1, 3).astype(np.float32)
         votes = Votes(*np.full((2, len(points)), 3, np.uint16))
         votes.static[:] = 9
         assert set(classify(np.zeros(len(points), bool), votes, DEFAULT, points)) == {classid}

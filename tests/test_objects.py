@@ -339,20 +339,3 @@ def test_objects_are_connected_points_off_the_ground(street):
     assert (objects[what[0] == 0] == np.flatnonzero(what[0] == 0)).all()
     box = np.flatnonzero(what[0] == 2)
     assert np.bincount(objects[box]).max() > 0.9 * len(box)
-
-
-def test_a_single_row_of_returns_before_a_far_wall_is_one_object():
-    """A roof or a thin body that one ring meets: every triangle there is cut by a depth jump."""
-    azimuth, elevation = np.meshgrid(np.radians(np.arange(-20, 20, 0.4)), np.radians([4, 2, 0, -2]))
-    row = (elevation == 0) & (np.abs(azimuth) < np.radians(5))
-    range_ = np.where(row, 12.0, 30.0) / np.cos(azimuth)
-    points = range_[..., None] * np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
-         np.sin(elevation)], -1)  # fmt: skip
-    points, row = points.reshape(-1, 3).astype(np.float32), row.ravel()
-    ground = np.zeros(len(points), bool)
-    objects = connect_objects(points, ground)
-    assert len(set(objects[row])) == 1
-    assert not set(objects[row]) & set(objects[~row])
-    off = DEFAULT.model_copy(update={"link_jump": 0})
-    assert len(set(connect_objects(points, ground, parameters=off)[row])) == row.sum()

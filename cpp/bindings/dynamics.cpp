@@ -246,7 +246,6 @@ void bind_dynamics(py::module_& m) {
       .def(py::init<>())
       .def_readwrite("link", &ObjectParameters::link)
       .def_readwrite("link_growth", &ObjectParameters::link_growth)
-      .def_readwrite("link_jump", &ObjectParameters::link_jump)
       .def_readwrite("companions", &ObjectParameters::companions)
       .def_readwrite("company", &ObjectParameters::company)
       .def_readwrite("clear_votes", &ObjectParameters::clear_votes)

@@ -119,9 +119,6 @@ class DynamicsParameters(VotingParameters):
     link_growth: float = Field(
         0.05, ge=0, description="or, where beams are wider apart, than so much of their range [-]"
     )
-    link_jump: float = Field(
-        0.25, ge=0, description="nor across a depth jump, unless ranges differ by less [m]"
-    )
     companions: int = Field(
         5, ge=1, description="connected dynamic points that need no other evidence"
     )

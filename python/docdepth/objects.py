@@ -216,7 +216,6 @@ def follow(
 def _object_parameters(p: DynamicsParameters) -> _core.ObjectParameters:
     objects = _core.ObjectParameters()
     objects.link, objects.link_growth = p.link, p.link_growth
-    objects.link_jump = p.link_jump
     objects.companions, objects.company = p.companions, p.company
     objects.clear_votes, objects.clear_ratio = p.clear_votes, p.clear_ratio
     objects.object_points, objects.share = p.object_points, p.object_share

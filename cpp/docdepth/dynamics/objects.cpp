@@ -46,24 +46,20 @@ class Sets {
   std::vector<std::uint32_t> parent_;
 };
 
-/// Connected components of the points that `takes_part` by edges of the surface, and by those edges
-/// of cut triangles whose ends differ in range by less than `jump`.
+/// Connected components of the points that `takes_part` by edges of the surface.
 template <class TakesPart>
 std::vector<std::uint32_t> connect(const Points& points, const Surface& surface,
-                                   const ObjectParameters& p, float jump,
-                                   const TakesPart& takes_part) {
+                                   const ObjectParameters& p, const TakesPart& takes_part) {
   Sets sets(points.rows());
   const auto range = [&](std::uint32_t i) {
     return range_of(points(i, 0), points(i, 1), points(i, 2));
   };
   for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
-    if (surface.cut[t] && jump <= 0) continue;
+    if (surface.cut[t]) continue;
     for (int i = 0; i < 3; ++i) {
       const auto a = surface.triangles[t][i], b = surface.triangles[t][(i + 1) % 3];
       if (!takes_part(a) || !takes_part(b)) continue;
-      const float ra = range(a), rb = range(b);
-      if (surface.cut[t] && std::fabs(ra - rb) >= jump) continue;
-      const float link = std::max(p.link, p.link_growth * std::min(ra, rb));
+      const float link = std::max(p.link, p.link_growth * std::min(range(a), range(b)));
       if (squared_distance(points, a, b) < link * link) sets.join(a, b);
     }
   }
@@ -128,8 +124,7 @@ class Neighborhood {
 /// Dynamic points of their own right that are connected to enough others.
 Flags believed(const Points& points, const Surface& surface, const Flags& dynamic,
                const ObjectParameters& p) {
-  const auto first =
-      connect(points, surface, p, 0, [&](std::uint32_t i) { return dynamic[i] != 0; });
+  const auto first = connect(points, surface, p, [&](std::uint32_t i) { return dynamic[i] != 0; });
   std::vector<int> size(first.size());
   for (const auto f : first) ++size[f];
   Flags result(first.size());
@@ -162,7 +157,7 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
 
 std::vector<std::uint32_t> connect_objects(const Points& points, const bool* ground,
                                            const Surface& surface, const ObjectParameters& p) {
-  return connect(points, surface, p, p.link_jump, [&](std::uint32_t i) { return !ground[i]; });
+  return connect(points, surface, p, [&](std::uint32_t i) { return !ground[i]; });
 }
 
 std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground,

@@ -13,7 +13,6 @@ namespace docdepth {
 struct ObjectParameters {
   float link = 0.3f;          ///< neighbouring returns farther apart are not connected [m],
   float link_growth = 0.05f;  ///< or, where beams are wider apart, than so much of their range
-  float link_jump = 0.25f;    ///< nor across a depth jump, unless ranges differ by less [m]
   int companions = 5;         ///< connected dynamic points that believe each other
   float company = 1.0f;       ///< nearer to what is dynamic a single point is believed, too [m]
   int clear_votes = 3;        ///< or with that many dynamic votes
@@ -31,9 +30,7 @@ struct ObjectParameters {
 
 /// Objects of a sweep, connected points off the ground: of each point the row of the first one.
 ///
-/// Returns are connected by the edges of the sweep's surface. A triangle that a depth jump cuts has
-/// two corners on one side of it, which are as far away as each other: a single row of returns from
-/// a roof, or a thin body before a far wall, has no other edges.
+/// Returns are connected by the edges of the sweep's surface; across depth jumps there are none.
 std::vector<std::uint32_t> connect_objects(const Points& points, const bool* ground,
                                            const Surface& surface,
                                            const ObjectParameters& parameters);
