@@ -98,7 +98,7 @@ class Followed(NamedTuple):
         First rows, as :func:`connect_objects` names them, of those that are dynamic, too.
     boxes : ndarray of float32, shape (K, 6)
         Low and high corners, in the world of the sightings, of where something is on its way:
-        points that no object of this sweep holds, and in which nobody saw what stands, are of it.
+        points off the ground there are of it, unless votes call them clearly static.
     """
 
     objects: NDArray[np.uint32]

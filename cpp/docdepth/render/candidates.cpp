@@ -5,6 +5,7 @@
 #include <cstring>
 #include <functional>
 
+#include "docdepth/geometry/lanes.hpp"
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/render/dispatch.hpp"
 
@@ -21,11 +22,9 @@ constexpr float kDoubt = 100.0f;
 /// A ray that passed within a centimetre, or many farther off, decide: no more are asked.
 constexpr float kSure = 1000.0f;
 
-constexpr int kLanes = Candidates::kTile;
-typedef float Floats __attribute__((vector_size(4 * kLanes)));
-typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
+static_assert(kLanes == Candidates::kTile, "a row of a tile is one vector");
 
-DOCDEPTH_INLINE bool any(const Integers& lanes) {
+DOCDEPTH_INLINE bool any(const Ints& lanes) {
   std::int64_t halves[kLanes / 2];
   std::memcpy(halves, &lanes, sizeof lanes);
   return (halves[0] | halves[1] | halves[2] | halves[3]) != 0;
@@ -39,11 +38,11 @@ DOCDEPTH_INLINE void take_row(float* nearness, const Each& offers) {
   std::memcpy(&w, nearness, sizeof w);
   const Floats none{};
   std::memcpy(nearness, &none, sizeof none);
-  Integers left = w > 0.0f;
+  Ints left = w > 0.0f;
   for (int k = 0; k < Candidates::kMost && any(left); ++k) {
     Floats known;
     std::memcpy(&known, offers(k), sizeof known);
-    const Integers empty = left & (known == 0.0f);
+    const Ints empty = left & (known == 0.0f);
     known = empty ? w : known;
     std::memcpy(offers(k), &known, sizeof known);
     left &= ~((w < known * more) & (w > known * less));

@@ -8,6 +8,7 @@
 #include <limits>
 #include <vector>
 
+#include "docdepth/geometry/lanes.hpp"
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/render/camera.hpp"
 #include "docdepth/render/candidates.hpp"
@@ -19,9 +20,6 @@
 namespace docdepth {
 
 constexpr int kStrip = 104;  // columns; 375 rows of them fit the first cache levels
-constexpr int kLanes = 8;
-typedef float Floats __attribute__((vector_size(4 * kLanes)));
-typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
 
 /// Pixels by which triangles are larger than they are, so that rounding leaves no cracks.
 constexpr float kSlack = 0.01f;
@@ -87,19 +85,19 @@ DOCDEPTH_INLINE bool project_patch(const Mesh& mesh, const Mesh::Patch& patch,
     const Floats x = ((r[0][0] * a + r[0][1] * b) + r[0][2] * c) + T.t[0];
     const Floats y = ((r[1][0] * a + r[1][1] * b) + r[1][2] * c) + T.t[1];
     const Floats z = ((r[2][0] * a + r[2][1] * b) + r[2][2] * c) + T.t[2];
-    const Integers seen = z > kNear;
+    const Ints seen = z > kNear;
     const Floats w = 1.0f / z;
     const Floats u = (fx * x) * w + cx, v = (fy * y) * w + cy;
     const Floats shown = seen ? w : Floats{};
-    const Integers beside = ((u + kSlack < left) & kLeft) | ((u - kSlack > right) & kRight) |
-                            ((v + kSlack < 0.0f) & kAbove) | ((v - kSlack > bottom) & kBelow) |
-                            (~seen & kBehind);
+    const Ints beside = ((u + kSlack < left) & kLeft) | ((u - kSlack > right) & kRight) |
+                        ((v + kSlack < 0.0f) & kAbove) | ((v - kSlack > bottom) & kBelow) |
+                        (~seen & kBehind);
     std::memcpy(out.u + i, &u, sizeof u);
     std::memcpy(out.v + i, &v, sizeof v);
     std::memcpy(out.w + i, &shown, sizeof shown);
     std::memcpy(out.beside + i, &beside, sizeof beside);
-    const Integers part =
-        seen & (Integers{0, 1, 2, 3, 4, 5, 6, 7} + std::int32_t(i) < std::int32_t(patch.vertices));
+    const Ints part =
+        seen & (Ints{0, 1, 2, 3, 4, 5, 6, 7} + std::int32_t(i) < std::int32_t(patch.vertices));
     low_u = part & (u < low_u) ? u : low_u, high_u = part & (u > high_u) ? u : high_u;
     low_v = part & (v < low_v) ? v : low_v, high_v = part & (v > high_v) ? v : high_v;
   }
@@ -156,28 +154,28 @@ DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corn
   const Floats lanes = {0, 1, 2, 3, 4, 5, 6, 7};
   for (int u = first_u; u <= last_u; u += kLanes) {
     const Floats column = lanes + float(u);
-    const Integers within = column <= high_u;
+    const Ints within = column <= high_u;
     const Floats at0 = e0.slack - (column - e0.u) * e0.dv, at1 = e1.slack - (column - e1.u) * e1.dv,
                  at2 = e2.slack - (column - e2.u) * e2.dv, w_column = (column - ua) * slope_u + wa;
     for (int v = first_v; v <= last_v; ++v) {
       const auto row = float(v);
-      const Integers inside = within & ((row - e0.v) * e0.du + at0 >= 0.0f) &
-                              ((row - e1.v) * e1.du + at1 >= 0.0f) &
-                              ((row - e2.v) * e2.du + at2 >= 0.0f);
+      const Ints inside = within & ((row - e0.v) * e0.du + at0 >= 0.0f) &
+                          ((row - e1.v) * e1.du + at1 >= 0.0f) &
+                          ((row - e2.v) * e2.du + at2 >= 0.0f);
       Floats w = (row - va) * slope_v + w_column;
       w = w < low_w ? Floats{} + low_w : w;
       w = w > high_w ? Floats{} + high_w : w;
       float* cell = strip.nearness.data() + std::size_t(v) * Strip::kStride + (u - strip.begin);
       Floats old;
       std::memcpy(&old, cell, sizeof old);
-      const Integers nearer = inside & (w > old);
+      const Ints nearer = inside & (w > old);
       const Floats now = nearer ? w : old;
       std::memcpy(cell, &now, sizeof now);
       if constexpr (kNumbered) {
         std::int32_t* numbers = strip.numbers.data() + (cell - strip.nearness.data());
-        Integers before;
+        Ints before;
         std::memcpy(&before, numbers, sizeof before);
-        const Integers after = nearer ? Integers{} + number : before;
+        const Ints after = nearer ? Ints{} + number : before;
         std::memcpy(numbers, &after, sizeof after);
       }
     }

@@ -9,6 +9,7 @@
 #include <mutex>
 #include <new>
 
+#include "docdepth/geometry/lanes.hpp"
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/render/dispatch.hpp"
@@ -122,12 +123,7 @@ struct Projected {
   float depth[Cloud::kBlock], squared[Cloud::kBlock];
 };
 
-// Eight numbers at once. Compilers split them where the processor has shorter registers; left to
-// themselves they do not find this loop worth vectorising.
-constexpr int kLanes = 8;
-typedef float Floats __attribute__((vector_size(4 * kLanes)));
-typedef std::int32_t Integers __attribute__((vector_size(4 * kLanes)));
-
+// In lanes: left to themselves compilers do not find this loop worth vectorising.
 DOCDEPTH_INLINE void project_block(const Cloud& cloud, const Cloud::Block& block,
                                    const RigidTransform& T, const Projection& camera,
                                    Projected& out) {
@@ -142,12 +138,12 @@ DOCDEPTH_INLINE void project_block(const Cloud& cloud, const Cloud::Block& block
     const Floats z = ((r[2][0] * a + r[2][1] * b) + r[2][2] * c) + T.t[2];
     const Floats u = ((camera.fx * x) / z + camera.cx) + 0.5f;
     const Floats v = ((camera.fy * y) / z + camera.cy) + 0.5f;
-    const Integers seen =
+    const Ints seen =
         (z > kNear) & (u >= 0.0f) & (u < camera.width) & (v >= 0.0f) & (v < camera.height);
     // Where it is seen nothing is negative, so cutting off is rounding down.
-    const Integers column = __builtin_convertvector(u, Integers) & seen;
-    const Integers row = __builtin_convertvector(v, Integers) & seen;
-    const Integers pixel = (row * camera.stride + column) | ~seen;
+    const Ints column = __builtin_convertvector(u, Ints) & seen;
+    const Ints row = __builtin_convertvector(v, Ints) & seen;
+    const Ints pixel = (row * camera.stride + column) | ~seen;
     const Floats squared = (x * x + y * y) + z * z;
     std::memcpy(out.pixel + i, &pixel, sizeof pixel);
     std::memcpy(out.depth + i, &z, sizeof z);
