@@ -400,19 +400,33 @@ def test_a_return_alone_is_a_small_diamond():
 
 def test_sweeps_of_triangles_start_with_the_nearest_and_thin_out():
     trajectory = straight(300, spacing=0.5)
-    taken = static_frames(trajectory, 5_030_000_000, TRIANGLES)  # at 25.15 m
+    far = TRIANGLES.model_copy(update={"ahead": 100.0})
+    taken = static_frames(trajectory, 5_030_000_000, far)  # at 25.15 m
     ahead = trajectory.arc_length[taken] - 25.15
     assert taken[0] == 50
     assert len(set(taken.tolist())) == len(taken)
     assert (np.diff(np.abs(ahead[1:])) >= 0).all()
-    assert ahead.min() > -TRIANGLES.behind
-    assert ahead.max() > 0.7 * TRIANGLES.ahead
+    assert ahead.min() > -far.behind
+    assert ahead.max() > 0.7 * far.ahead
     ordered = np.sort(ahead[1:])
     assert np.diff(ordered)[np.abs(ordered[1:]) < 4].max() < 2.1
     assert np.diff(ordered)[ordered[1:] > 50].min() >= 8
     # The next images take the same sweeps, but for the nearest and a few that enter.
-    following = static_frames(trajectory, 5_130_000_000, TRIANGLES)
+    following = static_frames(trajectory, 5_130_000_000, far)
     assert len(set(following.tolist()) - set(taken.tolist())) <= 3
+
+
+@pytest.mark.parametrize("spacing", [0.5, 1.1, 2.8])
+def test_sweeps_of_triangles_leave_no_gap_however_fast_the_ego_is(spacing):
+    trajectory = straight(300, spacing=spacing)
+    taken = static_frames(trajectory, int(trajectory.times[60]) + 30_000_000, TRIANGLES)
+    ahead = np.sort(
+        trajectory.arc_length[taken]
+        - trajectory.arc_length_at(int(trajectory.times[60]) + 30_000_000)[0]
+    )
+    ahead = ahead[ahead > 0]
+    # Spacings double, so the next sweep comes after twice the least distance at the most.
+    assert (np.diff(ahead) < 2 * TRIANGLES.step_growth * ahead[1:] + spacing + 0.01).all()
 
 
 @pytest.mark.skipif("DOCDEPTH_KITTI_RAW" not in os.environ, reason="DOCDEPTH_KITTI_RAW is not set")

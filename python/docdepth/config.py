@@ -172,11 +172,11 @@ class RenderParameters(_Stage):
         "triangles",
         description="what a sweep is drawn as: discs of the paper's size, or the surface itself",
     )
-    behind: float = Field(10.0, ge=0, description="static sweeps behind the camera, d_min [m]")
-    ahead: float = Field(100.0, gt=0, description="static sweeps ahead of it, d_max [m]")
-    step: float = Field(1.0, gt=0, description="spacing of static sweeps, d_step [m]")
+    behind: float = Field(15.0, ge=0, description="static sweeps behind the camera, d_min [m]")
+    ahead: float = Field(50.0, gt=0, description="static sweeps ahead of it, d_max [m]")
+    step: float = Field(0.25, gt=0, description="spacing of static sweeps, d_step [m]")
     step_growth: float = Field(
-        0.2, ge=0, description="spacing of triangles over their distance to the image [-]"
+        0.25, ge=0, description="spacing of triangles over their distance to the image [-]"
     )
     crop: float = Field(300.0, gt=0, description="points farther from their sensor, d_crop [m]")
     max_depth: float = Field(250.0, gt=0, description="nothing farther is drawn [m]")
@@ -184,7 +184,7 @@ class RenderParameters(_Stage):
         50.0, ge=0, description="moving objects are carried to the image's time up to this [m/s]"
     )
     witnesses: int = Field(
-        18, ge=0, le=100, description="sweeps whose rays are asked at edges; 0 believes the nearest"
+        36, ge=0, le=100, description="sweeps whose rays are asked at edges; 0 believes the nearest"
     )
     loose_deg: float = Field(
         0.1, gt=0, lt=10, description="half width of a return without a triangle [deg]"
@@ -251,7 +251,7 @@ _PAPER: dict[str, dict[str, Any]] = {
         "objects": False,
         "tracks": False,
     },
-    "render": {"surface": "splats", "behind": 0.5, "step": 0.2},
+    "render": {"surface": "splats", "behind": 0.5, "ahead": 100, "step": 0.2},
 }
 
 

@@ -178,7 +178,8 @@ def static_frames(
     nearest = trajectory.nearest(time)
     cut = (arc // p.step).astype(np.int64)
     for k in window[np.diff(cut, prepend=-1)[window] > 0]:
-        spacing = p.step * (cut[k] & -cut[k] or np.inf)  # of the widest cutting that has this cut
+        passed = range(cut[k - 1] + 1 if k else 0, cut[k] + 1)
+        spacing = p.step * max(n & -n or np.inf for n in passed)  # of the widest cutting passed
         if abs(arc[k] - arc[nearest]) >= p.step / 2 and p.step_growth * abs(ahead[k]) <= spacing:
             kept.append(int(k))
     kept.sort(key=lambda k: abs(ahead[k]))
