@@ -81,9 +81,9 @@ def run_odometry(
             with watch("write"):
                 run.write_frame(index, record)
         tell(index + 1, total)
-    sensors = dataset.sweep(0).sensors
-    more = {"T_lidar_sensor": sensors.T_lidar_sensor.tolist()} if sensors else {}
-    finish_stage(run, "odometry", watch, worked, **more)
+    if sensors := dataset.sweep(0).sensors:
+        run.write_sensors(sensors)
+    finish_stage(run, "odometry", watch, worked)
 
 
 def _phantoms(dataset: Dataset, sweep: Sweep, bloom_deg: float) -> NDArray[np.bool_]:
