@@ -81,7 +81,7 @@ def side_by_side(
         assert inlet is not None
         last = passes[-1]
         source = _Source(inlet, last, lambda message: _hear(message, tell))
-        if not source.is_ready(len(workers)):
+        if not source.is_ready():
             return None
         poses = last.run(source, lambda *_: tell())
         source.drain()
@@ -111,15 +111,18 @@ def work(send: int, receive: int | None = None) -> None:
     before: Before | None = None if poses is None else lambda _: poses
     source = None
     try:
-        out.send(_READY)
         if receive is not None:
             before = source = _Source(Connection(receive, writable=False), one, out.send)
+            if not source.is_ready():
+                return
+        out.send(_READY)
         one.run(before, lambda k, pose: out.send((one.number, k, pose)))
         if source is not None:
             source.drain()
     except (BrokenPipeError, _RowEnded):
         pass
     except Exception as error:
+        log.debug("pass %d", one.number + 1, exc_info=True)
         with suppress(BrokenPipeError):
             out.send(_portable(error))
 
@@ -146,10 +149,10 @@ class _Source:
                 raise _RowEnded
         return self._poses
 
-    def is_ready(self, workers: int) -> bool:
-        """Have all of them got their pass? They say so before anything else."""
+    def is_ready(self) -> bool:
+        """Have the passes before got what they need? Each says so before anything else."""
         try:
-            return all(self._pipe.recv() == _READY for _ in range(workers))
+            return bool(self._pipe.recv() == _READY)
         except EOFError:
             return False
 
@@ -222,7 +225,7 @@ def _hear(message: Any, tell: Callable[[], None]) -> None:
         logger = logging.getLogger(message.name)
         if logger.isEnabledFor(message.levelno):
             logger.handle(message)
-    elif message != _READY:
+    else:
         tell()
 
 
