@@ -81,6 +81,13 @@ class Spoilt(Drive):
         return super().sweep(index)
 
 
+class Handle(Drive):
+    """A drive that opens its file but once: it can be sent, yet not read from there."""
+
+    def __getstate__(self) -> dict:
+        return {name: value for name, value in vars(self).items() if name != "_sweeps"}
+
+
 def with_sweep(drive: Drive, index: int, **change: object) -> Drive:
     """The drive, one sweep of it changed."""
     other = copy.copy(drive)
@@ -118,7 +125,7 @@ def script(drive: str, *lines: str) -> subprocess.CompletedProcess:
 # ---- the same poses
 
 
-@pytest.mark.parametrize(("threads", "processes"), [(3, 2), (2, 1), (8, 2)])
+@pytest.mark.parametrize(("threads", "processes"), [(3, 2), (2, 1)])
 def test_passes_at_once_give_the_same_bits(
     drive: Drive, expected: np.ndarray, started: list, threads: int, processes: int
 ) -> None:
@@ -152,6 +159,10 @@ def test_datasets_that_cannot_be_sent(
     monkeypatch.setattr(side_by_side, "_LARGEST", 10_000)
     assert estimate_poses(drive, threads=3).tobytes() == expected.tobytes()
     assert started == []
+    handle = Handle(COUNT)
+    handle._sweeps = drive._sweeps
+    assert estimate_poses(handle, threads=3).tobytes() == expected.tobytes()
+    assert len(started) == 2
 
 
 def test_a_class_that_only_the_script_knows(saved: str, expected: np.ndarray) -> None:
@@ -194,7 +205,7 @@ def test_a_killed_process_is_named(drive: Drive, started: list) -> None:
     assert all(worker.returncode is not None for worker in started)
 
 
-@pytest.mark.parametrize("end", ["os.kill(os.getpid(), 9)", "os.killpg(0, signal.SIGINT)"])
+@pytest.mark.parametrize("end", ["os.kill(os.getpid(), 9)", "os.kill(0, signal.SIGINT)"])
 def test_no_process_outlives_the_caller(saved: str, end: str) -> None:
     result = script(
         saved,

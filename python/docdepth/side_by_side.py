@@ -58,8 +58,8 @@ def side_by_side(
     Returns
     -------
     ndarray of float64, shape (n, 4, 4)
-        None where processes cannot do it: the dataset cannot be pickled, is of a class that only
-        the running script knows, or keeps its sweeps in memory.
+        None where other processes cannot read the dataset: it cannot be pickled, is of a class
+        that only the running script knows, or keeps its sweeps in memory.
 
     Raises
     ------
@@ -103,7 +103,8 @@ def work(send: int, receive: int | None = None) -> None:
     """What the process of one pass does; it gets the pass at its standard input."""
     try:
         one, poses = pickle.load(sys.stdin.buffer)
-    except Exception:  # its class is unknown here; the caller sees that nothing comes
+        one.dataset.sweep(0)
+    except Exception:  # not to be read from here; the caller sees that nothing comes
         return
     out = Connection(send, readable=False)
     logging.getLogger().addHandler(_Sender(out))  # type: ignore[arg-type]
