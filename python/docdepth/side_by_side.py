@@ -34,6 +34,7 @@ log = logging.getLogger(__name__)
 
 _LARGEST = 1 << 26  # bytes of a dataset that is sent; one that keeps its sweeps is larger
 _READY = "ready"
+_ENDS = (EOFError, OSError)  # of a pipe, between messages or, where a process was killed, in one
 # The terminal's Ctrl-C is the caller's alone, from the first moment on.
 _COMMAND = (
     "import signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN); "
@@ -154,7 +155,7 @@ class _Source:
         """Have the passes before got what they need? Each says so before anything else."""
         try:
             return bool(self._pipe.recv() == _READY)
-        except EOFError:
+        except _ENDS:
             return False
 
     def drain(self) -> None:
@@ -165,7 +166,7 @@ class _Source:
     def _take(self) -> bool:
         try:
             message = self._pipe.recv()
-        except EOFError:
+        except _ENDS:
             return False
         if isinstance(message, tuple) and message[0] == self._number:
             _, k, self._poses[message[1]] = message
