@@ -39,9 +39,10 @@ std::vector<std::uint32_t> connect_objects(const Points& points, const bool* gro
 ///
 /// Points that are dynamic by their own votes (more dynamic than static ones) and alone are
 /// withdrawn. Objects move as a whole: those that move now, as most of their points say, and those
-/// that stand for a while and are seen to leave or to come. The latter have many static votes, but
-/// where nothing ever moves next to none is dynamic; only what is thin collects some, since key
-/// frames look past it.
+/// that stand for a while and are seen to leave or to come. Of the former, points stay whose place
+/// was always taken: they are of what stands beside and is connected to it. The latter have many
+/// static votes, but where nothing ever moves next to none is dynamic; only what is thin collects
+/// some, since key frames look past it.
 ///
 /// @param ground, statics, dynamics  one value a point
 /// @param first  the sweep's objects
