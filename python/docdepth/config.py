@@ -155,7 +155,7 @@ class DynamicsParameters(VotingParameters):
     track_gap: float = Field(0.5, ge=0, description="an object unseen for longer is lost [s]")
     track_hold: float = Field(5.0, ge=0, description="the same of one that stands [s]")
     track_window: float = Field(
-        0.5,
+        0.3,
         ge=0,
         description="sightings that near tell the box in which points move; 0: none [s]",
     )
