@@ -122,7 +122,7 @@ class KeyFrame:
     surface : Surface, optional
         Of these points; made here when needed and left out.
     sensors : Sensors, optional
-        Where several LiDARs measured the sweep: each answers from its own place.
+        Where the sweep was measured from; each of several LiDARs answers from its own place.
 
     Raises
     ------
@@ -321,7 +321,7 @@ def classify_drive(
     surface : SurfaceParameters, optional
         Of the surfaces of key frames and objects.
     sensors : sequence of Sensors, optional
-        Of each sweep, where several LiDARs measured it.
+        Where each sweep was measured from, if not from the origin.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Several LiDARs on one vehicle: which of them measured a point, and from where."""
+"""Where a sweep was measured from: the place of its LiDAR, or of each of several."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import InputError
 from docdepth.trajectory import check_rigid, inverse
@@ -14,10 +14,12 @@ from docdepth.trajectory import check_rigid, inverse
 
 @dataclass(frozen=True)
 class Sensors:
-    """The LiDARs of a sweep that several of them measured.
+    """Where the points of a sweep were seen from, when that is not the origin of their frame.
 
-    Points of all are given in one frame, the LiDAR frame of the sweep; but what a point was seen
-    through, and which returns are neighbours, only its own LiDAR can tell (paper III-C2).
+    A LiDAR may give its points about its foot, and a vehicle may carry several. Points of all are
+    given in one frame, the LiDAR frame of the sweep; but what a point was seen through, and which
+    returns are neighbours, only the place tells from which it was seen (paper III-C2). Twenty
+    centimetres aside, what lies beside an edge five metres away seems to lie two degrees off.
 
     Attributes
     ----------
@@ -50,7 +52,14 @@ class Sensors:
         object.__setattr__(self, "index", index.astype(np.uint8, copy=False))
         object.__setattr__(self, "T_lidar_sensor", T)
 
-    def of(self, rows: NDArray[np.bool_]) -> Sensors:
+    @classmethod
+    def at(cls, place: ArrayLike, points: int) -> Sensors:
+        """One LiDAR that saw all points from ``place``, (3,) in metres in their frame."""
+        T_lidar_sensor = np.eye(4)
+        T_lidar_sensor[:3, 3] = place
+        return cls(np.zeros(points, np.uint8), T_lidar_sensor[None])
+
+    def of(self, rows: NDArray[np.bool_] | slice) -> Sensors:
         """The same for some of the points."""
         return Sensors(self.index[rows], self.T_lidar_sensor)
 
@@ -73,5 +82,7 @@ def views(
             f"{len(points)} points"
         )
     for k, T_lidar_sensor in enumerate(sensors.T_lidar_sensor):
-        own = sensors.index == k
-        yield np.where(own[:, None], sensors.moved(points, k), np.float32(np.nan)), T_lidar_sensor
+        seen = sensors.moved(points, k)
+        if len(sensors.T_lidar_sensor) > 1:
+            seen[sensors.index != k] = np.nan
+        yield seen, T_lidar_sensor

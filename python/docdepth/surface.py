@@ -35,7 +35,7 @@ class Surface:
         they take no part.
     parameters : SurfaceParameters, optional
     sensors : Sensors, optional
-        Where several LiDARs measured the sweep: each has a surface of its own.
+        Where the sweep was measured from; each of several LiDARs has a surface of its own.
 
     Attributes
     ----------

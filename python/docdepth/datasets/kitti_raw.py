@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets import kitti_files
+from docdepth.datasets import kitti_files, kitti_lidar
 from docdepth.datasets.base import CameraStream, Sweep
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.times import nanoseconds
 from docdepth.errors import CalibrationError
 from docdepth.render import Camera
+from docdepth.sensors import Sensors
 
 _EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' of the drive again"
 _CALIBRATION = "unpack the 'calibration' archive of that date beside its drives"
@@ -56,8 +58,15 @@ class KittiRaw:
         """Sweep ``index`` as it is on disk."""
         file = self._sweeps[index]
         points, intensity = kitti_files.read_sweep(file, index)
-        fraction = azimuth_fraction(points)
-        return Sweep(points, file.stem, int(self.times[index]), intensity, fraction)
+        fraction, place = azimuth_fraction(points), self._looks_from
+        sensors = None if place is None else Sensors.at(place, len(points))
+        return Sweep(points, file.stem, int(self.times[index]), intensity, fraction, sensors)
+
+    @cached_property
+    def _looks_from(self) -> NDArray[np.float64] | None:
+        return kitti_lidar.looks_from(
+            kitti_files.read_sweep(file, k)[0] for k, file in enumerate(self._sweeps)
+        )
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``, None when there are none."""
