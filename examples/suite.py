@@ -49,7 +49,6 @@ from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline import run_odometry
 from docdepth.render import Frame, needed_frames, render
-from docdepth.sensors import Sensors
 from docdepth.sweep import Trial, read_trials, sweep
 from docdepth.synthetic import Drive, scene, sensor, sensors, write_drive
 from docdepth.trajectory import Trajectory, inverse

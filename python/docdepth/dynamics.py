@@ -143,8 +143,8 @@ class KeyFrame:
         self._views: list[tuple[_core.KeyFrame, NDArray[np.float64]]]
         if p.against == "pixels":
             self._views = [
-                (_range_image(seen, ground, p), T_lidar_sensor)
-                for seen, T_lidar_sensor in views(points, sensors)
+                (_range_image(view.points, ground, p), view.T_lidar_sensor)
+                for view in views(points, sensors)
             ]
         else:
             parts = (surface or Surface(points, None, sensors)).parts

@@ -14,7 +14,7 @@ from docdepth.backends import Renderer
 from docdepth.config import RenderParameters, SurfaceParameters
 from docdepth.errors import CalibrationError, InputError
 from docdepth.sensors import Sensors
-from docdepth.surface import Surface
+from docdepth.surface import Surface, SurfacePart
 from docdepth.trajectory import Trajectory, inverse
 
 NEAR = 0.1
@@ -118,13 +118,12 @@ class Frame:
         late = None if late is None else late[drawn].astype(np.float32)
         seen = Surface(points, surface_parameters, None if sensors is None else sensors.of(drawn))
         self.parts = [
-            (_surface_frame(part.points, classid, part.core, p, late), part.T_lidar_sensor)
-            for part in seen.parts
+            (_surface_frame(part, classid, p, late), part.T_lidar_sensor) for part in seen.parts
         ]
         self.movers = self.parts[0]
         if len(self.parts) > 1:  # what moves is small, and drawn as if one LiDAR had seen it
-            whole = Surface(points, surface_parameters)
-            self.movers = (_surface_frame(points, classid, whole.core, p, late), np.eye(4))
+            (whole,) = Surface(points, surface_parameters).parts
+            self.movers = (_surface_frame(whole, classid, p, late), np.eye(4))
 
 
 _Part = tuple[_core.Frame | _core.SurfaceFrame, NDArray[np.float64]]
@@ -132,21 +131,22 @@ _Part = tuple[_core.Frame | _core.SurfaceFrame, NDArray[np.float64]]
 
 
 def _surface_frame(
-    points: NDArray[np.float32],
+    part: SurfacePart,
     classid: NDArray[np.uint16],
-    surface: _core.Surface,
     parameters: RenderParameters,
     late: NDArray[np.float32] | None,
 ) -> _core.SurfaceFrame:
     """Rows that are not finite are no points of this surface."""
+    points, _, starts, surface = part
     triangles, loose = surface.triangles, surface.loose
     if not np.isfinite(points).all():
         own = np.isfinite(points).all(axis=1)
         row = np.cumsum(own, dtype=np.uint32) - np.uint32(1)
         points, classid, late = points[own], classid[own], None if late is None else late[own]
+        starts = None if starts is None else starts[own]
         triangles, loose = row[triangles], row[loose]
     angle = float(np.radians(parameters.loose_deg))
-    return _core.SurfaceFrame(points, classid, triangles, surface.cut, loose, angle, late)
+    return _core.SurfaceFrame(points, classid, triangles, surface.cut, loose, angle, late, starts)
 
 
 def static_frames(

@@ -13,6 +13,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.sensors import Sensors
+
 # fmt: off
 SLOPES = np.array([  # tangent of elevation; the first 32 lasers are the upper block's
     0.03381, 0.02748, 0.02278, 0.01521, 0.01010, 0.00315, -0.00155, -0.00789,
@@ -29,15 +31,16 @@ HEIGHTS = np.where(np.arange(64) < 32, 0.2065 + 0.0603 * SLOPES, 0.1303 + 0.0316
 """Metres above the origin."""
 ASIDE = np.where(np.arange(64) % 2, 0.026, -0.026)
 """Metres to the left of the axis, seen in the direction in which a laser looks."""
-CENTRE = np.array([0.0, 0.0, 0.163])
-"""Between the two blocks."""
 
+_PLACES = np.repeat(np.eye(4)[None], 64, axis=0)
+_PLACES[:, 2, 3] = HEIGHTS
+_BETWEEN = (SLOPES[1:] + SLOPES[:-1]) / 2
 _TOLERANCE = 3e-4  # of a slope; between two lasers it changes by twenty times that
 _FEWEST = 100
 
 
-def looks_from(sweeps: Iterable[NDArray[np.float32]]) -> NDArray[np.float64] | None:
-    """Where the LiDAR of a drive looks from, if it is KITTI's: its points lie on these 64 cones.
+def is_kittis(sweeps: Iterable[NDArray[np.float32]]) -> bool:
+    """Whether a drive was recorded by KITTI's LiDAR: its points lie on these 64 cones.
 
     Asked are points straight ahead, which removing the motion of the sweep leaves in their place,
     of the first sweep with enough of them.
@@ -45,17 +48,24 @@ def looks_from(sweeps: Iterable[NDArray[np.float32]]) -> NDArray[np.float64] | N
     Parameters
     ----------
     sweeps : iterable of ndarray of float32, shape (N, 3)
-
-    Returns
-    -------
-    ndarray of float64, shape (3,), or None
-        In the frame of the points, metres; None for another LiDAR.
     """
     for points in sweeps:
         ahead = points[(points[:, 0] > 2) & (np.abs(points[:, 1]) < 0.1 * points[:, 0])]
         if len(ahead) >= _FEWEST:
-            distance = np.hypot(ahead[:, 0], ahead[:, 1])[:, None]
-            slopes = (ahead[:, 2, None] - HEIGHTS) / distance
-            on_cone = (np.abs(slopes - SLOPES) < _TOLERANCE).any(axis=1)
-            return CENTRE if on_cone.mean() > 0.6 else None
-    return None
+            laser, slope = _lasers(ahead)
+            return float((np.abs(slope - SLOPES[laser]) < _TOLERANCE).mean()) > 0.6
+    return False
+
+
+def sensors(points: NDArray[np.float32]) -> Sensors:
+    """Which laser measured each point (N, 3) of a sweep of KITTI's, and where all of them sit."""
+    return Sensors(_lasers(points)[0], _PLACES, ASIDE, np.zeros(64, np.uint8))
+
+
+def _lasers(points: NDArray[np.float32]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """The laser whose cone is nearest to each point, and the slope at which it saw the point."""
+    distance, z = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        upper, lower = (z - 0.2065) / (distance + 0.0603), (z - 0.1303) / (distance + 0.0316)
+    slope = np.where(upper > _BETWEEN[31], upper, lower).astype(np.float32)
+    return np.searchsorted(-_BETWEEN.astype("f4"), -slope).clip(0, 63).astype(np.uint8), slope

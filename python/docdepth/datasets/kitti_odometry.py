@@ -78,7 +78,7 @@ class KittiOdometry:
         self.poses = _poses(self.path, self.sweeps, T_camera_lidar)
         settings = _settings(self.path / "docdepth.yaml")
         self.motion_compensated: bool = settings["motion_compensated"]
-        self._place: list[float] | None = settings["looks_from"]
+        self._looks_from: list[float] | None = settings["looks_from"]
         self.cameras = _cameras(self, calibration, T_camera_lidar, image_size)
         self._others = _other_lidars(self.path, calibration, T_camera_lidar, self.sweeps)
 
@@ -89,11 +89,14 @@ class KittiOdometry:
         """Sweep ``index`` as it is on disk."""
         file = self.sweeps[index]
         points, intensity = kitti_files.read_sweep(file, index)
-        sensors, place = None, self._looks_from
-        if place is not None:
-            sensors = Sensors.at(place, len(points))
+        sensors = None
+        if self._looks_from is not None:
+            sensors = Sensors.at(self._looks_from, len(points))
+        elif self._is_kittis:
+            sensors = kitti_lidar.sensors(points)
         if self._others:
-            points, intensity, sensors = self._join(points, intensity, file.name, index)
+            sensors = sensors or Sensors.at((0, 0, 0), len(points))
+            points, intensity, sensors = self._join(points, intensity, sensors, file.name, index)
         fraction = (
             None if self.motion_compensated else self._fraction(file.stem, index, len(points))
         )
@@ -103,27 +106,22 @@ class KittiOdometry:
         self,
         points: NDArray[np.float32],
         intensity: NDArray[np.float32],
+        sensors: Sensors,
         name: str,
         frame: int,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], Sensors]:
         """A sweep of the first LiDAR and those of the others, in the frame of the first."""
-        parts, brightness, counts = [points], [intensity], [len(points)]
+        parts, brightness = [points], [intensity]
         for folder, T_lidar_sensor in self._others:
             own, bright = kitti_files.read_sweep(folder / name, frame)
             parts.append((own @ T_lidar_sensor[:3, :3].T + T_lidar_sensor[:3, 3]).astype("f4"))
             brightness.append(bright)
-            counts.append(len(own))
-        mounted = np.array([np.eye(4), *(T for _, T in self._others)])
-        if self._looks_from is not None:
-            mounted[0, :3, 3] = self._looks_from
-        index = np.repeat(np.arange(len(counts), dtype=np.uint8), counts)
-        return np.concatenate(parts), np.concatenate(brightness), Sensors(index, mounted)
+            sensors = sensors.and_another(T_lidar_sensor, len(own))
+        return np.concatenate(parts), np.concatenate(brightness), sensors
 
     @cached_property
-    def _looks_from(self) -> NDArray[np.float64] | None:
-        if self._place is not None:
-            return np.array(self._place)
-        return kitti_lidar.looks_from(
+    def _is_kittis(self) -> bool:
+        return kitti_lidar.is_kittis(
             kitti_files.read_sweep(file, k)[0] for k, file in enumerate(self.sweeps)
         )
 

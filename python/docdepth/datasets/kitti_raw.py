@@ -14,7 +14,6 @@ from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.times import nanoseconds
 from docdepth.errors import CalibrationError
 from docdepth.render import Camera
-from docdepth.sensors import Sensors
 
 _EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' of the drive again"
 _CALIBRATION = "unpack the 'calibration' archive of that date beside its drives"
@@ -58,13 +57,13 @@ class KittiRaw:
         """Sweep ``index`` as it is on disk."""
         file = self._sweeps[index]
         points, intensity = kitti_files.read_sweep(file, index)
-        fraction, place = azimuth_fraction(points), self._looks_from
-        sensors = None if place is None else Sensors.at(place, len(points))
+        fraction = azimuth_fraction(points)
+        sensors = kitti_lidar.sensors(points) if self._is_kittis else None
         return Sweep(points, file.stem, int(self.times[index]), intensity, fraction, sensors)
 
     @cached_property
-    def _looks_from(self) -> NDArray[np.float64] | None:
-        return kitti_lidar.looks_from(
+    def _is_kittis(self) -> bool:
+        return kitti_lidar.is_kittis(
             kitti_files.read_sweep(file, k)[0] for k, file in enumerate(self._sweeps)
         )
 
