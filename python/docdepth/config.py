@@ -142,7 +142,12 @@ class DynamicsParameters(VotingParameters):
         0.6, gt=0, le=1, description="share of its points whose place was free at another time"
     )
     freed_votes: int = Field(2, ge=1, description="dynamic votes that show a place was free")
-    freed_ratio: float = Field(8.0, ge=1, description="most static votes that go with each of them")
+    freed_ratio: float = Field(
+        8.0,
+        ge=1,
+        description="most static votes that go with each of them; with more a point stays"
+        " though its object moves",
+    )
     loose_votes: int = Field(
         2, description="a loose point inside a moving object has so many more static votes at most"
     )

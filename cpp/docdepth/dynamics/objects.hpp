@@ -24,7 +24,7 @@ struct ObjectParameters {
   float height = 0.3f;        ///< and that high [m]
   float freed_share = 0.6f;   ///< and the place of that share was seen free:
   int freed_votes = 2;        ///< by that many key frames,
-  float freed_ratio = 8;      ///< and by one to so many that saw it taken
+  float freed_ratio = 8;      ///< and by one to so many that saw it taken; others always stood
   int loose_votes = 2;        ///< most static votes more than dynamic ones of a loose point
 };
 
