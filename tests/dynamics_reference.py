@@ -249,7 +249,10 @@ def reference_moving(points, ground, static, dynamic, p):
         members = np.flatnonzero((label == k) & ~ground)
         x, y, z = np.ptp(points[members], axis=0) if len(members) else (0, 0, 0)
         wide = x * x + y * y >= np.float32(p.object_width) ** 2
-        if goes[k] or (wide and z >= np.float32(p.object_height)):
+        if goes[k]:
+            most = p.freed_ratio * np.maximum(dynamic[members], 1)
+            moving[members[static[members] < most]] = True
+        elif wide and z >= np.float32(p.object_height):
             moving[members] = True
 
     sure = points[moving]

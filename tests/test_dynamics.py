@@ -279,6 +279,22 @@ def test_points_without_votes_do_not_speak_against_their_object(yard):
     assert (classify(ground, votes, DEFAULT, points)[box] == 100).mean() < 0.9
 
 
+def test_what_always_stood_beside_a_mover_and_is_connected_to_it_stays(yard):
+    _, sweeps, what = yard
+    points, ground = sweeps[6], what[6] == 0
+    box = np.flatnonzero(what[6] == 2)
+    mover, beside = box[len(box) // 3 :], box[: len(box) // 3]
+    votes = Votes(*np.zeros((2, len(points)), np.uint16))
+    votes.dynamic[mover], votes.static[beside] = 9, 8
+    classid = classify(ground, votes, DEFAULT, points)
+    assert (classid[mover] == 100).all()
+    assert (classid[beside] == 50).all()
+    votes.static[beside] = 7  # not enough looked
+    assert (classify(ground, votes, DEFAULT, points)[box] == 100).all()
+    votes.static[beside], votes.dynamic[beside] = 15, 2  # its place was free at times
+    assert (classify(ground, votes, DEFAULT, points)[box] == 100).all()
+
+
 def test_what_lies_flat_and_was_seen_free_at_times_does_not_move():
     """Boughs and signs that key frames look past; as wide as a car, two rows of returns high."""
     for height, classid in ((0.1, 50), (0.5, 100)):

@@ -22,7 +22,10 @@ CAR, PERSON, POLE, WALL = (4.2, 1.8, 1.5), (0.6, 0.6, 1.7), (0.3, 0.3, 2.0), (12
 
 
 class Thing:
-    """A block of points: where it is at each sweep (None: unseen), and when the votes find it."""
+    """A block of points: where it is at each sweep (None: unseen), and when the votes find it.
+
+    Places are (x, y), or (x, y, z).
+    """
 
     def __init__(self, size, at, dynamic=(), step=0.2):
         axes = [np.arange(-s / 2, s / 2 + 1e-6, step) for s in size]
@@ -47,7 +50,8 @@ def sightings_of(things, count, seed=0, joined=None):
             if place is None:
                 continue
             firsts[k] = len(points)
-            shape = thing.shape + [*place, 0.8] + rng.normal(0, 0.01, thing.shape.shape)
+            middle = (*place[:2], *(place[2:] or (0.8,)))
+            shape = thing.shape + middle + rng.normal(0, 0.01, thing.shape.shape)
             whole = next((wholes[a] for (a, b), sweeps in (joined or {}).items()
                           if b == k and a in wholes and i in sweeps), firsts[k])  # fmt: skip
             wholes[k] = whole
@@ -173,6 +177,16 @@ def test_what_stands_is_on_no_way():
     assert all(len(sweep.boxes) for sweep in found[26:])
 
 
+def test_who_is_taken_for_somebody_else_has_no_box_around_both():
+    at = passes(3, 1.2, 5)
+    first = Thing(PERSON, lambda i: at(i) if i < 3 else None, range(3), 0.1)
+    second = Thing(PERSON, lambda i: (at(i)[0], 8) if i > 5 else None, range(6, 20), 0.1)
+    found = follow(sightings_of([first, second], 20)[0], np.arange(20) * 100_000_000, DEFAULT)
+    boxes = np.concatenate([sweep.boxes for sweep in found])
+    assert len(boxes) >= 20
+    assert (boxes[:, 3:] - boxes[:, :3] < 1.5 * np.array(PERSON) + 0.5).all()
+
+
 def test_points_on_the_way_move_unless_votes_or_ground_speak_against_it():
     T = np.eye(4)
     T[:3, 3] = 2, 0, 1
@@ -184,6 +198,34 @@ def test_points_on_the_way_move_unless_votes_or_ground_speak_against_it():
     found = Followed(np.zeros(0, np.uint32), box)
     classid = add_carried(points, alone, found, static, dynamic, classid, T, DEFAULT)
     assert list(classid) == [100, 100, 50, 0, 50]
+
+
+def test_a_waiting_car_of_which_each_sweep_sees_another_part_is_dynamic_whole():
+    """Its halves are followed apart, and the upper one is lost where it stands."""
+    at = waits((15, 3), 30)
+    lower = Thing((4.2, 1.8, 0.8), at, range(33, 60))
+    upper = Thing((2.0, 1.6, 0.6), lambda i: (*at(i), 1.5) if i % 3 == 0 else None, range(36, 60))
+    post = Thing(POLE, still(12.3, 3), step=0.1)
+    found = carried([lower, upper, post], 60)
+    assert found[0] == list(range(33))
+    assert found[1] == list(range(0, 36, 3))
+    assert found[2] == []
+
+
+def test_a_thin_post_that_nobody_saw_before_stays_when_it_is_followed_with_a_walker():
+    """As long as the walker was elsewhere the post was too far to have an object's returns."""
+    at = waits((6, 3), 25)
+    walker = Thing((1.0, 0.6, 1.7), at, range(28, 45), 0.1)
+    for size, expected in (((0.1, 0.1, 1.6), []), ((0.5, 0.5, 1.6), list(range(28)))):
+        beside = Thing(size, lambda i: (at(i)[0] + 0.2, 3.2) if i < 28 else None, step=0.1)
+        assert carried([walker, beside], 45) == [list(range(28)), expected]
+
+
+def test_a_car_that_goes_less_than_its_length_was_seen_to_free_its_place():
+    at = waits((15, 3), 30)
+    car = Thing(CAR, at, range(35, 50))
+    assert at(49)[0] - at(0)[0] < CAR[0]
+    assert carried([car], 50) == [list(range(35))]
 
 
 def random_things(rng, count):

@@ -1,5 +1,7 @@
 """Objects followed over time in plain numpy, float32, each operation as the core does it."""
 
+from itertools import compress
+
 import numpy as np
 
 F = np.float32
@@ -15,9 +17,10 @@ def follow(sightings, times, p):
     found, boxes = [set() for _ in sightings], [[] for _ in sightings]
     for order in (range(len(sightings)), range(len(sightings) - 1, -1, -1)):
         for track in tracks_of(sightings, times, order, p):
-            for sweep, first in carried(track, sightings, p):
+            objects, ways = way_of(track, sightings, times, p)
+            for sweep, first in objects:
                 found[sweep].add(first)
-            for sweep, box in on_its_way(track, times, p):
+            for sweep, box in ways:
                 boxes[sweep].append(box)
     return [
         (np.array(sorted(rows), np.uint32), np.array(of, F).reshape(-1, 6))
@@ -83,12 +86,11 @@ def starts(track, seen, free, dt, reach):
 def match_from(track, seen, free, start, reach):
     shape = track["places"]
     low, high = shape.min(0), shape.max(0)
-    most = (high - low) * F(1.5) + F(0.5)
     near = [
         k
         for k, o in enumerate(seen)
         if free[k] and overlap(o["low"], o["high"], low + start, high + start, F(0.5))
-        and (len(track["members"]) > 1 or o["moves"]) and (o["high"] - o["low"] < most).all()
+        and (len(track["members"]) > 1 or o["moves"]) and could_be(o["high"] - o["low"], high - low)
     ]  # fmt: skip
     if not near:
         return 0, None
@@ -102,6 +104,10 @@ def match_from(track, seen, free, start, reach):
     both = share_found(shape, shift, there) * share_found(there, -shift, shape)
     explained = both / (F(1) + norm(shift) / (F(2) * reach))
     return (explained, shift, members) if explained >= F(0.4) else (0, None)
+
+
+def could_be(size, known):
+    return (size < known * F(1.5) + F(0.5)).all()
 
 
 def go_on(track, sweep, shift, members, seen, free, times):
@@ -131,51 +137,68 @@ def moved(track, p):
     return far and sum(m[2] for m in members) >= p.track_sightings
 
 
-def on_its_way(track, times, p):
-    """Where it is in each sweep of its life, and a little before and after, unless it stands."""
+def way_of(track, sightings, times, p):
+    """Objects (sweep, first row) and boxes (sweep, low and high) of a track that moved."""
     if not moved(track, p):
-        return
+        return [], []
     members = sorted(track["members"], key=lambda m: m[0])
-    seen, way = times[[m[0] for m in members]], np.array([F(0.5) * (m[3] + m[4]) for m in members])
-    way[:, 2] = 0
+    seen, count = times[[m[0] for m in members]], len(members)
+    middle = np.array([F(0.5) * (m[3] + m[4]) for m in members])
+    middle[:, 2] = 0
 
-    def at(t):
-        k = np.searchsorted(seen, t)
-        if k == 0:
-            a, b, start = 0, min(4, len(seen)) - 1, 0
-        elif k == len(seen):
-            a, b, start = len(seen) - min(4, len(seen)), len(seen) - 1, len(seen) - 1
-        else:
-            a, b, start = k - 1, k, k
-        return way[start] + F((t - seen[start]) / (seen[b] - seen[a])) * (way[b] - way[a])
+    def velocity(t):
+        few = min(3, count // 2)
+        k = min(max(np.searchsorted(seen, t), few), count - few)
+        way = (middle[k : k + few] - middle[k - few : k]).sum(0)
+        return way / F((seen[k : k + few] - seen[k - few : k]).sum())
 
-    for sweep, t in enumerate(times):
-        if not seen[0] - p.track_gap - 1e-3 <= t <= seen[-1] + p.track_gap + 1e-3:
-            continue
-        near = np.flatnonzero(np.abs(seen - t) <= p.track_window + 1e-3)
-        if len(near) and norm(at(t + 0.3) - at(t - 0.3), 2) / F(0.6) >= F(0.5):
-            low = np.min([members[k][3] + (at(t) - way[k]) for k in near], 0)
-            high = np.max([members[k][4] + (at(t) - way[k]) for k in near], 0)
-            yield sweep, [*low, *high]
+    def box(t):
+        v, stands = velocity(t), norm(velocity(t), 2) < F(0.5)
+        far = abs(seen - t)
+        first = far.argmin()
+        near = far <= p.track_window * (3 if stands else 1) + 1e-3
+        near[first] = True
+        shift = [v * F(0 if stands else t - other) for other in seen]
+        low = np.array([m[3] + s for m, s in zip(members, shift, strict=True)])
+        high = np.array([m[4] + s for m, s in zip(members, shift, strict=True)])
+        sizes = np.array([m[4] - m[3] for m in compress(members, near)])
+        whole = low[near].min(0), high[near].max(0)
+        if could_be(whole[1] - whole[0], sizes.max(0)):
+            return whole
+        return low[first], high[first]
 
+    still = [norm(velocity(t), 2) < F(0.5) for t in seen]
+    boxes = [box(t) if s else m[3:5] for t, s, m in zip(seen, still, members, strict=True)]
 
-def carried(track, sightings, p):
-    members = track["members"]
-    if not moved(track, p):
-        return
-    for sweep, objects, _, low, high in members:
-        away = [
-            other[0]
-            for other in members
-            if ((other[3] > high + F(0.1)) | (other[4] < low - F(0.1)))[:2].any()
+    def free(places, sweep):
+        from_above = places[:, :2]
+        left = [
+            places[((from_above < low[:2] - F(0.1)) | (from_above > high[:2] + F(0.1))).any(1)]
+            for low, high in boxes
         ]
-        witnesses = sorted(away, key=lambda other: abs(other - sweep))[::5][:4]
-        for k in objects if witnesses else []:
-            o = sightings[sweep][k]
-            if o["dynamic"] < o["points"] and all(
-                share_taken(o["places"], sightings[w]) < F(0.4) for w in witnesses
-            ):
-                yield sweep, o["first"]
+        away = [k for k in range(count) if len(left[k]) >= 0.7 * len(places)]
+        asked = sorted(away, key=lambda k: abs(members[k][0] - sweep))[:20:2]
+        taken = [share_taken(left[k], sightings[members[k][0]]) * F(len(left[k])) for k in asked]
+        return len(away) > 0 and max(taken) < F(0.4) * F(len(places))
+
+    objects, ways = [], []
+    for sweep, t in enumerate(times):
+        nearest = min(max(t, seen[0]), seen[-1])
+        holds = norm(velocity(nearest), 2) < F(0.5)
+        if abs(t - nearest) > (p.track_hold if holds else p.track_gap) + 1e-3:
+            continue
+        speed, (low, high) = norm(velocity(t), 2), box(t)
+        own = [k for m in members if m[0] == sweep for k in m[1]]
+        for k, o in enumerate(sightings[sweep]):
+            inside = (o["low"] >= low - F(0.5)).all() and (o["high"] <= high + F(0.5)).all()
+            there = inside and o["high"][2] >= low[2] + F(0.3) and speed < F(2)
+            if o["dynamic"] == o["points"] or norm(o["high"] - o["low"], 2) < F(0.3):
+                continue
+            if (there or k in own) and free(o["places"], sweep):
+                objects.append((sweep, o["first"]))
+        if speed >= F(0.5):
+            ways.append((sweep, [*low, *high]))
+    return objects, ways
 
 
 def share_taken(places, seen):

@@ -142,7 +142,12 @@ class DynamicsParameters(VotingParameters):
         0.6, gt=0, le=1, description="share of its points whose place was free at another time"
     )
     freed_votes: int = Field(2, ge=1, description="dynamic votes that show a place was free")
-    freed_ratio: float = Field(8.0, ge=1, description="most static votes that go with each of them")
+    freed_ratio: float = Field(
+        8.0,
+        ge=1,
+        description="most static votes that go with each of them; with more a point stays"
+        " though its object moves",
+    )
     loose_votes: int = Field(
         2, description="a loose point inside a moving object has so many more static votes at most"
     )
@@ -155,7 +160,7 @@ class DynamicsParameters(VotingParameters):
     track_gap: float = Field(0.5, ge=0, description="an object unseen for longer is lost [s]")
     track_hold: float = Field(5.0, ge=0, description="the same of one that stands [s]")
     track_window: float = Field(
-        0.5,
+        0.3,
         ge=0,
         description="sightings that near tell the box in which points move; 0: none [s]",
     )

@@ -71,14 +71,18 @@ struct Object {
   int points = 0, voted = 0, dynamic = 0, freed = 0;
   float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
 
+  /// Most of what was seen of it is dynamic.
   bool moves(const ObjectParameters& p) const {
-    if (points < p.object_points) return false;
-    const auto count = static_cast<float>(points);
     const auto found = static_cast<float>(dynamic);
-    if (found >= p.share * static_cast<float>(voted) && found >= p.least * count) return true;
-    if (high[2] - low[2] < p.height) return false;
+    return points >= p.object_points && found >= p.share * static_cast<float>(voted) &&
+           found >= p.least * static_cast<float>(points);
+  }
+  /// It stands for a while, and most of its place was seen free.
+  bool stays(const ObjectParameters& p) const {
     const float x = high[0] - low[0], y = high[1] - low[1];
-    return static_cast<float>(freed) >= p.freed_share * count && x * x + y * y >= p.width * p.width;
+    return points >= p.object_points && high[2] - low[2] >= p.height &&
+           x * x + y * y >= p.width * p.width &&
+           static_cast<float>(freed) >= p.freed_share * static_cast<float>(points);
   }
 };
 
@@ -133,9 +137,10 @@ Flags believed(const Points& points, const Surface& surface, const Flags& dynami
   return result;
 }
 
-/// All points of the objects that move.
+/// All points of the objects that move, but for those of what stands beside and is connected to it.
 void add_objects(const Points& points, const bool* ground, const std::uint32_t* first,
-                 const Flags& voted, const Flags& freed, const ObjectParameters& p, Flags& moving) {
+                 const Flags& voted, const Flags& freed, const Flags& stood,
+                 const ObjectParameters& p, Flags& moving) {
   const std::size_t count = moving.size();
   std::vector<Object> objects(count);
   for (std::size_t i = 0; i < count; ++i) {
@@ -149,8 +154,10 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
       object.high[axis] = std::max(object.high[axis], points(i, axis));
     }
   }
-  for (std::size_t i = 0; i < count; ++i)
-    if (!ground[i] && objects[first[i]].moves(p)) moving[i] = 1;
+  for (std::size_t i = 0; i < count; ++i) {
+    const Object& object = objects[first[i]];
+    if (!ground[i] && (object.moves(p) ? !stood[i] : object.stays(p))) moving[i] = 1;
+  }
 }
 
 }  // namespace
@@ -165,18 +172,19 @@ std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground
                                         const std::uint16_t* dynamics, const Surface& surface,
                                         const ObjectParameters& p) {
   const auto count = static_cast<std::size_t>(points.rows());
-  Flags voted(count), dynamic(count), freed(count);
+  Flags voted(count), dynamic(count), freed(count), stood(count);
   bool any = false;
   for (std::size_t i = 0; i < count; ++i) {
     voted[i] = statics[i] || dynamics[i];
     dynamic[i] = dynamics[i] > statics[i];
+    stood[i] = statics[i] >= p.freed_ratio * static_cast<float>(std::max<int>(dynamics[i], 1));
     freed[i] = dynamics[i] >= p.freed_votes &&
                p.freed_ratio * static_cast<float>(dynamics[i]) > static_cast<float>(statics[i]);
     any |= dynamic[i] || freed[i];
   }
   if (!any) return dynamic;
   Flags moving = believed(points, surface, dynamic, p);
-  add_objects(points, ground, first, voted, freed, p, moving);
+  add_objects(points, ground, first, voted, freed, stood, p, moving);
 
   const Neighborhood neighborhood(points, moving, p.company);
   for (std::uint32_t i = 0; i < count; ++i) {

@@ -24,7 +24,7 @@ struct ObjectParameters {
   float height = 0.3f;        ///< and that high [m]
   float freed_share = 0.6f;   ///< and the place of that share was seen free:
   int freed_votes = 2;        ///< by that many key frames,
-  float freed_ratio = 8;      ///< and by one to so many that saw it taken
+  float freed_ratio = 8;      ///< and by one to so many that saw it taken; others always stood
   int loose_votes = 2;        ///< most static votes more than dynamic ones of a loose point
 };
 
@@ -39,9 +39,10 @@ std::vector<std::uint32_t> connect_objects(const Points& points, const bool* gro
 ///
 /// Points that are dynamic by their own votes (more dynamic than static ones) and alone are
 /// withdrawn. Objects move as a whole: those that move now, as most of their points say, and those
-/// that stand for a while and are seen to leave or to come. The latter have many static votes, but
-/// where nothing ever moves next to none is dynamic; only what is thin collects some, since key
-/// frames look past it.
+/// that stand for a while and are seen to leave or to come. Of the former, points stay whose place
+/// was always taken: they are of what stands beside and is connected to it. The latter have many
+/// static votes, but where nothing ever moves next to none is dynamic; only what is thin collects
+/// some, since key frames look past it.
 ///
 /// @param ground, statics, dynamics  one value a point
 /// @param first  the sweep's objects

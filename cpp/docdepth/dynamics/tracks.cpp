@@ -17,6 +17,7 @@ using Rows = std::vector<std::uint32_t>;  ///< objects of a sighting, by their n
 constexpr std::uint32_t kFewestPoints = 10;    ///< of an object that is worth to be followed,
 constexpr std::size_t kFewestPlaces = 5;       ///< which has a shape to be found by
 constexpr float kLowest = 0.3f;                ///< flatter things are ground that was not grown [m]
+constexpr float kThinnest = 0.3f;              ///< thinner things stand: poles, from above [m]
 constexpr float kWidest = 25.0f;               ///< [m]
 constexpr float kGrowth = 1.5f, kMore = 0.5f;  ///< the same thing looks so much larger at most [m]
 constexpr float kMargin = 0.5f;                ///< about where it is looked for [m]
@@ -24,13 +25,15 @@ constexpr float kExplained = 0.4f;  ///< share of places found again, of one tim
 constexpr float kInside = 0.6f;     ///< share of the places of what belongs to it
 constexpr std::size_t kPlaces = 100;
 constexpr float kThin = 0.15f;
-constexpr float kStanding = 0.5f;   ///< slower things may be hidden for long [m/s]
-constexpr double kSpeedOver = 0.3;  ///< time before and after over which a speed is taken [s]
-constexpr std::size_t kLast = 4;    ///< sightings that tell how a way goes on
-constexpr float kApart = 0.1f;      ///< boxes that far apart: it has left [m]
-constexpr float kSame = 0.25f;      ///< a place is taken when another one is that near [m]
-constexpr float kTaken = 0.4f;      ///< share of taken places
-constexpr std::size_t kEvery = 5, kWitnesses = 4;  ///< sweeps that are asked whether it was free
+constexpr float kStanding = 0.5f;     ///< slower things may be hidden for long [m/s]
+constexpr float kSlow = 2;            ///< key frames near in time saw it stand at its place [m/s]
+constexpr std::size_t kFew = 3;       ///< places before and after that tell a velocity
+constexpr double kWhileStanding = 3;  ///< times the window in which its box is seen
+constexpr float kApart = 0.1f;        ///< farther from a box it is elsewhere [m]
+constexpr float kAway = 0.7f;         ///< share of places outside of its box that are asked about
+constexpr float kSame = 0.25f;        ///< a place is taken when another one is that near [m]
+constexpr float kTaken = 0.4f;        ///< share of taken places
+constexpr std::size_t kEvery = 2, kWitnesses = 10;  ///< sweeps that are asked whether it was free
 
 struct Member {
   std::size_t sweep;
@@ -71,6 +74,12 @@ Extent box_of(const Places& places) {
 
 bool can_be_followed(const SeenObject& object) {
   return object.box.size().z() >= kLowest && object.box.width() <= kWidest;
+}
+
+/// Whether what has this box may be the same thing as what was seen with another size.
+bool could_be(const Extent& box, const Vector& size) {
+  const Vector most = size * kGrowth + Vector::Constant(kMore);
+  return (box.size().array() < most.array()).all();
 }
 
 void append(Places& places, const Places& more) {
@@ -143,7 +152,7 @@ class Follower {
   Match match_from(const Track& track, const Sighting& seen, const Flags& taken,
                    const Vector& start, float reach) const {
     Extent box = box_of(track.places);
-    const Vector most = box.size() * kGrowth + Vector::Constant(kMore);
+    const Vector size = box.size();
     box.low += start;
     box.high += start;
     Rows near;
@@ -151,7 +160,7 @@ class Follower {
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       if (taken[k] || !seen[k].box.overlaps(box, kMargin)) continue;
       if (!track.has_velocity() && !seen[k].moves()) continue;
-      if ((seen[k].box.size().array() >= most.array()).any()) continue;
+      if (!could_be(seen[k].box, size)) continue;
       near.push_back(k);
       append(there, seen[k].places);
     }
@@ -201,8 +210,18 @@ bool moved(const Track& track, const TrackParameters& p) {
   return track.moved >= p.sightings && way.norm() >= p.distance;
 }
 
-/// Share of the places where a sweep saw something that does not move.
-float share_taken(const Places& places, const Sighting& seen) {
+/// Places outside of a box, from above.
+Places outside(const Places& places, const Extent& box) {
+  const Extent from_above{{box.low.x(), box.low.y(), -INFINITY},
+                          {box.high.x(), box.high.y(), INFINITY}};
+  Places result;
+  for (const Vector& p : places)
+    if (!from_above.overlaps({p, p}, kApart)) result.push_back(p);
+  return result;
+}
+
+/// Number of places where a sweep saw something that does not move.
+float taken(const Places& places, const Sighting& seen) {
   const Extent box = box_of(places);
   Places there;
   for (const SeenObject& object : seen) {
@@ -210,115 +229,123 @@ float share_taken(const Places& places, const Sighting& seen) {
     for (const Vector& p : object.places)
       if (box.overlaps({p, p}, kSame)) there.push_back(p);
   }
-  return share_found(places, Vector::Zero(), there, kSame);
-}
-
-/// Some members of the track that were elsewhere, the nearest in time first.
-std::vector<std::size_t> witnesses(const Track& track, const Member& member) {
-  std::vector<std::size_t> away;
-  for (const Member& other : track.members) {
-    const auto apart = [&](int axis) {
-      return other.box.low[axis] > member.box.high[axis] + kApart ||
-             other.box.high[axis] < member.box.low[axis] - kApart;
-    };
-    if (apart(0) || apart(1)) away.push_back(other.sweep);
-  }
-  const auto distance = [&](std::size_t sweep) {
-    return sweep > member.sweep ? sweep - member.sweep : member.sweep - sweep;
-  };
-  std::stable_sort(away.begin(), away.end(),
-                   [&](std::size_t a, std::size_t b) { return distance(a) < distance(b); });
-  std::vector<std::size_t> chosen;
-  for (std::size_t k = 0; k < away.size() && chosen.size() < kWitnesses; k += kEvery)
-    chosen.push_back(away[k]);
-  return chosen;
-}
-
-/// Objects of the track that the votes do not call dynamic, and that nothing speaks against.
-template <class Take>
-void take_carried(const Track& track, const std::vector<const Sighting*>& sightings,
-                  const Take& take) {
-  for (const Member& member : track.members) {
-    Rows carried;
-    for (const auto k : member.objects) {
-      const SeenObject& object = (*sightings[member.sweep])[k];
-      if (object.dynamic < object.points) carried.push_back(k);
-    }
-    if (carried.empty()) continue;
-    const auto sweeps = witnesses(track, member);
-    if (sweeps.empty()) continue;
-    for (const auto k : carried) {
-      const SeenObject& object = (*sightings[member.sweep])[k];
-      if (std::none_of(sweeps.begin(), sweeps.end(), [&](std::size_t s) {
-            return share_taken(object.places, *sightings[s]) >= kTaken;
-          }))
-        take(member.sweep, object.first);
-    }
-  }
+  return share_found(places, Vector::Zero(), there, kSame) * float(places.size());
 }
 
 /// Where a track is at any time, from its members in the order of time.
 class Way {
  public:
-  Way(std::vector<Member> members, const std::vector<double>& times)
-      : members_(std::move(members)), times_(times) {
+  Way(std::vector<Member> members, const std::vector<double>& times, const TrackParameters& p)
+      : members_(std::move(members)), times_(times), p_(p) {
     if (members_.front().sweep > members_.back().sweep)
       std::reverse(members_.begin(), members_.end());
+    for (const Member& m : members_)
+      boxes_.push_back(speed(times_[m.sweep]) < kStanding ? box(times_[m.sweep]) : m.box);
   }
-  double start() const { return time(0); }
-  double end() const { return time(members_.size() - 1); }
 
-  /// Between two members, or on from the first or last ones.
-  Vector at(double t) const {
-    const std::size_t count = members_.size();
-    if (t <= start()) return between(0, std::min(kLast, count) - 1, 0, t);
-    if (t >= end()) return between(count - std::min(kLast, count), count - 1, count - 1, t);
-    std::size_t k = 1;
-    while (time(k) < t) ++k;
-    return between(k - 1, k, k, t);
+  /// Whether it is known where it is: a little before and after its sightings, longer if it stands.
+  bool reaches(double t) const {
+    const double nearest = std::clamp(t, time(0), time(members_.size() - 1));
+    return std::fabs(t - nearest) <= (speed(nearest) < kStanding ? p_.hold : p_.gap) + 1e-3;
   }
-  float speed(double t) const {
-    return (at(t + kSpeedOver) - at(t - kSpeedOver)).norm() / float(2 * kSpeedOver);
-  }
-  /// The boxes of members within `window`, moved along.
-  bool box(double t, double window, Extent& box) const {
-    bool any = false;
-    const Vector here = at(t);
+  float speed(double t) const { return velocity(t).norm(); }
+
+  /// The boxes of members that are near in time, or of the nearest one, moved along.
+  Extent box(double t) const {
+    const bool stands = speed(t) < kStanding;
+    const Vector v = stands ? Vector::Zero() : velocity(t);
+    const double window = (stands ? kWhileStanding * p_.window : p_.window) + 1e-3;
+    const auto far = [&](std::size_t k) { return std::fabs(time(k) - t); };
+    const auto moved = [&](std::size_t k) {
+      const Vector shift = v * float(t - time(k));
+      return Extent{members_[k].box.low + shift, members_[k].box.high + shift};
+    };
+    std::size_t nearest = 0;
+    for (std::size_t k = 1; k < members_.size(); ++k)
+      if (far(k) < far(nearest)) nearest = k;
+    Extent box = moved(nearest);
+    Vector largest = members_[nearest].box.size();
     for (std::size_t k = 0; k < members_.size(); ++k) {
-      if (std::fabs(time(k) - t) > window + 1e-3) continue;
-      const Vector shift = here - members_[k].place();
-      const Extent moved{members_[k].box.low + shift, members_[k].box.high + shift};
-      if (any) box.add(moved);
-      if (!any) box = moved;
-      any = true;
+      if (far(k) > window) continue;
+      box.add(moved(k));
+      largest = largest.cwiseMax(members_[k].box.size());
     }
-    return any;
+    return could_be(box, largest) ? box : moved(nearest);  // or not all of them are the same thing
+  }
+
+  /// Whether an object of a sweep is one of the members' own.
+  bool has(std::size_t sweep, std::uint32_t object) const {
+    return std::any_of(members_.begin(), members_.end(), [&](const Member& m) {
+      return m.sweep == sweep &&
+             std::find(m.objects.begin(), m.objects.end(), object) != m.objects.end();
+    });
+  }
+
+  /// Whether places were free when it was elsewhere, as the nearest such sweeps tell.
+  bool were_free(const Places& places, std::size_t sweep,
+                 const std::vector<const Sighting*>& sightings) const {
+    const auto distance = [&](std::size_t k) {
+      const std::size_t other = members_[k].sweep;
+      return other > sweep ? other - sweep : sweep - other;
+    };
+    const auto left = [&](std::size_t k) { return outside(places, boxes_[k]); };
+    std::vector<std::size_t> away;
+    for (std::size_t k = 0; k < members_.size(); ++k)
+      if (float(left(k).size()) >= kAway * float(places.size())) away.push_back(k);
+    std::stable_sort(away.begin(), away.end(),
+                     [&](std::size_t a, std::size_t b) { return distance(a) < distance(b); });
+    const std::size_t last = std::min(away.size(), kEvery * kWitnesses);
+    for (std::size_t i = 0; i < last; i += kEvery)
+      if (taken(left(away[i]), *sightings[members_[away[i]].sweep]) >=
+          kTaken * float(places.size()))
+        return false;
+    return !away.empty();
   }
 
  private:
   double time(std::size_t k) const { return times_[members_[k].sweep]; }
-  /// On the line through members a and b, counted from member `from`.
-  Vector between(std::size_t a, std::size_t b, std::size_t from, double t) const {
-    const auto share = float((t - time(from)) / (time(b) - time(a)));
-    return members_[from].place() + share * (members_[b].place() - members_[a].place());
+
+  /// From a few places before and after, since each sweep sees other parts of it.
+  Vector velocity(double t) const {
+    const std::size_t count = members_.size(), few = std::min(kFew, count / 2);
+    std::size_t k = 0;
+    while (k < count && time(k) < t) ++k;
+    k = std::clamp(k, few, count - few);
+    Vector way = Vector::Zero();
+    double duration = 0;
+    for (std::size_t i = 0; i < few; ++i) {
+      way += members_[k + i].place() - members_[k - 1 - i].place();
+      duration += time(k + i) - time(k - 1 - i);
+    }
+    return way / float(duration);
   }
 
   std::vector<Member> members_;
+  std::vector<Extent> boxes_;  ///< where they are, as far as known
   const std::vector<double>& times_;
+  const TrackParameters& p_;
 };
 
-/// Where the track is on its way, from a little before its first sighting to after its last.
-template <class Take>
-void take_boxes(const Track& track, const std::vector<double>& times, const TrackParameters& p,
-                const Take& take) {
-  if (p.window <= 0) return;
-  const Way way(track.members, times);
-  Extent box;
-  for (std::size_t i = 0; i < times.size(); ++i) {
-    const double t = times[i], far = p.gap + 1e-3;
-    if (t < way.start() - far || t > way.end() + far || way.speed(t) < kStanding) continue;
-    if (way.box(t, p.window, box)) take(i, box);
+/// Whether an object lies in the box, and is no ground at its bottom.
+bool inside(const SeenObject& object, const Extent& box) {
+  return (object.box.low.array() >= box.low.array() - kMargin).all() &&
+         (object.box.high.array() <= box.high.array() + kMargin).all() &&
+         object.box.high.z() >= box.low.z() + kLowest;
+}
+
+/// What is known of a track in a sweep.
+void find(const Way& way, std::size_t sweep, double time, const Sighting& seen,
+          const std::vector<const Sighting*>& sightings, const TrackParameters& p,
+          Followed& found) {
+  const Extent box = way.box(time);
+  const float speed = way.speed(time);
+  for (std::uint32_t k = 0; k < seen.size(); ++k) {
+    const bool there = p.window > 0 && speed < kSlow && inside(seen[k], box);
+    if (seen[k].dynamic < seen[k].points && seen[k].box.width() >= kThinnest &&
+        (there || way.has(sweep, k)) && way.were_free(seen[k].places, sweep, sightings))
+      found.objects.push_back(seen[k].first);
   }
+  if (p.window > 0 && speed >= kStanding) found.boxes.push_back(box);
 }
 
 }  // namespace
@@ -332,11 +359,9 @@ std::vector<Followed> follow(const std::vector<const Sighting*>& sightings,
     auto& found = ways[backward];
     for (const Track& track : Follower(sightings, times, p).run(backward != 0)) {
       if (!moved(track, p)) continue;
-      take_carried(track, sightings, [&](std::size_t sweep, std::uint32_t first) {
-        found[sweep].objects.push_back(first);
-      });
-      take_boxes(track, times, p,
-                 [&](std::size_t sweep, const Extent& box) { found[sweep].boxes.push_back(box); });
+      const Way way(track.members, times, p);
+      for (std::size_t i = 0; i < times.size(); ++i)
+        if (way.reaches(times[i])) find(way, i, times[i], *sightings[i], sightings, p, found[i]);
     }
   });
   std::vector<Followed> result = std::move(ways[0]);
