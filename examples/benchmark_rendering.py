@@ -45,7 +45,9 @@ class Scene:
             record = self.run.frame(k)
             xyz, classid = record.points[::thin].copy(), record.classid[::thin].copy()
             start = time.perf_counter()
-            frames[k] = Frame(xyz, classid, p)
+            sensors = self.run.sensors(record)
+            sensors = None if sensors is None else sensors.of(slice(None, None, thin))
+            frames[k] = Frame(xyz, classid, p, sensors=sensors)
             if thin == 1:
                 self.seconds_a_frame[preset].append(time.perf_counter() - start)
             points += len(xyz)

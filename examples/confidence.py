@@ -40,7 +40,7 @@ def pixels(cell: Cell, p: RenderParameters, images: int, threads: int) -> Column
 
         def frame(i: int, frames: dict[int, Frame] = frames) -> Frame:
             if i not in frames:
-                frames[i] = Frame(*record.classified(i), p)
+                frames[i] = record.frame(i, p)
             return frames[i]
 
         time = int(drive.camera_times[k])

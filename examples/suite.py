@@ -33,7 +33,13 @@ from ip_basic import ip_basic, project
 from numpy.typing import NDArray
 
 from docdepth import __version__
-from docdepth.config import Parameters, parameters, parse_settings
+from docdepth.config import (
+    Parameters,
+    RenderParameters,
+    SurfaceParameters,
+    parameters,
+    parse_settings,
+)
 from docdepth.datasets import open_dataset
 from docdepth.dynamics import DYNAMIC, GROUND, STATIC
 from docdepth.errors import DocDepthError, RunError
@@ -162,20 +168,23 @@ class Recording:
     """The drive of a cell with the world it was made in and exact classes."""
 
     def __init__(self, cell: Cell) -> None:
-        self._dataset = open_dataset(cell.sequence())
+        self.dataset = open_dataset(cell.sequence())
         world = scene(cell.scene, cell.seed)
         self.drive = Drive(world, sensor(cell.sensor), cell.frames, cell.seed)
         self.trajectory = Trajectory(self.drive.times, self.drive.poses)
 
-    def classified(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-        """Points of a sweep, dynamic where they are of what moves at any time of the drive."""
-        labels = self._dataset.labels(index)
+    def frame(
+        self, index: int, p: RenderParameters, surface: SurfaceParameters | None = None
+    ) -> Frame:
+        """A sweep, dynamic where it is of what moves at any time of the drive."""
+        labels, sweep = self.dataset.labels(index), self.dataset.sweep(index)
         assert labels is not None
         classid = np.where(np.isin(labels & 0xFFFF, GROUND_LABELS), GROUND, STATIC)
         classid[moving(labels)] = DYNAMIC
-        return self._dataset.sweep(index).points, classid.astype(np.uint16)
+        late = self._late(sweep.points)
+        return Frame(sweep.points, classid.astype(np.uint16), p, surface, late, sweep.sensors)
 
-    def late(self, points: NDArray[np.float32]) -> NDArray[np.float32] | None:
+    def _late(self, points: NDArray[np.float32]) -> NDArray[np.float32] | None:
         """Seconds after the stamp at which each was measured; None for a sensor that does not spin.
 
         What moves was seen there and then, motion compensated or not.
@@ -208,9 +217,7 @@ def _renderer(recording: Recording, p: Parameters, threads: int) -> Draw:
         for index in set(frames) - needed:
             del frames[index]
         for index in needed - set(frames):
-            points, classid = recording.classified(index)
-            late = recording.late(points)
-            frames[index] = Frame(points, classid, p.render, p.surface, late)
+            frames[index] = recording.frame(index, p.render, p.surface)
         place = rig.camera, rig.T_camera_lidar, trajectory, time
         return render(*place, frames.__getitem__, p.render, threads)
 
@@ -223,7 +230,7 @@ def _completion(recording: Recording) -> Draw:
     def draw(time: int) -> NDArray[np.float32]:
         nearest = trajectory.nearest(time)
         T_lidar_sweep = inverse(trajectory.interpolate(time)[0]) @ trajectory.poses[nearest]
-        points, _ = recording.classified(nearest)
+        points = recording.dataset.sweep(nearest).points
         return ip_basic(project(rig.camera, rig.T_camera_lidar @ T_lidar_sweep, points))
 
     return draw

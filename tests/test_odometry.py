@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -20,115 +19,7 @@ from docdepth.errors import InputError, OdometryError
 from docdepth.io.poses import read_poses
 from docdepth.odometry import estimate_poses, odometry
 from docdepth.trajectory import inverse
-
-MOTION = exp(np.array([0.002, -0.004, 0.06]), np.array([1.1, 0.05, -0.01]))
-
-
-# ---- a drive whose every point is known
-
-
-class Street:
-    """Ground, facades, boxes along a street: rays against axis-aligned boxes, in plain numpy."""
-
-    def __init__(self) -> None:
-        rng = np.random.default_rng(5)
-        boxes = [((-100, -100, -3), (200, 100, 0))]
-        for side in (-1, 1):
-            x = -60.0
-            while x < 120:
-                length, depth, gap = rng.uniform([6, 4, 1], [14, 9, 5])
-                inner = rng.uniform(9, 13)
-                y = sorted((side * inner, side * (inner + depth)))
-                boxes.append(((x, y[0], 0), (x + length, y[1], rng.uniform(4, 12))))
-                x += length + gap
-            for x in np.arange(-50, 110, 8.0):
-                car = side * rng.uniform(4.5, 5.0)
-                boxes.append(((x, car - 0.9, 0), (x + rng.uniform(3.5, 5), car + 0.9, 1.5)))
-        self.low = np.array([low for low, _ in boxes], dtype=np.float64)
-        self.high = np.array([high for _, high in boxes], dtype=np.float64)
-
-    def ranges(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        nearest = np.full(len(origins), np.inf)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for low, high in zip(self.low, self.high, strict=True):
-                a, b = (low - origins) / directions, (high - origins) / directions
-                enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
-                hit = (enter < leave) & (enter > 0)
-                nearest = np.where(hit, np.minimum(nearest, enter), nearest)
-        return nearest
-
-    def distance(self, points: np.ndarray) -> np.ndarray:
-        """Distance of points to the nearest surface."""
-        nearest = np.full(len(points), np.inf)
-        for low, high in zip(self.low, self.high, strict=True):
-            beyond = np.maximum(np.maximum(low - points, points - high), 0)
-            outside = np.linalg.norm(beyond, axis=1)
-            inside = np.minimum(points - low, high - points).min(axis=1)
-            nearest = np.minimum(nearest, np.where(outside > 0, outside, np.abs(inside)))
-        return nearest
-
-
-@dataclass
-class Drive:
-    """A spinning LiDAR on a screw motion through the street, as a dataset."""
-
-    count: int
-    motion: np.ndarray = field(default_factory=lambda: MOTION)
-    raw: bool = True
-    name: str = "exact"
-    path: Path = Path("exact")
-    poses: None = None
-
-    def __post_init__(self) -> None:
-        self.street = Street()
-        self.cameras: dict = {}
-        self.times = np.arange(self.count, dtype=np.int64) * 10**8
-        start = np.eye(4)
-        start[:3, 3] = (0, -1, 1.8)
-        steps = [np.linalg.matrix_power(self.motion, k) for k in range(self.count)]
-        self.exact = start @ np.array(steps)
-        self.read: list[int] = []
-        self._sweeps: dict[int, Sweep] = {}
-
-    def __len__(self) -> int:
-        return self.count
-
-    def labels(self, index: int) -> None:
-        return None
-
-    def sweep(self, index: int) -> Sweep:
-        self.read.append(index)
-        if index not in self._sweeps:
-            self._sweeps[index] = self._measure(index)
-        return self._sweeps[index]
-
-    def _measure(self, index: int) -> Sweep:
-        column = np.linspace(np.pi, -np.pi, 360, endpoint=False)
-        beam = np.deg2rad(np.linspace(-24, 8, 24))
-        azimuth, elevation = (angle.ravel() for angle in np.meshgrid(column, beam))
-        ray = np.stack(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
-             np.sin(elevation)], axis=1,
-        )  # fmt: skip
-        fraction = column * (-0.5 / np.pi if self.raw else 0.0)
-        omega, velocity = twist(self.motion)
-        pose = self.exact[index] @ np.array([exp(f * omega, f * velocity) for f in fraction])
-        pose, fraction = np.tile(pose, (24, 1, 1)), np.tile(fraction, 24)
-        direction = np.einsum("nij,nj->ni", pose[:, :3, :3], ray)
-        distance = self.street.ranges(pose[:, :3, 3], direction)
-        points = ray * np.where(np.isfinite(distance), distance, 0)[:, None]
-        return Sweep(
-            points.astype(np.float32),
-            f"{index:06d}",
-            int(self.times[index]),
-            fraction=fraction.astype(np.float32) if self.raw else None,
-        )
-
-
-def pose_errors(poses: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """Distances between two trajectories that start in the same place, in metres."""
-    return np.linalg.norm((poses - inverse(exact[0]) @ exact)[:, :3, 3], axis=1)
-
+from exact_drive import MOTION, Drive, pose_errors
 
 # ---- deskewing
 
@@ -373,37 +264,6 @@ def test_doubtful_poses_are_doubted(caplog: pytest.LogCaptureFixture) -> None:
 def test_standing_is_not_doubted(caplog: pytest.LogCaptureFixture) -> None:
     odometry(Drive(8, motion=np.eye(4)), poses=np.repeat(np.eye(4)[None], 8, axis=0))
     assert not caplog.records
-
-
-# ---- going on
-
-
-def test_an_interrupted_run_goes_on_after_the_last_whole_pass(tmp_path: Path) -> None:
-    drive = Drive(4)
-    whole = estimate_poses(drive)
-    drive.read.clear()
-
-    class Interrupted(Exception):
-        pass
-
-    def interrupt(done: int, total: int, what: str) -> None:
-        if done == 10:
-            raise Interrupted
-
-    with pytest.raises(Interrupted):
-        estimate_poses(drive, progress=interrupt, checkpoint=tmp_path / "run")
-    calls: list[int] = []
-    again = estimate_poses(
-        drive, progress=lambda done, *_: calls.append(done), checkpoint=tmp_path / "run"
-    )
-    assert calls == [9, 10, 11, 12]
-    np.testing.assert_array_equal(again, whole)
-    other = OdometryParameters(voxel_size=1.5)
-    calls.clear()
-    estimate_poses(
-        drive, other, progress=lambda done, *_: calls.append(done), checkpoint=tmp_path / "run"
-    )
-    assert calls == list(range(1, 13)), "other parameters, other poses"
 
 
 # ---- the real drive

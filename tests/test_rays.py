@@ -43,9 +43,18 @@ def dot(a, b):
     return (a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1]) + a[:, 2] * b[:, 2]
 
 
-def reference(points, normals, places):
+def reference(points, normals, places, starts=None):
     """Every return in the nine cells around each place, none cleverly."""
-    azimuth, elevation, _ = direction(points)
+    starts = np.zeros_like(points) if starts is None else starts
+    sights = points - starts
+    azimuth, elevation, _ = direction(sights)
+    unit = F(6.283185307179586) / F(TURN)
+    flat = np.sqrt(sights[:, 0] * sights[:, 0] + sights[:, 1] * sights[:, 1])
+    aside = starts[:, 1] * sights[:, 0] - starts[:, 0] * sights[:, 1]
+    along = starts[:, 0] * sights[:, 0] + starts[:, 1] * sights[:, 1]
+    lift = starts[:, 2] * flat - along * sights[:, 2] / flat
+    left = aside / flat / unit
+    up = lift / np.sqrt(flat * flat + sights[:, 2] * sights[:, 2]) / unit
     low, high = elevation.min(), elevation.max()
     side = int(1.6 * np.sqrt(TURN * (high - low + 1) / len(points)))
     columns, rows = TURN // side, (high - low) // side + 1
@@ -71,7 +80,8 @@ def reference(points, normals, places):
         if not len(near) or not -1 <= to_row[i] <= rows:
             continue
         u = ((azimuth[near] - to_azimuth[i] + TURN // 2) % TURN - TURN // 2).astype(F) * narrowed[i]
-        v = (elevation[near] - to_elevation[i]).astype(F)
+        u = u + left[near] * (F(1) / range_[i])
+        v = (elevation[near] - to_elevation[i]).astype(F) + up[near] * (F(1) / range_[i])
         squared = u * u + v * v
         # Of equals the first, as they lie in memory: cell after cell.
         least = near[squared == squared.min()]
@@ -87,20 +97,38 @@ def reference(points, normals, places):
     return balance
 
 
+@pytest.mark.parametrize("beside", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_rays_equal_plain_numpy(seed):
+def test_rays_equal_plain_numpy(seed, beside):
     rng = np.random.default_rng(seed)
     points = rng.normal(scale=(12, 12, 1.5), size=(3000, 3)).astype(F)
     normals = rng.normal(size=(3000, 3)).astype(F)
     normals[::3] = 0
     places = rng.normal(scale=(10, 10, 1.5), size=(4000, 3)).astype(F)
     places[:1000] = points[:1000] * rng.uniform(0.8, 1.2, (1000, 1))
-    balance = _core.Rays(points, normals).ask(places)
-    expected = reference(points, normals, places)
+    starts = rng.normal(scale=0.05, size=(3000, 3)).astype(F) if beside else None
+    balance = _core.Rays(points, normals, starts).ask(places)
+    expected = reference(points, normals, places, starts)
     assert (expected > 0).sum() > 200
     assert (expected < 0).sum() > 200
     assert (expected == 0).sum() > 200
     np.testing.assert_array_equal(balance, expected)
+
+
+def test_a_line_of_sight_passes_where_it_leads_from_its_start():
+    """Beside the origin it begins, and goes through all places between its start and its end."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        start = rng.uniform(-0.05, 0.05, 3).astype(F)
+        end = (rng.normal(size=3) * (20, 20, 3)).astype(F)
+        if np.linalg.norm(end[:2]) < 10:
+            continue
+        share = rng.uniform(0.3, 0.7, (20, 1))
+        places = (start + share * (end - start)).astype(F)
+        points, normals = end[None], np.zeros((1, 3), F)
+        told = _core.Rays(points, normals, start[None]).ask(places)
+        # Within a centimetre: -1 / (0.02 + 0.01)^2; as if from the origin it passed farther off.
+        assert (told < -1 / 0.03**2).all()
 
 
 def test_no_rays_tell_nothing():
@@ -110,6 +138,8 @@ def test_no_rays_tell_nothing():
     assert (_core.Rays(zero, zero).ask(np.ones((5, 3), F)) == 0).all()
     with pytest.raises(ValueError, match="as many"):
         _core.Rays(zero, none)
+    with pytest.raises(ValueError, match="as many"):
+        _core.Rays(zero, zero, none)
 
 
 def fence_and_wall(directions, x):

@@ -35,13 +35,30 @@ def test_each_sees_its_own_points_from_its_own_place():
     T = np.array([pose(1, 2, 3), pose(-2, 0.5, 1, 0.7)])
     sensors = Sensors((np.arange(1000) % 2).astype(np.uint8), T)
     whole, joined = Surface(points, sensors=sensors), []
-    for k, (seen, T_lidar_sensor) in enumerate(views(points, sensors)):
+    for k, (seen, T_lidar_sensor, starts) in enumerate(views(points, sensors)):
+        assert starts is None
         rows = np.flatnonzero(sensors.index == k)
         assert np.isnan(np.delete(seen, rows, axis=0)).all()
         back = seen[rows] @ T_lidar_sensor[:3, :3].T + T_lidar_sensor[:3, 3]
         np.testing.assert_allclose(back, points[rows], atol=1e-5)
         joined.append(rows[Surface(seen[rows]).triangles])
     np.testing.assert_array_equal(whole.triangles, np.concatenate(joined))
+
+
+def test_lasers_of_one_head_see_from_beside_its_axis():
+    """A laser 5 cm left of an axis 0.2 m above the origin, looking everywhere."""
+    angles = np.linspace(-3, 3, 50)
+    look = np.column_stack([np.cos(angles), np.sin(angles), 0.1 * np.ones(50)])
+    left = np.column_stack([-np.sin(angles), np.cos(angles), np.zeros(50)])
+    starts = 0.05 * left + (0, 0, 0.2)
+    points = (starts + 8 * look).astype(np.float32)
+    T = np.array([pose(0, 0, 0.2), pose(0, 0, 0.1)])
+    sensors = Sensors(np.zeros(50, np.uint8), T, np.array([0.05, 0]), np.zeros(2))
+    ((seen, T_lidar_sensor, found),) = views(points, sensors)
+    np.testing.assert_allclose(T_lidar_sensor, pose(0, 0, 0.15))
+    np.testing.assert_allclose(seen, points - (0, 0, 0.15), atol=1e-6)
+    np.testing.assert_allclose(found, starts - (0, 0, 0.15), atol=4e-4)
+    assert len(Surface(points, sensors=sensors).parts) == 1
 
 
 @pytest.mark.parametrize(
@@ -138,7 +155,7 @@ def test_votes_are_those_of_both_apart(two):
     ground = np.zeros(len(other.points), bool)
     together = dynamics.KeyFrame(other.points, ground, sensors=other.sensors)
     apart, poses = [], []
-    for seen, T_lidar_sensor in views(other.points, other.sensors):
+    for seen, T_lidar_sensor, _ in views(other.points, other.sensors):
         own = np.isfinite(seen).all(axis=1)
         apart.append(dynamics.KeyFrame(seen[own], ground[own]))
         poses.append(dataset.poses[6] @ T_lidar_sensor)

@@ -31,11 +31,21 @@ py::array_t<float> splats(const Array<double>& K, int width, int height,
   return to_numpy(std::move(depth), {height, width});
 }
 
+/// Of as many lines of sight as points; the points where none are given.
+PointMap starts_of(const std::optional<Array<float>>& starts, const PointMap& points) {
+  const PointMap map = starts ? as_points(*starts) : points;
+  if (map.rows() != points.rows()) throw std::invalid_argument("starts must be as many as points");
+  return map;
+}
+
 std::unique_ptr<SurfaceFrame> make_surface_frame(
     const Array<float>& points, const Array<std::uint16_t>& classid,
     const Array<std::uint32_t>& triangles, const Array<std::uint8_t>& cut,
-    const Array<std::uint32_t>& loose, float loose_angle, const std::optional<Array<float>>& late) {
+    const Array<std::uint32_t>& loose, float loose_angle, const std::optional<Array<float>>& late,
+    const std::optional<Array<float>>& starts) {
   const PointMap map = as_points(points);
+  const PointMap begin = starts_of(starts, map);
+  const Points from = begin;
   const std::uint16_t* classes = as_column(classid, map.rows(), "classid");
   const py::ssize_t count = triangles.shape(0);
   const std::uint8_t* cuts = as_column(cut, count, "cut");
@@ -43,7 +53,7 @@ std::unique_ptr<SurfaceFrame> make_surface_frame(
   const auto* corners = reinterpret_cast<const std::uint32_t (*)[3]>(triangles.data());
   const py::gil_scoped_release release;
   return std::make_unique<SurfaceFrame>(map, corners, cuts, count, loose.data(), loose.size(),
-                                        loose_angle, classes, times);
+                                        loose_angle, classes, times, starts ? &from : nullptr);
 }
 
 py::array_t<float> surfaces(const Array<double>& K, int width, int height,
@@ -61,14 +71,17 @@ py::array_t<float> surfaces(const Array<double>& K, int width, int height,
   return to_numpy(std::move(depth), {height, width});
 }
 
-std::unique_ptr<Rays> make_rays(const Array<float>& points, const Array<float>& normals) {
+std::unique_ptr<Rays> make_rays(const Array<float>& points, const Array<float>& normals,
+                                const std::optional<Array<float>>& starts) {
   const PointMap map = as_points(points), directions = as_points(normals);
+  const PointMap from = starts_of(starts, map);
   if (directions.rows() != map.rows())
     throw std::invalid_argument("normals must be as many as points");
   const py::gil_scoped_release release;
   std::vector<Eigen::Vector3f> rows;
   for (Eigen::Index i = 0; i < map.rows(); ++i) rows.push_back(directions.row(i));
-  return std::make_unique<Rays>(map, rows);
+  const Points begin = from;
+  return std::make_unique<Rays>(map, rows, starts ? &begin : nullptr);
 }
 
 py::array_t<float> ask(const Rays& rays, const Array<float>& places) {
@@ -152,9 +165,9 @@ void bind_render(py::module_& m) {
                              [](const Frame& frame) { return frame.dynamic_points.size(); });
   py::class_<SurfaceFrame>(m, "SurfaceFrame")
       .def(py::init(&make_surface_frame), "points"_a, "classid"_a, "triangles"_a, "cut"_a,
-           "loose"_a, "loose_angle"_a, "late"_a = py::none());
+           "loose"_a, "loose_angle"_a, "late"_a = py::none(), "starts"_a = py::none());
   py::class_<Rays>(m, "Rays")
-      .def(py::init(&make_rays), "points"_a, "normals"_a)
+      .def(py::init(&make_rays), "points"_a, "normals"_a, "starts"_a = py::none())
       .def("ask", &ask, "places"_a);
   m.def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
         "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "witnesses"_a, "threads"_a = 0);

@@ -47,7 +47,7 @@ def demo(
         "image_size": None,
     }
     run = RunFolder.create(folder / "run", source, parameters(preset))
-    run_odometry(run, dataset, progress=progress)
+    run_odometry(run, dataset, progress=progress, threads=threads)
     run_classify(run, threads, progress)
     run_render(run, dataset.cameras["image_2"], threads, progress)
     return sequence, run.path

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -9,7 +11,8 @@ from docdepth.datasets.base import usable_points
 from docdepth.errors import InputError
 from docdepth.trajectory import inverse, rotation_exp, rotation_log
 
-_AROUND = 2  # sweeps on either side that tell the motion of one
+AROUND = 2
+"""Sweeps on either side whose poses tell the motion of one."""
 
 
 def deskew(
@@ -77,7 +80,9 @@ def deskew(
 
 
 def centred_motion(
-    poses: NDArray[np.float64], times: ArrayLike | None = None
+    poses: NDArray[np.float64],
+    times: ArrayLike | None = None,
+    frames: Sequence[int] | None = None,
 ) -> NDArray[np.float64]:
     """Motion of the sensor during one sweep around each stamp, fitted to the poses around it.
 
@@ -91,24 +96,28 @@ def centred_motion(
     times : array_like of int64, shape (n,), optional
         Nanoseconds; without them the sweeps follow each other evenly. The duration of a sweep is
         the median distance of stamps, so that a lost sweep does not double the motion.
+    frames : sequence of int, optional
+        Sweeps that are asked for, all of them by default. Only the poses up to :data:`AROUND`
+        sweeps away from these count.
 
     Returns
     -------
-    ndarray of float64, shape (n, 4, 4)
+    ndarray of float64, shape (n, 4, 4) or (len(frames), 4, 4)
         The motion of one sweep's duration.
     """
     n = len(poses)
+    frames = range(n) if frames is None else frames
     if n < 2:
-        return np.repeat(np.eye(4)[None], n, axis=0)
+        return np.repeat(np.eye(4)[None], len(frames), axis=0)
     stamps = np.arange(n) if times is None else np.asarray(times, dtype=np.int64)
     sweeps = (stamps - stamps[0]) / float(np.median(np.diff(stamps)))
-    motions = np.empty_like(poses)
-    for k in range(n):
-        around = np.arange(max(k - _AROUND, 0), min(k + _AROUND, n - 1) + 1)
+    motions = np.empty((len(frames), 4, 4))
+    for row, k in enumerate(frames):
+        around = np.arange(max(k - AROUND, 0), min(k + AROUND, n - 1) + 1)
         twists = np.array([np.concatenate(twist(inverse(poses[k]) @ poses[j])) for j in around])
         x = sweeps[around] - sweeps[around].mean()
         slope = x @ twists / (x @ x)
-        motions[k] = exp(slope[:3], slope[3:])
+        motions[row] = exp(slope[:3], slope[3:])
     return motions
 
 

@@ -122,7 +122,7 @@ class KeyFrame:
     surface : Surface, optional
         Of these points; made here when needed and left out.
     sensors : Sensors, optional
-        Where several LiDARs measured the sweep: each answers from its own place.
+        Where the sweep was measured from; each of several LiDARs answers from its own place.
 
     Raises
     ------
@@ -143,8 +143,8 @@ class KeyFrame:
         self._views: list[tuple[_core.KeyFrame, NDArray[np.float64]]]
         if p.against == "pixels":
             self._views = [
-                (_range_image(seen, ground, p), T_lidar_sensor)
-                for seen, T_lidar_sensor in views(points, sensors)
+                (_range_image(view.points, ground, p), view.T_lidar_sensor)
+                for view in views(points, sensors)
             ]
         else:
             parts = (surface or Surface(points, None, sensors)).parts
@@ -321,7 +321,7 @@ def classify_drive(
     surface : SurfaceParameters, optional
         Of the surfaces of key frames and objects.
     sensors : sequence of Sensors, optional
-        Of each sweep, where several LiDARs measured it.
+        Where each sweep was measured from, if not from the origin.
 
     Returns
     -------

@@ -11,7 +11,9 @@ or more.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+import os
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,10 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset
-from docdepth.deskewing import centred_motion, deskew
+from docdepth.deskewing import centred_motion
 from docdepth.errors import InputError, OdometryError
-from docdepth.io.atomic import write_atomically
-from docdepth.registration import first_motion, register
+from docdepth.passes import Deskewed, Pass
+from docdepth.registration import first_motion
+from docdepth.side_by_side import side_by_side
 from docdepth.trajectory import Trajectory, check_rigid, inverse
 
 log = logging.getLogger(__name__)
@@ -32,6 +35,7 @@ Points = NDArray[np.float32]
 Progress = Callable[[int, int, str], None]
 
 _STEP = 0.15  # metres a sweep that are no standstill
+_MANY = 20  # sweeps; fewer are registered before another process has started
 _JUMP = 1.0  # metres; at 10 Hz a change of speed of ten times gravity
 
 
@@ -58,6 +62,7 @@ def odometry(
     poses: ArrayLike | None = None,
     progress: Progress | None = None,
     checkpoint: Path | None = None,
+    threads: int = 0,
 ) -> Odometry:
     """Register the sweeps of a drive, or take poses brought along, and deskew the sweeps.
 
@@ -74,7 +79,12 @@ def odometry(
     progress : callable, optional
         ``progress(done, total, what)`` after each sweep of each pass.
     checkpoint : Path, optional
-        Folder that keeps the poses of each whole pass; a run that was interrupted goes on there.
+        Folder that keeps the poses of each whole pass; a run that was interrupted goes on after the
+        last of them. Passes that run at once also become whole almost at once: of a pass that was
+        cut off nothing is kept, since its map is not.
+    threads : int
+        How many passes may run at once, each in a process of its own; 0 lets all, where there are
+        two cores or more. The poses are the same.
 
     Raises
     ------
@@ -85,10 +95,11 @@ def odometry(
     if poses is not None:
         estimated = _given(dataset, poses, parameters)
     else:
-        estimated = estimate_poses(dataset, parameters, progress, checkpoint)
+        estimated = estimate_poses(dataset, parameters, progress, checkpoint, threads)
     trajectory = Trajectory(dataset.times, estimated)
     _warn_of_jumps(trajectory)
-    return Odometry(trajectory, _Deskewed(dataset, centred_motion(estimated, dataset.times)))
+    motions = centred_motion(estimated, dataset.times)
+    return Odometry(trajectory, Deskewed(dataset, motions.__getitem__))
 
 
 def estimate_poses(
@@ -96,46 +107,59 @@ def estimate_poses(
     parameters: OdometryParameters | None = None,
     progress: Progress | None = None,
     checkpoint: Path | None = None,
+    threads: int = 0,
 ) -> NDArray[np.float64]:
     """Poses ``T_world_lidar`` (n, 4, 4) in the frame of the first sweep; see :func:`odometry`."""
     parameters = parameters or OdometryParameters()
-    raw = dataset.sweep(0).fraction is not None
-    passes = parameters.passes if raw else min(parameters.passes, 2)
-    passes = passes if len(dataset) > 1 else 1
-    poses: NDArray[np.float64] | None = None
-    for number in range(passes):
-        kept = _Checkpoint(checkpoint, dataset, parameters, number)
-        found = kept.load()
+    raw, count = dataset.sweep(0).fraction is not None, len(dataset)
+    number = parameters.passes if raw else min(parameters.passes, 2)
+    number = number if count > 1 else 1
+    files = [checkpoint and checkpoint / f"odometry_pass_{k + 1}.npz" for k in range(number)]
+    passes = [Pass(k, dataset, parameters, file) for k, file in enumerate(files)]
+    poses = None
+    for one in reversed(passes):
+        poses = one.load()
+        if poses is not None:
+            passes = passes[one.number + 1 :]
+            break
+    done, total = (number - len(passes)) * count, number * count
+
+    def tell(what: str) -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, total, f"odometry, {what} of {number}")
+
+    abreast = _abreast(threads, count)
+    while passes:
+        row = passes[:abreast]
+        found = _run(row, poses, tell)
         if found is None:
-            motions = None if poses is None else centred_motion(poses, dataset.times)
-            what = f"odometry, pass {number + 1} of {passes}"
-
-            def tell(done: int, number: int = number, what: str = what) -> None:
-                if progress is not None:
-                    progress(number * len(dataset) + done, passes * len(dataset), what)
-
-            found = register(_Deskewed(dataset, motions), len(dataset), parameters, poses, tell)
-            kept.save(found)
-        poses = found
+            abreast = 1
+        else:
+            poses, passes = found, passes[len(row) :]
     assert poses is not None
     return poses
 
 
-@dataclass(frozen=True)
-class _Deskewed:
-    """Sweeps read when asked for and deskewed with the motion at their stamp."""
+def _run(
+    row: Sequence[Pass], poses: NDArray[np.float64] | None, tell: Callable[[str], None]
+) -> NDArray[np.float64] | None:
+    """Poses of the last pass of the row, None if its passes cannot run at once."""
+    first, last = row[0].number + 1, row[-1].number + 1
+    if len(row) > 1:
+        return side_by_side(row, poses, lambda: tell(f"passes {first} to {last}"))
+    before = None if poses is None else lambda _: poses
+    return row[0].run(before, lambda *_: tell(f"pass {first}"))
 
-    dataset: Dataset
-    motions: NDArray[np.float64] | None
 
-    def __call__(self, index: int) -> Points:
-        sweep = self.dataset.sweep(index)
-        if sweep.fraction is None or self.motions is None:
-            return sweep.points
-        try:
-            return deskew(sweep.points, sweep.fraction, self.motions[index])
-        except InputError as error:
-            raise OdometryError(f"sweep {sweep.name} (frame {index}): {error}") from None
+def _abreast(threads: int, count: int) -> int:
+    """How many passes run at once: one more than cores, since they wait for each other."""
+    if threads == 0:
+        linux = sys.platform == "linux"
+        cores = len(os.sched_getaffinity(0)) if linux else os.cpu_count() or 1
+        threads = cores + 1 if cores > 1 else 1
+    return threads if count >= _MANY else 1
 
 
 def _given(
@@ -153,7 +177,7 @@ def _given(
     except InputError as error:
         raise OdometryError(str(error)) from None
     if len(given) > 1 and np.ptp(given, axis=0).max() < 1e-3:
-        sweeps, n = _Deskewed(dataset, None), len(dataset)
+        sweeps, n = Deskewed(dataset, None), len(dataset)
         for frames in (range(n), range(n // 2, n)):
             step = np.linalg.norm(first_motion(sweeps, frames, parameters)[:3, 3])
             if step > _STEP:
@@ -184,31 +208,3 @@ def _warn_of_jumps(trajectory: Trajectory) -> None:
             "the trajectory jumps: at frame %d the way from sweep to sweep changes by %.1f m; "
             "look at its poses, or at its time", worst + 1, change[worst],
         )  # fmt: skip
-
-
-class _Checkpoint:
-    """Poses of one whole pass on disk, valid for the same drive and parameters."""
-
-    def __init__(
-        self, folder: Path | None, dataset: Dataset, parameters: OdometryParameters, number: int
-    ) -> None:
-        self._file = folder / f"odometry_pass_{number + 1}.npz" if folder is not None else None
-        settings = parameters.model_dump_json(exclude={"passes"})
-        self._key = f"{Path(dataset.path).resolve()} {len(dataset)} {settings}"
-
-    def load(self) -> NDArray[np.float64] | None:
-        if self._file is None or not self._file.is_file():
-            return None
-        with np.load(self._file) as kept:
-            if str(kept["key"]) != self._key:
-                return None
-            poses: NDArray[np.float64] = kept["poses"]
-        log.info("odometry goes on after %s", self._file.name)
-        return poses
-
-    def save(self, poses: NDArray[np.float64]) -> None:
-        if self._file is None:
-            return
-        write_atomically(
-            self._file, lambda stream: np.savez(stream, poses=poses, key=np.array(self._key))
-        )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,9 @@ from docdepth.errors import OdometryError
 from docdepth.trajectory import inverse
 
 log = logging.getLogger(__name__)
+
+Before = Callable[[int], NDArray[np.float64]]
+"""``before(k)`` gives the poses (n, 4, 4) of the pass before, the first k + 1 of them at least."""
 
 _FEWEST_POINTS = 50  # below that a sweep cannot be registered
 _START = 3  # sweeps that find the motion at the start
@@ -125,28 +128,29 @@ def register(
     points: Callable[[int], NDArray[np.float32]],
     count: int,
     parameters: OdometryParameters,
-    before: NDArray[np.float64] | None,
-    tell: Callable[[int], None],
-) -> NDArray[np.float64]:
-    """Poses of one pass; ``before`` are those of the pass before."""
+    before: Before | None,
+) -> Iterator[NDArray[np.float64]]:
+    """Poses of one pass, sweep by sweep; ``before`` are those of the pass before."""
     registration: Registration | Refinement
+    step = np.eye(4)
     if before is None:
-        steps = None
         step = first_motion(points, range(count), parameters)
         registration = Registration(parameters)
     else:
-        steps = inverse(before[:-1]) @ before[1:]
         registration = Refinement(parameters)
-    poses = np.repeat(np.eye(4)[None], count, axis=0)
+    pose = np.eye(4)
     for k in range(count):
-        guess = poses[0]
+        guess = pose
         if k > 0:
-            guess = poses[k - 1] @ (step if steps is None else steps[k - 1])
-        poses[k] = _add(registration, points(k), guess, k, parameters)
+            if before is not None:
+                known = before(k)
+                step = inverse(known[k - 1]) @ known[k]
+            guess = pose @ step
+        # Row by row, as poses are stored: products of other layouts differ in the last bit.
+        last, pose = pose, np.array(_add(registration, points(k), guess, k, parameters), order="C")
         if k > 0:
-            step = inverse(poses[k - 1]) @ poses[k]
-        tell(k + 1)
-    return poses
+            step = inverse(last) @ pose
+        yield pose
 
 
 def first_motion(
@@ -184,14 +188,14 @@ def first_motion(
 
 
 def _near(points: NDArray[np.float32], parameters: OdometryParameters) -> NDArray[np.float64]:
-    """NDArray[np.float32] that are neither of the ego nor too far to be of use."""
+    """Points that are neither of the ego nor too far to be of use."""
     low, high = parameters.min_range, parameters.max_range
+    x, y, z = points.T
     with np.errstate(invalid="ignore", over="ignore"):
-        squared = (points * points).sum(axis=1)
-        near: NDArray[np.float64] = points[(squared > low * low) & (squared < high * high)].astype(
-            np.float64
-        )
-    return near
+        squared = x * x + y * y + z * z
+        near = (squared > low * low) & (squared < high * high)
+    # Half the time of points[near], once in every pass.
+    return np.compress(near, points, axis=0).astype(np.float64)
 
 
 def _rigid(pose: ArrayLike) -> NDArray[np.float64]:

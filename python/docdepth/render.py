@@ -14,7 +14,7 @@ from docdepth.backends import Renderer
 from docdepth.config import RenderParameters, SurfaceParameters
 from docdepth.errors import CalibrationError, InputError
 from docdepth.sensors import Sensors
-from docdepth.surface import Surface
+from docdepth.surface import Surface, SurfacePart
 from docdepth.trajectory import Trajectory, inverse
 
 NEAR = 0.1
@@ -74,7 +74,8 @@ class Frame:
         When each point was measured, seconds after the sweep's time. Known, it tells better where
         moving objects were.
     sensors : Sensors, optional
-        Where several LiDARs measured the sweep: each has a surface and lines of sight of its own.
+        Where the sweep was measured from, if not from the origin. Each of several LiDARs has a
+        surface and lines of sight of its own.
 
     Raises
     ------
@@ -105,44 +106,47 @@ class Frame:
             raise InputError(f"late must have shape ({len(points)},), a time a point")
         p = parameters or RenderParameters()
         points, classid = np.ascontiguousarray(points), np.ascontiguousarray(classid)
-        self.core: _core.Frame | _core.SurfaceFrame
-        self.parts: list[tuple[_core.Frame | _core.SurfaceFrame, NDArray[np.float64]]]
+        self.parts: list[_Part]
+        self.movers: _Part
         if p.surface == "splats":
-            self.core = _core.Frame(points, classid, p.crop)
-            self.parts = [(self.core, np.eye(4))]
+            self.movers = (_core.Frame(points, classid, p.crop), np.eye(4))
+            self.parts = [self.movers]
             return
         with np.errstate(invalid="ignore", over="ignore"):
             drawn = np.linalg.norm(points.astype(np.float64), axis=1) < p.crop
         points, classid = points[drawn], classid[drawn]
         late = None if late is None else late[drawn].astype(np.float32)
-        # What moves is small, and drawn as if one LiDAR had seen it.
-        whole = Surface(points, surface_parameters)
-        self.core = _surface_frame(points, classid, whole.core, p, late)
-        self.parts = [(self.core, np.eye(4))]
-        if sensors is not None:
-            surface = Surface(points, surface_parameters, sensors.of(drawn))
-            self.parts = [
-                (_surface_frame(part.points, classid, part.core, p, late), part.T_lidar_sensor)
-                for part in surface.parts
-            ]
+        seen = Surface(points, surface_parameters, None if sensors is None else sensors.of(drawn))
+        self.parts = [
+            (_surface_frame(part, classid, p, late), part.T_lidar_sensor) for part in seen.parts
+        ]
+        self.movers = self.parts[0]
+        if len(self.parts) > 1:  # what moves is small, and drawn as if one LiDAR had seen it
+            (whole,) = Surface(points, surface_parameters).parts
+            self.movers = (_surface_frame(whole, classid, p, late), np.eye(4))
+
+
+_Part = tuple[_core.Frame | _core.SurfaceFrame, NDArray[np.float64]]
+"""What is drawn, and where it stands in the LiDAR's frame."""
 
 
 def _surface_frame(
-    points: NDArray[np.float32],
+    part: SurfacePart,
     classid: NDArray[np.uint16],
-    surface: _core.Surface,
     parameters: RenderParameters,
     late: NDArray[np.float32] | None,
 ) -> _core.SurfaceFrame:
     """Rows that are not finite are no points of this surface."""
+    points, _, starts, surface = part
     triangles, loose = surface.triangles, surface.loose
     if not np.isfinite(points).all():
         own = np.isfinite(points).all(axis=1)
         row = np.cumsum(own, dtype=np.uint32) - np.uint32(1)
         points, classid, late = points[own], classid[own], None if late is None else late[own]
+        starts = None if starts is None else starts[own]
         triangles, loose = row[triangles], row[loose]
     angle = float(np.radians(parameters.loose_deg))
-    return _core.SurfaceFrame(points, classid, triangles, surface.cut, loose, angle, late)
+    return _core.SurfaceFrame(points, classid, triangles, surface.cut, loose, angle, late, starts)
 
 
 def static_frames(
@@ -282,7 +286,7 @@ def arguments(
 
     def frame(index: int) -> Frame:
         found = frames(index)
-        if not isinstance(found.core, kind):
+        if not isinstance(found.movers[0], kind):
             raise InputError(f"frame {index} was not made for {p.surface}; give Frame parameters")
         return found
 
@@ -290,7 +294,7 @@ def arguments(
     world, moving = drawn_sweeps(trajectory, time, p)
     image = {"K": camera.K, "width": camera.width, "height": camera.height}
     fixed = [(core, T_camera_sweep[i] @ T) for i in world for core, T in frame(i).parts]
-    movers = [(frame(i).core, T_camera_sweep[i]) for i in moving]
+    movers = [(core, T_camera_sweep[i] @ T) for i in moving for core, T in [frame(i).movers]]
     if p.surface == "splats":
         return image | {
             "static_frames": fixed,

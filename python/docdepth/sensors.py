@@ -1,12 +1,13 @@
-"""Several LiDARs on one vehicle: which of them measured a point, and from where."""
+"""Where a sweep was measured from: the place of its LiDAR, or of each of several."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import InputError
 from docdepth.trajectory import check_rigid, inverse
@@ -14,17 +15,23 @@ from docdepth.trajectory import check_rigid, inverse
 
 @dataclass(frozen=True)
 class Sensors:
-    """The LiDARs of a sweep that several of them measured.
+    """Where the points of a sweep were seen from, when that is not the origin of their frame.
 
-    Points of all are given in one frame, the LiDAR frame of the sweep; but what a point was seen
-    through, and which returns are neighbours, only its own LiDAR can tell (paper III-C2).
+    A LiDAR may give its points about its foot, and a vehicle may carry several. Points of all are
+    given in one frame, the LiDAR frame of the sweep; but what a point was seen through, and which
+    returns are neighbours, only the place tells from which it was seen (paper III-C2). Twenty
+    centimetres aside, what lies beside an edge five metres away seems to lie two degrees off.
 
     Attributes
     ----------
     index : ndarray of uint8, shape (N,)
-        Which LiDAR measured each point.
+        Which LiDAR, or which laser of one, measured each point.
     T_lidar_sensor : ndarray of float64, shape (k, 4, 4)
-        Takes points in the frame of each LiDAR to that of the sweep.
+        Takes points in the frame of each to that of the sweep.
+    aside : ndarray of float64, shape (k,), optional
+        Metres by which a laser sits to the left of the axis on which it turns; 0 if left out.
+    head : ndarray of uint8, shape (k,), optional
+        The LiDAR that each is a laser of, counted from 0; all are LiDARs of their own if left out.
 
     Raises
     ------
@@ -34,6 +41,8 @@ class Sensors:
 
     index: NDArray[np.uint8]
     T_lidar_sensor: NDArray[np.float64]
+    aside: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    head: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
 
     def __post_init__(self) -> None:
         index, T = np.asarray(self.index), np.asarray(self.T_lidar_sensor, np.float64)
@@ -47,31 +56,85 @@ class Sensors:
                 f"a point is of LiDAR {index.max()}, but there are {len(T)} poses of LiDARs"
             )
         check_rigid(T)
+        aside, head = np.asarray(self.aside, np.float64), np.asarray(self.head, np.uint8)
+        aside = aside if aside.size else np.zeros(len(T))
+        head = head if head.size else np.arange(len(T), dtype=np.uint8)
+        if aside.shape != (len(T),) or head.shape != (len(T),):
+            raise InputError(
+                f"aside {aside.shape} and head {head.shape} must have shape ({len(T)},), "
+                "a value a pose"
+            )
         object.__setattr__(self, "index", index.astype(np.uint8, copy=False))
         object.__setattr__(self, "T_lidar_sensor", T)
+        object.__setattr__(self, "aside", aside)
+        object.__setattr__(self, "head", head)
 
-    def of(self, rows: NDArray[np.bool_]) -> Sensors:
+    @classmethod
+    def at(cls, place: ArrayLike, points: int) -> Sensors:
+        """One LiDAR that saw all points from ``place``, (3,) in metres in their frame."""
+        T_lidar_sensor = np.eye(4)
+        T_lidar_sensor[:3, 3] = place
+        return cls(np.zeros(points, np.uint8), T_lidar_sensor[None])
+
+    def of(self, rows: NDArray[np.bool_] | slice) -> Sensors:
         """The same for some of the points."""
-        return Sensors(self.index[rows], self.T_lidar_sensor)
+        return replace(self, index=self.index[rows])
 
-    def moved(self, points: NDArray[np.float32], k: int) -> NDArray[np.float32]:
-        """All points (N, 3) in the frame of LiDAR k."""
-        T = inverse(self.T_lidar_sensor[k])
-        return (points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+    def and_another(self, T_lidar_sensor: NDArray[np.float64], points: int) -> Sensors:
+        """With the points of one more LiDAR after the others."""
+        return Sensors(
+            np.append(self.index, np.full(points, len(self.T_lidar_sensor), np.uint8)),
+            np.append(self.T_lidar_sensor, T_lidar_sensor[None], axis=0),
+            np.append(self.aside, 0.0),
+            np.append(self.head, self.head.max() + 1),
+        )
 
 
-def views(
-    points: NDArray[np.float32], sensors: Sensors | None
-) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
-    """What each LiDAR saw, in its own frame and with ``T_lidar_sensor``; NaN for others' points."""
+class View(NamedTuple):
+    """What one LiDAR saw.
+
+    Attributes
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        All points in its frame, in the middle of its lasers; NaN for those of other LiDARs.
+    T_lidar_sensor : ndarray of float64, shape (4, 4)
+    starts : ndarray of float32, shape (N, 3), or None
+        Where each line of sight begins, in its frame; None where all begin at the origin.
+    """
+
+    points: NDArray[np.float32]
+    T_lidar_sensor: NDArray[np.float64]
+    starts: NDArray[np.float32] | None
+
+
+def views(points: NDArray[np.float32], sensors: Sensors | None) -> Iterator[View]:
+    """What each LiDAR saw."""
     if sensors is None:
-        yield points, np.eye(4)
+        yield View(points, np.eye(4), None)
         return
     if sensors.index.shape != points.shape[:1]:
         raise InputError(
             f"sensors.index {sensors.index.shape} must tell the LiDAR of each of "
             f"{len(points)} points"
         )
-    for k, T_lidar_sensor in enumerate(sensors.T_lidar_sensor):
-        own = sensors.index == k
-        yield np.where(own[:, None], sensors.moved(points, k), np.float32(np.nan)), T_lidar_sensor
+    for head in np.unique(sensors.head):
+        lasers = sensors.T_lidar_sensor[sensors.head == head]
+        T_lidar_sensor = lasers[0].copy()
+        T_lidar_sensor[:3, 3] = lasers[:, :3, 3].mean(axis=0)
+        T = inverse(T_lidar_sensor)
+        seen = (points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+        if (sensors.head != head).any():
+            seen[sensors.head[sensors.index] != head] = np.nan
+        yield View(seen, T_lidar_sensor, _starts(seen, T, sensors) if len(lasers) > 1 else None)
+
+
+def _starts(
+    seen: NDArray[np.float32], T_sensor_lidar: NDArray[np.float64], sensors: Sensors
+) -> NDArray[np.float32]:
+    """A laser beside the axis turns with the direction in which it looks."""
+    starts = (T_sensor_lidar @ sensors.T_lidar_sensor)[sensors.index, :3, 3].astype(np.float32)
+    aside = sensors.aside.astype(np.float32)[sensors.index]
+    aside /= np.maximum(np.hypot(seen[:, 0], seen[:, 1]), np.float32(1e-3))
+    starts[:, 0] -= aside * seen[:, 1]
+    starts[:, 1] += aside * seen[:, 0]
+    return starts

@@ -14,11 +14,12 @@ from docdepth.sensors import Sensors, views
 
 
 class SurfacePart(NamedTuple):
-    """What one LiDAR saw of a sweep: its points in its own frame, NaN for those of others."""
+    """What one LiDAR saw of a sweep (:class:`docdepth.sensors.View`), and the surface of it."""
 
     points: NDArray[np.float32]
-    core: _core.Surface
     T_lidar_sensor: NDArray[np.float64]
+    starts: NDArray[np.float32] | None
+    core: _core.Surface
 
 
 class Surface:
@@ -35,7 +36,7 @@ class Surface:
         they take no part.
     parameters : SurfaceParameters, optional
     sensors : Sensors, optional
-        Where several LiDARs measured the sweep: each has a surface of its own.
+        Where the sweep was measured from; each of several LiDARs has a surface of its own.
 
     Attributes
     ----------
@@ -74,8 +75,8 @@ class Surface:
         core.max_gap = float(np.radians(p.max_gap_deg))
         core.jump_ratio, core.noise, core.flatness = p.jump_ratio, p.noise, p.flatness
         self.parts = [
-            SurfacePart(seen, _core.Surface(seen, core), T_lidar_sensor)
-            for seen, T_lidar_sensor in views(np.ascontiguousarray(points), sensors)
+            SurfacePart(*view, _core.Surface(view.points, core))
+            for view in views(np.ascontiguousarray(points), sensors)
         ]
         cores = [part.core for part in self.parts]
         self.core = cores[0] if len(cores) == 1 else _core.join_surfaces(cores)

@@ -94,16 +94,18 @@ class Groups {
   int size_ = 0;
 };
 
-/// The nearest returns to the places of a group in the nine cells around it; of equals the first.
+/// The lines of sight that pass nearest to the places of a group, of those in the nine cells around
+/// it; of equals the first. One that begins beside the origin seems to, the more so the nearer.
 DOCDEPTH_INLINE void find_nearest(const Rays::Cells& cells, const Toward& toward,
                                   const Group& group, Nearest& nearest) {
-  float to[3][kLanes];
+  float to[4][kLanes];
   for (int lane = 0; lane < kLanes; ++lane) {  // unused ones repeat the last
     const std::size_t i = group.places[std::min(lane, group.size - 1)];
     to[0][lane] = toward.azimuth[i], to[1][lane] = toward.elevation[i];
-    to[2][lane] = toward.narrowed[i];
+    to[2][lane] = toward.narrowed[i], to[3][lane] = 1.0f / toward.range[i];
   }
-  const Floats azimuth = load(to[0]), elevation = load(to[1]), narrowed = load(to[2]);
+  const Floats azimuth = load(to[0]), elevation = load(to[1]);
+  const Floats narrowed = load(to[2]), nearness = load(to[3]);
   Floats least = Floats{} + INFINITY;
   Ints found{};
   const int low = std::max(group.row - 1, 0);
@@ -118,7 +120,8 @@ DOCDEPTH_INLINE void find_nearest(const Rays::Cells& cells, const Toward& toward
         &cells.start[std::size_t(column - turns * cells.columns) * cells.rows];
     const Floats from = azimuth - float(turns * kTurn);
     for (std::uint32_t i = start[low]; i < start[high + 1]; ++i) {
-      const Floats u = (cells.azimuth[i] - from) * narrowed, v = cells.elevation[i] - elevation;
+      const Floats u = (cells.azimuth[i] - from) * narrowed + cells.left[i] * nearness;
+      const Floats v = (cells.elevation[i] - elevation) + cells.up[i] * nearness;
       const Floats squared = u * u + v * v;
       found = squared < least ? Ints{} + std::int32_t(i) : found;
       least = squared < least ? squared : least;
@@ -179,8 +182,10 @@ void ask_plain(const Rays::Cells& cells, const Places& places, float* balance) {
 
 }  // namespace
 
-Rays::Rays(const Points& points, const std::vector<Vector>& normals) {
-  const std::vector<Direction> all = directions_of(points);
+Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Points* starts) {
+  using Sights = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
+  const std::vector<Direction> all =
+      starts ? directions_of(Sights(points - *starts)) : directions_of(points);
   std::vector<std::uint32_t> rows;
   int high = -kTurn;
   cells_.low = kTurn;
@@ -205,6 +210,8 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals) {
   for (std::size_t c = 1; c < cells_.start.size(); ++c) cells_.start[c] += cells_.start[c - 1];
   cells_.azimuth.resize(rows.size());
   cells_.elevation.resize(rows.size());
+  cells_.left.resize(rows.size());
+  cells_.up.resize(rows.size());
   cells_.ends.resize(rows.size());
   auto next = cells_.start;
   for (const auto i : rows) {
@@ -215,6 +222,14 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals) {
     const float offset = (n.x() * p.x() + n.y() * p.y()) + n.z() * p.z();
     const float range = std::sqrt(squared);
     const bool known = std::fabs(offset) > kGrazing * length * range;
+    if (starts) {
+      const Vector start = starts->row(i), sight = p - start;
+      const float across = std::sqrt(sight.x() * sight.x() + sight.y() * sight.y());
+      const float along = start.x() * sight.x() + start.y() * sight.y();
+      const float lift = start.z() * across - along * sight.z() / across;
+      cells_.left[to] = (start.y() * sight.x() - start.x() * sight.y()) / across / kRadiansPerUnit;
+      cells_.up[to] = lift / std::sqrt(across * across + sight.z() * sight.z()) / kRadiansPerUnit;
+    }
     cells_.azimuth[to] = float(all[i].azimuth), cells_.elevation[to] = float(all[i].elevation);
     cells_.ends[to] = {known ? Vector(n / offset) : Vector(p / squared), range};
   }

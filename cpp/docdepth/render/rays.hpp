@@ -16,13 +16,15 @@ struct Places {
   float x[kMost], y[kMost], z[kMost];
 };
 
-/// The returns of a sweep by direction.
+/// The returns of a sweep by the direction of their lines of sight.
 class Rays {
  public:
   Rays() = default;
 
   /// @param normals of the surface at each point, of any length; zero where there is none
-  Rays(const Points& points, const std::vector<Eigen::Vector3f>& normals);
+  /// @param starts where the line of sight of each point begins, near the origin; may be null
+  Rays(const Points& points, const std::vector<Eigen::Vector3f>& normals,
+       const Points* starts = nullptr);
 
   /// Adds to each balance what the ray that passed nearest to a place, in the frame of the sweep,
   /// tells of it: more than 0 if it met a surface there, less if it went on, nothing if it ended
@@ -39,7 +41,8 @@ class Rays {
   struct Cells {
     int side = 1, columns = 0, rows = 0, low = 0;  ///< angles in units of kTurn
     std::vector<std::uint32_t> start;              ///< of each cell, and the end
-    std::vector<float> azimuth, elevation;         ///< of each return; whole numbers
+    std::vector<float> azimuth, elevation;         ///< of each line of sight; whole numbers
+    std::vector<float> left, up;                   ///< of the origin it passes [units * m]
     std::vector<End> ends;
   };
 

@@ -67,11 +67,11 @@ std::vector<PlacedMover> carried(const Motion& motion, int sweep, int threads) {
 SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles)[3],
                            const std::uint8_t* cut, std::size_t triangle_count,
                            const std::uint32_t* loose, std::size_t loose_count, float loose_angle,
-                           const std::uint16_t* classid, const float* late)
+                           const std::uint16_t* classid, const float* late, const Points* starts)
     : objects(find_objects(points, classid, late)) {
   auto [vertices, parts, normals] = part_surface(points, triangles, cut, triangle_count,
                                                  objects.owner, objects.places.size() + 1);
-  rays = Rays(points, normals);
+  rays = Rays(points, normals, starts);
   std::vector<std::uint8_t> classes(vertices.size(), kNoClass);  // of places between returns
   for (Eigen::Index i = 0; i < points.rows(); ++i) classes[i] = class_of(classid[i]);
   for (std::size_t i = 0; i < loose_count; ++i) {

@@ -29,9 +29,11 @@ struct SurfaceFrame {
   /// @param loose_angle half the diagonal of the diamond as the sensor sees it [rad]
   /// @param classid ClassId of every point
   /// @param late when every point was measured, seconds after the sweep's stamp; may be null
+  /// @param starts where the line of sight of every point begins; may be null
   SurfaceFrame(const Points& points, const std::uint32_t (*triangles)[3], const std::uint8_t* cut,
                std::size_t triangle_count, const std::uint32_t* loose, std::size_t loose_count,
-               float loose_angle, const std::uint16_t* classid, const float* late);
+               float loose_angle, const std::uint16_t* classid, const float* late,
+               const Points* starts = nullptr);
 };
 
 /// A sweep where it stood relative to the camera at the image's time.

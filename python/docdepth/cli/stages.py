@@ -82,7 +82,7 @@ def run(
 
 
 @app.command()
-def odometry(run: RunPath, settings: Settings = None) -> None:
+def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
     """Poses and deskewed sweeps again, with other parameters."""
     from docdepth.pipeline import run_odometry
     from docdepth.sources import open_source, poses_of
@@ -91,7 +91,7 @@ def odometry(run: RunPath, settings: Settings = None) -> None:
     source = folder.manifest["source"]
     recording, _ = open_source(source)
     with progress_bars() as progress:
-        run_odometry(folder, recording, poses_of(source, recording), progress)
+        run_odometry(folder, recording, poses_of(source, recording), progress, threads)
     show_summary(folder)
 
 
@@ -196,6 +196,7 @@ def _run_all(
     from docdepth.pipeline import run_classify, run_odometry, run_render
     from docdepth.sources import poses_of
 
-    run_odometry(folder, recording, poses_of(folder.manifest["source"], recording), progress)
+    poses = poses_of(folder.manifest["source"], recording)
+    run_odometry(folder, recording, poses, progress, threads)
     run_classify(folder, threads, progress)
     run_render(folder, streams, threads, progress, renderer)

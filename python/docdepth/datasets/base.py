@@ -35,7 +35,7 @@ class Sweep:
         When each point was measured, as a share of the sweep's duration before (negative) or
         after (positive) ``time``. None when the sweep is motion compensated already.
     sensors : Sensors, optional
-        Where several LiDARs measured the sweep.
+        Where the sweep was measured from; None where its LiDAR looks from the origin.
     """
 
     points: NDArray[np.float32]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from docdepth.datasets import kitti_files
+from docdepth.datasets import kitti_files, kitti_lidar
 from docdepth.datasets.base import CameraStream, Sweep
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.times import nanoseconds
@@ -41,6 +42,8 @@ class KittiOdometry:
       rectified; the K of P0 to P3 is theirs, and depth maps are of the camera with that K;
     - ``docdepth.yaml`` with ``motion_compensated: false``: raw sweeps; then
       ``point_times/NAME.bin`` gives each point's time, float32, as :attr:`Sweep.fraction`;
+    - ``docdepth.yaml`` with ``looks_from: [x, y, z]``: where the LiDAR looks from, metres in the
+      frame of its points, when that is not the origin; known of KITTI's own LiDAR without;
     - ``velodyne_2/NAME.bin`` and further ones: sweeps of more LiDARs at the same time, and a row
       ``Tr_2`` in ``calib.txt`` that takes their points to camera 0 as Tr does. Their points, labels
       and times come after those of the first LiDAR in one sweep.
@@ -73,7 +76,9 @@ class KittiOdometry:
         Tr = calibration.matrix("Tr", 3, 4)
         T_camera_lidar = kitti_files.rigid(Tr[:, :3], Tr[:, 3])
         self.poses = _poses(self.path, self.sweeps, T_camera_lidar)
-        self.motion_compensated = _motion_compensated(self.path / "docdepth.yaml")
+        settings = _settings(self.path / "docdepth.yaml")
+        self.motion_compensated: bool = settings["motion_compensated"]
+        self._looks_from: list[float] | None = settings["looks_from"]
         self.cameras = _cameras(self, calibration, T_camera_lidar, image_size)
         self._others = _other_lidars(self.path, calibration, T_camera_lidar, self.sweeps)
 
@@ -85,8 +90,13 @@ class KittiOdometry:
         file = self.sweeps[index]
         points, intensity = kitti_files.read_sweep(file, index)
         sensors = None
+        if self._looks_from is not None:
+            sensors = Sensors.at(self._looks_from, len(points))
+        elif self._is_kittis:
+            sensors = kitti_lidar.sensors(points)
         if self._others:
-            points, intensity, sensors = self._join(points, intensity, file.name, index)
+            sensors = sensors or Sensors.at((0, 0, 0), len(points))
+            points, intensity, sensors = self._join(points, intensity, sensors, file.name, index)
         fraction = (
             None if self.motion_compensated else self._fraction(file.stem, index, len(points))
         )
@@ -96,19 +106,24 @@ class KittiOdometry:
         self,
         points: NDArray[np.float32],
         intensity: NDArray[np.float32],
+        sensors: Sensors,
         name: str,
         frame: int,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], Sensors]:
         """A sweep of the first LiDAR and those of the others, in the frame of the first."""
-        parts, brightness, counts = [points], [intensity], [len(points)]
+        parts, brightness = [points], [intensity]
         for folder, T_lidar_sensor in self._others:
             own, bright = kitti_files.read_sweep(folder / name, frame)
             parts.append((own @ T_lidar_sensor[:3, :3].T + T_lidar_sensor[:3, 3]).astype("f4"))
             brightness.append(bright)
-            counts.append(len(own))
-        mounted = np.array([np.eye(4), *(T for _, T in self._others)])
-        index = np.repeat(np.arange(len(counts), dtype=np.uint8), counts)
-        return np.concatenate(parts), np.concatenate(brightness), Sensors(index, mounted)
+            sensors = sensors.and_another(T_lidar_sensor, len(own))
+        return np.concatenate(parts), np.concatenate(brightness), sensors
+
+    @cached_property
+    def _is_kittis(self) -> bool:
+        return kitti_lidar.is_kittis(
+            kitti_files.read_sweep(file, k)[0] for k, file in enumerate(self.sweeps)
+        )
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``, None when there are none."""
@@ -177,18 +192,26 @@ def _other_lidars(
     return found
 
 
-def _motion_compensated(file: Path) -> bool:
-    """What ``docdepth.yaml`` says of the sweeps; KITTI's own are compensated."""
+def _settings(file: Path) -> dict[str, Any]:
+    """What ``docdepth.yaml`` says of the sweeps; KITTI's own are motion compensated."""
+    known: dict[str, Any] = {"motion_compensated": True, "looks_from": None}
     if not file.is_file():
-        return True
+        return known
     try:
-        settings: Any = yaml.safe_load(file.read_text(encoding="utf-8"))
+        given: Any = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise DatasetError(f"{file} is not YAML: {error}") from None
-    value = settings.get("motion_compensated", True) if isinstance(settings, dict) else None
-    if not isinstance(value, bool):
+    known |= given if isinstance(given, dict) else {"motion_compensated": None}
+    if not isinstance(known["motion_compensated"], bool):
         raise DatasetError(f"{file}: motion_compensated must be true or false")
-    return value
+    place = known["looks_from"]
+    if place is not None and (
+        not isinstance(place, list)
+        or len(place) != 3
+        or not all(isinstance(x, (int, float)) and abs(x) < 100 for x in place)
+    ):
+        raise DatasetError(f"{file}: looks_from must be [x, y, z] in metres, got {place}")
+    return known
 
 
 def _cameras(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets import kitti_files
+from docdepth.datasets import kitti_files, kitti_lidar
 from docdepth.datasets.base import CameraStream, Sweep
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.times import nanoseconds
@@ -57,7 +58,14 @@ class KittiRaw:
         file = self._sweeps[index]
         points, intensity = kitti_files.read_sweep(file, index)
         fraction = azimuth_fraction(points)
-        return Sweep(points, file.stem, int(self.times[index]), intensity, fraction)
+        sensors = kitti_lidar.sensors(points) if self._is_kittis else None
+        return Sweep(points, file.stem, int(self.times[index]), intensity, fraction, sensors)
+
+    @cached_property
+    def _is_kittis(self) -> bool:
+        return kitti_lidar.is_kittis(
+            kitti_files.read_sweep(file, k)[0] for k, file in enumerate(self._sweeps)
+        )
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``, None when there are none."""

@@ -53,7 +53,7 @@ class FrameRecord:
     late : ndarray of float32, shape (N,), optional
         When each point was measured, seconds after the sweep's stamp.
     sensor : ndarray of uint8, shape (N,), optional
-        Which LiDAR measured each point, where there are several.
+        Which LiDAR, or which of its lasers, measured each point; see :class:`Sensors`.
     """
 
     points: NDArray[np.float32]

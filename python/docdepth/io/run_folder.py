@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -127,10 +128,27 @@ class RunFolder:
         return read_frame(self.frame_path(index))
 
     def sensors(self, frame: FrameRecord) -> Sensors | None:
-        """The LiDARs of a frame, where there are several."""
-        if frame.sensor is None:
-            return None
-        return Sensors(frame.sensor, np.array(self.stage("odometry")["T_lidar_sensor"]))
+        """Where a frame was measured from, if not from the origin."""
+        return None if frame.sensor is None else Sensors(frame.sensor, **self._sensors)
+
+    def write_sensors(self, sensors: Sensors) -> None:
+        """Keep where the LiDARs, or their lasers, sit: once for all frames."""
+        kept = {name: getattr(sensors, name) for name in ("T_lidar_sensor", "aside", "head")}
+        write_atomically(self._sensors_path, lambda stream: np.savez(stream, **kept))
+
+    @property
+    def _sensors_path(self) -> Path:
+        return self.path / "sensors.npz"
+
+    @cached_property
+    def _sensors(self) -> dict[str, NDArray[Any]]:
+        try:
+            with np.load(self._sensors_path) as kept:
+                return dict(kept)
+        except FileNotFoundError:
+            raise RunError(
+                f"{self._sensors_path} is missing; run again: docdepth odometry {self.path}"
+            ) from None
 
     def frame_key(self, index: int) -> dict[str, str]:
         """Which parameters made frame ``index``; empty when it is not there."""

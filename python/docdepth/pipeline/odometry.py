@@ -23,6 +23,7 @@ def run_odometry(
     dataset: Dataset,
     poses: NDArray[np.float64] | None = None,
     progress: Progress | None = None,
+    threads: int = 0,
 ) -> None:
     """Poses of every sweep, and the sweeps deskewed to their stamp, into ``frames/``.
 
@@ -30,6 +31,8 @@ def run_odometry(
     ----------
     poses : ndarray of float64, shape (n, 4, 4), optional
         ``T_world_lidar`` of another SLAM; registered here when there are none.
+    threads : int
+        How many passes of the registration may run at once; 0 takes every core.
 
     Raises
     ------
@@ -51,7 +54,7 @@ def run_odometry(
             if progress:
                 progress("register", done, total)
 
-        estimate = odometry(dataset, parameters, poses, registered, checkpoint)
+        estimate = odometry(dataset, parameters, poses, registered, checkpoint, threads)
     write_trajectory(run.trajectory_path, estimate.trajectory, np.arange(total))
     period = np.float32(np.median(np.diff(dataset.times)) * 1e-9 if total > 1 else 0)
     worked = 0
@@ -81,9 +84,9 @@ def run_odometry(
             with watch("write"):
                 run.write_frame(index, record)
         tell(index + 1, total)
-    sensors = dataset.sweep(0).sensors
-    more = {"T_lidar_sensor": sensors.T_lidar_sensor.tolist()} if sensors else {}
-    finish_stage(run, "odometry", watch, worked, **more)
+    if sensors := dataset.sweep(0).sensors:
+        run.write_sensors(sensors)
+    finish_stage(run, "odometry", watch, worked)
 
 
 def _phantoms(dataset: Dataset, sweep: Sweep, bloom_deg: float) -> NDArray[np.bool_]:

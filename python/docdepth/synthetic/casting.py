@@ -95,8 +95,8 @@ class Rays:
 
     Attributes
     ----------
-    origins : ndarray of float64, shape (m, 3)
-        Where the sensor is at each of ``times``.
+    origins : ndarray of float64, shape (N, 3)
+        Where each ray begins.
     directions : ndarray of float64, shape (N, 3)
         Unit vectors, so that ``t`` along a ray is metres.
     times : ndarray of float64, shape (m,)
@@ -183,8 +183,7 @@ class World:
     def cast(self, rays: Rays, limit: float) -> Hits:
         """What each ray meets first within ``limit`` metres."""
         count = len(rays)
-        origins = rays.origins[rays.which]
-        distance, face = self.still.cast(origins, rays.directions, np.full(count, limit))
+        distance, face = self.still.cast(rays.origins, rays.directions, np.full(count, limit))
         normals = self.still.normals[face]
         speed = np.zeros(count, np.float32)
         for actor, targets in zip(self.actors, self.targets, strict=True):
@@ -197,8 +196,8 @@ class World:
             poses = actor.part_poses(times)
             for (first, target), part_poses in zip(targets, poses, strict=True):
                 rotation = part_poses[which, :3, :3]
-                offset = rays.origins[moments] - part_poses[:, :3, 3]
-                local = np.einsum("nji,nj->ni", part_poses[:, :3, :3], offset)[which]
+                offset = rays.origins[near] - part_poses[which, :3, 3]
+                local = np.einsum("nji,nj->ni", rotation, offset)
                 directions = np.einsum("nji,nj->ni", rotation, rays.directions[near])
                 found, hit = target.cast(local, directions, distance[near])
                 closer = np.flatnonzero(hit >= 0)

@@ -170,7 +170,11 @@ class Drive:
         poses = self._scene_poses(seconds)
         rotation, which = poses[pattern.which, :3, :3], pattern.which
         directions = np.einsum("nij,nj->ni", rotation, pattern.directions)
-        rays = Rays(poses[:, :3, 3], directions, seconds, which)
+        starts = pattern.starts
+        if starts is None:
+            starts = np.zeros_like(directions)
+        origins = poses[which, :3, 3] + np.einsum("nij,nj->ni", rotation, starts)
+        rays = Rays(origins, directions, seconds, which)
         hits = self.world.cast(rays, sensor.max_range)
         reflectivity = self.world.reflectivity[hits.face]
         if sensor.bloom:
@@ -179,9 +183,9 @@ class Drive:
         measured = hits.range[kept] + sensor.noise * rng.normal(size=len(kept))
         measured += self._bias[pattern.rings[kept]]
         if self.skew:
-            points = measured[:, None] * pattern.directions[kept]
+            points = starts[kept] + measured[:, None] * pattern.directions[kept]
         else:
-            points = rays.origins[which[kept]] + measured[:, None] * directions[kept]
+            points = rays.origins[kept] + measured[:, None] * directions[kept]
             stamp = inverse(self._scene_poses(self.times[index : index + 1] / _NS)[0])
             points = np.einsum("ij,kj->ki", stamp[:3, :3], points) + stamp[:3, 3]
         intensity = reflectivity[kept] * np.sqrt(hits.cosine[kept])

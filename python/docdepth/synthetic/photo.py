@@ -49,7 +49,8 @@ def photograph(world: World, camera: Camera, T_scene_camera: Floats, second: flo
     directions = np.einsum("ij,kj->ki", T_scene_camera[:3, :3], local)
     origin = T_scene_camera[None, :3, 3]
     which = np.zeros(len(directions), np.int64)
-    hits = world.cast(Rays(origin, directions, np.array([second]), which), _FAR)
+    origins = np.broadcast_to(origin, directions.shape)
+    hits = world.cast(Rays(origins, directions, np.array([second]), which), _FAR)
     depth = np.where(np.isfinite(hits.range), hits.range * along, np.nan)
     colour = _shade(hits, world.colours[hits.face], origin, directions)
     return View(

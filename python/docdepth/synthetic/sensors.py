@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.datasets import kitti_lidar
 from docdepth.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -27,12 +28,15 @@ class Pattern:
         Index into ``fractions`` for each ray.
     rings : ndarray of int64, shape (N,)
         Number of the laser.
+    starts : ndarray of float64, shape (N, 3), optional
+        Where each ray begins, LiDAR frame, metres; at the origin when left out.
     """
 
     directions: Floats
     fractions: Floats
     which: NDArray[np.int64]
     rings: NDArray[np.int64]
+    starts: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -160,11 +164,15 @@ def _rosette(
 
 
 def _hdl64() -> Callable[[int], Pattern]:
-    upper = np.linspace(2.0, -8.33, 32)
-    lower = np.linspace(-8.87, -24.8, 32)
-    # Lasers do not look along one plane: a fixed part of a degree each.
+    """KITTI's: its lasers look from two blocks, one above the other, of two columns each."""
+    # Nor do they look along one plane: a fixed part of a degree each.
     offsets = np.radians(np.random.default_rng(64).uniform(-0.4, 0.4, 64))
-    return _spinning(np.radians(np.concatenate([upper, lower])), 2083, offsets)
+    pattern = _spinning(np.arctan(kitti_lidar.SLOPES), 2083, offsets)(0)
+    along = pattern.directions[:, :2] / np.hypot(*pattern.directions.T[:2])[:, None]
+    aside, up = kitti_lidar.ASIDE[pattern.rings], kitti_lidar.HEIGHTS[pattern.rings]
+    starts = np.column_stack([-aside * along[:, 1], aside * along[:, 0], up])
+    pattern = replace(pattern, starts=starts)
+    return lambda index: pattern
 
 
 def _degrees(first: float, last: float, count: int) -> Floats:

@@ -1,0 +1,71 @@
+"""KITTI's LiDAR, a Velodyne HDL-64E S2: where its 64 lasers sit and look.
+
+The points of its sweeps are given about a place below the lasers, so lines of sight do not begin at
+the origin. On every real sweep the points of one laser lie on a cone, z = height + slope * distance
+from the axis, to a quarter of a millimetre; these are the slopes and heights of those cones, fitted
+to recorded sweeps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.sensors import Sensors
+
+# fmt: off
+SLOPES = np.array([  # tangent of elevation; the first 32 lasers are the upper block's
+    0.03381, 0.02748, 0.02278, 0.01521, 0.01010, 0.00315, -0.00155, -0.00789,
+    -0.01402, -0.02097, -0.02608, -0.03201, -0.03855, -0.04448, -0.05020, -0.05654,
+    -0.06185, -0.06880, -0.07371, -0.08025, -0.08597, -0.09190, -0.09824, -0.10437,
+    -0.11091, -0.11704, -0.12277, -0.12788, -0.13483, -0.14158, -0.14607, -0.15322,
+    -0.15885, -0.16866, -0.17745, -0.18481, -0.19360, -0.20525, -0.21465, -0.22283,
+    -0.23162, -0.23980, -0.25023, -0.26044, -0.27149, -0.28027, -0.29009, -0.29724,
+    -0.30931, -0.31973, -0.33117, -0.34037, -0.35059, -0.35877, -0.36838, -0.37962,
+    -0.39023, -0.40272, -0.41294, -0.42152, -0.43113, -0.44460, -0.45586, -0.46628,
+])
+# fmt: on
+HEIGHTS = np.where(np.arange(64) < 32, 0.2065 + 0.0603 * SLOPES, 0.1303 + 0.0316 * SLOPES)
+"""Metres above the origin."""
+ASIDE = np.where(np.arange(64) % 2, 0.026, -0.026)
+"""Metres to the left of the axis, seen in the direction in which a laser looks."""
+
+_PLACES = np.repeat(np.eye(4)[None], 64, axis=0)
+_PLACES[:, 2, 3] = HEIGHTS
+_BETWEEN = (SLOPES[1:] + SLOPES[:-1]) / 2
+_TOLERANCE = 3e-4  # of a slope; between two lasers it changes by twenty times that
+_FEWEST = 100
+
+
+def is_kittis(sweeps: Iterable[NDArray[np.float32]]) -> bool:
+    """Whether a drive was recorded by KITTI's LiDAR: its points lie on these 64 cones.
+
+    Asked are points straight ahead, which removing the motion of the sweep leaves in their place,
+    of the first sweep with enough of them.
+
+    Parameters
+    ----------
+    sweeps : iterable of ndarray of float32, shape (N, 3)
+    """
+    for points in sweeps:
+        ahead = points[(points[:, 0] > 2) & (np.abs(points[:, 1]) < 0.1 * points[:, 0])]
+        if len(ahead) >= _FEWEST:
+            laser, slope = _lasers(ahead)
+            return float((np.abs(slope - SLOPES[laser]) < _TOLERANCE).mean()) > 0.6
+    return False
+
+
+def sensors(points: NDArray[np.float32]) -> Sensors:
+    """Which laser measured each point (N, 3) of a sweep of KITTI's, and where all of them sit."""
+    return Sensors(_lasers(points)[0], _PLACES, ASIDE, np.zeros(64, np.uint8))
+
+
+def _lasers(points: NDArray[np.float32]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """The laser whose cone is nearest to each point, and the slope at which it saw the point."""
+    distance, z = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        upper, lower = (z - 0.2065) / (distance + 0.0603), (z - 0.1303) / (distance + 0.0316)
+    slope = np.where(upper > _BETWEEN[31], upper, lower).astype(np.float32)
+    return np.searchsorted(-_BETWEEN.astype("f4"), -slope).clip(0, 63).astype(np.uint8), slope
