@@ -11,6 +11,7 @@
 
 #include "docdepth/dynamics/range_image.hpp"
 #include "docdepth/dynamics/surface_image.hpp"
+#include "keep_memory.hpp"
 
 using namespace docdepth;
 
@@ -91,6 +92,7 @@ void vote_on_surfaces(const Sweep& query) {
 }
 
 int main() {
+  keep_memory();
   const Sweep query = scan(0.0);
   std::vector<std::unique_ptr<RangeImage>> owned;
   std::vector<const KeyFrame*> frames[2];

@@ -12,6 +12,7 @@
 #include "docdepth/render/splats.hpp"
 #include "docdepth/render/surfaces.hpp"
 #include "docdepth/surface/surface.hpp"
+#include "keep_memory.hpp"
 
 using namespace docdepth;
 
@@ -117,7 +118,7 @@ void measure_surfaces(const Camera& camera, const std::vector<Matrix>& sweeps,
   std::vector<Pose> poses;
   const auto frame_of = [&](std::size_t k) {
     const Surface& s = surfaces[k];
-    return SurfaceFrame(sweeps[k], reinterpret_cast<const std::uint32_t (*)[3]>(s.triangles.data()),
+    return SurfaceFrame(sweeps[k], reinterpret_cast<const std::uint32_t(*)[3]>(s.triangles.data()),
                         s.cut.data(), s.triangles.size(), s.loose.data(), s.loose.size(), 0.002f,
                         classid.data(), nullptr);
   };
@@ -149,6 +150,7 @@ void measure_surfaces(const Camera& camera, const std::vector<Matrix>& sweeps,
 }  // namespace
 
 int main() {
+  keep_memory();
   const Camera camera{721.5, 721.5, 609.6, 172.9, 1242, 375};
   const SplatHeights heights({50, 3});
   constexpr int kSweeps = 100, kPoints = 100032;

@@ -30,12 +30,14 @@ Returns::Returns(const Points& points) {
   number.resize(count);
   std::size_t used = 0;
   for (std::size_t i = 0; i < count; ++i) {
-    x[used] = points(i, 0);
-    y[used] = points(i, 1);
-    z[used] = points(i, 2);
-    range[used] = range_of(x[used], y[used], z[used]);
+    const float px = points(i, 0), py = points(i, 1), pz = points(i, 2);
+    const float rho = range_of(px, py, pz);
+    x[used] = px;
+    y[used] = py;
+    z[used] = pz;
+    range[used] = rho;
     number[used] = static_cast<std::uint32_t>(i);
-    used += range[used] > 0.0f && range[used] < kEmpty;
+    used += (rho > 0.0f) & (rho < kEmpty);
   }
   for (auto* values : {&x, &y, &z, &range}) values->resize(used);
   number.resize(used);

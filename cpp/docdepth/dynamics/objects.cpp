@@ -30,6 +30,8 @@ class Sets {
     while (parent_[a] != a) a = parent_[a] = parent_[parent_[a]];
     return a;
   }
+  /// Without a search: false says nothing.
+  bool have_joined(std::uint32_t a, std::uint32_t b) const { return parent_[a] == parent_[b]; }
   void join(std::uint32_t a, std::uint32_t b) {
     a = find(a);
     b = find(b);
@@ -54,19 +56,48 @@ std::vector<std::uint32_t> connect(const Points& points, const Surface& surface,
   const auto range = [&](std::uint32_t i) {
     return range_of(points(i, 0), points(i, 1), points(i, 2));
   };
+  const auto linked = [&](std::uint32_t a, std::uint32_t b) {
+    const float squared = squared_distance(points, a, b);
+    if (squared < p.link * p.link) return true;  // as most are, whatever their range
+    const float link = p.link_growth * std::min(range(a), range(b));
+    return squared < link * link;
+  };
   for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
     if (surface.cut[t]) continue;
-    for (int i = 0; i < 3; ++i) {
-      const auto a = surface.triangles[t][i], b = surface.triangles[t][(i + 1) % 3];
-      if (!takes_part(a) || !takes_part(b)) continue;
-      const float link = std::max(p.link, p.link_growth * std::min(range(a), range(b)));
-      if (squared_distance(points, a, b) < link * link) sets.join(a, b);
-    }
+    const auto& corners = surface.triangles[t];
+    const bool in[3] = {takes_part(corners[0]), takes_part(corners[1]), takes_part(corners[2])};
+    if (in[0] + in[1] + in[2] < 2) continue;
+    for (int i = 0, j = 2; i < 3; j = i++)
+      if (in[i] && in[j] && !sets.have_joined(corners[i], corners[j]) &&
+          linked(corners[i], corners[j]))
+        sets.join(corners[i], corners[j]);
   }
   return sets.first();
 }
 
-/// What is known about connected points, at the first one's place.
+/// What is known about each object, one after the other; most points are the first one of none.
+template <class Value>
+class ByObject {
+ public:
+  explicit ByObject(std::size_t points) : place_(points, kNone) {}
+
+  /// Of the object with that first point.
+  Value& operator[](std::uint32_t first) {
+    if (place_[first] == kNone) {
+      place_[first] = static_cast<std::uint32_t>(values_.size());
+      values_.emplace_back();
+    }
+    return values_[place_[first]];
+  }
+  const std::vector<Value>& values() const { return values_; }
+
+ private:
+  static constexpr std::uint32_t kNone = 0xffffffff;
+  std::vector<std::uint32_t> place_;
+  std::vector<Value> values_;
+};
+
+/// What is known about connected points.
 struct Object {
   int points = 0, voted = 0, dynamic = 0, freed = 0;
   float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
@@ -142,8 +173,9 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
                  const Flags& voted, const Flags& freed, const Flags& stood,
                  const ObjectParameters& p, Flags& moving) {
   const std::size_t count = moving.size();
-  std::vector<Object> objects(count);
+  ByObject<Object> objects(count);
   for (std::size_t i = 0; i < count; ++i) {
+    if (ground[i]) continue;
     Object& object = objects[first[i]];
     ++object.points;
     object.voted += voted[i];
@@ -201,23 +233,26 @@ void add_loose_points(const Points& points, const bool* ground, const std::uint3
                       const std::uint16_t* statics, const std::uint16_t* dynamics,
                       const ObjectParameters& p, Flags& moving) {
   const std::size_t count = moving.size();
-  std::vector<int> points_of(count, 0), moving_of(count, 0);
-  std::vector<Extent> extents(count);
+  struct Whole {
+    int points = 0, moving = 0;
+    Extent extent;
+  };
+  ByObject<Whole> objects(count);
   const auto at = [&](std::size_t i) { return Extent{points.row(i), points.row(i)}; };
   for (std::size_t i = 0; i < count; ++i) {
     if (ground[i]) continue;
-    const std::uint32_t f = first[i];
-    if (points_of[f]++ == 0) extents[f] = at(i);
-    extents[f].add(at(i));
-    moving_of[f] += moving[i] != 0;
+    Whole& object = objects[first[i]];
+    if (object.points++ == 0) object.extent = at(i);
+    object.extent.add(at(i));
+    object.moving += moving[i] != 0;
   }
   std::vector<Extent> movers;
-  for (std::size_t f = 0; f < count; ++f)
-    if (points_of[f] >= p.object_points && 2 * moving_of[f] >= points_of[f] &&
-        extents[f].width() <= kWidest)
-      movers.push_back(extents[f]);
+  for (const Whole& object : objects.values())
+    if (object.points >= p.object_points && 2 * object.moving >= object.points &&
+        object.extent.width() <= kWidest)
+      movers.push_back(object.extent);
   for (std::size_t i = 0; i < count; ++i) {
-    if (moving[i] || ground[i] || points_of[first[i]] >= kFewestPoints) continue;
+    if (moving[i] || ground[i] || objects[first[i]].points >= kFewestPoints) continue;
     if (statics[i] > dynamics[i] + p.loose_votes) continue;
     moving[i] = std::any_of(movers.begin(), movers.end(),
                             [&](const Extent& mover) { return mover.overlaps(at(i), kAround); });
@@ -231,8 +266,9 @@ void add_points_inside(const Points& points, const bool* ground, const std::uint
   for (std::size_t i = 0; i < moving.size() && !boxes.empty(); ++i) {
     if (moving[i] || ground[i] || statics[i] > dynamics[i] + p.loose_votes) continue;
     const Eigen::Vector3f at = T * Eigen::Vector3f(points(i, 0), points(i, 1), points(i, 2));
-    moving[i] = std::any_of(boxes.begin(), boxes.end(),
-                            [&](const Extent& box) { return box.overlaps({at, at}, kAroundWay); });
+    moving[i] = std::any_of(boxes.begin(), boxes.end(), [&](const Extent& box) {
+      return box.overlaps({at, at}, kAroundWay);
+    });
   }
 }
 

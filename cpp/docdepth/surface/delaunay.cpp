@@ -36,46 +36,21 @@ std::int64_t orientation(const Vertex& a, const Vertex& b, const Vertex& c) {
 
 __extension__ typedef __int128 Wide;
 
-struct Offset {
-  std::int32_t x, y;
-};
-
-Offset operator-(const Vertex& a, const Vertex& b) {
-  return {a.x - b.x, a.y - b.y};
-}
-
-/// Do the angles from ca to cb and from db to da add up to more than half a turn (1), just to that
-/// (0), or to less (-1)? Then a, b, c, d turn, and each lies within, on, or outside the circle
-/// through the other three (Cline and Renka 1984).
-template <class Integer>
-int angles_over(const Offset& ca, const Offset& cb, const Offset& da, const Offset& db) {
-  const auto sine = [](const Offset& a, const Offset& b) {
-    return std::int64_t{a.x} * b.y - std::int64_t{a.y} * b.x;
-  };
-  const auto cosine = [](const Offset& a, const Offset& b) {
-    return std::int64_t{a.x} * b.x + std::int64_t{a.y} * b.y;
-  };
-  const Integer sum =
-      Integer{sine(ca, cb)} * cosine(da, db) + Integer{cosine(ca, cb)} * sine(db, da);
-  return sum < 0 ? 1 : sum > 0 ? -1 : 0;
-}
-
-/// Hardly ever needed, so kept out of the way of what always is.
-[[gnu::noinline]] int far_angles_over(const Offset& ca, const Offset& cb, const Offset& da,
-                                      const Offset& db) {
-  return angles_over<Wide>(ca, cb, da, db);
-}
-
-/// Is d inside the circle through a, b, c (counterclockwise)? On the circle the edge must touch the
-/// lowest number, as if its return were lifted off the paraboloid downwards the most.
+/// Is d inside the circle through a, b, c (counterclockwise)? The angles that a-b is seen under
+/// from c and d say so: they add up to more than half a turn inside, to less outside (Cline and
+/// Renka 1984). On the circle the edge must touch the lowest number, as if its return were lifted
+/// off the paraboloid downwards the most.
 bool is_within(const Vertex& a, const Vertex& b, const Vertex& c, const Vertex& d) {
-  const Offset ca = a - c, cb = b - c, da = a - d, db = b - d;
-  constexpr std::uint32_t limit = 1 << 14;  // squares of squares fit 64 bits
-  std::uint32_t all = 0;
-  for (const Offset& o : {ca, cb, da, db}) all |= (o.x + limit) | (o.y + limit);
-  const int over =
-      all < 2 * limit ? angles_over<std::int64_t>(ca, cb, da, db) : far_angles_over(ca, cb, da, db);
-  if (over != 0) return over > 0;
+  const double cax = a.x - c.x, cay = a.y - c.y, cbx = b.x - c.x, cby = b.y - c.y;
+  const double dax = a.x - d.x, day = a.y - d.y, dbx = b.x - d.x, dby = b.y - d.y;
+  const double sine_c = cax * cby - cay * cbx, cosine_c = cax * cbx + cay * cby;
+  const double sine_d = dbx * day - dby * dax, cosine_d = dax * dbx + day * dby;
+  // Whole numbers until here; only products of two of them may be too long and are rounded.
+  const double one = sine_c * cosine_d, two = cosine_c * sine_d, sum = one + two;
+  if (std::fabs(sum) > (std::fabs(one) + std::fabs(two)) * 0x1p-51) return sum < 0;
+  const auto whole = [](double v) { return static_cast<Wide>(static_cast<std::int64_t>(v)); };
+  const Wide exact = whole(sine_c) * whole(cosine_d) + whole(cosine_c) * whole(sine_d);
+  if (exact != 0) return exact < 0;
   return std::min(c.number, d.number) < std::min(a.number, b.number);
 }
 

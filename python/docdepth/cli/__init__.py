@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import sys
 from typing import Annotated
@@ -34,8 +35,27 @@ def options(
         raise typer.Exit
 
 
+def keep_memory() -> None:
+    """Have glibc keep what arrays leave behind, in one place for all threads.
+
+    Every sweep needs the same megabytes. The system clears them page by page when they were given
+    back in between, which takes a tenth of the time of ``classify``.
+    """
+    if sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "mallopt"):
+        return
+    trim_threshold, top_pad, mmap_threshold, arena_max = -1, -2, -3, -8
+    for parameter, value in (
+        (trim_threshold, 1 << 30),
+        (top_pad, 1 << 26),
+        (mmap_threshold, 1 << 25),
+        (arena_max, 1),
+    ):
+        ctypes.CDLL(None).mallopt(parameter, value)
+
+
 def main() -> None:
     """Entry point: one clear sentence and exit code 2 for a user's mistake."""
+    keep_memory()
     try:
         app()
     except DocDepthError as error:

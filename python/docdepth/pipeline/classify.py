@@ -71,9 +71,12 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     seen = run.path / ".objects" / key
     voters = dynamics.key_frames(trajectory, parameters.dynamics)
 
+    keys = {"votes": votes_key, "classify": key}
+
     def is_classified(index: int) -> bool:
-        whole = not over_time or (seen / f"{index:06d}.npy").is_file()
-        return whole and run.frame_key(index).get("classify") == key
+        if over_time:
+            return (seen / f"{index:06d}.npy").is_file()
+        return run.frame_key(index).get("classify") == key
 
     def prepare(index: int) -> _Sweep:
         with watch("read"):
@@ -101,21 +104,16 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             classid = dynamics.classify(
                 ground, votes, parameters.dynamics, record.points, surface, first
             )
-        if first is not None:
-            with watch("sightings"):
-                moving = classid >= dynamics.DYNAMIC
-                sighting = objects.Sighting(record.points, ground, first, moving, local[index])
+        if first is None:
             with watch("write"):
-                _write_arrays(seen / f"{index:06d}.npy", first, *sighting.arrays)
+                _write_classified(run, index, record, keys, votes, classid)
+            return
+        with watch("sightings"):
+            moving = classid >= dynamics.DYNAMIC
+            sighting = objects.Sighting(record.points, ground, first, moving, local[index])
         with watch("write"):
-            classified = replace(
-                record,
-                key={**record.key, "votes": votes_key, "classify": key},
-                votes_static=votes.static,
-                votes_dynamic=votes.dynamic,
-                classid=classid,
-            )
-            _write_classified(run, index, classified)
+            arrays = (*sighting.arrays, first, votes.static, votes.dynamic, classid)
+            _write_arrays(seen / f"{index:06d}.npy", *arrays)
 
     left = [index for index in range(total) if not is_classified(index)]
     voted = {index for index in left if run.frame_key(index).get("votes") == votes_key}
@@ -162,7 +160,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         if pending:
             pending.result()
     if over_time:
-        _carry_evidence(run, trajectory, seen, watch, threads)
+        _carry_evidence(run, trajectory, seen, keys, watch, threads)
         shutil.rmtree(seen.parent)
     for path in grounds.glob("*"):
         path.unlink()
@@ -215,7 +213,12 @@ def _grow_ground(
 
 
 def _carry_evidence(
-    run: RunFolder, trajectory: Trajectory, seen: Path, watch: Stopwatch, threads: int
+    run: RunFolder,
+    trajectory: Trajectory,
+    seen: Path,
+    keys: dict[str, str],
+    watch: Stopwatch,
+    threads: int,
 ) -> None:
     """Classes of objects that move at another time; the same again when it was interrupted."""
 
@@ -223,36 +226,34 @@ def _carry_evidence(
 
     def read_sighting(index: int) -> objects.Sighting:
         with watch("read"):
-            _, *arrays = _read_arrays(seen / f"{index:06d}.npy", 4)
-            return objects.Sighting.of(arrays)
+            return objects.Sighting.of(_read_arrays(seen / f"{index:06d}.npy", 3))
 
     def classify_again(index: int) -> None:
         with watch("read"):
             record = run.frame(index)
-            (first,) = _read_arrays(seen / f"{index:06d}.npy", 1)
-        assert record.classid is not None
-        votes = _votes_of(record)
-        classid = objects.add_carried(
-            record.points,
-            first,
-            carried[index],
-            votes.static,
-            votes.dynamic,
-            record.classid,
-            local[index],
-            run.parameters.dynamics,
-        )
-        if (classid == record.classid).all():
-            return
+            arrays = _read_arrays(seen / f"{index:06d}.npy", 7)
+        first, static, dynamic, classid = arrays[3:]
+        if carried[index]:
+            classid = objects.add_carried(
+                record.points,
+                first,
+                carried[index],
+                static,
+                dynamic,
+                classid,
+                local[index],
+                run.parameters.dynamics,
+            )
         with watch("write"):
-            _write_classified(run, index, replace(record, classid=classid))
+            votes = dynamics.Votes(static, dynamic)
+            _write_classified(run, index, record, keys, votes, classid)
 
-    with ThreadPoolExecutor(3) as pool:
+    # Many workers, since most of them wait for the disk.
+    with ThreadPoolExecutor(6) as pool:
         sightings = list(pool.map(read_sighting, range(len(trajectory))))
         with watch("tracks"):
             carried = objects.follow(sightings, trajectory.times, run.parameters.dynamics, threads)
-        changed = [index for index, found in enumerate(carried) if found]
-        for _ in made_ahead(pool, classify_again, changed, 3):
+        for _ in made_ahead(pool, classify_again, range(len(trajectory)), 6):
             pass
 
 
@@ -278,11 +279,24 @@ def _votes_of(record: FrameRecord) -> dynamics.Votes:
     return dynamics.Votes(record.votes_static, record.votes_dynamic)
 
 
-def _write_classified(run: RunFolder, index: int, record: FrameRecord) -> None:
-    assert record.classid is not None
+def _write_classified(
+    run: RunFolder,
+    index: int,
+    record: FrameRecord,
+    keys: dict[str, str],
+    votes: dynamics.Votes,
+    classid: NDArray[np.uint16],
+) -> None:
     labels = np.full(record.input_points, _OUTLIER, np.uint32)
-    labels[record.index] = np.where(record.classid >= dynamics.DYNAMIC, _MOVING, _STATIC)
+    labels[record.index] = np.where(classid >= dynamics.DYNAMIC, _MOVING, _STATIC)
     path = run.path / "labels" / f"{record.name}.label"
     write_atomically(path, lambda stream: stream.write(labels.tobytes()))
     # Last, because its key says that this frame is done.
-    run.write_frame(index, record)
+    classified = replace(
+        record,
+        key={**record.key, **keys},
+        votes_static=votes.static,
+        votes_dynamic=votes.dynamic,
+        classid=classid,
+    )
+    run.write_frame(index, classified)
