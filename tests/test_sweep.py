@@ -19,6 +19,7 @@ from docdepth.evaluation import LabelEvaluation
 from docdepth.ground import grow_ground
 from docdepth.io.ply import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder
+from docdepth.sensors import Sensors
 from docdepth.sweep import Outcome, Trial, grid, parse_axes, plot, read_trials, sweep
 from docdepth.trajectory import Trajectory
 
@@ -54,10 +55,19 @@ def run(drive, tmp_path_factory) -> Path:
     for k, one in enumerate(sweeps):
         one.labels.tofile(labels / f"{k:06d}.label")
         rows = np.arange(len(one.points), dtype=np.uint32)
-        record = FrameRecord(one.points, rows, f"{k:06d}", len(rows), {"odometry": "x"})
+        seen = seen_from(one.points)
+        record = FrameRecord(
+            one.points, rows, f"{k:06d}", len(rows), {"odometry": "x"}, sensor=seen.index
+        )
         folder.write_frame(k, record)
+    folder.write_sensors(seen)
     folder.set_stage("odometry", state="done", key="x")
     return folder.path
+
+
+def seen_from(points) -> Sensors:
+    """As if the LiDAR had looked from beside the origin, which changes votes."""
+    return Sensors.at((0.5, 0.2, 0.3), len(points))
 
 
 def contents(path: Path) -> dict[str, str]:
@@ -79,7 +89,8 @@ def test_figures_are_those_of_the_stages_in_memory(drive, run, tmp_path) -> None
     ]
     for outcome, p in zip(outcomes, chosen, strict=True):
         ground = grow_ground(points, truth.poses, p.ground)
-        labels = classify_drive(points, trajectory, p.dynamics, ground=ground)
+        sensors = [seen_from(sweep) for sweep in points]
+        labels = classify_drive(points, trajectory, p.dynamics, ground=ground, sensors=sensors)
         evaluation = LabelEvaluation()
         for one, label in zip(sweeps, labels, strict=True):
             evaluation.add(one.labels, label.classid >= 100, np.linalg.norm(one.points, axis=1))

@@ -118,7 +118,7 @@ void measure_surfaces(const Camera& camera, const std::vector<Matrix>& sweeps,
   std::vector<Pose> poses;
   const auto frame_of = [&](std::size_t k) {
     const Surface& s = surfaces[k];
-    return SurfaceFrame(sweeps[k], reinterpret_cast<const std::uint32_t(*)[3]>(s.triangles.data()),
+    return SurfaceFrame(sweeps[k], reinterpret_cast<const std::uint32_t (*)[3]>(s.triangles.data()),
                         s.cut.data(), s.triangles.size(), s.loose.data(), s.loose.size(), 0.002f,
                         classid.data(), nullptr);
   };

@@ -178,7 +178,7 @@ class RenderParameters(_Stage):
         description="what a sweep is drawn as: discs of the paper's size, or the surface itself",
     )
     behind: float = Field(15.0, ge=0, description="static sweeps behind the camera, d_min [m]")
-    ahead: float = Field(50.0, gt=0, description="static sweeps ahead of it, d_max [m]")
+    ahead: float = Field(80.0, gt=0, description="static sweeps ahead of it, d_max [m]")
     step: float = Field(0.25, gt=0, description="spacing of static sweeps, d_step [m]")
     step_growth: float = Field(
         0.25, ge=0, description="spacing of triangles over their distance to the image [-]"

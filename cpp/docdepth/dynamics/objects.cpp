@@ -266,9 +266,8 @@ void add_points_inside(const Points& points, const bool* ground, const std::uint
   for (std::size_t i = 0; i < moving.size() && !boxes.empty(); ++i) {
     if (moving[i] || ground[i] || statics[i] > dynamics[i] + p.loose_votes) continue;
     const Eigen::Vector3f at = T * Eigen::Vector3f(points(i, 0), points(i, 1), points(i, 2));
-    moving[i] = std::any_of(boxes.begin(), boxes.end(), [&](const Extent& box) {
-      return box.overlaps({at, at}, kAroundWay);
-    });
+    moving[i] = std::any_of(boxes.begin(), boxes.end(),
+                            [&](const Extent& box) { return box.overlaps({at, at}, kAroundWay); });
   }
 }
 

@@ -18,6 +18,7 @@ from docdepth.errors import RunError
 from docdepth.io.atomic import write_atomically
 from docdepth.io.ply import FrameRecord
 from docdepth.io.run_folder import RunFolder
+from docdepth.sensors import Sensors
 from docdepth.trajectory import Trajectory
 
 _STORED = ("classid", "votes_static", "votes_dynamic")
@@ -44,6 +45,10 @@ class TrialFolder(RunFolder):
     def trajectory(self) -> Trajectory:
         """LiDAR poses of the run."""
         return self._source.trajectory()
+
+    def sensors(self, frame: FrameRecord) -> Sensors | None:
+        """Where a sweep of the run was measured from."""
+        return self._source.sensors(frame)
 
     def frame(self, index: int) -> FrameRecord:
         """Sweep of the run with the classes of the trial, where there are any."""
