@@ -33,6 +33,7 @@ from docdepth.errors import DocDepthError
 from docdepth.evaluation import LabelEvaluation, LabelResult, MapEvaluation, MapResult, Table
 from docdepth.io.poses import read_poses
 from docdepth.io.run_folder import RunFolder
+from docdepth.sensors import View, views
 
 
 @dataclass(frozen=True)
@@ -65,10 +66,15 @@ def drive_of_run(run: Path, recording: Path) -> Drive:
             raise SystemExit(f"{recording} has no labels for sweep {index}")
         return truth[folder.frame(index).index]
 
+    def seen(index: int) -> View:
+        # All look from where the LiDAR does.
+        frame = folder.frame(index)
+        return next(views(frame.points, folder.sensors(frame)))
+
     return Drive(
-        poses=folder.trajectory().poses,
+        poses=folder.trajectory().poses @ seen(0).T_lidar_sensor,
         source=str(folder.manifest["source"].get("poses") or "kiss-icp, small_gicp, deskewed"),
-        points=lambda index: folder.frame(index).points,
+        points=lambda index: seen(index).points,
         labels=labels,
         ours=lambda index: folder.frame(index).classid >= 100,
         ours_seconds=folder.stage("classify").get("wall_seconds", float("nan")),
