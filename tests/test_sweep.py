@@ -133,7 +133,9 @@ def test_a_sweep_goes_on_where_it_stopped(run, tmp_path, monkeypatch) -> None:
     with pytest.raises(KeyboardInterrupt):
         sweep(run, labels, TRIALS[:2], out, threads=1)
     voted: list[int] = []
-    monkeypatch.setattr(dynamics, "vote", lambda *a, **named: (voted.append(1), write(*a, **named))[1])
+    monkeypatch.setattr(
+        dynamics, "vote", lambda *a, **named: (voted.append(1), write(*a, **named))[1]
+    )
     counted: list[int] = []
     monkeypatch.setattr(
         pipeline, "run_classify", lambda f, *r: (counted.append(1), original(f, *r))
