@@ -121,9 +121,10 @@ class Frame:
             (_surface_frame(part, classid, p, late), part.T_lidar_sensor) for part in seen.parts
         ]
         self.movers = self.parts[0]
-        if len(self.parts) > 1:  # what moves is small, and drawn as if one LiDAR had seen it
-            (whole,) = Surface(points, surface_parameters).parts
-            self.movers = (_surface_frame(whole, classid, p, late), np.eye(4))
+        if len(self.parts) > 1:  # what moves is small, and drawn as if the first had seen all of it
+            first = Sensors.at(seen.parts[0].T_lidar_sensor[:3, 3], len(points))
+            (whole,) = Surface(points, surface_parameters, first).parts
+            self.movers = (_surface_frame(whole, classid, p, late), whole.T_lidar_sensor)
 
 
 _Part = tuple[_core.Frame | _core.SurfaceFrame, NDArray[np.float64]]
