@@ -110,6 +110,8 @@ def script(drive: str, *lines: str) -> subprocess.CompletedProcess:
         "sys.path.insert(0, 'tests')",
         "from exact_drive import Drive",
         "from docdepth.odometry import estimate_poses",
+        # Of tests that run in the background the shell may have taken Ctrl-C away.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)",
         f"drive = pickle.load(open({drive!r}, 'rb'))",
     )
     return subprocess.run(
