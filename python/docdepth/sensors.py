@@ -122,7 +122,10 @@ def views(points: NDArray[np.float32], sensors: Sensors | None) -> Iterator[View
         T_lidar_sensor = lasers[0].copy()
         T_lidar_sensor[:3, 3] = lasers[:, :3, 3].mean(axis=0)
         T = inverse(T_lidar_sensor)
-        seen = (points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+        exact = points.astype(np.float64)
+        if not np.array_equal(T[:3, :3], np.eye(3)):
+            exact = exact @ T[:3, :3].T
+        seen = (exact + T[:3, 3]).astype(np.float32)
         if (sensors.head != head).any():
             seen[sensors.head[sensors.index] != head] = np.nan
         yield View(seen, T_lidar_sensor, _starts(seen, T, sensors) if len(lasers) > 1 else None)
@@ -132,8 +135,9 @@ def _starts(
     seen: NDArray[np.float32], T_sensor_lidar: NDArray[np.float64], sensors: Sensors
 ) -> NDArray[np.float32]:
     """A laser beside the axis turns with the direction in which it looks."""
-    starts = (T_sensor_lidar @ sensors.T_lidar_sensor)[sensors.index, :3, 3].astype(np.float32)
-    aside = sensors.aside.astype(np.float32)[sensors.index]
+    places = (T_sensor_lidar @ sensors.T_lidar_sensor)[:, :3, 3].astype(np.float32)
+    starts = np.take(places, sensors.index, axis=0)
+    aside = np.take(sensors.aside.astype(np.float32), sensors.index)
     aside /= np.maximum(np.hypot(seen[:, 0], seen[:, 1]), np.float32(1e-3))
     starts[:, 0] -= aside * seen[:, 1]
     starts[:, 1] += aside * seen[:, 0]
