@@ -135,6 +135,7 @@ class RunFolder:
         """Keep where the LiDARs, or their lasers, sit: once for all frames."""
         kept = {name: getattr(sensors, name) for name in ("T_lidar_sensor", "aside", "head")}
         write_atomically(self._sensors_path, lambda stream: np.savez(stream, **kept))
+        self.__dict__.pop("_sensors", None)  # what was read before
 
     @property
     def _sensors_path(self) -> Path:
