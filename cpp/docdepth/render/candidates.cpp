@@ -15,10 +15,6 @@ namespace {
 constexpr float kSame = 0.04f;  ///< offers that differ less are of one surface
 constexpr float kEdge = 0.05f;  ///< bend of nearness, linear on every plane, as a share of it
 
-/// Movers are not rigid, nor is their motion known to the centimetre: they are there unless a ray
-/// passed within a tenth of a metre, or many did.
-constexpr float kDoubt = 100.0f;
-
 /// A ray that passed within a centimetre, or many farther off, decide: no more are asked.
 constexpr float kSure = 1000.0f;
 
@@ -238,7 +234,10 @@ void add_mover(const Columns& columns, const Camera& camera, const std::vector<f
   const auto balance = Questions(columns, camera, rays).ask(contests, 0);
   for (std::size_t i = 0; i < contests.size(); ++i) {
     float& here = nearness[std::size_t(contests[i].v) * columns.stride + contests[i].u];
-    if (balance[i] > -kDoubt || !(here > 0)) here = contests[i].offers[0];
+    if (balance[i] > 0)
+      here = contests[i].offers[0];
+    else if (balance[i] > -kSure)
+      here = 0;
   }
 }
 

@@ -43,8 +43,9 @@ class Candidates {
   std::vector<float> offers_[kMost];  // each differs from those before it; 0 from the first unused
 };
 
-/// Draws a moving object over what is farther. At its edges the rays that saw it are asked; it
-/// stays unless they clearly passed, and where nothing is behind it.
+/// Draws a moving object over what is farther. At its edges the rays that saw it are asked: it is
+/// drawn where more of them met it than passed, what is behind it where they surely passed. Between
+/// these nobody knows, since what moves is not rigid, and pixels stay empty.
 void add_mover(const Columns& columns, const Camera& camera, const std::vector<float>& mover,
                const std::vector<PlacedRays>& rays, std::vector<float>& nearness);
 
