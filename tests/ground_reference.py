@@ -22,13 +22,14 @@ def centroids(world, size):
     return cells, sums / np.bincount(voxel.ravel())[:, None], voxel.ravel()
 
 
-def seed(points, position, radius):
+def seed(points, position, radius, quantile):
     x, y, z = points.T
     dx, dy = x - position[0], y - position[1]
     while True:
         inside = np.flatnonzero(dx * dx + dy * dy <= radius * radius)
         if len(inside):
-            return inside[np.lexsort((y[inside], x[inside], z[inside]))[0]]
+            upwards = np.lexsort((y[inside], x[inside], z[inside]))
+            return inside[upwards[int(quantile * (len(inside) - 1))]]
         radius *= 2
 
 
@@ -69,7 +70,7 @@ def label_sweeps(sweeps, poses, p):
     origin = poses[0][:3, 3]
     world = [to_world(s, T, origin) for s, T in zip(sweeps, poses, strict=True)]
     _, points, voxel = centroids(np.concatenate(world), p.voxel_size)
-    seeds = [seed(points, T[:3, 3] - origin, p.seed_radius) for T in poses]
+    seeds = [seed(points, T[:3, 3] - origin, p.seed_radius, p.seed_quantile) for T in poses]
     ground = grow(points, seeds, p.neighbors, p.plane_distance, p.max_slope_deg)
     ends = np.cumsum([len(s) for s in sweeps])[:-1]
     return np.split(ground[voxel], ends), int(ground.sum())

@@ -89,7 +89,10 @@ def test_equal_distances_are_settled_alike():
         assert_equals_reference([lattice.astype(np.float32)], pose(z=1.0)[None], q)
 
 
-@pytest.mark.parametrize("update", [{"neighbors": 8}, {"max_slope_deg": 4.0}, {"seed_radius": 0.2}])
+OTHERS = [{"neighbors": 8}, {"max_slope_deg": 4.0}, {"seed_radius": 0.2}, {"seed_quantile": 0.3}]
+
+
+@pytest.mark.parametrize("update", OTHERS)
 def test_labels_equal_plain_growing_at_other_parameters(update):
     sweeps, poses = street_drive(seed=3, n=3000)
     assert_equals_reference(sweeps, poses, COARSE.model_copy(update=update))
@@ -168,6 +171,20 @@ def test_warns_when_there_is_next_to_no_ground(caplog):
     with caplog.at_level(logging.WARNING, "docdepth.ground"):
         assert ground_map.grow() < 100
     assert "next to no ground" in caplog.text
+
+
+def test_phantoms_below_the_road_do_not_take_its_ground():
+    sweeps, poses = street_drive()
+    phantoms = (
+        np.random.default_rng(1).uniform([-1, -1, -9], [1, 1, -4], (20, 3)).astype(np.float32)
+    )
+    mirrored = [np.concatenate([s, phantoms]) for s in sweeps]
+    robust = COARSE.model_copy(update={"seed_quantile": GroundParameters().seed_quantile})
+    expected = np.concatenate(grow_ground(sweeps, poses, robust))
+    found = np.concatenate([g[:-20] for g in grow_ground(mirrored, poses, robust)])
+    assert (found == expected).mean() > 0.999
+    assert expected.mean() > 0.3
+    assert np.concatenate(grow_ground(mirrored, poses, COARSE)).mean() < 0.01
 
 
 def test_empty_sweeps_have_no_ground():

@@ -175,14 +175,20 @@ class PlainGround {
 
   std::size_t seed(const Vector3d& position) const {
     for (double radius = parameters_.seed_radius;; radius *= 2.0) {
-      std::size_t lowest = sums_.size();
+      std::vector<std::size_t> inside;
       for (std::size_t i = 0; i < sums_.size(); ++i) {
         const Vector3d& p = cloud_.points[i];
         const double dx = p.x() - position.x(), dy = p.y() - position.y();
         if (dx * dx + dy * dy > radius * radius) continue;
-        if (lowest == sums_.size() || p.z() < cloud_.points[lowest].z()) lowest = i;
+        inside.push_back(i);
       }
-      if (lowest < sums_.size()) return lowest;
+      if (inside.empty()) continue;
+      const auto chosen =
+          inside.begin() + std::ptrdiff_t(parameters_.seed_quantile * double(inside.size() - 1));
+      std::nth_element(inside.begin(), chosen, inside.end(), [&](std::size_t a, std::size_t b) {
+        return cloud_.points[a].z() < cloud_.points[b].z();
+      });
+      return *chosen;
     }
   }
 

@@ -182,7 +182,8 @@ std::size_t GroundMap::grow() {
   for (const Vector3d& position : state.positions) {
     std::uint32_t seed;
     double radius = state.parameters.seed_radius;
-    while ((seed = tree.lowest(position.x(), position.y(), radius)) == tree.points().size())
+    while ((seed = tree.quantile(position.x(), position.y(), radius,
+                                 state.parameters.seed_quantile)) == tree.points().size())
       radius *= 2.0;
     front.seed(seed);
   }

@@ -13,6 +13,7 @@ namespace docdepth {
 struct GroundParameters {
   double voxel_size = 0.03;               ///< s, metres
   double seed_radius = 2.0;               ///< r_seed, metres
+  double seed_quantile = 0.1;             ///< share of the points there that lie below the seed
   int neighbors = 30;                     ///< k_nn, the front point itself among them
   double plane_distance = 0.04;           ///< delta, metres
   double max_slope = 0.2617993877991494;  ///< alpha, radians

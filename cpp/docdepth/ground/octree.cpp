@@ -121,9 +121,8 @@ std::uint32_t Octree::leaf_of(std::uint32_t point) const {
   return n;
 }
 
-std::uint32_t Octree::lowest(double x, double y, double radius) const {
-  auto best = static_cast<std::uint32_t>(points_.size());
-  std::vector<std::uint32_t> open;
+std::uint32_t Octree::quantile(double x, double y, double radius, double share) const {
+  std::vector<std::uint32_t> inside, open;
   if (!nodes_.empty()) open.push_back(0);
   while (!open.empty()) {
     const Node& node = nodes_[open.back()];
@@ -132,16 +131,18 @@ std::uint32_t Octree::lowest(double x, double y, double radius) const {
         Eigen::Vector3d(x, y, 0).cwiseMax(node.box.min()).cwiseMin(node.box.max());
     const double dx = nearest.x() - x, dy = nearest.y() - y;
     if (dx * dx + dy * dy > radius * radius) continue;
-    if (best < points_.size() && node.box.min().z() > points_[best].z()) continue;
     for (std::uint32_t c = 0; c < node.children; ++c) open.push_back(node.child + c);
     for (std::uint32_t i = node.begin; !node.children && i < node.end; ++i) {
-      const Eigen::Vector3d& p = points_[i];
-      const double px = p.x() - x, py = p.y() - y;
-      if (px * px + py * py > radius * radius) continue;
-      if (best == points_.size() || nearer(p.z(), p, points_[best].z(), points_[best])) best = i;
+      const double px = points_[i].x() - x, py = points_[i].y() - y;
+      if (px * px + py * py <= radius * radius) inside.push_back(i);
     }
   }
-  return best;
+  if (inside.empty()) return static_cast<std::uint32_t>(points_.size());
+  const auto chosen = inside.begin() + std::ptrdiff_t(share * double(inside.size() - 1));
+  std::nth_element(inside.begin(), chosen, inside.end(), [&](std::uint32_t a, std::uint32_t b) {
+    return nearer(points_[a].z(), points_[a], points_[b].z(), points_[b]);
+  });
+  return *chosen;
 }
 
 }  // namespace docdepth

@@ -28,9 +28,9 @@ class Octree {
   const std::vector<Node>& nodes() const { return nodes_; }
   /// Index of the leaf that holds a point.
   std::uint32_t leaf_of(std::uint32_t point) const;
-  /// The lowest point within `radius` of (x, y), the smallest x, y among equals; none: their
-  /// number.
-  std::uint32_t lowest(double x, double y, double radius) const;
+  /// Of the points within `radius` of (x, y) the one that this share of the others lies below, the
+  /// smallest x, y among equals; none: number of all points.
+  std::uint32_t quantile(double x, double y, double radius, double share) const;
 
   /// Call visit(leaf) for each leaf whose box meets `box`, in the order of the points.
   template <class Visit>
