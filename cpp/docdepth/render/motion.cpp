@@ -18,17 +18,21 @@ constexpr float kThin = 0.15f;        ///< edge of the cubes of which each gives
 constexpr std::size_t kPlaces = 300;  ///< of larger objects the cubes are larger
 constexpr std::size_t kFewest = 5;    ///< with fewer places an object has no shape to be found by
 constexpr float kExplained = 0.4f;    ///< share of places found again, of one times the other
+constexpr float kTaken = 0.5f;        ///< share of places where another one is already
 
+/// How an object comes to lie on another; with a score of 0 it does not.
 struct Match {
   Vector shift = Vector::Zero();
-  float explained = 0;
+  float score = 0;
 };
 
 Match match(const Places& a, const Places& b, float reach) {
-  Match match{most_frequent_shift(a, b, reach), 0};
-  if (!refine_shift(a, b, match.shift)) return {};
-  match.explained = share_found(a, match.shift, b) * share_found(b, -match.shift, a);
-  return match;
+  Vector shift = most_frequent_shift(a, b, reach);
+  if (!refine_shift(a, b, shift)) return {};
+  const float explained = share_found(a, shift, b) * share_found(b, -shift, a);
+  if (explained < kExplained) return {};
+  // Of two that fit alike the nearer is the likelier.
+  return {shift, explained * std::exp(-shift.norm() / (2 * reach))};
 }
 
 Vector middle(const Places& places) {
@@ -88,25 +92,38 @@ std::vector<Vector> velocities(const Objects& objects, const Objects& other, con
   for (auto& places : candidates)
     for (auto& p : places) p = T * p;
   const float reach = passage.max_speed * std::fabs(passage.duration);
-  std::vector<Vector> result(objects.places.size(), Vector::Zero());
+  const std::size_t count = objects.places.size();
+  std::vector<Vector> result(count, Vector::Zero());
   if (!(reach > 0)) return result;
-  parallel_for(result.size(), 1, threads, [&](std::size_t k, std::size_t) {
+  std::vector<std::vector<Match>> matches(count, std::vector<Match>(candidates.size()));
+  parallel_for(count, 1, threads, [&](std::size_t k, std::size_t) {
     const Places& places = objects.places[k];
     if (places.size() < kFewest) return;
     const Vector here = middle(places);
-    float best = 0;
-    for (std::size_t c = 0; c < candidates.size(); ++c) {
-      if ((middle(candidates[c]) - here).norm() > reach) continue;
-      const Match found = match(places, candidates[c], reach);
-      // Of two that fit alike the nearer is the likelier.
-      const float score = found.explained * std::exp(-found.shift.norm() / (2 * reach));
-      if (found.explained < kExplained || score <= best) continue;
-      best = score;
-      // Times within the sweeps change the duration a little, or they are wrong.
-      const float between = passage.duration + other.late[c] - objects.late[k];
-      result[k] = found.shift / (between / passage.duration > 0.5f ? between : passage.duration);
-    }
+    for (std::size_t c = 0; c < candidates.size(); ++c)
+      if ((middle(candidates[c]) - here).norm() <= reach)
+        matches[k][c] = match(places, candidates[c], reach);
   });
+  const auto worse = [](const Match& a, const Match& b) { return a.score < b.score; };
+  std::vector<std::size_t> best(candidates.size(), 0);  // of the objects, for each candidate
+  for (std::size_t c = 0; c < candidates.size(); ++c)
+    for (std::size_t k = 1; k < count; ++k)
+      if (worse(matches[best[c]][c], matches[k][c])) best[c] = k;
+  for (std::size_t k = 0; k < count; ++k) {
+    auto own = matches[k];
+    for (std::size_t c = 0; c < candidates.size(); ++c) {
+      const Vector apart = own[c].shift - matches[best[c]][c].shift;
+      if (own[c].score > 0 && best[c] != k &&
+          share_found(objects.places[k], apart, objects.places[best[c]]) > kTaken)
+        own[c].score = 0;
+    }
+    const auto found = std::max_element(own.begin(), own.end(), worse);
+    if (found == own.end() || !(found->score > 0)) continue;
+    // Times within the sweeps change the duration a little, or they are wrong.
+    const float late = other.late[found - own.begin()] - objects.late[k];
+    const float between = passage.duration + late;
+    result[k] = found->shift / (between / passage.duration > 0.5f ? between : passage.duration);
+  }
   return result;
 }
 
