@@ -112,7 +112,7 @@ TEST_CASE("the first to offer something stays, movers hide, where no ray is aske
     Drawing drawing;
     for (const Mesh* mesh : trusted) drawing.trusted.push_back({mesh, T});
     for (const Mesh* mesh : others) drawing.others.push_back({mesh, T});
-    for (const Mesh* mesh : movers) drawing.movers.push_back({{{mesh, T}}, {}});
+    for (const Mesh* mesh : movers) drawing.movers.push_back({{{mesh, T}}, {}, {}});
     return doctest::Approx(render_triangles(camera, drawing, 1)[pixel]);
   };
   for (int i = 0; i < 21 * 21; ++i) {

@@ -18,6 +18,8 @@ constexpr float kThin = 0.15f;        ///< edge of the cubes of which each gives
 constexpr std::size_t kPlaces = 300;  ///< of larger objects the cubes are larger
 constexpr std::size_t kFewest = 5;    ///< with fewer places an object has no shape to be found by
 constexpr float kExplained = 0.4f;    ///< share of places found again, of one times the other
+constexpr std::size_t kSome = 75;     ///< places tell whether it is where it must have been
+constexpr float kSure = 0.3f;         ///< farther from where it must have been it is not found [m]
 constexpr float kTaken = 0.5f;        ///< share of places where another one is already
 
 /// How an object comes to lie on another; with a score of 0 it does not.
@@ -33,6 +35,29 @@ Match match(const Places& a, const Places& b, float reach) {
   if (explained < kExplained) return {};
   // Of two that fit alike the nearer is the likelier.
   return {shift, explained * std::exp(-shift.norm() / (2 * reach))};
+}
+
+/// The objects of another sweep in the frame of this one.
+std::vector<Places> brought(const Objects& other, const Pose& T_from_to) {
+  std::vector<Places> result = other.places;
+  const RigidTransform T(T_from_to);
+  for (auto& places : result)
+    for (auto& p : places) p = T * p;
+  return result;
+}
+
+Extent extent(const Places& places) {
+  Extent all{places[0], places[0]};
+  for (const Vector& p : places) all.add({p, p});
+  return all;
+}
+
+/// Not more than kSome of them.
+Places some(const Places& places) {
+  Places result;
+  for (std::size_t i = 0; i < places.size(); i += 1 + (places.size() - 1) / kSome)
+    result.push_back(places[i]);
+  return result;
 }
 
 Vector middle(const Places& places) {
@@ -87,10 +112,7 @@ Objects find_objects(const Points& points, const std::uint16_t* classid, const f
 
 std::vector<Vector> velocities(const Objects& objects, const Objects& other, const Passage& passage,
                                int threads) {
-  std::vector<Places> candidates = other.places;
-  const RigidTransform T(passage.T_from_to);
-  for (auto& places : candidates)
-    for (auto& p : places) p = T * p;
+  const std::vector<Places> candidates = brought(other, passage.T_from_to);
   const float reach = passage.max_speed * std::fabs(passage.duration);
   const std::size_t count = objects.places.size();
   std::vector<Vector> result(count, Vector::Zero());
@@ -123,6 +145,46 @@ std::vector<Vector> velocities(const Objects& objects, const Objects& other, con
     const float late = other.late[found - own.begin()] - objects.late[k];
     const float between = passage.duration + late;
     result[k] = found->shift / (between / passage.duration > 0.5f ? between : passage.duration);
+  }
+  return result;
+}
+
+std::vector<Again> find_again(const Objects& objects, const std::vector<Vector>& velocities,
+                              const Objects& other, const Passage& passage) {
+  const std::vector<Places> candidates = brought(other, passage.T_from_to);
+  std::vector<Again> result;
+  std::vector<Extent> extents;
+  std::vector<Places> few;
+  for (std::size_t k = 0; k < velocities.size(); ++k) {
+    result.push_back({velocities[k] * passage.duration, {}});
+    extents.push_back(extent(objects.places[k]));
+    few.push_back(some(objects.places[k]));
+  }
+  for (std::size_t c = 0; c < candidates.size(); ++c) {
+    const Extent there = extent(candidates[c]);
+    const Places few_there = some(candidates[c]);
+    float most = kExplained;
+    std::size_t found = velocities.size();
+    for (std::size_t k = 0; k < velocities.size(); ++k) {
+      const Vector shift = velocities[k] * (passage.duration + other.late[c] - objects.late[k]);
+      const Extent here{extents[k].low + shift, extents[k].high + shift};
+      if (velocities[k].isZero(0) || !here.overlaps(there, 0)) continue;
+      const float explained = share_found(few[k], shift, candidates[c]) *
+                              share_found(few_there, -shift, objects.places[k]);
+      if (explained > most) most = explained, found = k;
+    }
+    if (found < velocities.size()) result[found].objects.push_back(std::uint32_t(c));
+  }
+  for (std::size_t k = 0; k < velocities.size(); ++k) {
+    Places there;
+    for (const auto c : result[k].objects) {
+      const float late = other.late[c] - objects.late[k];
+      if (there.empty()) result[k].shift += velocities[k] * late;
+      there.insert(there.end(), candidates[c].begin(), candidates[c].end());
+    }
+    Vector shift = result[k].shift;
+    if (refine_shift(few[k], there, shift) && (shift - result[k].shift).norm() < kSure)
+      result[k].shift = shift;
   }
   return result;
 }
