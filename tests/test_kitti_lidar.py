@@ -96,8 +96,24 @@ def test_a_drive_may_say_where_its_lidar_looks_from(tmp_path):
     about = yaml.safe_load(file.read_text())
     file.write_text(yaml.safe_dump(about | {"looks_from": [0.1, 0, 0.2]}))
     found = open_dataset(folder).sweep(1).sensors
+    assert found is not None
     np.testing.assert_array_equal(found.T_lidar_sensor[0, :3, 3], [0.1, 0, 0.2])
     for wrong in ("here", [1, 2], [1, 2, "x"], [0, 0, 1e4]):
         file.write_text(yaml.safe_dump(about | {"looks_from": wrong}))
         with pytest.raises(DatasetError, match=r"docdepth\.yaml: looks_from"):
             open_dataset(folder)
+
+
+def test_a_new_place_of_the_lidar_makes_odometry_run_again(tmp_path):
+    folder = write_drive(tmp_path / "drive", "city", "XT-32", frames=3, images=False)
+    dataset = open_dataset(folder)
+    run = RunFolder.create(tmp_path / "run", {}, parameters())
+    run_odometry(run, dataset, dataset.poses)
+    assert run.frame(1).sensor is None
+    file = folder / "docdepth.yaml"
+    file.write_text(yaml.safe_dump(yaml.safe_load(file.read_text()) | {"looks_from": [0, 0, 0.5]}))
+    moved = open_dataset(folder)
+    run_odometry(run, moved, moved.poses)
+    found = run.sensors(run.frame(1))
+    assert found is not None
+    np.testing.assert_array_equal(found.T_lidar_sensor[0, :3, 3], [0, 0, 0.5])

@@ -337,7 +337,7 @@ def test_triangles_do_not_depend_on_threads():
         for t in (1, 2)
     )
     np.testing.assert_array_equal(one, two)
-    assert np.isfinite(one).mean() > 0.1
+    assert np.isfinite(one).sum() > 1000
 
 
 @pytest.mark.parametrize(("max_speed", "late"), [(0.0, None), (50.0, None), (50.0, 0.012)])

@@ -35,8 +35,9 @@ def test_each_sees_its_own_points_from_its_own_place():
     T = np.array([pose(1, 2, 3), pose(-2, 0.5, 1, 0.7)])
     sensors = Sensors((np.arange(1000) % 2).astype(np.uint8), T)
     whole, joined = Surface(points, sensors=sensors), []
-    for k, (seen, T_lidar_sensor, starts) in enumerate(views(points, sensors)):
-        assert starts is None
+    for k, view in enumerate(views(points, sensors)):
+        seen, T_lidar_sensor, _ = view
+        assert view.starts() is None
         rows = np.flatnonzero(sensors.index == k)
         assert np.isnan(np.delete(seen, rows, axis=0)).all()
         back = seen[rows] @ T_lidar_sensor[:3, :3].T + T_lidar_sensor[:3, 3]
@@ -54,10 +55,11 @@ def test_lasers_of_one_head_see_from_beside_its_axis():
     points = (starts + 8 * look).astype(np.float32)
     T = np.array([pose(0, 0, 0.2), pose(0, 0, 0.1)])
     sensors = Sensors(np.zeros(50, np.uint8), T, np.array([0.05, 0]), np.zeros(2))
-    ((seen, T_lidar_sensor, found),) = views(points, sensors)
+    (view,) = views(points, sensors)
+    seen, T_lidar_sensor, _ = view
     np.testing.assert_allclose(T_lidar_sensor, pose(0, 0, 0.15))
     np.testing.assert_allclose(seen, points - (0, 0, 0.15), atol=1e-6)
-    np.testing.assert_allclose(found, starts - (0, 0, 0.15), atol=4e-4)
+    np.testing.assert_allclose(view.starts(), starts - (0, 0, 0.15), atol=4e-4)
     assert len(Surface(points, sensors=sensors).parts) == 1
 
 

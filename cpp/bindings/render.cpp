@@ -44,8 +44,7 @@ std::unique_ptr<SurfaceFrame> make_surface_frame(
     const Array<std::uint32_t>& loose, float loose_angle, const std::optional<Array<float>>& late,
     const std::optional<Array<float>>& starts) {
   const PointMap map = as_points(points);
-  const PointMap begin = starts_of(starts, map);
-  const Points from = begin;
+  const Points from = starts_of(starts, map);
   const std::uint16_t* classes = as_column(classid, map.rows(), "classid");
   const py::ssize_t count = triangles.shape(0);
   const std::uint8_t* cuts = as_column(cut, count, "cut");
@@ -74,14 +73,13 @@ py::array_t<float> surfaces(const Array<double>& K, int width, int height,
 std::unique_ptr<Rays> make_rays(const Array<float>& points, const Array<float>& normals,
                                 const std::optional<Array<float>>& starts) {
   const PointMap map = as_points(points), directions = as_points(normals);
-  const PointMap from = starts_of(starts, map);
+  const Points from = starts_of(starts, map);
   if (directions.rows() != map.rows())
     throw std::invalid_argument("normals must be as many as points");
   const py::gil_scoped_release release;
   std::vector<Eigen::Vector3f> rows;
   for (Eigen::Index i = 0; i < map.rows(); ++i) rows.push_back(directions.row(i));
-  const Points begin = from;
-  return std::make_unique<Rays>(map, rows, starts ? &begin : nullptr);
+  return std::make_unique<Rays>(map, rows, starts ? &from : nullptr);
 }
 
 py::array_t<float> ask(const Rays& rays, const Array<float>& places) {

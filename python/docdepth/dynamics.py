@@ -148,7 +148,7 @@ class KeyFrame:
             ]
         else:
             parts = (surface or Surface(points, None, sensors)).parts
-            self._views = [(_surface_image(part, p), part.T_lidar_sensor) for part in parts]
+            self._views = [(_surface_image(part, p), part.view.T_lidar_sensor) for part in parts]
 
 
 def vote(
@@ -413,4 +413,4 @@ def _surface_image(part: SurfacePart, p: DynamicsParameters) -> _core.KeyFrame:
     image.level = _core.Margins(p.level_across, p.level_along, 0.0)
     image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
     image.beam = p.beam
-    return _core.SurfaceImage(part.points, part.core, image)
+    return _core.SurfaceImage(part.view.points, part.core, image)

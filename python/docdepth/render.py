@@ -116,18 +116,19 @@ class Frame:
             self.parts = [self.movers]
             return
         with np.errstate(invalid="ignore", over="ignore"):
-            drawn = np.linalg.norm(points.astype(np.float64), axis=1) < p.crop
-        points, classid = points[drawn], classid[drawn]
+            drawn = np.einsum("ij,ij->i", points, points, dtype=np.float64) < p.crop**2
+        points, classid = points.compress(drawn, axis=0), classid[drawn]
         late = None if late is None else late[drawn].astype(np.float32)
         seen = Surface(points, surface_parameters, None if sensors is None else sensors.of(drawn))
         self.parts = [
-            (_surface_frame(part, classid, p, late), part.T_lidar_sensor) for part in seen.parts
+            (_surface_frame(part, classid, p, late), part.view.T_lidar_sensor)
+            for part in seen.parts
         ]
         self.movers = self.parts[0]
         if len(self.parts) > 1:  # what moves is small, and drawn as if the first had seen all of it
-            first = Sensors.at(seen.parts[0].T_lidar_sensor[:3, 3], len(points))
+            first = Sensors.at(seen.parts[0].view.T_lidar_sensor[:3, 3], len(points))
             (whole,) = Surface(points, surface_parameters, first).parts
-            self.movers = (_surface_frame(whole, classid, p, late), whole.T_lidar_sensor)
+            self.movers = (_surface_frame(whole, classid, p, late), whole.view.T_lidar_sensor)
 
 
 _Part = tuple[_core.Frame | _core.SurfaceFrame, NDArray[np.float64]]
@@ -141,8 +142,8 @@ def _surface_frame(
     late: NDArray[np.float32] | None,
 ) -> _core.SurfaceFrame:
     """Rows that are not finite are no points of this surface."""
-    points, _, starts, surface = part
-    triangles, loose = surface.triangles, surface.loose
+    points, starts = part.view.points, part.view.starts()
+    triangles, cut, loose = part.core.triangles, part.core.cut, part.core.loose
     if not np.isfinite(points).all():
         own = np.isfinite(points).all(axis=1)
         row = np.cumsum(own, dtype=np.uint32) - np.uint32(1)
@@ -150,7 +151,7 @@ def _surface_frame(
         starts = None if starts is None else starts[own]
         triangles, loose = row[triangles], row[loose]
     angle = float(np.radians(parameters.loose_deg))
-    return _core.SurfaceFrame(points, classid, triangles, surface.cut, loose, angle, late, starts)
+    return _core.SurfaceFrame(points, classid, triangles, cut, loose, angle, late, starts)
 
 
 def static_frames(

@@ -98,13 +98,27 @@ class View(NamedTuple):
     points : ndarray of float32, shape (N, 3)
         All points in its frame, in the middle of its lasers; NaN for those of other LiDARs.
     T_lidar_sensor : ndarray of float64, shape (4, 4)
-    starts : ndarray of float32, shape (N, 3), or None
-        Where each line of sight begins, in its frame; None where all begin at the origin.
+    lasers : Sensors or None
+        Where its lasers sit; None where all lines of sight begin at the origin.
     """
 
     points: NDArray[np.float32]
     T_lidar_sensor: NDArray[np.float64]
-    starts: NDArray[np.float32] | None
+    lasers: Sensors | None
+
+    def starts(self) -> NDArray[np.float32] | None:
+        """Where each line of sight begins, (N, 3) in its frame, if not at the origin."""
+        if self.lasers is None:
+            return None
+        places = inverse(self.T_lidar_sensor) @ self.lasers.T_lidar_sensor
+        starts = np.take(places[:, :3, 3].astype(np.float32), self.lasers.index, axis=0)
+        # A laser beside the axis turns with the direction in which it looks.
+        x, y = self.points[:, 0], self.points[:, 1]
+        aside = np.take(self.lasers.aside.astype(np.float32), self.lasers.index)
+        aside /= np.maximum(np.hypot(x, y), np.float32(1e-3))
+        starts[:, 0] -= aside * y
+        starts[:, 1] += aside * x
+        return starts
 
 
 def views(points: NDArray[np.float32], sensors: Sensors | None) -> Iterator[View]:
@@ -122,23 +136,9 @@ def views(points: NDArray[np.float32], sensors: Sensors | None) -> Iterator[View
         T_lidar_sensor = lasers[0].copy()
         T_lidar_sensor[:3, 3] = lasers[:, :3, 3].mean(axis=0)
         T = inverse(T_lidar_sensor)
-        exact = points.astype(np.float64)
-        if not np.array_equal(T[:3, :3], np.eye(3)):
-            exact = exact @ T[:3, :3].T
-        seen = (exact + T[:3, 3]).astype(np.float32)
+        aligned = np.array_equal(T[:3, :3], np.eye(3))
+        exact = points if aligned else points.astype(np.float64) @ T[:3, :3].T
+        seen = np.add(exact, T[:3, 3], dtype=np.float64).astype(np.float32)
         if (sensors.head != head).any():
             seen[sensors.head[sensors.index] != head] = np.nan
-        yield View(seen, T_lidar_sensor, _starts(seen, T, sensors) if len(lasers) > 1 else None)
-
-
-def _starts(
-    seen: NDArray[np.float32], T_sensor_lidar: NDArray[np.float64], sensors: Sensors
-) -> NDArray[np.float32]:
-    """A laser beside the axis turns with the direction in which it looks."""
-    places = (T_sensor_lidar @ sensors.T_lidar_sensor)[:, :3, 3].astype(np.float32)
-    starts = np.take(places, sensors.index, axis=0)
-    aside = np.take(sensors.aside.astype(np.float32), sensors.index)
-    aside /= np.maximum(np.hypot(seen[:, 0], seen[:, 1]), np.float32(1e-3))
-    starts[:, 0] -= aside * seen[:, 1]
-    starts[:, 1] += aside * seen[:, 0]
-    return starts
+        yield View(seen, T_lidar_sensor, sensors if len(lasers) > 1 else None)

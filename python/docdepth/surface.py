@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 from docdepth import _core
 from docdepth.config import SurfaceParameters
 from docdepth.errors import InputError
-from docdepth.sensors import Sensors, views
+from docdepth.sensors import Sensors, View, views
 
 
 class SurfacePart(NamedTuple):
-    """What one LiDAR saw of a sweep (:class:`docdepth.sensors.View`), and the surface of it."""
+    """What one LiDAR saw of a sweep, and the surface of it."""
 
-    points: NDArray[np.float32]
-    T_lidar_sensor: NDArray[np.float64]
-    starts: NDArray[np.float32] | None
+    view: View
     core: _core.Surface
 
 
@@ -75,7 +73,7 @@ class Surface:
         core.max_gap = float(np.radians(p.max_gap_deg))
         core.jump_ratio, core.noise, core.flatness = p.jump_ratio, p.noise, p.flatness
         self.parts = [
-            SurfacePart(*view, _core.Surface(view.points, core))
+            SurfacePart(view, _core.Surface(view.points, core))
             for view in views(np.ascontiguousarray(points), sensors)
         ]
         cores = [part.core for part in self.parts]

@@ -187,8 +187,9 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
     }
   }
   for (std::size_t i = 0; i < count; ++i) {
+    if (ground[i]) continue;
     const Object& object = objects[first[i]];
-    if (!ground[i] && (object.moves(p) ? !stood[i] : object.stays(p))) moving[i] = 1;
+    if (object.moves(p) ? !stood[i] : object.stays(p)) moving[i] = 1;
   }
 }
 

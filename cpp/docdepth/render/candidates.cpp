@@ -182,6 +182,7 @@ void Candidates::take(float* nearness) {
 std::vector<float> Candidates::settle(const Camera& camera,
                                       const std::vector<PlacedRays>& rays) const {
   std::vector<float> result = offers_[0];
+  if (rays.empty()) return result;
   std::vector<Contest> contests;
   for (std::size_t i = 0; i < open_.size(); ++i) {
     if (!open_[i]) continue;
@@ -192,6 +193,7 @@ std::vector<float> Candidates::settle(const Camera& camera,
         if (!(offers_[1][at] > 0)) continue;
         Contest contest{u, v, {}};
         for (int k = 0; k < kMost; ++k) contest.offers[k] = offers_[k][at];
+        result[at] = 0;
         std::sort(contest.offers, contest.offers + kMost, std::greater<float>());
         contests.push_back(contest);
       }
@@ -203,11 +205,8 @@ std::vector<float> Candidates::settle(const Camera& camera,
     for (std::size_t i = 0; i < contests.size(); ++i) {
       const Contest c = contests[i];
       float& here = result[std::size_t(c.v) * columns_.stride + c.u];
-      const auto offer = [&](int n) { return n < kMost ? c.offers[n] : 0.0f; };
-      if (balance[i] > 0)
-        here = c.offers[k];
-      else if (offer(k + 1) > 0 && !(offer(k + 1) == here && offer(k + 2) == 0))
-        contests[left++] = c;  // else what is there stays, whatever the rays tell
+      if (balance[i] > 0 || (balance[i] == 0 && here == 0)) here = c.offers[k];
+      if (!(balance[i] > 0) && k + 1 < kMost && c.offers[k + 1] > 0) contests[left++] = c;
     }
     contests.resize(left);
   }

@@ -16,8 +16,9 @@ struct Columns {
 };
 
 /// The nearest sweep is trusted, but not at its edges: near a depth jump and where it measured
-/// nothing, all sweeps offer what they have. Of different offers for a pixel, the nearest stays
-/// that more rays met than went through.
+/// nothing, all sweeps offer what they have. Of different offers for a pixel, the nearest is taken
+/// that more rays met than went through, else the nearest of which none tells; if they went through
+/// all of them the pixel stays empty.
 class Candidates {
  public:
   static constexpr int kTile = 8;  ///< edge of the squares of pixels that are open or not
@@ -32,7 +33,7 @@ class Candidates {
   /// One more sweep, by falling trust. Clears it where tiles are open.
   void take(float* nearness);
 
-  /// The nearness that is true, as far as `rays` know.
+  /// The nearness that is true, as far as `rays` know; without any, that of the first offer.
   std::vector<float> settle(const Camera& camera, const std::vector<PlacedRays>& rays) const;
 
  private:

@@ -15,19 +15,22 @@ class Splitter {
       : surface_(surface), normals_(normals) {}
 
   /// @param i corner that is alone; j and k follow it around the triangle
-  void split(std::uint32_t i, std::uint32_t j, std::uint32_t k, Triangles& alone,
-             Triangles& together) {
+  /// @param alone, together where its part and that of the others go; null keeps none
+  void split(std::uint32_t i, std::uint32_t j, std::uint32_t k, Triangles* alone,
+             Triangles* together) {
     const Border to_j = border(i, j), to_k = border(i, k);
-    alone.push_back({i, to_j.first, to_k.first});
-    together.push_back({to_j.second, j, k});
-    together.push_back({to_j.second, k, to_k.second});
+    if (alone) alone->push_back({i, add(to_j.first), add(to_k.first)});
+    if (!together) return;
+    const std::uint32_t beside_j = add(to_j.second), beside_k = add(to_k.second);
+    together->push_back({beside_j, j, k});
+    together->push_back({beside_j, k, beside_k});
   }
 
  private:
-  /// Where the surface of one end of an edge goes over into that of the other: the last vertex of
+  /// Where the surface of one end of an edge goes over into that of the other: the last place of
   /// each, in one direction.
   struct Border {
-    std::uint32_t first, second;
+    Vector first, second;
   };
 
   /// Nearness (1 / range), seen in direction `toward`, of the plane that goes on from point a.
@@ -37,8 +40,8 @@ class Splitter {
     return distance != 0 ? normal.dot(toward) / distance : 1 / surface_.vertices[a].norm();
   }
 
-  Border border(std::uint32_t a, std::uint32_t b) {
-    auto& vertices = surface_.vertices;
+  Border border(std::uint32_t a, std::uint32_t b) const {
+    const auto& vertices = surface_.vertices;
     const float range_a = vertices[a].norm(), range_b = vertices[b].norm();
     const Vector toward_a = vertices[a] / range_a, toward_b = vertices[b] / range_b;
     // Planes are linear in nearness. Where each is the nearer one at its own end they meet on the
@@ -49,14 +52,14 @@ class Splitter {
       const float share = lead_a / (lead_a + lead_b);
       const Vector toward = toward_a * (1 - share) + toward_b * share;
       const float nearness = plane_nearness(a, toward);
-      if (nearness > 0) return {add(toward / nearness), add(toward / nearness)};
+      if (nearness > 0) return {toward / nearness, toward / nearness};
     }
     const Vector toward = (toward_a + toward_b).normalized();
     const float least = std::min(1 / range_a, 1 / range_b);
     const float most = std::max(1 / range_a, 1 / range_b);
     const float nearness_a = std::clamp(plane_nearness(a, toward), least, most);
     const float nearness_b = std::clamp(plane_nearness(b, toward), least, most);
-    return {add(toward / nearness_a), add(toward / nearness_b)};
+    return {toward / nearness_a, toward / nearness_b};
   }
 
   std::uint32_t add(const Vector& vertex) {
@@ -99,7 +102,7 @@ PartedSurface part_surface(const Points& points, const std::uint32_t (*triangles
   for (std::size_t t = 0; t < count; ++t) {
     const auto [i, j, k] = triangles[t];
     if (cut[t] || owner[i] != owner[j] || owner[j] != owner[k]) {
-      jumps.push_back(t);
+      if (owner[i] || owner[j] || owner[k]) jumps.push_back(t);
       continue;
     }
     surface.parts[owner[i]].whole.push_back({i, j, k});
@@ -112,7 +115,8 @@ PartedSurface part_surface(const Points& points, const std::uint32_t (*triangles
     const auto* corner = triangles[t];
     const int alone = corner_alone(surface.vertices, corner, owner);
     const std::uint32_t i = corner[alone], j = corner[(alone + 1) % 3], k = corner[(alone + 2) % 3];
-    splitter.split(i, j, k, surface.parts[owner[i]].split, surface.parts[owner[j]].split);
+    const auto part = [&](std::uint32_t of) { return of ? &surface.parts[of].split : nullptr; };
+    splitter.split(i, j, k, part(owner[i]), part(owner[j]));
   }
   return surface;
 }

@@ -14,12 +14,13 @@ using Triangles = std::vector<std::array<std::uint32_t, 3>>;
 
 /// A sweep's surface by what it belongs to: the world, and each moving object. A triangle that
 /// spans a depth jump, or lies between the returns of two, is no surface; an edge crosses it
-/// somewhere. It is split, and each part goes on with the plane of the surface at its own corners:
-/// to where the planes meet if they do on the way, else to the middle as the sensor saw it.
+/// somewhere. Of the world other sweeps know where. What moves they saw elsewhere: there the
+/// triangle is split, and its part goes on with the plane of the surface at its own corners, to
+/// where that meets the other plane if it does on the way, else to the middle as the sensor saw it.
 struct PartedSurface {
   struct Parts {
     Triangles whole;  ///< measured surface
-    Triangles split;  ///< what continues it over depth jumps
+    Triangles split;  ///< what continues it over depth jumps; none of the world
   };
   std::vector<Eigen::Vector3f> vertices;  ///< the points, and behind them those of the split
   std::vector<Parts> parts;               ///< by owner

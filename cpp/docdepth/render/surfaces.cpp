@@ -81,7 +81,7 @@ SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles
     classes.resize(vertices.size(), class_of(classid[loose[i]]));
   }
   MeshVertices all(vertices, classes);
-  world = {Mesh(all, parts[0].whole), Mesh(all, parts[0].split)};
+  world = Mesh(all, parts[0].whole);
   for (std::size_t k = 1; k < parts.size(); ++k)
     movers.push_back({Mesh(all, parts[k].whole), Mesh(all, parts[k].split)});
 }
@@ -92,9 +92,7 @@ Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion
   const auto count = static_cast<int>(fixed.size());
   for (int i = 0; i < count; ++i)
     (i == 0 ? drawing.trusted : drawing.others)
-        .push_back({&fixed[i].frame->world.whole, fixed[i].T_camera_frame, i});
-  if (count)
-    drawing.others.push_back({&fixed[0].frame->world.split, fixed[0].T_camera_frame, 0, true});
+        .push_back({&fixed[i].frame->world, fixed[i].T_camera_frame, i});
   for (int i = 0; i < std::min(count, witnesses); ++i)
     drawing.rays.push_back({&fixed[i].frame->rays, fixed[i].T_camera_frame});
   drawing.movers = carried(motion, count, threads);

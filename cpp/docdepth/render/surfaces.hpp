@@ -14,14 +14,14 @@ namespace docdepth {
 
 /// A sweep's surface made ready to be drawn, each moving object apart.
 struct SurfaceFrame {
-  struct Parts {
+  struct Mover {
     Mesh whole;  ///< measured surface, and returns that stand alone
     Mesh split;  ///< what continues it over depth jumps
   };
-  Parts world;
+  Mesh world;  ///< measured surface, and returns that stand alone
   Rays rays;
   Objects objects;            ///< what moves
-  std::vector<Parts> movers;  ///< each object
+  std::vector<Mover> movers;  ///< each object
 
   /// @param triangles corners as rows of points
   /// @param cut 1 for each triangle across a depth jump

@@ -134,9 +134,7 @@ def read_frame(path: Path) -> FrameRecord:
     """
     rows, comments = _read(path)
     names = rows.dtype.names or ()
-    if not {"x", "y", "z"} <= set(names):
-        raise RunError(f"{path}: has no x y z")
-    points = np.stack([np.ascontiguousarray(rows[name], np.float32) for name in "xyz"], axis=1)
+    points = _points(path, rows)
     notes = _notes(comments)
 
     def column(name: str) -> NDArray[Any] | None:
@@ -157,6 +155,11 @@ def read_frame(path: Path) -> FrameRecord:
     )
 
 
+def read_points(path: Path) -> NDArray[np.float32]:
+    """The points of a frame alone."""
+    return _points(path, _read(path)[0])
+
+
 def read_frame_key(path: Path) -> dict[str, str]:
     """Which parameters made a frame, from its header alone; empty when there is no such file."""
     if not path.is_file():
@@ -170,6 +173,12 @@ def read_frame_key(path: Path) -> dict[str, str]:
             if line.startswith("comment "):
                 comments.append(line.removeprefix("comment "))
     return {k.removeprefix("key "): v for k, v in _notes(comments).items() if k.startswith("key ")}
+
+
+def _points(path: Path, rows: NDArray[Any]) -> NDArray[np.float32]:
+    if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
+        raise RunError(f"{path}: has no x y z")
+    return np.stack([np.ascontiguousarray(rows[name], np.float32) for name in "xyz"], axis=1)
 
 
 def _notes(comments: list[str]) -> dict[str, str]:

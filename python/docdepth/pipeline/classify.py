@@ -121,13 +121,14 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     tell(total - len(left), total)
     sweeps: dict[int, Future[_Sweep]] = {}
     key_frames: dict[int, Future[dynamics.KeyFrame]] = {}
-    # Sweeps of the next vote are prepared, and the last votes made classes, during a vote. Workers
-    # take jobs in order, so that a key frame never waits for a sweep that waits for a worker; the
-    # third one, since one mostly waits for the disk.
+    # Sweeps of the next votes are prepared, and the last votes made classes, during a vote: two of
+    # them, since each alone would leave a core idle when the vote is done first. Workers take jobs
+    # in order, so that a key frame never waits for a sweep that waits for a worker; the third one,
+    # since one mostly waits for the disk.
     with ThreadPoolExecutor(3) as pool:
         pending: Future[None] | None = None
         for done, index in enumerate(left):
-            ahead = left[done : done + 2]
+            ahead = left[done : done + 3]
             asked = {k for i in ahead if i not in voted for k in voters[i].tolist()}
             sweeps = {k: sweeps[k] for k in sweeps if k >= index}
             key_frames = {k: key_frames[k] for k in key_frames if k in asked}
@@ -184,14 +185,14 @@ def _grow_ground(
             path.unlink()
         write_atomically(marker, lambda stream: stream.write(key.encode()))
 
-    def read(index: int) -> FrameRecord:
+    def read(index: int) -> NDArray[np.float32]:
         with watch("read"):
-            return run.frame(index)
+            return run.points(index)
 
     def label(ground_map: GroundMap, index: int) -> None:
-        record = read(index)
+        points = read(index)
         with watch("ground: label"):
-            bits = np.packbits(ground_map.label(record.points, trajectory.poses[index]))
+            bits = np.packbits(ground_map.label(points, trajectory.poses[index]))
         write_atomically(folder / f"{index:06d}.npy", lambda out: np.save(out, bits))
 
     done = 0
@@ -199,9 +200,9 @@ def _grow_ground(
         for frames, merged in chunks(trajectory, parameters):
             if not all((folder / f"{index:06d}.npy").is_file() for index in frames):
                 ground_map = GroundMap(parameters, threads)
-                for step, record in enumerate(made_ahead(pool, read, merged)):
+                for step, points in enumerate(made_ahead(pool, read, merged)):
                     with watch("ground: insert"):
-                        ground_map.insert(record.points, trajectory.poses[merged[step]])
+                        ground_map.insert(points, trajectory.poses[merged[step]])
                     tell(done + len(frames) * step // (2 * len(merged)), len(trajectory))
                 with watch("ground: grow"):
                     ground_map.grow()

@@ -40,7 +40,9 @@ def run_odometry(
         A sweep is damaged or empty.
     """
     parameters = run.parameters.odometry
-    key = stage_key(run.manifest["source"], parameters.model_dump())
+    sensors = dataset.sweep(0).sensors
+    places = None if sensors is None else sensors.T_lidar_sensor.tolist()
+    key = stage_key(run.manifest["source"], parameters.model_dump(), places)
     if stage_is_done(run, "odometry", key):
         return
     watch, total = Stopwatch(), len(dataset)
@@ -84,7 +86,7 @@ def run_odometry(
             with watch("write"):
                 run.write_frame(index, record)
         tell(index + 1, total)
-    if sensors := dataset.sweep(0).sensors:
+    if sensors is not None:
         run.write_sensors(sensors)
     finish_stage(run, "odometry", watch, worked)
 

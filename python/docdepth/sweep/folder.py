@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from docdepth import __version__
 from docdepth.config import Parameters
@@ -49,6 +50,10 @@ class TrialFolder(RunFolder):
     def sensors(self, frame: FrameRecord) -> Sensors | None:
         """Where a sweep of the run was measured from."""
         return self._source.sensors(frame)
+
+    def points(self, index: int) -> NDArray[np.float32]:
+        """The points of a sweep of the run."""
+        return self._source.points(index)
 
     def frame(self, index: int) -> FrameRecord:
         """Sweep of the run with the classes of the trial, where there are any."""
