@@ -291,9 +291,7 @@ def draw_triangles(camera, vertices, triangles, threads=1):
     )
     placed = (frame, np.eye(4))
     size = camera.width, camera.height
-    return _core.render_surfaces(
-        camera.K, *size, [placed], placed, placed, 0.0, 0.0, 0.0, 12, threads
-    )
+    return _core.render_surfaces(camera.K, *size, [placed], [(*placed, 0.0)], 0.0, 12, threads)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -369,6 +367,44 @@ def test_a_moving_box_is_carried_to_where_it_was_when_the_image_was_taken(max_sp
     box = np.abs(depth[row] - distance) < 0.1
     assert abs(box.sum() - 4 / distance * 90) < 2.0  # 4 m wide; returns are 0.2 pixels apart
     assert np.nanmax(np.abs(depth[row, 20:140][~box[20:140]] - 18.4)) < 0.1
+
+
+def test_what_a_post_hides_of_a_moving_box_other_sweeps_have_seen():
+    """The box goes a metre a sweep to the left; the camera looks past the post, 0.6 m beside it."""
+    directions = spinning(columns=3000)
+    T_camera_lidar = AXES.copy()
+    T_camera_lidar[0, 3] = 0.6
+    speed, post, box_at, wall = 10.0, 4.0, 10.0, 20.0
+
+    def frame(index):
+        ahead = directions[:, 0] > 0.1
+        y, z = (directions[:, i] / np.where(ahead, directions[:, 0], 1) for i in (1, 2))
+        on_box = (np.abs(y * box_at - speed * 0.1 * (index - 3)) < 2) & (np.abs(z * box_at) < 1)
+        on_post = np.abs(y * post) < 0.08
+        x = np.where(on_post, post, np.where(on_box, box_at, wall))
+        points = (x[:, None] * np.stack([np.ones_like(y), y, z], axis=1))[ahead].astype(np.float32)
+        return Frame(
+            points, np.where(on_box & ~on_post, 100, 50)[ahead].astype(np.uint16), TRIANGLES
+        )
+
+    frames, camera = [frame(i) for i in range(7)], small_camera(640, 240, 360.0)
+    time = 310_000_000
+    still = straight(7, spacing=0.0)
+    depth = render(camera, T_camera_lidar, still, time, frames.__getitem__, TRIANGLES)
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    side, up = ((u - camera.K[0, 2]) / camera.K[0, 0]), ((v - camera.K[1, 2]) / camera.K[1, 1])
+    y = 0.6 - side * box_at  # of the box's plane
+    inside = (np.abs(y - speed * 0.01) < 1.8) & (np.abs(up * box_at) < 0.7)
+    inside &= np.abs(0.6 - side * post) > 0.15
+    hidden = inside & (
+        np.abs(y - speed * 0.01) < 0.15
+    )  # by the post, for the sweep nearest in time
+    assert hidden.sum() > 50
+    assert (np.abs(depth[hidden] - box_at) < 0.05).mean() > 0.95
+    assert (np.abs(depth[inside] - box_at) < 0.05).mean() > 0.95
+    one = TRIANGLES.model_copy(update={"max_speed": 0.0})
+    alone = render(camera, T_camera_lidar, still, time, frames.__getitem__, one)
+    assert not (np.abs(alone[hidden] - box_at) < 0.05).mean() > 0.9
 
 
 @pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])

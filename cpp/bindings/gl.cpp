@@ -37,12 +37,12 @@ py::array_t<float> splats(GlRenderer& renderer, const Array<double>& K, int widt
 }
 
 py::array_t<float> surfaces(GlRenderer& renderer, const Array<double>& K, int width, int height,
-                            const std::vector<PlacedFrame>& fixed, const PlacedFrame& nearest,
-                            const PlacedFrame& other, float duration, float delay, float max_speed,
-                            int witnesses, int threads) {
+                            const std::vector<PlacedFrame>& fixed,
+                            const std::vector<MovingFrame>& moving, float max_speed, int witnesses,
+                            int threads) {
   const Camera camera = as_camera(K, width, height);
   const auto world = as_surfaces(fixed);
-  const Motion motion{as_surface(nearest), as_surface(other), duration, delay, max_speed};
+  const Motion motion = as_motion(moving, max_speed);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
@@ -66,8 +66,8 @@ void bind_gl(py::module_& m) {
       .def_property_readonly("point_limit", &GlRenderer::point_limit)
       .def("render_splats", &splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
            "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0)
-      .def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
-           "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "witnesses"_a, "threads"_a = 0);
+      .def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "moving"_a,
+           "max_speed"_a, "witnesses"_a, "threads"_a = 0);
 }
 
 }  // namespace docdepth::bindings

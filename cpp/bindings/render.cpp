@@ -56,12 +56,12 @@ std::unique_ptr<SurfaceFrame> make_surface_frame(
 }
 
 py::array_t<float> surfaces(const Array<double>& K, int width, int height,
-                            const std::vector<PlacedFrame>& fixed, const PlacedFrame& nearest,
-                            const PlacedFrame& other, float duration, float delay, float max_speed,
-                            int witnesses, int threads) {
+                            const std::vector<PlacedFrame>& fixed,
+                            const std::vector<MovingFrame>& moving, float max_speed, int witnesses,
+                            int threads) {
   const Camera camera = as_camera(K, width, height);
   const auto world = as_surfaces(fixed);
-  const Motion motion{as_surface(nearest), as_surface(other), duration, delay, max_speed};
+  const Motion motion = as_motion(moving, max_speed);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
@@ -136,12 +136,12 @@ py::dict splat_layers(const Array<double>& K, int width, int height,
 }
 
 py::dict surface_layers(const Array<double>& K, int width, int height,
-                        const std::vector<PlacedFrame>& fixed, const PlacedFrame& nearest,
-                        const PlacedFrame& other, float duration, float delay, float max_speed,
-                        int witnesses, const Array<float>& depth, int threads) {
+                        const std::vector<PlacedFrame>& fixed,
+                        const std::vector<MovingFrame>& moving, float max_speed, int witnesses,
+                        const Array<float>& depth, int threads) {
   const Camera camera = as_camera(K, width, height);
   const auto world = as_surfaces(fixed);
-  const Motion motion{as_surface(nearest), as_surface(other), duration, delay, max_speed};
+  const Motion motion = as_motion(moving, max_speed);
   const float* z = as_depth(depth, width, height);
   std::optional<Layers> layers;
   {
@@ -167,11 +167,10 @@ void bind_render(py::module_& m) {
   py::class_<Rays>(m, "Rays")
       .def(py::init(&make_rays), "points"_a, "normals"_a, "starts"_a = py::none())
       .def("ask", &ask, "places"_a);
-  m.def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
-        "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "witnesses"_a, "threads"_a = 0);
-  m.def("surface_layers", &surface_layers, "K"_a, "width"_a, "height"_a, "fixed"_a, "nearest"_a,
-        "other"_a, "duration"_a, "delay"_a, "max_speed"_a, "witnesses"_a, "depth"_a,
-        "threads"_a = 0);
+  m.def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "moving"_a,
+        "max_speed"_a, "witnesses"_a, "threads"_a = 0);
+  m.def("surface_layers", &surface_layers, "K"_a, "width"_a, "height"_a, "fixed"_a, "moving"_a,
+        "max_speed"_a, "witnesses"_a, "depth"_a, "threads"_a = 0);
   m.def("splat_layers", &splat_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "depth"_a, "threads"_a = 0);
   m.def("render_splats", &splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,

@@ -3,6 +3,8 @@
 
 #include <pybind11/stl.h>
 
+#include <tuple>
+
 #include "arrays.hpp"
 #include "docdepth/render/camera.hpp"
 #include "docdepth/render/cloud.hpp"
@@ -49,6 +51,16 @@ inline std::vector<PlacedSurface> as_surfaces(const std::vector<PlacedFrame>& pl
   std::vector<PlacedSurface> surfaces;
   for (const auto& frame : placed) surfaces.push_back(as_surface(frame));
   return surfaces;
+}
+
+/// Its pose, and seconds from its stamp to the image.
+using MovingFrame = std::tuple<const SurfaceFrame*, Array<double>, float>;
+
+inline Motion as_motion(const std::vector<MovingFrame>& moving, float max_speed) {
+  Motion motion{{}, max_speed};
+  for (const auto& [frame, pose, since] : moving)
+    motion.sweeps.push_back({{frame, as_pose(pose)}, since});
+  return motion;
 }
 
 }  // namespace docdepth::bindings

@@ -105,11 +105,11 @@ TEST_CASE("OpenGL draws the triangles of the processor, weighed alike") {
       {{},
        {{&second, pose}, {&first, pose}, {&third, pose}, {&first, pose}},
        {{&rays, pose}, {&rays, Pose::Identity()}},
-       {{{{&third, pose}}, {}}}},
+       {{{{&third, pose}}, {}, {}}}},
       {{{&first, pose}, {&third, pose}},
        {{&second, pose}},
        {{&rays, pose}},
-       {{{{&second, pose}, {&third, pose}}, {{&rays, pose}}}, {{{&third, pose}}, {}}}},
+       {{{{&second, pose}}, {{&third, pose}}, {{&rays, pose}}}, {{{&third, pose}}, {}, {}}}},
       Drawing()};
   for (const Backend backend : kBackends) {
     const auto renderer = open(backend);

@@ -40,7 +40,7 @@ TEST_CASE("layers of triangles tell which mesh is seen, and how many agree") {
     }
   }
   // What moves is held against what moves; without depth there is nothing.
-  drawing.movers = {{{{&mover, T, 3}, {&other, T, 4}}, {}}};
+  drawing.movers = {{{{&mover, T, 3}}, {{&other, T, 4}}, {}}};
   std::vector<float> nearer(21 * 21, 4.02f);
   nearer[7] = NAN;
   const Layers layers = layers_of_triangles(kCamera, drawing, nearer.data(), 2);

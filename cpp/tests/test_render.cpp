@@ -112,7 +112,7 @@ TEST_CASE("the first to offer something stays, movers hide, where no ray is aske
     Drawing drawing;
     for (const Mesh* mesh : trusted) drawing.trusted.push_back({mesh, T});
     for (const Mesh* mesh : others) drawing.others.push_back({mesh, T});
-    for (const Mesh* mesh : movers) drawing.movers.push_back({{{mesh, T}}, {}});
+    for (const Mesh* mesh : movers) drawing.movers.push_back({{{mesh, T}}, {}, {}});
     return doctest::Approx(render_triangles(camera, drawing, 1)[pixel]);
   };
   for (int i = 0; i < 21 * 21; ++i) {
@@ -282,4 +282,43 @@ TEST_CASE("objects are told apart and found again, none in another") {
   CHECK((one[0] == two[0] && one[1] == two[1]));
   for (const auto& velocity : velocities(objects, Objects{}, passage, 1)) CHECK(velocity.isZero());
   for (const auto& velocity : velocities(objects, other, {T, 0, 50}, 1)) CHECK(velocity.isZero());
+}
+
+TEST_CASE("who is hidden in the other sweep is nobody else there, but parts are of one whole") {
+  std::mt19937 random(7);
+  std::uniform_real_distribution<float> share(0, 1);
+  const auto add = [&](Matrix& points, int count, Eigen::Vector3f low, Eigen::Vector3f size) {
+    points.conservativeResize(points.rows() + count, 3);
+    for (int i = 0; i < count; ++i)
+      for (int axis = 0; axis < 3; ++axis)
+        points(points.rows() - 1 - i, axis) = low[axis] + size[axis] * share(random);
+  };
+  const auto found = [](const Matrix& points) {
+    return find_objects(points, std::vector<std::uint16_t>(points.rows(), 100).data(), nullptr);
+  };
+  const Passage passage{Pose::Identity(), 0.1f, 50};
+  const Eigen::Vector3f person(0.4f, 0.4f, 1.5f);
+  SUBCASE("two walk, one goes behind a post") {
+    Matrix before(0, 3), after(0, 3);
+    add(before, 100, {12, 1, -1.5f}, person), add(before, 100, {12, 3.4f, -1.5f}, person);
+    add(after, 100, {12, 3.5f, -1.5f}, person);
+    const auto velocity = velocities(found(before), found(after), passage, 1);
+    REQUIRE(velocity.size() == 2);
+    CHECK(velocity[0].isZero());
+    CHECK((velocity[1] - Eigen::Vector3f(0, 1, 0)).norm() < 0.8f);
+    for (const auto& back :
+         velocities(found(after), found(before), {passage.T_from_to, -0.1f, 50}, 1))
+      CHECK((back - velocity[1]).norm() < 0.8f);
+  }
+  SUBCASE("a car behind a post is in two parts") {
+    Matrix before(0, 3), after(0, 3);
+    const Eigen::Vector3f end(0, 1.7f, 1.4f);
+    add(before, 300, {10, 3, -1.5f}, {2.2f, 0, 1.4f});
+    add(before, 200, {13.4f, 3, -1.5f}, {1.6f, 0, 1.4f}), add(before, 200, {15, 3, -1.5f}, end);
+    add(before, 200, {10, 3, -1.5f}, end), add(after, 200, {11, 3, -1.5f}, end);
+    add(after, 700, {11, 3, -1.5f}, {5, 0, 1.4f}), add(after, 200, {16, 3, -1.5f}, end);
+    const auto velocity = velocities(found(before), found(after), passage, 1);
+    REQUIRE(velocity.size() == 2);
+    for (const auto& one : velocity) CHECK((one - Eigen::Vector3f(10, 0, 0)).norm() < 0.8f);
+  }
 }

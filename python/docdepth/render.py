@@ -20,6 +20,9 @@ from docdepth.trajectory import Trajectory, inverse
 NEAR = 0.1
 """Nothing nearer to the image plane is drawn [m]."""
 
+MOVING = 4
+"""Sweeps that moving objects are drawn from, as triangles."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -197,11 +200,14 @@ def dynamic_frame(trajectory: Trajectory, time: int) -> int:
     return trajectory.nearest(time)
 
 
-def _other_frame(trajectory: Trajectory, time: int) -> int:
-    """The sweep on the other side of ``time`` than the nearest; that itself where there is none."""
-    nearest = trajectory.nearest(time)
-    other = nearest + int(np.sign(np.int64(time) - trajectory.times[nearest]))
-    return min(max(other, 0), len(trajectory) - 1)
+def _moving_frames(trajectory: Trajectory, time: int, parameters: RenderParameters) -> list[int]:
+    """Sweeps that tell of what moves, the nearest in time first."""
+    nearest = dynamic_frame(trajectory, time)
+    if parameters.surface == "splats":
+        return [nearest]
+    around = np.arange(max(nearest - MOVING, 0), min(nearest + MOVING + 1, len(trajectory)))
+    delay = np.abs(trajectory.times[around] - np.int64(time))
+    return [int(i) for i in around[np.argsort(delay, kind="stable")[:MOVING]]]
 
 
 def needed_frames(
@@ -209,8 +215,8 @@ def needed_frames(
 ) -> set[int]:
     """Every sweep that :func:`render` asks for; all others can be forgotten."""
     p = parameters or RenderParameters()
-    needed = {*static_frames(trajectory, time, p).tolist(), dynamic_frame(trajectory, time)}
-    return needed if p.surface == "splats" else needed | {_other_frame(trajectory, time)}
+    world, moving = drawn_sweeps(trajectory, time, p)
+    return {*world, *moving}
 
 
 def render(
@@ -269,9 +275,7 @@ def drawn_sweeps(
     trajectory: Trajectory, time: int, parameters: RenderParameters
 ) -> tuple[list[int], list[int]]:
     """Sweeps that are drawn, as the core numbers them: of the world, then of what moves."""
-    moving = [dynamic_frame(trajectory, time)]
-    if parameters.surface == "triangles":
-        moving.append(_other_frame(trajectory, time))
+    moving = _moving_frames(trajectory, time, parameters)
     return static_frames(trajectory, time, parameters).tolist(), moving
 
 
@@ -305,14 +309,10 @@ def arguments(
             "static_size": (p.static_size_max, p.static_size_min),
             "dynamic_size": (p.dynamic_size_max, p.dynamic_size_min),
         }
-    nearest, other = moving
-    stamp = trajectory.times[nearest]
+    since = (np.int64(time) - trajectory.times[moving]) * 1e-9
     return image | {
         "fixed": fixed,
-        "nearest": movers[0],
-        "other": movers[1],
-        "duration": float(trajectory.times[other] - stamp) * 1e-9,
-        "delay": float(np.int64(time) - stamp) * 1e-9,
+        "moving": [(*mover, float(t)) for mover, t in zip(movers, since, strict=True)],
         "max_speed": p.max_speed,
         "witnesses": p.witnesses,
     }

@@ -158,10 +158,7 @@ class Questions {
 }  // namespace
 
 Candidates::Candidates(const Columns& columns, std::vector<float> trusted)
-    : columns_(columns), tiles_(tiles_along(columns.width)) {
-  for (int v = 0; v < tiles_along(columns.height); ++v)
-    for (int u = 0; u < tiles_; ++u)
-      open_.push_back(has_edge(columns, trusted, Tile(columns, u, v)));
+    : columns_(columns), tiles_(tiles_along(columns.width)), open_(edge_tiles(columns, trusted)) {
   for (int k = 1; k < kMost; ++k) offers_[k].assign(trusted.size(), 0.0f);
   offers_[0] = std::move(trusted);
 }
@@ -212,8 +209,17 @@ std::vector<float> Candidates::settle(const Camera& camera,
   return result;
 }
 
+std::vector<std::uint8_t> edge_tiles(const Columns& columns, const std::vector<float>& nearness) {
+  std::vector<std::uint8_t> edges;
+  for (int v = 0; v < tiles_along(columns.height); ++v)
+    for (int u = 0; u < tiles_along(columns.width); ++u)
+      edges.push_back(has_edge(columns, nearness, Tile(columns, u, v)));
+  return edges;
+}
+
 void add_mover(const Columns& columns, const Camera& camera, const std::vector<float>& mover,
-               const std::vector<PlacedRays>& rays, std::vector<float>& nearness) {
+               const std::vector<std::uint8_t>& asked, const std::vector<PlacedRays>& rays,
+               std::vector<float>& nearness) {
   std::vector<Contest> contests;
   for (int tile_v = 0; tile_v < tiles_along(columns.height); ++tile_v)
     for (int tile_u = 0; tile_u < tiles_along(columns.width); ++tile_u) {
@@ -225,7 +231,8 @@ void add_mover(const Columns& columns, const Camera& camera, const std::vector<f
           if (!(mover[at] > nearness[at])) continue;
           contests.push_back({u, v, {mover[at]}});
         }
-      if (contests.size() == known || (!rays.empty() && has_edge(columns, mover, tile))) continue;
+      const bool open = asked[std::size_t(tile_v) * tiles_along(columns.width) + tile_u];
+      if (contests.size() == known || (!rays.empty() && open)) continue;
       for (std::size_t i = known; i < contests.size(); ++i)
         nearness[std::size_t(contests[i].v) * columns.stride + contests[i].u] =
             contests[i].offers[0];

@@ -43,10 +43,14 @@ class Candidates {
   std::vector<float> offers_[kMost];  // each differs from those before it; 0 from the first unused
 };
 
-/// Draws a moving object over what is farther. At its edges the rays that saw it are asked: it is
-/// drawn where more of them met it than passed, what is behind it where they surely passed. Between
-/// these nobody knows, since what moves is not rigid, and pixels stay empty.
+/// Of each tile, row after row, 1 where there is an edge or an empty pixel.
+std::vector<std::uint8_t> edge_tiles(const Columns& columns, const std::vector<float>& nearness);
+
+/// Draws a moving object over what is farther. In tiles that are asked for the rays that saw it
+/// decide: it is drawn where more of them met it than passed, what is behind it where they surely
+/// passed. Between these nobody knows, since what moves is not rigid, and pixels stay empty.
 void add_mover(const Columns& columns, const Camera& camera, const std::vector<float>& mover,
-               const std::vector<PlacedRays>& rays, std::vector<float>& nearness);
+               const std::vector<std::uint8_t>& asked, const std::vector<PlacedRays>& rays,
+               std::vector<float>& nearness);
 
 }  // namespace docdepth

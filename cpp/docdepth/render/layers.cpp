@@ -26,7 +26,8 @@ std::vector<const PlacedMesh*> meshes_of(const Drawing& drawing) {
   for (const auto* list : {&drawing.trusted, &drawing.others})
     for (const PlacedMesh& mesh : *list) meshes.push_back(&mesh);
   for (const PlacedMover& mover : drawing.movers)
-    for (const PlacedMesh& mesh : mover.meshes) meshes.push_back(&mesh);
+    for (const auto* list : {&mover.trusted, &mover.others})
+      for (const PlacedMesh& mesh : *list) meshes.push_back(&mesh);
   return meshes;
 }
 

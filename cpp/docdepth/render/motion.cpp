@@ -18,17 +18,46 @@ constexpr float kThin = 0.15f;        ///< edge of the cubes of which each gives
 constexpr std::size_t kPlaces = 300;  ///< of larger objects the cubes are larger
 constexpr std::size_t kFewest = 5;    ///< with fewer places an object has no shape to be found by
 constexpr float kExplained = 0.4f;    ///< share of places found again, of one times the other
+constexpr std::size_t kSome = 75;     ///< places tell whether it is where it must have been
+constexpr float kSure = 0.3f;         ///< farther from where it must have been it is not found [m]
+constexpr float kTaken = 0.5f;        ///< share of places where another one is already
 
+/// How an object comes to lie on another; with a score of 0 it does not.
 struct Match {
   Vector shift = Vector::Zero();
-  float explained = 0;
+  float score = 0;
 };
 
 Match match(const Places& a, const Places& b, float reach) {
-  Match match{most_frequent_shift(a, b, reach), 0};
-  if (!refine_shift(a, b, match.shift)) return {};
-  match.explained = share_found(a, match.shift, b) * share_found(b, -match.shift, a);
-  return match;
+  Vector shift = most_frequent_shift(a, b, reach);
+  if (!refine_shift(a, b, shift)) return {};
+  const float explained = share_found(a, shift, b) * share_found(b, -shift, a);
+  if (explained < kExplained) return {};
+  // Of two that fit alike the nearer is the likelier.
+  return {shift, explained * std::exp(-shift.norm() / (2 * reach))};
+}
+
+/// The objects of another sweep in the frame of this one.
+std::vector<Places> brought(const Objects& other, const Pose& T_from_to) {
+  std::vector<Places> result = other.places;
+  const RigidTransform T(T_from_to);
+  for (auto& places : result)
+    for (auto& p : places) p = T * p;
+  return result;
+}
+
+Extent extent(const Places& places) {
+  Extent all{places[0], places[0]};
+  for (const Vector& p : places) all.add({p, p});
+  return all;
+}
+
+/// Not more than kSome of them.
+Places some(const Places& places) {
+  Places result;
+  for (std::size_t i = 0; i < places.size(); i += 1 + (places.size() - 1) / kSome)
+    result.push_back(places[i]);
+  return result;
 }
 
 Vector middle(const Places& places) {
@@ -83,30 +112,80 @@ Objects find_objects(const Points& points, const std::uint16_t* classid, const f
 
 std::vector<Vector> velocities(const Objects& objects, const Objects& other, const Passage& passage,
                                int threads) {
-  std::vector<Places> candidates = other.places;
-  const RigidTransform T(passage.T_from_to);
-  for (auto& places : candidates)
-    for (auto& p : places) p = T * p;
+  const std::vector<Places> candidates = brought(other, passage.T_from_to);
   const float reach = passage.max_speed * std::fabs(passage.duration);
-  std::vector<Vector> result(objects.places.size(), Vector::Zero());
+  const std::size_t count = objects.places.size();
+  std::vector<Vector> result(count, Vector::Zero());
   if (!(reach > 0)) return result;
-  parallel_for(result.size(), 1, threads, [&](std::size_t k, std::size_t) {
+  std::vector<std::vector<Match>> matches(count, std::vector<Match>(candidates.size()));
+  parallel_for(count, 1, threads, [&](std::size_t k, std::size_t) {
     const Places& places = objects.places[k];
     if (places.size() < kFewest) return;
     const Vector here = middle(places);
-    float best = 0;
-    for (std::size_t c = 0; c < candidates.size(); ++c) {
-      if ((middle(candidates[c]) - here).norm() > reach) continue;
-      const Match found = match(places, candidates[c], reach);
-      // Of two that fit alike the nearer is the likelier.
-      const float score = found.explained * std::exp(-found.shift.norm() / (2 * reach));
-      if (found.explained < kExplained || score <= best) continue;
-      best = score;
-      // Times within the sweeps change the duration a little, or they are wrong.
-      const float between = passage.duration + other.late[c] - objects.late[k];
-      result[k] = found.shift / (between / passage.duration > 0.5f ? between : passage.duration);
-    }
+    for (std::size_t c = 0; c < candidates.size(); ++c)
+      if ((middle(candidates[c]) - here).norm() <= reach)
+        matches[k][c] = match(places, candidates[c], reach);
   });
+  const auto worse = [](const Match& a, const Match& b) { return a.score < b.score; };
+  std::vector<std::size_t> best(candidates.size(), 0);  // of the objects, for each candidate
+  for (std::size_t c = 0; c < candidates.size(); ++c)
+    for (std::size_t k = 1; k < count; ++k)
+      if (worse(matches[best[c]][c], matches[k][c])) best[c] = k;
+  for (std::size_t k = 0; k < count; ++k) {
+    auto own = matches[k];
+    for (std::size_t c = 0; c < candidates.size(); ++c) {
+      const Vector apart = own[c].shift - matches[best[c]][c].shift;
+      if (own[c].score > 0 && best[c] != k &&
+          share_found(objects.places[k], apart, objects.places[best[c]]) > kTaken)
+        own[c].score = 0;
+    }
+    const auto found = std::max_element(own.begin(), own.end(), worse);
+    if (found == own.end() || !(found->score > 0)) continue;
+    // Times within the sweeps change the duration a little, or they are wrong.
+    const float late = other.late[found - own.begin()] - objects.late[k];
+    const float between = passage.duration + late;
+    result[k] = found->shift / (between / passage.duration > 0.5f ? between : passage.duration);
+  }
+  return result;
+}
+
+std::vector<Again> find_again(const Objects& objects, const std::vector<Vector>& velocities,
+                              const Objects& other, const Passage& passage) {
+  const std::vector<Places> candidates = brought(other, passage.T_from_to);
+  std::vector<Again> result;
+  std::vector<Extent> extents;
+  std::vector<Places> few;
+  for (std::size_t k = 0; k < velocities.size(); ++k) {
+    result.push_back({velocities[k] * passage.duration, {}});
+    extents.push_back(extent(objects.places[k]));
+    few.push_back(some(objects.places[k]));
+  }
+  for (std::size_t c = 0; c < candidates.size(); ++c) {
+    const Extent there = extent(candidates[c]);
+    const Places few_there = some(candidates[c]);
+    float most = kExplained;
+    std::size_t found = velocities.size();
+    for (std::size_t k = 0; k < velocities.size(); ++k) {
+      const Vector shift = velocities[k] * (passage.duration + other.late[c] - objects.late[k]);
+      const Extent here{extents[k].low + shift, extents[k].high + shift};
+      if (velocities[k].isZero(0) || !here.overlaps(there, 0)) continue;
+      const float explained = share_found(few[k], shift, candidates[c]) *
+                              share_found(few_there, -shift, objects.places[k]);
+      if (explained > most) most = explained, found = k;
+    }
+    if (found < velocities.size()) result[found].objects.push_back(std::uint32_t(c));
+  }
+  for (std::size_t k = 0; k < velocities.size(); ++k) {
+    Places there;
+    for (const auto c : result[k].objects) {
+      const float late = other.late[c] - objects.late[k];
+      if (there.empty()) result[k].shift += velocities[k] * late;
+      there.insert(there.end(), candidates[c].begin(), candidates[c].end());
+    }
+    Vector shift = result[k].shift;
+    if (refine_shift(few[k], there, shift) && (shift - result[k].shift).norm() < kSure)
+      result[k].shift = shift;
+  }
   return result;
 }
 

@@ -35,4 +35,16 @@ struct Passage {
 std::vector<Eigen::Vector3f> velocities(const Objects& objects, const Objects& other,
                                         const Passage& passage, int threads);
 
+/// An object as another sweep saw it.
+struct Again {
+  Eigen::Vector3f shift;               ///< from where the object is to where it was seen there
+  std::vector<std::uint32_t> objects;  ///< what is of it there, counted from 0
+};
+
+/// Finds each object, where it must have been by its velocity, among those of another sweep; none
+/// of these is of two. What does not move is not looked for.
+std::vector<Again> find_again(const Objects& objects,
+                              const std::vector<Eigen::Vector3f>& velocities, const Objects& other,
+                              const Passage& passage);
+
 }  // namespace docdepth

@@ -23,40 +23,42 @@ void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
   triangles.push_back({first, first + 2, first + 3});
 }
 
-/// The same seen from the other sweep.
-Motion reversed(const Motion& motion) {
-  return {motion.other, motion.nearest, -motion.duration, motion.delay - motion.duration,
-          motion.max_speed};
-}
-
-/// The objects of the nearest sweep where they were when the image was taken, and of those that the
-/// other one found, too, what that measured.
+/// The objects of the nearest sweep where they were when the image was taken, and what the others
+/// saw of those whose motion is known.
 ///
-/// @param sweep number of the nearest sweep; the other one has the next
-std::vector<PlacedMover> carried(const Motion& motion, int sweep, int threads) {
+/// @param number of the nearest sweep; the others have the next
+std::vector<PlacedMover> carried(const Motion& motion, int number, int threads) {
   std::vector<PlacedMover> placed;
-  for (const bool first : {true, false}) {
-    const auto& [nearest, other, duration, delay, max_speed] = first ? motion : reversed(motion);
-    const Passage passage{nearest.T_camera_frame.inverse() * other.T_camera_frame, duration,
-                          max_speed};
-    const Objects& objects = nearest.frame->objects;
-    const auto velocity = velocities(objects, other.frame->objects, passage, threads);
+  if (motion.sweeps.empty()) return placed;
+  const auto& [nearest, since] = motion.sweeps[0];
+  const Objects& objects = nearest.frame->objects;
+  std::vector<Vector> velocity(objects.places.size(), Vector::Zero());
+  const auto passage_to = [&](const Motion::Sweep& sweep) {
+    return Passage{nearest.T_camera_frame.inverse() * sweep.surface.T_camera_frame,
+                   since - sweep.since, motion.max_speed};
+  };
+  if (motion.sweeps.size() > 1)
+    velocity = velocities(objects, motion.sweeps[1].surface.frame->objects,
+                          passage_to(motion.sweeps[1]), threads);
+  for (std::size_t k = 0; k < velocity.size(); ++k) {
+    Pose T = nearest.T_camera_frame;
+    T.translate((velocity[k] * (since - objects.late[k])).cast<double>());
+    const auto& parts = nearest.frame->movers[k];
+    placed.push_back({{{&parts.whole, T, number}, {&parts.split, T, number, true}}, {}, {}});
+    if (!velocity[k].isZero(0)) placed[k].rays.push_back({&nearest.frame->rays, T});
+  }
+  for (std::size_t s = 1; s < motion.sweeps.size(); ++s) {
+    const SurfaceFrame& frame = *motion.sweeps[s].surface.frame;
+    const Passage passage = passage_to(motion.sweeps[s]);
+    const auto again = find_again(objects, velocity, frame.objects, passage);
     for (std::size_t k = 0; k < velocity.size(); ++k) {
-      const bool found = !velocity[k].isZero(0);
-      if (!first && !found) continue;
-      // What stood in the frame of the nearest sweep some seconds after its stamp.
-      const auto carry = [&, v = velocity[k], late = objects.late[k]](float after) {
-        Pose T_camera_object = nearest.T_camera_frame;
-        T_camera_object.translate((v * (delay - late - after)).cast<double>());
-        return T_camera_object;
-      };
-      const auto& parts = nearest.frame->movers[k];
-      PlacedMover mover{{{&parts.whole, carry(0), first ? sweep : sweep + 1}}, {}};
-      if (first) mover.meshes.push_back({&parts.split, carry(0), sweep, true});
-      if (found)
-        mover.rays = {{&nearest.frame->rays, carry(0)},
-                      {&other.frame->rays, carry(duration) * passage.T_from_to}};
-      placed.push_back(std::move(mover));
+      if (velocity[k].isZero(0)) continue;
+      Pose T = placed[k].trusted[0].T_camera_mesh;
+      T.translate(-again[k].shift.cast<double>());
+      T = T * passage.T_from_to;
+      for (const auto c : again[k].objects)
+        placed[k].others.push_back({&frame.movers[c].whole, T, number + int(s)});
+      placed[k].rays.push_back({&frame.rays, T});
     }
   }
   return placed;

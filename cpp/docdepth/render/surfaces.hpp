@@ -42,11 +42,13 @@ struct PlacedSurface {
   Pose T_camera_frame;
 };
 
-/// The sweep whose moving objects are drawn, and the one at the other side of the image's time.
+/// The sweeps that tell of what moves, the nearest in time first; the next tells how fast it is.
 struct Motion {
-  PlacedSurface nearest, other;
-  float duration;   ///< seconds from the stamp of the nearest to that of the other
-  float delay;      ///< seconds from the stamp of the nearest to the image
+  struct Sweep {
+    PlacedSurface surface;
+    float since;  ///< seconds from its stamp to the image
+  };
+  std::vector<Sweep> sweeps;
   float max_speed;  ///< metres per second
 };
 
@@ -63,7 +65,7 @@ std::vector<float> render_surfaces(const Camera& camera, const std::vector<Place
                                    const Motion& motion, int witnesses, int threads);
 
 /// What render_surfaces() draws, for any rasteriser of triangles. Its sweeps are numbered: those of
-/// `fixed` from 0 on, then the nearest and the other of `motion`.
+/// `fixed` from 0 on, then those of `motion`.
 Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int witnesses,
                    int threads);
 

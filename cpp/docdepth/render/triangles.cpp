@@ -18,11 +18,15 @@ DOCDEPTH_INLINE void draw_strip(const Camera& camera, const Drawing& drawing, St
   }
   std::vector<float> nearness = candidates.settle(camera, drawing.rays);
   std::fill(strip.open_tiles.begin(), strip.open_tiles.end(), std::uint8_t{1});
+  bool seen = true;
   for (const PlacedMover& mover : drawing.movers) {
-    std::fill(strip.nearness.begin(), strip.nearness.end(), 0.0f);
-    bool seen = false;
-    for (const PlacedMesh& mesh : mover.meshes) seen |= draw_mesh(camera, mesh, strip);
-    if (seen) add_mover(columns, camera, strip.nearness, mover.rays, nearness);
+    if (seen) std::fill(strip.nearness.begin(), strip.nearness.end(), 0.0f);
+    seen = false;
+    for (const PlacedMesh& mesh : mover.trusted) seen |= draw_mesh(camera, mesh, strip);
+    if (!seen && mover.others.empty()) continue;
+    const auto asked = edge_tiles(columns, strip.nearness);
+    for (const PlacedMesh& mesh : mover.others) seen |= draw_mesh(camera, mesh, strip);
+    if (seen) add_mover(columns, camera, strip.nearness, asked, mover.rays, nearness);
   }
   strip.nearness = std::move(nearness);
 }

@@ -19,8 +19,9 @@ struct PlacedMesh {
 
 /// A moving object where it was when the image was taken, as one or more sweeps saw it.
 struct PlacedMover {
-  std::vector<PlacedMesh> meshes;
-  std::vector<PlacedRays> rays;  ///< placed so that the object stands still among them
+  std::vector<PlacedMesh> trusted;  ///< stays unquestioned where it has no edge
+  std::vector<PlacedMesh> others;   ///< are asked for wherever it ends
+  std::vector<PlacedRays> rays;     ///< placed so that the object stands still among them
 };
 
 /// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all
