@@ -94,6 +94,9 @@ class VotingParameters(_Stage):
     along_growth: float = Field(0.01, ge=0, description="growth of that with range [m/m]")
     level_across: float = Field(0.08, gt=0, description="`across` of planes that lie flat [m]")
     level_along: float = Field(0.1, gt=0, description="`along` of planes that lie flat [m]")
+    ground_across: float = Field(
+        0.03, gt=0, description="`across` of these for points that are called ground [m]"
+    )
     level_lean_deg: float = Field(
         25.0, ge=0, lt=90, description="a plane leaning no more lies flat, as ground does [deg]"
     )
