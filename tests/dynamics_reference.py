@@ -247,7 +247,7 @@ def reference_moving(points, ground, static, dynamic, p):
 
     label, size = connected(len(points), edges[~ground[edges].any(axis=1)])
     freed = (dynamic >= p.freed_votes) & (p.freed_ratio * dynamic > static)
-    found, voted = np.bincount(label, moving), np.bincount(label, static + dynamic > 0)
+    found, voted = np.bincount(label, candidate), np.bincount(label, static + dynamic > 0)
     goes = found >= np.float32(p.object_share) * voted
     goes &= found >= np.float32(p.object_least) * size
     left = np.bincount(label, freed) >= (np.float32(p.freed_share) * size.astype(np.float32))

@@ -128,7 +128,7 @@ class DynamicsParameters(VotingParameters):
     company: float = Field(
         1.0, gt=0, description="single points are dynamic this near to those [m]"
     )
-    clear_votes: int = Field(3, ge=1, description="or with as many dynamic votes")
+    clear_votes: int = Field(2, ge=1, description="or with as many dynamic votes")
     clear_ratio: float = Field(4.0, ge=1, description="and so many times more than static ones")
     object_points: int = Field(10, ge=1, description="points of an object, at least")
     object_share: float = Field(

@@ -187,7 +187,7 @@ Flags believed(const Points& points, const bool* ground, const Surface& surface,
 
 /// All points of the objects that move, but for those of what stands beside and is connected to it.
 void add_objects(const Points& points, const bool* ground, const std::uint32_t* first,
-                 const Flags& voted, const Flags& freed, const Flags& stood,
+                 const Flags& voted, const Flags& dynamic, const Flags& freed, const Flags& stood,
                  const ObjectParameters& p, Flags& moving) {
   const std::size_t count = moving.size();
   ByObject<Object> objects(count);
@@ -196,7 +196,7 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
     Object& object = objects[first[i]];
     ++object.points;
     object.voted += voted[i];
-    object.dynamic += moving[i];
+    object.dynamic += dynamic[i];
     object.freed += freed[i];
     for (int axis = 0; axis < 3; ++axis) {
       object.low[axis] = std::min(object.low[axis], points(i, axis));
@@ -233,7 +233,7 @@ std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground
   }
   if (!any) return dynamic;
   Flags moving = believed(points, ground, surface, dynamic, p);
-  add_objects(points, ground, first, voted, freed, stood, p, moving);
+  add_objects(points, ground, first, voted, dynamic, freed, stood, p, moving);
 
   const Neighborhood neighborhood(points, moving, p.company);
   for (std::uint32_t i = 0; i < count; ++i) {
