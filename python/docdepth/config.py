@@ -162,6 +162,13 @@ class DynamicsParameters(VotingParameters):
     track_speed: float = Field(40.0, gt=0, description="nothing is faster [m/s]")
     track_gap: float = Field(0.5, ge=0, description="an object unseen for longer is lost [s]")
     track_hold: float = Field(5.0, ge=0, description="the same of one that stands [s]")
+    track_stood: float = Field(
+        0.8,
+        ge=0,
+        le=1,
+        description="share of what is left of an object, always seen taken (`freed_ratio` static"
+        " votes, no dynamic one), above which it is another thing",
+    )
     track_window: float = Field(
         0.3,
         ge=0,
