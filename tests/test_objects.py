@@ -213,6 +213,10 @@ def test_what_is_left_of_a_followed_object_stays_where_it_was_always_seen(always
     carried = add_carried(points, whole, found, static, dynamic, classid, np.eye(4), DEFAULT)
     assert (carried[:40] == 100).all()
     assert (carried[40:] == (100 if moves else 50)).all()
+    waits = add_carried(
+        points, whole, found, static, dynamic, (whole + 50).astype(np.uint16), np.eye(4), DEFAULT
+    )
+    assert (waits == 100).all()  # none of it moves now: it is known from another time
 
 
 def test_a_waiting_car_of_which_each_sweep_sees_another_part_is_dynamic_whole():

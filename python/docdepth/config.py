@@ -166,8 +166,8 @@ class DynamicsParameters(VotingParameters):
         0.8,
         ge=0,
         le=1,
-        description="share of what is left of an object, always seen taken (`freed_ratio` static"
-        " votes, no dynamic one), above which it is another thing",
+        description="share of what is left of an object that moves in part, always seen taken"
+        " (`freed_ratio` static votes, no dynamic one), above which it is another thing",
     )
     track_window: float = Field(
         0.3,

@@ -100,14 +100,14 @@ def _carried_points(
 ) -> NDArray[np.intp]:
     """Rows that move with what is followed: of each object all that are left, or none.
 
-    Nearly all of what is left was always taken where something else stands, which is connected to
-    what moves or was mistaken for it: key frames that came by at another time saw no place free.
+    What is left of an object that moves only in part stays where nearly all of it was always seen
+    taken: something else stands there and is connected to it.
     """
     rows = np.flatnonzero(np.isin(objects, followed) & ~moving)
     _, of = np.unique(objects[rows], return_inverse=True)
     stood = (static[rows] >= p.freed_ratio) & (dynamic[rows] == 0)
     stays = np.bincount(of, stood) > p.track_stood * np.bincount(of)
-    return rows[~stays[of]]
+    return rows[~(stays[of] & np.isin(objects[rows], objects[moving]))]
 
 
 class Followed(NamedTuple):
