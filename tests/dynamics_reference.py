@@ -64,7 +64,7 @@ def reference_vote(points, ground, T_query, key_sweeps, key_grounds, key_poses, 
         if p.against == "pixels":
             outcome = ask_pixels(moved, sweep, sweep_ground, p)
         else:
-            outcome = ask_surface(moved, sweep, p)
+            outcome = ask_surface(moved, ground, sweep, p)
         static += (outcome == "static") & voted_on
         dynamic += (outcome == "dynamic") & voted_on
     return static, dynamic
@@ -94,7 +94,7 @@ def ask_pixels(query, sweep, sweep_ground, p):
     return outcome
 
 
-def ask_surface(query, sweep, p):
+def ask_surface(query, query_ground, sweep, p):
     columns = round(360 / p.resolution_deg)
     half = p.window // 2
     surface = Surface(sweep)
@@ -122,7 +122,8 @@ def ask_surface(query, sweep, p):
         distance = f(1) / np.sqrt((a * a + b * b) + c * c)
         before = f(1) - depth
         level = plane & (np.abs(c) * distance > f(np.cos(np.radians(p.level_lean_deg))))
-        across = np.where(level, f(p.level_across), f(p.across))
+        level_across = np.where(query_ground, f(p.ground_across), f(p.level_across))
+        across = np.where(level, level_across, f(p.across))
         along = np.where(level, f(p.level_along), f(p.along) + f(p.along_growth) * rho)
         on_plane = (np.abs(before) * distance < across) | (rho * np.abs(before) < along * depth)
 
@@ -237,11 +238,16 @@ def reference_moving(points, ground, static, dynamic, p):
     edges = edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < link * link]
     candidate = dynamic > static
     label, size = connected(len(points), edges[candidate[edges].all(axis=1)])
-    moving = candidate & (size[label] >= p.companions)
+    low, high = np.full(len(size), np.inf, np.float32), np.full(len(size), -np.inf, np.float32)
+    np.minimum.at(low, label, points[:, 2])
+    np.maximum.at(high, label, points[:, 2])
+    rises = high - low >= np.float32(p.object_height)
+    count = np.where(rises, size, np.bincount(label, ~ground))
+    moving = candidate & (count[label] >= p.companions)
 
     label, size = connected(len(points), edges[~ground[edges].any(axis=1)])
     freed = (dynamic >= p.freed_votes) & (p.freed_ratio * dynamic > static)
-    found, voted = np.bincount(label, moving), np.bincount(label, static + dynamic > 0)
+    found, voted = np.bincount(label, candidate), np.bincount(label, static + dynamic > 0)
     goes = found >= np.float32(p.object_share) * voted
     goes &= found >= np.float32(p.object_least) * size
     left = np.bincount(label, freed) >= (np.float32(p.freed_share) * size.astype(np.float32))
@@ -258,7 +264,8 @@ def reference_moving(points, ground, static, dynamic, p):
     sure = points[moving]
     for i in np.flatnonzero(candidate & ~moving):
         clear = dynamic[i] >= p.clear_votes and dynamic[i] > p.clear_ratio * static[i]
-        moving[i] = clear or (squared(sure - points[i]) < np.float32(p.company) ** 2).any()
+        near = squared(sure - points[i]) < np.float32(p.company) ** 2
+        moving[i] = (clear and not ground[i]) or near.any()
 
     share = np.bincount(label, moving) / size
     loose = ~moving & ~ground & (size[label] < 5) & (static <= dynamic + p.loose_votes)

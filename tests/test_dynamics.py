@@ -168,6 +168,19 @@ def test_moving_box_is_dynamic_and_the_yard_static_without_ground(yard):
             ).all()
 
 
+def test_feet_called_ground_move_with_what_stands_on_them(yard):
+    trajectory, sweeps, what = yard
+    above = [sweep[:, 2] + 1.7 for sweep in sweeps]
+    ground = [(w == 0) | ((w == 2) & (z < 0.1)) for z, w in zip(above, what, strict=True)]
+    for margin in (0.03, 0.08):
+        p = DEFAULT.model_copy(update={"ground_across": margin})
+        labels = classify_drive(sweeps, trajectory, p, ground=ground)
+        for label, z, w in zip(labels, above, what, strict=True):
+            feet = (w == 2) & (z < 0.1)
+            assert ((label.classid == 100) == (z > margin))[feet].all()
+            assert (label.classid[w == 0] == 0).all()
+
+
 def test_moving_box_is_dynamic_and_the_yard_static_to_the_letter(yard):
     trajectory, sweeps, what = yard
     labels = classify_drive(sweeps, trajectory, PAPER, ground=[w == 0 for w in what])

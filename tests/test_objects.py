@@ -200,6 +200,25 @@ def test_points_on_the_way_move_unless_votes_or_ground_speak_against_it():
     assert list(classid) == [100, 100, 50, 0, 50]
 
 
+@pytest.mark.parametrize(("always", "share", "moves"), [(8, 0.9, 0), (8, 0.7, 1), (7, 0.9, 1)])
+def test_what_is_left_of_a_followed_object_stays_where_it_was_always_seen(always, share, moves):
+    """It is seen free at times in the rest of that share, or not often enough taken."""
+    rows = np.arange(100)
+    stood = rows >= 40 + 60 * (1 - share)
+    points = np.stack([10 + 0.02 * rows, 0 * rows, 0 * rows], 1).astype(np.float32)
+    static, dynamic = np.full(100, always, np.uint16), (~stood).astype(np.uint16)
+    classid = np.where(rows < 40, 100, 50).astype(np.uint16)  # these move by their votes
+    found = Followed(np.array([0], np.uint32), np.zeros((0, 6), np.float32))
+    whole = np.zeros(100, np.uint32)
+    carried = add_carried(points, whole, found, static, dynamic, classid, np.eye(4), DEFAULT)
+    assert (carried[:40] == 100).all()
+    assert (carried[40:] == (100 if moves else 50)).all()
+    waits = add_carried(
+        points, whole, found, static, dynamic, (whole + 50).astype(np.uint16), np.eye(4), DEFAULT
+    )
+    assert (waits == 100).all()  # none of it moves now: it is known from another time
+
+
 def test_a_waiting_car_of_which_each_sweep_sees_another_part_is_dynamic_whole():
     """Its halves are followed apart, and the upper one is lost where it stands."""
     at = waits((15, 3), 30)

@@ -240,6 +240,7 @@ void bind_dynamics(py::module_& m) {
       .def_readwrite("tolerance", &SurfaceImageParameters::tolerance)
       .def_readwrite("upright", &SurfaceImageParameters::upright)
       .def_readwrite("level", &SurfaceImageParameters::level)
+      .def_readwrite("ground_across", &SurfaceImageParameters::ground_across)
       .def_readwrite("level_cosine", &SurfaceImageParameters::level_cosine)
       .def_readwrite("beam", &SurfaceImageParameters::beam);
   py::class_<ObjectParameters>(m, "ObjectParameters")

@@ -97,6 +97,9 @@ class VotingParameters(_Stage):
     along_growth: float = Field(0.01, ge=0, description="growth of that with range [m/m]")
     level_across: float = Field(0.08, gt=0, description="`across` of planes that lie flat [m]")
     level_along: float = Field(0.1, gt=0, description="`along` of planes that lie flat [m]")
+    ground_across: float = Field(
+        0.03, gt=0, description="`across` of these for points that are called ground [m]"
+    )
     level_lean_deg: float = Field(
         25.0, ge=0, lt=90, description="a plane leaning no more lies flat, as ground does [deg]"
     )
@@ -128,7 +131,7 @@ class DynamicsParameters(VotingParameters):
     company: float = Field(
         1.0, gt=0, description="single points are dynamic this near to those [m]"
     )
-    clear_votes: int = Field(3, ge=1, description="or with as many dynamic votes")
+    clear_votes: int = Field(2, ge=1, description="or with as many dynamic votes")
     clear_ratio: float = Field(4.0, ge=1, description="and so many times more than static ones")
     object_points: int = Field(10, ge=1, description="points of an object, at least")
     object_share: float = Field(
@@ -162,6 +165,13 @@ class DynamicsParameters(VotingParameters):
     track_speed: float = Field(40.0, gt=0, description="nothing is faster [m/s]")
     track_gap: float = Field(0.5, ge=0, description="an object unseen for longer is lost [s]")
     track_hold: float = Field(5.0, ge=0, description="the same of one that stands [s]")
+    track_stood: float = Field(
+        0.8,
+        ge=0,
+        le=1,
+        description="share of what is left of an object that moves in part, always seen taken"
+        " (`freed_ratio` static votes, no dynamic one), above which it is another thing",
+    )
     track_window: float = Field(
         0.3,
         ge=0,

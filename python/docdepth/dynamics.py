@@ -199,8 +199,6 @@ def vote(
             f"frames; got {pose.shape} and {poses.shape}"
         )
     check_rigid(np.concatenate([pose[None], poses]))
-    if (parameters or DynamicsParameters()).against == "surface":
-        ground = np.zeros_like(ground)
     answering = [
         (core, T_world_lidar @ T_lidar_sensor)
         for frame, T_world_lidar in zip(key_frames, poses, strict=True)
@@ -411,6 +409,7 @@ def _surface_image(part: SurfacePart, p: DynamicsParameters) -> _core.KeyFrame:
     image.window, image.tolerance = p.window, p.tolerance
     image.upright = _core.Margins(p.across, p.along, p.along_growth)
     image.level = _core.Margins(p.level_across, p.level_along, 0.0)
+    image.ground_across = p.ground_across
     image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
     image.beam = p.beam
     return _core.SurfaceImage(part.view.points, part.core, image)

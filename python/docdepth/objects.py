@@ -81,12 +81,33 @@ def add_carried(
     The other arrays are those of :func:`moving_points`, and the pose that of the sighting.
     """
     p = _object_parameters(parameters)
-    moving, ground = (classid >= 100) | np.isin(objects, found.objects), classid < 50
+    moving, ground = classid >= 100, classid < 50
+    moving[_carried_points(objects, found.objects, static, dynamic, moving, parameters)] = True
     inside = _core.add_points_inside(
         points, ground, static, dynamic, T_world_lidar, found.boxes, moving, p
     ).view(np.bool_)
     all_moving = _core.add_loose_points(points, ground, objects, static, dynamic, inside, p)
     return np.where(all_moving, np.uint16(100), classid)
+
+
+def _carried_points(
+    objects: NDArray[np.uint32],
+    followed: NDArray[np.uint32],
+    static: NDArray[np.uint16],
+    dynamic: NDArray[np.uint16],
+    moving: NDArray[np.bool_],
+    p: DynamicsParameters,
+) -> NDArray[np.intp]:
+    """Rows that move with what is followed: of each object all that are left, or none.
+
+    What is left of an object that moves only in part stays where nearly all of it was always seen
+    taken: something else stands there and is connected to it.
+    """
+    rows = np.flatnonzero(np.isin(objects, followed) & ~moving)
+    _, of = np.unique(objects[rows], return_inverse=True)
+    stood = (static[rows] >= p.freed_ratio) & (dynamic[rows] == 0)
+    stays = np.bincount(of, stood) > p.track_stood * np.bincount(of)
+    return rows[~(stays[of] & np.isin(objects[rows], objects[moving]))]
 
 
 class Followed(NamedTuple):

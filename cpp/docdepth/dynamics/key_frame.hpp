@@ -19,12 +19,16 @@ struct QueryPoints {
   const float* y;
   const float* z;
   const float* range;  ///< range_of(x, y, z); finite and above zero
+  bool ground;         ///< whether they are called ground
 };
 
 /// A sweep made ready to be asked what it knows about the places of other points.
 class KeyFrame {
  public:
   virtual ~KeyFrame() = default;
+
+  /// Whether it is asked about points that are called ground, too.
+  virtual bool asks_ground() const = 0;
 
   /// Find the pixel of each point, and have the memory fetch what it holds: the images of all key
   /// frames together fit into no cache, and while it comes others are voted on.
@@ -42,8 +46,8 @@ struct Votes {
   std::vector<std::uint16_t> statics, dynamics;
 };
 
-/// Ask every key frame about every point. Ground points are static without a vote, and rows that
-/// are no returns (not finite, or at the origin) get none.
+/// Ask every key frame about every point. Rows that are no returns (not finite, or at the origin)
+/// get no votes, and ground points none of key frames that do not ask about them.
 /// @param ground  one flag a point.
 /// @param T_world_key  pose of each key frame.
 Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,

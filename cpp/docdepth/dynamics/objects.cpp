@@ -156,21 +156,38 @@ class Neighborhood {
   std::unordered_map<std::int64_t, std::vector<std::uint32_t>> cells_;
 };
 
-/// Dynamic points of their own right that are connected to enough others.
-Flags believed(const Points& points, const Surface& surface, const Flags& dynamic,
-               const ObjectParameters& p) {
+/// Dynamic points of their own right that are connected to enough others. Those that are called
+/// ground do not count, unless together they rise like an object: key frames tell so exactly what
+/// lies above a level plane that some bump of it seems to have been free.
+Flags believed(const Points& points, const bool* ground, const Surface& surface,
+               const Flags& dynamic, const ObjectParameters& p) {
   const auto first = connect(points, surface, p, [&](std::uint32_t i) { return dynamic[i] != 0; });
-  std::vector<int> size(first.size());
-  for (const auto f : first) ++size[f];
+  struct Connected {
+    int points = 0, off_ground = 0;
+    float low = INFINITY, high = -INFINITY;
+  };
+  ByObject<Connected> sets(first.size());
+  for (std::size_t i = 0; i < first.size(); ++i) {
+    if (!dynamic[i]) continue;
+    Connected& set = sets[first[i]];
+    ++set.points;
+    set.off_ground += !ground[i];
+    set.low = std::min(set.low, points(i, 2));
+    set.high = std::max(set.high, points(i, 2));
+  }
   Flags result(first.size());
-  for (std::size_t i = 0; i < first.size(); ++i)
-    result[i] = dynamic[i] && size[first[i]] >= p.companions;
+  for (std::size_t i = 0; i < first.size(); ++i) {
+    if (!dynamic[i]) continue;
+    const Connected& set = sets[first[i]];
+    const bool rises = set.high - set.low >= p.height;
+    result[i] = (rises ? set.points : set.off_ground) >= p.companions;
+  }
   return result;
 }
 
 /// All points of the objects that move, but for those of what stands beside and is connected to it.
 void add_objects(const Points& points, const bool* ground, const std::uint32_t* first,
-                 const Flags& voted, const Flags& freed, const Flags& stood,
+                 const Flags& voted, const Flags& dynamic, const Flags& freed, const Flags& stood,
                  const ObjectParameters& p, Flags& moving) {
   const std::size_t count = moving.size();
   ByObject<Object> objects(count);
@@ -179,7 +196,7 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
     Object& object = objects[first[i]];
     ++object.points;
     object.voted += voted[i];
-    object.dynamic += moving[i];
+    object.dynamic += dynamic[i];
     object.freed += freed[i];
     for (int axis = 0; axis < 3; ++axis) {
       object.low[axis] = std::min(object.low[axis], points(i, axis));
@@ -216,13 +233,13 @@ std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground
     any |= dynamic[i] || freed[i];
   }
   if (!any) return dynamic;
-  Flags moving = believed(points, surface, dynamic, p);
-  add_objects(points, ground, first, voted, freed, stood, p, moving);
+  Flags moving = believed(points, ground, surface, dynamic, p);
+  add_objects(points, ground, first, voted, dynamic, freed, stood, p, moving);
 
   const Neighborhood neighborhood(points, moving, p.company);
   for (std::uint32_t i = 0; i < count; ++i) {
     if (moving[i] || !dynamic[i]) continue;
-    const bool clear = dynamics[i] >= p.clear_votes &&
+    const bool clear = !ground[i] && dynamics[i] >= p.clear_votes &&
                        static_cast<float>(dynamics[i]) > p.clear_ratio * statics[i];
     moving[i] = clear || neighborhood.has_near(i);
   }

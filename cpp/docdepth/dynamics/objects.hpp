@@ -15,7 +15,7 @@ struct ObjectParameters {
   float link_growth = 0.05f;  ///< or, where beams are wider apart, than so much of their range
   int companions = 5;         ///< connected dynamic points that believe each other
   float company = 1.0f;       ///< nearer to what is dynamic a single point is believed, too [m]
-  int clear_votes = 3;        ///< or with that many dynamic votes
+  int clear_votes = 2;        ///< or with that many dynamic votes
   float clear_ratio = 4;      ///< that outnumber the static ones so many times
   int object_points = 10;     ///< an object has that many points
   float share = 0.5f;         ///< and moves when that share of those with votes is dynamic

@@ -25,6 +25,7 @@ class RangeImage : public KeyFrame {
   RangeImage(const Points& points, const bool* ground, const RangeImageParameters& parameters);
 
   void find(const QueryPoints& points, std::int32_t* pixels) const override;
+  bool asks_ground() const override { return false; }
 
   /// Algorithm 1 on every point.
   void vote(const QueryPoints& points, const std::int32_t* pixels, std::uint16_t* statics,

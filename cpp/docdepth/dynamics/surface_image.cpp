@@ -266,9 +266,11 @@ void SurfaceImage::vote(const QueryPoints& points, const std::int32_t* pixels,
   for (std::size_t i = 0; i < points.size; ++i)
     std::memcpy(&seen[4 * i], &seen_[pixels[i]], sizeof(Seen));
   const auto step = static_cast<float>(canvas_.grid().pixel() / kSteps);
+  SurfaceImageParameters margins = parameters_;
+  if (points.ground) margins.level.across = margins.ground_across;
   std::int32_t open[kMax], left[kMax];
   dispatch<AskTriangles>(points.size, points.x, points.y, points.z, points.range, seen, step,
-                         parameters_, statics, dynamics, open);
+                         margins, statics, dynamics, open);
   std::size_t count = 0;
   for (std::size_t i = 0; i < points.size; ++i) {
     left[count] = static_cast<std::int32_t>(i);

@@ -24,6 +24,7 @@ struct SurfaceImageParameters {
   float tolerance = 0.2f;  ///< of single returns, tau [m]
   Margins upright{0.2f, 0.3f, 0.01f};
   Margins level{0.08f, 0.1f, 0.0f};  ///< of planes that lie flat, as ground does
+  float ground_across = 0.03f;       ///< `across` of these for points that are called ground [m]
   float level_cosine = 0.9f;         ///< these are planes whose normal leans no more than that
   float beam = 0.15f;                ///< what lies farther from a line of sight is not seen [m]
 };
@@ -41,9 +42,13 @@ class SurfaceImage : public KeyFrame {
   /// unless the triangle lies flat: window and ground would find the feet of everything. And a
   /// triangle tells nothing about what lies far from the lines of sight to its corners: between the
   /// rings of a sparse sensor it bridges balconies and posts that none of them met.
+  ///
+  /// Ground is level and its heights are exact to millimetres, so a point that was called ground
+  /// has a narrower margin there: the feet of what moves lie a few centimetres higher.
   void vote(const QueryPoints& points, const std::int32_t* pixels, std::uint16_t* statics,
             std::uint16_t* dynamics) const override;
   void find(const QueryPoints& points, std::int32_t* pixels) const override;
+  bool asks_ground() const override { return true; }
 
  private:
   /// What lies in the direction of a pixel, in sixteen bytes: that many fetches from memory are

@@ -50,14 +50,15 @@ struct MovePoints {
   }
 };
 
-/// The points of rows [begin, end) that are neither ground nor unusable.
-Columns select(const Points& points, const bool* ground, std::size_t begin, std::size_t end) {
+/// The usable points of rows [begin, end) that are ground, or those that are not.
+Columns select(const Points& points, const bool* ground, bool of_ground, std::size_t begin,
+               std::size_t end) {
   Columns columns;
   for (auto* values : {&columns.x, &columns.y, &columns.z}) values->reserve(end - begin);
   columns.index.reserve(end - begin);
   for (std::size_t i = begin; i < end; ++i) {
     const float x = points(i, 0), y = points(i, 1), z = points(i, 2);
-    if (ground[i] || !usable(range_of(x, y, z))) continue;
+    if (ground[i] != of_ground || !usable(range_of(x, y, z))) continue;
     columns.x.push_back(x);
     columns.y.push_back(y);
     columns.z.push_back(z);
@@ -71,9 +72,10 @@ class Group {
  public:
   /// Move the points from `begin` on to the key frame and find their pixels.
   void find(const Columns& query, std::size_t begin, const KeyFrame& key_frame,
-            const RigidTransform& T_key_query) {
+            const RigidTransform& T_key_query, bool ground) {
     key_frame_ = &key_frame;
     begin_ = begin;
+    ground_ = ground;
     size_ = std::min(QueryPoints::kMax, query.size() - begin);
     dispatch<MovePoints>(size_, &query.x[begin], &query.y[begin], &query.z[begin], T_key_query, x_,
                          y_, z_, range_);
@@ -84,10 +86,11 @@ class Group {
   }
 
  private:
-  QueryPoints points() const { return {size_, x_, y_, z_, range_}; }
+  QueryPoints points() const { return {size_, x_, y_, z_, range_, ground_}; }
 
   const KeyFrame* key_frame_;
   std::size_t begin_, size_;
+  bool ground_;
   float x_[QueryPoints::kMax], y_[QueryPoints::kMax], z_[QueryPoints::kMax],
       range_[QueryPoints::kMax];
   std::int32_t pixels_[QueryPoints::kMax];
@@ -105,8 +108,7 @@ Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
   std::vector<RigidTransform> T_key_query;
   for (const Pose& pose : T_world_key) T_key_query.emplace_back(between(pose, T_world_lidar));
 
-  parallel_for(count, kBlock, threads, [&](std::size_t begin, std::size_t end) {
-    const Columns query = select(points, ground, begin, end);
+  const auto vote_on = [&](const Columns& query, bool of_ground) {
     std::vector<std::uint16_t> statics(query.size()), dynamics(query.size());
     const std::size_t groups = (query.size() + QueryPoints::kMax - 1) / QueryPoints::kMax;
     Group found[2];
@@ -115,13 +117,18 @@ Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
       const Group& last = found[1 - n % 2];
       if (n < groups * key_frames.size())
         next.find(query, n % groups * QueryPoints::kMax, *key_frames[n / groups],
-                  T_key_query[n / groups]);
+                  T_key_query[n / groups], of_ground);
       if (n > 0) last.vote(statics.data(), dynamics.data());
     }
     for (std::size_t i = 0; i < query.size(); ++i) {
       votes.statics[query.index[i]] = statics[i];
       votes.dynamics[query.index[i]] = dynamics[i];
     }
+  };
+  const bool with_ground = !key_frames.empty() && key_frames.front()->asks_ground();
+  parallel_for(count, kBlock, threads, [&](std::size_t begin, std::size_t end) {
+    vote_on(select(points, ground, false, begin, end), false);
+    if (with_ground) vote_on(select(points, ground, true, begin, end), true);
   });
   return votes;
 }
