@@ -198,7 +198,7 @@ TEST_CASE("rays are asked by falling trust until they are sure") {
   CHECK(middle({&met_aside, &met_aside, &passed}) == 5);
 }
 
-TEST_CASE("a cut triangle of a mover is split in the middle, each part at its corners' range") {
+TEST_CASE("a cut triangle of a mover is split about the middle, each part at its corners' range") {
   Matrix points(3, 3);
   points << 10, 0, 0, 20, 1, 0, 20, 0, 1;
   const std::uint32_t triangle[1][3] = {{0, 1, 2}};

@@ -8,6 +8,10 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// What moves goes on this share of the way to the next return, past the middle: rays of other
+/// sweeps tell where it ends.
+constexpr float kWay = 0.6f;
+
 /// Splits triangles between one corner and the other two.
 class Splitter {
  public:
@@ -28,7 +32,7 @@ class Splitter {
 
  private:
   /// Where the surface of one end of an edge goes over into that of the other: the last place of
-  /// each, in one direction.
+  /// each.
   struct Border {
     Vector first, second;
   };
@@ -54,12 +58,13 @@ class Splitter {
       const float nearness = plane_nearness(a, toward);
       if (nearness > 0) return {toward / nearness, toward / nearness};
     }
-    const Vector toward = (toward_a + toward_b).normalized();
     const float least = std::min(1 / range_a, 1 / range_b);
     const float most = std::max(1 / range_a, 1 / range_b);
-    const float nearness_a = std::clamp(plane_nearness(a, toward), least, most);
-    const float nearness_b = std::clamp(plane_nearness(b, toward), least, most);
-    return {toward / nearness_a, toward / nearness_b};
+    const auto last = [&](std::uint32_t from, const Vector& here, const Vector& there) -> Vector {
+      const Vector toward = (here * (1 - kWay) + there * kWay).normalized();
+      return toward / std::clamp(plane_nearness(from, toward), least, most);
+    };
+    return {last(a, toward_a, toward_b), last(b, toward_b, toward_a)};
   }
 
   std::uint32_t add(const Vector& vertex) {

@@ -16,7 +16,8 @@ using Triangles = std::vector<std::array<std::uint32_t, 3>>;
 /// spans a depth jump, or lies between the returns of two, is no surface; an edge crosses it
 /// somewhere. Of the world other sweeps know where. What moves they saw elsewhere: there the
 /// triangle is split, and its part goes on with the plane of the surface at its own corners, to
-/// where that meets the other plane if it does on the way, else to the middle as the sensor saw it.
+/// where that meets the other plane if it does on the way, else a little past the middle as the
+/// sensor saw it.
 struct PartedSurface {
   struct Parts {
     Triangles whole;  ///< measured surface

@@ -60,7 +60,8 @@ struct Motion {
 ///
 /// @param witnesses number of sweeps of `fixed` whose rays are asked where sweeps differ; with 0
 /// the
-///   first to offer something is believed, and moving objects end in the middle between returns
+///   first to offer something is believed, and moving objects end a little past the middle between
+///   returns
 std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
                                    const Motion& motion, int witnesses, int threads);
 
