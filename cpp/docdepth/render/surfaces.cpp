@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "docdepth/geometry/parallel.hpp"
 #include "docdepth/render/edges.hpp"
 
 namespace docdepth {
@@ -47,16 +48,20 @@ std::vector<PlacedMover> carried(const Motion& motion, int number, int threads) 
     placed.push_back({{{&parts.whole, T, number}, {&parts.split, T, number, true}}, {}, {}});
     if (!velocity[k].isZero(0)) placed[k].rays.push_back({&nearest.frame->rays, T});
   }
+  std::vector<std::vector<Again>> again(motion.sweeps.size());
+  parallel_for(again.size() - 1, 1, threads, [&](std::size_t begin, std::size_t) {
+    const auto& sweep = motion.sweeps[begin + 1];
+    again[begin + 1] =
+        find_again(objects, velocity, sweep.surface.frame->objects, passage_to(sweep));
+  });
   for (std::size_t s = 1; s < motion.sweeps.size(); ++s) {
     const SurfaceFrame& frame = *motion.sweeps[s].surface.frame;
-    const Passage passage = passage_to(motion.sweeps[s]);
-    const auto again = find_again(objects, velocity, frame.objects, passage);
     for (std::size_t k = 0; k < velocity.size(); ++k) {
       if (velocity[k].isZero(0)) continue;
       Pose T = placed[k].trusted[0].T_camera_mesh;
-      T.translate(-again[k].shift.cast<double>());
-      T = T * passage.T_from_to;
-      for (const auto c : again[k].objects)
+      T.translate(-again[s][k].shift.cast<double>());
+      T = T * passage_to(motion.sweeps[s]).T_from_to;
+      for (const auto c : again[s][k].objects)
         placed[k].others.push_back({&frame.movers[c].whole, T, number + int(s)});
       placed[k].rays.push_back({&frame.rays, T});
     }
