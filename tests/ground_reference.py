@@ -70,7 +70,12 @@ def label_sweeps(sweeps, poses, p):
     origin = poses[0][:3, 3]
     world = [to_world(s, T, origin) for s, T in zip(sweeps, poses, strict=True)]
     _, points, voxel = centroids(np.concatenate(world), p.voxel_size)
-    seeds = [seed(points, T[:3, 3] - origin, p.seed_radius, p.seed_quantile) for T in poses]
-    ground = grow(points, seeds, p.neighbors, p.plane_distance, p.max_slope_deg)
+    radius = p.seed_radius
+    while True:
+        seeds = [seed(points, T[:3, 3] - origin, radius, p.seed_quantile) for T in poses]
+        ground = grow(points, seeds, p.neighbors, p.plane_distance, p.max_slope_deg)
+        if ground.sum() >= p.least_share * len(points) or radius >= 16:
+            break
+        radius *= 2
     ends = np.cumsum([len(s) for s in sweeps])[:-1]
     return np.split(ground[voxel], ends), int(ground.sum())

@@ -10,7 +10,8 @@ from docdepth.ground import GroundMap, chunks, grow_ground
 from docdepth.trajectory import Trajectory, quaternion_to_matrix
 
 PAPER = parameters("paper").ground
-COARSE = PAPER.model_copy(update={"voxel_size": 0.1, "plane_distance": 0.1})
+COARSE_GROUND = {"voxel_size": 0.1, "plane_distance": 0.1}
+COARSE = PAPER.model_copy(update=COARSE_GROUND)
 
 
 def pose(x=0.0, y=0.0, z=0.0, yaw=0.0):
@@ -185,6 +186,23 @@ def test_phantoms_below_the_road_do_not_take_its_ground():
     assert (found == expected).mean() > 0.999
     assert expected.mean() > 0.3
     assert np.concatenate(grow_ground(mirrored, poses, COARSE)).mean() < 0.01
+
+
+def test_the_body_of_the_ego_alone_is_no_ground():
+    sweeps, poses = street_drive(sweeps=1)
+    x, down = np.random.default_rng(2).uniform([[-1], [0]], [[1], [0.4]], (2, 60))
+    body = np.column_stack([x, np.sign(x) * (1.2 + down / 2), -0.4 - down]).astype(np.float32)
+    seen = [np.concatenate([s[np.hypot(*s[:, :2].T) > 3.7], body]) for s in sweeps]
+    robust = GroundParameters(**COARSE_GROUND)
+    labels = assert_equals_reference(seen, poses, robust)
+    assert labels.mean() > 0.3
+    assert not labels[-60:].any()
+    assert np.concatenate(grow_ground(seen, poses, COARSE)).mean() < 0.01
+
+
+def test_a_single_real_sweep_has_ground(drive_0005):
+    sweeps, poses = real_sweeps(drive_0005, [40])
+    assert grow_ground(sweeps, poses)[0].mean() > 0.3
 
 
 def test_empty_sweeps_have_no_ground():

@@ -10,6 +10,7 @@ void bind_ground(py::module_& m) {
       .def_readwrite("voxel_size", &GroundParameters::voxel_size)
       .def_readwrite("seed_radius", &GroundParameters::seed_radius)
       .def_readwrite("seed_quantile", &GroundParameters::seed_quantile)
+      .def_readwrite("least_share", &GroundParameters::least_share)
       .def_readwrite("neighbors", &GroundParameters::neighbors)
       .def_readwrite("plane_distance", &GroundParameters::plane_distance)
       .def_readwrite("max_slope", &GroundParameters::max_slope);

@@ -49,6 +49,12 @@ class GroundParameters(_Stage):
     seed_quantile: float = Field(
         0.1, ge=0, lt=1, description="share of the voxels there that lie below the seed [-]"
     )
+    least_share: float = Field(
+        0.01,
+        ge=0,
+        le=1,
+        description="with less ground than this seeds are sought twice as far away, to 16 m [-]",
+    )
     neighbors: int = Field(30, ge=3, le=200, description="neighbours of a front point, k_nn")
     plane_distance: float = Field(0.04, gt=0, description="distance to the plane, delta [m]")
     max_slope_deg: float = Field(15.0, gt=0, lt=90, description="lean of a normal, alpha [deg]")
@@ -259,7 +265,7 @@ _STAGES: dict[str, type[_Stage]] = {
 
 # Where the paper's text differs from what measured best, a stage at a time.
 _PAPER: dict[str, dict[str, Any]] = {
-    "ground": {"chunk_overlap": 0, "seed_quantile": 0},
+    "ground": {"chunk_overlap": 0, "seed_quantile": 0, "least_share": 0},
     "dynamics": {
         "against": "pixels",
         "coarse_spacing": 10,

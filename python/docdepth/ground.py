@@ -197,6 +197,7 @@ def _core_parameters(parameters: GroundParameters) -> _core.GroundParameters:
     core.voxel_size = parameters.voxel_size
     core.seed_radius = parameters.seed_radius
     core.seed_quantile = parameters.seed_quantile
+    core.least_share = parameters.least_share
     core.neighbors = parameters.neighbors
     core.plane_distance = parameters.plane_distance
     core.max_slope = float(np.radians(parameters.max_slope_deg))

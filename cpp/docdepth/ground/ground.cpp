@@ -16,6 +16,8 @@ namespace {
 
 using Eigen::Vector3d;
 
+constexpr double kFarthestSeeds = 16.0;  ///< they are not sought farther from a pose [m]
+
 /// The front: which points are labelled, which of them have carried it on, and the leaves that hold
 /// the others. What it reaches in the end does not depend on the order, so leaves are shared by
 /// threads freely.
@@ -178,20 +180,24 @@ std::size_t GroundMap::grow() {
   State& state = *state_;
   if (!size()) return 0;
   const Octree tree(state.map, state.threads);
-  Front front(tree, state.parameters, state.threads);
-  for (const Vector3d& position : state.positions) {
-    std::uint32_t seed;
-    double radius = state.parameters.seed_radius;
-    while ((seed = tree.quantile(position.x(), position.y(), radius,
-                                 state.parameters.seed_quantile)) == tree.points().size())
-      radius *= 2.0;
-    front.seed(seed);
+  const auto points = static_cast<std::uint32_t>(tree.points().size());
+  for (double around = state.parameters.seed_radius;; around *= 2.0) {
+    Front front(tree, state.parameters, state.threads);
+    for (const Vector3d& position : state.positions) {
+      std::uint32_t seed;
+      double radius = around;
+      while ((seed = tree.quantile(position.x(), position.y(), radius,
+                                   state.parameters.seed_quantile)) == points)
+        radius *= 2.0;
+      front.seed(seed);
+    }
+    front.grow();
+    std::size_t count = 0;
+    for (std::uint32_t i = 0; i < points; ++i) count += front.labelled(i);
+    if (double(count) < state.parameters.least_share * points && around < kFarthestSeeds) continue;
+    tree.store_ground([&](std::uint32_t i) { return front.labelled(i); }, state.threads);
+    return count;
   }
-  front.grow();
-  tree.store_ground([&](std::uint32_t i) { return front.labelled(i); }, state.threads);
-  std::size_t count = 0;
-  for (std::uint32_t i = 0; i < tree.points().size(); ++i) count += front.labelled(i);
-  return count;
 }
 
 void GroundMap::label(const Points& points, const Pose& T_world_lidar, bool* ground) const {

@@ -11,11 +11,12 @@
 namespace docdepth {
 
 struct GroundParameters {
-  double voxel_size = 0.03;               ///< s, metres
-  double seed_radius = 2.0;               ///< r_seed, metres
-  double seed_quantile = 0.1;             ///< share of the points there that lie below the seed
-  int neighbors = 30;                     ///< k_nn, the front point itself among them
-  double plane_distance = 0.04;           ///< delta, metres
+  double voxel_size = 0.03;      ///< s, metres
+  double seed_radius = 2.0;      ///< r_seed, metres
+  double seed_quantile = 0.1;    ///< share of the points there that lie below the seed
+  double least_share = 0.01;     ///< with less ground than this seeds are sought twice as far away
+  int neighbors = 30;            ///< k_nn, the front point itself among them
+  double plane_distance = 0.04;  ///< delta, metres
   double max_slope = 0.2617993877991494;  ///< alpha, radians
 };
 
@@ -32,7 +33,8 @@ class GroundMap {
   /// @throws std::out_of_range a point is not finite or too far from the first pose.
   void insert(const Points& points, const Pose& T_world_lidar);
 
-  /// Seed and grow over everything inserted so far.
+  /// Seed and grow over everything inserted so far. Near a pose there may be nothing but the ego's
+  /// own body: while there is next to no ground, seeds are sought farther away.
   /// @return number of ground voxels.
   std::size_t grow();
 
