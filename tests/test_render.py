@@ -331,13 +331,13 @@ def test_triangles_equal_a_plain_rasteriser(seed):
 
 
 def test_triangles_do_not_depend_on_threads():
-    trajectory, frames, _ = drive(np.random.default_rng(5), 130_000_000, TRIANGLES)
+    trajectory, frames, _ = drive(np.random.default_rng(10), 130_000_000, TRIANGLES)
     one, two = (
         render(small_camera(250), AXES, trajectory, 130_000_000, frames.__getitem__, TRIANGLES, t)
         for t in (1, 2)
     )
     np.testing.assert_array_equal(one, two)
-    assert np.isfinite(one).sum() > 1000
+    assert np.isfinite(one).mean() > 0.1
 
 
 @pytest.mark.parametrize(("max_speed", "late"), [(0.0, None), (50.0, None), (50.0, 0.012)])

@@ -77,6 +77,9 @@ class GroundMap:
     def grow(self) -> int:
         """Seed below every pose and grow over all that was inserted.
 
+        Near a pose there may be nothing but the ego's own body: while less than ``least_share`` of
+        the voxels are ground, seeds are sought farther away.
+
         Returns
         -------
         int

@@ -16,7 +16,8 @@ namespace {
 
 using Eigen::Vector3d;
 
-constexpr double kFarthestSeeds = 16.0;  ///< they are not sought farther from a pose [m]
+/// Seeds are not sought farther from a pose than this, unless nothing is nearer [m].
+constexpr double kFarthestSeeds = 16.0;
 
 /// The front: which points are labelled, which of them have carried it on, and the leaves that hold
 /// the others. What it reaches in the end does not depend on the order, so leaves are shared by
