@@ -200,7 +200,7 @@ class RenderParameters(_Stage):
     ahead: float = Field(80.0, gt=0, description="static sweeps ahead of it, d_max [m]")
     step: float = Field(0.25, gt=0, description="spacing of static sweeps, d_step [m]")
     step_growth: float = Field(
-        0.25, ge=0, description="spacing of triangles over their distance to the image [-]"
+        0.22, ge=0, description="spacing of triangles over their distance to the image [-]"
     )
     crop: float = Field(300.0, gt=0, description="points farther from their sensor, d_crop [m]")
     max_depth: float = Field(250.0, gt=0, description="nothing farther is drawn [m]")
