@@ -40,7 +40,7 @@ DOCDEPTH_KERNEL std::int32_t cell_of(float range) {
 }
 
 DOCDEPTH_KERNEL Ints cells_of(const Floats& ranges) {
-  const Ints cells = (reinterpret_cast<const Ints&>(ranges) >> kCellBits) - kFirstCell;
+  const Ints cells = (reinterpret_cast<Ints>(ranges) >> kCellBits) - kFirstCell;
   const Ints above = cells > 0 ? cells : Ints{};
   return above < kLastCell ? above : kLastCell + Ints{};
 }
