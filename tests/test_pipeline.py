@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import subprocess
+import sys
 
 import cv2
 import numpy as np
@@ -411,3 +413,19 @@ def test_no_image_inside_the_sweeps(drive, finished, tmp_path):
     result = cli("render", run)
     assert result.exit_code == 2
     assert isinstance(result.exception, DatasetError)
+
+
+def test_as_a_module_mistakes_end_with_a_sentence_too(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "docdepth",
+        "run",
+        tmp_path / "nowhere",
+        "-o",
+        tmp_path / "run",
+    ]
+    ended = subprocess.run(command, capture_output=True, text=True)
+    assert ended.returncode == 2
+    assert "nowhere" in ended.stderr
+    assert "Traceback" not in ended.stderr

@@ -407,6 +407,32 @@ def test_what_a_post_hides_of_a_moving_box_other_sweeps_have_seen():
     assert not (np.abs(alone[hidden] - box_at) < 0.05).mean() > 0.9
 
 
+def test_a_moving_box_ends_close_to_the_last_ring_that_met_it():
+    """Rings are 0.42 m apart there; the box, 4 cm higher than the last that met it, goes aside."""
+    directions = spinning(rings=12, columns=3000)
+    directions = directions[directions[:, 0] > 0.1]
+    y, z = directions[:, 1] / directions[:, 0], directions[:, 2] / directions[:, 0]
+    last = -8 * np.tan(np.radians(1.0))
+
+    def frame(index):
+        on_box = (np.abs(y * 8 - 0.5 * (index - 3)) < 2) & (z * 8 < last + 0.04) & (z * 8 > -1.1)
+        points = directions / directions[:, :1] * np.where(on_box, 8.0, 20.0)[:, None]
+        classid = np.where(on_box, 100, 50).astype(np.uint16)
+        return Frame(points.astype(np.float32), classid, TRIANGLES)
+
+    frames, camera = [frame(i) for i in range(7)], small_camera(640, 240, 360.0)
+    still = straight(7, spacing=0.0)
+    depth = render(camera, AXES, still, 310_000_000, frames.__getitem__, TRIANGLES)
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    side = -8 * (u - camera.K[0, 2]) / camera.K[0, 0]
+    up = -8 * (v - camera.K[1, 2]) / camera.K[1, 1]
+    within = np.abs(side - 0.05) < 1.8
+    on_box = np.abs(depth - 8) < 0.05
+    assert on_box[within & (np.abs(up - last) < 0.04)].mean() > 0.99
+    assert on_box[within & (up < last - 0.02) & (up > -0.9)].mean() > 0.99  # rings or not
+    assert not on_box[within & (up > last + 0.16)].any()
+
+
 @pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
 @pytest.mark.parametrize("time", [0, 130_000_000, 200_000_000, 260_000_000, 500_000_000])
 def test_needed_frames_are_those_that_are_asked_for(parameters, time):

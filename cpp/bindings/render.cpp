@@ -92,7 +92,7 @@ py::array_t<float> ask(const Rays& rays, const Array<float>& places) {
       some.size = std::min<std::size_t>(map.rows() - first, Places::kMost);
       for (std::size_t i = 0; i < some.size; ++i)
         some.x[i] = map(first + i, 0), some.y[i] = map(first + i, 1), some.z[i] = map(first + i, 2);
-      rays.ask(some, balance.data() + first);
+      rays.ask(some, kBlur, balance.data() + first);
     }
   }
   return to_numpy(std::move(balance), {map.rows()});

@@ -1,8 +1,10 @@
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <memory>
+#include <random>
 #include <vector>
 
 #include "docdepth/dynamics/range_image.hpp"
@@ -73,6 +75,42 @@ TEST_CASE("a wall says static on it, dynamic before it and nothing behind it") {
 TEST_CASE("before ground the tolerance is zero and ground never says static") {
   CHECK(ask_wall(9.99f, true) == std::array<int, 2>{0, 1});
   CHECK(ask_wall(10.1f, true) == std::array<int, 2>{0, 0});
+}
+
+TEST_CASE("votes are those of the plain loop, also at ties and very near or far") {
+  std::mt19937 random(5);
+  std::uniform_real_distribution<float> unit(0.0f, 1.0f);
+  const std::unique_ptr<bool[]> ground(new bool[3000]());
+  for (int i = 0; i < 3000; i += 7) ground[i] = true;
+  for (const float reach : {0.5f, 2.0f, 20.0f, 300.0f}) {
+    for (const float tolerance : {0.2f, 0.25f, 0.3f, 2.0f}) {
+      for (const float grid : {0.0f, 1.0f / 64.0f}) {
+        const float middle = reach * unit(random);
+        const auto scatter = [&](int count) {
+          Cloud cloud(count, 3);
+          for (int i = 0; i < count; ++i) {
+            const float steps = std::floor(6.0f * unit(random)) - 2.0f;
+            float range = i % 4 ? middle + steps * tolerance : reach * unit(random);
+            if (grid > 0.0f) range = grid * std::round(range / grid);
+            range = std::max(range, 0.02f);
+            // Every other one straight ahead, where ranges are exact.
+            const float azimuth = i % 2 ? 0.0f : 0.2f * unit(random), z = 0.1f * range * (i % 3);
+            cloud.row(i) << range * std::cos(azimuth), range * std::sin(azimuth), i % 2 ? 0.0f : z;
+          }
+          return cloud;
+        };
+        const Cloud sweep = scatter(500), points = scatter(3000);
+        Votes votes[2];
+        for (const bool plain : {false, true}) {
+          const RangeImage image(sweep, ground.get(), {0.0035, 5, tolerance, plain});
+          votes[plain] =
+              vote(points, ground.get(), Pose::Identity(), {&image}, {Pose::Identity()}, 1);
+        }
+        CHECK(votes[0].statics == votes[1].statics);
+        CHECK(votes[0].dynamics == votes[1].dynamics);
+      }
+    }
+  }
 }
 
 TEST_CASE("a relative pose takes points from one frame to the other") {

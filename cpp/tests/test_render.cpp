@@ -198,6 +198,45 @@ TEST_CASE("rays are asked by falling trust until they are sure") {
   CHECK(middle({&met_aside, &met_aside, &passed}) == 5);
 }
 
+TEST_CASE("what moves is drawn where rays met it close by, unless it is trusted there") {
+  const Camera camera{100, 100, 3, 3, 7, 7};
+  const auto square = [](float z) {
+    return Mesh({{-5, -5, z}, {5, -5, z}, {5, 5, z}, {-5, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
+  };
+  const Mesh wall = square(10), mover = square(5);
+  // Rays half a metre apart at 5 m, of which one passes so far beside the middle of the image.
+  const auto sweep = [](float range, float aside) {
+    Matrix points(41 * 41, 3);
+    for (int i = 0; i < 41; ++i)
+      for (int j = 0; j < 41; ++j)
+        points.row(41 * i + j) =
+            Eigen::Vector3f(5, 0.5f * float(i - 20) + aside, 0.5f * float(j - 20)) * (range / 5);
+    return Rays(points, std::vector<Eigen::Vector3f>(points.rows(), Eigen::Vector3f::Zero()));
+  };
+  const Rays close = sweep(5, 0.06f), far = sweep(5, 0.15f), passed = sweep(10, 0.005f),
+             aside = sweep(10, 0.04f);
+  Pose T = Pose::Identity();
+  T.linear() << 0, -1, 0, 0, 0, -1, 1, 0, 0;
+  const auto middle = [&](const std::vector<PlacedRays>& rays, bool trusted) {
+    Drawing drawing;
+    drawing.trusted.push_back({&wall, Pose::Identity()});
+    const std::vector<PlacedMesh> meshes{{&mover, Pose::Identity()}}, none;
+    drawing.movers.push_back({trusted ? meshes : none, trusted ? none : meshes, rays});
+    return render_triangles(camera, drawing, 1)[3 * 7 + 3];
+  };
+  const float shaky = 0.05f;
+  CHECK(middle({{&close, T}}, false) == doctest::Approx(5));
+  CHECK(std::isnan(middle({{&close, T, shaky}}, false)));  // it may have passed farther off
+  CHECK(middle({{&close, T, shaky}, {&close, T, shaky}}, false) == doctest::Approx(5));
+  CHECK(std::isnan(middle({{&far, T}}, false)));
+  CHECK(middle({{&passed, T}}, false) == doctest::Approx(10));
+  CHECK(std::isnan(middle({{&passed, T, shaky}}, false)));
+  CHECK(std::isnan(middle({{&aside, T}}, false)));
+  CHECK(std::isnan(middle({{&close, T}, {&aside, T}}, false)));
+  for (const Rays* rays : {&close, &far, &passed}) CHECK(middle({{rays, T}}, true) == 5);
+  CHECK(middle({}, false) == 5);  // nobody can be asked
+}
+
 TEST_CASE("a cut triangle of a mover is split about the middle, each part at its corners' range") {
   Matrix points(3, 3);
   points << 10, 0, 0, 20, 1, 0, 20, 0, 1;
@@ -208,24 +247,26 @@ TEST_CASE("a cut triangle of a mover is split about the middle, each part at its
   // Of the world nothing goes on where nobody measured.
   const auto world = part_surface(points, triangle, &cut, 1, {0, 0, 0}, 1);
   CHECK(world.parts[0].whole.empty());
-  CHECK(world.parts[0].split.empty());
+  CHECK(world.parts[0].outer.empty());
   CHECK(world.vertices.size() == 3);
 
   const auto split = part_surface(points, triangle, &cut, 1, {1, 1, 1}, 2);
   CHECK(split.parts[1].whole.empty());
-  REQUIRE(split.parts[1].split.size() == 3);
-  for (const auto corner : split.parts[1].split[0])
+  CHECK(split.parts[1].outer.empty());
+  REQUIRE(split.parts[1].inner.size() == 3);
+  for (const auto corner : split.parts[1].inner[0])
     CHECK(split.vertices[corner].norm() == doctest::Approx(10));
   for (const auto part : {1, 2})
-    for (const auto corner : split.parts[1].split[part])
+    for (const auto corner : split.parts[1].inner[part])
       CHECK(split.vertices[corner].norm() > 19.9);
 
   // Two owners are never joined, with or without a jump.
   const auto border = part_surface(points, triangle, &whole, 1, {0, 1, 0}, 2);
   CHECK(border.parts[0].whole.empty());
   CHECK(border.parts[1].whole.empty());
-  CHECK(border.parts[1].split.size() == 1);
-  CHECK(border.parts[0].split.empty());
+  CHECK(border.parts[1].inner.empty());
+  CHECK(border.parts[1].outer.size() == 1);
+  CHECK(border.parts[0].outer.empty());
 }
 
 TEST_CASE("where two planes meet between their last returns, each goes on to the other") {
@@ -236,8 +277,8 @@ TEST_CASE("where two planes meet between their last returns, each goes on to the
   const std::uint8_t cut[4] = {0, 0, 1, 1};
   const auto surface = part_surface(points, triangles, cut, 4, std::vector<std::uint32_t>(6, 1), 2);
   CHECK(surface.parts[1].whole.size() == 2);
-  REQUIRE(surface.parts[1].split.size() == 6);
-  for (const auto& part : surface.parts[1].split)
+  REQUIRE(surface.parts[1].inner.size() == 6);
+  for (const auto& part : surface.parts[1].inner)
     for (const auto corner : part) {
       const Eigen::Vector3f p = surface.vertices[corner];
       const bool on_floor = p.z() == doctest::Approx(-2), on_wall = p.x() == doctest::Approx(10);

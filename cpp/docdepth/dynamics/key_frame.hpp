@@ -12,7 +12,7 @@ namespace docdepth {
 /// Points of another sweep in the LiDAR frame of the key frame that is asked, a column each. Few
 /// enough for their scratch to stay in the first level cache.
 struct QueryPoints {
-  static constexpr std::size_t kMax = 512;
+  static constexpr std::size_t kMax = 256;
 
   std::size_t size;  ///< at most kMax
   const float* x;

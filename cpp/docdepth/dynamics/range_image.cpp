@@ -25,68 +25,94 @@ float tie_free_range(float value) {
   return std::ldexp(1.0f, std::min(lowest_bit + 24, 127));
 }
 
-/// Algorithm 1 for as many points as two returns of their windows settle; the others stay open.
+// The ranges where the answer of a window changes are kept as cells, the upper bits of floats from
+// 1 m on: another cell than that of such a range is surely nearer or farther.
+constexpr int kSpans = 4;
+constexpr int kCellBits = 10;                                 // of a float that a cell leaves away
+constexpr std::int32_t kFirstCell = 0x3f800000 >> kCellBits;  // and all nearer
+constexpr std::int32_t kLastCell = 0xffff;                    // and all farther: from 256 m on
+
+DOCDEPTH_KERNEL std::int32_t cell_of(float range) {
+  std::int32_t bits;
+  std::memcpy(&bits, &range, sizeof bits);
+  const std::int32_t cell = (bits >> kCellBits) - kFirstCell;
+  return std::min(std::max(cell, 0), kLastCell);
+}
+
+DOCDEPTH_KERNEL Ints cells_of(const Floats& ranges) {
+  const Ints cells = (reinterpret_cast<Ints>(ranges) >> kCellBits) - kFirstCell;
+  const Ints above = cells > 0 ? cells : Ints{};
+  return above < kLastCell ? above : kLastCell + Ints{};
+}
+
+/// The spans of pixels off the ground.
 ///
-/// Around a ground pixel (nearest <= 0) the loop has no end but the window's, and one return behind
-/// the point makes it dynamic: the farthest one tells. Elsewhere the loop ends at the first return
-/// that is not behind the point by the tolerance, which is static within the tolerance. When the
-/// window's first return is not that one, its nearest tells whether there is one at all, and that
-/// it is static where not even the nearest is nearer than the point by the tolerance.
-struct SettleVotes {
-  DOCDEPTH_KERNEL static void run(std::size_t count, const float* range, const float* nearest,
-                                  const float* first, float tolerance, float tie_free,
-                                  std::uint16_t* __restrict statics,
-                                  std::uint16_t* __restrict dynamics,
-                                  std::uint8_t* __restrict open) {
-    for (std::size_t i = 0; i < count; ++i) {
-      const float to_first = range[i] - first[i], to_nearest = range[i] - nearest[i];
-      // Choices between numbers, since compilers do not vectorise those between truth values.
-      const int around_ground = nearest[i] > 0.0f ? 0 : 1;
-      const int before_first = to_first < -tolerance ? 1 : 0;
-      const int before_all = to_nearest < -tolerance ? 1 : 0;
-      const int on_first = std::fabs(to_first) < tolerance ? 1 : 0;
-      const int near = std::fabs(to_nearest) < tolerance ? 1 : 0;
-      const int on_nearest = range[i] >= tie_free ? near : 0;
-      const int before_farthest = range[i] < -nearest[i] ? 1 : 0;
-      const int is_static = before_first ? on_nearest : on_first;
-      const int is_dynamic = around_ground ? before_farthest : before_first & before_all;
-      dynamics[i] += is_dynamic;
-      statics[i] += around_ground ? 0 : is_static;
-      open[i] = (1 - around_ground) & before_first & (1 - before_all) & (1 - on_nearest);
+/// The loop ends at the first return that the point is not before: it lies nearer than all before
+/// it. So only such descending returns matter, and points within the tolerance of one, or between
+/// two that are near each other, are static: a span. The nearest spans are kept; where there were
+/// more, the farthest of these is turned around and open for all behind it.
+struct FindSpans {
+  DOCDEPTH_KERNEL static void run(std::size_t count, const float* corner, std::size_t stride,
+                                  int window, float tolerance, float tie_free,
+                                  std::uint32_t* spans) {
+    for (std::size_t i = 0; i < count; i += kLanes) {
+      const Floats nothing = kEmpty + Floats{};
+      Floats top[kSpans], bottom[kSpans];
+      for (int k = 0; k < kSpans; ++k) top[k] = bottom[k] = nothing;
+      Floats& nearest = bottom[0];
+      Ints found{};
+      for (int row = 0; row < window; ++row) {
+        for (int column = 0; column < window; ++column) {
+          const Floats next = load(corner + i + row * stride + column);
+          // At a tie the loop ends with no answer, so no return where one may be is kept inside.
+          const Ints apart = (nearest - next > 1.999f * tolerance) | (next < tie_free + tolerance);
+          const Ints begins = (next < nearest) & apart;
+          for (int k = kSpans - 1; k > 0; --k) {
+            top[k] = begins ? top[k - 1] : top[k];
+            bottom[k] = begins ? bottom[k - 1] : bottom[k];
+          }
+          top[0] = begins ? next : top[0];
+          nearest = next < nearest ? next : nearest;
+          found -= begins;
+        }
+      }
+      const Ints rounded = nearest < 3.0f * tolerance;  // differences of ranges that small are
+      for (int k = 0; k < kSpans; ++k) {
+        const Ints far = cells_of(top[k] + tolerance), near = cells_of(bottom[k] - tolerance);
+        const Ints turned = k + 1 == kSpans ? found > kSpans : Ints{};
+        const Ints known = turned ? near << 16 | kLastCell : far << 16 | near;
+        const Ints span = (found == 0) | rounded ? rounded & kLastCell : known;
+        for (int lane = 0; lane < kLanes; ++lane)
+          spans[(i + lane) * kSpans + k] = static_cast<std::uint32_t>(span[lane]);
+      }
     }
   }
 };
 
-/// Algorithm 1 for points whose windows hold returns behind and before them but not around ground:
-/// static or none, as the first return says that is not behind by the tolerance. A row of the
-/// window at a time, each pixel in a lane of its own, keeping the first such pixel of each lane.
-struct ScanWindows {
-  DOCDEPTH_KERNEL static void run(std::size_t count, const std::int32_t* points, const float* range,
-                                  const std::int32_t* pixel, const float* corner,
-                                  std::size_t stride, int window, float tolerance,
-                                  std::uint16_t* __restrict statics) {
-    constexpr std::int32_t kNowhere = 1 << 20;
-    Ints start;
-    for (int lane = 0; lane < kLanes; ++lane) start[lane] = lane < window ? 2 * lane : kNowhere;
-    for (std::size_t k = 0; k < count; ++k) {
-      const std::int32_t i = points[k];
-      const float* row = corner + pixel[i];
-      Ints order = start, first = start + kNowhere;
-      for (int r = 0; r < window; ++r, row += stride, order += 2 * kLanes) {
-        Floats measured;
-        std::memcpy(&measured, row, sizeof measured);
-        const Floats difference = range[i] - measured;
-        // Comparisons are -1 where they hold: an odd key is a static pixel.
-        const Ints on = (difference > -tolerance) & (difference < tolerance);
-        const Ints key = (difference < -tolerance) ? first : order - on;
-        first = key < first ? key : first;
+/// Algorithm 1 for all points but those in the cells of a span's ends or in one turned around;
+/// those stay open (negative).
+struct SettleVotes {
+  DOCDEPTH_KERNEL static void run(std::size_t count, const float* range,
+                                  const std::uint32_t* __restrict spans,
+                                  std::uint16_t* __restrict statics,
+                                  std::uint16_t* __restrict dynamics,
+                                  std::int32_t* __restrict open) {
+    for (std::size_t i = 0; i < count; ++i) {
+      const std::int32_t cell = cell_of(range[i]);
+      // Signs of numbers, since compilers do not vectorise truth values.
+      std::int32_t inside = 0, before = -1, unsure = 0;
+      for (int k = 0; k < kSpans; ++k) {
+        const std::uint32_t span = spans[k * QueryPoints::kMax + i];
+        const std::int32_t to_far = cell - static_cast<std::int32_t>(span >> 16);
+        const std::int32_t to_near = cell - static_cast<std::int32_t>(span & 0xffff);
+        inside |= to_far & ~to_near;
+        before &= to_near;
+        unsure |= (to_near & ~to_far) | ~((to_far | -to_far) & (to_near | -to_near));
       }
-      std::int32_t keys[kLanes];
-      std::memcpy(keys, &first, sizeof keys);
-      for (int half = kLanes / 2; half > 0; half /= 2)
-        for (int lane = 0; lane < half; ++lane)
-          keys[lane] = std::min(keys[lane], keys[lane + half]);
-      statics[i] += keys[0] & 1;
+      const std::int32_t settled = ~unsure >> 31;
+      statics[i] += settled & (inside >> 31) & 1;
+      dynamics[i] += settled & (before >> 31) & 1;
+      open[i] = unsure;
     }
   }
 };
@@ -97,8 +123,7 @@ RangeImage::RangeImage(const Points& points, const bool* ground,
                        const RangeImageParameters& parameters)
     : canvas_(parameters.resolution, parameters.window / 2),
       tolerance_(parameters.tolerance),
-      plain_(parameters.plain),
-      tie_free_(0.0f) {
+      plain_(parameters.plain) {
   if (parameters.window < 1 || parameters.window % 2 == 0)
     throw std::invalid_argument("the window must be an odd number of pixels");
   if (!(tolerance_ > 0.0f && tolerance_ < 1e6f))
@@ -119,52 +144,40 @@ void RangeImage::draw(const Points& points, const bool* ground) {
 }
 
 void RangeImage::summarize_windows() {
+  const std::size_t stride = canvas_.stride(), rim = canvas_.half() * (stride + 1);
+  const float* corner = canvas_.corner(range_);
+  const float tie_free = tie_free_range(tolerance_);
+  spans_.resize(range_.size());
+  dispatch<FindSpans>(canvas_.size() - 2 * rim, corner + rim, stride, 2 * canvas_.half() + 1,
+                      tolerance_, tie_free, spans_[rim].data());
+  // Around a ground pixel the loop has no end but the window's, and one return behind the point
+  // makes it dynamic: the farthest one tells.
   std::vector<float> seen(range_);
   for (float& range : seen) range = range == kEmpty ? 0.0f : range;
-  const std::vector<float> farthest = window_maximum(seen, canvas_.stride(), canvas_.half());
-  const std::vector<float> nearest = window_minimum(range_, canvas_.stride(), canvas_.half());
-  const std::vector<float> first = window_first(range_, canvas_.stride(), canvas_.half());
-  windows_.resize(range_.size());
-  for (std::size_t i = 0; i < windows_.size(); ++i) {
-    const float known = nearest[i] == kEmpty ? 0.0f : nearest[i];
-    windows_[i] = {ground_[i] ? -farthest[i] : known, first[i]};
-  }
-  tie_free_ = tie_free_range(tolerance_);
+  const std::vector<float> farthest = window_maximum(seen, stride, canvas_.half());
+  for (std::size_t i = 0; i < canvas_.size(); ++i)
+    if (ground_[i]) spans_[i].fill(static_cast<std::uint32_t>(cell_of(farthest[i])) * 0x10001);
 }
 
 void RangeImage::find(const QueryPoints& points, std::int32_t* pixels) const {
   if (plain_) return;  // the plain loop finds them itself
   canvas_.find(points, pixels);
-  for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&windows_[pixels[i]]);
+  for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&spans_[pixels[i]]);
 }
 
 void RangeImage::vote(const QueryPoints& points, const std::int32_t* pixel, std::uint16_t* statics,
                       std::uint16_t* dynamics) const {
   if (plain_) return vote_plainly(points, statics, dynamics);
-  float nearest[QueryPoints::kMax], first[QueryPoints::kMax];
-  for (std::size_t i = 0; i < points.size; ++i) {
-    nearest[i] = windows_[pixel[i]].nearest;
-    first[i] = windows_[pixel[i]].first;
-  }
-  std::uint8_t open[QueryPoints::kMax];
-  dispatch<SettleVotes>(points.size, points.range, nearest, first, tolerance_, tie_free_, statics,
-                        dynamics, open);
-  std::int32_t left[QueryPoints::kMax + 1];
-  std::size_t count = 0;
-  for (std::size_t i = 0; i < points.size; ++i) {
-    left[count] = static_cast<std::int32_t>(i);
-    count += open[i];
-  }
-  const int window = 2 * canvas_.half() + 1;
-  if (window <= kLanes) {
-    const float* corner = canvas_.corner(range_);
-    fetch_windows(corner, canvas_.stride(), window, left, count, pixel);
-    dispatch<ScanWindows>(count, left, points.range, pixel, corner, canvas_.stride(), window,
-                          tolerance_, statics);
-    return;
-  }
-  for (std::size_t k = 0; k < count; ++k)
-    statics[left[k]] += ask(points.range[left[k]], pixel[left[k]]) == Vote::kStatic;
+  std::uint32_t spans[kSpans * QueryPoints::kMax];
+  for (std::size_t i = 0; i < points.size; ++i)
+    for (int k = 0; k < kSpans; ++k) spans[k * QueryPoints::kMax + i] = spans_[pixel[i]][k];
+  std::int32_t open[QueryPoints::kMax];
+  dispatch<SettleVotes>(points.size, points.range, spans, statics, dynamics, open);
+  for_each_flagged(points.size, open, [&](std::size_t i) {
+    const Vote vote = ask(points.range[i], pixel[i]);
+    statics[i] += vote == Vote::kStatic;
+    dynamics[i] += vote == Vote::kDynamic;
+  });
 }
 
 void RangeImage::vote_plainly(const QueryPoints& points, std::uint16_t* statics,

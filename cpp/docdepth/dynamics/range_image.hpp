@@ -1,6 +1,7 @@
 // A key frame as the paper's range image (III-C2, Algorithm 1).
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
@@ -46,13 +47,11 @@ class RangeImage : public KeyFrame {
   std::vector<float> range_;          ///< nearest return, infinite where there is none
   std::vector<std::uint8_t> ground_;  ///< whether that is ground
 
-  /// What settles most votes on the points of a pixel without looking at its window again.
-  struct Window {
-    float nearest;  ///< nearest return of the window; around ground minus the farthest; 0 for none
-    float first;    ///< first return of the window, row by row
-  };
-  std::vector<Window> windows_;
-  float tie_free_;  ///< from this range on no difference of two ranges equals the tolerance
+  /// What settles almost all votes on the points of a pixel without looking at its window: between
+  /// what ranges they are static. Before all spans they are dynamic, elsewhere they have no vote.
+  /// The far end of a span is in the upper half, the near one in the lower.
+  using Spans = std::array<std::uint32_t, 4>;
+  std::vector<Spans> spans_;
 };
 
 }  // namespace docdepth

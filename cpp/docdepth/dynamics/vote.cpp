@@ -54,16 +54,19 @@ struct MovePoints {
 Columns select(const Points& points, const bool* ground, bool of_ground, std::size_t begin,
                std::size_t end) {
   Columns columns;
-  for (auto* values : {&columns.x, &columns.y, &columns.z}) values->reserve(end - begin);
-  columns.index.reserve(end - begin);
+  for (auto* values : {&columns.x, &columns.y, &columns.z}) values->resize(end - begin);
+  columns.index.resize(end - begin);
+  std::size_t count = 0;
   for (std::size_t i = begin; i < end; ++i) {
     const float x = points(i, 0), y = points(i, 1), z = points(i, 2);
-    if (ground[i] != of_ground || !usable(range_of(x, y, z))) continue;
-    columns.x.push_back(x);
-    columns.y.push_back(y);
-    columns.z.push_back(z);
-    columns.index.push_back(i);
+    columns.x[count] = x;
+    columns.y[count] = y;
+    columns.z[count] = z;
+    columns.index[count] = i;
+    count += (ground[i] == of_ground) & usable(range_of(x, y, z));
   }
+  for (auto* values : {&columns.x, &columns.y, &columns.z}) values->resize(count);
+  columns.index.resize(count);
   return columns;
 }
 

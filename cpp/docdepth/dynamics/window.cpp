@@ -1,7 +1,6 @@
 #include "docdepth/dynamics/window.hpp"
 
 #include <algorithm>
-#include <limits>
 
 #include "docdepth/geometry/dispatch.hpp"
 
@@ -13,11 +12,6 @@ struct Smaller {
 };
 struct Larger {
   DOCDEPTH_KERNEL static float of(float a, float b) { return a > b ? a : b; }
-};
-struct First {
-  DOCDEPTH_KERNEL static float of(float a, float b) {
-    return a < std::numeric_limits<float>::infinity() ? a : b;
-  }
 };
 
 /// out[i] = choice of in[i], in[i + step], ..., in[i + (window - 1) step].
@@ -57,10 +51,6 @@ std::vector<float> window_minimum(const std::vector<float>& image, std::size_t s
 
 std::vector<float> window_maximum(const std::vector<float>& image, std::size_t stride, int half) {
   return slide<Larger>(image, stride, half);
-}
-
-std::vector<float> window_first(const std::vector<float>& image, std::size_t stride, int half) {
-  return slide<First>(image, stride, half);
 }
 
 }  // namespace docdepth

@@ -12,8 +12,6 @@ namespace docdepth {
 /// nearer than that to either end of a row mean nothing.
 std::vector<float> window_minimum(const std::vector<float>& image, std::size_t stride, int half);
 std::vector<float> window_maximum(const std::vector<float>& image, std::size_t stride, int half);
-/// The first finite value, row by row; infinite where there is none.
-std::vector<float> window_first(const std::vector<float>& image, std::size_t stride, int half);
 
 /// Have the memory fetch the windows of those points, before the first one is looked at.
 inline void fetch_windows(const float* corner, std::size_t stride, int window,

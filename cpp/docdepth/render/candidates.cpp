@@ -18,6 +18,9 @@ constexpr float kEdge = 0.05f;  ///< bend of nearness, linear on every plane, as
 /// A ray that passed within a centimetre, or many farther off, decide: no more are asked.
 constexpr float kSure = 1000.0f;
 
+/// What moves is drawn where one ray met it within a decimetre, blur included, or many farther off.
+constexpr float kMet = 100.0f;
+
 static_assert(kLanes == Candidates::kTile, "a row of a tile is one vector");
 
 DOCDEPTH_INLINE bool any(const Ints& lanes) {
@@ -139,7 +142,7 @@ class Questions {
         const Eigen::Vector3f p = to_rays_[j] * places[open[n]];
         seen.x[n] = p.x(), seen.y[n] = p.y(), seen.z[n] = p.z();
       }
-      rays_[j].rays->ask(seen, told);
+      rays_[j].rays->ask(seen, rays_[j].blur, told);
       std::size_t left = 0;
       for (std::size_t n = 0; n < seen.size; ++n) {
         balance[open[n]] = told[n];
@@ -241,7 +244,7 @@ void add_mover(const Columns& columns, const Camera& camera, const std::vector<f
   const auto balance = Questions(columns, camera, rays).ask(contests, 0);
   for (std::size_t i = 0; i < contests.size(); ++i) {
     float& here = nearness[std::size_t(contests[i].v) * columns.stride + contests[i].u];
-    if (balance[i] > 0)
+    if (balance[i] > kMet)
       here = contests[i].offers[0];
     else if (balance[i] > -kSure)
       here = 0;

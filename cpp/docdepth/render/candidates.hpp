@@ -47,8 +47,8 @@ class Candidates {
 std::vector<std::uint8_t> edge_tiles(const Columns& columns, const std::vector<float>& nearness);
 
 /// Draws a moving object over what is farther. In tiles that are asked for the rays that saw it
-/// decide: it is drawn where more of them met it than passed, what is behind it where they surely
-/// passed. Between these nobody knows, since what moves is not rigid, and pixels stay empty.
+/// decide: it is drawn where they met it close by, what is behind it where they surely passed.
+/// Between these nobody knows, since what moves is not rigid, and pixels stay empty.
 void add_mover(const Columns& columns, const Camera& camera, const std::vector<float>& mover,
                const std::vector<std::uint8_t>& asked, const std::vector<PlacedRays>& rays,
                std::vector<float>& nearness);

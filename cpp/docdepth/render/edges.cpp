@@ -120,7 +120,11 @@ PartedSurface part_surface(const Points& points, const std::uint32_t (*triangles
     const auto* corner = triangles[t];
     const int alone = corner_alone(surface.vertices, corner, owner);
     const std::uint32_t i = corner[alone], j = corner[(alone + 1) % 3], k = corner[(alone + 2) % 3];
-    const auto part = [&](std::uint32_t of) { return of ? &surface.parts[of].split : nullptr; };
+    const bool own = owner[i] == owner[j] && owner[j] == owner[k];
+    const auto part = [&](std::uint32_t of) -> Triangles* {
+      if (!of) return nullptr;
+      return own ? &surface.parts[of].inner : &surface.parts[of].outer;
+    };
     splitter.split(i, j, k, part(owner[i]), part(owner[j]));
   }
   return surface;

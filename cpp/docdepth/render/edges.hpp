@@ -21,7 +21,8 @@ using Triangles = std::vector<std::array<std::uint32_t, 3>>;
 struct PartedSurface {
   struct Parts {
     Triangles whole;  ///< measured surface
-    Triangles split;  ///< what continues it over depth jumps; none of the world
+    Triangles inner;  ///< what continues it over depth jumps of its own; none of the world
+    Triangles outer;  ///< what continues it towards others; none of the world
   };
   std::vector<Eigen::Vector3f> vertices;  ///< the points, and behind them those of the split
   std::vector<Parts> parts;               ///< by owner

@@ -15,7 +15,6 @@ using Vector = Eigen::Vector3f;
 
 constexpr float kMargin = 0.1f;         ///< places this near to a surface are on it [m]
 constexpr float kMarginGrowth = 0.03f;  ///< growth of that with range [m/m]
-constexpr float kBlur = 0.02f;          ///< no ray is known better than this [m]
 
 /// A plane seen flatter than this says nothing of where the surface goes on [sine].
 constexpr float kGrazing = 0.02f;
@@ -136,7 +135,7 @@ DOCDEPTH_INLINE void find_nearest(const Rays::Cells& cells, const Toward& toward
 
 /// What the nearest rays tell of places, so many metres beside them.
 DOCDEPTH_INLINE void add_told(const Rays::Cells& cells, const Places& places, const Toward& toward,
-                              const Nearest& nearest, float* balance) {
+                              const Nearest& nearest, float blur, float* balance) {
   for (std::size_t first = 0; first < places.size; first += kLanes) {
     const std::size_t some = std::min(places.size - first, std::size_t{kLanes});
     float end[4][kLanes];
@@ -155,7 +154,7 @@ DOCDEPTH_INLINE void add_told(const Rays::Cells& cells, const Places& places, co
     const Ints met =
         (absolute(ray - range) < margin) | (range * absolute(1.0f - before) < margin * before);
     const Ints passed = (ray > range + margin) & (before < 1.0f);
-    const Floats weight = 1.0f / ((miss + kBlur) * (miss + kBlur));
+    const Floats weight = 1.0f / ((miss + blur) * (miss + blur));
     const Ints known = (range > 0.0f) & (squared < INFINITY);
     Floats told = passed ? -weight : Floats{};
     told = met ? weight : told;
@@ -164,20 +163,22 @@ DOCDEPTH_INLINE void add_told(const Rays::Cells& cells, const Places& places, co
   }
 }
 
-DOCDEPTH_INLINE void ask_all(const Rays::Cells& cells, const Places& places, float* balance) {
+DOCDEPTH_INLINE void ask_all(const Rays::Cells& cells, const Places& places, float blur,
+                             float* balance) {
   Toward toward;
   directions_to(cells, places, toward);
   Nearest nearest;
   for (const Group& group : Groups(toward, places.size))
     find_nearest(cells, toward, group, nearest);
-  add_told(cells, places, toward, nearest, balance);
+  add_told(cells, places, toward, nearest, blur, balance);
 }
 
-DOCDEPTH_AVX2 void ask_avx2(const Rays::Cells& cells, const Places& places, float* balance) {
-  ask_all(cells, places, balance);
+DOCDEPTH_AVX2 void ask_avx2(const Rays::Cells& cells, const Places& places, float blur,
+                            float* balance) {
+  ask_all(cells, places, blur, balance);
 }
-void ask_plain(const Rays::Cells& cells, const Places& places, float* balance) {
-  ask_all(cells, places, balance);
+void ask_plain(const Rays::Cells& cells, const Places& places, float blur, float* balance) {
+  ask_all(cells, places, blur, balance);
 }
 
 }  // namespace
@@ -235,10 +236,10 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Point
   }
 }
 
-void Rays::ask(const Places& places, float* balance) const {
+void Rays::ask(const Places& places, float blur, float* balance) const {
   if (cells_.ends.empty()) return;
   const auto ask = DOCDEPTH_HAS_AVX2() ? ask_avx2 : ask_plain;
-  ask(cells_, places, balance);
+  ask(cells_, places, blur, balance);
 }
 
 }  // namespace docdepth

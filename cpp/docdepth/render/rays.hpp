@@ -16,6 +16,8 @@ struct Places {
   float x[kMost], y[kMost], z[kMost];
 };
 
+constexpr float kBlur = 0.02f;  ///< no ray is known better than this [m]
+
 /// The returns of a sweep by the direction of their lines of sight.
 class Rays {
  public:
@@ -28,8 +30,8 @@ class Rays {
 
   /// Adds to each balance what the ray that passed nearest to a place, in the frame of the sweep,
   /// tells of it: more than 0 if it met a surface there, less if it went on, nothing if it ended
-  /// before or no ray came near. The nearer it passed the more it counts: 1 / distance^2.
-  void ask(const Places& places, float* balance) const;
+  /// before or no ray came near. The nearer it passed the more it counts: 1 / (distance + blur)^2.
+  void ask(const Places& places, float blur, float* balance) const;
 
   /// Where a ray ended.
   struct End {
@@ -54,6 +56,7 @@ class Rays {
 struct PlacedRays {
   const Rays* rays;
   Pose T_camera_rays;
+  float blur = kBlur;  ///< how well it is known where they passed [m]
 };
 
 }  // namespace docdepth

@@ -11,6 +11,9 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// Where a ray of another sweep passed a moving object is not known better than this [m].
+constexpr float kCarried = 0.05f;
+
 /// A diamond around a return, across the line of sight.
 void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
                  Triangles& triangles) {
@@ -45,7 +48,9 @@ std::vector<PlacedMover> carried(const Motion& motion, int number, int threads) 
     Pose T = nearest.T_camera_frame;
     T.translate((velocity[k] * (since - objects.late[k])).cast<double>());
     const auto& parts = nearest.frame->movers[k];
-    placed.push_back({{{&parts.whole, T, number}, {&parts.split, T, number, true}}, {}, {}});
+    placed.push_back({{{&parts.whole, T, number}, {&parts.inner, T, number, true}},
+                      {{&parts.outer, T, number, true}},
+                      {}});
     if (!velocity[k].isZero(0)) placed[k].rays.push_back({&nearest.frame->rays, T});
   }
   std::vector<std::vector<Again>> again(motion.sweeps.size());
@@ -63,7 +68,7 @@ std::vector<PlacedMover> carried(const Motion& motion, int number, int threads) 
       T = T * passage_to(motion.sweeps[s]).T_from_to;
       for (const auto c : again[s][k].objects)
         placed[k].others.push_back({&frame.movers[c].whole, T, number + int(s)});
-      placed[k].rays.push_back({&frame.rays, T});
+      placed[k].rays.push_back({&frame.rays, T, kCarried});
     }
   }
   return placed;
@@ -88,7 +93,8 @@ SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles
   MeshVertices all(vertices, classes);
   world = Mesh(all, parts[0].whole);
   for (std::size_t k = 1; k < parts.size(); ++k)
-    movers.push_back({Mesh(all, parts[k].whole), Mesh(all, parts[k].split)});
+    movers.push_back(
+        {Mesh(all, parts[k].whole), Mesh(all, parts[k].inner), Mesh(all, parts[k].outer)});
 }
 
 Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int witnesses,

@@ -16,7 +16,8 @@ namespace docdepth {
 struct SurfaceFrame {
   struct Mover {
     Mesh whole;  ///< measured surface, and returns that stand alone
-    Mesh split;  ///< what continues it over depth jumps
+    Mesh inner;  ///< what continues it over depth jumps of its own
+    Mesh outer;  ///< what continues it towards others
   };
   Mesh world;  ///< measured surface, and returns that stand alone
   Rays rays;

@@ -130,3 +130,26 @@ def depth(
     from docdepth.evaluation.runs import evaluate_depth
 
     show(evaluate_depth(run, truth, mode, max_range, camera), as_json)  # type: ignore[arg-type]
+
+
+@evaluate.command()
+def held_out(
+    run: RunPath,
+    every: Annotated[int, typer.Option(min=1, help="Leave out each so many-th sweep.")] = 10,
+    max_range: Annotated[float, typer.Option(help="Farther returns are not compared [m].")] = 80.0,
+    camera: Annotated[str | None, typer.Option(help="Which, where there are several.")] = None,
+    threads: Threads = 0,
+    as_json: Json = False,
+) -> None:
+    """Depth against sweeps that were left out: no truth but the recording itself.
+
+    The nearest sweep is the one left out, so maps of all sweeps are better than these figures.
+    """
+    from docdepth.evaluation.held_out import evaluate_held_out
+
+    with progress_bars() as progress:
+        result = evaluate_held_out(
+            run, every, max_range, camera, threads,
+            lambda done, total: progress("held out", done, total),
+        )  # fmt: skip
+    show(result, as_json)

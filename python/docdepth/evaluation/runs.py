@@ -31,7 +31,9 @@ def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
     Raises
     ------
     DatasetError
-        A truth file is missing or has another number of points, or no frame is classified.
+        A truth file is missing or has another number of points.
+    RunError
+        A frame has no classes.
     """
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
     if (labels / "labels").is_dir():
@@ -41,15 +43,10 @@ def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
     times = folder.trajectory().times
     seconds = float(np.median(np.diff(times))) * 1e-9 if len(times) > 1 else 0.0
     for index in range(len(times)):
-        record = folder.frame(index)
-        if record.classid is None:
-            raise DatasetError(
-                f"frame {index} of {folder.path} has no classes; run: docdepth classify "
-                f"{folder.path}"
-            )
+        record, classid = folder.classified_frame(index)
         truth = _read(labels / f"{record.name}.label", record.input_points)
         dynamic = np.zeros(record.input_points, dtype=bool)
-        dynamic[record.index] = record.classid >= 100
+        dynamic[record.index] = classid >= 100
         ranges = np.full(record.input_points, np.nan)
         ranges[record.index] = np.linalg.norm(record.points, axis=1)
         speed = speeds / f"{record.name}.npy"

@@ -134,6 +134,21 @@ class RunFolder:
         """Frame number ``index``."""
         return read_frame(self.frame_path(index))
 
+    def classified_frame(self, index: int) -> tuple[FrameRecord, NDArray[np.uint16]]:
+        """Frame number ``index`` and its classes.
+
+        Raises
+        ------
+        RunError
+            It has none.
+        """
+        record = self.frame(index)
+        if record.classid is None:
+            raise RunError(
+                f"frame {index} of {self.path} has no classes; run: docdepth classify {self.path}"
+            )
+        return record, record.classid
+
     def points(self, index: int) -> NDArray[np.float32]:
         """The points of frame number ``index``, faster than all of it."""
         return read_points(self.frame_path(index))

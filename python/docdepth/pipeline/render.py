@@ -17,7 +17,7 @@ from docdepth import __version__, render, visualize
 from docdepth.backends import Renderer
 from docdepth.config import OutputParameters, Parameters
 from docdepth.datasets.base import CameraStream
-from docdepth.errors import DatasetError, RunError
+from docdepth.errors import DatasetError
 from docdepth.io.atomic import write_atomically
 from docdepth.io.depth import DESCRIPTION, FORMATS, check_format, encode_depth, read_depth
 from docdepth.io.ply import write_trajectory
@@ -192,19 +192,7 @@ def run_render(
     jobs.sort()
 
     def load(index: int) -> render.Frame:
-        with watch("read"):
-            record = run.frame(index)
-        if record.classid is None:
-            raise RunError(f"frame {index} of {run.path} has no classes; run: docdepth classify")
-        with watch("frames"):
-            return render.Frame(
-                record.points,
-                record.classid,
-                drawing,
-                parameters.surface,
-                record.late,
-                run.sensors(record),
-            )
+        return load_frame(run, index, parameters, watch)
 
     def write(m: _Maps, k: int, depth: NDArray[np.float32], more: dict[str, NDArray[Any]]) -> None:
         with watch("write"):
@@ -254,6 +242,30 @@ def run_render(
     finish_stage(run, stage, watch, len(jobs), density=float(np.mean(every)))
     write_index(run)
     return left_out
+
+
+def load_frame(
+    run: RunFolder, index: int, parameters: Parameters, watch: Stopwatch | None = None
+) -> render.Frame:
+    """A classified sweep of a run, made ready to be drawn.
+
+    Raises
+    ------
+    RunError
+        It has no classes.
+    """
+    watch = watch or Stopwatch()
+    with watch("read"):
+        record, classid = run.classified_frame(index)
+    with watch("frames"):
+        return render.Frame(
+            record.points,
+            classid,
+            parameters.render,
+            parameters.surface,
+            record.late,
+            run.sensors(record),
+        )
 
 
 def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:

@@ -1,0 +1,99 @@
+"""Depth against sweeps that were left out, on a small synthetic drive whose truth is known."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from docdepth.cli import app
+from docdepth.errors import InputError, RunError
+from docdepth.evaluation.held_out import evaluate_held_out
+from docdepth.io.run_folder import RunFolder
+
+pytest.importorskip("embreex")
+
+LEFT_OUT = 3  # with 7 sweeps, one of them
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    from docdepth.synthetic import write_drive
+
+    root = tmp_path_factory.mktemp("held_out")
+    write_drive(root, scene="city", sensor="XT-32", frames=7, seed=1)
+    sequence = root / "sequences" / "00"
+    result = CliRunner().invoke(app, ["run", str(sequence), "-o", str(root / "run")])
+    assert result.exit_code == 0, result.output
+    return root / "run"
+
+
+@pytest.fixture
+def run(finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def change(run, index, **arrays):
+    folder = RunFolder.open(run)
+    folder.write_frame(index, replace(folder.frame(index), **arrays))
+
+
+def test_most_returns_of_a_sweep_lie_where_the_others_say(finished):
+    result = evaluate_held_out(finished, every=7)
+    assert result.sweeps == 1
+    assert result.all.density > 90
+    assert result.all.too_near + result.all.too_far < 6
+    assert result.standing.pixels + result.moving.pixels == result.all.pixels
+    assert sum(r.errors.pixels for r in result.by_range) == result.all.pixels
+
+
+def test_a_sweep_has_no_part_in_the_map_that_it_judges(finished, run):
+    """Returns moved away are all called wrong, and by how much: nothing else has changed."""
+    before = evaluate_held_out(finished, every=7).all
+    points = RunFolder.open(run).points(LEFT_OUT)
+    change(run, LEFT_OUT, points=points * np.float32(1.25))
+    after = evaluate_held_out(run, every=7, max_range=100).all
+    assert before.too_near < 5
+    assert after.too_near > 95
+    change(run, LEFT_OUT, points=points * np.float32(0.8))
+    assert evaluate_held_out(run, every=7).all.too_far > 95
+
+
+def test_what_the_other_sweeps_got_wrong_is_seen(finished, run):
+    for index in {*range(7)} - {LEFT_OUT}:
+        points = RunFolder.open(run).points(index)
+        change(run, index, points=points * np.float32(1.1))
+    before, after = (evaluate_held_out(r, every=7).standing for r in (finished, run))
+    assert before.too_far < 5
+    assert after.too_far > 60  # what is drawn from ahead of the camera moves less
+    assert after.mae > 5 * before.mae
+
+
+def test_every_sweep_between_the_first_and_the_last(finished):
+    result = evaluate_held_out(finished, every=1, max_range=30)
+    assert result.sweeps == 5
+    assert result.by_range[-1].far == 30
+
+
+def test_on_the_command_line(finished):
+    result = CliRunner().invoke(
+        app, ["evaluate", "held-out", str(finished), "--every", "7", "--json"]
+    )
+    assert result.exit_code == 0, result.output
+    printed = json.loads(result.stdout)
+    assert printed["sweeps"] == 1
+    assert printed["all"]["shifts"] is None
+    assert printed["all"]["too_near"] == evaluate_held_out(finished, every=7).all.too_near
+
+
+def test_mistakes(finished, run):
+    with pytest.raises(InputError, match="each 0-th"):
+        evaluate_held_out(finished, every=0)
+    change(run, LEFT_OUT, classid=None, votes_static=None, votes_dynamic=None)
+    with pytest.raises(RunError, match="has no classes"):
+        evaluate_held_out(run, every=7)
