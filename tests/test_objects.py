@@ -24,14 +24,17 @@ CAR, PERSON, POLE, WALL = (4.2, 1.8, 1.5), (0.6, 0.6, 1.7), (0.3, 0.3, 2.0), (12
 class Thing:
     """A block of points: where it is at each sweep (None: unseen), and when the votes find it.
 
-    Places are (x, y), or (x, y, z).
+    Places are (x, y), or (x, y, z). ``seen`` tells which of its points a sweep sees, all if None.
     """
 
-    def __init__(self, size, at, dynamic=(), step=0.2):
+    def __init__(self, size, at, dynamic=(), step=0.2, seen=None):
         axes = [np.arange(-s / 2, s / 2 + 1e-6, step) for s in size]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
         self.shape = grid[(np.abs(grid) > np.array(size) / 2 - step).any(1)]
-        self.at, self.dynamic = at, set(dynamic)
+        self.at, self.dynamic, self.seen = at, set(dynamic), seen
+
+    def shape_in(self, i):
+        return self.shape if self.seen is None else self.shape[self.seen(i, self.shape)]
 
 
 def sightings_of(things, count, seed=0, joined=None):
@@ -51,7 +54,8 @@ def sightings_of(things, count, seed=0, joined=None):
                 continue
             firsts[k] = len(points)
             middle = (*place[:2], *(place[2:] or (0.8,)))
-            shape = thing.shape + middle + rng.normal(0, 0.01, thing.shape.shape)
+            shape = thing.shape_in(i)
+            shape = shape + middle + rng.normal(0, 0.01, shape.shape)
             whole = next((wholes[a] for (a, b), sweeps in (joined or {}).items()
                           if b == k and a in wholes and i in sweeps), firsts[k])  # fmt: skip
             wholes[k] = whole
@@ -229,6 +233,26 @@ def test_a_waiting_car_of_which_each_sweep_sees_another_part_is_dynamic_whole():
     assert found[0] == list(range(33))
     assert found[1] == list(range(0, 36, 3))
     assert found[2] == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_car_of_which_each_sweep_of_a_rosette_sees_other_parts_is_followed(seed):
+    """Half of eight slices, drawn anew each time: of two in a row a quarter may be the same."""
+    at = waits((15, 3), 30)
+
+    def slices(i, shape):
+        drawn = np.random.default_rng([seed, i]).permutation(8)[:4]
+        return np.isin(((shape[:, 0] / CAR[0] + 0.5) * 7.99).astype(int), drawn)
+
+    car = Thing(CAR, at, range(35, 60), seen=slices)
+    assert carried([car], 60) == [list(range(35))]
+
+
+def test_a_bin_that_a_walker_leaves_is_none_of_him():
+    """They are one object where he starts; when he is far away others hide it."""
+    walker = Thing(PERSON, lambda i: (8 + 0.08 * i, 3), range(60), 0.1)
+    bin_ = Thing((0.6, 0.6, 1.0), lambda i: (7.6, 3, 0.5) if i < 40 else None, step=0.1)
+    assert carried([walker, bin_], 60, joined={(0, 1): range(8)})[1] == []
 
 
 def test_a_thin_post_that_nobody_saw_before_stays_when_it_is_followed_with_a_walker():

@@ -50,9 +50,12 @@ def tracks_of(sightings, times, order, p):
             dt = times[sweep] - track["time"]
             reach = F(p.track_speed) * F(abs(dt))
             best = (0, None)
-            for start in starts(track, seen, free, dt, reach):
-                match = match_from(track, seen, free, start, reach)
-                best = match if match[0] > best[0] else best
+            for shape in (track["places"], track["last"]):
+                if best[0]:
+                    break
+                for start in starts(track, shape, seen, free, dt, reach):
+                    match = match_from(track, shape, seen, free, start, reach)
+                    best = match if match[0] > best[0] else best
             if best[0]:
                 go_on(track, sweep, best[1], best[2], seen, free, times)
         held = [abs(times[sweep] - track["time"]) <= patience(track, p) for track in alive]
@@ -61,8 +64,9 @@ def tracks_of(sightings, times, order, p):
         for k, o in enumerate(seen):
             if free[k] and o["moves"] and o["points"] >= 10 and len(o["places"]) >= 5:
                 member = (sweep, [k], True, o["low"], o["high"])
-                alive.append({"places": o["places"], "time": times[sweep], "velocity": ZERO,
-                              "members": [member]})  # fmt: skip
+                alive.append({"places": o["places"], "last": o["places"], "time": times[sweep],
+                              "velocity": ZERO, "members": [member],
+                              "largest": o["high"] - o["low"]})  # fmt: skip
     return done + alive
 
 
@@ -72,19 +76,18 @@ def patience(track, p):
     return (p.track_hold if stands and known else p.track_gap) + 1e-3
 
 
-def starts(track, seen, free, dt, reach):
+def starts(track, shape, seen, free, dt, reach):
     if len(track["members"]) > 1:
         return [track["velocity"] * F(dt), ZERO]
-    low, high = track["places"].min(0), track["places"].max(0)
+    low, high = shape.min(0), shape.max(0)
     return [
-        most_frequent_shift(track["places"], o["places"], reach)
+        most_frequent_shift(shape, o["places"], reach)
         for k, o in enumerate(seen)
         if free[k] and o["moves"] and overlap(o["low"], o["high"], low, high, reach)
     ]
 
 
-def match_from(track, seen, free, start, reach):
-    shape = track["places"]
+def match_from(track, shape, seen, free, start, reach):
     low, high = shape.min(0), shape.max(0)
     near = [
         k
@@ -100,10 +103,18 @@ def match_from(track, seen, free, start, reach):
     members = [k for k in near if share_found(seen[k]["places"], -shift, shape) >= F(0.6)]
     if not members:
         return 0, None
+    low, high, largest = whole_of(track, [seen[k] for k in members])
+    if not could_be(high - low, largest):
+        return 0, None
     there = np.concatenate([seen[k]["places"] for k in members])
-    both = share_found(shape, shift, there) * share_found(there, -shift, shape)
-    explained = both / (F(1) + norm(shift) / (F(2) * reach))
+    again = min(F(1), F(2) * share_found(shape, shift, there))
+    explained = again * share_found(there, -shift, shape) / (F(1) + norm(shift) / (F(2) * reach))
     return (explained, shift, members) if explained >= F(0.4) else (0, None)
+
+
+def whole_of(track, objects):
+    low, high = np.min([o["low"] for o in objects], 0), np.max([o["high"] for o in objects], 0)
+    return low, high, np.max([track["largest"], *(o["high"] - o["low"] for o in objects)], 0)
 
 
 def could_be(size, known):
@@ -121,8 +132,10 @@ def go_on(track, sweep, shift, members, seen, free, times):
     chosen = [seen[k] for k in members]
     points = sum(o["points"] for o in chosen)
     moves = 2 * sum(o["points"] for o in chosen if o["moves"]) >= points
-    low, high = np.min([o["low"] for o in chosen], 0), np.max([o["high"] for o in chosen], 0)
-    places, size = np.concatenate([o["places"] for o in chosen]), F(0.15)
+    low, high, track["largest"] = whole_of(track, chosen)
+    last, size = np.concatenate([o["places"] for o in chosen]), F(0.15)
+    places = np.concatenate([track["last"] + shift, last])
+    track["last"] = last
     track["places"] = thinned(places, size)
     while len(track["places"]) > 100:
         size = size * F(1.3)

@@ -21,7 +21,7 @@ constexpr float kThinnest = 0.3f;              ///< thinner things stand: poles,
 constexpr float kWidest = 25.0f;               ///< [m]
 constexpr float kGrowth = 1.5f, kMore = 0.5f;  ///< the same thing looks so much larger at most [m]
 constexpr float kMargin = 0.5f;                ///< about where it is looked for [m]
-constexpr float kExplained = 0.4f;  ///< share of places found again, of one times the other
+constexpr float kExplained = 0.4f;  ///< share of what is there, less when half of it is not seen
 constexpr float kInside = 0.6f;     ///< share of the places of what belongs to it
 constexpr std::size_t kPlaces = 100;
 constexpr float kThin = 0.15f;
@@ -49,11 +49,13 @@ struct Member {
 };
 
 struct Track {
-  Places places;  ///< when it was last seen
+  Places places;   ///< where the last two sightings saw it: each may see another part of it
+  Places last;     ///< where the last one did
+  Vector largest;  ///< of the sizes of its objects
   double time;
-  Vector velocity = Vector::Zero();
   std::vector<Member> members;
-  int moved = 0;  ///< members that move
+  Vector velocity = Vector::Zero();
+  int moved = 1;  ///< members that move
 
   bool has_velocity() const { return members.size() > 1; }
 };
@@ -64,6 +66,8 @@ struct Match {
   Vector shift = Vector::Zero();
   Rows objects;
   Places places;
+  Extent box;
+  Vector largest;
 };
 
 Extent box_of(const Places& places) {
@@ -111,17 +115,19 @@ class Follower {
     });
     std::vector<Track> alive;
     for (Track& track : alive_) {
-      Match match = find(track, seen, taken, times_[sweep] - track.time);
+      const double dt = times_[sweep] - track.time;
+      Match match = find(track, track.places, seen, taken, dt);
+      if (match.explained == 0) match = find(track, track.last, seen, taken, dt);
       if (match.explained > 0) add(track, sweep, std::move(match), taken);
       auto& to = std::fabs(times_[sweep] - track.time) <= patience(track) ? alive : done_;
       to.push_back(std::move(track));
     }
     alive_ = std::move(alive);
-    for (std::uint32_t k = 0; k < seen.size(); ++k)
-      if (!taken[k] && seen[k].moves() && seen[k].points >= kFewestPoints &&
-          seen[k].places.size() >= kFewestPlaces)
-        alive_.push_back(
-            {seen[k].places, times_[sweep], Vector::Zero(), {{sweep, {k}, true, seen[k].box}}, 1});
+    for (std::uint32_t k = 0; k < seen.size(); ++k) {
+      const auto& [first, points, dynamic, box, places] = seen[k];
+      if (!taken[k] && seen[k].moves() && points >= kFewestPoints && places.size() >= kFewestPlaces)
+        alive_.push_back({places, places, box.size(), times_[sweep], {{sweep, {k}, true, box}}});
+    }
   }
 
   double patience(const Track& track) const {
@@ -129,11 +135,13 @@ class Follower {
     return (stands && track.moved >= p_.sightings ? p_.hold : p_.gap) + 1e-3;
   }
 
-  Match find(const Track& track, const Sighting& seen, const Flags& taken, double dt) const {
+  /// Where it is, if those are its places.
+  Match find(const Track& track, const Places& places, const Sighting& seen, const Flags& taken,
+             double dt) const {
     const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
     Match best;
     const auto attempt = [&](const Vector& start) {
-      Match match = match_from(track, seen, taken, start, reach);
+      Match match = match_from(track, places, seen, taken, start, reach);
       if (match.explained > best.explained) best = std::move(match);
     };
     if (track.has_velocity()) {
@@ -141,17 +149,17 @@ class Follower {
       attempt(Vector::Zero());
       return best;
     }
-    const Extent box = box_of(track.places);
+    const Extent box = box_of(places);
     for (std::size_t k = 0; k < seen.size(); ++k)
       if (!taken[k] && seen[k].moves() && seen[k].box.overlaps(box, reach))
-        attempt(most_frequent_shift(track.places, seen[k].places, reach));
+        attempt(most_frequent_shift(places, seen[k].places, reach));
     return best;
   }
 
-  /// What of the sighting falls onto the track's places, shifted from `start` on.
-  Match match_from(const Track& track, const Sighting& seen, const Flags& taken,
-                   const Vector& start, float reach) const {
-    Extent box = box_of(track.places);
+  /// What of the sighting falls onto the places, shifted from `start` on.
+  Match match_from(const Track& track, const Places& places, const Sighting& seen,
+                   const Flags& taken, const Vector& start, float reach) const {
+    Extent box = box_of(places);
     const Vector size = box.size();
     box.low += start;
     box.high += start;
@@ -166,17 +174,22 @@ class Follower {
     }
     Match match;
     match.shift = start;
-    if (!refine_shift(track.places, there, match.shift)) return {};
+    match.largest = track.largest;
+    if (!refine_shift(places, there, match.shift)) return {};
     for (const auto k : near) {
-      if (share_found(seen[k].places, -match.shift, track.places) < kInside) continue;
+      if (share_found(seen[k].places, -match.shift, places) < kInside) continue;
+      if (match.objects.empty()) match.box = seen[k].box;
       match.objects.push_back(k);
       append(match.places, seen[k].places);
+      match.box.add(seen[k].box);
+      match.largest = match.largest.cwiseMax(seen[k].box.size());
     }
-    if (match.objects.empty()) return {};
-    const float both = share_found(track.places, match.shift, match.places) *
-                       share_found(match.places, -match.shift, track.places);
+    // What is larger than a thing of one piece is two: somebody, and what he walks away from.
+    if (match.objects.empty() || !could_be(match.box, match.largest)) return {};
+    const float again = std::min(1.0f, 2 * share_found(places, match.shift, match.places)),
+                known = share_found(match.places, -match.shift, places);
     // Of two that fit alike the nearer is the likelier.
-    match.explained = both / (1 + match.shift.norm() / (2 * reach));
+    match.explained = again * known / (1 + match.shift.norm() / (2 * reach));
     return match.explained >= kExplained ? match : Match{};
   }
 
@@ -185,18 +198,21 @@ class Follower {
     const Vector velocity = match.shift / static_cast<float>(times_[sweep] - track.time);
     track.velocity = track.has_velocity() ? 0.5f * track.velocity + 0.5f * velocity : velocity;
     track.time = times_[sweep];
-    Extent box = seen[match.objects.front()].box;
     std::uint32_t points = 0, moving = 0;
     for (const auto k : match.objects) {
       taken[k] = 1;
-      box.add(seen[k].box);
       points += seen[k].points;
       if (seen[k].moves()) moving += seen[k].points;
     }
     const bool moves = 2 * moving >= points;
     track.moved += moves;
-    track.places = thinned(match.places, kThin, kPlaces);
-    track.members.push_back({sweep, std::move(match.objects), moves, box});
+    Places both = std::move(track.last);
+    for (Vector& p : both) p += match.shift;
+    append(both, match.places);
+    track.places = thinned(both, kThin, kPlaces);
+    track.last = std::move(match.places);
+    track.largest = match.largest;
+    track.members.push_back({sweep, std::move(match.objects), moves, match.box});
   }
 
   const std::vector<const Sighting*>& sightings_;

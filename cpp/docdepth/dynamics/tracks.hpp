@@ -27,10 +27,12 @@ struct Followed {
 /// Objects that move at some time of the drive, and where they are, sweep by sweep.
 ///
 /// An object that the votes call dynamic is followed from sweep to sweep, forward and once more
-/// backward: objects that fall onto its shifted places, and together explain them, are the same
-/// one. So it is followed into where it stands before or after, and to where nobody voted. What is
-/// carried along in this way must have been free while the object was elsewhere, else another thing
-/// stands there: a parked car that was passed closely, a pole, a wall.
+/// backward: objects that fall onto its shifted places are the same one, unless together they are
+/// larger than it looks whole. Each sweep of a rosette, or of few beams, sees other parts of it, so
+/// its places are those of the last two sightings. So it is followed into where it stands before or
+/// after, and to where nobody voted. What is carried along in this way must have been free while
+/// the object was elsewhere, else another thing stands there: a parked car that was passed closely,
+/// a pole, a wall.
 ///
 /// Between its sightings, and a little before and after, an object is where its way leads; its box
 /// there is that of all sightings which are near in time, moved along.
