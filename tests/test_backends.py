@@ -17,7 +17,7 @@ from docdepth.config import RenderParameters
 from docdepth.doctor import doctor
 from docdepth.errors import BackendError
 from docdepth.render import Frame, render
-from test_render import AXES, TRIANGLES, drive, reference, small_camera, straight
+from render_reference import AXES, TRIANGLES, drive, reference, small_camera, straight
 
 TIME = 130_000_000
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="OpenGL on Linux only")

@@ -8,7 +8,7 @@ import pytest
 from docdepth.errors import InputError
 from docdepth.layers import _CONFIDENCE, LAYERS, confidence, layers
 from docdepth.render import MOVING, Camera, Frame, render, static_frames
-from test_render import AXES, PAPER, TRIANGLES, drive, small_camera, straight
+from render_reference import AXES, PAPER, TRIANGLES, drive, small_camera, straight
 
 OF_SPLATS = tuple(name for name in LAYERS if name != "normal")
 GROUND, WALL = -1.7, 25.0
