@@ -132,10 +132,9 @@ def label_rows(
     rows = {}
     for outcome in outcomes:
         row = {name: outcome.figure(name) for name in ("sa", "da", "f1", "precision", "iou")}
-        standing = outcome.figures["temporarily_static"]["da"]
-        seen = outcome.figures["seen_to_move"]["da"]
-        row["standing"] = math.nan if standing is None else standing
-        row["seen"] = math.nan if seen is None else seen
+        for name in ("temporarily_static", "seen_to_move"):
+            points, da = outcome.figures[name]["points"], outcome.figures[name]["da"]
+            row |= {name: math.nan if da is None else da, f"{name}_points": points or math.nan}
         rows[outcome.name] = row
     return rows
 
@@ -258,7 +257,10 @@ def _depth_row(figures: dict[str, Any]) -> Row:
 # Name of a figure, heading, digits, and 1 where more is better, -1 where less is.
 LABEL_COLUMNS = [("sa", "SA %", 2, 1), ("da", "DA %", 2, 1), ("f1", "F1", 4, 1)]
 LABEL_COLUMNS += [("precision", "precision", 4, 1), ("iou", "IoU", 4, 1)]
-LABEL_COLUMNS += [("standing", "standing DA %", 1, 1), ("seen", "seen to move DA %", 1, 1)]
+LABEL_COLUMNS += [("temporarily_static", "standing DA %", 1, 1)]
+LABEL_COLUMNS += [("temporarily_static_points", "of points", 0, 1)]
+LABEL_COLUMNS += [("seen_to_move", "seen to move DA %", 1, 1)]
+LABEL_COLUMNS += [("seen_to_move_points", "of points", 0, 1)]
 DEPTH_COLUMNS = [("density", "density on surfaces %", 1, 1), ("mae", "MAE m", 3, -1)]
 DEPTH_COLUMNS += [("shifts", "shifts", 2, -1), ("too_near", "too near %", 2, -1)]
 DEPTH_COLUMNS += [("too_far", "too far %", 2, -1), ("interior_mae", "interior MAE m", 3, -1)]
