@@ -237,6 +237,36 @@ TEST_CASE("what moves is drawn where rays met it close by, unless it is trusted 
   CHECK(middle({}, false) == 5);  // nobody can be asked
 }
 
+TEST_CASE("what others saw of a mover only fills what its trusted surface left empty") {
+  const Camera camera{100, 100, 3, 3, 7, 7};
+  const auto patch = [](float left, float right, float z) {
+    return Mesh({{left, -5, z}, {right, -5, z}, {right, 5, z}, {left, 5, z}},
+                {{0, 1, 2}, {0, 2, 3}});
+  };
+  // The trusted surface ends within the only tile, in the middle of the image.
+  const Mesh wall = patch(-5, 5, 10), half = patch(-5, 0.01f, 5), nearer = patch(-5, 5, 4);
+  const auto sweep = [](float range) {  // rays 1 cm apart at 5 m
+    Matrix points(61 * 61, 3);
+    for (int i = 0; i < 61; ++i)
+      for (int j = 0; j < 61; ++j)
+        points.row(61 * i + j) =
+            Eigen::Vector3f(5, 0.01f * float(i - 30), 0.01f * float(j - 30)) * (range / 5);
+    return Rays(points, std::vector<Eigen::Vector3f>(points.rows(), Eigen::Vector3f::Zero()));
+  };
+  const Rays met = sweep(4), passed = sweep(10);
+  Pose T = Pose::Identity();
+  T.linear() << 0, -1, 0, 0, 0, -1, 1, 0, 0;
+  for (const Rays* rays : {&met, &passed}) {
+    Drawing drawing;
+    drawing.trusted.push_back({&wall, Pose::Identity()});
+    drawing.movers.push_back(
+        {{{&half, Pose::Identity()}}, {{&nearer, Pose::Identity()}}, {{rays, T}}});
+    const auto depth = render_triangles(camera, drawing, 1);
+    for (std::size_t i = 0; i < depth.size(); ++i)
+      CHECK(depth[i] == doctest::Approx(i % 7 <= 3 ? 5 : rays == &met ? 4 : 10));
+  }
+}
+
 TEST_CASE("a cut triangle of a mover is split about the middle, each part at its corners' range") {
   Matrix points(3, 3);
   points << 10, 0, 0, 20, 1, 0, 20, 0, 1;

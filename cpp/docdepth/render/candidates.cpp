@@ -18,7 +18,8 @@ constexpr float kEdge = 0.05f;  ///< bend of nearness, linear on every plane, as
 /// A ray that passed within a centimetre, or many farther off, decide: no more are asked.
 constexpr float kSure = 1000.0f;
 
-/// What moves is drawn where one ray met it within a decimetre, blur included, or many farther off.
+/// What a mover has beyond its trusted surface is drawn where one ray met it within a decimetre,
+/// blur included, or many farther off.
 constexpr float kMet = 100.0f;
 
 static_assert(kLanes == Candidates::kTile, "a row of a tile is one vector");
@@ -104,6 +105,15 @@ bool has_edge(const Columns& columns, const std::vector<float>& nearness, const 
         return true;
     }
   return false;
+}
+
+/// Of each tile, row after row, 1 where there is an edge or an empty pixel.
+std::vector<std::uint8_t> edge_tiles(const Columns& columns, const std::vector<float>& nearness) {
+  std::vector<std::uint8_t> edges;
+  for (int v = 0; v < tiles_along(columns.height); ++v)
+    for (int u = 0; u < tiles_along(columns.width); ++u)
+      edges.push_back(has_edge(columns, nearness, Tile(columns, u, v)));
+  return edges;
 }
 
 /// Asks the rays for the offers number k of pixels.
@@ -212,34 +222,20 @@ std::vector<float> Candidates::settle(const Camera& camera,
   return result;
 }
 
-std::vector<std::uint8_t> edge_tiles(const Columns& columns, const std::vector<float>& nearness) {
-  std::vector<std::uint8_t> edges;
-  for (int v = 0; v < tiles_along(columns.height); ++v)
-    for (int u = 0; u < tiles_along(columns.width); ++u)
-      edges.push_back(has_edge(columns, nearness, Tile(columns, u, v)));
-  return edges;
-}
-
-void add_mover(const Columns& columns, const Camera& camera, const std::vector<float>& mover,
-               const std::vector<std::uint8_t>& asked, const std::vector<PlacedRays>& rays,
+void add_mover(const Columns& columns, const Camera& camera, const std::vector<float>& trusted,
+               const std::vector<float>& others, const std::vector<PlacedRays>& rays,
                std::vector<float>& nearness) {
   std::vector<Contest> contests;
-  for (int tile_v = 0; tile_v < tiles_along(columns.height); ++tile_v)
-    for (int tile_u = 0; tile_u < tiles_along(columns.width); ++tile_u) {
-      const Tile tile(columns, tile_u, tile_v);
-      const std::size_t known = contests.size();
-      for (int v = tile.begin_v; v < tile.end_v; ++v)
-        for (int u = tile.begin_u; u < tile.end_u; ++u) {
-          const std::size_t at = std::size_t(v) * columns.stride + u;
-          if (!(mover[at] > nearness[at])) continue;
-          contests.push_back({u, v, {mover[at]}});
-        }
-      const bool open = asked[std::size_t(tile_v) * tiles_along(columns.width) + tile_u];
-      if (contests.size() == known || (!rays.empty() && open)) continue;
-      for (std::size_t i = known; i < contests.size(); ++i)
-        nearness[std::size_t(contests[i].v) * columns.stride + contests[i].u] =
-            contests[i].offers[0];
-      contests.resize(known);
+  for (int v = 0; v < columns.height; ++v)
+    for (int u = 0; u < columns.width; ++u) {
+      const std::size_t at = std::size_t(v) * columns.stride + u;
+      const bool sure = trusted[at] > 0 || rays.empty();
+      const float mover = trusted[at] > 0 ? trusted[at] : others[at];
+      if (!(mover > nearness[at])) continue;
+      if (sure)
+        nearness[at] = mover;
+      else
+        contests.push_back({u, v, {mover}});
     }
   const auto balance = Questions(columns, camera, rays).ask(contests, 0);
   for (std::size_t i = 0; i < contests.size(); ++i) {

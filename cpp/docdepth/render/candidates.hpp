@@ -43,14 +43,12 @@ class Candidates {
   std::vector<float> offers_[kMost];  // each differs from those before it; 0 from the first unused
 };
 
-/// Of each tile, row after row, 1 where there is an edge or an empty pixel.
-std::vector<std::uint8_t> edge_tiles(const Columns& columns, const std::vector<float>& nearness);
-
-/// Draws a moving object over what is farther. In tiles that are asked for the rays that saw it
-/// decide: it is drawn where they met it close by, what is behind it where they surely passed.
-/// Between these nobody knows, since what moves is not rigid, and pixels stay empty.
-void add_mover(const Columns& columns, const Camera& camera, const std::vector<float>& mover,
-               const std::vector<std::uint8_t>& asked, const std::vector<PlacedRays>& rays,
+/// Draws a moving object over what is farther. What its trusted surface leaves empty the others
+/// fill: there the rays that saw it decide. It is drawn where they met it close by, what is behind
+/// it where they surely passed. Between these nobody knows, since what moves is not rigid, and
+/// pixels stay empty.
+void add_mover(const Columns& columns, const Camera& camera, const std::vector<float>& trusted,
+               const std::vector<float>& others, const std::vector<PlacedRays>& rays,
                std::vector<float>& nearness);
 
 }  // namespace docdepth

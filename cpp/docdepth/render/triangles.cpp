@@ -18,15 +18,19 @@ DOCDEPTH_INLINE void draw_strip(const Camera& camera, const Drawing& drawing, St
   }
   std::vector<float> nearness = candidates.settle(camera, drawing.rays);
   std::fill(strip.open_tiles.begin(), strip.open_tiles.end(), std::uint8_t{1});
-  bool seen = true;
+  bool used = true;
+  const auto drawn = [&](const std::vector<PlacedMesh>& meshes) {
+    if (used) std::fill(strip.nearness.begin(), strip.nearness.end(), 0.0f);
+    used = false;
+    for (const PlacedMesh& mesh : meshes) used |= draw_mesh(camera, mesh, strip);
+    return used;
+  };
+  std::vector<float> trusted(nearness.size());
   for (const PlacedMover& mover : drawing.movers) {
-    if (seen) std::fill(strip.nearness.begin(), strip.nearness.end(), 0.0f);
-    seen = false;
-    for (const PlacedMesh& mesh : mover.trusted) seen |= draw_mesh(camera, mesh, strip);
-    if (!seen && mover.others.empty()) continue;
-    const auto asked = edge_tiles(columns, strip.nearness);
-    for (const PlacedMesh& mesh : mover.others) seen |= draw_mesh(camera, mesh, strip);
-    if (seen) add_mover(columns, camera, strip.nearness, asked, mover.rays, nearness);
+    const bool seen = drawn(mover.trusted);
+    trusted = strip.nearness;
+    if (drawn(mover.others) || seen)
+      add_mover(columns, camera, trusted, strip.nearness, mover.rays, nearness);
   }
   strip.nearness = std::move(nearness);
 }

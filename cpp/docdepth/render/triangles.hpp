@@ -19,8 +19,8 @@ struct PlacedMesh {
 
 /// A moving object where it was when the image was taken, as one or more sweeps saw it.
 struct PlacedMover {
-  std::vector<PlacedMesh> trusted;  ///< stays unquestioned where it has no edge
-  std::vector<PlacedMesh> others;   ///< are asked for wherever it ends
+  std::vector<PlacedMesh> trusted;  ///< is drawn unquestioned
+  std::vector<PlacedMesh> others;   ///< fill what it left empty, where rays met them
   std::vector<PlacedRays> rays;     ///< placed so that the object stands still among them
 };
 

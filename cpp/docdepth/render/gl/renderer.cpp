@@ -204,12 +204,8 @@ std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Draw
     Candidates candidates(columns, drawn(drawing.trusted));
     for (const auto& mesh : drawing.others) candidates.take(drawn({mesh}).data());
     auto world = candidates.settle(camera, drawing.rays);
-    for (const auto& mover : drawing.movers) {
-      auto meshes = mover.trusted;
-      const auto asked = edge_tiles(columns, drawn(meshes));
-      meshes.insert(meshes.end(), mover.others.begin(), mover.others.end());
-      add_mover(columns, camera, drawn(meshes), asked, mover.rays, world);
-    }
+    for (const auto& mover : drawing.movers)
+      add_mover(columns, camera, drawn(mover.trusted), drawn(mover.others), mover.rays, world);
     std::vector<float> depth(std::size_t(camera.width) * camera.height);
     for (std::size_t i = 0; i < depth.size(); ++i) {
       const float w = world[i / camera.width * stride + i % camera.width];
