@@ -18,19 +18,17 @@ DOCDEPTH_INLINE void draw_strip(const Camera& camera, const Drawing& drawing, St
   }
   std::vector<float> nearness = candidates.settle(camera, drawing.rays);
   std::fill(strip.open_tiles.begin(), strip.open_tiles.end(), std::uint8_t{1});
-  bool used = true;
-  const auto drawn = [&](const std::vector<PlacedMesh>& meshes) {
-    if (used) std::fill(strip.nearness.begin(), strip.nearness.end(), 0.0f);
-    used = false;
-    for (const PlacedMesh& mesh : meshes) used |= draw_mesh(camera, mesh, strip);
-    return used;
-  };
-  std::vector<float> trusted(nearness.size());
+  std::vector<float> trusted(nearness.size(), 0.0f);
+  std::fill(strip.nearness.begin(), strip.nearness.end(), 0.0f);
   for (const PlacedMover& mover : drawing.movers) {
-    const bool seen = drawn(mover.trusted);
-    trusted = strip.nearness;
-    if (drawn(mover.others) || seen)
-      add_mover(columns, camera, trusted, strip.nearness, mover.rays, nearness);
+    bool seen = false;  // while it is not, both images are empty
+    for (const PlacedMesh& mesh : mover.trusted) seen |= draw_mesh(camera, mesh, strip);
+    std::swap(trusted, strip.nearness);
+    for (const PlacedMesh& mesh : mover.others) seen |= draw_mesh(camera, mesh, strip);
+    if (!seen) continue;
+    add_mover(columns, camera, trusted, strip.nearness, mover.rays, nearness);
+    std::fill(trusted.begin(), trusted.end(), 0.0f);
+    std::fill(strip.nearness.begin(), strip.nearness.end(), 0.0f);
   }
   strip.nearness = std::move(nearness);
 }
