@@ -22,7 +22,7 @@ def synth(
     seed: Annotated[int, typer.Option(min=0, help="Another seed, another street.")] = 0,
     skew: Annotated[bool, typer.Option(help="Write raw sweeps, not motion compensated.")] = False,
     bloom: Annotated[
-        float, typer.Option(min=0, help="Phantoms this far around retro-reflectors [deg].")
+        float, typer.Option(min=0, help="Phantoms so many degrees around retro-reflectors.")
     ] = 0.0,
 ) -> None:
     """A synthetic drive with exact labels, poses and depth, in SemanticKITTI layout."""
@@ -122,7 +122,9 @@ def depth(
     run: RunPath,
     truth: Annotated[Path, typer.Option("--depth", help="Folder of true depth maps.")],
     mode: Annotated[str, typer.Option(help="valid, or kitti: empty pixels filled.")] = "valid",
-    max_range: Annotated[float, typer.Option(help="Farther pixels are not compared [m].")] = 80.0,
+    max_range: Annotated[
+        float, typer.Option(help="Pixels farther than so many metres do not count.")
+    ] = 80.0,
     camera: Annotated[str | None, typer.Option(help="Which, where there are several.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -136,7 +138,9 @@ def depth(
 def held_out(
     run: RunPath,
     every: Annotated[int, typer.Option(min=1, help="Leave out each so many-th sweep.")] = 10,
-    max_range: Annotated[float, typer.Option(help="Farther returns are not compared [m].")] = 80.0,
+    max_range: Annotated[
+        float, typer.Option(help="Returns farther than so many metres do not count.")
+    ] = 80.0,
     camera: Annotated[str | None, typer.Option(help="Which, where there are several.")] = None,
     threads: Threads = 0,
     as_json: Json = False,

@@ -253,7 +253,9 @@ class RunFolder:
             distortion = np.ravel(calibration.get("dist") or []).astype(float).tolist()
             T_camera_lidar = np.loadtxt(extrinsic)
         except FileNotFoundError as error:
-            raise CalibrationError(f"{error.filename} is missing") from None
+            raise CalibrationError(
+                f"{error.filename} is missing; it is written by: docdepth render {self.path}"
+            ) from None
         except (KeyError, ValueError) as error:
             raise CalibrationError(f"{intrinsic} or {extrinsic.name} is damaged: {error}") from None
         if T_camera_lidar.shape != (4, 4):
