@@ -147,7 +147,7 @@ def held_out(
 ) -> None:
     """Depth against sweeps that were left out: no truth but the recording itself.
 
-    The nearest sweep is the one left out, so maps of all sweeps are better than these figures.
+    The nearest sweep is the one left out, and what lies between returns is not judged.
     """
     from docdepth.evaluation.held_out import evaluate_held_out
 

@@ -1,8 +1,8 @@
 """How true depth maps are where no truth is recorded: sweeps that were left out tell.
 
 A sweep is left out, its view is drawn from all others, and what is drawn is held against every
-return that it had. A map is nearer to its sweeps than that: the nearest one was left out, so the
-figures are a bound from above, and what was measured twice wrongly is not seen.
+return that it had. A map has its sweeps nearer than that, since the nearest one was left out; but
+what lies between returns is not judged, and what all sweeps measured wrongly is not seen.
 """
 
 from __future__ import annotations
