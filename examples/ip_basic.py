@@ -12,8 +12,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.render import Camera
-
 _DIAMOND = np.array(
     [
         (0, 0, 1, 0, 0),
@@ -26,21 +24,6 @@ _DIAMOND = np.array(
 )
 # Between inverted depth of the farthest pixel and that of empty ones, 0 [m].
 _BUFFER = 20.0
-
-
-def project(
-    camera: Camera, T_camera_lidar: NDArray[np.float64], points: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Depth (h, w) of the nearest point of each pixel, NaN where there is none."""
-    moved = points.astype(np.float64) @ T_camera_lidar[:3, :3].T + T_camera_lidar[:3, 3]
-    moved = moved[moved[:, 2] > 0.1]
-    pixel = np.rint((moved @ camera.K.T)[:, :2] / moved[:, 2:]).astype(np.int64)
-    inside = ((pixel >= 0) & (pixel < (camera.width, camera.height))).all(axis=1)
-    column, row = pixel[inside].T
-    depth = np.full((camera.height, camera.width), np.inf, np.float32)
-    np.minimum.at(depth, (row, column), moved[inside, 2].astype(np.float32))
-    depth[np.isinf(depth)] = np.nan
-    return depth
 
 
 def ip_basic(sparse: NDArray[np.float32], max_depth: float = 80.0) -> NDArray[np.float32]:

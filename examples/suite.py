@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from ip_basic import ip_basic, project
+from ip_basic import ip_basic
 from numpy.typing import NDArray
 
 from docdepth import __version__
@@ -44,6 +44,7 @@ from docdepth.datasets import open_dataset
 from docdepth.dynamics import DYNAMIC, GROUND, STATIC
 from docdepth.errors import DocDepthError, RunError
 from docdepth.evaluation import DepthEvaluation, Table, moving
+from docdepth.evaluation.pixels import project
 from docdepth.evaluation.tables import number
 from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import RunFolder, stage_key
@@ -230,7 +231,7 @@ def _completion(recording: Recording) -> Draw:
         nearest = trajectory.nearest(time)
         T_lidar_sweep = inverse(trajectory.interpolate(time)[0]) @ trajectory.poses[nearest]
         points = recording.dataset.sweep(nearest).points
-        return ip_basic(project(rig.camera, rig.T_camera_lidar @ T_lidar_sweep, points))
+        return ip_basic(project(rig.camera, rig.T_camera_lidar @ T_lidar_sweep, points)[0])
 
     return draw
 

@@ -163,7 +163,7 @@ def test_bars_of_a_fence_are_where_many_sweeps_met_them():
     columns, rows = np.meshgrid(np.arange(501) - 250, np.arange(101) - 50)
     pixels = np.stack([np.ones(columns.shape), -columns / 500, -rows / 500], -1)
     truth = fence_and_wall(pixels, 0.0)
-    wrong, missed = {}, {}  # of the pixels that are drawn; or empty, of all
+    drawn, wrong, missed = {}, {}, {}  # wrong: of those drawn; missed: or empty, of all
     ways = {"alone": {"ahead": 0.1}, "not asked": {"witnesses": 0}, "asked": {}}
     for way, settings in ways.items():
         parameters = RenderParameters(step=0.5, behind=0.0, **settings)
@@ -174,12 +174,16 @@ def test_bars_of_a_fence_are_where_many_sweeps_met_them():
             frames.append(Frame(points, np.full(len(points), 50, np.uint16), parameters))
         depth = render(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 1)
         known = np.isfinite(depth)
-        wrong[way] = (np.abs(depth - truth) > 0.05 * truth)[known].mean()
+        drawn[way], wrong[way] = known.mean(), (np.abs(depth - truth) > 0.05 * truth)[known].mean()
         missed[way] = (~(np.abs(depth - truth) <= 0.05 * truth)).mean()
         threaded = render(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 3)
         np.testing.assert_array_equal(threaded, depth)
     # One sweep leaves out what lies between bar and wall; the others fill that, less truly.
+    assert drawn["alone"] < 0.8
     assert wrong["alone"] < 0.01
+    assert wrong["not asked"] > 0.03
+    assert drawn["not asked"] > 0.95
+    assert drawn["asked"] > 0.95
     assert 0.05 < missed["alone"] < 0.3
     assert missed["asked"] < 0.65 * missed["alone"]
     assert 0.05 < missed["not asked"] < 0.3

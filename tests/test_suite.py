@@ -22,16 +22,17 @@ def _examples():
 
 
 def test_points_are_projected_to_their_pixels_and_the_nearest_wins() -> None:
-    from ip_basic import project
+    from docdepth.evaluation.pixels import project
 
     camera = Camera(np.array([(100.0, 0, 10), (0, 100, 8), (0, 0, 1)]), 21, 17)
     T_camera_lidar = np.eye(4)
     T_camera_lidar[2, 3] = 1.0
     points = np.array([(0, 0, 4), (0, 0, 3), (0.2, -0.1, 4), (9, 0, 4), (0, 0, -3)], np.float32)
-    depth = project(camera, T_camera_lidar, points)
+    depth, row = project(camera, T_camera_lidar, points)
     assert depth[8, 10] == 4
     assert depth[6, 14] == 5
     assert np.isfinite(depth).sum() == 2
+    assert (row[8, 10], row[6, 14], (row >= 0).sum()) == (1, 2, 2)
 
 
 def test_ip_basic_completes_a_plane() -> None:

@@ -28,6 +28,30 @@ Cloud cloud_of(const Matrix& points) {
   return Cloud(points, std::vector<std::uint8_t>(points.rows(), 1));
 }
 
+/// A square across the optical axis, on which the camera sits.
+Mesh square(float z, float from = -5, float to = 5) {
+  return Mesh({{from, -5, z}, {to, -5, z}, {to, 5, z}, {from, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
+}
+
+/// Rays `spacing` apart at 5 m that end at `range`, of which one passes `aside` of the middle of
+/// the image.
+Rays sweep(float range, float spacing, float aside) {
+  Matrix points(41 * 41, 3);
+  for (int i = 0; i < 41; ++i)
+    for (int j = 0; j < 41; ++j)
+      points.row(41 * i + j) =
+          Eigen::Vector3f(5, spacing * float(i - 20) + aside, spacing * float(j - 20)) *
+          (range / 5);
+  return Rays(points, std::vector<Eigen::Vector3f>(points.rows(), Eigen::Vector3f::Zero()));
+}
+
+/// Of a sensor at the camera, x ahead.
+Pose looking_ahead() {
+  Pose T_camera_sensor = Pose::Identity();
+  T_camera_sensor.linear() << 0, -1, 0, 0, 0, -1, 1, 0, 0;
+  return T_camera_sensor;
+}
+
 }  // namespace
 
 TEST_CASE("splat heights follow the formula, at its borders too") {
@@ -101,9 +125,6 @@ TEST_CASE("rendering does not depend on threads, and nothing gives no depth") {
 
 TEST_CASE("the first to offer something stays, movers hide, where no ray is asked") {
   const Camera camera{100, 100, 10, 10, 21, 21};
-  const auto square = [](float z, float from = -5) {
-    return Mesh({{from, -5, z}, {5, -5, z}, {5, 5, z}, {from, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
-  };
   const Mesh far = square(10), near = square(5), half = square(12, 0.01f);
   const Pose T = Pose::Identity();
   const auto depth = [&](const std::vector<const Mesh*>& trusted,
@@ -129,9 +150,6 @@ TEST_CASE("the first to offer something stays, movers hide, where no ray is aske
 TEST_CASE(
     "rays tell a surface from what was looked through, at edges and where nothing is trusted") {
   const Camera camera{100, 100, 10, 10, 21, 21};
-  const auto square = [](float z, float from = -5) {
-    return Mesh({{from, -5, z}, {5, -5, z}, {5, 5, z}, {from, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
-  };
   const Mesh far = square(10), near = square(5), nearer = square(2.5f), half = square(10, 0.05f);
   // A sensor at the camera, x ahead: its rays end at 5 m in the right half of the image (y < 0),
   // at 10 m in the left one.
@@ -142,8 +160,7 @@ TEST_CASE(
       points.row(200 * i + j) = Eigen::Vector3f(1, left, up) * (left < 0 ? 5.0f : 10.0f);
     }
   const Rays rays(points, std::vector<Eigen::Vector3f>(points.rows(), Eigen::Vector3f::Zero()));
-  Pose T_camera_sensor = Pose::Identity();
-  T_camera_sensor.linear() << 0, -1, 0, 0, 0, -1, 1, 0, 0;
+  const Pose T_camera_sensor = looking_ahead();
   const auto draw = [&](const Mesh* trusted, const std::vector<const Mesh*>& others) {
     Drawing drawing;
     if (trusted) drawing.trusted.push_back({trusted, Pose::Identity()});
@@ -168,22 +185,11 @@ TEST_CASE(
 
 TEST_CASE("rays are asked by falling trust until they are sure") {
   const Camera camera{100, 100, 3, 3, 7, 7};
-  const auto square = [](float z) {
-    return Mesh({{-5, -5, z}, {5, -5, z}, {5, 5, z}, {-5, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
-  };
   const Mesh far = square(10), near = square(5);
-  // Rays 5 cm apart at 5 m, of which one goes through the middle of the image; `aside` of that.
-  const auto sweep = [](float range, float aside) {
-    Matrix points(41 * 41, 3);
-    for (int i = 0; i < 41; ++i)
-      for (int j = 0; j < 41; ++j)
-        points.row(41 * i + j) =
-            Eigen::Vector3f(5, 0.05f * float(i - 20) + aside, 0.05f * float(j - 20)) * (range / 5);
-    return Rays(points, std::vector<Eigen::Vector3f>(points.rows(), Eigen::Vector3f::Zero()));
-  };
-  const Rays met = sweep(5, 0), met_aside = sweep(5, 0.018f), passed = sweep(10, 0);
-  Pose T_camera_sensor = Pose::Identity();
-  T_camera_sensor.linear() << 0, -1, 0, 0, 0, -1, 1, 0, 0;
+  const float spacing = 0.05f;
+  const Rays met = sweep(5, spacing, 0), met_aside = sweep(5, spacing, 0.018f),
+             passed = sweep(10, spacing, 0);
+  const Pose T_camera_sensor = looking_ahead();
   const auto middle = [&](const std::vector<const Rays*>& rays) {
     Drawing drawing;
     for (const Mesh* mesh : {&far, &near}) drawing.others.push_back({mesh, Pose::Identity()});
@@ -200,23 +206,11 @@ TEST_CASE("rays are asked by falling trust until they are sure") {
 
 TEST_CASE("what moves is drawn where rays met it close by, unless it is trusted there") {
   const Camera camera{100, 100, 3, 3, 7, 7};
-  const auto square = [](float z) {
-    return Mesh({{-5, -5, z}, {5, -5, z}, {5, 5, z}, {-5, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
-  };
   const Mesh wall = square(10), mover = square(5);
-  // Rays half a metre apart at 5 m, of which one passes so far beside the middle of the image.
-  const auto sweep = [](float range, float aside) {
-    Matrix points(41 * 41, 3);
-    for (int i = 0; i < 41; ++i)
-      for (int j = 0; j < 41; ++j)
-        points.row(41 * i + j) =
-            Eigen::Vector3f(5, 0.5f * float(i - 20) + aside, 0.5f * float(j - 20)) * (range / 5);
-    return Rays(points, std::vector<Eigen::Vector3f>(points.rows(), Eigen::Vector3f::Zero()));
-  };
-  const Rays close = sweep(5, 0.06f), far = sweep(5, 0.15f), passed = sweep(10, 0.005f),
-             aside = sweep(10, 0.04f);
-  Pose T = Pose::Identity();
-  T.linear() << 0, -1, 0, 0, 0, -1, 1, 0, 0;
+  const float spacing = 0.5f;
+  const Rays close = sweep(5, spacing, 0.06f), far = sweep(5, spacing, 0.15f),
+             passed = sweep(10, spacing, 0.005f), aside = sweep(10, spacing, 0.04f);
+  const Pose T = looking_ahead();
   const auto middle = [&](const std::vector<PlacedRays>& rays, bool trusted) {
     Drawing drawing;
     drawing.trusted.push_back({&wall, Pose::Identity()});
@@ -239,23 +233,10 @@ TEST_CASE("what moves is drawn where rays met it close by, unless it is trusted 
 
 TEST_CASE("what others saw of a mover only fills what its trusted surface left empty") {
   const Camera camera{100, 100, 3, 3, 7, 7};
-  const auto patch = [](float left, float right, float z) {
-    return Mesh({{left, -5, z}, {right, -5, z}, {right, 5, z}, {left, 5, z}},
-                {{0, 1, 2}, {0, 2, 3}});
-  };
   // The trusted surface ends within the only tile, in the middle of the image.
-  const Mesh wall = patch(-5, 5, 10), half = patch(-5, 0.01f, 5), nearer = patch(-5, 5, 4);
-  const auto sweep = [](float range) {  // rays 1 cm apart at 5 m
-    Matrix points(61 * 61, 3);
-    for (int i = 0; i < 61; ++i)
-      for (int j = 0; j < 61; ++j)
-        points.row(61 * i + j) =
-            Eigen::Vector3f(5, 0.01f * float(i - 30), 0.01f * float(j - 30)) * (range / 5);
-    return Rays(points, std::vector<Eigen::Vector3f>(points.rows(), Eigen::Vector3f::Zero()));
-  };
-  const Rays met = sweep(4), passed = sweep(10);
-  Pose T = Pose::Identity();
-  T.linear() << 0, -1, 0, 0, 0, -1, 1, 0, 0;
+  const Mesh wall = square(10), half = square(5, -5, 0.01f), nearer = square(4);
+  const Rays met = sweep(4, 0.01f, 0), passed = sweep(10, 0.01f, 0);
+  const Pose T = looking_ahead();
   for (const Rays* rays : {&met, &passed}) {
     Drawing drawing;
     drawing.trusted.push_back({&wall, Pose::Identity()});

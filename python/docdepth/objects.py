@@ -198,10 +198,10 @@ def follow(
     What the votes call dynamic is followed forward and backward. Objects of the next sweep that
     fall onto its places, those of its last two sightings, are the same one, unless together they
     are larger than it looks whole; so it is followed to where it waits or parks, and to where no
-    key frame looked. What is carried along must have been free
-    while the object was elsewhere, or else it is another thing: a parked car that was passed, a
-    pole, a wall. Between its sightings an object is where its way leads, though its points may be
-    too few, too scattered or too little seen by key frames to be found without knowing it.
+    key frame looked. What is carried along must have been free while the object was elsewhere, or
+    else it is another thing: a parked car that was passed, a pole, a wall. Between its sightings
+    an object is where its way leads, though its points may be too few, too scattered or too little
+    seen by key frames to be found without knowing it.
 
     Parameters
     ----------

@@ -168,6 +168,7 @@ void RangeImage::find(const QueryPoints& points, std::int32_t* pixels) const {
 void RangeImage::vote(const QueryPoints& points, const std::int32_t* pixel, std::uint16_t* statics,
                       std::uint16_t* dynamics) const {
   if (plain_) return vote_plainly(points, statics, dynamics);
+  static_assert(std::tuple_size<Spans>::value == kSpans);
   std::uint32_t spans[kSpans * QueryPoints::kMax];
   for (std::size_t i = 0; i < points.size; ++i)
     for (int k = 0; k < kSpans; ++k) spans[k * QueryPoints::kMax + i] = spans_[pixel[i]][k];

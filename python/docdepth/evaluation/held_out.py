@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from docdepth import render
 from docdepth.dynamics import DYNAMIC
 from docdepth.errors import InputError
 from docdepth.evaluation.depth import RANGE_BINS, RangeErrors
 from docdepth.evaluation.errors import PixelSums, RegionErrors
+from docdepth.evaluation.pixels import project
 from docdepth.evaluation.tables import Table, plain
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.render import load_frame
@@ -125,7 +125,7 @@ def evaluate_held_out(
         seen = next(views(record.points, folder.sensors(record)))
         T_camera_sensor = T_camera_lidar @ seen.T_lidar_sensor
         T_camera_sensor[:3, 3] = 0
-        truth, moving = _returns(view, T_camera_sensor, seen.points, classid >= DYNAMIC)
+        truth, row = project(view, T_camera_sensor, seen.points)
 
         kept = np.delete(np.arange(len(trajectory)), index)
         others = Trajectory(trajectory.times[kept], trajectory.poses[kept])
@@ -145,9 +145,9 @@ def evaluate_held_out(
             threads,
         )
         compared = truth <= max_range  # not where there is no return, which is NaN
-        error = depth[compared].astype(np.float64) - truth[compared]
-        unknown, inside = np.full(len(error), np.nan), np.zeros(len(error), bool)
-        sums.add(error, truth[compared], unknown, inside, moving[compared])
+        there = truth[compared].astype(np.float64)
+        error, moving = depth[compared] - there, classid[row[compared]] >= DYNAMIC
+        sums.add(error, there, np.full(len(there), np.nan), np.zeros(len(there), bool), moving)
         if progress:
             progress(done + 1, len(left_out))
     return HeldOutResult(
@@ -161,26 +161,3 @@ def evaluate_held_out(
             for k, (near, far) in enumerate(pairwise(bins))
         ),
     )
-
-
-def _returns(
-    camera: render.Camera,
-    T_camera_sensor: NDArray[np.float64],
-    points: NDArray[np.float32],
-    moves: NDArray[np.bool_],
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Depth of the nearest return in each pixel, NaN for none, and whether it moves."""
-    size = (camera.height, camera.width)
-    seen = points.astype(np.float64) @ T_camera_sensor[:3, :3].T
-    with np.errstate(invalid="ignore"):
-        rows = np.flatnonzero(seen[:, 2] > render.NEAR)  # NaN is another LiDAR's return
-    image = seen[rows] @ camera.K.T
-    pixel = np.rint(image[:, :2] / image[:, 2:]).astype(np.int64)
-    inside = ((pixel >= 0) & (pixel < size[::-1])).all(axis=1)
-    rows, pixel = rows[inside], pixel[inside]
-    order = np.argsort(-seen[rows, 2], kind="stable")  # the nearest is written last
-    rows, (column, row) = rows[order], pixel[order].T
-    truth, moving = np.full(size, np.nan), np.zeros(size, bool)
-    truth[row, column] = seen[rows, 2]
-    moving[row, column] = moves[rows]
-    return truth, moving

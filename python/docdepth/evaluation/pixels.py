@@ -1,10 +1,12 @@
-"""What a depth map's pixels are: empty ones filled, edges, neighbours, rays."""
+"""What a depth map's pixels are: points in them, empty ones filled, edges, neighbours, rays."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from docdepth.render import NEAR, Camera
 
 Depth = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -13,6 +15,38 @@ Mask = NDArray[np.bool_]
 _EDGE_BEND = 0.05
 # Interior is farther than this from an edge [pixels].
 _EDGE_MARGIN = 3
+
+
+def project(
+    camera: Camera, T_camera_lidar: NDArray[np.float64], points: NDArray[np.float32]
+) -> tuple[Depth, NDArray[np.int64]]:
+    """The nearest point of each pixel.
+
+    Parameters
+    ----------
+    camera : Camera
+    T_camera_lidar : ndarray of float64, shape (4, 4)
+    points : ndarray of float32, shape (N, 3)
+        Metres; rows that are not finite are left out.
+
+    Returns
+    -------
+    depth : ndarray of float32, shape (h, w)
+        Metres along the optical axis, NaN where there is none.
+    row : ndarray of int64, shape (h, w)
+        Which point that is, -1 where there is none.
+    """
+    moved = points.astype(np.float64) @ T_camera_lidar[:3, :3].T + T_camera_lidar[:3, 3]
+    with np.errstate(invalid="ignore"):
+        rows = np.flatnonzero(moved[:, 2] > NEAR)
+    pixel = np.rint((moved[rows] @ camera.K.T)[:, :2] / moved[rows, 2:]).astype(np.int64)
+    inside = ((pixel >= 0) & (pixel < (camera.width, camera.height))).all(axis=1)
+    rows, pixel = rows[inside], pixel[inside]
+    order = np.argsort(-moved[rows, 2], kind="stable")  # the nearest is written last
+    u, v = pixel[order].T
+    row = np.full((camera.height, camera.width), -1)
+    row[v, u] = rows[order]
+    return np.where(row < 0, np.nan, moved[row, 2]).astype(np.float32), row
 
 
 def fill_background(depth: Depth) -> Depth:
