@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from command_line import cli
+
 
 @pytest.fixture(scope="session")
 def kitti() -> Path:
@@ -25,3 +27,23 @@ def drive_0005(kitti: Path) -> Path:
 def drive_9001(kitti: Path) -> Path:
     """Drive up to a red light, with images."""
     return kitti / "2011_09_26_drive_9001_sync"
+
+
+@pytest.fixture(scope="session")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five sweeps of a synthetic street."""
+    pytest.importorskip("embreex")
+    from docdepth.synthetic import write_drive
+
+    root = tmp_path_factory.mktemp("drive")
+    write_drive(root, scene="city", sensor="VLP-16", frames=5, seed=1)
+    return root / "sequences" / "00"
+
+
+@pytest.fixture(scope="session")
+def finished(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A finished run of the drive, and what it printed."""
+    run = tmp_path_factory.mktemp("finished") / "run"
+    result = cli("run", drive, "-o", run)
+    assert result.exit_code == 0, result.output
+    return run, result.output

@@ -1,0 +1,125 @@
+"""Bad input to a whole run: an error that names what is wrong, and nothing lost."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import yaml
+
+from command_line import cli
+from docdepth.errors import DatasetError
+from docdepth.io.ply import read_frame
+from docdepth.io.run_folder import RunFolder
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--pose", "0,0"], "needs --pose, --K and --size"),
+        (["--pose", "0,0", "--K", "9,9,4,3", "--size", "9x7"], "with a rotation"),
+        (["--pose", "0,0,0,0,0,0,0", "--K", "9,9,4,3", "--size", "9x7"], "with a rotation"),
+        (["--pose", "0,0,1", "--K", "9,9,4", "--size", "9x7"], "fx,fy,cx,cy"),
+        (["--pose", "0,0,1", "--K", "9,9,4,3", "--size", "9"], "WIDTHxHEIGHT"),
+        (["--pose", "0,0,1", "--K", "9,9,4,3", "--size", "9x7", "--name", "a/b"], "a folder"),
+    ],
+)
+def test_mistakes_with_virtual_cameras(finished, arguments, message):
+    result = cli("render", finished[0], *arguments)
+    assert result.exit_code == 2
+    assert message in str(result.exception)
+
+
+def test_truncated_sweep_keeps_what_was_computed(drive, tmp_path):
+    broken = tmp_path / "drive"
+    shutil.copytree(drive, broken)
+    sweep = broken / "velodyne" / "000003.bin"
+    whole = sweep.read_bytes()
+    sweep.write_bytes(whole[:-5])
+    result = cli("run", broken, "-o", tmp_path / "run")
+    assert result.exit_code == 2
+    assert "000003.bin" in str(result.exception)
+    sweep.write_bytes(whole)
+    assert cli("run", broken, "-o", tmp_path / "run").exit_code == 0
+
+
+def test_unusable_points_are_kept_apart(drive, tmp_path):
+    broken = tmp_path / "drive"
+    shutil.copytree(drive, broken)
+    path = broken / "velodyne" / "000002.bin"
+    points = np.fromfile(path, np.float32).reshape(-1, 4)
+    points[:50, 0] = np.nan
+    points[50:90, 1] = np.inf
+    points[90:120, :3] = 0
+    points.tofile(path)
+    run = tmp_path / "run"
+    result = cli("run", broken, "-o", run)
+    assert result.exit_code == 0, result.output
+    frame = read_frame(run / "frames" / "frame_000002.ply")
+    np.testing.assert_array_equal(frame.index, np.arange(120, len(points)))
+    assert np.isfinite(frame.points).all()
+    assert len(np.fromfile(run / "labels" / "000002.label", np.uint32)) == len(points)
+
+
+def test_a_sweep_without_usable_points_is_named(drive, tmp_path):
+    broken = tmp_path / "drive"
+    shutil.copytree(drive, broken)
+    np.zeros((1000, 4), np.float32).tofile(broken / "velodyne" / "000002.bin")
+    result = cli("run", broken, "-o", tmp_path / "run")
+    assert result.exit_code == 2
+    assert "000002" in str(result.exception)
+
+
+def test_folder_with_another_run(drive, finished):
+    result = cli("run", drive, "-o", finished[0], "--set", "dynamics.tolerance=0.3")
+    assert result.exit_code == 2
+    assert "another run" in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--preset", "best"], "unknown preset"),
+        (["--set", "dynamics.tau=1"], "unknown parameter"),
+        (["--dataset", "kiti"], "kiti"),
+        (["--camera", "image_9"], "image_9"),
+        (["--image-size", "100x100"], "asked for is 100 x 100"),
+        (["--image-size", "100"], "WIDTHxHEIGHT"),
+    ],
+)
+def test_mistakes_on_the_command_line(drive, tmp_path, arguments, message):
+    result = cli("run", drive, "-o", tmp_path / "run", *arguments)
+    assert result.exit_code == 2
+    assert message in str(result.exception)
+
+
+def test_no_image_inside_the_sweeps(drive, finished, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    times = tmp_path / "times.txt"
+    times.write_text("1000\n2000\n")
+    folder = RunFolder(run)
+    folder.manifest["source"]["camera_times"] = str(times)
+    (run / "run.yaml").write_text(yaml.safe_dump(folder.manifest))
+    result = cli("render", run)
+    assert result.exit_code == 2
+    assert isinstance(result.exception, DatasetError)
+
+
+def test_as_a_module_mistakes_end_with_a_sentence_too(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "docdepth",
+        "run",
+        tmp_path / "nowhere",
+        "-o",
+        tmp_path / "run",
+    ]
+    ended = subprocess.run(command, capture_output=True, text=True)
+    assert ended.returncode == 2
+    assert "nowhere" in ended.stderr
+    assert "Traceback" not in ended.stderr
