@@ -50,6 +50,7 @@ from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline import run_odometry
 from docdepth.render import Frame, needed_frames, render
+from docdepth.sensors import Sensors
 from docdepth.sweep import Trial, read_trials, sweep
 from docdepth.synthetic import Drive, scene, sensor, sensors, write_drive
 from docdepth.trajectory import Trajectory, inverse
@@ -182,7 +183,11 @@ class Recording:
         classid = np.where(np.isin(labels & 0xFFFF, GROUND_LABELS), GROUND, STATIC)
         classid[moving(labels)] = DYNAMIC
         late = self._late(sweep.points)
-        return Frame(sweep.points, classid.astype(np.uint16), p, surface, late, sweep.sensors)
+        sensors = sweep.sensors
+        if late is not None:
+            sensors = sensors or Sensors.at(np.zeros(3), len(late))
+            sensors = sensors.driving(self.trajectory.velocity(index), late)
+        return Frame(sweep.points, classid.astype(np.uint16), p, surface, late, sensors)
 
     def _late(self, points: NDArray[np.float32]) -> NDArray[np.float32] | None:
         """Seconds after the stamp at which each was measured; None for a sensor that does not spin.

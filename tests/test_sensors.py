@@ -46,6 +46,31 @@ def test_each_sees_its_own_points_from_its_own_place():
     np.testing.assert_array_equal(whole.triangles, np.concatenate(joined))
 
 
+def test_a_driving_lidar_keeps_neighbours_and_looks_from_where_it_was():
+    """It passes a panel at 20 m/s; deskewed, what it saw beside that lies behind it."""
+    angles = np.linspace(0.5, -2.5, 1500)  # forward on the left to backward on the right
+    a, e = np.meshgrid(angles, np.radians(np.linspace(-8, 8, 9)))
+    look = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1).reshape(-1, 3)
+    late = (-a.ravel() * 0.1 / (2 * np.pi)).astype(np.float32)
+    starts = late[:, None] * (20.0, 0, 0)
+    along = -1.5 / np.minimum(look[:, 1], -1e-6)
+    panel = np.abs((starts + along[:, None] * look)[:, 0] - 0.2) < 0.5
+    ranges = np.where(panel, along, 12.0)
+    points = (starts + ranges[:, None] * look).astype(np.float32)
+    still = Sensors.at((0, 0, 0), len(points))
+    (view,) = views(points, still.driving((20, 0, 0), late).of(slice(None)))
+    np.testing.assert_allclose(view.starts(), starts, atol=1e-5)
+    np.testing.assert_array_equal(view.points, points)
+
+    def mixed(sensors):
+        """Triangles between the panel's returns and others: its outline, if nothing is amiss."""
+        corners = panel[Surface(points, sensors=sensors).triangles]
+        return int((corners.any(axis=1) & ~corners.all(axis=1)).sum())
+
+    assert mixed(still.driving((20, 0, 0), late)) == 2 * (9 + 9 - 2)  # at its two ends
+    assert mixed(still) > 500
+
+
 def test_lasers_of_one_head_see_from_beside_its_axis():
     """A laser 5 cm left of an axis 0.2 m above the origin, looking everywhere."""
     angles = np.linspace(-3, 3, 50)

@@ -129,6 +129,18 @@ def test_a_single_pose() -> None:
         trajectory.interpolate(START + 1)
 
 
+def test_velocity_in_the_frame_of_the_sensor() -> None:
+    """On a circle of 10 m at 5 m/s, looking along its way, the left towards the middle."""
+    angle = np.arange(5) * 0.05
+    positions = np.stack([10 * np.sin(angle), 10 - 10 * np.cos(angle), 0 * angle], axis=1)
+    rotations = [tr.rotation_exp([0, 0, a]) for a in angle]
+    trajectory = Trajectory(START + np.arange(5) * 10**8, tr.poses_from(rotations, positions))
+    np.testing.assert_allclose(trajectory.velocity(2), [5, 0, 0], atol=0.01)
+    np.testing.assert_allclose(trajectory.velocity(0), [5, 0.125, 0], atol=0.01)
+    single = Trajectory(np.array([START]), random_poses(1))
+    assert single.velocity(0).tolist() == [0, 0, 0]
+
+
 def test_nearest() -> None:
     trajectory = Trajectory(START + np.array([0, 100, 200]), random_poses(3))
     asked = [-1000, 0, 49, 50, 51, 149, 151, 1000]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -119,7 +119,8 @@ class Frame:
             drawn = np.einsum("ij,ij->i", points, points, dtype=np.float64) < p.crop**2
         points, classid = points.compress(drawn, axis=0), classid[drawn]
         late = None if late is None else late[drawn].astype(np.float32)
-        seen = Surface(points, surface_parameters, None if sensors is None else sensors.of(drawn))
+        sensors = None if sensors is None else sensors.of(drawn)
+        seen = Surface(points, surface_parameters, sensors)
         self.parts = [
             (_surface_frame(part, classid, p, late), part.view.T_lidar_sensor)
             for part in seen.parts
@@ -127,6 +128,7 @@ class Frame:
         self.movers = self.parts[0]
         if len(self.parts) > 1:  # what moves is small, and drawn as if the first had seen all of it
             first = Sensors.at(seen.parts[0].view.T_lidar_sensor[:3, 3], len(points))
+            first = replace(first, way=None if sensors is None else sensors.way)
             (whole,) = Surface(points, surface_parameters, first).parts
             self.movers = (_surface_frame(whole, classid, p, late), whole.view.T_lidar_sensor)
 

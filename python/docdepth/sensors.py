@@ -32,6 +32,9 @@ class Sensors:
         Metres by which a laser sits to the left of the axis on which it turns; 0 if left out.
     head : ndarray of uint8, shape (k,), optional
         The LiDAR that each is a laser of, counted from 0; all are LiDARs of their own if left out.
+    way : ndarray of float32, shape (N, 3), optional
+        How far it had come since the sweep's stamp when it measured each point, of a deskewed
+        sweep; nowhere if left out.
 
     Raises
     ------
@@ -43,6 +46,7 @@ class Sensors:
     T_lidar_sensor: NDArray[np.float64]
     aside: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     head: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
+    way: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         index, T = np.asarray(self.index), np.asarray(self.T_lidar_sensor, np.float64)
@@ -76,9 +80,16 @@ class Sensors:
         T_lidar_sensor[:3, 3] = place
         return cls(np.zeros(points, np.uint8), T_lidar_sensor[None])
 
+    def driving(self, velocity: ArrayLike, late: NDArray[np.float32]) -> Sensors:
+        """The same at a velocity, (3,) in metres a second; points are measured ``late`` seconds
+        after the stamp.
+        """
+        return replace(self, way=late[:, None] * np.asarray(velocity, np.float32))
+
     def of(self, rows: NDArray[np.bool_] | slice) -> Sensors:
         """The same for some of the points."""
-        return replace(self, index=self.index[rows])
+        way = None if self.way is None else self.way[rows]
+        return replace(self, index=self.index[rows], way=way)
 
     def and_another(self, T_lidar_sensor: NDArray[np.float64], points: int) -> Sensors:
         """With the points of one more LiDAR after the others."""
@@ -99,7 +110,8 @@ class View(NamedTuple):
         All points in its frame, in the middle of its lasers; NaN for those of other LiDARs.
     T_lidar_sensor : ndarray of float64, shape (4, 4)
     lasers : Sensors or None
-        Where its lasers sit; None where all lines of sight begin at the origin.
+        Where its lasers sit, and how it moved on; None where all lines of sight begin at the
+        origin.
     """
 
     points: NDArray[np.float32]
@@ -118,7 +130,18 @@ class View(NamedTuple):
         aside /= np.maximum(np.hypot(x, y), np.float32(1e-3))
         starts[:, 0] -= aside * y
         starts[:, 1] += aside * x
-        return starts
+        way = self._way()
+        return starts if way is None else starts + way
+
+    def still(self) -> NDArray[np.float32]:
+        """The points as if it had not moved on between them, (N, 3) in its frame."""
+        way = self._way()
+        return self.points if way is None else self.points - way
+
+    def _way(self) -> NDArray[np.float32] | None:
+        if self.lasers is None or self.lasers.way is None:
+            return None
+        return self.lasers.way @ self.T_lidar_sensor[:3, :3].astype(np.float32)
 
 
 def views(points: NDArray[np.float32], sensors: Sensors | None) -> Iterator[View]:
@@ -141,4 +164,5 @@ def views(points: NDArray[np.float32], sensors: Sensors | None) -> Iterator[View
         seen = np.add(exact, T[:3, 3], dtype=np.float64).astype(np.float32)
         if (sensors.head != head).any():
             seen[sensors.head[sensors.index] != head] = np.nan
-        yield View(seen, T_lidar_sensor, sensors if len(lasers) > 1 else None)
+        at_origin = len(lasers) == 1 and sensors.way is None
+        yield View(seen, T_lidar_sensor, None if at_origin else sensors)

@@ -24,7 +24,8 @@ class Surface:
     """The surface of one sweep, of any sensor; no rings or columns need to be known.
 
     Two returns are neighbours when the Delaunay triangulation of azimuth and elevation says so
-    (counted in 65536ths of a turn; it closes at +-180 degrees). The result depends on the points
+    (counted in 65536ths of a turn; it closes at +-180 degrees), as seen from where the LiDAR had
+    come to when it measured each. The result depends on the points
     alone, not on threads or machine. Make it once a sweep: key frames and objects take it.
 
     Parameters
@@ -73,7 +74,7 @@ class Surface:
         core.max_gap = float(np.radians(p.max_gap_deg))
         core.jump_ratio, core.noise, core.flatness = p.jump_ratio, p.noise, p.flatness
         self.parts = [
-            SurfacePart(view, _core.Surface(view.points, core))
+            SurfacePart(view, _core.Surface(view.still(), core))
             for view in views(np.ascontiguousarray(points), sensors)
         ]
         cores = [part.core for part in self.parts]

@@ -134,6 +134,16 @@ class Trajectory:
             result[k, :3, 3] = (1.0 - s) * start[:3, 3] + s * end[:3, 3]
         return result
 
+    def velocity(self, index: int) -> NDArray[np.float64]:
+        """Of the sensor at pose ``index``, (3,) in its frame, metres a second; 0 of a single pose.
+
+        By way and time between the poses before and after.
+        """
+        before, after = max(index - 1, 0), min(index + 1, len(self) - 1)
+        seconds = (self.times[after] - self.times[before]) * 1e-9
+        way: NDArray[np.float64] = self.poses[after, :3, 3] - self.poses[before, :3, 3]
+        return way @ self.poses[index, :3, :3] / (seconds or 1.0)
+
     def arc_length_at(self, times: ArrayLike) -> NDArray[np.float64]:
         """Path length at ``times`` [ns], linear between poses."""
         times = np.atleast_1d(np.asarray(times, dtype=np.int64))

@@ -131,7 +131,9 @@ def evaluate_held_out(
         others = Trajectory(trajectory.times[kept], trajectory.poses[kept])
         time = int(trajectory.times[index])
         needed = sorted(render.needed_frames(others, time, p.render))
-        made = {i: made.get(i) or load_frame(folder, i, p) for i in kept[needed].tolist()}
+        made = {
+            i: made.get(i) or load_frame(folder, trajectory, i, p) for i in kept[needed].tolist()
+        }
         frames = {k: made[int(kept[k])] for k in needed}
         # The others put the LiDAR between the sweeps before and after; it is known better.
         T_lidar_between = inverse(trajectory.poses[index]) @ others.interpolate(time)[0]

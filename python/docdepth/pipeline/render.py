@@ -26,6 +26,7 @@ from docdepth.layers import check_layers
 from docdepth.layers import layers as layers_of
 from docdepth.pipeline.stage import Progress, Stopwatch, finish_stage, stage_is_done, teller
 from docdepth.report import write_index
+from docdepth.sensors import Sensors
 from docdepth.trajectory import Trajectory
 
 _FOLDERS = ("depth", "report", "layers")
@@ -192,7 +193,7 @@ def run_render(
     jobs.sort()
 
     def load(index: int) -> render.Frame:
-        return load_frame(run, index, parameters, watch)
+        return load_frame(run, trajectory, index, parameters, watch)
 
     def write(m: _Maps, k: int, depth: NDArray[np.float32], more: dict[str, NDArray[Any]]) -> None:
         with watch("write"):
@@ -245,7 +246,11 @@ def run_render(
 
 
 def load_frame(
-    run: RunFolder, index: int, parameters: Parameters, watch: Stopwatch | None = None
+    run: RunFolder,
+    trajectory: Trajectory,
+    index: int,
+    parameters: Parameters,
+    watch: Stopwatch | None = None,
 ) -> render.Frame:
     """A classified sweep of a run, made ready to be drawn.
 
@@ -258,14 +263,12 @@ def load_frame(
     with watch("read"):
         record, classid = run.classified_frame(index)
     with watch("frames"):
-        return render.Frame(
-            record.points,
-            classid,
-            parameters.render,
-            parameters.surface,
-            record.late,
-            run.sensors(record),
-        )
+        points, late, sensors = record.points, record.late, run.sensors(record)
+        if late is not None:
+            sensors = sensors or Sensors.at(np.zeros(3), len(points))
+            sensors = sensors.driving(trajectory.velocity(index), late)
+        drawing = parameters.render, parameters.surface
+        return render.Frame(points, classid, *drawing, late, sensors)
 
 
 def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:
