@@ -46,7 +46,8 @@ py::array_t<float> surfaces(GlRenderer& renderer, const Array<double>& K, int wi
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth = renderer.render_triangles(camera, drawing_of(world, motion, witnesses, threads));
+    depth =
+        renderer.render_triangles(camera, drawing_of(camera, world, motion, witnesses, threads));
   }
   return to_numpy(std::move(depth), {height, width});
 }

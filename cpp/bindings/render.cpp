@@ -146,7 +146,8 @@ py::dict surface_layers(const Array<double>& K, int width, int height,
   std::optional<Layers> layers;
   {
     const py::gil_scoped_release release;
-    layers = layers_of_triangles(camera, drawing_of(world, motion, witnesses, threads), z, threads);
+    layers = layers_of_triangles(camera, drawing_of(camera, world, motion, witnesses, threads), z,
+                                 threads);
   }
   return as_dict(std::move(*layers), width, height);
 }

@@ -6,6 +6,7 @@
 #include "docdepth/render/cloud.hpp"
 #include "docdepth/render/edges.hpp"
 #include "docdepth/render/motion.hpp"
+#include "docdepth/render/speeds.hpp"
 #include "docdepth/render/splats.hpp"
 #include "docdepth/render/triangles.hpp"
 
@@ -334,6 +335,59 @@ TEST_CASE("objects are told apart and found again, none in another") {
   CHECK((one[0] == two[0] && one[1] == two[1]));
   for (const auto& velocity : velocities(objects, Objects{}, passage, 1)) CHECK(velocity.isZero());
   for (const auto& velocity : velocities(objects, other, {T, 0, 50}, 1)) CHECK(velocity.isZero());
+}
+
+TEST_CASE("parts of a car on both sides of a post go the way that rays bear out") {
+  // Its flank 10 m ahead goes 8 m/s to the left; the post hides what lies straight ahead.
+  const auto sweep = [](float from_middle, std::vector<std::uint16_t>& classid) {
+    Matrix points(0, 3);
+    classid.clear();
+    for (float up = -0.2f; up < 0.2f; up += 0.02f)
+      for (float side = -0.5f; side < 0.5f; side += 0.005f) {
+        const bool post = std::fabs(side) < 0.08f;
+        const bool car = std::fabs(side * 10 - from_middle) < 2 && std::fabs(up) < 0.1f;
+        classid.push_back(car && !post ? 100 : 50);
+        points.conservativeResize(points.rows() + 1, 3);
+        points.row(points.rows() - 1) = Eigen::Vector3f(1, side, up) * (post  ? 5.0f
+                                                                        : car ? 10.0f
+                                                                              : 20.0f);
+      }
+    return points;
+  };
+  std::vector<std::uint16_t> classid;
+  const Matrix here = sweep(0, classid);
+  const Objects objects = find_objects(here, classid.data(), nullptr);
+  REQUIRE(objects.places.size() == 2);
+  std::vector<Rays> rays;
+  for (const float since : {-0.1f, 0.1f, 0.2f}) {
+    const Matrix there = sweep(8 * since, classid);
+    rays.emplace_back(there, std::vector<Eigen::Vector3f>(there.rows(), {-1, 0, 0}));
+  }
+  const std::vector<Witness> witnesses{{&rays[0], {Pose::Identity(), -0.1f, 50}},
+                                       {&rays[1], {Pose::Identity(), 0.1f, 50}},
+                                       {&rays[2], {Pose::Identity(), 0.2f, 50}}};
+  const Eigen::Vector3f still = Eigen::Vector3f::Zero(), slow(0, 2, 0), exact(0, 8, 0);
+  Speeds speeds(objects, witnesses, {1, 1}, 2);
+  speeds.offer({slow, exact});
+  CHECK(speeds.doubted()[0] == 1);
+  CHECK((speeds.velocities() == std::vector<Eigen::Vector3f>{slow, exact}));
+  SUBCASE("another sweep tells better") {
+    speeds.offer({exact, slow});
+    CHECK((speeds.velocities() == std::vector<Eigen::Vector3f>{exact, exact}));
+    speeds.offer({slow, still});
+    CHECK((speeds.velocities() == std::vector<Eigen::Vector3f>{exact, exact}));
+  }
+  SUBCASE("or the other part does") {
+    speeds.offer_around();
+    CHECK((speeds.velocities() == std::vector<Eigen::Vector3f>{exact, exact}));
+  }
+  SUBCASE("nobody is asked about what is not wanted, nor doubts without rays") {
+    const std::vector<Witness> nobody;
+    Speeds none(objects, witnesses, {0, 0}, 1), blind(objects, nobody, {1, 1}, 1);
+    none.offer({exact, exact}), blind.offer({slow, exact}), blind.offer_around();
+    CHECK((none.velocities() == std::vector<Eigen::Vector3f>{still, still}));
+    CHECK((blind.velocities() == std::vector<Eigen::Vector3f>{slow, exact}));
+  }
 }
 
 TEST_CASE("who is hidden in the other sweep is nobody else there, but parts are of one whole") {

@@ -68,6 +68,15 @@ Vector middle(const Places& places) {
 
 }  // namespace
 
+std::vector<Box> Objects::boxes() const {
+  std::vector<Box> boxes;
+  for (const Places& object : places) {
+    const Extent whole = extent(object);
+    boxes.push_back({(whole.low + whole.high) / 2, whole.size() / 2});
+  }
+  return boxes;
+}
+
 Objects find_objects(const Points& points, const std::uint16_t* classid, const float* late) {
   Objects objects;
   objects.owner.assign(points.rows(), 0);
@@ -111,7 +120,7 @@ Objects find_objects(const Points& points, const std::uint16_t* classid, const f
 }
 
 std::vector<Vector> velocities(const Objects& objects, const Objects& other, const Passage& passage,
-                               int threads) {
+                               int threads, const std::vector<std::uint8_t>& wanted) {
   const std::vector<Places> candidates = brought(other, passage.T_from_to);
   const float reach = passage.max_speed * std::fabs(passage.duration);
   const std::size_t count = objects.places.size();
@@ -120,7 +129,7 @@ std::vector<Vector> velocities(const Objects& objects, const Objects& other, con
   std::vector<std::vector<Match>> matches(count, std::vector<Match>(candidates.size()));
   parallel_for(count, 1, threads, [&](std::size_t k, std::size_t) {
     const Places& places = objects.places[k];
-    if (places.size() < kFewest) return;
+    if (places.size() < kFewest || (!wanted.empty() && !wanted[k])) return;
     const Vector here = middle(places);
     for (std::size_t c = 0; c < candidates.size(); ++c)
       if ((middle(candidates[c]) - here).norm() <= reach)

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "docdepth/geometry/types.hpp"
+#include "docdepth/render/camera.hpp"
 
 namespace docdepth {
 
@@ -14,6 +15,8 @@ struct Objects {
   /// Places of each object's returns, evenly thinned; of object 1 first.
   std::vector<std::vector<Eigen::Vector3f>> places;
   std::vector<float> late;  ///< when each was measured, seconds after the sweep's stamp
+
+  std::vector<Box> boxes() const;  ///< around each object's places
 };
 
 /// @param classid ClassId of every point
@@ -32,8 +35,10 @@ struct Passage {
 /// The shift that brings most places of an object onto those of one of `other` is found by counting
 /// all differences between them, then refined. It must explain both: a pedestrian is never lost in
 /// a passing car, nor the other way round.
+/// @param wanted 1 for each object that is looked for; empty for all
 std::vector<Eigen::Vector3f> velocities(const Objects& objects, const Objects& other,
-                                        const Passage& passage, int threads);
+                                        const Passage& passage, int threads,
+                                        const std::vector<std::uint8_t>& wanted = {});
 
 /// An object as another sweep saw it.
 struct Again {

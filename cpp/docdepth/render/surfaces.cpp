@@ -5,6 +5,7 @@
 
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/render/edges.hpp"
+#include "docdepth/render/speeds.hpp"
 
 namespace docdepth {
 namespace {
@@ -13,6 +14,12 @@ using Vector = Eigen::Vector3f;
 
 /// Where a ray of another sweep passed a moving object is not known better than this [m].
 constexpr float kCarried = 0.05f;
+
+/// Objects are matched with those of as many sweeps, less one.
+constexpr std::size_t kMatched = 3;
+
+/// An object may reach this far beyond its returns [m].
+constexpr float kAside = 2.0f;
 
 /// A diamond around a return, across the line of sight.
 void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
@@ -27,23 +34,44 @@ void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
   triangles.push_back({first, first + 2, first + 3});
 }
 
+/// Which objects the camera may see, wherever they went in the meantime.
+std::vector<std::uint8_t> in_view(const Camera& camera, const Pose& T_camera_objects,
+                                  const Objects& objects, float reach) {
+  const Frustum frustum(camera, T_camera_objects);
+  std::vector<std::uint8_t> seen;
+  for (Box box : objects.boxes()) {
+    box.extent.array() += reach;
+    seen.push_back(frustum.touches(box));
+  }
+  return seen;
+}
+
 /// The objects of the nearest sweep where they were when the image was taken, and what the others
 /// saw of those whose motion is known.
 ///
 /// @param number of the nearest sweep; the others have the next
-std::vector<PlacedMover> carried(const Motion& motion, int number, int threads) {
+/// @param asks rays bear out how fast the objects are
+std::vector<PlacedMover> carried(const Camera& camera, const Motion& motion, int number, bool asks,
+                                 int threads) {
   std::vector<PlacedMover> placed;
   if (motion.sweeps.empty()) return placed;
   const auto& [nearest, since] = motion.sweeps[0];
   const Objects& objects = nearest.frame->objects;
-  std::vector<Vector> velocity(objects.places.size(), Vector::Zero());
   const auto passage_to = [&](const Motion::Sweep& sweep) {
     return Passage{nearest.T_camera_frame.inverse() * sweep.surface.T_camera_frame,
                    since - sweep.since, motion.max_speed};
   };
-  if (motion.sweeps.size() > 1)
-    velocity = velocities(objects, motion.sweeps[1].surface.frame->objects,
-                          passage_to(motion.sweeps[1]), threads);
+  std::vector<Witness> witnesses;
+  for (std::size_t s = 1; asks && s < motion.sweeps.size(); ++s)
+    witnesses.push_back({&motion.sweeps[s].surface.frame->rays, passage_to(motion.sweeps[s])});
+  const float reach = kAside + motion.max_speed * std::fabs(since);
+  const auto wanted = in_view(camera, nearest.T_camera_frame, objects, reach);
+  Speeds speeds(objects, witnesses, wanted, threads);
+  for (std::size_t s = 1; s < std::min(motion.sweeps.size(), kMatched); ++s)
+    speeds.offer(velocities(objects, motion.sweeps[s].surface.frame->objects,
+                            passage_to(motion.sweeps[s]), threads, speeds.doubted()));
+  speeds.offer_around();
+  const std::vector<Vector>& velocity = speeds.velocities();
   for (std::size_t k = 0; k < velocity.size(); ++k) {
     Pose T = nearest.T_camera_frame;
     T.translate((velocity[k] * (since - objects.late[k])).cast<double>());
@@ -97,8 +125,8 @@ SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles
         {Mesh(all, parts[k].whole), Mesh(all, parts[k].inner), Mesh(all, parts[k].outer)});
 }
 
-Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int witnesses,
-                   int threads) {
+Drawing drawing_of(const Camera& camera, const std::vector<PlacedSurface>& fixed,
+                   const Motion& motion, int witnesses, int threads) {
   Drawing drawing;
   const auto count = static_cast<int>(fixed.size());
   for (int i = 0; i < count; ++i)
@@ -106,7 +134,7 @@ Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion
         .push_back({&fixed[i].frame->world, fixed[i].T_camera_frame, i});
   for (int i = 0; i < std::min(count, witnesses); ++i)
     drawing.rays.push_back({&fixed[i].frame->rays, fixed[i].T_camera_frame});
-  drawing.movers = carried(motion, count, threads);
+  drawing.movers = carried(camera, motion, count, witnesses > 0, threads);
   if (witnesses == 0)
     for (PlacedMover& mover : drawing.movers) mover.rays.clear();
   return drawing;
@@ -114,7 +142,7 @@ Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion
 
 std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
                                    const Motion& motion, int witnesses, int threads) {
-  return render_triangles(camera, drawing_of(fixed, motion, witnesses, threads), threads);
+  return render_triangles(camera, drawing_of(camera, fixed, motion, witnesses, threads), threads);
 }
 
 }  // namespace docdepth

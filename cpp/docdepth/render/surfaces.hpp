@@ -68,7 +68,7 @@ std::vector<float> render_surfaces(const Camera& camera, const std::vector<Place
 
 /// What render_surfaces() draws, for any rasteriser of triangles. Its sweeps are numbered: those of
 /// `fixed` from 0 on, then those of `motion`.
-Drawing drawing_of(const std::vector<PlacedSurface>& fixed, const Motion& motion, int witnesses,
-                   int threads);
+Drawing drawing_of(const Camera& camera, const std::vector<PlacedSurface>& fixed,
+                   const Motion& motion, int witnesses, int threads);
 
 }  // namespace docdepth
