@@ -102,7 +102,7 @@ def test_raw_stamps_are_exact_to_the_nanosecond(raw: Path) -> None:
 
 
 def test_raw_point_times_run_clockwise_from_behind() -> None:
-    from docdepth.datasets.kitti_raw import azimuth_fraction
+    from docdepth.datasets.kitti_lidar import azimuth_fraction
 
     # Behind to the left it starts; then left, forward at the stamp, right, and behind again.
     points = np.array([[-1, 1e-6, 0], [0, 1, 0], [1, 0, 0], [0, -1, 0], [-1, -1e-6, 0]], "f4")
@@ -197,8 +197,13 @@ def test_raw_sequence_with_point_times_and_a_camera_between_sweeps(sequence: Pat
     (sequence / "image_2" / "times.txt").write_text("0.05\n0.15\n")
     dataset = open_dataset(sequence)
     np.testing.assert_array_equal(dataset.sweep(0).fraction, fraction)
+    assert not dataset.sweep(0).compensated
     assert dataset.cameras["image_2"].times.tolist() == [50_000_000, 150_000_000]
     assert dataset.cameras["image_2"].names == ["000000", "000001"]
+    (sequence / "docdepth.yaml").write_text("motion_compensated: true\n")
+    np.testing.assert_array_equal(open_dataset(sequence).sweep(0).fraction, fraction)
+    assert open_dataset(sequence).sweep(0).compensated
+    assert open_dataset(sequence).sweep(1).fraction is None
     fraction[1:].tofile(sequence / "point_times" / "000000.bin")
     with pytest.raises(DatasetError, match=r"000000\.bin \(frame 0\).*50 points"):
         dataset.sweep(0)

@@ -89,6 +89,26 @@ def test_depth_is_better_than_as_if_seen_from_the_origin(drive, tmp_path):
     assert error["lasers"].too_far < 0.85 * error["origin"].too_far
 
 
+def test_azimuth_tells_when_a_compensated_sweep_saw_each_point(drive):
+    sweep = open_dataset(drive).sweep(3)
+    exact = Drive(scene("city", 5), sensor("HDL-64"), 8, 5).sweep(3).fraction
+    assert sweep.compensated
+    off = np.abs(sweep.fraction - exact)
+    off = np.minimum(off, 1 - off)  # the seam lies behind
+    assert np.median(off) < 0.005
+    assert off.max() < 0.05
+    assert np.corrcoef(sweep.fraction, exact)[0, 1] > 0.99
+
+
+def test_times_of_points_are_kept_with_a_compensated_run_and_move_none(drive, tmp_path):
+    dataset = open_dataset(drive)
+    run = RunFolder.create(tmp_path / "run", {}, parameters())
+    run_odometry(run, dataset, dataset.poses)
+    frame, sweep = run.frame(3), dataset.sweep(3)
+    np.testing.assert_array_equal(frame.points, sweep.points[frame.index])
+    np.testing.assert_allclose(frame.late, 0.1 * sweep.fraction[frame.index], atol=1e-6)
+
+
 def test_a_drive_may_say_where_its_lidar_looks_from(tmp_path):
     folder = write_drive(tmp_path, "city", "XT-32", frames=3, images=False)
     assert open_dataset(folder).sweep(1).sensors is None

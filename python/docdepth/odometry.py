@@ -111,7 +111,8 @@ def estimate_poses(
 ) -> NDArray[np.float64]:
     """Poses ``T_world_lidar`` (n, 4, 4) in the frame of the first sweep; see :func:`odometry`."""
     parameters = parameters or OdometryParameters()
-    raw, count = dataset.sweep(0).fraction is not None, len(dataset)
+    first, count = dataset.sweep(0), len(dataset)
+    raw = first.fraction is not None and not first.compensated
     number = parameters.passes if raw else min(parameters.passes, 2)
     number = number if count > 1 else 1
     files = [checkpoint and checkpoint / f"odometry_pass_{k + 1}.npz" for k in range(number)]

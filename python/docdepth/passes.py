@@ -29,7 +29,7 @@ class Deskewed:
 
     def __call__(self, index: int) -> NDArray[np.float32]:
         sweep = self.dataset.sweep(index)
-        if sweep.fraction is None or self.motion is None:
+        if sweep.compensated or sweep.fraction is None or self.motion is None:
             return sweep.points
         try:
             return deskew(sweep.points, sweep.fraction, self.motion(index))

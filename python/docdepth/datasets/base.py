@@ -33,7 +33,10 @@ class Sweep:
     intensity : ndarray of float32, shape (N,), optional
     fraction : ndarray of float32, shape (N,), optional
         When each point was measured, as a share of the sweep's duration before (negative) or
-        after (positive) ``time``. None when the sweep is motion compensated already.
+        after (positive) ``time``. None where nobody knows.
+    compensated : bool
+        The motion of the LiDAR is removed already: points are where they were seen from its place
+        at ``time``. What moves is where it was when it was measured.
     sensors : Sensors, optional
         Where the sweep was measured from; None where its LiDAR looks from the origin.
     """
@@ -44,6 +47,7 @@ class Sweep:
     intensity: NDArray[np.float32] | None = None
     fraction: NDArray[np.float32] | None = None
     sensors: Sensors | None = None
+    compensated: bool = False
 
 
 @dataclass(frozen=True)

@@ -62,6 +62,21 @@ def sensors(points: NDArray[np.float32]) -> Sensors:
     return Sensors(_lasers(points)[0], _PLACES, ASIDE, np.zeros(64, np.uint8))
 
 
+def azimuth_fraction(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """When a clockwise LiDAR that faces forward at its stamp saw each point (method section 2).
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+
+    Returns
+    -------
+    ndarray of float32, shape (N,)
+        Share of a turn after the stamp, -0.5 to 0.5.
+    """
+    return np.arctan2(points[:, 1], points[:, 0]) * np.float32(-0.5 / np.pi)
+
+
 def _lasers(points: NDArray[np.float32]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """The laser whose cone is nearest to each point, and the slope at which it saw the point."""
     distance, z = np.hypot(points[:, 0], points[:, 1]), points[:, 2]

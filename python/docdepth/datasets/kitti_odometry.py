@@ -40,8 +40,9 @@ class KittiOdometry:
     - ``image_N/size.txt``: ``WIDTH HEIGHT`` where there are no images to tell it;
     - ``image_N/distortion.txt``: ``k1 k2 p1 p2 [k3 ...]`` of OpenCV where the images are not
       rectified; the K of P0 to P3 is theirs, and depth maps are of the camera with that K;
-    - ``docdepth.yaml`` with ``motion_compensated: false``: raw sweeps; then
-      ``point_times/NAME.bin`` gives each point's time, float32, as :attr:`Sweep.fraction`;
+    - ``docdepth.yaml`` with ``motion_compensated: false``: raw sweeps;
+    - ``point_times/NAME.bin``: each point's time, float32, as :attr:`Sweep.fraction`. Raw sweeps
+      need it; of others it tells when what moves was seen, as azimuth does of KITTI's own LiDAR;
     - ``docdepth.yaml`` with ``looks_from: [x, y, z]``: where the LiDAR looks from, metres in the
       frame of its points, when that is not the origin; known of KITTI's own LiDAR without;
     - ``velodyne_2/NAME.bin`` and further ones: sweeps of more LiDARs at the same time, and a row
@@ -97,10 +98,9 @@ class KittiOdometry:
         if self._others:
             sensors = sensors or Sensors.at((0, 0, 0), len(points))
             points, intensity, sensors = self._join(points, intensity, sensors, file.name, index)
-        fraction = (
-            None if self.motion_compensated else self._fraction(file.stem, index, len(points))
-        )
-        return Sweep(points, file.stem, int(self.times[index]), intensity, fraction, sensors)
+        fraction = self._fraction(file.stem, index, points)
+        time, compensated = int(self.times[index]), self.motion_compensated
+        return Sweep(points, file.stem, time, intensity, fraction, sensors, compensated)
 
     def _join(
         self,
@@ -132,17 +132,22 @@ class KittiOdometry:
         file = self.path / "labels" / f"{sweep.stem}.label"
         return kitti_files.read_labels(file, all_lidars, index)
 
-    def _fraction(self, stem: str, frame: int, points: int) -> NDArray[np.float32]:
+    def _fraction(
+        self, stem: str, frame: int, points: NDArray[np.float32]
+    ) -> NDArray[np.float32] | None:
         file = self.path / "point_times" / f"{stem}.bin"
+        if not file.is_file() and self.motion_compensated:
+            # Azimuth tells the time to a hundredth of a turn, though the motion is removed.
+            return kitti_lidar.azimuth_fraction(points) if self._is_kittis else None
         if not file.is_file():
             raise DatasetError(
                 f"{file} (frame {frame}) is missing: raw sweeps need each point's time; write it, "
                 f"or set motion_compensated: true in {self.path / 'docdepth.yaml'}"
             )
-        if file.stat().st_size != 4 * points:
+        if file.stat().st_size != 4 * len(points):
             raise DatasetError(
-                f"{file} (frame {frame}) has {file.stat().st_size} bytes for a sweep of {points} "
-                "points; it holds one float32 for each point, in the order of the sweep"
+                f"{file} (frame {frame}) has {file.stat().st_size} bytes for a sweep of "
+                f"{len(points)} points; it holds one float32 for each, in the order of the sweep"
             )
         return np.fromfile(file, dtype="<f4").astype(np.float32, copy=False)
 

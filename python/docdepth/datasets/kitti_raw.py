@@ -57,7 +57,7 @@ class KittiRaw:
         """Sweep ``index`` as it is on disk."""
         file = self._sweeps[index]
         points, intensity = kitti_files.read_sweep(file, index)
-        fraction = azimuth_fraction(points)
+        fraction = kitti_lidar.azimuth_fraction(points)
         sensors = kitti_lidar.sensors(points) if self._is_kittis else None
         return Sweep(points, file.stem, int(self.times[index]), intensity, fraction, sensors)
 
@@ -71,21 +71,6 @@ class KittiRaw:
         """Labels of every point of sweep ``index``, None when there are none."""
         sweep = self._sweeps[index]
         return kitti_files.read_labels(self.path / "labels" / f"{sweep.stem}.label", [sweep], index)
-
-
-def azimuth_fraction(points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """When a clockwise LiDAR that faces forward at its stamp saw each point (method section 2).
-
-    Parameters
-    ----------
-    points : ndarray of float32, shape (N, 3)
-
-    Returns
-    -------
-    ndarray of float32, shape (N,)
-        Share of a turn after the stamp, -0.5 to 0.5.
-    """
-    return np.arctan2(points[:, 1], points[:, 0]) * np.float32(-0.5 / np.pi)
 
 
 def _times(file: Path, files: list[Path]) -> NDArray[np.int64]:
