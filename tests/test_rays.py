@@ -189,3 +189,6 @@ def test_bars_of_a_fence_are_where_many_sweeps_met_them():
     assert 0.05 < missed["not asked"] < 0.3
     assert missed["asked"] < missed["not asked"]
     assert wrong["asked"] < 0.8 * wrong["not asked"]
+    # They also tell how far out a bar goes beyond the returns of any one sweep.
+    assert wrong["asked"] < 0.6 * wrong["not asked"]
+    assert missed["asked"] < 0.7 * missed["not asked"]

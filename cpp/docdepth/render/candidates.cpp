@@ -18,6 +18,10 @@ constexpr float kEdge = 0.05f;  ///< bend of nearness, linear on every plane, as
 /// A ray that passed within a centimetre, or many farther off, decide: no more are asked.
 constexpr float kSure = 1000.0f;
 
+/// Beside an edge a surface goes on where one ray met it within 5 cm, blur included 7, or many
+/// farther off; what none met within 18 is left out.
+constexpr float kGoesOn = 200.0f, kLeftOut = 30.0f;
+
 /// What a mover has beyond its trusted surface is drawn where one ray met it within a decimetre,
 /// blur included, or many farther off.
 constexpr float kMet = 100.0f;
@@ -97,7 +101,7 @@ bool has_edge(const Columns& columns, const std::vector<float>& nearness, const 
   };
   for (int v = tile.begin_v; v < tile.end_v; ++v)
     for (int u = tile.begin_u; u < tile.end_u; ++u) {
-      const float* at = &nearness[std::size_t(v) * columns.stride + u];
+      const float* at = &nearness[columns.at(u, v)];
       if (!(*at > 0)) return true;
       if (u > tile.begin_u && u + 1 < tile.end_u && bent(at[-1], at[0], at[1])) return true;
       if (v > tile.begin_v && v + 1 < tile.end_v &&
@@ -116,7 +120,26 @@ std::vector<std::uint8_t> edge_tiles(const Columns& columns, const std::vector<f
   return edges;
 }
 
-/// Asks the rays for the offers number k of pixels.
+/// Which of eight pixels of a tile lie beside another surface in the tile, and the nearest there.
+DOCDEPTH_INLINE Ints edges_of_row(const float* nearness, int stride, bool above, bool below,
+                                  Floats& nearest) {
+  constexpr float more = 1 + kSame;
+  const float none[kLanes] = {};
+  float wide[kLanes + 2] = {};
+  std::memcpy(wide + 1, nearness, sizeof(Floats));
+  const Floats here = load(nearness);
+  const Floats around[] = {load(wide), load(wide + 2), load(above ? nearness - stride : none),
+                           load(below ? nearness + stride : none)};
+  nearest = Floats{};
+  Ints edges{};
+  for (const Floats& beside : around) {
+    nearest = beside > nearest ? beside : nearest;
+    edges |= (beside > here * more) | ((beside > 0.0f) & (beside * more < here));
+  }
+  return edges;
+}
+
+/// Asks the rays for the offers number k of pixels, until they surely met or passed them.
 class Questions {
  public:
   Questions(const Columns& columns, const Camera& camera, const std::vector<PlacedRays>& rays)
@@ -126,16 +149,17 @@ class Questions {
     for (const auto& placed : rays) to_rays_.emplace_back(placed.T_camera_rays.inverse());
   }
 
-  std::vector<float> ask(const std::vector<Contest>& contests, int k) const {
+  std::vector<float> ask(const std::vector<Contest>& contests, int k, float passed = kSure) const {
     std::vector<float> balance(contests.size(), 0.0f);
     for (std::size_t first = 0; first < contests.size(); first += Places::kMost)
-      ask_some(&contests[first], std::min(contests.size() - first, Places::kMost), k,
+      ask_some(&contests[first], std::min(contests.size() - first, Places::kMost), k, passed,
                &balance[first]);
     return balance;
   }
 
  private:
-  void ask_some(const Contest* contests, std::size_t count, int k, float* balance) const {
+  void ask_some(const Contest* contests, std::size_t count, int k, float passed,
+                float* balance) const {
     Eigen::Vector3f places[Places::kMost];
     for (std::size_t i = 0; i < count; ++i) {
       const float depth = 1 / contests[i].offers[k];
@@ -156,7 +180,7 @@ class Questions {
       std::size_t left = 0;
       for (std::size_t n = 0; n < seen.size; ++n) {
         balance[open[n]] = told[n];
-        if (std::fabs(told[n]) >= kSure) continue;
+        if (told[n] >= kSure || told[n] <= -passed) continue;
         open[left] = open[n], told[left++] = told[n];
       }
       seen.size = left;
@@ -167,6 +191,43 @@ class Questions {
   const std::vector<PlacedRays>& rays_;
   std::vector<RigidTransform> to_rays_;
 };
+
+/// Edges lie up to a pixel farther out than surfaces reach, which end at their last returns: beside
+/// another surface a pixel is of the nearest if the rays that met it there passed closer by than
+/// those that met what the pixel has.
+void move_edges(const Columns& columns, const std::vector<Tile>& tiles, const Questions& questions,
+                std::vector<float>& nearness, std::vector<float>& told) {
+  constexpr float more = 1 + kSame;
+  std::vector<Contest> own, beside;
+  for (const Tile& tile : tiles)
+    for (int v = tile.begin_v; v < tile.end_v; ++v) {
+      const std::size_t row = columns.at(tile.begin_u, v);
+      Floats nearest;
+      const Ints edges = edges_of_row(&nearness[row], columns.stride, v > tile.begin_v,
+                                      v + 1 < tile.end_v, nearest);
+      if (!any(edges)) continue;
+      for (int u = tile.begin_u; u < tile.end_u; ++u) {
+        const std::size_t lane = u - tile.begin_u;
+        if (!edges[lane]) continue;
+        const float here = nearness[row + lane];
+        if (here == 0)
+          told[row + lane] = 0;
+        else if (std::isinf(told[row + lane]))
+          own.push_back({u, v, {here}});
+        if (nearest[lane] > here * more) beside.push_back({u, v, {nearest[lane]}});
+      }
+    }
+  const auto of_own = questions.ask(own, 0, kMet);
+  for (std::size_t i = 0; i < own.size(); ++i) told[columns.at(own[i].u, own[i].v)] = of_own[i];
+  const auto sure = [&](const Contest& c) { return told[columns.at(c.u, c.v)] >= kSure; };
+  beside.erase(std::remove_if(beside.begin(), beside.end(), sure), beside.end());
+  const auto of_beside = questions.ask(beside, 0, kMet);
+  for (std::size_t i = 0; i < beside.size(); ++i) {
+    const std::size_t at = columns.at(beside[i].u, beside[i].v);
+    if (of_beside[i] > std::max(kGoesOn, told[at]))
+      nearness[at] = beside[i].offers[0], told[at] = of_beside[i];
+  }
+}
 
 }  // namespace
 
@@ -181,7 +242,7 @@ void Candidates::take(float* nearness) {
   for (std::size_t tile = 0; tile < open_.size(); ++tile) {
     if (!open_[tile]) continue;
     const int u = int(tile) % tiles_ * kTile, v = int(tile) / tiles_ * kTile;
-    const std::size_t at = std::size_t(v) * columns_.stride + u;
+    const std::size_t at = columns_.at(u, v);
     TakeRows part{nearness + at, {}, columns_.stride, std::min(kTile, columns_.height - v)};
     for (int k = 0; k < kMost; ++k) part.offers[k] = offers_[k].data() + at;
     rows(part);
@@ -192,13 +253,14 @@ std::vector<float> Candidates::settle(const Camera& camera,
                                       const std::vector<PlacedRays>& rays) const {
   std::vector<float> result = offers_[0];
   if (rays.empty()) return result;
+  std::vector<Tile> tiles;
+  for (int i = 0; i < int(open_.size()); ++i)
+    if (open_[i]) tiles.emplace_back(columns_, i % tiles_, i / tiles_);
   std::vector<Contest> contests;
-  for (std::size_t i = 0; i < open_.size(); ++i) {
-    if (!open_[i]) continue;
-    const Tile tile(columns_, int(i) % tiles_, int(i) / tiles_);
+  for (const Tile& tile : tiles)
     for (int v = tile.begin_v; v < tile.end_v; ++v)
       for (int u = tile.begin_u; u < tile.end_u; ++u) {
-        const std::size_t at = std::size_t(v) * columns_.stride + u;
+        const std::size_t at = columns_.at(u, v);
         if (!(offers_[1][at] > 0)) continue;
         Contest contest{u, v, {}};
         for (int k = 0; k < kMost; ++k) contest.offers[k] = offers_[k][at];
@@ -206,19 +268,24 @@ std::vector<float> Candidates::settle(const Camera& camera,
         std::sort(contest.offers, contest.offers + kMost, std::greater<float>());
         contests.push_back(contest);
       }
-  }
   const Questions questions(columns_, camera, rays);
+  std::vector<float> told(result.size(), INFINITY);  // of the result, infinite while not asked
   for (int k = 0; k < kMost && !contests.empty(); ++k) {
     const std::vector<float> balance = questions.ask(contests, k);
     std::size_t left = 0;
     for (std::size_t i = 0; i < contests.size(); ++i) {
       const Contest c = contests[i];
-      float& here = result[std::size_t(c.v) * columns_.stride + c.u];
-      if (balance[i] > 0 || (balance[i] == 0 && here == 0)) here = c.offers[k];
+      const std::size_t at = columns_.at(c.u, c.v);
+      if (balance[i] > 0 || (balance[i] == 0 && result[at] == 0))
+        result[at] = c.offers[k], told[at] = balance[i];
       if (!(balance[i] > 0) && k + 1 < kMost && c.offers[k + 1] > 0) contests[left++] = c;
     }
     contests.resize(left);
   }
+  if (rays.size() == 1) return result;  // a sweep alone knows no more than it offers
+  move_edges(columns_, tiles, questions, result, told);
+  for (std::size_t i = 0; i < result.size(); ++i)
+    if (told[i] < kLeftOut) result[i] = 0;
   return result;
 }
 
@@ -228,7 +295,7 @@ void add_mover(const Columns& columns, const Camera& camera, const std::vector<f
   std::vector<Contest> contests;
   for (int v = 0; v < columns.height; ++v)
     for (int u = 0; u < columns.width; ++u) {
-      const std::size_t at = std::size_t(v) * columns.stride + u;
+      const std::size_t at = columns.at(u, v);
       const bool sure = trusted[at] > 0 || rays.empty();
       const float mover = trusted[at] > 0 ? trusted[at] : others[at];
       if (!(mover > nearness[at])) continue;
@@ -239,7 +306,7 @@ void add_mover(const Columns& columns, const Camera& camera, const std::vector<f
     }
   const auto balance = Questions(columns, camera, rays).ask(contests, 0);
   for (std::size_t i = 0; i < contests.size(); ++i) {
-    float& here = nearness[std::size_t(contests[i].v) * columns.stride + contests[i].u];
+    float& here = nearness[columns.at(contests[i].u, contests[i].v)];
     if (balance[i] > kMet)
       here = contests[i].offers[0];
     else if (balance[i] > -kSure)

@@ -1,6 +1,7 @@
 // What the sweeps offer for a pixel, and which of it is true.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -13,12 +14,15 @@ namespace docdepth {
 /// empty.
 struct Columns {
   int begin, width, height, stride;
+
+  std::size_t at(int u, int v) const { return std::size_t(v) * stride + u; }
 };
 
 /// The nearest sweep is trusted, but not at its edges: near a depth jump and where it measured
 /// nothing, all sweeps offer what they have. Of different offers for a pixel, the nearest is taken
-/// that more rays met than went through, else the nearest of which none tells; if they went through
-/// all of them the pixel stays empty.
+/// that more rays met than went through, else the nearest of which none tells. Where the result has
+/// an edge, rays are asked for the nearest surface beside a pixel, too, and what none of them met
+/// closely is left empty.
 class Candidates {
  public:
   static constexpr int kTile = 8;  ///< edge of the squares of pixels that are open or not

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/render/raster.hpp"
@@ -77,6 +78,30 @@ void count_plain(const Camera& camera, const std::vector<const PlacedMesh*>& mes
   count(camera, meshes, movers, depth, strip, tallies);
 }
 
+/// Edges are drawn up to a pixel farther out than any mesh reaches: there the mesh is that of the
+/// pixel beside, in the same tile, whose depth is the most like it.
+void name_moved_edges(const Camera& camera, const float* depth, const Strip& strip,
+                      std::vector<Tally>& tallies) {
+  const auto alike = [](int a, int b) { return a / Strip::kTile == b / Strip::kTile; };
+  const std::vector<Tally> drawn = tallies;
+  for (int v = 0; v < strip.height; ++v)
+    for (int u = strip.begin; u < strip.end; ++u) {
+      const float z = depth[std::size_t(v) * camera.width + u];
+      Tally& tally = tallies[std::size_t(v) * Strip::kStride + (u - strip.begin)];
+      if (!(z > 0) || tally.difference <= kAgree) continue;
+      for (const auto& [side, down] : {std::pair(-1, 0), {1, 0}, {0, -1}, {0, 1}}) {
+        const int column = u - strip.begin + side, row = v + down;
+        if (column < 0 || u + side >= strip.end || row < 0 || row >= strip.height ||
+            !alike(column, u - strip.begin) || !alike(row, v))
+          continue;
+        const Tally& beside = drawn[std::size_t(row) * Strip::kStride + column];
+        const float off = std::fabs(depth[std::size_t(row) * camera.width + u + side] - z) / z;
+        if (beside.mesh < 0 || !(off < tally.difference)) continue;
+        tally.difference = off, tally.mesh = beside.mesh, tally.triangle = beside.triangle;
+      }
+    }
+}
+
 float deviation_of(const Tally& tally, float depth) {
   if (tally.support < 2) return kNaN;
   const float mean = tally.sum / tally.support;
@@ -137,6 +162,7 @@ Layers layers_of_triangles(const Camera& camera, const Drawing& drawing, const f
     strip.numbers.resize(strip.nearness.size());
     std::vector<Tally> tallies(strip.nearness.size());
     tally_up(camera, meshes, movers, depth, strip, tallies);
+    name_moved_edges(camera, depth, strip, tallies);
     for (int v = 0; v < camera.height; ++v)
       for (int u = strip.begin; u < strip.end; ++u) {
         const Tally& tally = tallies[std::size_t(v) * Strip::kStride + (u - strip.begin)];
