@@ -208,7 +208,7 @@ class RenderParameters(_Stage):
         50.0, ge=0, description="moving objects are carried to the image's time up to this [m/s]"
     )
     witnesses: int = Field(
-        18, ge=0, le=100, description="sweeps whose rays are asked at edges; 0 believes the nearest"
+        15, ge=0, le=100, description="sweeps whose rays are asked at edges; 0 believes the nearest"
     )
     loose_deg: float = Field(
         0.1, gt=0, lt=10, description="half width of a return without a triangle [deg]"

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 #include <functional>
+#include <utility>
 
 #include "docdepth/geometry/lanes.hpp"
 #include "docdepth/geometry/rigid.hpp"
@@ -19,8 +20,8 @@ constexpr float kEdge = 0.05f;  ///< bend of nearness, linear on every plane, as
 constexpr float kSure = 1000.0f;
 
 /// Beside an edge a surface goes on where one ray met it within 5 cm, blur included 7, or many
-/// farther off; what none met within 18 is left out.
-constexpr float kGoesOn = 200.0f, kLeftOut = 30.0f;
+/// farther off; what none met within 25 is left out.
+constexpr float kGoesOn = 200.0f, kLeftOut = 15.0f;
 
 /// What a mover has beyond its trusted surface is drawn where one ray met it within a decimetre,
 /// blur included, or many farther off.
@@ -120,9 +121,8 @@ std::vector<std::uint8_t> edge_tiles(const Columns& columns, const std::vector<f
   return edges;
 }
 
-/// Which of eight pixels of a tile lie beside another surface in the tile, and the nearest there.
-DOCDEPTH_INLINE Ints edges_of_row(const float* nearness, int stride, bool above, bool below,
-                                  Floats& nearest) {
+/// Which of eight pixels of a tile lie beside another surface in the tile, or beside none.
+DOCDEPTH_INLINE Ints edges_of_row(const float* nearness, int stride, bool above, bool below) {
   constexpr float more = 1 + kSame;
   const float none[kLanes] = {};
   float wide[kLanes + 2] = {};
@@ -130,12 +130,9 @@ DOCDEPTH_INLINE Ints edges_of_row(const float* nearness, int stride, bool above,
   const Floats here = load(nearness);
   const Floats around[] = {load(wide), load(wide + 2), load(above ? nearness - stride : none),
                            load(below ? nearness + stride : none)};
-  nearest = Floats{};
   Ints edges{};
-  for (const Floats& beside : around) {
-    nearest = beside > nearest ? beside : nearest;
+  for (const Floats& beside : around)
     edges |= (beside > here * more) | ((beside > 0.0f) & (beside * more < here));
-  }
   return edges;
 }
 
@@ -192,41 +189,59 @@ class Questions {
   std::vector<RigidTransform> to_rays_;
 };
 
-/// Edges lie up to a pixel farther out than surfaces reach, which end at their last returns: beside
-/// another surface a pixel is of the nearest if the rays that met it there passed closer by than
-/// those that met what the pixel has.
-void move_edges(const Columns& columns, const std::vector<Tile>& tiles, const Questions& questions,
-                std::vector<float>& nearness, std::vector<float>& told) {
-  constexpr float more = 1 + kSame;
-  std::vector<Contest> own, beside;
+/// Pixels with an edge of a tile between them and one beside them, and what they have.
+std::vector<Contest> find_edges(const Columns& columns, const std::vector<Tile>& tiles,
+                                const std::vector<float>& nearness) {
+  std::vector<Contest> found;
   for (const Tile& tile : tiles)
     for (int v = tile.begin_v; v < tile.end_v; ++v) {
       const std::size_t row = columns.at(tile.begin_u, v);
-      Floats nearest;
-      const Ints edges = edges_of_row(&nearness[row], columns.stride, v > tile.begin_v,
-                                      v + 1 < tile.end_v, nearest);
+      const Ints edges =
+          edges_of_row(&nearness[row], columns.stride, v > tile.begin_v, v + 1 < tile.end_v);
       if (!any(edges)) continue;
-      for (int u = tile.begin_u; u < tile.end_u; ++u) {
-        const std::size_t lane = u - tile.begin_u;
-        if (!edges[lane]) continue;
-        const float here = nearness[row + lane];
-        if (here == 0)
-          told[row + lane] = 0;
-        else if (std::isinf(told[row + lane]))
-          own.push_back({u, v, {here}});
-        if (nearest[lane] > here * more) beside.push_back({u, v, {nearest[lane]}});
-      }
+      for (int lane = 0; lane < tile.end_u - tile.begin_u; ++lane)
+        if (edges[lane]) found.push_back({tile.begin_u + lane, v, {nearness[row + lane]}});
     }
-  const auto of_own = questions.ask(own, 0, kMet);
-  for (std::size_t i = 0; i < own.size(); ++i) told[columns.at(own[i].u, own[i].v)] = of_own[i];
-  const auto sure = [&](const Contest& c) { return told[columns.at(c.u, c.v)] >= kSure; };
-  beside.erase(std::remove_if(beside.begin(), beside.end(), sure), beside.end());
-  const auto of_beside = questions.ask(beside, 0, kMet);
-  for (std::size_t i = 0; i < beside.size(); ++i) {
-    const std::size_t at = columns.at(beside[i].u, beside[i].v);
-    if (of_beside[i] > std::max(kGoesOn, told[at]))
-      nearness[at] = beside[i].offers[0], told[at] = of_beside[i];
+  return found;
+}
+
+/// Leaves out what no ray met at edges. Surfaces end at their last returns, what they belong to up
+/// to a pixel farther out: beside a nearer surface a pixel is of that if rays met it there, and
+/// closer by than what the pixel has.
+void move_edges(const Columns& columns, const std::vector<Tile>& tiles, const Questions& questions,
+                std::vector<float>& nearness, std::vector<float>& told) {
+  const auto at = [&](const Contest& c) { return columns.at(c.u, c.v); };
+  const std::vector<Contest> edges = find_edges(columns, tiles, nearness);
+  std::vector<Contest> asked;
+  for (const Contest& edge : edges)
+    if (edge.offers[0] == 0)
+      told[at(edge)] = 0;
+    else if (std::isinf(told[at(edge)]))
+      asked.push_back(edge);
+  std::vector<float> balance = questions.ask(asked, 0, kMet);
+  for (std::size_t i = 0; i < asked.size(); ++i) told[at(asked[i])] = balance[i];
+
+  asked.clear();
+  for (const Contest& edge : edges) {
+    const auto [u, v] = std::pair(edge.u, edge.v);
+    float nearest = 0;
+    const auto look = [&](std::size_t i) {
+      if (told[i] >= kLeftOut) nearest = std::max(nearest, nearness[i]);
+    };
+    if (u % Candidates::kTile > 0) look(columns.at(u - 1, v));
+    if (u % Candidates::kTile + 1 < Candidates::kTile) look(columns.at(u + 1, v));
+    if (v % Candidates::kTile > 0) look(columns.at(u, v - 1));
+    if (v % Candidates::kTile + 1 < Candidates::kTile && v + 1 < columns.height)
+      look(columns.at(u, v + 1));
+    if (nearest > edge.offers[0] * (1 + kSame) && told[at(edge)] < kSure)
+      asked.push_back({u, v, {nearest}});
   }
+  balance = questions.ask(asked, 0, kMet);
+  for (std::size_t i = 0; i < asked.size(); ++i)
+    if (balance[i] > std::max(kGoesOn, told[at(asked[i])]))
+      nearness[at(asked[i])] = asked[i].offers[0], told[at(asked[i])] = balance[i];
+  for (std::size_t i = 0; i < told.size(); ++i)
+    if (told[i] < kLeftOut) nearness[i] = 0;
 }
 
 }  // namespace
@@ -284,8 +299,6 @@ std::vector<float> Candidates::settle(const Camera& camera,
   }
   if (rays.size() == 1) return result;  // a sweep alone knows no more than it offers
   move_edges(columns_, tiles, questions, result, told);
-  for (std::size_t i = 0; i < result.size(); ++i)
-    if (told[i] < kLeftOut) result[i] = 0;
   return result;
 }
 
