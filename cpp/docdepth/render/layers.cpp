@@ -1,8 +1,8 @@
 #include "docdepth/render/layers.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
-#include <utility>
 
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/render/raster.hpp"
@@ -79,26 +79,23 @@ void count_plain(const Camera& camera, const std::vector<const PlacedMesh*>& mes
 }
 
 /// Edges are drawn up to a pixel farther out than any mesh reaches: there the mesh is that of the
-/// pixel beside, in the same tile, whose depth is the most like it.
+/// pixel in the same tile whose depth is the most like it.
 void name_moved_edges(const Camera& camera, const float* depth, const Strip& strip,
                       std::vector<Tally>& tallies) {
-  const auto alike = [](int a, int b) { return a / Strip::kTile == b / Strip::kTile; };
   const std::vector<Tally> drawn = tallies;
   for (int v = 0; v < strip.height; ++v)
     for (int u = strip.begin; u < strip.end; ++u) {
       const float z = depth[std::size_t(v) * camera.width + u];
       Tally& tally = tallies[std::size_t(v) * Strip::kStride + (u - strip.begin)];
       if (!(z > 0) || tally.difference <= kAgree) continue;
-      for (const auto& [side, down] : {std::pair(-1, 0), {1, 0}, {0, -1}, {0, 1}}) {
-        const int column = u - strip.begin + side, row = v + down;
-        if (column < 0 || u + side >= strip.end || row < 0 || row >= strip.height ||
-            !alike(column, u - strip.begin) || !alike(row, v))
-          continue;
-        const Tally& beside = drawn[std::size_t(row) * Strip::kStride + column];
-        const float off = std::fabs(depth[std::size_t(row) * camera.width + u + side] - z) / z;
-        if (beside.mesh < 0 || !(off < tally.difference)) continue;
-        tally.difference = off, tally.mesh = beside.mesh, tally.triangle = beside.triangle;
-      }
+      const int left = u - (u - strip.begin) % Strip::kTile, top = v - v % Strip::kTile;
+      for (int row = top; row < std::min(top + Strip::kTile, strip.height); ++row)
+        for (int column = left; column < std::min(left + Strip::kTile, strip.end); ++column) {
+          const Tally& one = drawn[std::size_t(row) * Strip::kStride + (column - strip.begin)];
+          const float off = std::fabs(depth[std::size_t(row) * camera.width + column] - z) / z;
+          if (one.mesh < 0 || one.difference > kAgree || !(off < tally.difference)) continue;
+          tally.difference = off, tally.mesh = one.mesh, tally.triangle = one.triangle;
+        }
     }
 }
 
