@@ -231,11 +231,7 @@ def reference_moving(points, ground, static, dynamic, p):
     """Evidence shared within connected objects, with scipy's graphs and all distances."""
     static, dynamic = static.astype(int), dynamic.astype(int)
     surface = Surface(points)
-    whole = surface.triangles[~surface.cut].astype(int)
-    edges = np.concatenate([whole[:, [0, 1]], whole[:, [1, 2]], whole[:, [2, 0]]])
-    range_ = np.sqrt(squared(points))[edges].min(axis=1)
-    link = np.maximum(np.float32(p.link), np.float32(p.link_growth) * range_)
-    edges = edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < link * link]
+    edges = short_edges(points, surface.triangles[~surface.cut], p.link, p.link_growth)
     candidate = dynamic > static
     label, size = connected(len(points), edges[candidate[edges].all(axis=1)])
     low, high = np.full(len(size), np.inf, np.float32), np.full(len(size), -np.inf, np.float32)
@@ -245,7 +241,12 @@ def reference_moving(points, ground, static, dynamic, p):
     count = np.where(rises, size, np.bincount(label, ~ground))
     moving = candidate & (count[label] >= p.companions)
 
-    label, size = connected(len(points), edges[~ground[edges].any(axis=1)])
+    edges = edges[~ground[edges].any(axis=1)]
+    label, size = connected(len(points), edges)
+    jumps = short_edges(points, surface.triangles[surface.cut], p.link, 0.03)
+    pieces = ~ground & (size[label] < 5)
+    label, size = connected(len(points), np.concatenate([edges, jumps[pieces[jumps].all(axis=1)]]))
+    in_pieces = np.bincount(label[surface.loose], minlength=len(size)) > 0
     freed = (dynamic >= p.freed_votes) & (p.freed_ratio * dynamic > static)
     found, voted = np.bincount(label, candidate), np.bincount(label, static + dynamic > 0)
     goes = found >= np.float32(p.object_share) * voted
@@ -258,7 +259,7 @@ def reference_moving(points, ground, static, dynamic, p):
         if goes[k]:
             most = p.freed_ratio * np.maximum(dynamic[members], 1)
             moving[members[static[members] < most]] = True
-        elif wide and z >= np.float32(p.object_height):
+        elif wide and z >= np.float32(p.object_height) and not in_pieces[k]:
             moving[members] = True
 
     sure = points[moving]
@@ -278,6 +279,15 @@ def reference_moving(points, ground, static, dynamic, p):
             inside = (points <= high + margin).all(1) & (low <= points + margin).all(1)
             moving |= loose & inside
     return moving
+
+
+def short_edges(points, triangles, link, growth):
+    """Sides of triangles whose corners are linked."""
+    corners = triangles.astype(int)
+    edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    range_ = np.sqrt(squared(points))[edges].min(axis=1)
+    most = np.maximum(np.float32(link), np.float32(growth) * range_)
+    return edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < most * most]
 
 
 def squared(v):

@@ -289,6 +289,11 @@ def test_points_without_votes_do_not_speak_against_their_object(yard):
     assert (classify(ground, votes, DEFAULT, points)[box] == 100).mean() < 0.9
     votes.static[:], votes.dynamic[:] = 0, 0
     votes.dynamic[seen[-len(box) // 8 :]] = 3
+    more = DEFAULT.model_copy(update={"object_least": 0.2})
+    assert (classify(ground, votes, more, points)[box] == 100).mean() < 0.9
+    assert (classify(ground, votes, DEFAULT, points)[box] == 100).all()
+    votes.dynamic[:] = 0
+    votes.dynamic[seen[-len(box) // 16 :]] = 3
     assert (classify(ground, votes, DEFAULT, points)[box] == 100).mean() < 0.9
 
 

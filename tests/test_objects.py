@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from docdepth.config import DynamicsParameters, Parameters, parameters
-from docdepth.dynamics import classify_drive
+from docdepth.dynamics import Votes, classify, classify_drive
 from docdepth.errors import InputError
 from docdepth.io.ply import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder
@@ -424,3 +424,45 @@ def test_objects_are_connected_points_off_the_ground(street):
     assert (objects[what[0] == 0] == np.flatnonzero(what[0] == 0)).all()
     box = np.flatnonzero(what[0] == 2)
     assert np.bincount(objects[box]).max() > 0.9 * len(box)
+
+
+def _before_a_wall(met):
+    """A sweep of 16 rings: what is 8 m away where `met` (16 rings, 60 columns), else a wall."""
+    azimuth, elevation = np.meshgrid(
+        np.radians(np.arange(60) - 30.0), np.radians(np.arange(16) - 8)
+    )
+    range_ = np.where(met, 8.0, 20.0)
+    flat = range_ * np.cos(elevation)
+    points = np.stack(
+        [flat * np.cos(azimuth), flat * np.sin(azimuth), range_ * np.sin(elevation)], -1
+    )
+    return points.reshape(-1, 3).astype(np.float32), np.zeros(met.size, bool)
+
+
+def test_whom_each_ring_meets_once_is_one_object_and_not_the_wall_behind():
+    met = np.zeros((16, 60), bool)
+    met[3:13, 30] = True
+    points, ground = _before_a_wall(met)
+    objects = connect_objects(points, ground)
+    assert len(np.unique(objects[met.ravel()])) == 1
+    assert not np.isin(objects[~met.ravel()], objects[met.ravel()]).any()
+    votes = Votes(*np.zeros((2, met.size), np.uint16))
+    votes.dynamic[np.flatnonzero(met)[::2]] = 1
+    assert ((classify(ground, votes, DEFAULT, points) == 100) == met.ravel()).all()
+
+
+def test_what_is_in_pieces_was_not_free_though_key_frames_look_past_it():
+    board = np.zeros((16, 60), bool)
+    board[3:13, 10:40] = True
+    fence = np.zeros_like(board)  # one wire, up and down
+    fence[3:13, 10:40:4] = True
+    for k in range(10, 36, 4):
+        fence[3 if k % 8 == 2 else 12, k : k + 4] = True
+    for met, moves in ((board, True), (fence, False)):
+        points, ground = _before_a_wall(met)
+        votes = Votes(*np.zeros((2, met.size), np.uint16))
+        votes.static[met.ravel()], votes.dynamic[met.ravel()] = 10, 2
+        largest = np.bincount(connect_objects(points, ground)[met.ravel()]).max()
+        assert largest > 100
+        assert (classify(ground, votes, DEFAULT, points)[met.ravel()] == 100).all() == moves
+        assert (classify(ground, votes, DEFAULT, points)[met.ravel()] == 100).any() == moves

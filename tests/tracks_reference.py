@@ -43,7 +43,7 @@ def tracks_of(sightings, times, order, p):
     alive, done = [], []
     for sweep in order:
         seen = sightings[sweep]
-        free = [norm(o["high"] - o["low"], 2) <= 25 and (o["high"] - o["low"])[2] >= F(0.3)
+        free = [norm(o["high"] - o["low"], 2) <= 25 and (o["high"] - o["low"])[2] >= F(0.15)
                 for o in seen]  # fmt: skip
         alive.sort(key=lambda track: -len(track["members"]))
         for track in alive:
@@ -62,7 +62,7 @@ def tracks_of(sightings, times, order, p):
         done += [track for track, holds in zip(alive, held, strict=True) if not holds]
         alive = [track for track, holds in zip(alive, held, strict=True) if holds]
         for k, o in enumerate(seen):
-            if free[k] and o["moves"] and o["points"] >= 10 and len(o["places"]) >= 5:
+            if free[k] and o["moves"] and len(o["places"]) >= 5:
                 member = (sweep, [k], True, o["low"], o["high"])
                 alive.append({"places": o["places"], "last": o["places"], "time": times[sweep],
                               "velocity": ZERO, "members": [member],
@@ -204,7 +204,7 @@ def way_of(track, sightings, times, p):
         own = [k for m in members if m[0] == sweep for k in m[1]]
         for k, o in enumerate(sightings[sweep]):
             inside = (o["low"] >= low - F(0.5)).all() and (o["high"] <= high + F(0.5)).all()
-            there = inside and o["high"][2] >= low[2] + F(0.3) and speed < F(2)
+            there = inside and o["high"][2] >= low[2] + F(0.15) and speed < F(2)
             if o["dynamic"] == o["points"] or norm(o["high"] - o["low"], 2) < F(0.3):
                 continue
             if (there or k in own) and free(o["places"], sweep):

@@ -132,7 +132,7 @@ class DynamicsParameters(VotingParameters):
         0.05, ge=0, description="or, where beams are wider apart, than so much of their range [-]"
     )
     companions: int = Field(
-        5, ge=1, description="connected dynamic points that need no other evidence"
+        6, ge=1, description="connected dynamic points that need no other evidence"
     )
     company: float = Field(
         1.0, gt=0, description="single points are dynamic this near to those [m]"
@@ -144,7 +144,7 @@ class DynamicsParameters(VotingParameters):
         0.5, gt=0, le=1, description="share of its points with votes that, dynamic, makes all so"
     )
     object_least: float = Field(
-        0.2, gt=0, le=1, description="and share of all its points, votes or not"
+        0.1, gt=0, le=1, description="and share of all its points, votes or not"
     )
     object_width: float = Field(
         1.5, ge=0, description="extent of what may stand a while and move, from above [m]"
@@ -169,7 +169,7 @@ class DynamicsParameters(VotingParameters):
     )
     track_distance: float = Field(1.0, ge=0, description="and its way, from above, at least [m]")
     track_speed: float = Field(40.0, gt=0, description="nothing is faster [m/s]")
-    track_gap: float = Field(0.5, ge=0, description="an object unseen for longer is lost [s]")
+    track_gap: float = Field(1.0, ge=0, description="an object unseen for longer is lost [s]")
     track_hold: float = Field(5.0, ge=0, description="the same of one that stands [s]")
     track_stood: float = Field(
         0.8,
@@ -179,7 +179,7 @@ class DynamicsParameters(VotingParameters):
         " (`freed_ratio` static votes, no dynamic one), above which it is another thing",
     )
     track_window: float = Field(
-        0.3,
+        0.5,
         ge=0,
         description="sightings that near tell the box in which points move; 0: none [s]",
     )

@@ -48,22 +48,22 @@ class Sets {
   std::vector<std::uint32_t> parent_;
 };
 
-/// Connected components of the points that `takes_part` by edges of the surface.
+/// Join those points that `takes_part` and are corners of one triangle, of those that are cut or of
+/// the others, where they are no farther apart than `near`, or `growth` times their range.
 template <class TakesPart>
-std::vector<std::uint32_t> connect(const Points& points, const Surface& surface,
-                                   const ObjectParameters& p, const TakesPart& takes_part) {
-  Sets sets(points.rows());
+void join_corners(const Points& points, const Surface& surface, bool cut, float near, float growth,
+                  const TakesPart& takes_part, Sets& sets) {
   const auto range = [&](std::uint32_t i) {
     return range_of(points(i, 0), points(i, 1), points(i, 2));
   };
   const auto linked = [&](std::uint32_t a, std::uint32_t b) {
     const float squared = squared_distance(points, a, b);
-    if (squared < p.link * p.link) return true;  // as most are, whatever their range
-    const float link = p.link_growth * std::min(range(a), range(b));
+    if (squared < near * near) return true;  // as most are, whatever their range
+    const float link = growth * std::min(range(a), range(b));
     return squared < link * link;
   };
   for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
-    if (surface.cut[t]) continue;
+    if (bool(surface.cut[t]) != cut) continue;
     const auto& corners = surface.triangles[t];
     const bool in[3] = {takes_part(corners[0]), takes_part(corners[1]), takes_part(corners[2])};
     if (in[0] + in[1] + in[2] < 2) continue;
@@ -72,7 +72,6 @@ std::vector<std::uint32_t> connect(const Points& points, const Surface& surface,
           linked(corners[i], corners[j]))
         sets.join(corners[i], corners[j]);
   }
-  return sets.first();
 }
 
 /// What is known about each object, one after the other; most points are the first one of none.
@@ -100,6 +99,7 @@ class ByObject {
 /// What is known about connected points.
 struct Object {
   int points = 0, voted = 0, dynamic = 0, freed = 0;
+  bool in_pieces = false;  ///< some of its returns are in no triangle
   float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
 
   /// Most of what was seen of it is dynamic.
@@ -108,19 +108,21 @@ struct Object {
     return points >= p.object_points && found >= p.share * static_cast<float>(voted) &&
            found >= p.least * static_cast<float>(points);
   }
-  /// It stands for a while, and most of its place was seen free.
+  /// It stands for a while, and most of its place was seen free. Of what is in pieces nobody can
+  /// tell: key frames look past twigs and fences, so that they seem to be free now and then.
   bool stays(const ObjectParameters& p) const {
     const float x = high[0] - low[0], y = high[1] - low[1];
-    return points >= p.object_points && high[2] - low[2] >= p.height &&
+    return points >= p.object_points && !in_pieces && high[2] - low[2] >= p.height &&
            x * x + y * y >= p.width * p.width &&
            static_cast<float>(freed) >= p.freed_share * static_cast<float>(points);
   }
 };
 
-constexpr int kFewestPoints = 5;    ///< of what is an object
-constexpr float kWidest = 25;       ///< of what moves, from above [m]
-constexpr float kAround = 0.2f;     ///< an extent's [m]
-constexpr float kAroundWay = 0.1f;  ///< a box on its way [m]
+constexpr std::uint32_t kFewestPoints = 5;  ///< of what is an object
+constexpr float kPieces = 0.03f;            ///< `link_growth` of what is in pieces
+constexpr float kWidest = 25;               ///< of what moves, from above [m]
+constexpr float kAround = 0.2f;             ///< an extent's [m]
+constexpr float kAroundWay = 0.2f;          ///< a box on its way [m]
 
 /// Finds whether a marked point lies near, by cells of that size.
 class Neighborhood {
@@ -161,7 +163,10 @@ class Neighborhood {
 /// lies above a level plane that some bump of it seems to have been free.
 Flags believed(const Points& points, const bool* ground, const Surface& surface,
                const Flags& dynamic, const ObjectParameters& p) {
-  const auto first = connect(points, surface, p, [&](std::uint32_t i) { return dynamic[i] != 0; });
+  Sets joined(dynamic.size());
+  const auto is_dynamic = [&](std::uint32_t i) { return dynamic[i] != 0; };
+  join_corners(points, surface, false, p.link, p.link_growth, is_dynamic, joined);
+  const auto first = joined.first();
   struct Connected {
     int points = 0, off_ground = 0;
     float low = INFINITY, high = -INFINITY;
@@ -187,8 +192,8 @@ Flags believed(const Points& points, const bool* ground, const Surface& surface,
 
 /// All points of the objects that move, but for those of what stands beside and is connected to it.
 void add_objects(const Points& points, const bool* ground, const std::uint32_t* first,
-                 const Flags& voted, const Flags& dynamic, const Flags& freed, const Flags& stood,
-                 const ObjectParameters& p, Flags& moving) {
+                 const Surface& surface, const Flags& voted, const Flags& dynamic,
+                 const Flags& freed, const Flags& stood, const ObjectParameters& p, Flags& moving) {
   const std::size_t count = moving.size();
   ByObject<Object> objects(count);
   for (std::size_t i = 0; i < count; ++i) {
@@ -203,6 +208,8 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
       object.high[axis] = std::max(object.high[axis], points(i, axis));
     }
   }
+  for (const auto i : surface.loose)
+    if (!ground[i]) objects[first[i]].in_pieces = true;
   for (std::size_t i = 0; i < count; ++i) {
     if (ground[i]) continue;
     const Object& object = objects[first[i]];
@@ -214,7 +221,17 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
 
 std::vector<std::uint32_t> connect_objects(const Points& points, const bool* ground,
                                            const Surface& surface, const ObjectParameters& p) {
-  return connect(points, surface, p, [&](std::uint32_t i) { return !ground[i]; });
+  Sets sets(points.rows());
+  const auto off_ground = [&](std::uint32_t i) { return !ground[i]; };
+  join_corners(points, surface, false, p.link, p.link_growth, off_ground, sets);
+  const auto whole = sets.first();
+  std::vector<std::uint32_t> size(whole.size());
+  for (const auto first : whole) ++size[first];
+  const auto in_pieces = [&](std::uint32_t i) {
+    return !ground[i] && size[whole[i]] < kFewestPoints;
+  };
+  join_corners(points, surface, true, p.link, kPieces, in_pieces, sets);
+  return sets.first();
 }
 
 std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground,
@@ -234,7 +251,7 @@ std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground
   }
   if (!any) return dynamic;
   Flags moving = believed(points, ground, surface, dynamic, p);
-  add_objects(points, ground, first, voted, dynamic, freed, stood, p, moving);
+  add_objects(points, ground, first, surface, voted, dynamic, freed, stood, p, moving);
 
   const Neighborhood neighborhood(points, moving, p.company);
   for (std::uint32_t i = 0; i < count; ++i) {
@@ -252,7 +269,7 @@ void add_loose_points(const Points& points, const bool* ground, const std::uint3
                       const ObjectParameters& p, Flags& moving) {
   const std::size_t count = moving.size();
   struct Whole {
-    int points = 0, moving = 0;
+    std::uint32_t points = 0, moving = 0;
     Extent extent;
   };
   ByObject<Whole> objects(count);
@@ -266,7 +283,7 @@ void add_loose_points(const Points& points, const bool* ground, const std::uint3
   }
   std::vector<Extent> movers;
   for (const Whole& object : objects.values())
-    if (object.points >= p.object_points && 2 * object.moving >= object.points &&
+    if (int(object.points) >= p.object_points && 2 * object.moving >= object.points &&
         object.extent.width() <= kWidest)
       movers.push_back(object.extent);
   for (std::size_t i = 0; i < count; ++i) {

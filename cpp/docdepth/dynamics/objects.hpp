@@ -13,13 +13,13 @@ namespace docdepth {
 struct ObjectParameters {
   float link = 0.3f;          ///< neighbouring returns farther apart are not connected [m],
   float link_growth = 0.05f;  ///< or, where beams are wider apart, than so much of their range
-  int companions = 5;         ///< connected dynamic points that believe each other
+  int companions = 6;         ///< connected dynamic points that believe each other
   float company = 1.0f;       ///< nearer to what is dynamic a single point is believed, too [m]
   int clear_votes = 2;        ///< or with that many dynamic votes
   float clear_ratio = 4;      ///< that outnumber the static ones so many times
   int object_points = 10;     ///< an object has that many points
   float share = 0.5f;         ///< and moves when that share of those with votes is dynamic
-  float least = 0.2f;         ///< and that share of all of them,
+  float least = 0.1f;         ///< and that share of all of them,
   float width = 1.5f;         ///< or when it is that wide and long, from above [m],
   float height = 0.3f;        ///< and that high [m]
   float freed_share = 0.6f;   ///< and the place of that share was seen free:
@@ -30,7 +30,8 @@ struct ObjectParameters {
 
 /// Objects of a sweep, connected points off the ground: of each point the row of the first one.
 ///
-/// Returns are connected by the edges of the sweep's surface; across depth jumps there are none.
+/// Returns are connected by the edges of the sweep's surface. Across depth jumps only pieces of few
+/// points are: somebody whom each ring meets once is in no triangle without a corner behind him.
 std::vector<std::uint32_t> connect_objects(const Points& points, const bool* ground,
                                            const Surface& surface,
                                            const ObjectParameters& parameters);

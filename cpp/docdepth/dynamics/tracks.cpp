@@ -14,9 +14,8 @@ using Vector = Eigen::Vector3f;
 using Flags = std::vector<std::uint8_t>;
 using Rows = std::vector<std::uint32_t>;  ///< objects of a sighting, by their number in it
 
-constexpr std::uint32_t kFewestPoints = 10;    ///< of an object that is worth to be followed,
-constexpr std::size_t kFewestPlaces = 5;       ///< which has a shape to be found by
-constexpr float kLowest = 0.3f;                ///< flatter things are ground that was not grown [m]
+constexpr std::size_t kFewestPlaces = 5;       ///< of an object that has a shape to be found by
+constexpr float kLowest = 0.15f;               ///< flatter things are ground that was not grown [m]
 constexpr float kThinnest = 0.3f;              ///< thinner things stand: poles, from above [m]
 constexpr float kWidest = 25.0f;               ///< [m]
 constexpr float kGrowth = 1.5f, kMore = 0.5f;  ///< the same thing looks so much larger at most [m]
@@ -125,7 +124,7 @@ class Follower {
     alive_ = std::move(alive);
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       const auto& [first, points, dynamic, box, places] = seen[k];
-      if (!taken[k] && seen[k].moves() && points >= kFewestPoints && places.size() >= kFewestPlaces)
+      if (!taken[k] && seen[k].moves() && places.size() >= kFewestPlaces)
         alive_.push_back({places, places, box.size(), times_[sweep], {{sweep, {k}, true, box}}});
     }
   }
