@@ -13,6 +13,7 @@ from docdepth.pipeline import classify as stage
 from docdepth.pipeline import run_classify
 from docdepth.trajectory import Trajectory
 from tracks_reference import follow as reference_follow
+from tracks_reference import moving_cubes as reference_cubes
 
 DEFAULT = parameters("default").dynamics
 CAR, PERSON, POLE, WALL = (4.2, 1.8, 1.5), (0.6, 0.6, 1.7), (0.3, 0.3, 2.0), (12.0, 0.3, 2.5)
@@ -308,6 +309,28 @@ def test_followed_objects_equal_the_reference(seed):
             np.testing.assert_array_equal(result.objects, right[0])
             np.testing.assert_allclose(result.boxes, right[1], atol=1e-4)
         np.testing.assert_array_equal(one.boxes, two.boxes)
+    cubes = reference_cubes(
+        [seen.arrays for seen in sightings], [of for of, _ in expected], times * 1e-9
+    )
+    assert sum(len(of) for of in cubes) > 100
+    for one, two, right in zip(*found, cubes, strict=True):
+        np.testing.assert_array_equal(one.cubes, right)
+        np.testing.assert_array_equal(two.cubes, right)
+
+
+def test_a_few_points_where_sweeps_near_in_time_saw_somebody_walk_are_of_him():
+    """Too few for an object; and beside a hedge nobody knows of whom they are."""
+    walker = Thing(PERSON, lambda i: (8 + 0.1 * i, 3) if i != 15 else None, range(30), 0.1)
+    hedge = Thing((1.6, 0.6, 1.7), still(9.5, 3.4), step=0.1)
+    for things, moves in (((walker,), True), ((walker, hedge), False)):
+        sightings, _ = sightings_of(things, 30)
+        found = follow(sightings, np.arange(30) * 100_000_000, DEFAULT)[15]
+        few = np.float32([(9.5, 3.0, 0.5), (9.5, 3.0, 1.4), (14.0, 3.0, 0.5)])
+        place = Followed(np.zeros(0, np.uint32), np.zeros((0, 6), np.float32), found.cubes)
+        none, alone = np.zeros(3, np.uint16), np.arange(3, dtype=np.uint32)
+        static = np.uint16([0, 3, 0])  # many more say that it stands
+        classid = add_carried(few, alone, place, static, none, none + 50, np.eye(4), DEFAULT)
+        assert list(classid) == [100 if moves else 50, 50, 50]
 
 
 def test_a_sighting_is_the_objects_of_its_sweep():

@@ -28,6 +28,24 @@ def follow(sightings, times, p):
     ]
 
 
+def moving_cubes(sightings, followed, times):
+    """For each sweep the cubes of 1 m in which those up to 0.3 s away saw what moves, by key."""
+    sightings = [objects_of(*arrays) for arrays in sightings]
+    result = []
+    for t in times:
+        cubes, moves = [], []
+        for seen, first, time in zip(sightings, followed, times, strict=True):
+            for o in seen if 0 < abs(time - t) <= 0.3 + 1e-3 else ():
+                cubes.append(np.floor(o["places"]).astype(np.int64) + (1 << 20))
+                moves += [o["moves"] or o["first"] in first] * len(o["places"])
+        cubes = np.concatenate(cubes) if cubes else np.zeros((0, 3), np.int64)
+        keys, which = np.unique(cubes @ [1 << 42, 1 << 21, 1], return_inverse=True)
+        moving = np.bincount(which, moves, len(keys)).astype(F)
+        enough = moving > F(0.6) * np.bincount(which, minlength=len(keys)).astype(F)
+        result.append(keys[(moving >= 3) & enough])
+    return result
+
+
 def objects_of(numbers, boxes, places):
     ends = np.cumsum(numbers[:, 3]).astype(int)
     return [

@@ -4,6 +4,7 @@
 
 #include "arrays.hpp"
 #include "docdepth/dynamics/key_frame.hpp"
+#include "docdepth/dynamics/moving_cubes.hpp"
 #include "docdepth/dynamics/objects.hpp"
 #include "docdepth/dynamics/range_image.hpp"
 #include "docdepth/dynamics/sighting.hpp"
@@ -122,7 +123,7 @@ py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bo
                                       const Array<std::uint16_t>& statics,
                                       const Array<std::uint16_t>& dynamics,
                                       const Array<double>& pose, const Array<float>& boxes,
-                                      const Array<bool>& moving,
+                                      const Array<std::uint64_t>& cubes, const Array<bool>& moving,
                                       const ObjectParameters& parameters) {
   const PointMap map = as_points(points);
   const bool* flags = as_column(ground, map.rows(), "ground");
@@ -132,6 +133,7 @@ py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bo
   const Pose T_world_lidar = as_pose(pose);
   if (boxes.ndim() != 2 || boxes.shape(1) != 6)
     throw std::invalid_argument("boxes are low and high corners, (K, 6)");
+  const std::vector<std::uint64_t> sorted(cubes.data(), cubes.data() + cubes.size());
   std::vector<Extent> extents(boxes.shape(0));
   for (std::size_t k = 0; k < extents.size(); ++k) {
     extents[k].low = Eigen::Map<const Eigen::Vector3f>(boxes.data() + 6 * k);
@@ -140,7 +142,7 @@ py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bo
   std::vector<std::uint8_t> result(m, m + map.rows());
   {
     py::gil_scoped_release release;
-    add_points_inside(map, flags, s, d, T_world_lidar, extents, parameters, result);
+    add_points_inside(map, flags, s, d, T_world_lidar, extents, sorted, parameters, result);
   }
   return to_numpy(std::move(result), {static_cast<py::ssize_t>(map.rows())});
 }
@@ -206,20 +208,26 @@ py::list follow_all(const std::vector<const Sighting*>& sightings, const Array<d
   for (const Sighting* seen : sightings)
     if (!seen) throw std::invalid_argument("follow needs a sighting of each sweep");
   std::vector<Followed> found;
+  std::vector<std::vector<std::uint64_t>> seen_moving(sightings.size());
   {
     py::gil_scoped_release release;
     found = follow(sightings, {t, t + count}, parameters, threads);
+    if (parameters.window > 0)
+      seen_moving = moving_cubes(sightings, {t, t + count}, found, threads);
   }
   py::list result;
-  for (auto& [rows, boxes] : found) {
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    auto& [rows, boxes] = found[i];
     const auto objects = static_cast<py::ssize_t>(rows.size());
     std::vector<float> corners;
     for (const Extent& box : boxes)
       for (const auto* corner : {&box.low, &box.high})
         corners.insert(corners.end(), corner->data(), corner->data() + 3);
-    const auto ways = static_cast<py::ssize_t>(boxes.size());
+    const auto ways = static_cast<py::ssize_t>(boxes.size()),
+               cubes = static_cast<py::ssize_t>(seen_moving[i].size());
     result.append(py::make_tuple(to_numpy(std::move(rows), {objects}),
-                                 to_numpy(std::move(corners), {ways, 6})));
+                                 to_numpy(std::move(corners), {ways, 6}),
+                                 to_numpy(std::move(seen_moving[i]), {cubes})));
   }
   return result;
 }
@@ -267,8 +275,8 @@ void bind_dynamics(py::module_& m) {
   m.def("add_loose_points", &with_loose, py::arg("points"), py::arg("ground"), py::arg("first"),
         py::arg("statics"), py::arg("dynamics"), py::arg("moving"), py::arg("parameters"));
   m.def("add_points_inside", &with_inside, py::arg("points"), py::arg("ground"), py::arg("statics"),
-        py::arg("dynamics"), py::arg("T_world_lidar"), py::arg("boxes"), py::arg("moving"),
-        py::arg("parameters"));
+        py::arg("dynamics"), py::arg("T_world_lidar"), py::arg("boxes"), py::arg("cubes"),
+        py::arg("moving"), py::arg("parameters"));
   py::class_<Sighting>(m, "Sighting")
       .def(py::init(&make_sighting), py::arg("points"), py::arg("ground"), py::arg("first"),
            py::arg("moving"), py::arg("T_world_lidar"))

@@ -84,7 +84,7 @@ def add_carried(
     moving, ground = classid >= 100, classid < 50
     moving[_carried_points(objects, found.objects, static, dynamic, moving, parameters)] = True
     inside = _core.add_points_inside(
-        points, ground, static, dynamic, T_world_lidar, found.boxes, moving, p
+        points, ground, static, dynamic, T_world_lidar, found.boxes, found.cubes, moving, p
     ).view(np.bool_)
     all_moving = _core.add_loose_points(points, ground, objects, static, dynamic, inside, p)
     return np.where(all_moving, np.uint16(100), classid)
@@ -120,13 +120,17 @@ class Followed(NamedTuple):
     boxes : ndarray of float32, shape (K, 6)
         Low and high corners, in the world of the sightings, of where something is on its way:
         points off the ground there are of it, unless votes call them clearly static.
+    cubes : ndarray of uint64
+        Numbers of the cubes in which sweeps near in time saw next to nothing but what moves; the
+        same holds there.
     """
 
     objects: NDArray[np.uint32]
     boxes: NDArray[np.float32]
+    cubes: NDArray[np.uint64] = np.zeros(0, np.uint64)
 
     def __bool__(self) -> bool:
-        return len(self.objects) > 0 or len(self.boxes) > 0
+        return any(len(found) > 0 for found in self)
 
 
 class Sighting:
@@ -201,7 +205,8 @@ def follow(
     key frame looked. What is carried along must have been free while the object was elsewhere, or
     else it is another thing: a parked car that was passed, a pole, a wall. Between its sightings
     an object is where its way leads, though its points may be too few, too scattered or too little
-    seen by key frames to be found without knowing it.
+    seen by key frames to be found without knowing it. So are points that lie where the sweeps near in
+    time saw next to nothing but what moves.
 
     Parameters
     ----------

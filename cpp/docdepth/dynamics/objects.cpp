@@ -5,6 +5,7 @@
 #include <numeric>
 #include <unordered_map>
 
+#include "docdepth/dynamics/moving_cubes.hpp"
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/geometry/spherical.hpp"
 
@@ -296,13 +297,16 @@ void add_loose_points(const Points& points, const bool* ground, const std::uint3
 
 void add_points_inside(const Points& points, const bool* ground, const std::uint16_t* statics,
                        const std::uint16_t* dynamics, const Pose& T_world_lidar,
-                       const std::vector<Extent>& boxes, const ObjectParameters& p, Flags& moving) {
+                       const std::vector<Extent>& boxes, const std::vector<std::uint64_t>& cubes,
+                       const ObjectParameters& p, Flags& moving) {
   const RigidTransform T(T_world_lidar);
-  for (std::size_t i = 0; i < moving.size() && !boxes.empty(); ++i) {
+  for (std::size_t i = 0; i < moving.size(); ++i) {
     if (moving[i] || ground[i] || statics[i] > dynamics[i] + p.loose_votes) continue;
     const Eigen::Vector3f at = T * Eigen::Vector3f(points(i, 0), points(i, 1), points(i, 2));
-    moving[i] = std::any_of(boxes.begin(), boxes.end(),
-                            [&](const Extent& box) { return box.overlaps({at, at}, kAroundWay); });
+    moving[i] =
+        std::any_of(boxes.begin(), boxes.end(),
+                    [&](const Extent& box) { return box.overlaps({at, at}, kAroundWay); }) ||
+        std::binary_search(cubes.begin(), cubes.end(), cube_of(at));
   }
 }
 

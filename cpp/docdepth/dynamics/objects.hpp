@@ -59,13 +59,14 @@ void add_loose_points(const Points& points, const bool* ground, const std::uint3
                       const std::uint16_t* statics, const std::uint16_t* dynamics,
                       const ObjectParameters& parameters, std::vector<std::uint8_t>& moving);
 
-/// Points off the ground inside one of the boxes, where something is on its way: unless many more
-/// votes are static than dynamic, they move, too.
+/// Points off the ground inside one of the boxes, where something is on its way, or of the cubes,
+/// where sweeps near in time saw what moves: unless many more votes are static than dynamic, they
+/// move, too.
 ///
-/// @param boxes  in the world of T_world_lidar
+/// @param boxes, cubes  in the world of T_world_lidar; cubes as `moving_cubes` gives them
 void add_points_inside(const Points& points, const bool* ground, const std::uint16_t* statics,
                        const std::uint16_t* dynamics, const Pose& T_world_lidar,
-                       const std::vector<Extent>& boxes, const ObjectParameters& parameters,
-                       std::vector<std::uint8_t>& moving);
+                       const std::vector<Extent>& boxes, const std::vector<std::uint64_t>& cubes,
+                       const ObjectParameters& parameters, std::vector<std::uint8_t>& moving);
 
 }  // namespace docdepth
