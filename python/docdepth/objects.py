@@ -121,7 +121,7 @@ class Followed(NamedTuple):
         Low and high corners, in the world of the sightings, of where something is on its way:
         points off the ground there are of it, unless votes call them clearly static.
     cubes : ndarray of uint64
-        Numbers of the cubes in which sweeps near in time saw next to nothing but what moves; the
+        Numbers of the cubes in which sweeps near in time saw little but what moves; the
         same holds there.
     """
 
@@ -205,8 +205,8 @@ def follow(
     key frame looked. What is carried along must have been free while the object was elsewhere, or
     else it is another thing: a parked car that was passed, a pole, a wall. Between its sightings
     an object is where its way leads, though its points may be too few, too scattered or too little
-    seen by key frames to be found without knowing it. So are points that lie where the sweeps near in
-    time saw next to nothing but what moves.
+    seen by key frames to be found without knowing it. So may points be that lie where the sweeps
+    near in time saw little but what moves.
 
     Parameters
     ----------
