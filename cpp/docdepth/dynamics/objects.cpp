@@ -225,14 +225,17 @@ std::vector<std::uint32_t> connect_objects(const Points& points, const bool* gro
   Sets sets(points.rows());
   const auto off_ground = [&](std::uint32_t i) { return !ground[i]; };
   join_corners(points, surface, false, p.link, p.link_growth, off_ground, sets);
-  const auto whole = sets.first();
-  std::vector<std::uint32_t> size(whole.size());
-  for (const auto first : whole) ++size[first];
-  const auto in_pieces = [&](std::uint32_t i) {
-    return !ground[i] && size[whole[i]] < kFewestPoints;
-  };
+  auto first = sets.first();
+  std::vector<std::uint32_t> size(first.size());
+  for (const auto f : first) ++size[f];
+  Flags piece(first.size());
+  for (std::uint32_t i = 0; i < piece.size(); ++i)
+    piece[i] = !ground[i] && size[first[i]] < kFewestPoints;
+  const auto in_pieces = [&](std::uint32_t i) { return piece[i] != 0; };
   join_corners(points, surface, true, p.link, kPieces, in_pieces, sets);
-  return sets.first();
+  for (std::uint32_t i = 0; i < piece.size(); ++i)
+    if (piece[i]) first[i] = sets.find(i);
+  return first;
 }
 
 std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground,
