@@ -179,7 +179,7 @@ class DynamicsParameters(VotingParameters):
         " (`freed_ratio` static votes, no dynamic one), above which it is another thing",
     )
     track_window: float = Field(
-        0.5,
+        0.3,
         ge=0,
         description="sightings that near tell the box in which points move; 0: none [s]",
     )
