@@ -141,7 +141,11 @@ class View(NamedTuple):
     def _way(self) -> NDArray[np.float32] | None:
         if self.lasers is None or self.lasers.way is None:
             return None
-        return self.lasers.way @ self.T_lidar_sensor[:3, :3].astype(np.float32)
+        R = self.T_lidar_sensor[:3, :3].astype(np.float32)
+        if np.array_equal(R, np.eye(3)):
+            return self.lasers.way
+        # Not by BLAS, which would keep every core busy, waiting for the next product.
+        return np.einsum("ij,jk->ik", self.lasers.way, R)
 
 
 def views(points: NDArray[np.float32], sensors: Sensors | None) -> Iterator[View]:
