@@ -19,16 +19,13 @@ constexpr float kEdge = 0.05f;  ///< bend of nearness, linear on every plane, as
 /// A ray that passed within a centimetre, or many farther off, decide: no more are asked.
 constexpr float kSure = 1000.0f;
 
-/// Beside an edge a surface goes on where one ray met it within 6 cm, blur included 8, or many
+/// Beside an edge a surface goes on where one ray met it within 5 cm, blur included 7, or many
 /// farther off; what none met within 25 is left out.
-constexpr float kGoesOn = 150.0f, kLeftOut = 15.0f;
+constexpr float kGoesOn = 200.0f, kLeftOut = 15.0f;
 
-/// Rays that passed within a decimetre tell enough of what lies at an edge.
-constexpr float kPassed = 100.0f;
-
-/// What a mover has beyond its trusted surface is drawn where one ray met it within 7 cm, blur
-/// included, farther off within so much of its depth and 2 cm, or many farther off.
-constexpr float kMet = 0.07f, kMetOfDepth = 0.0025f;
+/// What a mover has beyond its trusted surface is drawn where one ray met it within a decimetre,
+/// blur included, or many farther off.
+constexpr float kMet = 100.0f;
 
 static_assert(kLanes == Candidates::kTile, "a row of a tile is one vector");
 
@@ -221,7 +218,7 @@ void move_edges(const Columns& columns, const std::vector<Tile>& tiles, const Qu
       told[at(edge)] = 0;
     else if (std::isinf(told[at(edge)]))
       asked.push_back(edge);
-  std::vector<float> balance = questions.ask(asked, 0, kPassed);
+  std::vector<float> balance = questions.ask(asked, 0, kMet);
   for (std::size_t i = 0; i < asked.size(); ++i) told[at(asked[i])] = balance[i];
 
   asked.clear();
@@ -239,7 +236,7 @@ void move_edges(const Columns& columns, const std::vector<Tile>& tiles, const Qu
     if (nearest > edge.offers[0] * (1 + kSame) && told[at(edge)] < kSure)
       asked.push_back({u, v, {nearest}});
   }
-  balance = questions.ask(asked, 0, kPassed);
+  balance = questions.ask(asked, 0, kMet);
   for (std::size_t i = 0; i < asked.size(); ++i)
     if (balance[i] > std::max(kGoesOn, told[at(asked[i])]))
       nearness[at(asked[i])] = asked[i].offers[0], told[at(asked[i])] = balance[i];
@@ -322,11 +319,9 @@ void add_mover(const Columns& columns, const Camera& camera, const std::vector<f
     }
   const auto balance = Questions(columns, camera, rays).ask(contests, 0);
   for (std::size_t i = 0; i < contests.size(); ++i) {
-    const Contest& c = contests[i];
-    float& here = nearness[columns.at(c.u, c.v)];
-    const float within = std::max(kMet, kMetOfDepth / c.offers[0] + kBlur);
-    if (balance[i] * within * within > 1)
-      here = c.offers[0];
+    float& here = nearness[columns.at(contests[i].u, contests[i].v)];
+    if (balance[i] > kMet)
+      here = contests[i].offers[0];
     else if (balance[i] > -kSure)
       here = 0;
   }

@@ -10,7 +10,7 @@ using Vector = Eigen::Vector3f;
 
 /// What moves goes on this share of the way to the next return, past the middle: rays of other
 /// sweeps tell where it ends.
-constexpr float kWay = 0.63f;
+constexpr float kWay = 0.6f;
 
 /// Splits triangles between one corner and the other two.
 class Splitter {
