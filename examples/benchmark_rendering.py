@@ -45,9 +45,11 @@ class Scene:
             record = self.run.frame(k)
             xyz, classid = record.points[::thin].copy(), record.classid[::thin].copy()
             start = time.perf_counter()
-            sensors = self.run.sensors(record)
+            sensors, late = self.run.sensors(record), record.late
             sensors = None if sensors is None else sensors.of(slice(None, None, thin))
-            frames[k] = Frame(xyz, classid, p, sensors=sensors)
+            late = None if late is None else late[::thin]
+            velocity = self.trajectory.velocity(k)
+            frames[k] = Frame(xyz, classid, p, late=late, sensors=sensors, velocity=velocity)
             if thin == 1:
                 self.seconds_a_frame[preset].append(time.perf_counter() - start)
             points += len(xyz)

@@ -50,7 +50,6 @@ from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline import run_odometry
 from docdepth.render import Frame, needed_frames, render
-from docdepth.sensors import Sensors
 from docdepth.sweep import Trial, read_trials, sweep
 from docdepth.synthetic import Drive, scene, sensor, sensors, write_drive
 from docdepth.trajectory import Trajectory, inverse
@@ -182,12 +181,9 @@ class Recording:
         assert labels is not None
         classid = np.where(np.isin(labels & 0xFFFF, GROUND_LABELS), GROUND, STATIC)
         classid[moving(labels)] = DYNAMIC
-        late = self._late(sweep.points)
-        sensors = sweep.sensors
-        if late is not None:
-            sensors = sensors or Sensors.at(np.zeros(3), len(late))
-            sensors = sensors.driving(self.trajectory.velocity(index), late)
-        return Frame(sweep.points, classid.astype(np.uint16), p, surface, late, sensors)
+        late, velocity = self._late(sweep.points), self.trajectory.velocity(index)
+        seen_by = sweep.sensors
+        return Frame(sweep.points, classid.astype(np.uint16), p, surface, late, seen_by, velocity)
 
     def _late(self, points: NDArray[np.float32]) -> NDArray[np.float32] | None:
         """Seconds after the stamp at which each was measured; None for a sensor that does not spin.

@@ -14,11 +14,12 @@ from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry, run_render
+from docdepth.render import Camera, Frame, render
 from docdepth.sensors import Sensors, views
 from docdepth.surface import Surface
 from docdepth.synthetic import scene, sensor, write_drive
 from docdepth.synthetic.drive import Drive
-from docdepth.trajectory import rotation_exp
+from docdepth.trajectory import Trajectory, rotation_exp
 
 HIGH, LOW = 1.73, 0.5  # metres above the ground
 FRAMES = 8
@@ -69,6 +70,22 @@ def test_a_driving_lidar_keeps_neighbours_and_looks_from_where_it_was():
 
     assert mixed(still.driving((20, 0, 0), late)) == 2 * (9 + 9 - 2)  # at its two ends
     assert mixed(still) > 500
+    with pytest.raises(InputError, match=r"way \(3, 3\)"):
+        still.driving((20, 0, 0), late[:3])
+    # A frame that is told both begins there, too.
+    classid, p = np.full(len(points), 50, np.uint16), parameters("default").render
+    told = Frame(points, classid, p, late=late, velocity=(20, 0, 0))
+    camera = Camera(np.array([[200.0, 0, 160], [0, 200, 60], [0, 0, 1]]), 320, 120)
+    trajectory = Trajectory(np.array([0, 1]), np.repeat(np.eye(4)[None], 2, axis=0))
+    right = np.eye(4)  # looks to the right, where the panel is
+    right[:3, :3] = [[-1, 0, 0], [0, 0, -1], [0, -1, 0]]
+    drawn = [
+        render(camera, right, trajectory, 0, lambda _, frame=frame: frame, p)
+        for frame in (told, Frame(points, classid, p, sensors=still.driving((20, 0, 0), late)),
+                      Frame(points, classid, p))
+    ]  # fmt: skip
+    np.testing.assert_array_equal(drawn[0], drawn[1])
+    assert (drawn[0] != drawn[2])[np.isfinite(drawn[0])].any()
 
 
 def test_lasers_of_one_head_see_from_beside_its_axis():

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from docdepth import _core
 from docdepth.backends import Renderer
@@ -79,6 +79,9 @@ class Frame:
     sensors : Sensors, optional
         Where the sweep was measured from, if not from the origin. Each of several LiDARs has a
         surface and lines of sight of its own.
+    velocity : array_like of float64, shape (3,), optional
+        Of the LiDAR in its own frame, metres a second (:meth:`Trajectory.velocity`). With ``late``
+        known, lines of sight begin where it had come to when it measured each point.
 
     Raises
     ------
@@ -94,6 +97,7 @@ class Frame:
         surface_parameters: SurfaceParameters | None = None,
         late: NDArray[np.float32] | None = None,
         sensors: Sensors | None = None,
+        velocity: ArrayLike | None = None,
     ) -> None:
         points, classid = np.asarray(points), np.asarray(classid)
         if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
@@ -118,6 +122,8 @@ class Frame:
         with np.errstate(invalid="ignore", over="ignore"):
             drawn = np.einsum("ij,ij->i", points, points, dtype=np.float64) < p.crop**2
         points, classid = points.compress(drawn, axis=0), classid[drawn]
+        if late is not None and velocity is not None:
+            sensors = (sensors or Sensors.at((0, 0, 0), len(late))).driving(velocity, late)
         late = None if late is None else late[drawn].astype(np.float32)
         sensors = None if sensors is None else sensors.of(drawn)
         seen = Surface(points, surface_parameters, sensors)

@@ -68,6 +68,8 @@ class Sensors:
                 f"aside {aside.shape} and head {head.shape} must have shape ({len(T)},), "
                 "a value a pose"
             )
+        if self.way is not None and self.way.shape != (len(index), 3):
+            raise InputError(f"way {self.way.shape} must have shape ({len(index)}, 3), one a point")
         object.__setattr__(self, "index", index.astype(np.uint8, copy=False))
         object.__setattr__(self, "T_lidar_sensor", T)
         object.__setattr__(self, "aside", aside)

@@ -25,8 +25,8 @@ class Surface:
 
     Two returns are neighbours when the Delaunay triangulation of azimuth and elevation says so
     (counted in 65536ths of a turn; it closes at +-180 degrees), as seen from where the LiDAR had
-    come to when it measured each. The result depends on the points
-    alone, not on threads or machine. Make it once a sweep: key frames and objects take it.
+    come to when it measured each. The result depends on the points alone, not on threads or
+    machine. Make it once a sweep: key frames and objects take it.
 
     Parameters
     ----------

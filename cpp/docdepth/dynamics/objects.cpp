@@ -122,8 +122,7 @@ struct Object {
 constexpr std::uint32_t kFewestPoints = 5;  ///< of what is an object
 constexpr float kPieces = 0.03f;            ///< `link_growth` of what is in pieces
 constexpr float kWidest = 25;               ///< of what moves, from above [m]
-constexpr float kAround = 0.2f;             ///< an extent's [m]
-constexpr float kAroundWay = 0.2f;          ///< a box on its way [m]
+constexpr float kAround = 0.2f;             ///< an extent, and a box on its way [m]
 
 /// Finds whether a marked point lies near, by cells of that size.
 class Neighborhood {
@@ -306,10 +305,9 @@ void add_points_inside(const Points& points, const bool* ground, const std::uint
   for (std::size_t i = 0; i < moving.size(); ++i) {
     if (moving[i] || ground[i] || statics[i] > dynamics[i] + p.loose_votes) continue;
     const Eigen::Vector3f at = T * Eigen::Vector3f(points(i, 0), points(i, 1), points(i, 2));
-    moving[i] =
-        std::any_of(boxes.begin(), boxes.end(),
-                    [&](const Extent& box) { return box.overlaps({at, at}, kAroundWay); }) ||
-        std::binary_search(cubes.begin(), cubes.end(), cube_of(at));
+    moving[i] = std::any_of(boxes.begin(), boxes.end(),
+                            [&](const Extent& box) { return box.overlaps({at, at}, kAround); }) ||
+                std::binary_search(cubes.begin(), cubes.end(), cube_of(at));
   }
 }
 

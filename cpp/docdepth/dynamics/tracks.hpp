@@ -15,7 +15,7 @@ struct TrackParameters {
   float max_speed = 40.0f;  ///< [m/s]
   float gap = 1.0f;         ///< unseen for longer it is lost [s]
   float hold = 5.0f;        ///< where it stands, only after that time [s]
-  float window = 0.5f;      ///< sightings so near in time tell how far it reaches [s]
+  float window = 0.3f;      ///< sightings so near in time tell how far it reaches [s]
 };
 
 /// What following finds in a sweep.

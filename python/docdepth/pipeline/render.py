@@ -26,7 +26,6 @@ from docdepth.layers import check_layers
 from docdepth.layers import layers as layers_of
 from docdepth.pipeline.stage import Progress, Stopwatch, finish_stage, stage_is_done, teller
 from docdepth.report import write_index
-from docdepth.sensors import Sensors
 from docdepth.trajectory import Trajectory
 
 _FOLDERS = ("depth", "report", "layers")
@@ -263,12 +262,15 @@ def load_frame(
     with watch("read"):
         record, classid = run.classified_frame(index)
     with watch("frames"):
-        points, late, sensors = record.points, record.late, run.sensors(record)
-        if late is not None:
-            sensors = sensors or Sensors.at(np.zeros(3), len(points))
-            sensors = sensors.driving(trajectory.velocity(index), late)
-        drawing = parameters.render, parameters.surface
-        return render.Frame(points, classid, *drawing, late, sensors)
+        return render.Frame(
+            record.points,
+            classid,
+            parameters.render,
+            parameters.surface,
+            record.late,
+            run.sensors(record),
+            trajectory.velocity(index),
+        )
 
 
 def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:
