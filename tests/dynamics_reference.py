@@ -64,7 +64,7 @@ def reference_vote(points, ground, T_query, key_sweeps, key_grounds, key_poses, 
         if p.against == "pixels":
             outcome = ask_pixels(moved, sweep, sweep_ground, p)
         else:
-            outcome = ask_surface(moved, ground, sweep, p)
+            outcome = ask_surface(moved, ground, sweep, sweep_ground, p)
         static += (outcome == "static") & voted_on
         dynamic += (outcome == "dynamic") & voted_on
     return static, dynamic
@@ -94,7 +94,7 @@ def ask_pixels(query, sweep, sweep_ground, p):
     return outcome
 
 
-def ask_surface(query, query_ground, sweep, p):
+def ask_surface(query, query_ground, sweep, sweep_ground, p):
     columns = round(360 / p.resolution_deg)
     half = p.window // 2
     surface = Surface(sweep)
@@ -122,7 +122,8 @@ def ask_surface(query, query_ground, sweep, p):
         distance = f(1) / np.sqrt((a * a + b * b) + c * c)
         before = f(1) - depth
         level = plane & (np.abs(c) * distance > f(np.cos(np.radians(p.level_lean_deg))))
-        level_across = np.where(query_ground, f(p.ground_across), f(p.level_across))
+        of_ground = query_ground | sweep_ground[surface.triangles].all(axis=1)[seen]
+        level_across = np.where(of_ground, f(p.ground_across), f(p.level_across))
         across = np.where(level, level_across, f(p.across))
         along = np.where(level, f(p.level_along), f(p.along) + f(p.along_growth) * rho)
         on_plane = (np.abs(before) * distance < across) | (rho * np.abs(before) < along * depth)
@@ -189,14 +190,14 @@ def triangle_image(sweep, surface, columns):
 
 
 def nearest_corner(sweep, surface, columns, triangle, row, column):
-    """Angle from the centre of a pixel to its triangle's nearest corner, in steps of 1/16 pixel."""
+    """Angle from the centre of a pixel to its triangle's nearest corner, in steps of 1/8 pixel."""
     turn = 65536
     azimuth, elevation = (angle[surface.triangles[triangle]] for angle in directions(sweep))
     x = (turn // 2 - azimuth) * columns - (column * turn + turn // 2)[:, None]
     y = (turn // 4 - elevation) * columns - (row * turn + turn // 2)[:, None]
     x = (x + turn * columns // 2) % (turn * columns) - turn * columns // 2
-    steps = np.floor(np.sqrt((x * x + y * y).min(axis=1)) / (turn / 16))
-    return np.float32(2 * np.pi / columns / 16) * np.minimum(steps, 127).astype(np.float32)
+    steps = np.floor(np.sqrt((x * x + y * y).min(axis=1)) / (turn / 8))
+    return np.float32(2 * np.pi / columns / 8) * np.minimum(steps, 63).astype(np.float32)
 
 
 def directions(points):

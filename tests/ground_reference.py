@@ -22,15 +22,21 @@ def centroids(world, size):
     return cells, sums / np.bincount(voxel.ravel())[:, None], voxel.ravel()
 
 
-def seed(points, position, radius, quantile):
+def lowest(points, position, radius, quantile):
+    """Of the points around a position that with this share of the others below it, if any."""
     x, y, z = points.T
     dx, dy = x - position[0], y - position[1]
-    while True:
-        inside = np.flatnonzero(dx * dx + dy * dy <= radius * radius)
-        if len(inside):
-            upwards = np.lexsort((y[inside], x[inside], z[inside]))
-            return inside[upwards[int(quantile * (len(inside) - 1))]]
+    inside = np.flatnonzero(dx * dx + dy * dy <= radius * radius)
+    if not len(inside):
+        return None
+    upwards = np.lexsort((y[inside], x[inside], z[inside]))
+    return inside[upwards[int(quantile * (len(inside) - 1))]]
+
+
+def seed(points, position, radius, quantile):
+    while (found := lowest(points, position, radius, quantile)) is None:
         radius *= 2
+    return found
 
 
 def neighbours(points, tree, front, k):
@@ -42,10 +48,10 @@ def neighbours(points, tree, front, k):
     return np.take_along_axis(near, np.lexsort((z, y, x, squared), axis=1)[:, :k], axis=1)
 
 
-def grow(points, seeds, k, plane_distance, max_slope_deg):
-    """Which points the front reaches."""
+def grow(points, seeds, k, plane_distance, max_slope_deg, ground=None):
+    """Which points the front reaches, beside those that are ground already."""
     tree = cKDTree(points)
-    ground = np.zeros(len(points), dtype=bool)
+    ground = np.zeros(len(points), dtype=bool) if ground is None else ground.copy()
     front = np.unique(seeds)
     ground[front] = True
     first = True
@@ -65,6 +71,24 @@ def grow(points, seeds, k, plane_distance, max_slope_deg):
     return ground
 
 
+def behind_steps(points, ground, p):
+    """Low places of cells of a metre without ground, no more than a step from a cell beside it."""
+    cells = np.floor(points[:, :2]).astype(int)
+    found, cell, count = np.unique(cells[ground], axis=0, return_inverse=True, return_counts=True)
+    height = np.bincount(cell.ravel(), points[ground, 2]) / count
+    heights = {tuple(c): h for c, h, n in zip(found, height, count, strict=True)
+               if n >= p.neighbors}  # fmt: skip
+    seeds = set()
+    for (x, y), h in heights.items():
+        for beside in ((x + i, y + j) for i in (-1, 0, 1) for j in (-1, 0, 1)):
+            low = lowest(points, np.add(beside, 0.5), 0.5, p.seed_quantile)
+            if beside in heights or low is None or ground[low]:
+                continue
+            if abs(points[low, 2] - h) <= p.step_height:
+                seeds.add(low)
+    return sorted(seeds)
+
+
 def label_sweeps(sweeps, poses, p):
     """Ground labels of every sweep, and how many voxels are ground."""
     origin = poses[0][:3, 3]
@@ -77,5 +101,7 @@ def label_sweeps(sweeps, poses, p):
         if ground.sum() >= p.least_share * len(points) or radius >= 16:
             break
         radius *= 2
+    while p.step_height and (seeds := behind_steps(points, ground, p)):
+        ground = grow(points, seeds, p.neighbors, p.plane_distance, p.max_slope_deg, ground)
     ends = np.cumsum([len(s) for s in sweeps])[:-1]
     return np.split(ground[voxel], ends), int(ground.sum())

@@ -181,6 +181,19 @@ def test_feet_called_ground_move_with_what_stands_on_them(yard):
             assert (label.classid[w == 0] == 0).all()
 
 
+def test_feet_above_what_is_called_ground_move_with_what_stands_on_them(yard):
+    """They are not called ground, but what key frames saw below them was."""
+    trajectory, sweeps, what = yard
+    feet = [(w == 2) & (sweep[:, 2] + 1.7 < 0.08) for sweep, w in zip(sweeps, what, strict=True)]
+    assert sum(f.sum() for f in feet) > 400
+    for known in (True, False):
+        ground = [known & (w == 0) for w in what]
+        labels = classify_drive(sweeps, trajectory, DEFAULT, ground=ground)
+        for label, f, w in zip(labels, feet, what, strict=True):
+            assert ((label.classid[f] == 100) == known).all()
+            assert (label.classid[w == 0] != 100).all()
+
+
 def test_moving_box_is_dynamic_and_the_yard_static_to_the_letter(yard):
     trajectory, sweeps, what = yard
     labels = classify_drive(sweeps, trajectory, PAPER, ground=[w == 0 for w in what])

@@ -90,7 +90,15 @@ def test_equal_distances_are_settled_alike():
         assert_equals_reference([lattice.astype(np.float32)], pose(z=1.0)[None], q)
 
 
-OTHERS = [{"neighbors": 8}, {"max_slope_deg": 4.0}, {"seed_radius": 0.2}, {"seed_quantile": 0.3}]
+STEP = {"step_height": 0.25, "seed_quantile": 0.1}
+OTHERS = [
+    {"neighbors": 8},
+    {"max_slope_deg": 4.0},
+    {"seed_radius": 0.2},
+    {"seed_quantile": 0.3},
+    STEP,
+    STEP | {"neighbors": 8},
+]
 
 
 @pytest.mark.parametrize("update", OTHERS)
@@ -99,9 +107,10 @@ def test_labels_equal_plain_growing_at_other_parameters(update):
     assert_equals_reference(sweeps, poses, COARSE.model_copy(update=update))
 
 
-def test_labels_equal_plain_growing_on_real_sweeps(drive_0005):
+@pytest.mark.parametrize("update", [{}, STEP])
+def test_labels_equal_plain_growing_on_real_sweeps(drive_0005, update):
     sweeps, poses = real_sweeps(drive_0005, range(40, 52, 4), stride=3, reach=25.0)
-    p = PAPER.model_copy(update={"voxel_size": 0.1})
+    p = PAPER.model_copy(update={"voxel_size": 0.1} | update)
     assert 0.1 < assert_equals_reference(sweeps, poses, p).mean() < 0.9
 
 
@@ -121,6 +130,23 @@ def test_road_is_ground_and_the_rest_is_not():
         assert ground[road].mean() > 0.99
         assert not ground[z > 1.5].any()
         assert not ground[(y > 5.5) & (z > 0.4) & (x < 4)].any()
+
+
+@pytest.mark.parametrize(("height", "climbed"), [(0.0, False), (0.1, False), (0.25, True)])
+def test_ground_goes_on_behind_a_kerb_that_is_no_higher_than_a_step(height, climbed):
+    """A road, a pavement 15 cm higher, and behind it a wall 50 cm high with a lawn on top."""
+    x, y = (c.ravel() for c in np.meshgrid(np.arange(-8, 8, 0.08), np.arange(-4, 8, 0.08)))
+    z = np.where(y > 5, 0.65, np.where(y > 2, 0.15, 0.0))
+    up = np.arange(0.01, 0.65, 0.05)
+    kerb, wall = (np.stack(np.meshgrid(x[:200], [at], h), -1) for at, h in ((2, up[:3]), (5, up)))
+    faces = np.concatenate([kerb.reshape(-1, 3), wall.reshape(-1, 3)])
+    points = np.concatenate([np.column_stack([x, y, z]), faces]) - (0, 0, 1.7)
+    p = GroundParameters(step_height=height)
+    (ground,) = grow_ground([points.astype(np.float32)], np.eye(4)[None], p)
+    plane = ground[: len(x)]
+    assert plane[y < 1.9].all()
+    assert plane[(y > 2.2) & (y < 4.8)].mean() == climbed
+    assert not plane[y > 5.2].any()
 
 
 def test_world_origin_does_not_matter():

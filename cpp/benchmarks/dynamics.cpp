@@ -74,8 +74,8 @@ void vote_on_surfaces(const Sweep& query) {
     if (k == 0) continue;
     const Sweep sweep = scan(2.0 * k);
     builds.push_back(seconds([&] {
-      owned.push_back(std::make_unique<SurfaceImage>(sweep.points, build_surface(sweep.points, {}),
-                                                     SurfaceImageParameters{}));
+      owned.push_back(std::make_unique<SurfaceImage>(
+          sweep.points, sweep.flags(), build_surface(sweep.points, {}), SurfaceImageParameters{}));
     }));
     frames.push_back(owned.back().get());
     poses.push_back(sweep.pose);

@@ -32,12 +32,14 @@ void check_surface(const Surface& surface, Eigen::Index rows) {
     throw std::invalid_argument("the surface was made of another number of points");
 }
 
-std::unique_ptr<SurfaceImage> make_surface_image(const Array<float>& points, const Surface& surface,
+std::unique_ptr<SurfaceImage> make_surface_image(const Array<float>& points,
+                                                 const Array<bool>& ground, const Surface& surface,
                                                  const SurfaceImageParameters& parameters) {
   const PointMap map = as_points(points);
+  const bool* flags = as_column(ground, map.rows(), "ground");
   check_surface(surface, map.rows());
   py::gil_scoped_release release;
-  return std::make_unique<SurfaceImage>(map, surface, parameters);
+  return std::make_unique<SurfaceImage>(map, flags, surface, parameters);
 }
 
 py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
@@ -293,7 +295,7 @@ void bind_dynamics(py::module_& m) {
   m.def("follow", &follow_all, py::arg("sightings"), py::arg("times"), py::arg("parameters"),
         py::arg("threads") = 0);
   py::class_<SurfaceImage, KeyFrame>(m, "SurfaceImage")
-      .def(py::init(&make_surface_image), py::arg("points"), py::arg("surface"),
+      .def(py::init(&make_surface_image), py::arg("points"), py::arg("ground"), py::arg("surface"),
            py::arg("parameters"));
   m.def("vote", &vote_on, py::arg("points"), py::arg("ground"), py::arg("T_world_lidar"),
         py::arg("key_frames"), py::arg("poses"), py::arg("threads") = 0);

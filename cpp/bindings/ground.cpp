@@ -11,6 +11,7 @@ void bind_ground(py::module_& m) {
       .def_readwrite("seed_radius", &GroundParameters::seed_radius)
       .def_readwrite("seed_quantile", &GroundParameters::seed_quantile)
       .def_readwrite("least_share", &GroundParameters::least_share)
+      .def_readwrite("step_height", &GroundParameters::step_height)
       .def_readwrite("neighbors", &GroundParameters::neighbors)
       .def_readwrite("plane_distance", &GroundParameters::plane_distance)
       .def_readwrite("max_slope", &GroundParameters::max_slope);

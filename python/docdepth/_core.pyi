@@ -48,6 +48,12 @@ class GroundParameters:
     def seed_radius(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
+    def step_height(self) -> float:
+        ...
+    @step_height.setter
+    def step_height(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
     def voxel_size(self) -> float:
         ...
     @voxel_size.setter
@@ -294,7 +300,7 @@ class TrackParameters:
     def window(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
 class SurfaceImage(KeyFrame):
-    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], surface: Surface, parameters: SurfaceImageParameters) -> None:
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], surface: Surface, parameters: SurfaceImageParameters) -> None:
         ...
 class Frame:
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], classid: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], crop: typing.SupportsFloat | typing.SupportsIndex) -> None:

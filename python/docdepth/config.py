@@ -55,6 +55,9 @@ class GroundParameters(_Stage):
         le=1,
         description="with less ground than this seeds are sought twice as far away, to 16 m [-]",
     )
+    step_height: float = Field(
+        0.25, ge=0, description="ground goes on behind kerbs up to this high; 0: it does not [m]"
+    )
     neighbors: int = Field(30, ge=3, le=200, description="neighbours of a front point, k_nn")
     plane_distance: float = Field(0.04, gt=0, description="distance to the plane, delta [m]")
     max_slope_deg: float = Field(15.0, gt=0, lt=90, description="lean of a normal, alpha [deg]")
@@ -104,7 +107,7 @@ class VotingParameters(_Stage):
     level_across: float = Field(0.08, gt=0, description="`across` of planes that lie flat [m]")
     level_along: float = Field(0.1, gt=0, description="`along` of planes that lie flat [m]")
     ground_across: float = Field(
-        0.03, gt=0, description="`across` of these for points that are called ground [m]"
+        0.03, gt=0, description="`across` of these if the point or plane is called ground [m]"
     )
     level_lean_deg: float = Field(
         25.0, ge=0, lt=90, description="a plane leaning no more lies flat, as ground does [deg]"
@@ -265,7 +268,7 @@ _STAGES: dict[str, type[_Stage]] = {
 
 # Where the paper's text differs from what measured best, a stage at a time.
 _PAPER: dict[str, dict[str, Any]] = {
-    "ground": {"chunk_overlap": 0, "seed_quantile": 0, "least_share": 0},
+    "ground": {"chunk_overlap": 0, "seed_quantile": 0, "least_share": 0, "step_height": 0},
     "dynamics": {
         "against": "pixels",
         "coarse_spacing": 10,

@@ -148,7 +148,9 @@ class KeyFrame:
             ]
         else:
             parts = (surface or Surface(points, None, sensors)).parts
-            self._views = [(_surface_image(part, p), part.view.T_lidar_sensor) for part in parts]
+            self._views = [
+                (_surface_image(part, ground, p), part.view.T_lidar_sensor) for part in parts
+            ]
 
 
 def vote(
@@ -404,7 +406,9 @@ def _range_image(
     return _core.RangeImage(points, ground, np.radians(p.resolution_deg), p.window, p.tolerance)
 
 
-def _surface_image(part: SurfacePart, p: DynamicsParameters) -> _core.KeyFrame:
+def _surface_image(
+    part: SurfacePart, ground: NDArray[np.bool_], p: DynamicsParameters
+) -> _core.KeyFrame:
     image = _core.SurfaceImageParameters()
     image.resolution = float(np.radians(p.resolution_deg))
     image.window, image.tolerance = p.window, p.tolerance
@@ -413,4 +417,4 @@ def _surface_image(part: SurfacePart, p: DynamicsParameters) -> _core.KeyFrame:
     image.ground_across = p.ground_across
     image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
     image.beam = p.beam
-    return _core.SurfaceImage(part.view.points, part.core, image)
+    return _core.SurfaceImage(part.view.points, ground, part.core, image)

@@ -78,7 +78,9 @@ class GroundMap:
         """Seed below every pose and grow over all that was inserted.
 
         Near a pose there may be nothing but the ego's own body: while less than ``least_share`` of
-        the voxels are ground, seeds are sought farther away.
+        the voxels are ground, seeds are sought farther away. Nothing flat leads on behind a kerb:
+        there ground goes on from low places that are no more than ``step_height`` higher or lower
+        than that beside them.
 
         Returns
         -------
@@ -201,6 +203,7 @@ def _core_parameters(parameters: GroundParameters) -> _core.GroundParameters:
     core.seed_radius = parameters.seed_radius
     core.seed_quantile = parameters.seed_quantile
     core.least_share = parameters.least_share
+    core.step_height = parameters.step_height
     core.neighbors = parameters.neighbors
     core.plane_distance = parameters.plane_distance
     core.max_slope = float(np.radians(parameters.max_slope_deg))

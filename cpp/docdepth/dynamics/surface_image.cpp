@@ -20,9 +20,11 @@ constexpr double kNearestPlane = 0.01;  // to the sensor [m]
 
 // What a pixel keeps in 32 bits, from the highest one: whether its triangle is a jump (1); between
 // what ranges the returns of its window lie (12 and 12, the highest of two floats after the sign,
-// rounded outwards); how far from its centre the nearest corner lies (7, in kSteps a pixel).
-constexpr std::uint32_t kJump = 0x80000000, kRange = 0x7ff80000, kMostSteps = 0x7f;
-constexpr int kSteps = 16;
+// rounded outwards); whether its triangle lies on the ground (1); how far from its centre the
+// nearest corner lies (6, in kSteps a pixel).
+constexpr std::uint32_t kJump = 0x80000000, kRange = 0x7ff80000, kOnGround = 0x40,
+                        kMostSteps = 0x3f;
+constexpr int kSteps = 8;
 
 float as_float(std::uint32_t bits) {
   float value;
@@ -57,7 +59,8 @@ struct AskTriangles {
       const float before = 1.0f - depth;
       // Choices between numbers, since compilers do not vectorise those between truth values.
       const int level = std::fabs(c) * distance > p.level_cosine ? 1 : 0;
-      const float across = level ? p.level.across : p.upright.across;
+      const float level_across = bits & kOnGround ? p.ground_across : p.level.across;
+      const float across = level ? level_across : p.upright.across;
       const float level_along = p.level.along + p.level.growth * r;
       const float upright_along = p.upright.along + p.upright.growth * r;
       const float along = level ? level_along : upright_along;
@@ -173,14 +176,14 @@ std::uint32_t steps_to_nearest(const std::array<Corner, 3>& corners, std::int64_
 
 }  // namespace
 
-SurfaceImage::SurfaceImage(const Points& points, const Surface& surface,
+SurfaceImage::SurfaceImage(const Points& points, const bool* ground, const Surface& surface,
                            const SurfaceImageParameters& parameters)
     : parameters_(parameters), canvas_(parameters.resolution, parameters.window / 2) {
   if (parameters.window < 1 || parameters.window % 2 == 0)
     throw std::invalid_argument("the window must be an odd number of pixels");
   const Returns returns(points);
   range_ = canvas_.nearest_ranges(returns, canvas_.fit(returns));
-  draw(points, surface);
+  draw(points, ground, surface);
   summarize_windows();
   range_.resize(canvas_.size() + kLanes, kEmpty);  // may be read, never looked at
 }
@@ -197,7 +200,7 @@ void SurfaceImage::summarize_windows() {
 
 /// The plane through three returns, in double precision and a fixed order of operations. Corners
 /// in line, with each other or the sensor, have no plane that it could see and count as a jump.
-SurfaceImage::Seen SurfaceImage::triangle(const Points& points,
+SurfaceImage::Seen SurfaceImage::triangle(const Points& points, const bool* ground,
                                           const std::array<std::uint32_t, 3>& corners,
                                           bool cut) const {
   double p[3][3], u[3], v[3];
@@ -217,12 +220,13 @@ SurfaceImage::Seen SurfaceImage::triangle(const Points& points,
           range_of(points(corners[i], 0), points(corners[i], 1), points(corners[i], 2));
     return jump;
   }
+  const bool of_ground = ground[corners[0]] && ground[corners[1]] && ground[corners[2]];
   return {{static_cast<float>(n[0] / offset), static_cast<float>(n[1] / offset),
            static_cast<float>(n[2] / offset)},
-          0};
+          of_ground ? kOnGround : 0u};
 }
 
-void SurfaceImage::draw(const Points& points, const Surface& surface) {
+void SurfaceImage::draw(const Points& points, const bool* ground, const Surface& surface) {
   seen_.assign(canvas_.size(), Seen{});
   std::vector<std::uint8_t> drawn(canvas_.size());
   const std::int64_t columns = canvas_.grid().columns(), turn = kTurn * columns;
@@ -245,7 +249,7 @@ void SurfaceImage::draw(const Points& points, const Surface& surface) {
       const std::size_t pixel = (row - canvas_.top()) * canvas_.stride() + wrapped + canvas_.half();
       if (drawn[pixel]) return;
       drawn[pixel] = 1;
-      if (!is_seen) seen = triangle(points, surface.triangles[t], surface.cut[t]);
+      if (!is_seen) seen = triangle(points, ground, surface.triangles[t], surface.cut[t]);
       is_seen = true;
       seen_[pixel] = seen;
       seen_[pixel].bits |= steps_to_nearest(corners, column, row);

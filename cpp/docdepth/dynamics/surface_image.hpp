@@ -24,16 +24,17 @@ struct SurfaceImageParameters {
   float tolerance = 0.2f;  ///< of single returns, tau [m]
   Margins upright{0.2f, 0.3f, 0.01f};
   Margins level{0.08f, 0.1f, 0.0f};  ///< of planes that lie flat, as ground does
-  float ground_across = 0.03f;       ///< `across` of these for points that are called ground [m]
-  float level_cosine = 0.9f;         ///< these are planes whose normal leans no more than that
-  float beam = 0.15f;                ///< what lies farther from a line of sight is not seen [m]
+  float ground_across =
+      0.03f;                  ///< `across` of these if the point or the plane is called ground [m]
+  float level_cosine = 0.9f;  ///< these are planes whose normal leans no more than that
+  float beam = 0.15f;         ///< what lies farther from a line of sight is not seen [m]
 };
 
 /// For each pixel the triangle of the surface that its centre lies in, and the nearest return.
 class SurfaceImage : public KeyFrame {
  public:
   /// Points that are not finite or lie at the origin are left out.
-  SurfaceImage(const Points& points, const Surface& surface,
+  SurfaceImage(const Points& points, const bool* ground, const Surface& surface,
                const SurfaceImageParameters& parameters);
 
   /// Each point is held against the plane of the triangle in its direction: on it static, before it
@@ -43,8 +44,9 @@ class SurfaceImage : public KeyFrame {
   /// triangle tells nothing about what lies far from the lines of sight to its corners: between the
   /// rings of a sparse sensor it bridges balconies and posts that none of them met.
   ///
-  /// Ground is level and its heights are exact to millimetres, so a point that was called ground
-  /// has a narrower margin there: the feet of what moves lie a few centimetres higher.
+  /// Ground is level and its heights are exact to millimetres, so what was called ground has a
+  /// narrower margin, be it the point or all corners of the triangle: the feet of what moves lie a
+  /// few centimetres higher.
   void vote(const QueryPoints& points, const std::int32_t* pixels, std::uint16_t* statics,
             std::uint16_t* dynamics) const override;
   void find(const QueryPoints& points, std::int32_t* pixels) const override;
@@ -57,13 +59,14 @@ class SurfaceImage : public KeyFrame {
     /// Unit normal of the plane over its distance from the sensor, zeros for no plane; or the
     /// ranges of the three corners around a depth jump.
     float values[3];
-    /// Whether it is a jump, between what ranges the returns of the window lie, and how far the
-    /// nearest corner is from the centre of the pixel.
+    /// Whether it is a jump, between what ranges the returns of the window lie, whether it is
+    /// ground, and how far the nearest corner is from the centre of the pixel.
     std::uint32_t bits;
   };
 
-  Seen triangle(const Points& points, const std::array<std::uint32_t, 3>& corners, bool cut) const;
-  void draw(const Points& points, const Surface& surface);
+  Seen triangle(const Points& points, const bool* ground,
+                const std::array<std::uint32_t, 3>& corners, bool cut) const;
+  void draw(const Points& points, const bool* ground, const Surface& surface);
   void summarize_windows();
   SurfaceImageParameters parameters_;
   Canvas canvas_;

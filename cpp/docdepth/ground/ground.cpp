@@ -1,8 +1,10 @@
 #include "docdepth/ground/ground.hpp"
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <cmath>
+#include <map>
 #include <vector>
 
 #include "docdepth/geometry/parallel.hpp"
@@ -18,6 +20,8 @@ using Eigen::Vector3d;
 
 /// Seeds are not sought farther from a pose than this, unless nothing is nearer [m].
 constexpr double kFarthestSeeds = 16.0;
+/// Behind a step, ground is sought in cells of the plan of this size [m].
+constexpr double kCell = 1.0;
 
 /// The front: which points are labelled, which of them have carried it on, and the leaves that hold
 /// the others. What it reaches in the end does not depend on the order, so leaves are shared by
@@ -146,6 +150,57 @@ void Front::carry_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood
   }
 }
 
+/// A cell of the plan, and the ground in it.
+using Cell = std::array<std::int64_t, 2>;
+struct GroundOfCell {
+  std::size_t points = 0;
+  double heights = 0;
+};
+
+std::map<Cell, GroundOfCell> ground_by_cell(const Octree& tree, const Front& front) {
+  std::map<Cell, GroundOfCell> cells;
+  GroundOfCell* found = nullptr;
+  Cell last{};
+  for (std::uint32_t i = 0; i < tree.points().size(); ++i) {
+    if (!front.labelled(i)) continue;
+    const Vector3d& p = tree.points()[i];
+    const Cell cell{std::int64_t(std::floor(p.x() / kCell)),
+                    std::int64_t(std::floor(p.y() / kCell))};
+    if (!found || cell != last) found = &cells[cell];  // points lie along a curve
+    last = cell;
+    ++found->points;
+    found->heights += p.z();
+  }
+  return cells;
+}
+
+/// Behind a kerb nothing flat leads on. So where a cell of the plan has ground and the one beside
+/// it has none, its low places are seeds if they lie no more than a step higher or lower.
+/// @return whether there are any that were not ground.
+bool seed_behind_steps(const Octree& tree, const GroundParameters& p, Front& front) {
+  const auto cells = ground_by_cell(tree, front);
+  const auto has_ground = [&](const Cell& cell) {
+    const auto found = cells.find(cell);
+    return found != cells.end() && found->second.points >= std::size_t(p.neighbors);
+  };
+  bool any = false;
+  for (const auto& [cell, ground] : cells) {
+    if (!has_ground(cell)) continue;
+    const double height = ground.heights / double(ground.points);
+    for (int n = 0; n < 9; ++n) {
+      const Cell beside{cell[0] + n / 3 - 1, cell[1] + n % 3 - 1};
+      if (has_ground(beside)) continue;
+      const double x = (double(beside[0]) + 0.5) * kCell, y = (double(beside[1]) + 0.5) * kCell;
+      const std::uint32_t low = tree.quantile(x, y, 0.5 * kCell, p.seed_quantile);
+      if (low == tree.points().size() || front.labelled(low)) continue;
+      if (std::abs(tree.points()[low].z() - height) > p.step_height) continue;
+      front.seed(low);
+      any = true;
+    }
+  }
+  return any;
+}
+
 }  // namespace
 
 struct GroundMap::State {
@@ -193,11 +248,17 @@ std::size_t GroundMap::grow() {
       front.seed(seed);
     }
     front.grow();
-    std::size_t count = 0;
-    for (std::uint32_t i = 0; i < points; ++i) count += front.labelled(i);
-    if (double(count) < state.parameters.least_share * points && around < kFarthestSeeds) continue;
+    const auto ground = [&] {
+      std::size_t count = 0;
+      for (std::uint32_t i = 0; i < points; ++i) count += front.labelled(i);
+      return count;
+    };
+    if (double(ground()) < state.parameters.least_share * points && around < kFarthestSeeds)
+      continue;
+    while (state.parameters.step_height > 0 && seed_behind_steps(tree, state.parameters, front))
+      front.grow();
     tree.store_ground([&](std::uint32_t i) { return front.labelled(i); }, state.threads);
-    return count;
+    return ground();
   }
 }
 

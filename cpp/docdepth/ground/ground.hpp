@@ -18,6 +18,8 @@ struct GroundParameters {
   int neighbors = 30;            ///< k_nn, the front point itself among them
   double plane_distance = 0.04;  ///< delta, metres
   double max_slope = 0.2617993877991494;  ///< alpha, radians
+  double step_height =
+      0.25;  ///< ground goes on behind kerbs up to this high, metres; 0: it does not
 };
 
 /// The merged sweeps of one chunk and their ground.
@@ -34,7 +36,8 @@ class GroundMap {
   void insert(const Points& points, const Pose& T_world_lidar);
 
   /// Seed and grow over everything inserted so far. Near a pose there may be nothing but the ego's
-  /// own body: while there is next to no ground, seeds are sought farther away.
+  /// own body: while there is next to no ground, seeds are sought farther away. Then it goes on
+  /// behind steps.
   /// @return number of ground voxels.
   std::size_t grow();
 
