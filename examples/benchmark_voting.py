@@ -19,9 +19,9 @@ import numpy as np
 from docdepth import _core
 from docdepth.config import parameters
 from docdepth.datasets import open_dataset
-from docdepth.dynamics import key_frames
 from docdepth.io.poses import read_poses
 from docdepth.trajectory import Trajectory
+from docdepth.voting import key_frames
 
 
 class Query:

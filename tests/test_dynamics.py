@@ -8,18 +8,11 @@ import pytest
 
 from docdepth import _core
 from docdepth.config import DynamicsParameters, SurfaceParameters, parameters
-from docdepth.dynamics import (
-    KeyFrame,
-    Votes,
-    classify,
-    classify_drive,
-    confidence,
-    key_frames,
-    vote,
-)
+from docdepth.dynamics import classify, classify_drive, confidence
 from docdepth.errors import InputError
 from docdepth.surface import Surface
 from docdepth.trajectory import Trajectory
+from docdepth.voting import KeyFrame, Votes, key_frames, vote
 from dynamics_reference import reference_moving, reference_vote
 
 KITTI = os.environ.get("DOCDEPTH_KITTI_RAW")

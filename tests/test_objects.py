@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from docdepth.config import Parameters, parameters
-from docdepth.dynamics import Votes, classify, classify_drive
+from docdepth.dynamics import classify, classify_drive
 from docdepth.io.ply import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.objects import connect_objects
 from docdepth.pipeline import classify as stage
 from docdepth.pipeline import run_classify
 from docdepth.trajectory import Trajectory
+from docdepth.voting import Votes
 
 DEFAULT = parameters("default").dynamics
 

@@ -81,13 +81,13 @@ def test_interrupted_run_goes_on_and_ends_the_same(drive, finished, tmp_path, mo
 def test_votes_are_kept_when_only_their_use_changes(finished, tmp_path, monkeypatch):
     kept, again = tmp_path / "kept", tmp_path / "again"
     asked = []
-    vote = classes.dynamics.vote
+    vote = classes.voting.vote
 
     def counted(*arguments):
         asked.append(1)
         return vote(*arguments)
 
-    monkeypatch.setattr(classes.dynamics, "vote", counted)
+    monkeypatch.setattr(classes.voting, "vote", counted)
     for run in (kept, again):
         shutil.copytree(finished[0], run)
     assert cli("classify", kept, "--set", "dynamics.object_share=0.05").exit_code == 0

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from docdepth import dynamics
+from docdepth import voting
 from docdepth.config import parameters
 from docdepth.datasets import open_dataset
 from docdepth.datasets.run import RunDataset
@@ -183,13 +183,13 @@ def test_each_answers_for_itself(against):
         np.repeat(np.uint8([0, 1]), [len(near), len(far)]), np.array([np.eye(4), ahead])
     )
     asked = np.float32([[4, 0.1, 0.1], [5, 0.3, 0], [9, 0.1, 0.1], [12, 0.4, 0.2], [14, 0, 0.1]])
-    frame = dynamics.KeyFrame(points, np.zeros(len(points), bool), p, None, sensors)
+    frame = voting.KeyFrame(points, np.zeros(len(points), bool), p, None, sensors)
     ground = np.zeros(len(asked), bool)
-    votes = dynamics.vote(asked, ground, np.eye(4), [frame], np.eye(4)[None], p)
+    votes = voting.vote(asked, ground, np.eye(4), [frame], np.eye(4)[None], p)
     assert votes.dynamic.tolist() == [1, 0, 1, 0, 0]
     assert votes.static.tolist() == [0, 1, 0, 1, 0]
-    as_one = dynamics.KeyFrame(points, np.zeros(len(points), bool), p)
-    votes = dynamics.vote(asked, ground, np.eye(4), [as_one], np.eye(4)[None], p)
+    as_one = voting.KeyFrame(points, np.zeros(len(points), bool), p)
+    votes = voting.vote(asked, ground, np.eye(4), [as_one], np.eye(4)[None], p)
     assert votes.dynamic[2] == 0  # hidden by the wall
 
 
@@ -197,15 +197,15 @@ def test_votes_are_those_of_both_apart(two):
     dataset = open_dataset(two)
     sweep, other = dataset.sweep(2), dataset.sweep(6)
     ground = np.zeros(len(other.points), bool)
-    together = dynamics.KeyFrame(other.points, ground, sensors=other.sensors)
+    together = voting.KeyFrame(other.points, ground, sensors=other.sensors)
     apart, poses = [], []
     for seen, T_lidar_sensor, _ in views(other.points, other.sensors):
         own = np.isfinite(seen).all(axis=1)
-        apart.append(dynamics.KeyFrame(seen[own], ground[own]))
+        apart.append(voting.KeyFrame(seen[own], ground[own]))
         poses.append(dataset.poses[6] @ T_lidar_sensor)
     asked = (sweep.points, np.zeros(len(sweep.points), bool), dataset.poses[2])
-    votes = dynamics.vote(*asked, [together], dataset.poses[6:7])
-    expected = dynamics.vote(*asked, apart, np.array(poses))
+    votes = voting.vote(*asked, [together], dataset.poses[6:7])
+    expected = voting.vote(*asked, apart, np.array(poses))
     assert votes.dynamic.any()
     np.testing.assert_array_equal(votes.static, expected.static)
     np.testing.assert_array_equal(votes.dynamic, expected.dynamic)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from docdepth import dynamics, pipeline
+from docdepth import pipeline, voting
 from docdepth.cli import app
 from docdepth.config import Parameters, parameters
 from docdepth.dynamics import classify_drive
@@ -114,7 +114,7 @@ def test_a_sweep_goes_on_where_it_stopped(run, tmp_path, monkeypatch) -> None:
     labels, out = run.parent / "labels", tmp_path / "out"
     whole = sweep(run, labels, TRIALS[:2], tmp_path / "whole", threads=1)
     done = []
-    original, write = pipeline.run_classify, dynamics.vote
+    original, write = pipeline.run_classify, voting.vote
 
     def stop_in_the_second(folder, *rest):
         done.append(folder.path.name)
@@ -126,7 +126,7 @@ def test_a_sweep_goes_on_where_it_stopped(run, tmp_path, monkeypatch) -> None:
                     raise KeyboardInterrupt
                 return write(*arguments, **named)
 
-            monkeypatch.setattr(dynamics, "vote", fail)
+            monkeypatch.setattr(voting, "vote", fail)
         original(folder, *rest)
 
     monkeypatch.setattr(pipeline, "run_classify", stop_in_the_second)
@@ -134,7 +134,7 @@ def test_a_sweep_goes_on_where_it_stopped(run, tmp_path, monkeypatch) -> None:
         sweep(run, labels, TRIALS[:2], out, threads=1)
     voted: list[int] = []
     monkeypatch.setattr(
-        dynamics, "vote", lambda *a, **named: (voted.append(1), write(*a, **named))[1]
+        voting, "vote", lambda *a, **named: (voted.append(1), write(*a, **named))[1]
     )
     counted: list[int] = []
     monkeypatch.setattr(

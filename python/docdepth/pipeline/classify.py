@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import dynamics, objects
+from docdepth import dynamics, objects, voting
 from docdepth.ground import GroundMap, chunks
 from docdepth.io.atomic import write_atomically
 from docdepth.io.ply import FrameRecord
@@ -69,7 +69,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     over_time = objects.carries_evidence(parameters.dynamics)
     local = objects.poses_near_start(trajectory)
     seen = run.path / ".objects" / key
-    voters = dynamics.key_frames(trajectory, parameters.dynamics)
+    voters = voting.key_frames(trajectory, parameters.dynamics)
 
     keys = {"votes": votes_key, "classify": key}
 
@@ -89,14 +89,14 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             )
         return _Sweep(record, ground, surface)
 
-    def make_key_frame(sweep: Future[_Sweep]) -> dynamics.KeyFrame:
+    def make_key_frame(sweep: Future[_Sweep]) -> voting.KeyFrame:
         record, ground, surface = sweep.result()
         with watch("key frames"):
-            return dynamics.KeyFrame(
+            return voting.KeyFrame(
                 record.points, ground, parameters.dynamics, surface, run.sensors(record)
             )
 
-    def finish(index: int, sweep: _Sweep, votes: dynamics.Votes) -> None:
+    def finish(index: int, sweep: _Sweep, votes: voting.Votes) -> None:
         (record, ground, surface), first = sweep, None
         with watch("objects"):
             if over_time:
@@ -120,7 +120,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     tell = teller(progress, "classify")
     tell(total - len(left), total)
     sweeps: dict[int, Future[_Sweep]] = {}
-    key_frames: dict[int, Future[dynamics.KeyFrame]] = {}
+    key_frames: dict[int, Future[voting.KeyFrame]] = {}
     # Sweeps of the next votes are prepared, and the last votes made classes, during a vote: two of
     # them, since each alone would leave a core idle when the vote is done first. Workers take jobs
     # in order, so that a key frame never waits for a sweep that waits for a worker; the third one,
@@ -144,7 +144,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                 with watch("wait for sweeps"):
                     answering = [key_frames[k].result() for k in voters[index].tolist()]
                 with watch("vote"):
-                    votes = dynamics.vote(
+                    votes = voting.vote(
                         sweep.record.points,
                         sweep.ground,
                         trajectory.poses[index],
@@ -246,7 +246,7 @@ def _carry_evidence(
                 run.parameters.dynamics,
             )
         with watch("write"):
-            votes = dynamics.Votes(static, dynamic)
+            votes = voting.Votes(static, dynamic)
             _write_classified(run, index, record, keys, votes, classid)
 
     # Many workers, since most of them wait for the disk.
@@ -274,10 +274,10 @@ def _read_arrays(path: Path, count: int) -> list[NDArray[Any]]:
         return [np.load(stream) for _ in range(count)]
 
 
-def _votes_of(record: FrameRecord) -> dynamics.Votes:
+def _votes_of(record: FrameRecord) -> voting.Votes:
     assert record.votes_static is not None
     assert record.votes_dynamic is not None
-    return dynamics.Votes(record.votes_static, record.votes_dynamic)
+    return voting.Votes(record.votes_static, record.votes_dynamic)
 
 
 def _write_classified(
@@ -285,7 +285,7 @@ def _write_classified(
     index: int,
     record: FrameRecord,
     keys: dict[str, str],
-    votes: dynamics.Votes,
+    votes: voting.Votes,
     classid: NDArray[np.uint16],
 ) -> None:
     labels = np.full(record.input_points, _OUTLIER, np.uint32)
