@@ -259,6 +259,22 @@ def test_a_thin_post_that_nobody_saw_before_stays_when_it_is_followed_with_a_wal
         assert carried([walker, beside], 45) == [list(range(28)), expected]
 
 
+def test_somebody_of_few_points_takes_along_no_thing_of_many():
+    """He is lost where a bin comes into view, which he hid or was too far to be seen."""
+
+    def every(n):
+        return lambda _, shape: np.arange(len(shape)) % n == 0
+
+    def later(i):
+        return (10.0, 3) if i >= 20 else None
+
+    walker = Thing(
+        PERSON, lambda i: (8 + 0.1 * i, 3) if i < 20 else None, range(20), 0.1, every(30)
+    )
+    for n, sweeps in ((1, []), (15, list(range(20, 40)))):
+        assert carried([walker, Thing(PERSON, later, step=0.1, seen=every(n))], 40) == [[], sweeps]
+
+
 def test_a_car_that_goes_less_than_its_length_was_seen_to_free_its_place():
     at = waits((15, 3), 30)
     car = Thing(CAR, at, range(35, 50))

@@ -83,7 +83,7 @@ def tracks_of(sightings, times, order, p):
             if free[k] and o["moves"] and len(o["places"]) >= 5:
                 member = (sweep, [k], True, o["low"], o["high"])
                 alive.append({"places": o["places"], "last": o["places"], "time": times[sweep],
-                              "velocity": ZERO, "members": [member],
+                              "velocity": ZERO, "members": [member], "shown": [o["dynamic"]],
                               "largest": o["high"] - o["low"]})  # fmt: skip
     return done + alive
 
@@ -148,6 +148,7 @@ def go_on(track, sweep, shift, members, seen, free, times):
     for k in members:
         free[k] = False
     chosen = [seen[k] for k in members]
+    track["shown"].append(sum(o["dynamic"] for o in chosen))
     points = sum(o["points"] for o in chosen)
     moves = 2 * sum(o["points"] for o in chosen if o["moves"]) >= points
     low, high, track["largest"] = whole_of(track, chosen)
@@ -224,6 +225,8 @@ def way_of(track, sightings, times, p):
             inside = (o["low"] >= low - F(0.5)).all() and (o["high"] <= high + F(0.5)).all()
             there = inside and o["high"][2] >= low[2] + F(0.15) and speed < F(2)
             if o["dynamic"] == o["points"] or norm(o["high"] - o["low"], 2) < F(0.3):
+                continue
+            if o["points"] - o["dynamic"] > max(*track["shown"], sum(track["shown"]) // 8):
                 continue
             if (there or k in own) and free(o["places"], sweep):
                 objects.append((sweep, o["first"]))

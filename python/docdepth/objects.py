@@ -203,7 +203,8 @@ def follow(
     fall onto its places, those of its last two sightings, are the same one, unless together they
     are larger than it looks whole; so it is followed to where it waits or parks, and to where no
     key frame looked. What is carried along must have been free while the object was elsewhere, or
-    else it is another thing: a parked car that was passed, a pole, a wall. Between its sightings
+    else it is another thing: a parked car that was passed, a pole, a wall; and as many points must
+    have been seen to move at once, or eight times as many in all. Between its sightings
     an object is where its way leads, though its points may be too few, too scattered or too little
     seen by key frames to be found without knowing it. So may points be that lie where the sweeps
     near in time saw little but what moves.

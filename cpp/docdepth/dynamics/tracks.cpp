@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
-#include <numeric>
 
 #include "docdepth/geometry/parallel.hpp"
 
@@ -28,17 +26,17 @@ constexpr float kStanding = 0.5f;     ///< slower things may be hidden for long 
 constexpr float kSlow = 2;            ///< key frames near in time saw it stand at its place [m/s]
 constexpr std::size_t kFew = 3;       ///< places before and after that tell a velocity
 constexpr double kWhileStanding = 3;  ///< times the window in which its box is seen
+constexpr std::size_t kInAll = 8;     ///< points that moved in all sweeps, for each that is carried
 constexpr float kApart = 0.1f;        ///< farther from a box it is elsewhere [m]
 constexpr float kAway = 0.7f;         ///< share of places outside of its box that are asked about
-constexpr float kSame = 0.25f;        ///< a place is taken when another one is that near [m]
-constexpr float kTaken = 0.4f;        ///< share of taken places
+constexpr float kSame = 0.25f, kTaken = 0.4f;  ///< a place is taken by another so near [m]; share
 constexpr std::size_t kEvery = 2, kWitnesses = 10;  ///< sweeps that are asked whether it was free
 
 struct Member {
   std::size_t sweep;
   Rows objects;
-  bool moves;  ///< by the votes on that sweep
   Extent box;
+  std::size_t shown;  ///< points that move by the votes
 
   /// The middle of its box, from above.
   Vector place() const {
@@ -55,7 +53,6 @@ struct Track {
   std::vector<Member> members;
   Vector velocity = Vector::Zero();
   int moved = 1;  ///< members that move
-
   bool has_velocity() const { return members.size() > 1; }
 };
 
@@ -125,7 +122,7 @@ class Follower {
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       const auto& [first, points, dynamic, box, places] = seen[k];
       if (!taken[k] && seen[k].moves() && places.size() >= kFewestPlaces)
-        alive_.push_back({places, places, box.size(), times_[sweep], {{sweep, {k}, true, box}}});
+        alive_.push_back({places, places, box.size(), times_[sweep], {{sweep, {k}, box, dynamic}}});
     }
   }
 
@@ -197,21 +194,21 @@ class Follower {
     const Vector velocity = match.shift / static_cast<float>(times_[sweep] - track.time);
     track.velocity = track.has_velocity() ? 0.5f * track.velocity + 0.5f * velocity : velocity;
     track.time = times_[sweep];
-    std::uint32_t points = 0, moving = 0;
+    std::uint32_t points = 0, moving = 0, shown = 0;
     for (const auto k : match.objects) {
       taken[k] = 1;
       points += seen[k].points;
+      shown += seen[k].dynamic;
       if (seen[k].moves()) moving += seen[k].points;
     }
-    const bool moves = 2 * moving >= points;
-    track.moved += moves;
+    track.moved += 2 * moving >= points;
     Places both = std::move(track.last);
     for (Vector& p : both) p += match.shift;
     append(both, match.places);
     track.places = thinned(both, kThin, kPlaces);
     track.last = std::move(match.places);
     track.largest = match.largest;
-    track.members.push_back({sweep, std::move(match.objects), moves, match.box});
+    track.members.push_back({sweep, std::move(match.objects), match.box, shown});
   }
 
   const std::vector<const Sighting*>& sightings_;
@@ -254,9 +251,16 @@ class Way {
       : members_(std::move(members)), times_(times), p_(p) {
     if (members_.front().sweep > members_.back().sweep)
       std::reverse(members_.begin(), members_.end());
-    for (const Member& m : members_)
+    std::size_t in_all = 0;
+    for (const Member& m : members_) {
       boxes_.push_back(speed(times_[m.sweep]) < kStanding ? box(times_[m.sweep]) : m.box);
+      in_all += m.shown;
+      most_ = std::max({most_, m.shown, in_all / kInAll});
+    }
   }
+
+  /// Whether enough of it was seen to move for all that does not move now.
+  bool carries(const SeenObject& now) const { return now.points - now.dynamic <= most_; }
 
   /// Whether it is known where it is: a little before and after its sightings, longer if it stands.
   bool reaches(double t) const {
@@ -337,6 +341,7 @@ class Way {
 
   std::vector<Member> members_;
   std::vector<Extent> boxes_;  ///< where they are, as far as known
+  std::size_t most_ = 0;       ///< points that it carries
   const std::vector<double>& times_;
   const TrackParameters& p_;
 };
@@ -357,7 +362,8 @@ void find(const Way& way, std::size_t sweep, double time, const Sighting& seen,
   for (std::uint32_t k = 0; k < seen.size(); ++k) {
     const bool there = p.window > 0 && speed < kSlow && inside(seen[k], box);
     if (seen[k].dynamic < seen[k].points && seen[k].box.width() >= kThinnest &&
-        (there || way.has(sweep, k)) && way.were_free(seen[k].places, sweep, sightings))
+        way.carries(seen[k]) && (there || way.has(sweep, k)) &&
+        way.were_free(seen[k].places, sweep, sightings))
       found.objects.push_back(seen[k].first);
   }
   if (p.window > 0 && speed >= kStanding) found.boxes.push_back(box);
@@ -368,10 +374,10 @@ void find(const Way& way, std::size_t sweep, double time, const Sighting& seen,
 std::vector<Followed> follow(const std::vector<const Sighting*>& sightings,
                              const std::vector<double>& times, const TrackParameters& p,
                              int threads) {
-  std::vector<Followed> ways[2] = {std::vector<Followed>(sightings.size()),
-                                   std::vector<Followed>(sightings.size())};
+  std::vector<Followed> ways[2];
   parallel_for(2, 1, threads, [&](std::size_t backward, std::size_t) {
     auto& found = ways[backward];
+    found.resize(times.size());
     for (const Track& track : Follower(sightings, times, p).run(backward != 0)) {
       if (!moved(track, p)) continue;
       const Way way(track.members, times, p);

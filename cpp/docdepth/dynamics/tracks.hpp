@@ -32,7 +32,8 @@ struct Followed {
 /// its places are those of the last two sightings. So it is followed into where it stands before or
 /// after, and to where nobody voted. What is carried along in this way must have been free while
 /// the object was elsewhere, else another thing stands there: a parked car that was passed closely,
-/// a pole, a wall.
+/// a pole, a wall. And as many points must have been seen to move at once, or many more in all
+/// sweeps: of a walker whom few returns met nobody can tell that it is he who stands there, no bin.
 ///
 /// Between its sightings, and a little before and after, an object is where its way leads; its box
 /// there is that of all sightings which are near in time, moved along.
