@@ -150,6 +150,14 @@ def test_what_shakes_in_its_place_has_not_moved():
     assert carried([bush], 30) == [[]]
 
 
+@pytest.mark.parametrize(("dynamic", "sweeps"), [(6, []), (8, list(range(8, 40)))])
+def test_what_shook_and_drifts_on_without_votes_has_not_moved(dynamic, sweeps):
+    """Of a twig's two metres a quarter of a metre was seen by votes, or a third."""
+    assert carried([Thing(PERSON, lambda i: (6 + 0.05 * i, 3), range(dynamic), 0.1)], 40) == [
+        sweeps
+    ]
+
+
 def test_two_dynamic_sweeps_are_no_track():
     assert carried([Thing(CAR, passes(4), range(10, 12))], 20) == [[]]
 

@@ -163,10 +163,13 @@ def go_on(track, sweep, shift, members, seen, free, times):
 
 
 def moved(track, p):
-    members = track["members"]
-    way = [F(0.5) * (m[3] + m[4]) for m in (members[0], members[-1])]
-    far = norm(way[1] - way[0], 2) >= F(p.track_distance)
-    return far and sum(m[2] for m in members) >= p.track_sightings
+    members, moving = track["members"], [m for m in track["members"] if m[2]]
+    first, last, last_moving = (
+        F(0.5) * (m[3] + m[4]) for m in (members[0], members[-1], moving[-1])
+    )
+    far = norm(last - first, 2) >= F(p.track_distance)
+    by_votes = norm(last_moving - first, 2) >= F(0.3) * F(p.track_distance)
+    return far and by_votes and len(moving) >= p.track_sightings
 
 
 def way_of(track, sightings, times, p):

@@ -24,6 +24,7 @@ constexpr std::size_t kPlaces = 100;
 constexpr float kThin = 0.15f;
 constexpr float kStanding = 0.5f;     ///< slower things may be hidden for long [m/s]
 constexpr float kSlow = 2;            ///< key frames near in time saw it stand at its place [m/s]
+constexpr float kByVotes = 0.3f;      ///< share of the way that it goes while votes say so
 constexpr std::size_t kFew = 3;       ///< places before and after that tell a velocity
 constexpr double kWhileStanding = 3;  ///< times the window in which its box is seen
 constexpr std::size_t kInAll = 8;     ///< points that moved in all sweeps, for each that is carried
@@ -52,7 +53,8 @@ struct Track {
   double time;
   std::vector<Member> members;
   Vector velocity = Vector::Zero();
-  int moved = 1;  ///< members that move
+  int moved = 1;               ///< members that move
+  std::size_t last_moved = 0;  ///< the last of them
   bool has_velocity() const { return members.size() > 1; }
 };
 
@@ -65,12 +67,6 @@ struct Match {
   Extent box;
   Vector largest;
 };
-
-Extent box_of(const Places& places) {
-  Extent box{places.front(), places.front()};
-  for (const Vector& p : places) box.add({p, p});
-  return box;
-}
 
 bool can_be_followed(const SeenObject& object) {
   return object.box.size().z() >= kLowest && object.box.width() <= kWidest;
@@ -201,7 +197,9 @@ class Follower {
       shown += seen[k].dynamic;
       if (seen[k].moves()) moving += seen[k].points;
     }
-    track.moved += 2 * moving >= points;
+    const bool moves = 2 * moving >= points;
+    track.moved += moves;
+    if (moves) track.last_moved = track.members.size();
     Places both = std::move(track.last);
     for (Vector& p : both) p += match.shift;
     append(both, match.places);
@@ -218,8 +216,10 @@ class Follower {
 };
 
 bool moved(const Track& track, const TrackParameters& p) {
-  const Vector way = track.members.back().place() - track.members.front().place();
-  return track.moved >= p.sightings && way.norm() >= p.distance;
+  const auto& m = track.members;
+  const auto way = [&](const Member& to) { return (to.place() - m.front().place()).norm(); };
+  return track.moved >= p.sightings && way(m.back()) >= p.distance &&
+         way(m[track.last_moved]) >= kByVotes * p.distance;
 }
 
 /// Places outside of a box, from above.

@@ -47,6 +47,12 @@ std::pair<float, std::size_t> nearest(const Places& places, const Vector& p) {
 
 }  // namespace
 
+Extent box_of(const Places& places) {
+  Extent box{places.front(), places.front()};
+  for (const Vector& p : places) box.add({p, p});
+  return box;
+}
+
 std::uint64_t cube_key(std::int64_t x, std::int64_t y, std::int64_t z) {
   constexpr std::int64_t middle = 1 << 20, mask = (1 << 21) - 1;
   return std::uint64_t((x + middle) & mask) << 42 | std::uint64_t((y + middle) & mask) << 21 |

@@ -27,6 +27,9 @@ struct Extent {
   }
 };
 
+/// From where to where places reach; there is one at least.
+Extent box_of(const Places& places);
+
 /// Number of the cube of that size that holds a coordinate, and a key of three such numbers.
 std::int64_t cube_step(float value, float size);
 std::uint64_t cube_key(std::int64_t x, std::int64_t y, std::int64_t z = 0);
