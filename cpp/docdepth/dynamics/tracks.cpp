@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "docdepth/dynamics/way.hpp"
 #include "docdepth/geometry/parallel.hpp"
 
 namespace docdepth {
@@ -10,41 +11,18 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 using Flags = std::vector<std::uint8_t>;
-using Rows = std::vector<std::uint32_t>;  ///< objects of a sighting, by their number in it
 
-constexpr std::size_t kFewestPlaces = 5;       ///< of an object that has a shape to be found by
-constexpr float kLowest = 0.15f;               ///< flatter things are ground that was not grown [m]
-constexpr float kThinnest = 0.3f;              ///< thinner things stand: poles, from above [m]
-constexpr float kWidest = 25.0f;               ///< [m]
-constexpr float kGrowth = 1.5f, kMore = 0.5f;  ///< the same thing looks so much larger at most [m]
-constexpr float kMargin = 0.5f;                ///< about where it is looked for [m]
+constexpr std::size_t kFewestPlaces = 5;  ///< of an object that has a shape to be found by
+constexpr float kLowest = 0.15f;          ///< flatter things are ground that was not grown [m]
+constexpr float kThinnest = 0.3f;         ///< thinner things stand: poles, from above [m]
+constexpr float kWidest = 25.0f;          ///< [m]
+constexpr float kMargin = 0.5f;           ///< about where it is looked for [m]
 constexpr float kExplained = 0.4f;  ///< share of what is there, less when half of it is not seen
 constexpr float kInside = 0.6f;     ///< share of the places of what belongs to it
 constexpr std::size_t kPlaces = 100;
 constexpr float kThin = 0.15f;
-constexpr float kStanding = 0.5f;     ///< slower things may be hidden for long [m/s]
-constexpr float kSlow = 2;            ///< key frames near in time saw it stand at its place [m/s]
-constexpr float kByVotes = 0.3f;      ///< share of the way that it goes while votes say so
-constexpr std::size_t kFew = 3;       ///< places before and after that tell a velocity
-constexpr double kWhileStanding = 3;  ///< times the window in which its box is seen
-constexpr std::size_t kInAll = 8;     ///< points that moved in all sweeps, for each that is carried
-constexpr float kApart = 0.1f;        ///< farther from a box it is elsewhere [m]
-constexpr float kAway = 0.7f;         ///< share of places outside of its box that are asked about
-constexpr float kSame = 0.25f, kTaken = 0.4f;  ///< a place is taken by another so near [m]; share
-constexpr std::size_t kEvery = 2, kWitnesses = 10;  ///< sweeps that are asked whether it was free
-
-struct Member {
-  std::size_t sweep;
-  Rows objects;
-  Extent box;
-  std::size_t shown;  ///< points that move by the votes
-
-  /// The middle of its box, from above.
-  Vector place() const {
-    const Vector middle = 0.5f * (box.low + box.high);
-    return {middle.x(), middle.y(), 0};
-  }
-};
+constexpr float kSlow = 2;        ///< key frames near in time saw it stand at its place [m/s]
+constexpr float kByVotes = 0.3f;  ///< share of the way that it goes while votes say so
 
 struct Track {
   Places places;   ///< where the last two sightings saw it: each may see another part of it
@@ -62,7 +40,7 @@ struct Track {
 struct Match {
   float explained = 0;
   Vector shift = Vector::Zero();
-  Rows objects;
+  std::vector<std::uint32_t> objects;
   Places places;
   Extent box;
   Vector largest;
@@ -70,12 +48,6 @@ struct Match {
 
 bool can_be_followed(const SeenObject& object) {
   return object.box.size().z() >= kLowest && object.box.width() <= kWidest;
-}
-
-/// Whether what has this box may be the same thing as what was seen with another size.
-bool could_be(const Extent& box, const Vector& size) {
-  const Vector most = size * kGrowth + Vector::Constant(kMore);
-  return (box.size().array() < most.array()).all();
 }
 
 void append(Places& places, const Places& more) {
@@ -155,7 +127,7 @@ class Follower {
     const Vector size = box.size();
     box.low += start;
     box.high += start;
-    Rows near;
+    std::vector<std::uint32_t> near;
     Places there;
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       if (taken[k] || !seen[k].box.overlaps(box, kMargin)) continue;
@@ -222,130 +194,6 @@ bool moved(const Track& track, const TrackParameters& p) {
          way(m[track.last_moved]) >= kByVotes * p.distance;
 }
 
-/// Places outside of a box, from above.
-Places outside(const Places& places, const Extent& box) {
-  const Extent from_above{{box.low.x(), box.low.y(), -INFINITY},
-                          {box.high.x(), box.high.y(), INFINITY}};
-  Places result;
-  for (const Vector& p : places)
-    if (!from_above.overlaps({p, p}, kApart)) result.push_back(p);
-  return result;
-}
-
-/// Number of places where a sweep saw something that does not move.
-float taken(const Places& places, const Sighting& seen) {
-  const Extent box = box_of(places);
-  Places there;
-  for (const SeenObject& object : seen) {
-    if (object.moves() || !object.box.overlaps(box, kSame)) continue;
-    for (const Vector& p : object.places)
-      if (box.overlaps({p, p}, kSame)) there.push_back(p);
-  }
-  return share_found(places, Vector::Zero(), there, kSame) * float(places.size());
-}
-
-/// Where a track is at any time, from its members in the order of time.
-class Way {
- public:
-  Way(std::vector<Member> members, const std::vector<double>& times, const TrackParameters& p)
-      : members_(std::move(members)), times_(times), p_(p) {
-    if (members_.front().sweep > members_.back().sweep)
-      std::reverse(members_.begin(), members_.end());
-    std::size_t in_all = 0;
-    for (const Member& m : members_) {
-      boxes_.push_back(speed(times_[m.sweep]) < kStanding ? box(times_[m.sweep]) : m.box);
-      in_all += m.shown;
-      most_ = std::max({most_, m.shown, in_all / kInAll});
-    }
-  }
-
-  /// Whether enough of it was seen to move for all that does not move now.
-  bool carries(const SeenObject& now) const { return now.points - now.dynamic <= most_; }
-
-  /// Whether it is known where it is: a little before and after its sightings, longer if it stands.
-  bool reaches(double t) const {
-    const double nearest = std::clamp(t, time(0), time(members_.size() - 1));
-    return std::fabs(t - nearest) <= (speed(nearest) < kStanding ? p_.hold : p_.gap) + 1e-3;
-  }
-  float speed(double t) const { return velocity(t).norm(); }
-
-  /// The boxes of members that are near in time, or of the nearest one, moved along.
-  Extent box(double t) const {
-    const bool stands = speed(t) < kStanding;
-    const Vector v = stands ? Vector::Zero() : velocity(t);
-    const double window = (stands ? kWhileStanding * p_.window : p_.window) + 1e-3;
-    const auto far = [&](std::size_t k) { return std::fabs(time(k) - t); };
-    const auto moved = [&](std::size_t k) {
-      const Vector shift = v * float(t - time(k));
-      return Extent{members_[k].box.low + shift, members_[k].box.high + shift};
-    };
-    std::size_t nearest = 0;
-    for (std::size_t k = 1; k < members_.size(); ++k)
-      if (far(k) < far(nearest)) nearest = k;
-    Extent box = moved(nearest);
-    Vector largest = members_[nearest].box.size();
-    for (std::size_t k = 0; k < members_.size(); ++k) {
-      if (far(k) > window) continue;
-      box.add(moved(k));
-      largest = largest.cwiseMax(members_[k].box.size());
-    }
-    return could_be(box, largest) ? box : moved(nearest);  // or not all of them are the same thing
-  }
-
-  /// Whether an object of a sweep is one of the members' own.
-  bool has(std::size_t sweep, std::uint32_t object) const {
-    return std::any_of(members_.begin(), members_.end(), [&](const Member& m) {
-      return m.sweep == sweep &&
-             std::find(m.objects.begin(), m.objects.end(), object) != m.objects.end();
-    });
-  }
-
-  /// Whether places were free when it was elsewhere, as the nearest such sweeps tell.
-  bool were_free(const Places& places, std::size_t sweep,
-                 const std::vector<const Sighting*>& sightings) const {
-    const auto distance = [&](std::size_t k) {
-      const std::size_t other = members_[k].sweep;
-      return other > sweep ? other - sweep : sweep - other;
-    };
-    const auto left = [&](std::size_t k) { return outside(places, boxes_[k]); };
-    std::vector<std::size_t> away;
-    for (std::size_t k = 0; k < members_.size(); ++k)
-      if (float(left(k).size()) >= kAway * float(places.size())) away.push_back(k);
-    std::stable_sort(away.begin(), away.end(),
-                     [&](std::size_t a, std::size_t b) { return distance(a) < distance(b); });
-    const std::size_t last = std::min(away.size(), kEvery * kWitnesses);
-    for (std::size_t i = 0; i < last; i += kEvery)
-      if (taken(left(away[i]), *sightings[members_[away[i]].sweep]) >=
-          kTaken * float(places.size()))
-        return false;
-    return !away.empty();
-  }
-
- private:
-  double time(std::size_t k) const { return times_[members_[k].sweep]; }
-
-  /// From a few places before and after, since each sweep sees other parts of it.
-  Vector velocity(double t) const {
-    const std::size_t count = members_.size(), few = std::min(kFew, count / 2);
-    std::size_t k = 0;
-    while (k < count && time(k) < t) ++k;
-    k = std::clamp(k, few, count - few);
-    Vector way = Vector::Zero();
-    double duration = 0;
-    for (std::size_t i = 0; i < few; ++i) {
-      way += members_[k + i].place() - members_[k - 1 - i].place();
-      duration += time(k + i) - time(k - 1 - i);
-    }
-    return way / float(duration);
-  }
-
-  std::vector<Member> members_;
-  std::vector<Extent> boxes_;  ///< where they are, as far as known
-  std::size_t most_ = 0;       ///< points that it carries
-  const std::vector<double>& times_;
-  const TrackParameters& p_;
-};
-
 /// Whether an object lies in the box, and is no ground at its bottom.
 bool inside(const SeenObject& object, const Extent& box) {
   return (object.box.low.array() >= box.low.array() - kMargin).all() &&
@@ -387,7 +235,7 @@ std::vector<Followed> follow(const std::vector<const Sighting*>& sightings,
   });
   std::vector<Followed> result = std::move(ways[0]);
   for (std::size_t i = 0; i < result.size(); ++i) {
-    Rows& rows = result[i].objects;
+    auto& rows = result[i].objects;
     rows.insert(rows.end(), ways[1][i].objects.begin(), ways[1][i].objects.end());
     std::sort(rows.begin(), rows.end());
     rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
