@@ -226,6 +226,10 @@ TEST_CASE("what moves is drawn where rays met it close by, unless it is trusted 
   CHECK(std::isnan(middle({{&passed, T, shaky}}, false)));
   CHECK(std::isnan(middle({{&aside, T}}, false)));
   CHECK(std::isnan(middle({{&close, T}, {&aside, T}}, false)));
+  // One that passed four centimetres aside outweighs three that met six aside, not four.
+  const PlacedRays met{&close, T}, missed{&aside, T};
+  CHECK(std::isnan(middle({met, met, met, missed}, false)));
+  CHECK(middle({met, met, met, met, missed}, false) == doctest::Approx(5));
   for (const Rays* rays : {&close, &far, &passed}) CHECK(middle({{rays, T}}, true) == 5);
   CHECK(middle({}, false) == 5);  // nobody can be asked
 }

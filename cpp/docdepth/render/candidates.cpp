@@ -24,8 +24,8 @@ constexpr float kSure = 1000.0f;
 constexpr float kGoesOn = 200.0f, kLeftOut = 15.0f;
 
 /// What a mover has beyond its trusted surface is drawn where one ray met it within a decimetre,
-/// blur included, or many farther off.
-constexpr float kMet = 100.0f;
+/// blur included, or many farther off. Those that passed count half as much again: it is a guess.
+constexpr float kMet = 100.0f, kPassedGuess = 1.5f;
 
 static_assert(kLanes == Candidates::kTile, "a row of a tile is one vector");
 
@@ -146,16 +146,19 @@ class Questions {
     for (const auto& placed : rays) to_rays_.emplace_back(placed.T_camera_rays.inverse());
   }
 
-  std::vector<float> ask(const std::vector<Contest>& contests, int k, float passed = kSure) const {
+  /// @param passed they surely did
+  /// @param weight of rays that passed
+  std::vector<float> ask(const std::vector<Contest>& contests, int k, float passed = kSure,
+                         float weight = 1) const {
     std::vector<float> balance(contests.size(), 0.0f);
     for (std::size_t first = 0; first < contests.size(); first += Places::kMost)
       ask_some(&contests[first], std::min(contests.size() - first, Places::kMost), k, passed,
-               &balance[first]);
+               weight, &balance[first]);
     return balance;
   }
 
  private:
-  void ask_some(const Contest* contests, std::size_t count, int k, float passed,
+  void ask_some(const Contest* contests, std::size_t count, int k, float passed, float weight,
                 float* balance) const {
     Eigen::Vector3f places[Places::kMost];
     for (std::size_t i = 0; i < count; ++i) {
@@ -176,7 +179,9 @@ class Questions {
       rays_[j].rays->ask(seen, rays_[j].blur, told);
       std::size_t left = 0;
       for (std::size_t n = 0; n < seen.size; ++n) {
-        balance[open[n]] = told[n];
+        float& known = balance[open[n]];
+        if (told[n] < known) told[n] += (weight - 1) * (told[n] - known);
+        known = told[n];
         if (told[n] >= kSure || told[n] <= -passed) continue;
         open[left] = open[n], told[left++] = told[n];
       }
@@ -317,7 +322,7 @@ void add_mover(const Columns& columns, const Camera& camera, const std::vector<f
       else
         contests.push_back({u, v, {mover}});
     }
-  const auto balance = Questions(columns, camera, rays).ask(contests, 0);
+  const auto balance = Questions(columns, camera, rays).ask(contests, 0, kSure, kPassedGuess);
   for (std::size_t i = 0; i < contests.size(); ++i) {
     float& here = nearness[columns.at(contests[i].u, contests[i].v)];
     if (balance[i] > kMet)
