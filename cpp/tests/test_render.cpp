@@ -201,6 +201,11 @@ TEST_CASE("rays are asked by falling trust until they are sure") {
   CHECK(middle({&met_aside}) == 5);
   CHECK(middle({&met_aside, &passed}) == 10);
   CHECK(middle({&met_aside, &met_aside, &passed}) == 5);
+  // A centimetre beside it one is sure to have passed, and two to have met it.
+  const Rays met_close = sweep(5, spacing, 0.0085f), passed_close = sweep(10, spacing, 0.0085f);
+  CHECK(middle({&passed_close, &met, &met}) == 10);
+  CHECK(middle({&met_close, &passed}) == 10);
+  CHECK(middle({&met_close, &met_close, &passed}) == 5);
 }
 
 TEST_CASE("what moves is drawn where rays met it close by, unless it is trusted there") {

@@ -16,8 +16,9 @@ namespace {
 constexpr float kSame = 0.04f;  ///< offers that differ less are of one surface
 constexpr float kEdge = 0.05f;  ///< bend of nearness, linear on every plane, as a share of it
 
-/// A ray that passed within a centimetre, or many farther off, decide: no more are asked.
-constexpr float kSure = 1000.0f;
+/// A ray that passed within a centimetre, or many farther off, decide: no more are asked. It takes
+/// more to have met something than to have gone through: that may be beside a gap.
+constexpr float kSure = 1000.0f, kSurelyMet = 1350.0f;
 
 /// Beside an edge a surface goes on where one ray met it within 5 cm, blur included 7, or many
 /// farther off; what none met within 25 is left out.
@@ -182,7 +183,7 @@ class Questions {
         float& known = balance[open[n]];
         if (told[n] < known) told[n] += (weight - 1) * (told[n] - known);
         known = told[n];
-        if (told[n] >= kSure || told[n] <= -passed) continue;
+        if (told[n] >= kSurelyMet || told[n] <= -passed) continue;
         open[left] = open[n], told[left++] = told[n];
       }
       seen.size = left;
@@ -238,7 +239,7 @@ void move_edges(const Columns& columns, const std::vector<Tile>& tiles, const Qu
     if (v % Candidates::kTile > 0) look(columns.at(u, v - 1));
     if (v % Candidates::kTile + 1 < Candidates::kTile && v + 1 < columns.height)
       look(columns.at(u, v + 1));
-    if (nearest > edge.offers[0] * (1 + kSame) && told[at(edge)] < kSure)
+    if (nearest > edge.offers[0] * (1 + kSame) && told[at(edge)] < kSurelyMet)
       asked.push_back({u, v, {nearest}});
   }
   balance = questions.ask(asked, 0, kMet);
