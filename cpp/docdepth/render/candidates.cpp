@@ -29,6 +29,7 @@ constexpr float kGoesOn = 200.0f, kLeftOut = 15.0f;
 constexpr float kMet = 100.0f, kPassedGuess = 1.5f;
 
 static_assert(kLanes == Candidates::kTile, "a row of a tile is one vector");
+static_assert(Candidates::kStrip % Candidates::kTile == 0, "strips are of whole tiles");
 
 DOCDEPTH_INLINE bool any(const Ints& lanes) {
   std::int64_t halves[kLanes / 2];
@@ -96,18 +97,19 @@ int tiles_along(int pixels) {
   return (pixels + Candidates::kTile - 1) / Candidates::kTile;
 }
 
-/// Is there an edge or an empty pixel in a tile?
+/// Is there an empty pixel in a tile, or an edge, be it between the tile and the next of its strip?
 bool has_edge(const Columns& columns, const std::vector<float>& nearness, const Tile& tile) {
   const auto bent = [](float before, float here, float after) {
     return !(std::fabs((before - here) - (here - after)) <= kEdge * here);
   };
+  const auto ends_at = [&](int u) { return u % Candidates::kStrip == 0 || u == columns.width; };
+  const int left = tile.begin_u + ends_at(tile.begin_u), right = tile.end_u - ends_at(tile.end_u);
   for (int v = tile.begin_v; v < tile.end_v; ++v)
     for (int u = tile.begin_u; u < tile.end_u; ++u) {
       const float* at = &nearness[columns.at(u, v)];
       if (!(*at > 0)) return true;
-      if (u > tile.begin_u && u + 1 < tile.end_u && bent(at[-1], at[0], at[1])) return true;
-      if (v > tile.begin_v && v + 1 < tile.end_v &&
-          bent(at[-columns.stride], at[0], at[columns.stride]))
+      if (u >= left && u < right && bent(at[-1], at[0], at[1])) return true;
+      if (v > 0 && v + 1 < columns.height && bent(at[-columns.stride], at[0], at[columns.stride]))
         return true;
     }
   return false;
