@@ -20,9 +20,9 @@ constexpr float kEdge = 0.05f;  ///< bend of nearness, linear on every plane, as
 /// more to have met something than to have gone through: that may be beside a gap.
 constexpr float kSure = 1000.0f, kSurelyMet = 1350.0f;
 
-/// Beside an edge a surface goes on where one ray met it within 5 cm, blur included 7, or many
+/// Beside an edge a surface goes on where one ray met it within 8 cm, blur included 10, or many
 /// farther off; what none met within 25 is left out.
-constexpr float kGoesOn = 200.0f, kLeftOut = 15.0f;
+constexpr float kGoesOn = 100.0f, kLeftOut = 15.0f;
 
 /// What a mover has beyond its trusted surface is drawn where one ray met it within a decimetre,
 /// blur included, or many farther off. Those that passed count half as much again: it is a guess.
