@@ -150,6 +150,15 @@ TEST_CASE(
     "rays tell a surface from what was looked through, at edges and where nothing is trusted") {
   const Camera camera{100, 100, 10, 10, 21, 21};
   const Mesh far = square(10), near = square(5), nearer = square(2.5f), half = square(10, 0.05f);
+  const Mesh beyond({{-5, -5, 5},
+                     {0.275f, -5, 5},
+                     {0.275f, 5, 5},
+                     {-5, 5, 5},
+                     {0.55f, -5, 10},
+                     {5, -5, 10},
+                     {5, 5, 10},
+                     {0.55f, 5, 10}},
+                    {{0, 1, 2}, {0, 2, 3}, {4, 5, 6}, {4, 6, 7}});
   // A sensor at the camera, x ahead: its rays end at 5 m in the right half of the image (y < 0),
   // at 10 m in the left one.
   Matrix points(200 * 200, 3);
@@ -179,6 +188,8 @@ TEST_CASE(
     // The tiles in which the trusted one has its edge are open: the columns 8 to 15.
     const bool open = i % 21 < 16;
     CHECK(draw(&half, {&near, &far})[i] == (open ? truth : doctest::Approx(10)));
+    // So are those on both sides of an edge: this one lies between the columns 15 and 16.
+    CHECK(draw(&beyond, {&near, &far})[i] == (i % 21 < 8 ? doctest::Approx(5) : truth));
   }
 }
 
@@ -201,6 +212,11 @@ TEST_CASE("rays are asked by falling trust until they are sure") {
   CHECK(middle({&met_aside}) == 5);
   CHECK(middle({&met_aside, &passed}) == 10);
   CHECK(middle({&met_aside, &met_aside, &passed}) == 5);
+  // A centimetre beside it one is sure to have passed, and two to have met it.
+  const Rays met_close = sweep(5, spacing, 0.0085f), passed_close = sweep(10, spacing, 0.0085f);
+  CHECK(middle({&passed_close, &met, &met}) == 10);
+  CHECK(middle({&met_close, &passed}) == 10);
+  CHECK(middle({&met_close, &met_close, &passed}) == 5);
 }
 
 TEST_CASE("what moves is drawn where rays met it close by, unless it is trusted there") {
@@ -226,6 +242,10 @@ TEST_CASE("what moves is drawn where rays met it close by, unless it is trusted 
   CHECK(std::isnan(middle({{&passed, T, shaky}}, false)));
   CHECK(std::isnan(middle({{&aside, T}}, false)));
   CHECK(std::isnan(middle({{&close, T}, {&aside, T}}, false)));
+  // One that passed four centimetres aside outweighs three that met six aside, not four.
+  const PlacedRays met{&close, T}, missed{&aside, T};
+  CHECK(std::isnan(middle({met, met, met, missed}, false)));
+  CHECK(middle({met, met, met, met, missed}, false) == doctest::Approx(5));
   for (const Rays* rays : {&close, &far, &passed}) CHECK(middle({{rays, T}}, true) == 5);
   CHECK(middle({}, false) == 5);  // nobody can be asked
 }

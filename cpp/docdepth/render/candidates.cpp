@@ -16,18 +16,20 @@ namespace {
 constexpr float kSame = 0.04f;  ///< offers that differ less are of one surface
 constexpr float kEdge = 0.05f;  ///< bend of nearness, linear on every plane, as a share of it
 
-/// A ray that passed within a centimetre, or many farther off, decide: no more are asked.
-constexpr float kSure = 1000.0f;
+/// A ray that passed within a centimetre, or many farther off, decide: no more are asked. It takes
+/// more to have met something than to have gone through: that may be beside a gap.
+constexpr float kSure = 1000.0f, kSurelyMet = 1350.0f;
 
-/// Beside an edge a surface goes on where one ray met it within 5 cm, blur included 7, or many
+/// Beside an edge a surface goes on where one ray met it within 8 cm, blur included 10, or many
 /// farther off; what none met within 25 is left out.
-constexpr float kGoesOn = 200.0f, kLeftOut = 15.0f;
+constexpr float kGoesOn = 100.0f, kLeftOut = 15.0f;
 
 /// What a mover has beyond its trusted surface is drawn where one ray met it within a decimetre,
-/// blur included, or many farther off.
-constexpr float kMet = 100.0f;
+/// blur included, or many farther off. Those that passed count half as much again: it is a guess.
+constexpr float kMet = 100.0f, kPassedGuess = 1.5f;
 
 static_assert(kLanes == Candidates::kTile, "a row of a tile is one vector");
+static_assert(Candidates::kStrip % Candidates::kTile == 0, "strips are of whole tiles");
 
 DOCDEPTH_INLINE bool any(const Ints& lanes) {
   std::int64_t halves[kLanes / 2];
@@ -95,18 +97,19 @@ int tiles_along(int pixels) {
   return (pixels + Candidates::kTile - 1) / Candidates::kTile;
 }
 
-/// Is there an edge or an empty pixel in a tile?
+/// Is there an empty pixel in a tile, or an edge, be it between the tile and the next of its strip?
 bool has_edge(const Columns& columns, const std::vector<float>& nearness, const Tile& tile) {
   const auto bent = [](float before, float here, float after) {
     return !(std::fabs((before - here) - (here - after)) <= kEdge * here);
   };
+  const auto ends_at = [&](int u) { return u % Candidates::kStrip == 0 || u == columns.width; };
+  const int left = tile.begin_u + ends_at(tile.begin_u), right = tile.end_u - ends_at(tile.end_u);
   for (int v = tile.begin_v; v < tile.end_v; ++v)
     for (int u = tile.begin_u; u < tile.end_u; ++u) {
       const float* at = &nearness[columns.at(u, v)];
       if (!(*at > 0)) return true;
-      if (u > tile.begin_u && u + 1 < tile.end_u && bent(at[-1], at[0], at[1])) return true;
-      if (v > tile.begin_v && v + 1 < tile.end_v &&
-          bent(at[-columns.stride], at[0], at[columns.stride]))
+      if (u >= left && u < right && bent(at[-1], at[0], at[1])) return true;
+      if (v > 0 && v + 1 < columns.height && bent(at[-columns.stride], at[0], at[columns.stride]))
         return true;
     }
   return false;
@@ -146,16 +149,19 @@ class Questions {
     for (const auto& placed : rays) to_rays_.emplace_back(placed.T_camera_rays.inverse());
   }
 
-  std::vector<float> ask(const std::vector<Contest>& contests, int k, float passed = kSure) const {
+  /// @param passed they surely did
+  /// @param weight of rays that passed
+  std::vector<float> ask(const std::vector<Contest>& contests, int k, float passed = kSure,
+                         float weight = 1) const {
     std::vector<float> balance(contests.size(), 0.0f);
     for (std::size_t first = 0; first < contests.size(); first += Places::kMost)
       ask_some(&contests[first], std::min(contests.size() - first, Places::kMost), k, passed,
-               &balance[first]);
+               weight, &balance[first]);
     return balance;
   }
 
  private:
-  void ask_some(const Contest* contests, std::size_t count, int k, float passed,
+  void ask_some(const Contest* contests, std::size_t count, int k, float passed, float weight,
                 float* balance) const {
     Eigen::Vector3f places[Places::kMost];
     for (std::size_t i = 0; i < count; ++i) {
@@ -176,8 +182,10 @@ class Questions {
       rays_[j].rays->ask(seen, rays_[j].blur, told);
       std::size_t left = 0;
       for (std::size_t n = 0; n < seen.size; ++n) {
-        balance[open[n]] = told[n];
-        if (told[n] >= kSure || told[n] <= -passed) continue;
+        float& known = balance[open[n]];
+        if (told[n] < known) told[n] += (weight - 1) * (told[n] - known);
+        known = told[n];
+        if (told[n] >= kSurelyMet || told[n] <= -passed) continue;
         open[left] = open[n], told[left++] = told[n];
       }
       seen.size = left;
@@ -233,7 +241,7 @@ void move_edges(const Columns& columns, const std::vector<Tile>& tiles, const Qu
     if (v % Candidates::kTile > 0) look(columns.at(u, v - 1));
     if (v % Candidates::kTile + 1 < Candidates::kTile && v + 1 < columns.height)
       look(columns.at(u, v + 1));
-    if (nearest > edge.offers[0] * (1 + kSame) && told[at(edge)] < kSure)
+    if (nearest > edge.offers[0] * (1 + kSame) && told[at(edge)] < kSurelyMet)
       asked.push_back({u, v, {nearest}});
   }
   balance = questions.ask(asked, 0, kMet);
@@ -317,7 +325,7 @@ void add_mover(const Columns& columns, const Camera& camera, const std::vector<f
       else
         contests.push_back({u, v, {mover}});
     }
-  const auto balance = Questions(columns, camera, rays).ask(contests, 0);
+  const auto balance = Questions(columns, camera, rays).ask(contests, 0, kSure, kPassedGuess);
   for (std::size_t i = 0; i < contests.size(); ++i) {
     float& here = nearness[columns.at(contests[i].u, contests[i].v)];
     if (balance[i] > kMet)

@@ -25,8 +25,9 @@ struct Columns {
 /// closely is left empty.
 class Candidates {
  public:
-  static constexpr int kTile = 8;  ///< edge of the squares of pixels that are open or not
-  static constexpr int kMost = 3;  ///< offers that are kept for a pixel
+  static constexpr int kTile = 8;     ///< edge of the squares of pixels that are open or not
+  static constexpr int kStrip = 104;  ///< columns that know nothing of those beside them
+  static constexpr int kMost = 3;     ///< offers that are kept for a pixel
 
   Candidates(const Columns& columns, std::vector<float> trusted);
 

@@ -19,7 +19,7 @@
 // nothing is shared and the order within a strip never changes.
 namespace docdepth {
 
-constexpr int kStrip = 104;  // columns; 375 rows of them fit the first cache levels
+constexpr int kStrip = Candidates::kStrip;  // 375 rows of them fit the first cache levels
 
 /// Pixels by which triangles are larger than they are, so that rounding leaves no cracks.
 constexpr float kSlack = 0.01f;

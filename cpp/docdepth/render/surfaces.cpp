@@ -12,7 +12,7 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
-/// Where a ray of another sweep passed a moving object is not known better than this [m].
+/// Where a ray passed an object that moved on until the image is not known better than this [m].
 constexpr float kCarried = 0.05f;
 
 /// Objects are matched with those of as many sweeps, less one.
@@ -79,7 +79,7 @@ std::vector<PlacedMover> carried(const Camera& camera, const Motion& motion, int
     placed.push_back({{{&parts.whole, T, number}, {&parts.inner, T, number, true}},
                       {{&parts.outer, T, number, true}},
                       {}});
-    if (!velocity[k].isZero(0)) placed[k].rays.push_back({&nearest.frame->rays, T});
+    if (!velocity[k].isZero(0)) placed[k].rays.push_back({&nearest.frame->rays, T, kCarried});
   }
   std::vector<std::vector<Again>> again(motion.sweeps.size());
   parallel_for(again.size() - 1, 1, threads, [&](std::size_t begin, std::size_t) {
