@@ -176,8 +176,10 @@ std::map<Cell, GroundOfCell> ground_by_cell(const Octree& tree, const Front& fro
 
 /// Behind a kerb nothing flat leads on. So where a cell of the plan has ground and the one beside
 /// it has none, its low places are seeds if they lie no more than a step higher or lower.
+/// @param lows  these places by cell, as far as they were sought
 /// @return whether there are any that were not ground.
-bool seed_behind_steps(const Octree& tree, const GroundParameters& p, Front& front) {
+bool seed_behind_steps(const Octree& tree, const GroundParameters& p,
+                       std::map<Cell, std::uint32_t>& lows, Front& front) {
   const auto cells = ground_by_cell(tree, front);
   const auto has_ground = [&](const Cell& cell) {
     const auto found = cells.find(cell);
@@ -190,8 +192,12 @@ bool seed_behind_steps(const Octree& tree, const GroundParameters& p, Front& fro
     for (int n = 0; n < 9; ++n) {
       const Cell beside{cell[0] + n / 3 - 1, cell[1] + n % 3 - 1};
       if (has_ground(beside)) continue;
-      const double x = (double(beside[0]) + 0.5) * kCell, y = (double(beside[1]) + 0.5) * kCell;
-      const std::uint32_t low = tree.quantile(x, y, 0.5 * kCell, p.seed_quantile);
+      const auto [place, is_new] = lows.try_emplace(beside);
+      if (is_new)
+        place->second =
+            tree.quantile((double(beside[0]) + 0.5) * kCell, (double(beside[1]) + 0.5) * kCell,
+                          0.5 * kCell, p.seed_quantile);
+      const std::uint32_t low = place->second;
       if (low == tree.points().size() || front.labelled(low)) continue;
       if (std::abs(tree.points()[low].z() - height) > p.step_height) continue;
       front.seed(low);
@@ -255,7 +261,9 @@ std::size_t GroundMap::grow() {
     };
     if (double(ground()) < state.parameters.least_share * points && around < kFarthestSeeds)
       continue;
-    while (state.parameters.step_height > 0 && seed_behind_steps(tree, state.parameters, front))
+    std::map<Cell, std::uint32_t> lows;
+    while (state.parameters.step_height > 0 &&
+           seed_behind_steps(tree, state.parameters, lows, front))
       front.grow();
     tree.store_ground([&](std::uint32_t i) { return front.labelled(i); }, state.threads);
     return ground();
