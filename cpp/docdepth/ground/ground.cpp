@@ -150,62 +150,76 @@ void Front::carry_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood
   }
 }
 
-/// A cell of the plan, and the ground in it.
-using Cell = std::array<std::int64_t, 2>;
-struct GroundOfCell {
-  std::size_t points = 0;
-  double heights = 0;
-};
+/// Where ground is in the plan, to go on behind steps: nothing flat leads on behind a kerb. So
+/// where a cell has ground and the one beside it has none, that one's low place is a seed if it
+/// lies no more than a step higher or lower.
+class Plan {
+ public:
+  Plan(const Octree& tree, const GroundParameters& parameters)
+      : tree_(tree), parameters_(parameters), counted_(tree.points().size()) {}
 
-std::map<Cell, GroundOfCell> ground_by_cell(const Octree& tree, const Front& front) {
-  std::map<Cell, GroundOfCell> cells;
-  GroundOfCell* found = nullptr;
-  Cell last{};
-  for (std::uint32_t i = 0; i < tree.points().size(); ++i) {
-    if (!front.labelled(i)) continue;
-    const Vector3d& p = tree.points()[i];
-    const Cell cell{std::int64_t(std::floor(p.x() / kCell)),
-                    std::int64_t(std::floor(p.y() / kCell))};
-    if (!found || cell != last) found = &cells[cell];  // points lie along a curve
-    last = cell;
-    ++found->points;
-    found->heights += p.z();
+  /// @return whether there are seeds that were not ground.
+  bool seed(Front& front) {
+    count(front);
+    bool any = false;
+    for (const auto& [cell, ground] : cells_) {
+      if (!has_ground(cell)) continue;
+      const double height = ground.heights / double(ground.points);
+      for (int n = 0; n < 9; ++n) {
+        const Cell beside{cell[0] + n / 3 - 1, cell[1] + n % 3 - 1};
+        if (has_ground(beside)) continue;
+        const std::uint32_t low = low_place(beside);
+        if (low == tree_.points().size() || front.labelled(low)) continue;
+        if (std::abs(tree_.points()[low].z() - height) > parameters_.step_height) continue;
+        front.seed(low);
+        any = true;
+      }
+    }
+    return any;
   }
-  return cells;
-}
 
-/// Behind a kerb nothing flat leads on. So where a cell of the plan has ground and the one beside
-/// it has none, its low places are seeds if they lie no more than a step higher or lower.
-/// @param lows  these places by cell, as far as they were sought
-/// @return whether there are any that were not ground.
-bool seed_behind_steps(const Octree& tree, const GroundParameters& p,
-                       std::map<Cell, std::uint32_t>& lows, Front& front) {
-  const auto cells = ground_by_cell(tree, front);
-  const auto has_ground = [&](const Cell& cell) {
-    const auto found = cells.find(cell);
-    return found != cells.end() && found->second.points >= std::size_t(p.neighbors);
+ private:
+  using Cell = std::array<std::int64_t, 2>;
+  struct Ground {
+    std::size_t points = 0;
+    double heights = 0;  ///< their sum
   };
-  bool any = false;
-  for (const auto& [cell, ground] : cells) {
-    if (!has_ground(cell)) continue;
-    const double height = ground.heights / double(ground.points);
-    for (int n = 0; n < 9; ++n) {
-      const Cell beside{cell[0] + n / 3 - 1, cell[1] + n % 3 - 1};
-      if (has_ground(beside)) continue;
-      const auto [place, is_new] = lows.try_emplace(beside);
-      if (is_new)
-        place->second =
-            tree.quantile((double(beside[0]) + 0.5) * kCell, (double(beside[1]) + 0.5) * kCell,
-                          0.5 * kCell, p.seed_quantile);
-      const std::uint32_t low = place->second;
-      if (low == tree.points().size() || front.labelled(low)) continue;
-      if (std::abs(tree.points()[low].z() - height) > p.step_height) continue;
-      front.seed(low);
-      any = true;
+
+  bool has_ground(const Cell& cell) const {
+    const auto found = cells_.find(cell);
+    return found != cells_.end() && found->second.points >= std::size_t(parameters_.neighbors);
+  }
+  /// Add what the front has reached since.
+  void count(const Front& front) {
+    Ground* ground = nullptr;
+    Cell last{};
+    for (std::uint32_t i = 0; i < counted_.size(); ++i) {
+      if (counted_[i] || !front.labelled(i)) continue;
+      counted_[i] = 1;
+      const Vector3d& p = tree_.points()[i];
+      const Cell cell{std::int64_t(std::floor(p.x() / kCell)),
+                      std::int64_t(std::floor(p.y() / kCell))};
+      if (!ground || cell != last) ground = &cells_[cell];  // points lie along a curve
+      last = cell;
+      ++ground->points;
+      ground->heights += p.z();
     }
   }
-  return any;
-}
+  std::uint32_t low_place(const Cell& cell) {
+    const auto [place, is_new] = lows_.try_emplace(cell);
+    if (is_new) {
+      const double x = (double(cell[0]) + 0.5) * kCell, y = (double(cell[1]) + 0.5) * kCell;
+      place->second = tree_.quantile(x, y, 0.5 * kCell, parameters_.seed_quantile);
+    }
+    return place->second;
+  }
+
+  const Octree& tree_;
+  const GroundParameters& parameters_;
+  std::vector<std::uint8_t> counted_;
+  std::map<Cell, Ground> cells_;
+  std::map<Cell, std::uint32_t> lows_;  ///< as far as they were sought
+};
 
 }  // namespace
 
@@ -261,10 +275,8 @@ std::size_t GroundMap::grow() {
     };
     if (double(ground()) < state.parameters.least_share * points && around < kFarthestSeeds)
       continue;
-    std::map<Cell, std::uint32_t> lows;
-    while (state.parameters.step_height > 0 &&
-           seed_behind_steps(tree, state.parameters, lows, front))
-      front.grow();
+    Plan plan(tree, state.parameters);
+    while (state.parameters.step_height > 0 && plan.seed(front)) front.grow();
     tree.store_ground([&](std::uint32_t i) { return front.labelled(i); }, state.threads);
     return ground();
   }
