@@ -4,7 +4,8 @@
 
 The paper's splats at their released sizes into a KITTI image: static points of a street of sweeps
 1 m apart, moving ones of one sweep. Medians of runs that take turns, all of them in this process
-on all of its cores; the first image, which sends the points to the device, is counted apart.
+on all of its cores; the first image, which sends the points to the device, is counted apart. Freed
+memory is kept, as the command line does: two threads that ask for fresh pages wait for each other.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import time
 import numpy as np
 
 from docdepth import backends
+from docdepth.cli import keep_memory
 from docdepth.config import RenderParameters
 from docdepth.render import Camera, Frame, render
 from docdepth.trajectory import Trajectory
@@ -58,6 +60,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=100_000, help="of a sweep")
     parser.add_argument("--repeat", type=int, default=5)
     arguments = parser.parse_args()
+    keep_memory()
 
     count = arguments.sweeps
     frames = [street_sweep(arguments.points, seed) for seed in range(count)]
