@@ -138,8 +138,8 @@ def vote(
     """Ask key frames about every point of a sweep (Algorithm 1).
 
     Against pixels, ground points are static without a vote; against surfaces every point is voted
-    on, those called ground with the narrower margin ``ground_across``. Rows that are not finite get
-    no votes.
+    on, with the narrower margin ``ground_across`` where it, or the plane it is held against, is
+    called ground. Rows that are not finite get no votes.
 
     Parameters
     ----------

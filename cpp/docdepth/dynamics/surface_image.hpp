@@ -24,10 +24,9 @@ struct SurfaceImageParameters {
   float tolerance = 0.2f;  ///< of single returns, tau [m]
   Margins upright{0.2f, 0.3f, 0.01f};
   Margins level{0.08f, 0.1f, 0.0f};  ///< of planes that lie flat, as ground does
-  float ground_across =
-      0.03f;                  ///< `across` of these if the point or the plane is called ground [m]
-  float level_cosine = 0.9f;  ///< these are planes whose normal leans no more than that
-  float beam = 0.15f;         ///< what lies farther from a line of sight is not seen [m]
+  float ground_across = 0.03f;       ///< `across` of these if point or plane is called ground [m]
+  float level_cosine = 0.9f;         ///< these are planes whose normal leans no more than that
+  float beam = 0.15f;                ///< what lies farther from a line of sight is not seen [m]
 };
 
 /// For each pixel the triangle of the surface that its centre lies in, and the nearest return.

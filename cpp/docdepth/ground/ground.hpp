@@ -18,8 +18,7 @@ struct GroundParameters {
   int neighbors = 30;            ///< k_nn, the front point itself among them
   double plane_distance = 0.04;  ///< delta, metres
   double max_slope = 0.2617993877991494;  ///< alpha, radians
-  double step_height =
-      0.25;  ///< ground goes on behind kerbs up to this high, metres; 0: it does not
+  double step_height = 0.25;  ///< ground goes on behind kerbs up to this high, metres; 0: not
 };
 
 /// The merged sweeps of one chunk and their ground.
