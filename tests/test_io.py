@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from plyfile import PlyData, PlyElement
 
 from docdepth.config import parameters
 from docdepth.errors import CalibrationError, RunError
@@ -49,6 +50,45 @@ def test_truncated_frame_is_named_with_the_remedy(tmp_path, frame):
     path = tmp_path / "frame_000003.ply"
     write_frame(path, frame)
     path.write_bytes(path.read_bytes()[:-7])
+    with pytest.raises(RunError, match=r"frame_000003\.ply is damaged.*run the stage again"):
+        read_frame(path)
+
+
+@pytest.mark.parametrize(
+    "kind", [{"byte_order": "<"}, {"byte_order": ">"}, {"text": True}], ids=lambda kind: str(kind)
+)
+@pytest.mark.parametrize("with_faces", [False, True])
+def test_frames_as_others_write_them(tmp_path, kind, with_faces):
+    """Also those that :func:`read_frame` leaves to plyfile, in every layout that plyfile writes."""
+    fields = [("x", "f4"), ("y", "f4"), ("z", "f8"), ("intensity", "u1"), ("classid", "i2")]
+    rows = np.zeros(50, fields)
+    rng = np.random.default_rng(2)
+    for name, _ in fields:
+        rows[name] = rng.integers(0, 100, 50)
+    elements = [PlyElement.describe(rows, "vertex")]
+    if with_faces:
+        face = np.array([([0, 1, 2],)], [("vertex_indices", "O")])
+        elements.append(PlyElement.describe(face, "face", val_types={"vertex_indices": "i4"}))
+    path = tmp_path / "frame_000007.ply"
+    PlyData(elements, comments=["made by another"], **kind).write(path)
+    frame = read_frame(path)
+    expected = np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
+    np.testing.assert_array_equal(frame.points, expected.astype(np.float32))
+    np.testing.assert_array_equal(frame.classid, rows["classid"])
+    assert frame.name == "frame_000007"
+    assert (frame.points.dtype, frame.classid.dtype) == (np.float32, np.uint16)
+
+
+@pytest.mark.parametrize("spoil", [
+    lambda content: b"", lambda content: content[:60], lambda content: b"P5" + content,
+    lambda content: content.replace(b"float x", b"floet x"),
+    lambda content: content.replace(b"vertex 100", b"vertex -10"),
+    lambda content: content.replace(b"vertex 100", b"vertex one"),
+])  # fmt: skip
+def test_a_damaged_header_is_named(tmp_path, frame, spoil):
+    path = tmp_path / "frame_000003.ply"
+    write_frame(path, frame)
+    path.write_bytes(spoil(path.read_bytes()))
     with pytest.raises(RunError, match=r"frame_000003\.ply is damaged.*run the stage again"):
         read_frame(path)
 

@@ -5,6 +5,7 @@ import pytest
 
 from docdepth.config import Parameters, parameters
 from docdepth.dynamics import classify, classify_drive
+from docdepth.errors import RunError
 from docdepth.io.ply import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.objects import connect_objects
@@ -70,19 +71,27 @@ def test_a_run_gives_the_labels_of_the_drive_in_memory_and_goes_on(street, tmp_p
     assert not (run.path / ".objects").exists()
 
     again = folder_of(tmp_path / "again", trajectory, sweeps)
-    whole = stage._write_classified
-    for stop in (7, len(sweeps) + 3):  # while it votes, and while evidence is carried
-        left = iter(range(stop - sum(bool(again.frame_key(i).get("classify")) for i in range(30))))
+    # One file of ground comes first; then while it votes, and while evidence is carried.
+    for name, times in (("_write_arrays", 8), ("_write_arrays", 3), ("_write_classified", 7)):
+        whole, left = getattr(stage, name), iter(range(times))
 
-        def interrupted(*arguments, left=left):
+        def interrupted(*arguments, whole=whole, left=left):
             if next(left, None) is None:
                 raise KeyboardInterrupt
             whole(*arguments)
 
-        monkeypatch.setattr(stage, "_write_classified", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            run_classify(again)
-    monkeypatch.setattr(stage, "_write_classified", whole)
+        with monkeypatch.context() as patch:
+            patch.setattr(stage, name, interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                run_classify(again)
+    seen = sorted((again.path / ".objects").glob("*/*.npy"))
+    assert len(seen) == len(sweeps)
+    size = seen[4].stat().st_size
+    with seen[4].open("r+b") as stream:  # as a disk may leave it when the power goes
+        stream.truncate(size // 2)
+    with pytest.raises(RunError, match=f"{seen[4].name} is damaged.*delete it"):
+        run_classify(again)
+    seen[4].unlink()
     run_classify(again)
     for i in range(len(sweeps)):
         assert run.frame_path(i).read_bytes() == again.frame_path(i).read_bytes()

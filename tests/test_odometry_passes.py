@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from docdepth import odometry as module
 from docdepth import side_by_side
 from docdepth.config import OdometryParameters
 from docdepth.datasets import Sweep
@@ -143,8 +142,8 @@ def test_passes_at_once_give_the_same_bits(
 def test_one_core_starts_nothing(
     drive: Drive, expected: np.ndarray, started: list, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module.os, "sched_getaffinity", lambda _: {0}, raising=False)
-    monkeypatch.setattr(module.os, "cpu_count", lambda: 1)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
     assert estimate_poses(drive).tobytes() == expected.tobytes()
     estimate_poses(Drive(4), threads=3)  # over before another process has started
     assert started == []

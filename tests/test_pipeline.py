@@ -83,9 +83,9 @@ def test_votes_are_kept_when_only_their_use_changes(finished, tmp_path, monkeypa
     asked = []
     vote = classes.voting.vote
 
-    def counted(*arguments):
+    def counted(*arguments, **named):
         asked.append(1)
-        return vote(*arguments)
+        return vote(*arguments, **named)
 
     monkeypatch.setattr(classes.voting, "vote", counted)
     for run in (kept, again):

@@ -11,8 +11,6 @@ or more.
 from __future__ import annotations
 
 import logging
-import os
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +25,7 @@ from docdepth.errors import InputError, OdometryError
 from docdepth.passes import Deskewed, Pass
 from docdepth.registration import first_motion
 from docdepth.side_by_side import side_by_side
+from docdepth.threads import thread_count
 from docdepth.trajectory import Trajectory, check_rigid, inverse
 
 log = logging.getLogger(__name__)
@@ -157,8 +156,7 @@ def _run(
 def _abreast(threads: int, count: int) -> int:
     """How many passes run at once: one more than cores, since they wait for each other."""
     if threads == 0:
-        linux = sys.platform == "linux"
-        cores = len(os.sched_getaffinity(0)) if linux else os.cpu_count() or 1
+        cores = thread_count(0)
         threads = cores + 1 if cores > 1 else 1
     return threads if count >= _MANY else 1
 

@@ -4,7 +4,9 @@
 #include <array>
 #include <atomic>
 #include <cmath>
+#include <condition_variable>
 #include <map>
+#include <mutex>
 #include <vector>
 
 #include "docdepth/geometry/parallel.hpp"
@@ -31,7 +33,7 @@ class Front {
   Front(const Octree& tree, const GroundParameters& parameters, int threads)
       : tree_(tree),
         parameters_(parameters),
-        threads_(threads),
+        threads_(thread_count(threads)),
         cos_max_slope_(std::cos(parameters.max_slope)),
         labels_(tree.points().size()),
         queued_(tree.nodes().size()),
@@ -71,19 +73,42 @@ class Front {
   Leaves next_;
 };
 
+/// Threads take leaves from the common list until it is empty and none of them works any more.
 void Front::grow() {
-  while (!next_.empty()) {
-    Leaves leaves;
-    leaves.swap(next_);
-    constexpr std::size_t kPart = 16;
-    std::vector<Leaves> reached((leaves.size() + kPart - 1) / kPart);
-    parallel_for(leaves.size(), kPart, threads_, [&](std::size_t begin, std::size_t end) {
-      const auto k = std::min<std::size_t>(parameters_.neighbors, labels_.size());
-      Neighborhood hood(tree_, labels_, k);
-      for (std::size_t i = begin; i < end; ++i) visit(leaves[i], hood, reached[begin / kPart]);
-    });
-    for (const Leaves& part : reached) next_.insert(next_.end(), part.begin(), part.end());
-  }
+  constexpr std::size_t kMost = 8;  // leaves that a thread takes at once
+  std::mutex mutex;
+  std::condition_variable changed;
+  std::size_t first = 0, working = 0;  // of next_ that nobody has taken; threads
+  const auto work = [&](std::size_t, std::size_t) {
+    const auto k = std::min<std::size_t>(parameters_.neighbors, labels_.size());
+    Neighborhood hood(tree_, labels_, k);
+    Leaves taken, reached;
+    std::unique_lock<std::mutex> lock(mutex);
+    for (;;) {
+      changed.wait(lock, [&] { return first < next_.size() || !working; });
+      if (first == next_.size()) break;
+      const std::size_t fair = (next_.size() - first) / (2 * threads_) + 1;
+      taken.assign(next_.begin() + first, next_.begin() + first + std::min(kMost, fair));
+      first += taken.size();
+      ++working;
+      lock.unlock();
+      reached.clear();
+      try {
+        for (const std::uint32_t leaf : taken) visit(leaf, hood, reached);
+      } catch (...) {
+        lock.lock();
+        --working;  // or else the others would wait for this one
+        changed.notify_all();
+        throw;
+      }
+      lock.lock();
+      --working;
+      next_.insert(next_.end(), reached.begin(), reached.end());
+      changed.notify_all();
+    }
+  };
+  parallel_for(threads_, 1, threads_, work);
+  next_.clear();
 }
 
 /// A guess of the distance to the k-th neighbour, as if the leaf's points covered its box.
@@ -155,31 +180,42 @@ void Front::carry_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood
 /// lies no more than a step higher or lower.
 class Plan {
  public:
-  Plan(const Octree& tree, const GroundParameters& parameters)
-      : tree_(tree), parameters_(parameters), counted_(tree.points().size()) {}
+  Plan(const Octree& tree, const GroundParameters& parameters, int threads)
+      : tree_(tree), parameters_(parameters), threads_(threads), counted_(tree.points().size()) {}
 
   /// @return whether there are seeds that were not ground.
   bool seed(Front& front) {
     count(front);
-    bool any = false;
+    using Low = Lows::value_type;
+    std::vector<std::pair<double, Low*>> steps;  // with the height of the ground before each
+    std::vector<Low*> unsought;
     for (const auto& [cell, ground] : cells_) {
       if (!has_ground(cell)) continue;
-      const double height = ground.heights / double(ground.points);
       for (int n = 0; n < 9; ++n) {
         const Cell beside{cell[0] + n / 3 - 1, cell[1] + n % 3 - 1};
         if (has_ground(beside)) continue;
-        const std::uint32_t low = low_place(beside);
-        if (low == tree_.points().size() || front.labelled(low)) continue;
-        if (std::abs(tree_.points()[low].z() - height) > parameters_.step_height) continue;
-        front.seed(low);
-        any = true;
+        const auto [low, is_new] = lows_.try_emplace(beside);
+        if (is_new) unsought.push_back(&*low);
+        steps.emplace_back(ground.heights / double(ground.points), &*low);
       }
+    }
+    parallel_for(unsought.size(), 16, threads_, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i) unsought[i]->second = low_place(unsought[i]->first);
+    });
+    bool any = false;
+    for (const auto& [height, place] : steps) {
+      const std::uint32_t low = place->second;
+      if (low == tree_.points().size() || front.labelled(low)) continue;
+      if (std::abs(tree_.points()[low].z() - height) > parameters_.step_height) continue;
+      front.seed(low);
+      any = true;
     }
     return any;
   }
 
  private:
   using Cell = std::array<std::int64_t, 2>;
+  using Lows = std::map<Cell, std::uint32_t>;
   struct Ground {
     std::size_t points = 0;
     double heights = 0;  ///< their sum
@@ -205,20 +241,17 @@ class Plan {
       ground->heights += p.z();
     }
   }
-  std::uint32_t low_place(const Cell& cell) {
-    const auto [place, is_new] = lows_.try_emplace(cell);
-    if (is_new) {
-      const double x = (double(cell[0]) + 0.5) * kCell, y = (double(cell[1]) + 0.5) * kCell;
-      place->second = tree_.quantile(x, y, 0.5 * kCell, parameters_.seed_quantile);
-    }
-    return place->second;
+  std::uint32_t low_place(const Cell& cell) const {
+    const double x = (double(cell[0]) + 0.5) * kCell, y = (double(cell[1]) + 0.5) * kCell;
+    return tree_.quantile(x, y, 0.5 * kCell, parameters_.seed_quantile);
   }
 
   const Octree& tree_;
   const GroundParameters& parameters_;
+  int threads_;
   std::vector<std::uint8_t> counted_;
   std::map<Cell, Ground> cells_;
-  std::map<Cell, std::uint32_t> lows_;  ///< as far as they were sought
+  Lows lows_;  ///< as far as they were sought
 };
 
 }  // namespace
@@ -259,14 +292,15 @@ std::size_t GroundMap::grow() {
   const auto points = static_cast<std::uint32_t>(tree.points().size());
   for (double around = state.parameters.seed_radius;; around *= 2.0) {
     Front front(tree, state.parameters, state.threads);
-    for (const Vector3d& position : state.positions) {
-      std::uint32_t seed;
+    std::vector<std::uint32_t> seeds(state.positions.size());
+    parallel_for(seeds.size(), 1, state.threads, [&](std::size_t i, std::size_t) {
+      const Vector3d& position = state.positions[i];
       double radius = around;
-      while ((seed = tree.quantile(position.x(), position.y(), radius,
-                                   state.parameters.seed_quantile)) == points)
+      while ((seeds[i] = tree.quantile(position.x(), position.y(), radius,
+                                       state.parameters.seed_quantile)) == points)
         radius *= 2.0;
-      front.seed(seed);
-    }
+    });
+    for (const std::uint32_t seed : seeds) front.seed(seed);
     front.grow();
     const auto ground = [&] {
       std::size_t count = 0;
@@ -275,7 +309,7 @@ std::size_t GroundMap::grow() {
     };
     if (double(ground()) < state.parameters.least_share * points && around < kFarthestSeeds)
       continue;
-    Plan plan(tree, state.parameters);
+    Plan plan(tree, state.parameters, state.threads);
     while (state.parameters.step_height > 0 && plan.seed(front)) front.grow();
     tree.store_ground([&](std::uint32_t i) { return front.labelled(i); }, state.threads);
     return ground();

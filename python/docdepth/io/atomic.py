@@ -10,7 +10,7 @@ from typing import BinaryIO
 from docdepth.errors import RunError
 
 
-def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
+def write_atomically(path: Path, write: Callable[[BinaryIO], object], *, sync: bool = True) -> None:
     """Write a file under its final name only when it is whole.
 
     The content goes beside it first, is synced to disk and then renamed, so that a killed run or
@@ -21,6 +21,9 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
     path : Path
     write : callable
         Called with the open binary file.
+    sync : bool
+        False for what the same stage reads again and deletes: the disk then need not see it. It is
+        whole after a killed run all the same, but perhaps not after the power went.
 
     Raises
     ------
@@ -29,11 +32,11 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """
     part = path.with_name(f".{path.name}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("wb") as stream:
+        with _opened(part) as stream:
             write(stream)
             stream.flush()
-            os.fsync(stream.fileno())
+            if sync:
+                os.fsync(stream.fileno())
         os.replace(part, path)
     except OSError as error:
         part.unlink(missing_ok=True)
@@ -44,3 +47,11 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def _opened(path: Path) -> BinaryIO:
+    try:
+        return path.open("wb")
+    except FileNotFoundError:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open("wb")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,13 @@ _TRAJECTORY = np.dtype(
     # A double loses the nanoseconds of a clock that counts from 1970, so they stand apart.
     + [("indices", "<i4"), ("seconds", "<u4"), ("nanoseconds", "<u4")]
 )
+
+_SCALARS = {
+    **{"char": "<i1", "uchar": "<u1", "short": "<i2", "ushort": "<u2", "int": "<i4"},
+    **{"uint": "<u4", "float": "<f4", "double": "<f8", "int8": "<i1", "uint8": "<u1"},
+    **{"int16": "<i2", "uint16": "<u2", "int32": "<i4", "uint32": "<u4"},
+    **{"float32": "<f4", "float64": "<f8"},
+}
 
 _EXTRA = {
     "classid": "<u2",
@@ -164,15 +171,9 @@ def read_frame_key(path: Path) -> dict[str, str]:
     """Which parameters made a frame, from its header alone; empty when there is no such file."""
     if not path.is_file():
         return {}
-    comments = []
     with path.open("rb") as stream:
-        for raw in stream:
-            line = raw.decode("ascii", "replace").strip()
-            if line == "end_header":
-                break
-            if line.startswith("comment "):
-                comments.append(line.removeprefix("comment "))
-    return {k.removeprefix("key "): v for k, v in _notes(comments).items() if k.startswith("key ")}
+        notes = _notes(_header(stream)[1])
+    return {k.removeprefix("key "): v for k, v in notes.items() if k.startswith("key ")}
 
 
 def _points(path: Path, rows: NDArray[Any]) -> NDArray[np.float32]:
@@ -199,9 +200,48 @@ def _write(path: Path, rows: NDArray[Any], comments: list[str]) -> None:
 
 def _read(path: Path) -> tuple[NDArray[Any], list[str]]:
     try:
+        with path.open("rb") as stream:
+            lines, comments = _header(stream)
+            layout = _layout(lines)
+            if layout is not None:
+                count, dtype = layout
+                rows = np.fromfile(stream, dtype, count)
+                if len(rows) != count:
+                    raise ValueError(f"{len(rows)} of {count} rows are there")
+                return rows, comments
         data = PlyData.read(path)
         return data["vertex"].data, list(data.comments)
     except FileNotFoundError:
         raise RunError(f"{path} is missing; run the stage that writes it") from None
     except (PlyParseError, KeyError, UnicodeDecodeError, ValueError) as error:
         raise RunError(f"{path} is damaged ({error}); delete it and run the stage again") from None
+
+
+def _header(stream: BinaryIO) -> tuple[list[str], list[str]]:
+    """Lines of a header but its comments, and these; all there are if it has no end."""
+    lines, comments = [], []
+    for raw in stream:
+        line = raw.decode("ascii", "replace").strip()
+        if line == "end_header":
+            break
+        if line.startswith("comment "):
+            comments.append(line.removeprefix("comment "))
+        else:
+            lines.append(line)
+    return lines, comments
+
+
+def _layout(lines: list[str]) -> tuple[int, np.dtype[Any]] | None:
+    """Rows and their type, if they are all there is and laid out as numpy has it.
+
+    plyfile reads a header letter by letter; for files that are read again by each stage that takes
+    as long as their points.
+    """
+    if lines[:2] != ["ply", "format binary_little_endian 1.0"] or len(lines) < 3:
+        return None
+    element, *properties = [line.split() for line in lines[2:]]
+    if element[:2] != ["element", "vertex"] or len(element) != 3:
+        return None
+    if any(len(p) != 3 or p[0] != "property" or p[1] not in _SCALARS for p in properties):
+        return None
+    return int(element[2]), np.dtype([(name, _SCALARS[scalar]) for _, scalar, name in properties])

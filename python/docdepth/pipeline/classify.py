@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth import dynamics, objects, voting
+from docdepth.errors import RunError
 from docdepth.ground import GroundMap, chunks
 from docdepth.io.atomic import write_atomically
 from docdepth.io.ply import FrameRecord
@@ -27,8 +29,10 @@ from docdepth.pipeline.stage import (
     teller,
 )
 from docdepth.surface import Surface
+from docdepth.threads import thread_count
 from docdepth.trajectory import Trajectory
 
+_GROUND = ".ground"
 _MOVING, _STATIC, _OUTLIER = 251, 9, 1  # SemanticKITTI's labels
 
 
@@ -63,12 +67,11 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         return
     watch, total = Stopwatch(), len(trajectory)
     run.set_stage("classify", state="running", key=key)
-    grounds = run.path / ".ground"
-    _grow_ground(run, trajectory, grounds, watch, threads, teller(progress, "ground"))
+    grounds = _grow_ground(run, trajectory, watch, threads, teller(progress, "ground"))
 
     over_time = objects.carries_evidence(parameters.dynamics)
     local = objects.poses_near_start(trajectory)
-    seen = run.path / ".objects" / key
+    seen, sightings = run.path / ".objects" / key, dict[int, objects.Sighting]()
     voters = voting.key_frames(trajectory, parameters.dynamics)
 
     keys = {"votes": votes_key, "classify": key}
@@ -81,8 +84,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     def prepare(index: int) -> _Sweep:
         with watch("read"):
             record = run.frame(index)
-            bits = np.load(grounds / f"{index:06d}.npy")
-            ground = np.unpackbits(bits, count=len(record.points)).astype(bool)
+            ground = np.unpackbits(grounds[index], count=len(record.points)).view(np.bool_)
         with watch("surfaces"):
             surface = dynamics.surface_for(
                 record.points, parameters.dynamics, parameters.surface, run.sensors(record)
@@ -96,8 +98,26 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                 record.points, ground, parameters.dynamics, surface, run.sensors(record)
             )
 
-    def finish(index: int, sweep: _Sweep, votes: voting.Votes) -> None:
-        (record, ground, surface), first = sweep, None
+    def vote(index: int, sweep: _Sweep, asked: list[Future[voting.KeyFrame]]) -> voting.Votes:
+        if index in voted:
+            return _votes_of(sweep.record)
+        answering = [key_frame.result() for key_frame in asked]
+        with watch("vote"):
+            return voting.vote(
+                sweep.record.points,
+                sweep.ground,
+                trajectory.poses[index],
+                answering,
+                trajectory.poses[voters[index]],
+                parameters.dynamics,
+                threads=1,
+            )
+
+    def classify(
+        index: int, made: Future[_Sweep], asked: list[Future[voting.KeyFrame]]
+    ) -> Future[None]:
+        sweep = made.result()
+        votes, (record, ground, surface), first = vote(index, sweep, asked), sweep, None
         with watch("objects"):
             if over_time:
                 first = objects.connect_objects(record.points, ground, surface, parameters.dynamics)
@@ -105,15 +125,24 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                 ground, votes, parameters.dynamics, record.points, surface, first
             )
         if first is None:
-            with watch("write"):
-                _write_classified(run, index, record, keys, votes, classid)
-            return
+            return writers.submit(write, index, record, votes, classid)
         with watch("sightings"):
             moving = classid >= dynamics.DYNAMIC
-            sighting = objects.Sighting(record.points, ground, first, moving, local[index])
+            sightings[index] = objects.Sighting(record.points, ground, first, moving, local[index])
+        return writers.submit(write_first, index, first, votes, classid)
+
+    def write(
+        index: int, record: FrameRecord, votes: voting.Votes, classid: NDArray[np.uint16]
+    ) -> None:
         with watch("write"):
-            arrays = (*sighting.arrays, first, votes.static, votes.dynamic, classid)
-            _write_arrays(seen / f"{index:06d}.npy", *arrays)
+            _write_classified(run, index, record, keys, votes, classid)
+
+    def write_first(
+        index: int, first: NDArray[np.uint32], votes: voting.Votes, classid: NDArray[np.uint16]
+    ) -> None:
+        with watch("write"):
+            arrays = (first, votes.static, votes.dynamic, classid)
+            _write_arrays(seen / f"{index:06d}.npy", *arrays, *sightings[index].arrays)
 
     left = [index for index in range(total) if not is_classified(index)]
     voted = {index for index in left if run.frame_key(index).get("votes") == votes_key}
@@ -121,12 +150,12 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     tell(total - len(left), total)
     sweeps: dict[int, Future[_Sweep]] = {}
     key_frames: dict[int, Future[voting.KeyFrame]] = {}
-    # Sweeps of the next votes are prepared, and the last votes made classes, during a vote: two of
-    # them, since each alone would leave a core idle when the vote is done first. Workers take jobs
-    # in order, so that a key frame never waits for a sweep that waits for a worker; the third one,
-    # since one mostly waits for the disk.
-    with ThreadPoolExecutor(3) as pool:
-        pending: Future[None] | None = None
+    # A job takes one thread, since a sweep alone has too little to do for many. Workers take jobs
+    # in order, so that none waits for one that waits for a worker; what the next two votes need
+    # comes before this one, so that it seldom waits at all; for the disk wait others.
+    workers = thread_count(threads)
+    with ThreadPoolExecutor(2) as writers, ThreadPoolExecutor(workers) as pool:
+        working: deque[Future[Future[None]]] = deque()
         for done, index in enumerate(left):
             ahead = left[done : done + 3]
             asked = {k for i in ahead if i not in voted for k in voters[i].tolist()}
@@ -136,69 +165,48 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
                 sweeps[k] = pool.submit(prepare, k)
             for k in sorted(asked - key_frames.keys()):
                 key_frames[k] = pool.submit(make_key_frame, sweeps[k])
-            with watch("wait for sweeps"):
-                sweep = sweeps[index].result()
-            if index in voted:
-                votes = _votes_of(sweep.record)
-            else:
-                with watch("wait for sweeps"):
-                    answering = [key_frames[k].result() for k in voters[index].tolist()]
-                with watch("vote"):
-                    votes = voting.vote(
-                        sweep.record.points,
-                        sweep.ground,
-                        trajectory.poses[index],
-                        answering,
-                        trajectory.poses[voters[index]],
-                        parameters.dynamics,
-                        threads,
-                    )
-            with watch("wait for objects and files"):
-                if pending:
-                    pending.result()
-                pending = pool.submit(finish, index, sweep, votes)
-            tell(total - len(left) + done + 1, total)
-        if pending:
-            pending.result()
+            answering = [] if index in voted else [key_frames[k] for k in voters[index].tolist()]
+            working.append(pool.submit(classify, index, sweeps[index], answering))
+            if len(working) > workers:
+                working.popleft().result().result()
+            tell(total - len(left) + done + 1 - len(working), total)
+        while working:
+            working.popleft().result().result()
+            tell(total - len(working), total)
     if over_time:
-        _carry_evidence(run, trajectory, seen, keys, watch, threads)
+        _carry_evidence(run, trajectory, seen, sightings, keys, watch, threads)
         shutil.rmtree(seen.parent)
-    for path in grounds.glob("*"):
-        path.unlink()
+    shutil.rmtree(run.path / _GROUND)
     finish_stage(run, "classify", watch, len(left))
 
 
 def _grow_ground(
     run: RunFolder,
     trajectory: Trajectory,
-    folder: Path,
     watch: Stopwatch,
     threads: int,
     tell: Callable[[int, int], None],
-) -> None:
+) -> list[NDArray[np.uint8]]:
     """Ground labels of every frame as packed bits, a chunk of path length at a time."""
     parameters = run.parameters.ground
     key = stage_key(run.stage("odometry").get("key"), parameters.model_dump())
-    marker = folder / "key"
-    if not (marker.is_file() and marker.read_text() == key):
-        for path in folder.glob("*"):
-            path.unlink()
-        write_atomically(marker, lambda stream: stream.write(key.encode()))
 
     def read(index: int) -> NDArray[np.float32]:
         with watch("read"):
             return run.points(index)
 
-    def label(ground_map: GroundMap, index: int) -> None:
+    def label(ground_map: GroundMap, index: int) -> NDArray[np.uint8]:
         points = read(index)
         with watch("ground: label"):
-            bits = np.packbits(ground_map.label(points, trajectory.poses[index]))
-        write_atomically(folder / f"{index:06d}.npy", lambda out: np.save(out, bits))
+            return np.packbits(ground_map.label(points, trajectory.poses[index]))
 
-    done = 0
-    with ThreadPoolExecutor(2) as pool:
+    grounds: list[NDArray[np.uint8]] = []
+    with ThreadPoolExecutor(thread_count(threads) + 1) as pool:
         for frames, merged in chunks(trajectory, parameters):
-            if not all((folder / f"{index:06d}.npy").is_file() for index in frames):
+            kept = run.path / _GROUND / f"{key}_{frames[0]:06d}.npy"
+            if not kept.is_file():
+                done = len(grounds)
+                found: list[NDArray[np.uint8]] = []
                 ground_map = GroundMap(parameters, threads)
                 for step, points in enumerate(made_ahead(pool, read, merged)):
                     with watch("ground: insert"):
@@ -206,34 +214,40 @@ def _grow_ground(
                     tell(done + len(frames) * step // (2 * len(merged)), len(trajectory))
                 with watch("ground: grow"):
                     ground_map.grow()
-                labelled = made_ahead(pool, partial(label, ground_map), frames)
-                for step, _ in enumerate(labelled):
-                    tell(done + (len(frames) + step) // 2, len(trajectory))
-            done += len(frames)
+                for bits in made_ahead(pool, partial(label, ground_map), frames):
+                    tell(done + (len(frames) + len(found)) // 2, len(trajectory))
+                    found.append(bits)
+                _write_arrays(kept, *found)
+            grounds += _read_arrays(kept, len(frames))
     tell(len(trajectory), len(trajectory))
+    return grounds
 
 
 def _carry_evidence(
     run: RunFolder,
     trajectory: Trajectory,
     seen: Path,
+    sightings: dict[int, objects.Sighting],
     keys: dict[str, str],
     watch: Stopwatch,
     threads: int,
 ) -> None:
-    """Classes of objects that move at another time; the same again when it was interrupted."""
+    """Classes of objects that move at another time; the same again when it was interrupted.
 
-    local = objects.poses_near_start(trajectory)
+    ``sightings`` are those that need not be read, because they were not made by an earlier run.
+    """
+    local, parameters = objects.poses_near_start(trajectory), run.parameters.dynamics
 
-    def read_sighting(index: int) -> objects.Sighting:
+    def sighting_of(index: int) -> objects.Sighting:
+        if index in sightings:
+            return sightings[index]
         with watch("read"):
-            return objects.Sighting.of(_read_arrays(seen / f"{index:06d}.npy", 3))
+            return objects.Sighting.of(_read_arrays(seen / f"{index:06d}.npy", 7)[4:])
 
     def classify_again(index: int) -> None:
         with watch("read"):
             record = run.frame(index)
-            arrays = _read_arrays(seen / f"{index:06d}.npy", 7)
-        first, static, dynamic, classid = arrays[3:]
+            first, static, dynamic, classid = _read_arrays(seen / f"{index:06d}.npy", 4)
         if carried[index]:
             classid = objects.add_carried(
                 record.points,
@@ -243,19 +257,20 @@ def _carry_evidence(
                 dynamic,
                 classid,
                 local[index],
-                run.parameters.dynamics,
+                parameters,
             )
         with watch("write"):
             votes = voting.Votes(static, dynamic)
             _write_classified(run, index, record, keys, votes, classid)
 
     # Many workers, since most of them wait for the disk.
-    with ThreadPoolExecutor(6) as pool:
-        sightings = list(pool.map(read_sighting, range(len(trajectory))))
+    with ThreadPoolExecutor(5) as pool:
+        everything = list(pool.map(sighting_of, range(len(trajectory))))
         with watch("tracks"):
-            carried = objects.follow(sightings, trajectory.times, run.parameters.dynamics, threads)
-        for _ in made_ahead(pool, classify_again, range(len(trajectory)), 6):
+            carried = objects.follow(everything, trajectory.times, parameters, threads)
+        for _ in made_ahead(pool, classify_again, range(len(trajectory)), 5):
             pass
+        list(pool.map(Path.unlink, seen.iterdir()))
 
 
 def _write_arrays(path: Path, *arrays: NDArray[Any]) -> None:
@@ -265,13 +280,16 @@ def _write_arrays(path: Path, *arrays: NDArray[Any]) -> None:
         for array in arrays:
             np.save(out, array)
 
-    write_atomically(path, write)
+    write_atomically(path, write, sync=False)
 
 
 def _read_arrays(path: Path, count: int) -> list[NDArray[Any]]:
     """The first ones of a file."""
-    with path.open("rb") as stream:
-        return [np.load(stream) for _ in range(count)]
+    try:
+        with path.open("rb") as stream:
+            return [np.load(stream) for _ in range(count)]
+    except (EOFError, ValueError) as error:
+        raise RunError(f"{path} is damaged ({error}); delete it and run the stage again") from None
 
 
 def _votes_of(record: FrameRecord) -> voting.Votes:
