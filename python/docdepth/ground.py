@@ -188,7 +188,7 @@ def chunks(
     p, arc = parameters or GroundParameters(), trajectory.arc_length
     number = (arc // p.chunk_length).astype(np.int64)
     found = []
-    for c in np.unique(number):
+    for c in sorted(set(number.tolist())):
         frames = np.flatnonzero(number == c)
         near = (arc >= arc[frames[0]] - p.chunk_overlap) & (
             arc <= arc[frames[-1]] + p.chunk_overlap

@@ -160,7 +160,7 @@ def views(points: NDArray[np.float32], sensors: Sensors | None) -> Iterator[View
             f"sensors.index {sensors.index.shape} must tell the LiDAR of each of "
             f"{len(points)} points"
         )
-    for head in np.unique(sensors.head):
+    for head in sorted(set(sensors.head.tolist())):
         lasers = sensors.T_lidar_sensor[sensors.head == head]
         T_lidar_sensor = lasers[0].copy()
         T_lidar_sensor[:3, 3] = lasers[:, :3, 3].mean(axis=0)

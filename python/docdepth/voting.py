@@ -74,8 +74,7 @@ def key_frames(
             near.append(ends[ends > i])
         if p.end_radius and time[i] <= p.end_radius:
             near.append(ends[ends < i])
-        union = np.unique(np.concatenate(near)).astype(np.int64)
-        chosen.append(union[union != i])
+        chosen.append(np.array(sorted(set(np.concatenate(near).tolist()) - {i}), np.int64))
     return chosen
 
 

@@ -148,10 +148,10 @@ void VoxelMap::Shard::fetch(std::uint64_t key) const {
   if (!table.empty()) __builtin_prefetch(&table[hash(key) & (table.size() - 1)]);
 }
 
-void VoxelMap::Shard::add(const VoxelAddress& address, const Eigen::Vector3d& p) {
-  VoxelBlock& block = find_or_make(address.key);
-  const int place = rank(block, address.bit);
-  const std::uint64_t mask = std::uint64_t{1} << address.bit;
+void VoxelMap::Shard::add(std::uint64_t key, std::uint32_t bit, const Eigen::Vector3d& p) {
+  VoxelBlock& block = find_or_make(key);
+  const int place = rank(block, bit);
+  const std::uint64_t mask = std::uint64_t{1} << bit;
   if (block.occupied & mask) {
     Voxel& voxel = voxels[block.first + place];
     voxel.sum += p;
@@ -183,14 +183,15 @@ void VoxelMap::insert(const Points& points, const VoxelGrid& grid, int threads) 
     for (std::size_t s = 0; s < kShards; ++s) start[s + 1] += start[s];
     auto next = start;
     for (std::size_t i = 0; i < end - begin; ++i)
-      sorted_[next[found.shard[i]]++] = {found.point(i), found.address(i)};
+      sorted_[next[found.shard[i]]++] = {found.point(i), found.key[i] << 6 | found.bit[i]};
   });
   parallel_for(kShards, 1, threads, [&](std::size_t s, std::size_t) {
     Shard& shard = shards[s];
     for (const auto& start : starts)
       for (std::uint32_t k = start[s]; k < start[s + 1]; ++k) {
-        if (k + kAhead < start[s + 1]) shard.fetch(sorted_[k + kAhead].address.key);
-        shard.add(sorted_[k].address, sorted_[k].point);
+        if (k + kAhead < start[s + 1]) shard.fetch(sorted_[k + kAhead].voxel >> 6);
+        const Inserted& inserted = sorted_[k];
+        shard.add(inserted.voxel >> 6, inserted.voxel & 63, inserted.point);
       }
   });
 }

@@ -98,7 +98,7 @@ class VoxelMap {
     const VoxelBlock* find(std::uint64_t key) const;
     /// Have the memory fetch where find() and add() begin to look.
     void fetch(std::uint64_t key) const;
-    void add(const VoxelAddress& address, const Eigen::Vector3d& p);
+    void add(std::uint64_t key, std::uint32_t bit, const Eigen::Vector3d& p);
 
    private:
     VoxelBlock& find_or_make(std::uint64_t key);
@@ -110,7 +110,7 @@ class VoxelMap {
  private:
   struct Inserted {
     Eigen::Vector3d point;
-    VoxelAddress address;
+    std::uint64_t voxel;  ///< its block's 57 bits, and 6 within it
   };
   std::vector<Inserted> sorted_;  // the points of a sweep by shards; kept to be used again
 };

@@ -150,18 +150,22 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     tell(total - len(left), total)
     sweeps: dict[int, Future[_Sweep]] = {}
     key_frames: dict[int, Future[voting.KeyFrame]] = {}
+
     # A job takes one thread, since a sweep alone has too little to do for many. Workers take jobs
-    # in order, so that none waits for one that waits for a worker; what the next two votes need
-    # comes before this one, so that it seldom waits at all; for the disk wait others.
+    # in order, so that none waits for one that waits for a worker; and what a job needs is begun
+    # some jobs before, so that it seldom waits at all. For the disk wait others.
+    def asked_by(ahead: list[int]) -> set[int]:
+        return {k for i in ahead if i not in voted for k in voters[i].tolist()}
+
     workers = thread_count(threads)
     with ThreadPoolExecutor(2) as writers, ThreadPoolExecutor(workers) as pool:
         working: deque[Future[Future[None]]] = deque()
         for done, index in enumerate(left):
-            ahead = left[done : done + 3]
-            asked = {k for i in ahead if i not in voted for k in voters[i].tolist()}
-            sweeps = {k: sweeps[k] for k in sweeps if k >= index}
+            ahead = left[done : done + 4]
+            asked, later = asked_by(ahead[:3]), asked_by(ahead)
             key_frames = {k: key_frames[k] for k in key_frames if k in asked}
-            for k in sorted({*ahead, *asked} - sweeps.keys() - key_frames.keys()):
+            sweeps = {k: sweeps[k] for k in sweeps if k >= index or k in later - key_frames.keys()}
+            for k in sorted({*ahead, *later} - sweeps.keys() - key_frames.keys()):
                 sweeps[k] = pool.submit(prepare, k)
             for k in sorted(asked - key_frames.keys()):
                 key_frames[k] = pool.submit(make_key_frame, sweeps[k])
