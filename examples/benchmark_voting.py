@@ -65,6 +65,8 @@ def main() -> None:
     options = arguments.parse_args()
     dataset = open_dataset(options.drive)
     poses = read_poses(options.poses, len(dataset)) if options.poses else dataset.poses
+    if poses is None:
+        arguments.error(f"{options.drive} has no poses; give --poses FILE (TUM or KITTI)")
     trajectory = Trajectory(dataset.times, poses)
 
     runs = {
