@@ -151,18 +151,18 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     sweeps: dict[int, Future[_Sweep]] = {}
     key_frames: dict[int, Future[voting.KeyFrame]] = {}
 
-    # A job takes one thread, since a sweep alone has too little to do for many. Workers take jobs
-    # in order, so that none waits for one that waits for a worker; and what a job needs is begun
-    # some jobs before, so that it seldom waits at all. For the disk wait others.
     def asked_by(ahead: list[int]) -> set[int]:
         return {k for i in ahead if i not in voted for k in voters[i].tolist()}
 
+    # A job takes one thread, since a sweep alone has too little to do for many. Workers take jobs
+    # in order, so that none waits for one that waits for a worker; and what a job needs is begun
+    # some jobs before, so that it seldom waits at all. For the disk wait others.
     workers = thread_count(threads)
     with ThreadPoolExecutor(2) as writers, ThreadPoolExecutor(workers) as pool:
         working: deque[Future[Future[None]]] = deque()
         for done, index in enumerate(left):
-            ahead = left[done : done + 4]
-            asked, later = asked_by(ahead[:3]), asked_by(ahead)
+            ahead = left[done : done + workers + 2]
+            asked, later = asked_by(ahead[: workers + 1]), asked_by(ahead)
             key_frames = {k: key_frames[k] for k in key_frames if k in asked}
             sweeps = {k: sweeps[k] for k in sweeps if k >= index or k in later - key_frames.keys()}
             for k in sorted({*ahead, *later} - sweeps.keys() - key_frames.keys()):
