@@ -44,7 +44,7 @@ class Outcome:
 
     @property
     def vote_seconds(self) -> float:
-        """Seconds a sweep of making key frames and voting."""
+        """Seconds of one thread a sweep: making key frames and voting."""
         return self._per_sweep(lambda step: step in ("key frames", "vote"))
 
     def figure(self, name: str) -> float:
