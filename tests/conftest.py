@@ -1,11 +1,14 @@
-"""Shared fixtures: real recordings where there are any."""
+"""Shared fixtures: real recordings where there are any, and made-up ones."""
 
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from command_line import cli
+from docdepth.trajectory import Trajectory
+from walled_yard import scan, straight
 
 
 @pytest.fixture(scope="session")
@@ -47,3 +50,11 @@ def finished(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pat
     result = cli("run", drive, "-o", run)
     assert result.exit_code == 0, result.output
     return run, result.output
+
+
+@pytest.fixture(scope="session")
+def yard() -> tuple[Trajectory, list[np.ndarray], list[np.ndarray]]:
+    """Twelve sweeps of the walled yard: trajectory, points, what each point hit."""
+    trajectory = straight(12, 0.5)
+    scans = [scan(T, box_x=-8 + 1.5 * i) for i, T in enumerate(trajectory.poses)]
+    return trajectory, [points for points, _ in scans], [what for _, what in scans]

@@ -13,6 +13,7 @@ from docdepth.pipeline import classify as stage
 from docdepth.pipeline import run_classify
 from docdepth.trajectory import Trajectory
 from docdepth.voting import Votes
+from walled_yard import scan, straight
 
 DEFAULT = parameters("default").dynamics
 
@@ -23,8 +24,6 @@ FEW_VOTES = {"freed_share": 1.0, "time_spacing": 1, "end_spacing": 0.2, "end_rad
 @pytest.fixture(scope="module")
 def street():
     """A box that waits beside a slow ego for 20 sweeps and is gone soon after."""
-    from test_dynamics import scan, straight
-
     trajectory = straight(30, 0.1)
     box = [-3 + 3.0 * max(i - 20, 0) * 0.5 for i in range(30)]
     scans = [scan(T, x) for T, x in zip(trajectory.poses, box, strict=True)]

@@ -111,7 +111,7 @@ def _carried_points(
 
 
 def _rows_of(some: NDArray[np.uint32], objects: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """Whether each row is of some of the objects: faster than ``np.isin``, which may sort them."""
+    """Whether each row is of some of the objects."""
     among = np.zeros(len(objects), bool)
     among[some] = True
     return among[objects]

@@ -218,7 +218,7 @@ def _read(path: Path) -> tuple[NDArray[Any], list[str]]:
 
 
 def _header(stream: BinaryIO) -> tuple[list[str], list[str]]:
-    """Lines of a header but its comments, and these; all there are if it has no end."""
+    """Lines of a header but its comments, and these; no lines where it has no end."""
     lines, comments = [], []
     for raw in stream:
         line = raw.decode("ascii", "replace").strip()
@@ -228,6 +228,8 @@ def _header(stream: BinaryIO) -> tuple[list[str], list[str]]:
             comments.append(line.removeprefix("comment "))
         else:
             lines.append(line)
+    else:
+        lines.clear()
     return lines, comments
 
 

@@ -39,7 +39,7 @@ class Outcome:
 
     @property
     def ground_seconds(self) -> float:
-        """Seconds a sweep of growing the ground."""
+        """Seconds a sweep of growing the ground; to label points, those of each thread."""
         return self._per_sweep(lambda step: step.startswith("ground"))
 
     @property

@@ -1,0 +1,52 @@
+"""A scene whose truth is known: a box that goes through a walled yard, and a LiDAR beside it."""
+
+import numpy as np
+
+from docdepth.trajectory import Trajectory
+
+
+def pose(x=0.0, y=0.0, yaw=0.0):
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    T[:2, 3] = x, y
+    return T
+
+
+def scan(T_world_lidar, box_x):
+    """A spinning sensor in a walled yard with a box (2 m cube at y = 5) on flat ground.
+
+    Returns points in the sensor's frame and what each one hit: 0 ground, 1 wall, 2 box.
+    """
+    elevation, azimuth = np.meshgrid(
+        np.radians(np.arange(-15, 3, 0.4)), np.radians(np.arange(-180, 180, 0.25)), indexing="ij"
+    )
+    lidar = np.stack(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        -1,
+    ).reshape(-1, 3)
+    u = lidar @ T_world_lidar[:3, :3].T
+    origin = T_world_lidar[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wall = np.minimum.reduce(
+            [np.where(s * u[:, k] > 0, (s * 25 - origin[k]) / u[:, k], np.inf)
+             for k in (0, 1) for s in (-1, 1)]
+        )  # fmt: skip
+        floor = np.where(u[:, 2] < 0, (-1.7 - origin[2]) / u[:, 2], np.inf)
+        low, high = (
+            (np.array([box_x, 5, -1.7]) + side * np.array([1, 1, 1]) + [0, 0, 1] - origin) / u
+            for side in (-1, 1)
+        )
+        enter = np.nanmax(np.minimum(low, high), axis=1)
+        leave = np.nanmin(np.maximum(low, high), axis=1)
+        box = np.where((enter < leave) & (enter > 0), enter, np.inf)
+    hits = np.stack([floor, wall, box])
+    what = hits.argmin(0)
+    return (lidar * hits.min(0)[:, None]).astype(np.float32), what
+
+
+def straight(n, step, dt=100_000_000):
+    return Trajectory(np.arange(n) * dt, np.stack([pose(x=step * i) for i in range(n)]))
