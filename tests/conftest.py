@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from command_line import cli
-from docdepth.trajectory import Trajectory
+from docdepth.geometry.trajectory import Trajectory
 from walled_yard import scan, straight
 
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from docdepth.datasets import Sweep
-from docdepth.deskewing import exp, twist
-from docdepth.trajectory import inverse
+from docdepth.geometry.se3 import exp, inverse, twist
 
 MOTION = exp(np.array([0.002, -0.004, 0.06]), np.array([1.1, 0.05, -0.01]))
 
@@ -97,10 +96,10 @@ class Drive:
             [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
              np.sin(elevation)], axis=1,
         )  # fmt: skip
-        fraction = column * (-0.5 / np.pi if self.raw else 0.0)
+        relative_time = column * (-0.5 / np.pi if self.raw else 0.0)
         omega, velocity = twist(self.motion)
-        pose = self.exact[index] @ np.array([exp(f * omega, f * velocity) for f in fraction])
-        pose, fraction = np.tile(pose, (24, 1, 1)), np.tile(fraction, 24)
+        pose = self.exact[index] @ np.array([exp(f * omega, f * velocity) for f in relative_time])
+        pose, relative_time = np.tile(pose, (24, 1, 1)), np.tile(relative_time, 24)
         direction = np.einsum("nij,nj->ni", pose[:, :3, :3], ray)
         distance = self.street.ranges(pose[:, :3, 3], direction)
         points = ray * np.where(np.isfinite(distance), distance, 0)[:, None]
@@ -108,7 +107,7 @@ class Drive:
             points.astype(np.float32),
             f"{index:06d}",
             int(self.times[index]),
-            fraction=fraction.astype(np.float32) if self.raw else None,
+            relative_time=relative_time.astype(np.float32) if self.raw else None,
         )
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from docdepth.trajectory import Trajectory
+from docdepth.geometry.trajectory import Trajectory
 
 
 def pose(x=0.0, y=0.0, yaw=0.0):

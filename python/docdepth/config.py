@@ -32,7 +32,7 @@ class OdometryParameters(_Stage):
     passes: int = Field(
         3, ge=1, le=5, description="registrations; from the second on small_gicp's, deskewed"
     )
-    bloom_deg: float = Field(
+    blooming_deg: float = Field(
         0.0, ge=0, le=5, description="phantoms this far around reflectors are left out [deg]"
     )
 

@@ -11,7 +11,7 @@ import typer
 from rich.logging import RichHandler
 
 from docdepth.cli import stages, truth
-from docdepth.cli.shared import app, err, out
+from docdepth.cli.options import app, err, out
 from docdepth.errors import DocDepthError
 
 __all__ = ["app", "main", "stages", "truth"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from docdepth.cli.shared import (
+from docdepth.cli.options import (
     CameraNames,
     Formats,
     LayerNames,
@@ -28,9 +28,9 @@ from docdepth.cli.shared import (
 )
 
 if TYPE_CHECKING:
-    from docdepth.backends import Renderer
     from docdepth.datasets.base import CameraStream, Dataset
     from docdepth.io.run_folder import RunFolder
+    from docdepth.render.backends import Renderer
 
 
 @app.command()
@@ -58,10 +58,10 @@ def run(
 
       docdepth run 2011_09_26_drive_0005_sync -o run --camera image_02
     """
-    from docdepth.backends import choose
     from docdepth.config import parameters, parse_settings
     from docdepth.io.run_folder import RunFolder
-    from docdepth.sources import open_source
+    from docdepth.pipeline.run_inputs import open_source
+    from docdepth.render.backends import choose
 
     drawn_by = choose(renderer)
     changes = parse_settings(settings or []) | output_of(format, scale, layers)
@@ -85,7 +85,7 @@ def run(
 def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
     """Poses and deskewed sweeps again, with other parameters."""
     from docdepth.pipeline import run_odometry
-    from docdepth.sources import open_source, poses_of
+    from docdepth.pipeline.run_inputs import open_source, poses_of
 
     folder = reopen(run, changes_of(settings), "odometry")
     source = folder.manifest["source"]
@@ -131,17 +131,17 @@ def render(
 
     docdepth render RUN --pose 0,0,0.5 --K 700,700,640,360 --size 1280x720
     """
-    from docdepth.backends import choose
     from docdepth.datasets.run import RunDataset
     from docdepth.errors import ConfigError
     from docdepth.pipeline import run_render
-    from docdepth.sources import open_source
+    from docdepth.pipeline.run_inputs import open_source
+    from docdepth.render.backends import choose
 
     drawn_by = choose(renderer)
     changes = changes_of(settings) | output_of(format, scale, layers)
     if pose or K or size:
         from docdepth.io.run_folder import RunFolder
-        from docdepth.virtual import virtual_camera
+        from docdepth.pipeline.virtual_camera import virtual_camera
 
         if not (pose and K and size) or camera:
             raise ConfigError("a virtual camera needs --pose, --K and --size, and no --camera")
@@ -175,8 +175,8 @@ def video(
 ) -> None:
     """The images of a run above their depth, as report/video.webm."""
     from docdepth.io.run_folder import RunFolder
-    from docdepth.sources import stream_of
-    from docdepth.video import write_video
+    from docdepth.pipeline.run_inputs import stream_of
+    from docdepth.visualization.video import write_video
 
     folder = RunFolder.open(run)
     name = folder.depth_folder(camera)
@@ -194,7 +194,7 @@ def _run_all(
     renderer: Renderer,
 ) -> None:
     from docdepth.pipeline import run_classify, run_odometry, run_render
-    from docdepth.sources import poses_of
+    from docdepth.pipeline.run_inputs import poses_of
 
     poses = poses_of(folder.manifest["source"], recording)
     run_odometry(folder, recording, poses, progress, threads)

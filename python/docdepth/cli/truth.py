@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from docdepth.cli.shared import Json, RunPath, Threads, app, out, progress_bars, show, show_summary
+from docdepth.cli.options import Json, RunPath, Threads, app, out, progress_bars, show, show_summary
 
 evaluate = typer.Typer(no_args_is_help=True, help="Compare a run with the truth.")
 app.add_typer(evaluate, name="evaluate")
@@ -31,7 +31,7 @@ def synth(
     with progress_bars() as progress:
         write_drive(
             output, scene=scene, sensor=sensor, frames=frames, seed=seed, skew=skew,
-            bloom_deg=bloom,
+            blooming_deg=bloom,
             progress=lambda done, total: progress("synth", done, total),
         )  # fmt: skip
     out.print(f"{frames} sweeps in {output}")
@@ -45,7 +45,7 @@ def demo(
     threads: Threads = 0,
 ) -> None:
     """A synthetic drive, its depth maps and pictures, and how true they are."""
-    from docdepth.demo import demo as make
+    from docdepth.cli.demo import demo as make
     from docdepth.io.run_folder import RunFolder
 
     with progress_bars() as progress:
@@ -78,8 +78,8 @@ def sweep(
       docdepth sweep RUN --labels DRIVE -o out --vary dynamics.tolerance=0.1,0.2,0.4
     """
     from docdepth.errors import ConfigError, MissingExtraError
-    from docdepth.sweep import grid, parse_axes, plot, read_trials, table
-    from docdepth.sweep import sweep as work
+    from docdepth.tuning import grid, parse_axes, plot, read_trials, table
+    from docdepth.tuning import sweep as work
 
     if bool(vary) == bool(trials):
         raise ConfigError("say what to vary: --vary STAGE.NAME=A,B or --trials FILE")
@@ -99,7 +99,7 @@ def sweep(
 @app.command()
 def doctor() -> None:
     """What this installation can do, and why it cannot do the rest."""
-    from docdepth.doctor import doctor as examine
+    from docdepth.cli.doctor import doctor as examine
 
     for name, finding, well in examine():
         out.print(f"{'ok' if well else '--'}  {name:<24} {finding}", markup=False)

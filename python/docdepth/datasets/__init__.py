@@ -6,11 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from docdepth.datasets.base import CameraStream, Dataset, Sweep, usable_points
+from docdepth.datasets.base import CameraStream, Dataset, Sweep
 from docdepth.datasets.kitti_odometry import KittiOdometry
 from docdepth.datasets.kitti_raw import KittiRaw
 from docdepth.datasets.run import RunDataset
 from docdepth.errors import DatasetError
+from docdepth.geometry.points import usable_points
 
 __all__ = ["CameraStream", "Dataset", "Sweep", "open_dataset", "usable_points"]
 

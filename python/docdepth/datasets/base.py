@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import CalibrationError
-from docdepth.render import Camera
-from docdepth.sensors import Sensors
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.sensor_rig import SensorRig
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,13 @@ class Sweep:
     time : int
         Nanoseconds; the pose of the sweep holds at this time.
     intensity : ndarray of float32, shape (N,), optional
-    fraction : ndarray of float32, shape (N,), optional
+    relative_time : ndarray of float32, shape (N,), optional
         When each point was measured, as a share of the sweep's duration before (negative) or
         after (positive) ``time``. None where nobody knows.
-    compensated : bool
+    motion_compensated : bool
         The motion of the LiDAR is removed already: points are where they were seen from its place
         at ``time``. What moves is where it was when it was measured.
-    sensors : Sensors, optional
+    sensor_rig : Sensors, optional
         Where the sweep was measured from; None where its LiDAR looks from the origin.
     """
 
@@ -45,9 +45,9 @@ class Sweep:
     name: str
     time: int
     intensity: NDArray[np.float32] | None = None
-    fraction: NDArray[np.float32] | None = None
-    sensors: Sensors | None = None
-    compensated: bool = False
+    relative_time: NDArray[np.float32] | None = None
+    sensor_rig: SensorRig | None = None
+    motion_compensated: bool = False
 
 
 @dataclass(frozen=True)
@@ -107,21 +107,3 @@ class Dataset(Protocol):
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """SemanticKITTI labels of every input point (low 16 bits class, high instance), or None."""
         ...
-
-
-def usable_points(points: NDArray[np.float32], min_range: float = 0.5) -> NDArray[np.bool_]:
-    """Which rows are returns: finite, and not at the origin (``min_range`` in metres).
-
-    Parameters
-    ----------
-    points : ndarray of float32, shape (N, 3)
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-    """
-    x, y, z = points[:, 0], points[:, 1], points[:, 2]
-    with np.errstate(invalid="ignore", over="ignore"):
-        squared = x * x + y * y + z * z  # overflows only beyond 1e19 m, where nothing returns
-        usable: NDArray[np.bool_] = np.isfinite(squared) & (squared >= min_range * min_range)
-    return usable

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.sensors import Sensors
+from docdepth.geometry.sensor_rig import SensorRig
 
 # fmt: off
 SLOPES = np.array([  # tangent of elevation; the first 32 lasers are the upper block's
@@ -39,7 +39,7 @@ _TOLERANCE = 3e-4  # of a slope; between two lasers it changes by twenty times t
 _FEWEST = 100
 
 
-def is_kittis(sweeps: Iterable[NDArray[np.float32]]) -> bool:
+def is_kitti_lidar(sweeps: Iterable[NDArray[np.float32]]) -> bool:
     """Whether a drive was recorded by KITTI's LiDAR: its points lie on these 64 cones.
 
     Asked are points straight ahead, which removing the motion of the sweep leaves in their place,
@@ -57,12 +57,12 @@ def is_kittis(sweeps: Iterable[NDArray[np.float32]]) -> bool:
     return False
 
 
-def sensors(points: NDArray[np.float32]) -> Sensors:
+def sensor_rig(points: NDArray[np.float32]) -> SensorRig:
     """Which laser measured each point (N, 3) of a sweep of KITTI's, and where all of them sit."""
-    return Sensors(_lasers(points)[0], _PLACES, ASIDE, np.zeros(64, np.uint8))
+    return SensorRig(_lasers(points)[0], _PLACES, ASIDE, np.zeros(64, np.uint8))
 
 
-def azimuth_fraction(points: NDArray[np.float32]) -> NDArray[np.float32]:
+def azimuth_relative_time(points: NDArray[np.float32]) -> NDArray[np.float32]:
     """When a clockwise LiDAR that faces forward at its stamp saw each point (method section 2).
 
     Parameters

@@ -16,10 +16,10 @@ from docdepth.datasets.base import CameraStream, Sweep
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.times import nanoseconds
 from docdepth.errors import CalibrationError, DatasetError
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import inverse
+from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.io.poses import read_kitti
-from docdepth.render import Camera
-from docdepth.sensors import Sensors
-from docdepth.trajectory import inverse
 
 log = logging.getLogger(__name__)
 
@@ -41,8 +41,8 @@ class KittiOdometry:
     - ``image_N/distortion.txt``: ``k1 k2 p1 p2 [k3 ...]`` of OpenCV where the images are not
       rectified; the K of P0 to P3 is theirs, and depth maps are of the camera with that K;
     - ``docdepth.yaml`` with ``motion_compensated: false``: raw sweeps;
-    - ``point_times/NAME.bin``: each point's time, float32, as :attr:`Sweep.fraction`. Raw sweeps
-      need it; of others it tells when what moves was seen, as azimuth does of KITTI's own LiDAR;
+    - ``point_times/NAME.bin``: each point's time, float32, as :attr:`Sweep.relative_time`. Raw
+      sweeps need it; of others it tells when what moves was seen, as azimuth does of KITTI's own;
     - ``docdepth.yaml`` with ``looks_from: [x, y, z]``: where the LiDAR looks from, metres in the
       frame of its points, when that is not the origin; known of KITTI's own LiDAR without;
     - ``velodyne_2/NAME.bin`` and further ones: sweeps of more LiDARs at the same time, and a row
@@ -90,38 +90,42 @@ class KittiOdometry:
         """Sweep ``index`` as it is on disk."""
         file = self.sweeps[index]
         points, intensity = kitti_files.read_sweep(file, index)
-        sensors = None
+        sensor_rig = None
         if self._looks_from is not None:
-            sensors = Sensors.at(self._looks_from, len(points))
-        elif self._is_kittis:
-            sensors = kitti_lidar.sensors(points)
+            sensor_rig = SensorRig.single(self._looks_from, len(points))
+        elif self._is_kitti_lidar:
+            sensor_rig = kitti_lidar.sensor_rig(points)
         if self._others:
-            sensors = sensors or Sensors.at((0, 0, 0), len(points))
-            points, intensity, sensors = self._join(points, intensity, sensors, file.name, index)
-        fraction = self._fraction(file.stem, index, points)
-        time, compensated = int(self.times[index]), self.motion_compensated
-        return Sweep(points, file.stem, time, intensity, fraction, sensors, compensated)
+            sensor_rig = sensor_rig or SensorRig.single((0, 0, 0), len(points))
+            points, intensity, sensor_rig = self._join(
+                points, intensity, sensor_rig, file.name, index
+            )
+        relative_time = self._fraction(file.stem, index, points)
+        time, motion_compensated = int(self.times[index]), self.motion_compensated
+        return Sweep(
+            points, file.stem, time, intensity, relative_time, sensor_rig, motion_compensated
+        )
 
     def _join(
         self,
         points: NDArray[np.float32],
         intensity: NDArray[np.float32],
-        sensors: Sensors,
+        sensor_rig: SensorRig,
         name: str,
         frame: int,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], Sensors]:
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], SensorRig]:
         """A sweep of the first LiDAR and those of the others, in the frame of the first."""
         parts, brightness = [points], [intensity]
         for folder, T_lidar_sensor in self._others:
             own, bright = kitti_files.read_sweep(folder / name, frame)
             parts.append((own @ T_lidar_sensor[:3, :3].T + T_lidar_sensor[:3, 3]).astype("f4"))
             brightness.append(bright)
-            sensors = sensors.and_another(T_lidar_sensor, len(own))
-        return np.concatenate(parts), np.concatenate(brightness), sensors
+            sensor_rig = sensor_rig.with_lidar(T_lidar_sensor, len(own))
+        return np.concatenate(parts), np.concatenate(brightness), sensor_rig
 
     @cached_property
-    def _is_kittis(self) -> bool:
-        return kitti_lidar.is_kittis(
+    def _is_kitti_lidar(self) -> bool:
+        return kitti_lidar.is_kitti_lidar(
             kitti_files.read_sweep(file, k)[0] for k, file in enumerate(self.sweeps)
         )
 
@@ -138,7 +142,7 @@ class KittiOdometry:
         file = self.path / "point_times" / f"{stem}.bin"
         if not file.is_file() and self.motion_compensated:
             # Azimuth tells the time to a hundredth of a turn, though the motion is removed.
-            return kitti_lidar.azimuth_fraction(points) if self._is_kittis else None
+            return kitti_lidar.azimuth_relative_time(points) if self._is_kitti_lidar else None
         if not file.is_file():
             raise DatasetError(
                 f"{file} (frame {frame}) is missing: raw sweeps need each point's time; write it, "

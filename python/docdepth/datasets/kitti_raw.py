@@ -13,7 +13,7 @@ from docdepth.datasets.base import CameraStream, Sweep
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.times import nanoseconds
 from docdepth.errors import CalibrationError
-from docdepth.render import Camera
+from docdepth.geometry.camera import Camera
 
 _EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' of the drive again"
 _CALIBRATION = "unpack the 'calibration' archive of that date beside its drives"
@@ -57,13 +57,15 @@ class KittiRaw:
         """Sweep ``index`` as it is on disk."""
         file = self._sweeps[index]
         points, intensity = kitti_files.read_sweep(file, index)
-        fraction = kitti_lidar.azimuth_fraction(points)
-        sensors = kitti_lidar.sensors(points) if self._is_kittis else None
-        return Sweep(points, file.stem, int(self.times[index]), intensity, fraction, sensors)
+        relative_time = kitti_lidar.azimuth_relative_time(points)
+        sensor_rig = kitti_lidar.sensor_rig(points) if self._is_kitti_lidar else None
+        return Sweep(
+            points, file.stem, int(self.times[index]), intensity, relative_time, sensor_rig
+        )
 
     @cached_property
-    def _is_kittis(self) -> bool:
-        return kitti_lidar.is_kittis(
+    def _is_kitti_lidar(self) -> bool:
+        return kitti_lidar.is_kitti_lidar(
             kitti_files.read_sweep(file, k)[0] for k, file in enumerate(self._sweeps)
         )
 

@@ -46,8 +46,8 @@ class RunDataset:
     def sweep(self, index: int) -> Sweep:
         """Frame ``index``; the usable returns of the original sweep, deskewed."""
         record = self._run.frame(index)
-        sensors = self._run.sensors(record)
-        return Sweep(record.points, record.name, int(self.times[index]), sensors=sensors)
+        sensor_rig = self._run.sensor_rig(record)
+        return Sweep(record.points, record.name, int(self.times[index]), sensor_rig=sensor_rig)
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """251 for dynamic, 9 for other points, None when the frame has no classes."""

@@ -5,7 +5,7 @@ as the literature prints them. What is undefined (no moving point, no pixel) is 
 """
 
 from docdepth.evaluation.depth import DepthEvaluation, DepthResult
-from docdepth.evaluation.errors import DepthErrors, RegionErrors
+from docdepth.evaluation.depth_metrics import DepthErrors, RegionErrors
 from docdepth.evaluation.labels import (
     LabelCounts,
     LabelEvaluation,
@@ -13,14 +13,14 @@ from docdepth.evaluation.labels import (
     ignored,
     moving,
 )
-from docdepth.evaluation.maps import (
+from docdepth.evaluation.pixels import depth_edges, fill_background
+from docdepth.evaluation.static_map import (
     MapEvaluation,
     MapResult,
     PreservationRejection,
     nearest_neighbor_protocol,
     voxel_protocol,
 )
-from docdepth.evaluation.pixels import depth_edges, fill_background
 from docdepth.evaluation.tables import Table
 
 __all__ = [

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.evaluation.errors import DepthErrors, PixelSums, RegionErrors
+from docdepth.evaluation.depth_metrics import DepthErrors, PixelSums, RegionErrors
 from docdepth.evaluation.pixels import Depth, Mask, fill_background, near_edges, ray_length, shifted
 from docdepth.evaluation.tables import Table, number, percent, plain, ratio
 

@@ -15,17 +15,20 @@ from typing import Any
 
 import numpy as np
 
-from docdepth import render
-from docdepth.dynamics import DYNAMIC
 from docdepth.errors import InputError
 from docdepth.evaluation.depth import RANGE_BINS, RangeErrors
-from docdepth.evaluation.errors import PixelSums, RegionErrors
+from docdepth.evaluation.depth_metrics import PixelSums, RegionErrors
 from docdepth.evaluation.pixels import project
 from docdepth.evaluation.tables import Table, plain
+from docdepth.geometry.points import DYNAMIC
+from docdepth.geometry.se3 import inverse
+from docdepth.geometry.sensor_rig import lidar_views
+from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.render import load_frame
-from docdepth.sensors import views
-from docdepth.trajectory import Trajectory, inverse
+from docdepth.render import depth_map as render
+from docdepth.render.frame import Frame
+from docdepth.render.selection import needed_frames
 
 
 @dataclass(frozen=True)
@@ -119,10 +122,10 @@ def evaluate_held_out(
     left_out = range(1 + (min(every, inner) - 1) // 2, len(trajectory) - 1, every)
     bins = [b for b in RANGE_BINS if b < max_range] + [max_range]
     sums = PixelSums(bins)
-    made: dict[int, render.Frame] = {}
+    made: dict[int, Frame] = {}
     for done, index in enumerate(left_out):
         record, classid = folder.classified_frame(index)
-        seen = next(views(record.points, folder.sensors(record)))
+        seen = next(lidar_views(record.points, folder.sensor_rig(record)))
         T_camera_sensor = T_camera_lidar @ seen.T_lidar_sensor
         T_camera_sensor[:3, 3] = 0
         truth, row = project(view, T_camera_sensor, seen.points)
@@ -130,7 +133,7 @@ def evaluate_held_out(
         kept = np.delete(np.arange(len(trajectory)), index)
         others = Trajectory(trajectory.times[kept], trajectory.poses[kept])
         time = int(trajectory.times[index])
-        needed = sorted(render.needed_frames(others, time, p.render))
+        needed = sorted(needed_frames(others, time, p.render))
         made = {
             i: made.get(i) or load_frame(folder, trajectory, i, p) for i in kept[needed].tolist()
         }

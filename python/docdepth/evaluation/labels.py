@@ -317,9 +317,9 @@ class LabelEvaluation:
         """Count the way of each moving object, and its points while it stands."""
         for k in np.unique(instance[truth]).tolist():
             here = truth & (instance == k)
-            still = here & standing
+            motion_corrected = here & standing
             self._way[k] = self._way.get(k, 0.0) + float(np.median(way[here]))
-            counts = LabelCounts.of(truth[still], dynamic[still])
+            counts = LabelCounts.of(truth[motion_corrected], dynamic[motion_corrected])
             self._standing_of[k] = self._standing_of.get(k, LabelCounts()) + counts
 
     def result(self) -> LabelResult:

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.render import NEAR, Camera
+from docdepth.geometry.camera import Camera
+from docdepth.render.depth_map import NEAR
 
 Depth = NDArray[np.float32]
 Mask = NDArray[np.bool_]

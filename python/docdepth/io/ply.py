@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement, PlyParseError
 
 from docdepth.errors import RunError
+from docdepth.geometry.se3 import matrix_to_quaternion, poses_from, quaternion_to_matrix
+from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
-from docdepth.trajectory import Trajectory, matrix_to_quaternion, poses_from, quaternion_to_matrix
 
 _SECOND = 1_000_000_000
 
@@ -33,7 +34,7 @@ _EXTRA = {
     "classid": "<u2",
     "votes_static": "<u2",
     "votes_dynamic": "<u2",
-    "late": "<f4",
+    "time_offset": "<f4",
     "sensor": "<u1",
 }
 
@@ -57,10 +58,10 @@ class FrameRecord:
     classid : ndarray of uint16, shape (N,), optional
         Below 50 ground, 50 to 99 static, 100 and above dynamic.
     votes_static, votes_dynamic : ndarray of uint16, shape (N,), optional
-    late : ndarray of float32, shape (N,), optional
+    time_offset : ndarray of float32, shape (N,), optional
         When each point was measured, seconds after the sweep's stamp.
     sensor : ndarray of uint8, shape (N,), optional
-        Which LiDAR, or which of its lasers, measured each point; see :class:`Sensors`.
+        Which LiDAR, or which of its lasers, measured each point; see :class:`SensorRig`.
     """
 
     points: NDArray[np.float32]
@@ -71,7 +72,7 @@ class FrameRecord:
     classid: NDArray[np.uint16] | None = None
     votes_static: NDArray[np.uint16] | None = None
     votes_dynamic: NDArray[np.uint16] | None = None
-    late: NDArray[np.float32] | None = None
+    time_offset: NDArray[np.float32] | None = None
     sensor: NDArray[np.uint8] | None = None
 
 

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError, OdometryError
-from docdepth.trajectory import (
-    Trajectory,
+from docdepth.geometry.se3 import (
     check_rigid,
     matrix_to_quaternion,
     poses_from,
     quaternion_to_matrix,
 )
+from docdepth.geometry.trajectory import Trajectory
 
 
 def read_poses(path: Path | str, count: int) -> NDArray[np.float64]:

@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from docdepth import __version__
 from docdepth.config import Parameters
 from docdepth.errors import CalibrationError, ConfigError, RunError
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
 from docdepth.io.ply import (
     FrameRecord,
@@ -26,9 +29,6 @@ from docdepth.io.ply import (
     read_trajectory,
     write_frame,
 )
-from docdepth.render import Camera
-from docdepth.sensors import Sensors
-from docdepth.trajectory import Trajectory
 
 
 class RunFolder:
@@ -153,13 +153,16 @@ class RunFolder:
         """The points of frame number ``index``, faster than all of it."""
         return read_points(self.frame_path(index))
 
-    def sensors(self, frame: FrameRecord) -> Sensors | None:
+    def sensor_rig(self, frame: FrameRecord) -> SensorRig | None:
         """Where a frame was measured from, if not from the origin."""
-        return None if frame.sensor is None else Sensors(frame.sensor, **self._sensors)
+        return None if frame.sensor is None else SensorRig(frame.sensor, **self._sensors)
 
-    def write_sensors(self, sensors: Sensors) -> None:
+    def write_sensors(self, sensor_rig: SensorRig) -> None:
         """Keep where the LiDARs, or their lasers, sit: once for all frames."""
-        kept = {name: getattr(sensors, name) for name in ("T_lidar_sensor", "aside", "head")}
+        kept = {
+            name: getattr(sensor_rig, name)
+            for name in ("T_lidar_sensor", "lateral_offset", "lidar_id")
+        }
         write_atomically(self._sensors_path, lambda stream: np.savez(stream, **kept))
         self.__dict__.pop("_sensors", None)  # what was read before
 

@@ -14,9 +14,23 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import dynamics, objects, voting
+from docdepth.concurrency import thread_count
+from docdepth.dynamics import classifier as dynamics
+from docdepth.dynamics import clustering as objects
+from docdepth.dynamics import voting
+from docdepth.dynamics.key_frames import key_frames as select_key_frames
+from docdepth.dynamics.tracking import (
+    Detections,
+    apply_tracks,
+    local_poses,
+    track_objects,
+    uses_tracking,
+)
 from docdepth.errors import RunError
-from docdepth.ground import GroundMap, chunks
+from docdepth.geometry.points import DYNAMIC
+from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.ground.growing import GroundMap, chunks
 from docdepth.io.atomic import write_atomically
 from docdepth.io.ply import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
@@ -24,13 +38,10 @@ from docdepth.pipeline.stage import (
     Progress,
     Stopwatch,
     finish_stage,
-    made_ahead,
+    prefetch,
+    progress_callback,
     stage_is_done,
-    teller,
 )
-from docdepth.surface import Surface
-from docdepth.threads import thread_count
-from docdepth.trajectory import Trajectory
 
 _GROUND = ".ground"
 _MOVING, _STATIC, _OUTLIER = 251, 9, 1  # SemanticKITTI's labels
@@ -41,7 +52,7 @@ class _Sweep(NamedTuple):
 
     record: FrameRecord
     ground: NDArray[np.bool_]
-    surface: Surface | None
+    surface: ScanMesh | None
 
 
 def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = None) -> None:
@@ -67,12 +78,12 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         return
     watch, total = Stopwatch(), len(trajectory)
     run.set_stage("classify", state="running", key=key)
-    grounds = _grow_ground(run, trajectory, watch, threads, teller(progress, "ground"))
+    grounds = _grow_ground(run, trajectory, watch, threads, progress_callback(progress, "ground"))
 
-    over_time = objects.carries_evidence(parameters.dynamics)
-    local = objects.poses_near_start(trajectory)
-    seen, sightings = run.path / ".objects" / key, dict[int, objects.Sighting]()
-    voters = voting.key_frames(trajectory, parameters.dynamics)
+    over_time = uses_tracking(parameters.dynamics)
+    local = local_poses(trajectory)
+    seen, detections = run.path / ".objects" / key, dict[int, Detections]()
+    voters = select_key_frames(trajectory, parameters.dynamics)
 
     keys = {"votes": votes_key, "classify": key}
 
@@ -87,7 +98,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             ground = np.unpackbits(grounds[index], count=len(record.points)).view(np.bool_)
         with watch("surfaces"):
             surface = dynamics.surface_for(
-                record.points, parameters.dynamics, parameters.surface, run.sensors(record)
+                record.points, parameters.dynamics, parameters.surface, run.sensor_rig(record)
             )
         return _Sweep(record, ground, surface)
 
@@ -95,7 +106,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         record, ground, surface = sweep.result()
         with watch("key frames"):
             return voting.KeyFrame(
-                record.points, ground, parameters.dynamics, surface, run.sensors(record)
+                record.points, ground, parameters.dynamics, surface, run.sensor_rig(record)
             )
 
     def vote(index: int, sweep: _Sweep, asked: list[Future[voting.KeyFrame]]) -> voting.Votes:
@@ -120,15 +131,15 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         votes, (record, ground, surface), first = vote(index, sweep, asked), sweep, None
         with watch("objects"):
             if over_time:
-                first = objects.connect_objects(record.points, ground, surface, parameters.dynamics)
+                first = objects.cluster_objects(record.points, ground, surface, parameters.dynamics)
             classid = dynamics.classify(
                 ground, votes, parameters.dynamics, record.points, surface, first
             )
         if first is None:
             return writers.submit(write, index, record, votes, classid)
         with watch("sightings"):
-            moving = classid >= dynamics.DYNAMIC
-            sightings[index] = objects.Sighting(record.points, ground, first, moving, local[index])
+            moving = classid >= DYNAMIC
+            detections[index] = Detections(record.points, ground, first, moving, local[index])
         return writers.submit(write_first, index, first, votes, classid)
 
     def write(
@@ -142,11 +153,11 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     ) -> None:
         with watch("write"):
             arrays = (first, votes.static, votes.dynamic, classid)
-            _write_arrays(seen / f"{index:06d}.npy", *arrays, *sightings[index].arrays)
+            _write_arrays(seen / f"{index:06d}.npy", *arrays, *detections[index].arrays)
 
     left = [index for index in range(total) if not is_classified(index)]
     voted = {index for index in left if run.frame_key(index).get("votes") == votes_key}
-    tell = teller(progress, "classify")
+    tell = progress_callback(progress, "classify")
     tell(total - len(left), total)
     sweeps: dict[int, Future[_Sweep]] = {}
     key_frames: dict[int, Future[voting.KeyFrame]] = {}
@@ -178,7 +189,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             working.popleft().result().result()
             tell(total - len(working), total)
     if over_time:
-        _carry_evidence(run, trajectory, seen, sightings, keys, watch, threads)
+        _carry_evidence(run, trajectory, seen, detections, keys, watch, threads)
         shutil.rmtree(seen.parent)
     shutil.rmtree(run.path / _GROUND)
     finish_stage(run, "classify", watch, len(left))
@@ -212,13 +223,13 @@ def _grow_ground(
                 done = len(grounds)
                 found: list[NDArray[np.uint8]] = []
                 ground_map = GroundMap(parameters, threads)
-                for step, points in enumerate(made_ahead(pool, read, merged)):
+                for step, points in enumerate(prefetch(pool, read, merged)):
                     with watch("ground: insert"):
                         ground_map.insert(points, trajectory.poses[merged[step]])
                     tell(done + len(frames) * step // (2 * len(merged)), len(trajectory))
                 with watch("ground: grow"):
                     ground_map.grow()
-                for bits in made_ahead(pool, partial(label, ground_map), frames):
+                for bits in prefetch(pool, partial(label, ground_map), frames):
                     tell(done + (len(frames) + len(found)) // 2, len(trajectory))
                     found.append(bits)
                 _write_arrays(kept, *found)
@@ -231,29 +242,29 @@ def _carry_evidence(
     run: RunFolder,
     trajectory: Trajectory,
     seen: Path,
-    sightings: dict[int, objects.Sighting],
+    detections: dict[int, Detections],
     keys: dict[str, str],
     watch: Stopwatch,
     threads: int,
 ) -> None:
     """Classes of objects that move at another time; the same again when it was interrupted.
 
-    ``sightings`` are those that need not be read, because they were not made by an earlier run.
+    ``detections`` are those that need not be read, because they were not made by an earlier run.
     """
-    local, parameters = objects.poses_near_start(trajectory), run.parameters.dynamics
+    local, parameters = local_poses(trajectory), run.parameters.dynamics
 
-    def sighting_of(index: int) -> objects.Sighting:
-        if index in sightings:
-            return sightings[index]
+    def sighting_of(index: int) -> Detections:
+        if index in detections:
+            return detections[index]
         with watch("read"):
-            return objects.Sighting.of(_read_arrays(seen / f"{index:06d}.npy", 7)[4:])
+            return Detections.of(_read_arrays(seen / f"{index:06d}.npy", 7)[4:])
 
     def classify_again(index: int) -> None:
         with watch("read"):
             record = run.frame(index)
             first, static, dynamic, classid = _read_arrays(seen / f"{index:06d}.npy", 4)
         if carried[index]:
-            classid = objects.add_carried(
+            classid = apply_tracks(
                 record.points,
                 first,
                 carried[index],
@@ -271,8 +282,8 @@ def _carry_evidence(
     with ThreadPoolExecutor(5) as pool:
         everything = list(pool.map(sighting_of, range(len(trajectory))))
         with watch("tracks"):
-            carried = objects.follow(everything, trajectory.times, parameters, threads)
-        for _ in made_ahead(pool, classify_again, range(len(trajectory)), 5):
+            carried = track_objects(everything, trajectory.times, parameters, threads)
+        for _ in prefetch(pool, classify_again, range(len(trajectory)), 5):
             pass
         list(pool.map(Path.unlink, seen.iterdir()))
 
@@ -311,7 +322,7 @@ def _write_classified(
     classid: NDArray[np.uint16],
 ) -> None:
     labels = np.full(record.input_points, _OUTLIER, np.uint32)
-    labels[record.index] = np.where(classid >= dynamics.DYNAMIC, _MOVING, _STATIC)
+    labels[record.index] = np.where(classid >= DYNAMIC, _MOVING, _STATIC)
     path = run.path / "labels" / f"{record.name}.label"
     write_atomically(path, lambda stream: stream.write(labels.tobytes()))
     # Last, because its key says that this frame is done.

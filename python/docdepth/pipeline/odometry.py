@@ -7,13 +7,20 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import Dataset, Sweep, usable_points
+from docdepth.datasets.base import Dataset, Sweep
 from docdepth.errors import ConfigError, DatasetError
+from docdepth.geometry.points import usable_points
 from docdepth.io.ply import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.odometry import odometry
-from docdepth.phantoms import phantom_points
-from docdepth.pipeline.stage import Progress, Stopwatch, finish_stage, stage_is_done, teller
+from docdepth.odometry.blooming import blooming_points
+from docdepth.odometry.odometry import odometry
+from docdepth.pipeline.stage import (
+    Progress,
+    Stopwatch,
+    finish_stage,
+    progress_callback,
+    stage_is_done,
+)
 
 log = logging.getLogger(__name__)
 
@@ -40,14 +47,14 @@ def run_odometry(
         A sweep is damaged or empty.
     """
     parameters = run.parameters.odometry
-    sensors = dataset.sweep(0).sensors
-    places = None if sensors is None else sensors.T_lidar_sensor.tolist()
+    sensor_rig = dataset.sweep(0).sensor_rig
+    places = None if sensor_rig is None else sensor_rig.T_lidar_sensor.tolist()
     key = stage_key(run.manifest["source"], parameters.model_dump(), places)
     if stage_is_done(run, "odometry", key):
         return
     watch, total = Stopwatch(), len(dataset)
     run.set_stage("odometry", state="running", key=key)
-    tell = teller(progress, "odometry")
+    tell = progress_callback(progress, "odometry")
     with watch("poses"):
         checkpoint = run.path / ".odometry" / key
 
@@ -67,8 +74,8 @@ def run_odometry(
                 sweep = dataset.sweep(index)
                 points = estimate.points(index)
                 usable = usable_points(points)
-                if parameters.bloom_deg:
-                    usable &= ~_phantoms(dataset, sweep, parameters.bloom_deg)
+                if parameters.blooming_deg:
+                    usable &= ~_phantoms(dataset, sweep, parameters.blooming_deg)
             if not usable.any():
                 raise DatasetError(
                     f"{dataset.path}: sweep {sweep.name} (frame {index}) holds no usable point; "
@@ -80,21 +87,23 @@ def run_odometry(
                 sweep.name,
                 len(points),
                 {"odometry": key},
-                late=None if sweep.fraction is None else period * sweep.fraction[usable],
-                sensor=sweep.sensors.index[usable] if sweep.sensors else None,
+                time_offset=None
+                if sweep.relative_time is None
+                else period * sweep.relative_time[usable],
+                sensor=sweep.sensor_rig.index[usable] if sweep.sensor_rig else None,
             )
             with watch("write"):
                 run.write_frame(index, record)
         tell(index + 1, total)
-    if sensors is not None:
-        run.write_sensors(sensors)
+    if sensor_rig is not None:
+        run.write_sensors(sensor_rig)
     finish_stage(run, "odometry", watch, worked)
 
 
-def _phantoms(dataset: Dataset, sweep: Sweep, bloom_deg: float) -> NDArray[np.bool_]:
+def _phantoms(dataset: Dataset, sweep: Sweep, blooming_deg: float) -> NDArray[np.bool_]:
     if sweep.intensity is None:
         raise ConfigError(
             f"{dataset.path}: sweep {sweep.name} has no intensity, by which reflectors are known; "
-            "leave odometry.bloom_deg at 0"
+            "leave odometry.blooming_deg at 0"
         )
-    return phantom_points(sweep.points, sweep.intensity, bloom_deg)
+    return blooming_points(sweep.points, sweep.intensity, blooming_deg)

@@ -13,20 +13,30 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import __version__, render, visualize
-from docdepth.backends import Renderer
+from docdepth import __version__
 from docdepth.config import OutputParameters, Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import DatasetError
+from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
 from docdepth.io.depth import DESCRIPTION, FORMATS, check_format, encode_depth, read_depth
 from docdepth.io.ply import write_trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.layers import check_layers
-from docdepth.layers import layers as layers_of
-from docdepth.pipeline.stage import Progress, Stopwatch, finish_stage, stage_is_done, teller
-from docdepth.report import write_index
-from docdepth.trajectory import Trajectory
+from docdepth.pipeline.stage import (
+    Progress,
+    Stopwatch,
+    finish_stage,
+    progress_callback,
+    stage_is_done,
+)
+from docdepth.render import depth_map as render
+from docdepth.render.backends import Renderer
+from docdepth.render.frame import Frame
+from docdepth.render.layers import check_layers
+from docdepth.render.layers import layers as layers_of
+from docdepth.render.selection import needed_frames
+from docdepth.visualization import pictures as visualize
+from docdepth.visualization.report import write_index
 
 _FOLDERS = ("depth", "report", "layers")
 
@@ -191,7 +201,7 @@ def run_render(
         m.describe(coverage[c])
     jobs.sort()
 
-    def load(index: int) -> render.Frame:
+    def load(index: int) -> Frame:
         return load_frame(run, trajectory, index, parameters, watch)
 
     def write(m: _Maps, k: int, depth: NDArray[np.float32], more: dict[str, NDArray[Any]]) -> None:
@@ -199,19 +209,19 @@ def run_render(
             m.write(k, depth, more)
 
     whole = sum(map(len, coverage))
-    tell = teller(progress, stage)
+    tell = progress_callback(progress, stage)
     tell(whole, whole + len(jobs))
-    made: dict[int, Future[render.Frame]] = {}
+    made: dict[int, Future[Frame]] = {}
     # Frames of the next image are made, and the last image is written, while one is drawn.
     with ThreadPoolExecutor(2) as pool:
         pending: Future[None] | None = None
         for done, (stamp, c, k) in enumerate(jobs):
             ahead = {t for t, _, _ in jobs[done : done + 2]}
-            needed = set().union(*(render.needed_frames(trajectory, t, drawing) for t in ahead))
+            needed = set().union(*(needed_frames(trajectory, t, drawing) for t in ahead))
             made = {i: made[i] for i in made if i in needed}
             for i in sorted(needed - made.keys()):
                 made[i] = pool.submit(load, i)
-            for i in render.needed_frames(trajectory, stamp, drawing):
+            for i in needed_frames(trajectory, stamp, drawing):
                 with watch("wait for frames"):
                     made[i].result()
             scene = (
@@ -250,7 +260,7 @@ def load_frame(
     index: int,
     parameters: Parameters,
     watch: Stopwatch | None = None,
-) -> render.Frame:
+) -> Frame:
     """A classified sweep of a run, made ready to be drawn.
 
     Raises
@@ -262,13 +272,13 @@ def load_frame(
     with watch("read"):
         record, classid = run.classified_frame(index)
     with watch("frames"):
-        return render.Frame(
+        return Frame(
             record.points,
             classid,
             parameters.render,
             parameters.surface,
-            record.late,
-            run.sensors(record),
+            record.time_offset,
+            run.sensor_rig(record),
             trajectory.velocity(index),
         )
 

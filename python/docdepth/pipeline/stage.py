@@ -66,7 +66,7 @@ def finish_stage(run: RunFolder, stage: str, watch: Stopwatch, frames: int, **mo
     )
 
 
-def teller(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
+def progress_callback(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
     """``progress`` for one stage."""
 
     def tell(done: int, total: int) -> None:
@@ -76,7 +76,7 @@ def teller(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
     return tell
 
 
-def made_ahead(
+def prefetch(
     pool: Executor, make: Callable[[_Item], _Result], items: Iterable[_Item], count: int = 2
 ) -> Iterator[_Result]:
     """``map`` that makes no more than ``count`` results before they are asked for."""

@@ -150,7 +150,7 @@ class World:
 
     Parameters
     ----------
-    still : Mesh
+    motion_corrected : Mesh
     actors : sequence of Actor
     span : tuple of float
         First and last second of the drive: who moves in between has the moving class throughout.
@@ -161,14 +161,16 @@ class World:
         Of every face: those of the still mesh, then those of each part of each actor.
     """
 
-    def __init__(self, still: Mesh, actors: Sequence[Actor], span: tuple[float, float]) -> None:
-        self.still = Target(still)
+    def __init__(
+        self, motion_corrected: Mesh, actors: Sequence[Actor], span: tuple[float, float]
+    ) -> None:
+        self.motion_corrected = Target(motion_corrected)
         self.actors = list(actors)
-        meshes = [still, *(part.mesh for actor in self.actors for part in actor.parts)]
+        meshes = [motion_corrected, *(part.mesh for actor in self.actors for part in actor.parts)]
         first = np.cumsum([0, *(len(mesh) for mesh in meshes)]).tolist()
         targets = iter(zip(first[1:], map(Target, meshes[1:]), strict=False))
         self.targets = [[next(targets) for _ in actor.parts] for actor in self.actors]
-        labels = [still.labels]
+        labels = [motion_corrected.labels]
         for number, actor in enumerate(self.actors, 1):
             moves = actor.moves_between(*span)
             label = (number << 16) | (actor.moving_label if moves else actor.label)
@@ -183,8 +185,10 @@ class World:
     def cast(self, rays: Rays, limit: float) -> Hits:
         """What each ray meets first within ``limit`` metres."""
         count = len(rays)
-        distance, face = self.still.cast(rays.origins, rays.directions, np.full(count, limit))
-        normals = self.still.normals[face]
+        distance, face = self.motion_corrected.cast(
+            rays.origins, rays.directions, np.full(count, limit)
+        )
+        normals = self.motion_corrected.normals[face]
         speed = np.zeros(count, np.float32)
         for actor, targets in zip(self.actors, self.targets, strict=True):
             near = self._near(actor, rays, limit, distance)

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.render import Camera
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.synthetic.casting import Hits, Rays, World
 from docdepth.synthetic.photo import View, photograph
 from docdepth.synthetic.sensors import Sensor
 from docdepth.synthetic.street import Scene
-from docdepth.trajectory import inverse, rotation_exp
 
 Floats = NDArray[np.float64]
 _NS = 1_000_000_000
@@ -72,7 +72,7 @@ class TrueSweep:
         high 16 bits.
     speed : ndarray of float32, shape (N,)
         Of the object at that moment, metres a second.
-    fraction : ndarray of float32, shape (N,)
+    relative_time : ndarray of float32, shape (N,)
         Time of measurement after the stamp, as a share of the sweep, -0.5..0.5.
     ring : ndarray of int64, shape (N,)
     """
@@ -81,7 +81,7 @@ class TrueSweep:
     intensity: NDArray[np.float32]
     labels: NDArray[np.uint32]
     speed: NDArray[np.float32]
-    fraction: NDArray[np.float32]
+    relative_time: NDArray[np.float32]
     ring: NDArray[np.int64]
 
     @property
@@ -137,7 +137,9 @@ class Drive:
         self.times = period * np.arange(frames, dtype=np.int64)
         self.camera_times = self.times[:-1] + round(shutter * period)
         half = 0.5 * sensor.period
-        self.world = World(scene.still, scene.actors, (-half, float(self.times[-1]) / _NS + half))
+        self.world = World(
+            scene.motion_corrected, scene.actors, (-half, float(self.times[-1]) / _NS + half)
+        )
         self.T_scene_world = self._scene_poses(np.zeros(1))[0]
         self.poses = self.pose_at(self.times)
         self._bias = sensor.bias * np.random.default_rng([seed, 2]).normal(size=256)
@@ -170,10 +172,10 @@ class Drive:
         poses = self._scene_poses(seconds)
         rotation, which = poses[pattern.which, :3, :3], pattern.which
         directions = np.einsum("nij,nj->ni", rotation, pattern.directions)
-        starts = pattern.starts
-        if starts is None:
-            starts = np.zeros_like(directions)
-        origins = poses[which, :3, 3] + np.einsum("nij,nj->ni", rotation, starts)
+        ray_origins = pattern.ray_origins
+        if ray_origins is None:
+            ray_origins = np.zeros_like(directions)
+        origins = poses[which, :3, 3] + np.einsum("nij,nj->ni", rotation, ray_origins)
         rays = Rays(origins, directions, seconds, which)
         hits = self.world.cast(rays, sensor.max_range)
         reflectivity = self.world.reflectivity[hits.face]
@@ -183,7 +185,7 @@ class Drive:
         measured = hits.range[kept] + sensor.noise * rng.normal(size=len(kept))
         measured += self._bias[pattern.rings[kept]]
         if self.skew:
-            points = starts[kept] + measured[:, None] * pattern.directions[kept]
+            points = ray_origins[kept] + measured[:, None] * pattern.directions[kept]
         else:
             points = rays.origins[kept] + measured[:, None] * directions[kept]
             stamp = inverse(self._scene_poses(self.times[index : index + 1] / _NS)[0])

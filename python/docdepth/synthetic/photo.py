@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.render import Camera
+from docdepth.geometry.camera import Camera
 from docdepth.synthetic.casting import Hits, Rays, World
 
 Floats = NDArray[np.float64]

@@ -28,7 +28,7 @@ class Pattern:
         Index into ``fractions`` for each ray.
     rings : ndarray of int64, shape (N,)
         Number of the laser.
-    starts : ndarray of float64, shape (N, 3), optional
+    ray_origins : ndarray of float64, shape (N, 3), optional
         Where each ray begins, LiDAR frame, metres; at the origin when left out.
     """
 
@@ -36,7 +36,7 @@ class Pattern:
     fractions: Floats
     which: NDArray[np.int64]
     rings: NDArray[np.int64]
-    starts: Floats | None = None
+    ray_origins: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -170,8 +170,8 @@ def _hdl64() -> Callable[[int], Pattern]:
     pattern = _spinning(np.arctan(kitti_lidar.SLOPES), 2083, offsets)(0)
     along = pattern.directions[:, :2] / np.hypot(*pattern.directions.T[:2])[:, None]
     aside, up = kitti_lidar.ASIDE[pattern.rings], kitti_lidar.HEIGHTS[pattern.rings]
-    starts = np.column_stack([-aside * along[:, 1], aside * along[:, 0], up])
-    pattern = replace(pattern, starts=starts)
+    ray_origins = np.column_stack([-aside * along[:, 1], aside * along[:, 0], up])
+    pattern = replace(pattern, ray_origins=ray_origins)
     return lambda index: pattern
 
 

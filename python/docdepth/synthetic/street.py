@@ -32,7 +32,7 @@ class Scene:
     ----------
     name : str
     seed : int
-    still : Mesh
+    motion_corrected : Mesh
         All that never moves, world frame.
     actors : list of Actor
     ego : Path
@@ -43,7 +43,7 @@ class Scene:
 
     name: str
     seed: int
-    still: Mesh
+    motion_corrected: Mesh
     actors: list[Actor]
     ego: Path
     duration: float
@@ -118,8 +118,8 @@ class Street:
 
     def scene(self, name: str, seed: int, ego: Path, duration: float, step: float = 1.0) -> Scene:
         """Everything put together."""
-        still = merged([self.road.ground(step), *self.meshes])
-        return Scene(name, seed, still, self.actors, ego, duration)
+        motion_corrected = merged([self.road.ground(step), *self.meshes])
+        return Scene(name, seed, motion_corrected, self.actors, ego, duration)
 
 
 def _one(mesh: Mesh) -> list[Part]:
@@ -175,7 +175,7 @@ def level_road(start: float = -150.0, end: float = 350.0) -> Road:
 
 
 def plain_scene(
-    still: Sequence[Mesh] = (),
+    motion_corrected: Sequence[Mesh] = (),
     actors: Sequence[Actor] = (),
     speed: float = 0.0,
     duration: float = 30.0,
@@ -184,7 +184,7 @@ def plain_scene(
 
     Parameters
     ----------
-    still : sequence of Mesh
+    motion_corrected : sequence of Mesh
         In the frame of the plane, ``Mesh.moved(pose_of(x, y, z, yaw))`` puts them there.
     actors : sequence of Actor
         On paths of :func:`level_road`, for instance.
@@ -194,4 +194,4 @@ def plain_scene(
     road = level_road(end=max(350.0, 150.0 + speed * duration))
     ground = road.ground(step=25.0)
     ego = Path(road, np.array([(0.0, 0.0), (1.0, 0.0)]), Pace(speed))
-    return Scene("plain", 0, merged([ground, *still]), list(actors), ego, duration)
+    return Scene("plain", 0, merged([ground, *motion_corrected]), list(actors), ego, duration)

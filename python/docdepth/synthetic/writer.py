@@ -11,10 +11,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from docdepth.geometry.se3 import inverse
 from docdepth.synthetic.drive import Drive
 from docdepth.synthetic.scenes import scene as make_scene
 from docdepth.synthetic.sensors import sensor as make_sensor
-from docdepth.trajectory import inverse
 
 
 def write_drive(
@@ -25,7 +25,7 @@ def write_drive(
     seed: int = 0,
     skew: bool = False,
     images: bool = True,
-    bloom_deg: float = 0.0,
+    blooming_deg: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Make a synthetic drive and write it below ``out``.
@@ -44,7 +44,7 @@ def write_drive(
         compensated with the exact motion of the ego, as SemanticKITTI's are.
     images : bool
         Write the camera's pictures and exact depth.
-    bloom_deg : float
+    blooming_deg : float
         Phantom returns around retro-reflectors, up to so many degrees from them; class 1, outlier.
     progress : callable, optional
         Called with sweeps done and all sweeps.
@@ -54,7 +54,7 @@ def write_drive(
     Path
         The sequence folder.
     """
-    lidar = replace(make_sensor(sensor), bloom=float(np.radians(bloom_deg)))
+    lidar = replace(make_sensor(sensor), bloom=float(np.radians(blooming_deg)))
     drive = Drive(make_scene(scene, seed), lidar, frames, seed, skew)
     folder = Path(out) / "sequences" / "00"
     folder.mkdir(parents=True, exist_ok=True)
@@ -74,8 +74,8 @@ def write_drive(
         "frames": frames,
         "motion_compensated": not skew,
     }
-    if bloom_deg:
-        about["bloom_deg"] = bloom_deg
+    if blooming_deg:
+        about["bloom_deg"] = blooming_deg
     # Written last: a folder with it is a whole drive.
     (folder / "docdepth.yaml").write_text(yaml.safe_dump(about, sort_keys=False))
     return folder
@@ -98,7 +98,7 @@ def _write_sweep(folder: Path, drive: Drive, index: int) -> None:
     sweep.labels.tofile(_file(folder, "labels", index, "label"))
     np.save(_file(folder, "speeds", index, "npy"), sweep.speed.astype(np.float16))
     if drive.skew:
-        sweep.fraction.tofile(_file(folder, "point_times", index, "bin"))
+        sweep.relative_time.tofile(_file(folder, "point_times", index, "bin"))
 
 
 def _write_image(folder: Path, drive: Drive, index: int) -> None:

@@ -1,0 +1,165 @@
+"""Key frames, and how they vote on the points of a sweep (paper III-C2, Algorithm 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth import _core
+from docdepth.config import DynamicsParameters
+from docdepth.errors import InputError
+from docdepth.geometry.points import check_sweep
+from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
+from docdepth.geometry.se3 import check_rigid
+from docdepth.geometry.sensor_rig import SensorRig, lidar_views
+
+
+@dataclass(frozen=True)
+class Votes:
+    """What the key frames said about the points of one sweep.
+
+    Attributes
+    ----------
+    static : ndarray of uint16, shape (N,)
+        Key frames that saw a surface at the place of the point.
+    dynamic : ndarray of uint16, shape (N,)
+        Key frames that looked through it.
+    """
+
+    static: NDArray[np.uint16]
+    dynamic: NDArray[np.uint16]
+
+
+class KeyFrame:
+    """A sweep made ready to be asked about the places of other points.
+
+    It is the paper's range image, or one whose pixels know the triangles of the sweep's surface.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        The deskewed sweep, LiDAR frame, metres. Rows that are not finite or lie at the origin are
+        no returns and are left out.
+    ground : ndarray of bool, shape (N,)
+    parameters : DynamicsParameters, optional
+        Its ``against`` says whether pixels or the sweep's surface answer.
+    surface : Surface, optional
+        Of these points; made here when needed and left out.
+    sensor_rig : Sensors, optional
+        Where the sweep was measured from; each of several LiDARs answers from its own place.
+
+    Raises
+    ------
+    InputError
+        A shape or dtype is wrong.
+    """
+
+    def __init__(
+        self,
+        points: NDArray[np.float32],
+        ground: NDArray[np.bool_],
+        parameters: DynamicsParameters | None = None,
+        surface: ScanMesh | None = None,
+        sensor_rig: SensorRig | None = None,
+    ) -> None:
+        p = parameters or DynamicsParameters()
+        points, ground = check_sweep(points, ground)
+        self._views: list[tuple[_core.KeyFrame, NDArray[np.float64]]]
+        if p.against == "pixels":
+            self._views = [
+                (_range_image(view.points, ground, p), view.T_lidar_sensor)
+                for view in lidar_views(points, sensor_rig)
+            ]
+        else:
+            parts = (surface or ScanMesh(points, None, sensor_rig)).parts
+            self._views = [
+                (_surface_image(part, ground, p), part.view.T_lidar_sensor) for part in parts
+            ]
+
+
+def vote(
+    points: NDArray[np.float32],
+    ground: NDArray[np.bool_],
+    T_world_lidar: NDArray[np.float64],
+    key_frames: Sequence[KeyFrame],
+    poses: NDArray[np.float64],
+    parameters: DynamicsParameters | None = None,
+    threads: int = 0,
+) -> Votes:
+    """Ask key frames about every point of a sweep (Algorithm 1).
+
+    Against pixels, ground points are static without a vote; against surfaces every point is voted
+    on, with the narrower margin ``ground_across`` where it, or the plane it is held against, is
+    called ground. Rows that are not finite get no votes.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        The deskewed sweep, LiDAR frame, metres.
+    ground : ndarray of bool, shape (N,)
+    T_world_lidar : ndarray of float64, shape (4, 4)
+        Pose of the sweep.
+    key_frames : sequence of KeyFrame, length k
+    poses : ndarray of float64, shape (k, 4, 4)
+        ``T_world_lidar`` of each key frame.
+    parameters : DynamicsParameters, optional
+    threads : int
+        0 for all cores. The votes do not depend on it.
+
+    Returns
+    -------
+    Votes
+
+    Raises
+    ------
+    InputError
+        A shape or dtype is wrong, or a pose is not rigid.
+    """
+    points, ground = check_sweep(points, ground)
+    pose = np.ascontiguousarray(T_world_lidar, dtype=np.float64)
+    poses = np.ascontiguousarray(poses, dtype=np.float64)
+    if not key_frames:
+        poses = np.zeros((0, 4, 4))
+    if pose.shape != (4, 4) or poses.shape != (len(key_frames), 4, 4):
+        raise InputError(
+            f"voting needs a (4, 4) pose of the sweep and one of each of the {len(key_frames)} key "
+            f"frames; got {pose.shape} and {poses.shape}"
+        )
+    check_rigid(np.concatenate([pose[None], poses]))
+    answering = [
+        (core, T_world_lidar @ T_lidar_sensor)
+        for frame, T_world_lidar in zip(key_frames, poses, strict=True)
+        for core, T_lidar_sensor in frame._views
+    ]
+    static, dynamic = _core.vote(
+        points,
+        ground,
+        pose,
+        [core for core, _ in answering],
+        np.array([T for _, T in answering]).reshape(-1, 4, 4),
+        threads,
+    )
+    return Votes(static, dynamic)
+
+
+def _range_image(
+    points: NDArray[np.float32], ground: NDArray[np.bool_], p: DynamicsParameters
+) -> _core.KeyFrame:
+    return _core.RangeImage(points, ground, np.radians(p.resolution_deg), p.window, p.tolerance)
+
+
+def _surface_image(
+    part: LidarMesh, ground: NDArray[np.bool_], p: DynamicsParameters
+) -> _core.KeyFrame:
+    image = _core.SurfaceImageParameters()
+    image.resolution = float(np.radians(p.resolution_deg))
+    image.window, image.tolerance = p.window, p.tolerance
+    image.upright = _core.Margins(p.across, p.along, p.along_growth)
+    image.level = _core.Margins(p.level_across, p.level_along, 0.0)
+    image.ground_across = p.ground_across
+    image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
+    image.beam = p.beam
+    return _core.SurfaceImage(part.view.points, ground, part.core, image)

@@ -1,0 +1,44 @@
+"""The pinhole camera that depth maps are drawn for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import CalibrationError
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A rectified pinhole camera (OpenCV: x right, y down, z forward).
+
+    Attributes
+    ----------
+    K : ndarray of float64, shape (3, 3)
+        Pixels; integer pixel coordinates are pixel centres.
+    width, height : int
+        Pixels.
+    """
+
+    K: NDArray[np.float64]
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        K = np.ascontiguousarray(self.K, dtype=np.float64)
+        if K.shape != (3, 3) or not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
+            raise CalibrationError(f"K must be a 3x3 pinhole matrix, got {K.tolist()}")
+        if K[0, 1] or K[1, 0] or (K[2] != (0, 0, 1)).any():
+            raise CalibrationError(
+                f"K must be fx 0 cx / 0 fy cy / 0 0 1, got {K.tolist()}; rectify images with skew"
+            )
+        if self.width < 1 or self.height < 1:
+            raise CalibrationError(f"image size {self.width} x {self.height} is empty")
+        if not (0 <= K[0, 2] < self.width and 0 <= K[1, 2] < self.height):
+            raise CalibrationError(
+                f"the principal point ({K[0, 2]:.1f}, {K[1, 2]:.1f}) lies outside the "
+                f"{self.width} x {self.height} image: the size does not fit K"
+            )
+        object.__setattr__(self, "K", K)

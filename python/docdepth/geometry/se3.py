@@ -1,0 +1,146 @@
+"""Rigid transforms: checks, inverses, rotations, quaternions and twists."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from docdepth.errors import InputError
+
+
+def check_rigid(poses: NDArray[np.float64]) -> None:
+    """Refuse poses that are not rotations and translations.
+
+    Raises
+    ------
+    InputError
+        Names the first such frame.
+    """
+    rotation = poses[:, :3, :3]
+    finite = np.isfinite(poses).all(axis=(1, 2))
+    with np.errstate(invalid="ignore"):
+        orthogonal = (
+            np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) < 1e-3
+        )
+        right_handed = np.linalg.det(np.where(np.isfinite(rotation), rotation, 0)) > 0
+        affine = (poses[:, 3] == (0, 0, 0, 1)).all(axis=1)
+    bad = np.flatnonzero(~(finite & orthogonal & right_handed & affine))
+    if len(bad):
+        raise InputError(
+            f"the pose of frame {bad[0]} is not a rotation and a translation; "
+            "poses are 4x4 matrices T_world_lidar with finite entries"
+        )
+
+
+def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverse of rigid poses, shape (..., 4, 4)."""
+    result = np.zeros_like(pose)
+    rotation = np.swapaxes(pose[..., :3, :3], -1, -2)
+    result[..., :3, :3] = rotation
+    result[..., :3, 3] = -(rotation @ pose[..., :3, 3, None])[..., 0]
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def rotation_log(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation vector (axis times angle in radians, shape (3,)) of a 3x3 rotation."""
+    x, y, z, w = matrix_to_quaternion(rotation)
+    vector, sine = np.array([x, y, z]), float(np.sqrt(x * x + y * y + z * z))
+    if sine < 1e-12:
+        return np.asarray(2.0 * vector)
+    return np.asarray(vector * (2.0 * np.arctan2(sine, w) / sine))
+
+
+def rotation_exp(vector: ArrayLike) -> NDArray[np.float64]:
+    """3x3 rotations of rotation vectors, shape (..., 3) to (..., 3, 3)."""
+    vector = np.asarray(vector, dtype=np.float64)
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
+    cross = cross.reshape((*vector.shape[:-1], 3, 3))
+    small = angle < 1e-8
+    safe = np.where(small, 1.0, angle)
+    first = np.where(small, 1.0, np.sin(safe) / safe)
+    second = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+
+
+def rotation_power(rotation: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+    """The ``share``-th part of a rotation, along the shorter arc (SLERP from identity)."""
+    return rotation_exp(share * rotation_log(rotation))
+
+
+def matrix_to_quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit quaternion (x, y, z, w), w >= 0, of a 3x3 rotation."""
+    m = rotation
+    # The symmetric matrix whose largest eigenvector is the quaternion (Bar-Itzhack 2000): no
+    # special cases, exact for slightly non-orthogonal input too.
+    k = np.array(
+        [
+            [m[0, 0] - m[1, 1] - m[2, 2], 0, 0, 0],
+            [m[0, 1] + m[1, 0], m[1, 1] - m[0, 0] - m[2, 2], 0, 0],
+            [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], m[2, 2] - m[0, 0] - m[1, 1], 0],
+            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], np.trace(m)],
+        ]
+    )
+    quaternion: NDArray[np.float64] = np.linalg.eigh(k / 3.0)[1][:, 3]
+    return -quaternion if quaternion[3] < 0 else quaternion
+
+
+def quaternion_to_matrix(quaternion: ArrayLike) -> NDArray[np.float64]:
+    """3x3 rotation of a quaternion (x, y, z, w) of any length but zero."""
+    q = np.asarray(quaternion, dtype=np.float64)
+    norm = float(np.linalg.norm(q))
+    if not np.isfinite(norm) or norm < 1e-6:
+        raise InputError(f"{q.tolist()} is not a quaternion x y z w; its length is {norm}")
+    x, y, z, w = q / norm
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def poses_from(
+    rotations: Sequence[NDArray[np.float64]], positions: ArrayLike
+) -> NDArray[np.float64]:
+    """Stack 3x3 rotations and positions (n, 3) into poses (n, 4, 4)."""
+    positions = np.asarray(positions, dtype=np.float64)
+    poses = np.repeat(np.eye(4)[None], len(positions), axis=0)
+    poses[:, :3, :3] = np.asarray(rotations)
+    poses[:, :3, 3] = positions
+    return poses
+
+
+def twist(motion: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rotation vector and velocity whose constant action for one unit of time is ``motion``."""
+    motion = np.asarray(motion, dtype=np.float64)
+    omega = rotation_log(motion[:3, :3])
+    return omega, np.linalg.solve(_left_jacobian(omega), motion[:3, 3])
+
+
+def exp(omega: NDArray[np.float64], velocity: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The motion (4, 4) of a constant twist after one unit of time."""
+    result = np.eye(4)
+    result[:3, :3] = rotation_exp(omega)
+    result[:3, 3] = _left_jacobian(omega) @ velocity
+    return result
+
+
+def _left_jacobian(omega: NDArray[np.float64]) -> NDArray[np.float64]:
+    angle = float(np.linalg.norm(omega))
+    A = _cross(omega)
+    if angle < 1e-6:
+        return np.asarray(np.eye(3) + 0.5 * A + A @ A / 6.0)
+    first = (1.0 - np.cos(angle)) / angle**2
+    second = (angle - np.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + first * A + second * (A @ A))
+
+
+def _cross(v: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])

@@ -1,0 +1,156 @@
+"""Where the LiDAR was when: poses in time and along the path (paper III-B, sections 4 and 6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from docdepth.errors import InputError
+from docdepth.geometry.se3 import check_rigid, rotation_power
+
+# A pose that lies nearer than this to the last kept one adds no path: standing jitters.
+_JITTER = 0.05
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses of a sensor, sorted by time.
+
+    Attributes
+    ----------
+    times : ndarray of int64, shape (n,)
+        Nanoseconds, strictly increasing.
+    poses : ndarray of float64, shape (n, 4, 4)
+        ``T_world_lidar``, which takes points of a sweep to the world.
+    """
+
+    times: NDArray[np.int64]
+    poses: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        times = np.ascontiguousarray(self.times, dtype=np.int64)
+        poses = np.ascontiguousarray(self.poses, dtype=np.float64)
+        if times.ndim != 1 or poses.shape != (len(times), 4, 4) or not len(times):
+            raise InputError(
+                f"a trajectory needs n times and (n, 4, 4) poses, n > 0; "
+                f"got {times.shape} and {poses.shape}"
+            )
+        backwards = np.flatnonzero(np.diff(times) <= 0)
+        if len(backwards):
+            raise InputError(
+                f"timestamps do not increase between frames {backwards[0]} and {backwards[0] + 1}; "
+                "sort the sweeps by time and drop repeated ones"
+            )
+        check_rigid(poses)
+        object.__setattr__(self, "times", times)
+        object.__setattr__(self, "poses", poses)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    @property
+    def arc_length(self) -> NDArray[np.float64]:
+        """Path length at each pose, shape (n,), in metres; it does not grow while the ego stands.
+
+        Distances are summed over poses at least 5 cm apart, so that the jitter of a standing
+        sensor adds nothing and a crawl is not lost.
+        """
+        positions = self.poses[:, :3, 3]
+        arc = np.zeros(len(self))
+        kept, base = positions[0], 0.0
+        for i in range(1, len(self)):
+            distance = float(np.linalg.norm(positions[i] - kept))
+            if distance >= _JITTER:
+                base, kept = base + distance, positions[i]
+            arc[i] = base
+        return arc
+
+    def subsample(self, spacing: float, duration: float = np.inf) -> NDArray[np.int64]:
+        """Indices of poses at least ``spacing`` metres of path apart, greedily from the first.
+
+        Or ``duration`` seconds apart, to a twentieth since stamps jitter, whichever comes first.
+        The end of the path is taken too: without it nothing looks back at the last sweeps.
+        """
+        arc, seconds = self.arc_length, (self.times - self.times[0]) * 1e-9
+        kept = [0]
+        for i in range(1, len(self)):
+            overdue = seconds[i] - seconds[kept[-1]] >= 0.95 * duration
+            if overdue or arc[i] - arc[kept[-1]] >= spacing:
+                kept.append(i)
+        if arc[-1] > arc[kept[-1]]:
+            kept.append(len(self) - 1)
+        return np.array(kept)
+
+    def nearest(self, time: int) -> int:
+        """Index of the pose nearest in time to ``time`` [ns]; the earlier one on a tie."""
+        return int(np.argmin(np.abs(self.times - np.int64(time))))
+
+    def covers(self, times: ArrayLike) -> NDArray[np.bool_]:
+        """Which of ``times`` [ns] lie between the first and the last pose."""
+        times = np.asarray(times, dtype=np.int64)
+        covered: NDArray[np.bool_] = (times >= self.times[0]) & (times <= self.times[-1])
+        return covered
+
+    def interpolate(self, times: ArrayLike) -> NDArray[np.float64]:
+        """Poses between sweeps: linear in position, SLERP in rotation (shorter arc).
+
+        Parameters
+        ----------
+        times : array_like of int64, shape (m,)
+            Nanoseconds.
+
+        Returns
+        -------
+        ndarray of float64, shape (m, 4, 4)
+            ``T_world_lidar`` at these times.
+
+        Raises
+        ------
+        InputError
+            A time lies outside the trajectory: poses are not extrapolated.
+        """
+        times = np.atleast_1d(np.asarray(times, dtype=np.int64))
+        outside = np.flatnonzero(~self.covers(times))
+        if len(outside):
+            raise InputError(
+                f"{len(outside)} times lie outside the trajectory, the first is "
+                f"{times[outside[0]]} ns (entry {outside[0]}); leave these images out"
+            )
+        after = np.clip(np.searchsorted(self.times, times), 1, max(len(self) - 1, 1))
+        before = after - 1
+        if len(self) == 1:
+            return np.repeat(self.poses, len(times), axis=0)
+        span = (self.times[after] - self.times[before]).astype(np.float64)
+        share = (times - self.times[before]).astype(np.float64) / span
+        result = np.repeat(np.eye(4)[None], len(times), axis=0)
+        for k, (a, b, s) in enumerate(zip(before, after, share, strict=True)):
+            start, end = self.poses[a], self.poses[b]
+            if s in (0.0, 1.0):
+                result[k] = start if s == 0.0 else end
+                continue
+            result[k, :3, :3] = start[:3, :3] @ rotation_power(start[:3, :3].T @ end[:3, :3], s)
+            result[k, :3, 3] = (1.0 - s) * start[:3, 3] + s * end[:3, 3]
+        return result
+
+    def velocity(self, index: int) -> NDArray[np.float64]:
+        """Of the sensor at pose ``index``, (3,) in its frame, metres a second; 0 of a single pose.
+
+        By way and time between the poses before and after.
+        """
+        before, after = max(index - 1, 0), min(index + 1, len(self) - 1)
+        seconds = (self.times[after] - self.times[before]) * 1e-9
+        way: NDArray[np.float64] = self.poses[after, :3, 3] - self.poses[before, :3, 3]
+        return way @ self.poses[index, :3, :3] / (seconds or 1.0)
+
+    def arc_length_at(self, times: ArrayLike) -> NDArray[np.float64]:
+        """Path length at ``times`` [ns], linear between poses."""
+        times = np.atleast_1d(np.asarray(times, dtype=np.int64))
+        start = self.times[0]
+        arc: NDArray[np.float64] = np.interp(
+            (times - start).astype(np.float64),
+            (self.times - start).astype(np.float64),
+            self.arc_length,
+        )
+        return arc

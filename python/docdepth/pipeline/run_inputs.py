@@ -1,0 +1,102 @@
+"""What a run is made of, opened as its run.yaml tells: recording, cameras, poses.
+
+``source`` has ``dataset``, ``name``, ``camera`` (a name, a list of names or None), ``poses``,
+``camera_times`` and ``image_size``, all plain values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets import CameraStream, Dataset, open_dataset
+from docdepth.datasets.times import read_times
+from docdepth.errors import CalibrationError, DatasetError
+from docdepth.geometry.camera import Camera
+from docdepth.io.poses import read_poses
+from docdepth.io.run_folder import RunFolder
+
+ALL = "all"
+
+
+def open_source(source: dict[str, Any]) -> tuple[Dataset, list[CameraStream]]:
+    """The recording and the cameras that depth maps are wanted for.
+
+    Raises
+    ------
+    DatasetError, CalibrationError
+        A file is missing or broken, or there is no such camera.
+    """
+    size = size_from(source["image_size"])
+    recording = open_dataset(Path(source["dataset"]), source["name"], size)
+    streams = [recording.cameras[name] for name in _names(source["camera"], recording)]
+    if size:
+        streams = [
+            s
+            if size == (s.camera.width, s.camera.height)
+            else replace(s, camera=Camera(s.camera.K, *size))
+            for s in streams
+        ]
+    if source["camera_times"]:
+        streams = [_retimed(stream, Path(source["camera_times"])) for stream in streams]
+    return recording, streams
+
+
+def stream_of(run: RunFolder, folder: str) -> CameraStream | None:
+    """The camera whose maps are in ``depth/FOLDER``; None for one that was not there."""
+    stage = run.stage("render")
+    if not run.manifest["source"] or folder not in stage.get("folders", []):
+        return None
+    name = stage["cameras"][stage["folders"].index(folder)]
+    _, streams = open_source(run.manifest["source"])
+    return next((stream for stream in streams if stream.name == name), None)
+
+
+def poses_of(source: dict[str, Any], recording: Dataset) -> NDArray[np.float64] | None:
+    """``T_world_lidar`` that need not be estimated, None where they must be."""
+    if source["poses"]:
+        return read_poses(Path(source["poses"]), len(recording))
+    return recording.poses if recording.name == "run" else None
+
+
+def size_from(text: str | None) -> tuple[int, int] | None:
+    """Width and height from ``1242x375``."""
+    if not text:
+        return None
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise CalibrationError(f"size {text!r}: write WIDTHxHEIGHT, for example 1242x375")
+    return int(width), int(height)
+
+
+def _names(asked: str | list[str] | None, recording: Dataset) -> list[str]:
+    cameras = recording.cameras
+    if not cameras:
+        raise CalibrationError(f"{recording.path} has no calibrated camera; add its calibration")
+    if asked is None:
+        colour = [c for c in cameras if c in ("image_02", "image_2")]
+        return [colour[0] if colour else next(iter(cameras))]
+    names = [asked] if isinstance(asked, str) else list(dict.fromkeys(asked))
+    if names == [ALL]:
+        return list(cameras)
+    for name in names:
+        if name not in cameras:
+            raise DatasetError(
+                f"{recording.path} has no camera {name!r}; it has {', '.join(cameras)}, or all"
+            )
+    return names
+
+
+def _retimed(stream: CameraStream, path: Path) -> CameraStream:
+    """A camera whose images were taken at the times of a file."""
+    times = read_times(path)
+    if stream.images and len(times) != len(stream.images):
+        raise DatasetError(
+            f"{path} has {len(times)} times for {len(stream.images)} images of {stream.name}"
+        )
+    names = stream.names if stream.images else [f"{i:010d}" for i in range(len(times))]
+    return replace(stream, times=times, names=names)

@@ -1,0 +1,111 @@
+"""Cameras that were not there: any pinhole camera, mounted on the LiDAR of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import CameraStream
+from docdepth.datasets.times import read_times
+from docdepth.errors import CalibrationError, ConfigError
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.run_inputs import size_from
+
+FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Axes of a camera that looks along x of the LiDAR, as columns: right, down, forward."""
+
+
+def virtual_camera(
+    run: RunFolder, name: str, pose: str, K: str, size: str, times: Path | None = None
+) -> CameraStream:
+    """A camera that moves with the LiDAR.
+
+    Parameters
+    ----------
+    run : RunFolder
+    name : str
+        Its maps are written to ``depth/NAME``.
+    pose : str
+        ``T_lidar_camera``, see :func:`parse_pose`.
+    K : str
+        ``fx,fy,cx,cy`` in pixels.
+    size : str
+        ``WIDTHxHEIGHT`` in pixels.
+    times : Path, optional
+        Seconds, an image a line; images are taken at the stamps of the sweeps if absent.
+
+    Raises
+    ------
+    ConfigError, CalibrationError
+        A value cannot be read, or the name is that of a camera of the run.
+    """
+    if not name or name in (".", "..") or "/" in name or "\\" in name:
+        raise ConfigError(f"--name {name!r}: it names a folder; take letters and digits")
+    if name in run.stage("render").get("folders", []):
+        raise ConfigError(f"--name {name}: the run has a camera of this name; choose another")
+    fx, fy, cx, cy = _numbers("--K", K, 4, "fx,fy,cx,cy")
+    pixels = size_from(size)
+    if pixels is None:
+        raise ConfigError("--size is missing: say --size WIDTHxHEIGHT, for example 1280x720")
+    camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), *pixels)
+    stamps = read_times(times) if times else run.trajectory().times
+    names = [f"{i:010d}" if times else f"{i:06d}" for i in range(len(stamps))]
+    return CameraStream(name, camera, inverse(parse_pose(pose)), stamps, names)
+
+
+def parse_pose(text: str) -> NDArray[np.float64]:
+    """``T_lidar_camera``: where a camera is in the LiDAR's frame (x forward, y left, z up).
+
+    Parameters
+    ----------
+    text : str
+        Numbers, or a file with numbers, parted by blanks or commas: ``x y z`` of a camera that
+        looks along the LiDAR's x; ``x y z qx qy qz qw`` of one turned from the LiDAR's axes to
+        the camera's (x right, y down, z forward); or the 3x4 or 4x4 matrix, row by row, that
+        takes camera points to the LiDAR.
+
+    Returns
+    -------
+    ndarray of float64, shape (4, 4)
+
+    Raises
+    ------
+    CalibrationError
+        It is none of these, or no rotation.
+    """
+    file = Path(text)
+    content = file.read_text(encoding="utf-8") if len(text) < 256 and file.is_file() else text
+    try:
+        values = np.array(content.replace(",", " ").split(), dtype=np.float64)
+    except ValueError:
+        values = np.zeros(0)
+    rotation, position = FORWARD, values[:3]
+    if values.size == 7 and np.linalg.norm(values[3:]) > 0:
+        rotation = quaternion_to_matrix(values[3:] / np.linalg.norm(values[3:]))
+    elif values.size in (12, 16):
+        matrix = values.reshape(-1, 4)
+        rotation, position = matrix[:3, :3], matrix[:3, 3]
+    elif values.size != 3:
+        rotation = np.zeros((3, 3))
+    turned = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
+    if not np.isfinite(values).all() or not turned or np.linalg.det(rotation) < 0:
+        raise CalibrationError(
+            f"--pose {text!r}: write x,y,z or x,y,z,qx,qy,qz,qw or a file with a 4x4 matrix, the "
+            "camera's place in the LiDAR's frame, with a rotation"
+        )
+    u, _, vt = np.linalg.svd(rotation)
+    return poses_from([u @ vt], position[None])[0]
+
+
+def _numbers(option: str, text: str, count: int, pattern: str) -> list[float]:
+    try:
+        values = [float(word) for word in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count:
+        raise ConfigError(f"{option} {text!r}: write {pattern}")
+    return values

@@ -1,0 +1,96 @@
+"""A run folder for one trial, without a copy of the sweeps."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth import __version__
+from docdepth.config import Parameters
+from docdepth.errors import RunError
+from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.atomic import write_atomically
+from docdepth.io.ply import FrameRecord
+from docdepth.io.run_folder import RunFolder
+
+_STORED = ("classid", "votes_static", "votes_dynamic")
+
+
+class TrialFolder(RunFolder):
+    """A run folder that borrows trajectory and sweeps of another and keeps its own classes."""
+
+    def __init__(self, path: Path, source: Path, parameters: Parameters, key: str) -> None:
+        super().__init__(path)
+        self._source = RunFolder.open(source)
+        if self.manifest.get("trial") != key:
+            shutil.rmtree(path, ignore_errors=True)
+            stages = {"odometry": self._source.stage("odometry")}
+            self.manifest = {
+                "docdepth": __version__,
+                "trial": key,
+                "source": self._source.manifest["source"],
+                "parameters": parameters.model_dump(),
+                "stages": stages,
+            }
+            self.save()
+
+    def trajectory(self) -> Trajectory:
+        """LiDAR poses of the run."""
+        return self._source.trajectory()
+
+    def sensor_rig(self, frame: FrameRecord) -> SensorRig | None:
+        """Where a sweep of the run was measured from."""
+        return self._source.sensor_rig(frame)
+
+    def points(self, index: int) -> NDArray[np.float32]:
+        """The points of a sweep of the run."""
+        return self._source.points(index)
+
+    def frame(self, index: int) -> FrameRecord:
+        """Sweep of the run with the classes of the trial, where there are any."""
+        record = self._source.frame(index)
+        stored = self._stored(index)
+        return replace(
+            record,
+            key=_key(stored),
+            classid=stored.get("classid"),
+            votes_static=stored.get("votes_static"),
+            votes_dynamic=stored.get("votes_dynamic"),
+        )
+
+    def frame_key(self, index: int) -> dict[str, str]:
+        """Which parameters made the classes of frame ``index``."""
+        return _key(self._stored(index))
+
+    def write_frame(self, index: int, frame: FrameRecord) -> None:
+        """Keep the classes and votes of a frame; its points are the run's."""
+        arrays = {name: getattr(frame, name) for name in _STORED}
+        arrays = {name: value for name, value in arrays.items() if value is not None}
+        stream = io.BytesIO()
+        np.savez(stream, allow_pickle=False, key=np.array(json.dumps(frame.key)), **arrays)
+        write_atomically(self._path(index), lambda out: out.write(stream.getvalue()))
+
+    def _path(self, index: int) -> Path:
+        return self.path / "frames" / f"{index:06d}.npz"
+
+    def _stored(self, index: int) -> dict[str, Any]:
+        try:
+            with np.load(self._path(index)) as stored:
+                return dict(stored)
+        except FileNotFoundError:
+            return {}
+        except (ValueError, zipfile.BadZipFile) as error:
+            raise RunError(f"{self._path(index)} is damaged: {error}; delete it") from None
+
+
+def _key(stored: dict[str, Any]) -> dict[str, str]:
+    return dict(json.loads(str(stored["key"]))) if stored else {}

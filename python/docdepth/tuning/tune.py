@@ -1,0 +1,143 @@
+"""Running trials: one process each, resumable."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from docdepth import __version__
+from docdepth.config import Parameters
+from docdepth.errors import ConfigError
+from docdepth.evaluation.runs import evaluate_labels
+from docdepth.io.atomic import write_atomically
+from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.tuning.results import Outcome, as_csv, table
+from docdepth.tuning.trial_folder import TrialFolder
+from docdepth.tuning.trials import Trial, parameters_of
+
+
+def sweep(
+    run: Path,
+    labels: Path,
+    trials: Sequence[Trial],
+    out: Path,
+    jobs: int = 1,
+    threads: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Outcome]:
+    """Classify a run with each parameter set and compare with the truth.
+
+    Parameters
+    ----------
+    run : Path
+        Run folder with deskewed sweeps; it stays as it is.
+    labels : Path
+        SemanticKITTI labels, as for :func:`docdepth.evaluation.runs.evaluate_labels`.
+    trials : sequence of Trial
+    out : Path
+        Folder of the results: a file a trial, ``sweep.csv`` and ``sweep.md``.
+    jobs : int
+        Trials at a time. Seconds are comparable only when there is one.
+    threads : int
+        Of each trial; 0 takes every core.
+    progress : callable, optional
+        Called with the trials done and their number.
+
+    Returns
+    -------
+    list of Outcome
+        In the order of ``trials``.
+
+    Raises
+    ------
+    ConfigError
+        Two trials have one name, or a parameter is unknown or not of the classification.
+    """
+    source = RunFolder.open(run)
+    tasks = []
+    for trial in trials:
+        chosen = parameters_of(source.parameters, trial)
+        odometry = source.stage("odometry").get("key")
+        key = stage_key(__version__, odometry, chosen.model_dump(), str(labels.resolve()))
+        tasks.append(_Task(run, labels, out, trial, chosen, key, threads))
+    names = [trial.name for trial in trials]
+    for name in names:
+        if names.count(name) > 1 or not name.strip(".") or set(name) & set("/\\\0"):
+            raise ConfigError(f"{name!r} cannot name a trial: names are unique and name folders")
+    left = [task for task in tasks if task.outcome() is None]
+    _work(left, jobs, len(tasks), progress)
+    outcomes = [found for found in (task.outcome() for task in tasks) if found is not None]
+    text = table(outcomes).markdown().encode()
+    write_atomically(out / "sweep.md", lambda stream: stream.write(text))
+    rows = as_csv(outcomes).encode()
+    write_atomically(out / "sweep.csv", lambda stream: stream.write(rows))
+    return outcomes
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A trial with everything a process needs to know."""
+
+    run: Path
+    labels: Path
+    out: Path
+    trial: Trial
+    parameters: Parameters
+    key: str
+    threads: int
+
+    @property
+    def file(self) -> Path:
+        return self.out / f"{self.trial.name}.json"
+
+    def outcome(self) -> Outcome | None:
+        """What is on disk, if it was made with the same run, parameters and version."""
+        try:
+            found = json.loads(self.file.read_text())
+        except (FileNotFoundError, json.JSONDecodeError):
+            return None
+        if found.get("key") != self.key:
+            return None
+        return Outcome(self.trial.name, self.trial.settings, found["figures"], found["seconds"])
+
+    def __call__(self) -> None:
+        """Classify, evaluate, write the outcome, and delete the classes."""
+        from docdepth.pipeline import run_classify
+
+        folder = TrialFolder(self.out / f".{self.trial.name}", self.run, self.parameters, self.key)
+        run_classify(folder, self.threads)
+        figures = evaluate_labels(folder, self.labels).as_dict()
+        seconds = folder.stage("classify").get("seconds", {})
+        content = json.dumps({"key": self.key, "figures": figures, "seconds": seconds}, indent=1)
+        write_atomically(self.file, lambda stream: stream.write(content.encode()))
+        shutil.rmtree(folder.path, ignore_errors=True)
+
+
+def _work(
+    tasks: list[_Task], jobs: int, total: int, progress: Callable[[int, int], None] | None
+) -> None:
+    def tell(left: int) -> None:
+        if progress:
+            progress(total - left, total)
+
+    tell(len(tasks))
+    if jobs <= 1 or len(tasks) <= 1:
+        for k, task in enumerate(tasks):
+            task()
+            tell(len(tasks) - k - 1)
+        return
+    # Fresh processes: a fork of one with running threads can hang.
+    with ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=get_context("spawn")) as pool:
+        futures = [pool.submit(task) for task in tasks]
+        try:
+            for k, future in enumerate(as_completed(futures)):
+                future.result()
+                tell(len(tasks) - k - 1)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise

@@ -1,0 +1,265 @@
+"""Pictures of depth and labels, with OpenCV alone. All are BGR, uint8.
+
+Colours of depth mean the same in every picture: turbo over the logarithm of depth, red near, blue
+far, so that pictures can be compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import InputError
+
+Picture = NDArray[np.uint8]
+
+NEAR, FAR = 3.0, 80.0
+"""Depths of the first and the last colour [m]."""
+
+GROUND_COLOR = (110, 125, 95)
+STATIC_COLOR = (205, 205, 205)
+DYNAMIC_COLOR = (40, 60, 255)
+# Against a truth: dynamic points found and missed, and false alarms.
+FOUND_COLOR = (90, 200, 60)
+MISSED_COLOR = (20, 170, 255)
+FALSE_COLOR = (220, 40, 230)
+
+_BACKGROUND = 24
+_TICKS = (3, 5, 10, 20, 40, 80, 160, 320)
+
+
+def colorize(
+    depth: NDArray[np.floating[Any]], near: float = NEAR, far: float = FAR, bar: bool = True
+) -> Picture:
+    """Colours of a depth map, none where there is no depth.
+
+    Parameters
+    ----------
+    depth : ndarray of float, shape (h, w)
+        Metres, NaN = none.
+    near, far : float
+        Depths of the first and the last colour [m]; what lies beyond takes that colour.
+    bar : bool
+        Draw the scale.
+
+    Returns
+    -------
+    ndarray of uint8, shape (h, w, 3)
+        BGR.
+    """
+    valid = np.isfinite(depth) & (depth > 0)
+    share = np.log(np.where(valid, depth, near) / near) / np.log(far / near)
+    colors = _turbo(share)
+    colors[~valid] = _BACKGROUND
+    return draw_bar(colors, near, far) if bar else colors
+
+
+def overlay(
+    depth: NDArray[np.floating[Any]],
+    image: Picture | None = None,
+    opacity: float = 0.6,
+    near: float = NEAR,
+    far: float = FAR,
+) -> Picture:
+    """Depth over the camera image; where there is no depth the image is seen, darker and grey.
+
+    Parameters
+    ----------
+    depth : ndarray of float, shape (h, w)
+        Metres, NaN = none.
+    image : ndarray of uint8, shape (h, w, 3), optional
+        BGR. Without one the colours of depth alone.
+    opacity : float
+        Of the colours, 0..1.
+    """
+    colors = colorize(depth, near, far, bar=False)
+    if image is not None:
+        if image.shape != colors.shape:
+            raise InputError(
+                f"the image {image.shape} and the depth map {depth.shape} differ in size"
+            )
+        gray = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+        blended = cv2.addWeighted(colors, opacity, gray, 1 - opacity, 0)
+        darker = cv2.convertScaleAbs(gray, alpha=0.5)
+        colors = np.where(np.isnan(depth)[..., None], darker, blended)
+    return draw_bar(colors, near, far)
+
+
+def error_picture(
+    predicted: NDArray[np.floating[Any]], truth: NDArray[np.floating[Any]], limit: float = 0.1
+) -> Picture:
+    """Where depth is too near (red) and too far (blue), white where it is right.
+
+    Parameters
+    ----------
+    predicted, truth : ndarray of float, shape (h, w)
+        Metres, NaN = none; pixels without both stay dark.
+    limit : float
+        Relative error of the full colour.
+    """
+    relative = (predicted - truth) / truth
+    known = np.isfinite(relative)
+    strength = np.clip(np.abs(np.where(known, relative, 0)) / limit, 0, 1)
+    near = (relative < 0) & known
+    colors = np.empty((*relative.shape, 3))
+    colors[..., 0] = np.where(near, 1 - strength, 1)
+    colors[..., 1] = 1 - strength
+    colors[..., 2] = np.where(near, 1, 1 - strength)
+    picture = np.rint(255 * colors).astype(np.uint8)
+    picture[~known] = _BACKGROUND
+    return picture
+
+
+def labels_from_above(
+    points: NDArray[np.float32],
+    classid: NDArray[np.uint16],
+    truth: NDArray[np.bool_] | None = None,
+    reach: float = 50.0,
+    size: int = 800,
+) -> Picture:
+    """A sweep seen from above, x up, y to the left, the sensor in the middle.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        LiDAR frame [m].
+    classid : ndarray of uint16, shape (N,)
+        Below 50 ground, below 100 static, else dynamic.
+    truth : ndarray of bool, shape (N,), optional
+        Which points are dynamic. With it dynamic points found are green and missed orange, false
+        alarms magenta; without, dynamic points are red.
+    reach : float
+        Half the edge of the picture [m].
+    size : int
+        Edge of the picture [pixels].
+    """
+    scale = size / (2 * reach)
+    rows = np.floor((reach - points[:, 0]) * scale)
+    columns = np.floor((reach - points[:, 1]) * scale)
+    picture = np.full((size, size, 3), _BACKGROUND, np.uint8)
+    _draw(picture, rows, columns, classid, truth)
+    return picture
+
+
+def labels_in_range_image(
+    points: NDArray[np.float32],
+    classid: NDArray[np.uint16],
+    truth: NDArray[np.bool_] | None = None,
+    resolution_deg: float = 0.2,
+    row_height: int = 2,
+) -> Picture:
+    """A sweep as its sensor saw it: azimuth from left (behind) to right, elevation down.
+
+    Parameters
+    ----------
+    points, classid, truth
+        As in :func:`labels_from_above`.
+    resolution_deg : float
+        Width of a pixel.
+    row_height : int
+        Pixels a row is drawn high, since rings lie farther apart than columns.
+    """
+    ranges = np.linalg.norm(points, axis=1)
+    seen = np.isfinite(ranges) & (ranges > 0)
+    points, classid = points[seen], classid[seen]
+    truth = None if truth is None else truth[seen]
+    elevation = np.degrees(np.arcsin(points[:, 2] / ranges[seen]))
+    azimuth = np.degrees(-np.arctan2(points[:, 1], points[:, 0]))
+    columns = np.floor((azimuth + 180) / resolution_deg) % round(360 / resolution_deg)
+    top = float(elevation.max(initial=0.0))
+    spacing = max(2 * resolution_deg, 0.4)
+    rows = np.floor((top - elevation) / spacing)
+    picture = np.full(
+        (int(rows.max(initial=0)) + 1, round(360 / resolution_deg), 3), _BACKGROUND, np.uint8
+    )
+    _draw(picture, rows, columns, classid, truth)
+    return np.repeat(picture, row_height, axis=0)
+
+
+def picture_grid(pictures: Sequence[Picture], captions: Sequence[str], columns: int = 2) -> Picture:
+    """Pictures of one size in a grid, each with its caption above.
+
+    Parameters
+    ----------
+    pictures : sequence of ndarray of uint8, shape (h, w, 3)
+    captions : sequence of str
+        One a picture.
+    columns : int
+        Pictures a row.
+    """
+    if not pictures or len(pictures) != len(captions) or len({p.shape for p in pictures}) != 1:
+        raise InputError(
+            f"{len(pictures)} pictures of one size need as many captions, got {len(captions)} "
+            f"and sizes {sorted({p.shape[:2] for p in pictures})}"
+        )
+    panels = [_captioned(p, text) for p, text in zip(pictures, captions, strict=True)]
+    empty = np.full_like(panels[0], _BACKGROUND)
+    panels += [empty] * (-len(panels) % columns)
+    rows = [np.hstack(panels[k : k + columns]) for k in range(0, len(panels), columns)]
+    return np.vstack(rows)
+
+
+def draw_bar(picture: Picture, near: float = NEAR, far: float = FAR) -> Picture:
+    """A copy with the scale of depth in its lower left corner, where it is large enough."""
+    height, width = picture.shape[:2]
+    length, thick = min(width // 3, 400), 10
+    if length < 60 or height < 60:
+        return picture
+    result = picture.copy()
+    x, y = 10, height - 14 - thick
+    result[y - 16 : y + thick + 4, x - 4 : x + length + 24] //= 3
+    result[y : y + thick, x : x + length] = _turbo(np.linspace(0, 1, length))[None]
+    for depth in _TICKS:
+        if near <= depth <= far:
+            place = x + round((length - 1) * np.log(depth / near) / np.log(far / near))
+            result[y - 3 : y, place] = 255
+            _text(result, f"{depth}" + " m" * (depth * 2 > far), (place - 4, y - 5), 0.38)
+    return result
+
+
+def _turbo(share: NDArray[np.floating[Any]]) -> Picture:
+    """Turbo colours of 0 (red) to 1 (blue), shape (...) to (..., 3)."""
+    steps = np.rint(255 * (1 - np.clip(share, 0, 1))).astype(np.uint8)
+    # The ends of turbo are nearly black; its readable part is enough.
+    table = cv2.applyColorMap(
+        np.linspace(18, 238, 256).astype(np.uint8)[:, None], cv2.COLORMAP_TURBO
+    )
+    return np.asarray(table[:, 0][steps], np.uint8)
+
+
+def _draw(
+    picture: Picture,
+    rows: NDArray[np.floating[Any]],
+    columns: NDArray[np.floating[Any]],
+    classid: NDArray[np.uint16],
+    truth: NDArray[np.bool_] | None,
+) -> None:
+    height, width = picture.shape[:2]
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    dynamic = classid >= 100
+    layers = [
+        (classid < 50, GROUND_COLOR),
+        ((classid >= 50) & ~dynamic, STATIC_COLOR),
+        (dynamic, DYNAMIC_COLOR if truth is None else FALSE_COLOR),
+    ]
+    if truth is not None:
+        layers += [(truth & ~dynamic, MISSED_COLOR), (truth & dynamic, FOUND_COLOR)]
+    # Later layers lie above earlier ones: few dynamic points must not drown in the ground.
+    for chosen, color in layers:
+        chosen = chosen & inside
+        picture[rows[chosen].astype(np.int64), columns[chosen].astype(np.int64)] = color
+
+
+def _captioned(picture: Picture, caption: str) -> Picture:
+    strip = np.full((26, picture.shape[1], 3), _BACKGROUND, np.uint8)
+    _text(strip, caption, (8, 18), 0.5)
+    return np.vstack([strip, picture])
+
+
+def _text(picture: Picture, text: str, place: tuple[int, int], size: float) -> None:
+    white = (255, 255, 255)
+    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, white, 1, cv2.LINE_AA)

@@ -1,0 +1,369 @@
+"""Recordings are read as they are, and every broken file ends in a sentence that names it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from docdepth.datasets import Dataset, open_dataset, usable_points
+from docdepth.errors import CalibrationError, DatasetError
+from docdepth.geometry.se3 import inverse, poses_from, rotation_exp
+from docdepth.io.poses import read_poses, write_kitti
+
+P = np.array([[700.0, 0, 600, 45], [0, 700, 180, 0.2], [0, 0, 1, 0.003]])
+R_RECT = rotation_exp([0.01, -0.004, 0.002])
+AXES = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # camera x = -lidar y, y = -z, z = x
+R_VELO = rotation_exp([0.01, 0.02, -0.01]) @ AXES
+T_VELO = np.array([0.1, -0.08, -0.27])
+
+
+def numbers(matrix) -> str:
+    return " ".join(f"{value:.12e}" for value in np.ravel(matrix))
+
+
+def write_sweeps(folder: Path, count: int, digits: int) -> list[np.ndarray]:
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    sweeps = [rng.normal(0, 10, (50 + k, 4)).astype("<f4") for k in range(count)]
+    for k, sweep in enumerate(sweeps):
+        sweep.tofile(folder / f"{k:0{digits}d}.bin")
+    return sweeps
+
+
+@pytest.fixture
+def raw(tmp_path: Path) -> Path:
+    """A KITTI raw drive of four sweeps, with camera 02."""
+    drive = tmp_path / "2011_09_26" / "2011_09_26_drive_0001_sync"
+    write_sweeps(drive / "velodyne_points" / "data", 4, 10)
+    stamps = [f"2011-09-26 13:02:25.{k}51199337" for k in range(4)]
+    (drive / "velodyne_points" / "timestamps.txt").write_text("\n".join(stamps) + "\n")
+    (drive.parent / "calib_cam_to_cam.txt").write_text(
+        "calib_time: 09-Jan-2012 13:57:47\ncorner_dist: 9.950000e-02\n"
+        f"S_rect_02: 1.242000e+03 3.750000e+02\nR_rect_00: {numbers(R_RECT)}\n"
+        f"P_rect_02: {numbers(P)}\n"
+    )
+    (drive.parent / "calib_velo_to_cam.txt").write_text(
+        f"calib_time: 15-Mar-2012 11:37:16\nR: {numbers(R_VELO)}\nT: {numbers(T_VELO)}\n"
+    )
+    return drive
+
+
+@pytest.fixture
+def sequence(tmp_path: Path) -> Path:
+    """A KITTI odometry sequence of four sweeps, with camera 2."""
+    sequence = tmp_path / "dataset" / "sequences" / "07"
+    write_sweeps(sequence / "velodyne", 4, 6)
+    (sequence / "times.txt").write_text("0.000000e+00\n1.036224e-01\n2.072400e-01\n3.1e-01\n")
+    Tr = np.hstack([R_VELO, T_VELO[:, None]])
+    (sequence / "calib.txt").write_text(f"P2: {numbers(P)}\nTr: {numbers(Tr)}\n")
+    (sequence / "image_2").mkdir()
+    (sequence / "image_2" / "size.txt").write_text("1242 375\n")
+    return sequence
+
+
+def write_image(file: Path, width: int = 1242, height: int = 375) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(file), np.zeros((height, width), np.uint8))
+
+
+def some_poses(count: int) -> np.ndarray:
+    vectors = np.linspace([0, 0, 0], [0.02, -0.01, 0.3], count)
+    return poses_from(list(rotation_exp(vectors)), np.linspace([0, 0, 0], [5, 1, 0.2], count))
+
+
+# ---- what is read
+
+
+def test_raw_sweeps_come_as_they_are(raw: Path) -> None:
+    dataset = open_dataset(raw)
+    assert isinstance(dataset, Dataset)
+    assert (dataset.name, len(dataset), dataset.poses) == ("kitti_raw", 4, None)
+    file = raw / "velodyne_points" / "data" / "0000000002.bin"
+    rows = np.fromfile(file, "<f4").reshape(-1, 4)
+    sweep = dataset.sweep(2)
+    assert sweep.name == "0000000002"
+    assert sweep.points.dtype == np.float32
+    assert sweep.points.flags.c_contiguous
+    np.testing.assert_array_equal(sweep.points, rows[:, :3])
+    np.testing.assert_array_equal(sweep.intensity, rows[:, 3])
+    assert dataset.labels(2) is None
+
+
+def test_raw_stamps_are_exact_to_the_nanosecond(raw: Path) -> None:
+    dataset = open_dataset(raw)
+    # date -u -d '2011-09-26 13:02:25' +%s
+    expected = [1317042145 * 10**9 + k * 10**8 + 51199337 for k in range(4)]
+    assert dataset.times.tolist() == expected
+    assert dataset.sweep(3).time == expected[3]
+
+
+def test_raw_point_times_run_clockwise_from_behind() -> None:
+    from docdepth.datasets.kitti_lidar import azimuth_relative_time
+
+    # Behind to the left it starts; then left, forward at the stamp, right, and behind again.
+    points = np.array([[-1, 1e-6, 0], [0, 1, 0], [1, 0, 0], [0, -1, 0], [-1, -1e-6, 0]], "f4")
+    relative_time = azimuth_relative_time(points)
+    assert relative_time.dtype == np.float32
+    np.testing.assert_allclose(relative_time, [-0.5, -0.25, 0, 0.25, 0.5], atol=1e-6)
+
+
+def test_raw_camera_uses_the_whole_calibration(raw: Path) -> None:
+    stream = open_dataset(raw).cameras["image_02"]
+    assert (stream.camera.width, stream.camera.height) == (1242, 375)
+    # KITTI's own recipe for a pixel: P_rect R_rect T x, in homogeneous coordinates.
+    points = np.random.default_rng(1).uniform([5, -3, -2], [40, 3, 2], (30, 3))
+    R4, T4 = np.eye(4), np.eye(4)
+    R4[:3, :3], T4[:3, :3], T4[:3, 3] = R_RECT, R_VELO, T_VELO
+    pixels = P @ R4 @ T4 @ np.c_[points, np.ones(30)].T
+    ours = stream.camera.K @ (stream.T_camera_lidar @ np.c_[points, np.ones(30)].T)[:3]
+    np.testing.assert_allclose(ours, pixels, rtol=1e-9)
+    np.testing.assert_array_equal(stream.times, open_dataset(raw).times)
+    assert stream.names == [f"{k:010d}" for k in range(4)]
+    assert stream.images == []
+
+
+def test_raw_images_bring_their_own_times(raw: Path) -> None:
+    for k in range(3):
+        write_image(raw / "image_02" / "data" / f"{k:010d}.png")
+    stamps = [f"2011-09-26 13:02:25.{k}81199337\n" for k in range(3)]
+    (raw / "image_02" / "timestamps.txt").write_text("".join(stamps))
+    stream = open_dataset(raw).cameras["image_02"]
+    assert [image.name for image in stream.images] == [f"{k:010d}.png" for k in range(3)]
+    assert stream.times[1] - stream.times[0] == 10**8
+    assert stream.times[0] - open_dataset(raw).times[0] == 3 * 10**7
+
+
+def test_a_missing_sweep_keeps_the_others_at_their_times(raw: Path) -> None:
+    times = open_dataset(raw).times
+    (raw / "velodyne_points" / "data" / "0000000001.bin").unlink()
+    np.testing.assert_array_equal(open_dataset(raw).times, times[[0, 2, 3]])
+
+
+def test_labels_beside_a_drive(raw: Path) -> None:
+    (raw / "labels").mkdir()
+    labels = np.arange(51, dtype="<u4") + (7 << 16)
+    labels.tofile(raw / "labels" / "0000000001.label")
+    dataset = open_dataset(raw)
+    np.testing.assert_array_equal(dataset.labels(1), labels)
+    assert dataset.labels(0) is None
+    labels[:-1].tofile(raw / "labels" / "0000000001.label")
+    with pytest.raises(DatasetError, match=r"0000000001\.label \(frame 1\).*51 points"):
+        dataset.labels(1)
+
+
+def test_sequence(sequence: Path) -> None:
+    dataset = open_dataset(sequence)
+    assert isinstance(dataset, Dataset)
+    assert (dataset.name, len(dataset), dataset.poses) == ("kitti_odometry", 4, None)
+    assert dataset.times.tolist() == [0, 103622400, 207240000, 310000000]
+    assert dataset.sweep(1).relative_time is None, "KITTI's sequences are motion compensated"
+    stream = dataset.cameras["image_2"]
+    assert (stream.camera.width, stream.camera.height) == (1242, 375)
+    point = np.array([10.0, 2, -1])
+    pixel = P @ np.append(R_VELO @ point + T_VELO, 1)
+    ours = stream.camera.K @ (stream.T_camera_lidar @ np.append(point, 1))[:3]
+    np.testing.assert_allclose(ours, pixel, rtol=1e-9)
+
+
+@pytest.mark.parametrize("place", ["poses.txt", "../../poses/07.txt"])
+def test_sequence_poses_become_the_lidars(sequence: Path, place: str) -> None:
+    lidar = some_poses(4)
+    Tr = np.eye(4)
+    Tr[:3, :3], Tr[:3, 3] = R_VELO, T_VELO
+    (sequence / place).parent.mkdir(exist_ok=True)
+    write_kitti(sequence / place, Tr @ lidar @ inverse(Tr))
+    np.testing.assert_allclose(open_dataset(sequence).poses, lidar, atol=1e-9)
+
+
+def test_semantic_kitti_is_told_by_its_labels(sequence: Path) -> None:
+    (sequence / "labels").mkdir()
+    np.full(52, 251, "<u4").tofile(sequence / "labels" / "000002.label")
+    dataset = open_dataset(sequence)
+    assert dataset.name == "semantic_kitti"
+    assert (dataset.labels(2) == 251).all()
+
+
+def test_raw_sequence_with_point_times_and_a_camera_between_sweeps(sequence: Path) -> None:
+    (sequence / "docdepth.yaml").write_text("motion_compensated: false\nsensor: hdl64\n")
+    with pytest.raises(DatasetError, match=r"point_times/000000\.bin \(frame 0\) is missing"):
+        open_dataset(sequence).sweep(0)
+    (sequence / "point_times").mkdir()
+    relative_time = np.linspace(-0.5, 0.5, 50, dtype="<f4")
+    relative_time.tofile(sequence / "point_times" / "000000.bin")
+    (sequence / "image_2" / "times.txt").write_text("0.05\n0.15\n")
+    dataset = open_dataset(sequence)
+    np.testing.assert_array_equal(dataset.sweep(0).relative_time, relative_time)
+    assert not dataset.sweep(0).motion_compensated
+    assert dataset.cameras["image_2"].times.tolist() == [50_000_000, 150_000_000]
+    assert dataset.cameras["image_2"].names == ["000000", "000001"]
+    (sequence / "docdepth.yaml").write_text("motion_compensated: true\n")
+    np.testing.assert_array_equal(open_dataset(sequence).sweep(0).relative_time, relative_time)
+    assert open_dataset(sequence).sweep(0).motion_compensated
+    assert open_dataset(sequence).sweep(1).relative_time is None
+    relative_time[1:].tofile(sequence / "point_times" / "000000.bin")
+    with pytest.raises(DatasetError, match=r"000000\.bin \(frame 0\).*50 points"):
+        dataset.sweep(0)
+
+
+def test_image_sizes_of_a_sequence(sequence: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (sequence / "image_2" / "size.txt").unlink()
+    camera = open_dataset(sequence, image_size=(1241, 376)).cameras["image_2"].camera
+    assert (camera.width, camera.height) == (1241, 376)
+    assert not caplog.records
+    camera = open_dataset(sequence).cameras["image_2"].camera
+    assert (camera.width, camera.height) == (1200, 360)
+    assert "guessed" in caplog.text
+    for k in range(4):
+        write_image(sequence / "image_2" / f"{k:06d}.png", 1242, 375)
+    caplog.clear()
+    for stream in open_dataset(sequence).cameras.values():  # of which one alone has images
+        assert (stream.camera.width, stream.camera.height) == (1242, 375)
+    assert not caplog.records
+    with pytest.raises(CalibrationError, match=r"1242 x 375 pixels.*1000 x 300"):
+        open_dataset(sequence, image_size=(1000, 300))
+
+
+def test_usable_points() -> None:
+    points = np.array([[5, 0, 0], [np.nan, 0, 0], [np.inf, 1, 1], [0, 0, 0], [3e38, 0, 0]])
+    assert usable_points(points.astype("f4")).tolist() == [True, False, False, False, False]
+
+
+# ---- what is broken
+
+
+def test_truncated_and_empty_sweeps(raw: Path, sequence: Path) -> None:
+    for drive, name in ((raw, "velodyne_points/data/0000000002"), (sequence, "velodyne/000002")):
+        file = drive / f"{name}.bin"
+        whole = file.read_bytes()
+        dataset = open_dataset(drive)
+        for content, problem in ((whole[:-5], "multiple of 16"), (b"", "empty")):
+            file.write_bytes(content)
+            match = rf"{file.name} \(frame 2\).*{problem}"
+            with pytest.raises(DatasetError, match=match):
+                open_dataset(drive)
+            with pytest.raises(DatasetError, match=match):
+                dataset.sweep(2)
+        file.unlink()
+        with pytest.raises(DatasetError, match=rf"{file.name} \(frame 2\) has gone"):
+            dataset.sweep(2)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (lambda lines: lines[:3], r"timestamps\.txt has 3 stamps for 4 files.*0000000003\.bin"),
+        (lambda lines: [lines[0], lines[2], lines[1], lines[3]], r"frame 2 \(0000000002\.bin\)"),
+        (lambda lines: [lines[0], lines[0], *lines[2:]], r"frame 1 .* after that of frame 0"),
+        (lambda lines: [lines[0], "noon", *lines[2:]], r"line 2: 'noon' is no time"),
+        (lambda lines: [lines[0], "", *lines[2:]], r"line 2: '' is no time"),
+    ],
+)
+def test_broken_stamps(raw: Path, change, match: str) -> None:
+    file = raw / "velodyne_points" / "timestamps.txt"
+    file.write_text("\n".join(change(file.read_text().splitlines())))
+    with pytest.raises(DatasetError, match=match):
+        open_dataset(raw)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ("0.0\n0.1\n0.2\n", r"times\.txt has 3 times for 4 files.*000003\.bin \(frame 3\)"),
+        ("0.0\n0.1\n0.1\n0.2\n", r"frame 2 \(000002\.bin\) is not after that of frame 1"),
+        ("0.0\n0.1\nx\n0.2\n", "line 3: 'x' is no time"),
+        ("0.0\n0.1\nnan\n0.2\n", "line 3: 'nan' is no time"),
+    ],
+)
+def test_broken_times(sequence: Path, change: str, match: str) -> None:
+    (sequence / "times.txt").write_text(change)
+    with pytest.raises(DatasetError, match=match):
+        open_dataset(sequence)
+
+
+@pytest.mark.parametrize("name", ["velodyne_points/timestamps.txt", "image_02/timestamps.txt"])
+def test_missing_stamps(raw: Path, name: str) -> None:
+    write_image(raw / "image_02" / "data" / "0000000000.png")
+    (raw / "image_02" / "timestamps.txt").write_text("2011-09-26 13:02:25.1\n")
+    open_dataset(raw)
+    (raw / name).unlink()
+    with pytest.raises(DatasetError, match=rf"{name} is missing; "):
+        open_dataset(raw)
+
+
+@pytest.mark.parametrize("name", ["calib_cam_to_cam.txt", "calib_velo_to_cam.txt"])
+def test_missing_raw_calibration(raw: Path, name: str) -> None:
+    (raw.parent / name).unlink()
+    with pytest.raises(CalibrationError, match=f"{name} is missing; unpack"):
+        open_dataset(raw)
+
+
+def test_broken_calibration(raw: Path, sequence: Path) -> None:
+    file = raw.parent / "calib_cam_to_cam.txt"
+    text = file.read_text()
+    file.write_text(text.replace("R_rect_00", "R_rect_01"))
+    with pytest.raises(CalibrationError, match="no line 'R_rect_00:'"):
+        open_dataset(raw)
+    file.write_text(text.replace("P_rect_02: ", "P_rect_02: nan "))
+    with pytest.raises(CalibrationError, match="P_rect_02:' must be 12 finite numbers"):
+        open_dataset(raw)
+    file.write_text(text.replace("P_rect_02", "P_rect_09"))
+    with pytest.raises(CalibrationError, match="calibrates no camera"):
+        open_dataset(raw)
+    (sequence / "calib.txt").unlink()
+    with pytest.raises(CalibrationError, match=r"calib\.txt is missing"):
+        open_dataset(sequence)
+
+
+def test_image_size_that_does_not_fit(raw: Path) -> None:
+    file = raw.parent / "calib_cam_to_cam.txt"
+    text = file.read_text()
+    with pytest.raises(CalibrationError, match="1242 x 375 but the image size asked for is 640"):
+        open_dataset(raw, image_size=(640, 480))
+    file.write_text(text.replace("S_rect_02: 1.242000e+03 3.750000e+02\n", ""))
+    with pytest.raises(CalibrationError, match="--image-size"):
+        open_dataset(raw)
+    with pytest.raises(CalibrationError, match=r"principal point .* outside the 400 x 300"):
+        open_dataset(raw, image_size=(400, 300))
+    assert open_dataset(raw, image_size=(1242, 375)).cameras["image_02"].camera.width == 1242
+
+
+def test_what_is_no_recording(raw: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="not there"):
+        open_dataset(tmp_path / "nowhere")
+    with pytest.raises(DatasetError, match=r"did you mean .*drive_0001_sync.*kitti_raw: a drive"):
+        open_dataset(raw.parent)
+    with pytest.raises(DatasetError, match="unknown dataset 'waymo'; there are kitti_raw"):
+        open_dataset(raw, "waymo")
+    with pytest.raises(DatasetError, match=r"no recording.*semantic_kitti: a sequence"):
+        open_dataset(raw, "semantic_kitti")
+
+
+# ---- the real drives
+
+
+@pytest.mark.skipif("DOCDEPTH_KITTI_RAW" not in os.environ, reason="no KITTI drives")
+@pytest.mark.parametrize(("drive", "images"), [("0005", 0), ("9001", 78)])
+def test_real_drives(drive: str, images: int) -> None:
+    root = Path(os.environ["DOCDEPTH_KITTI_RAW"])
+    dataset = open_dataset(root / "2011_09_26" / f"2011_09_26_drive_{drive}_sync")
+    stream = dataset.cameras["image_02"]
+    assert len(stream.images) == images
+    assert len(stream.times) == len(dataset)
+    sweep = dataset.sweep(7)
+    assert len(sweep.points) > 100_000
+    # What lies ahead projects into the image, upright: the road below the horizon.
+    points = sweep.points[sweep.points[:, 0] > 5].astype(np.float64)
+    seen = (
+        stream.camera.K
+        @ (points @ stream.T_camera_lidar[:3, :3].T + stream.T_camera_lidar[:3, 3]).T
+    )
+    u, v = seen[:2] / seen[2]
+    inside = (u >= 0) & (u < 1242) & (v >= 0) & (v < 375)
+    assert inside.sum() > 10_000
+    road = inside & (points[:, 2] < -1.5)
+    assert (v[road] > 172).all()
+    assert len(read_poses(dataset.path / "lidar_poses_tum.txt", len(dataset))) == len(dataset)

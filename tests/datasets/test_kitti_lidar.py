@@ -1,0 +1,139 @@
+"""KITTI's LiDAR: known by its points, each point's laser, and what that is good for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from docdepth.config import parameters
+from docdepth.datasets import kitti_lidar, open_dataset
+from docdepth.errors import DatasetError
+from docdepth.evaluation.runs import evaluate_depth
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline import run_classify, run_odometry, run_render
+from docdepth.synthetic import scene, sensor, sensors, write_drive
+from docdepth.synthetic.drive import Drive
+
+LASERS = range(64)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    return write_drive(tmp_path_factory.mktemp("drive"), "city", "HDL-64", frames=8, seed=5)
+
+
+def test_real_sweeps_are_known_and_lie_on_the_cones(drive_0005):
+    dataset = open_dataset(drive_0005)
+    points, found = dataset.sweep(40).points, dataset.sweep(40).sensor_rig
+    assert found is not None
+    # Points come ring by ring: a new one begins where azimuth passes forward again.
+    azimuth = np.mod(np.arctan2(points[:, 1], points[:, 0]), 2 * np.pi)
+    ring = np.cumsum(np.diff(azimuth, prepend=0) < -np.pi)
+    assert (found.index == ring.clip(0, 63)).mean() > 0.998
+    distance = np.hypot(points[:, 0], points[:, 1])
+    cone = kitti_lidar.HEIGHTS[found.index] + kitti_lidar.SLOPES[found.index] * distance
+    assert np.median(np.abs(cone - points[:, 2])) < 1e-3
+
+
+def test_neighbours_fire_evenly_only_as_seen_from_their_laser(drive_0005):
+    """Across a depth jump the azimuth advances by whole steps if a laser's place is right."""
+    points = open_dataset(drive_0005).sweep(40).points
+    found = kitti_lidar.sensor_rig(points)
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    nearness = 1 / np.maximum(np.hypot(points[:, 0], points[:, 1]), 0.1)
+    step, jump = np.diff(azimuth), np.diff(nearness)
+    same = (np.diff(found.index.astype(int)) == 0) & (np.abs(step) < 0.02) & (found.index[1:] < 40)
+    often = np.median(step[same & (np.abs(jump) < 1e-3) & (step > 0.002) & (step < 0.0045)])
+    same &= np.abs(jump) > 0.03
+    rest = {}
+    for way, aside in {"axis": 0 * jump, "laser": kitti_lidar.ASIDE[found.index[1:]]}.items():
+        steps = (step - aside * jump)[same] / often
+        rest[way] = np.median(np.abs(steps - np.round(steps)))
+    assert same.sum() > 500
+    assert rest["laser"] < 0.05
+    assert rest["axis"] > 0.2
+
+
+@pytest.mark.parametrize("name", sorted(sensors()))
+def test_only_its_own_sweeps_are_taken_for_its(name):
+    sweep = Drive(scene("city", 1), sensor(name), 4, 1).sweep(2)
+    assert kitti_lidar.is_kitti_lidar([sweep.points]) == (name == "HDL-64")
+    few = sweep.points[:20]
+    assert kitti_lidar.is_kitti_lidar([few, sweep.points]) == (name == "HDL-64")
+    assert not kitti_lidar.is_kitti_lidar([few])
+
+
+def test_the_laser_of_each_point_is_found():
+    exact = replace(sensor("HDL-64"), noise=0.0, bias=0.0)
+    sweep = Drive(scene("city", 1), exact, 4, 1, skew=True).sweep(2)
+    found = kitti_lidar.sensor_rig(sweep.points)
+    assert (found.index == sweep.ring).mean() > 0.999
+    strange = np.full((3, 3), np.nan, np.float32)
+    strange[1] = 0
+    assert (kitti_lidar.sensor_rig(strange).index < 64).all()
+
+
+def test_depth_is_better_than_as_if_seen_from_the_origin(drive, tmp_path):
+    dataset, blind = open_dataset(drive), open_dataset(drive)
+    see = blind.sweep
+    blind.sweep = lambda k: replace(see(k), sensor_rig=None)
+    error = {}
+    for way, data in {"lasers": dataset, "origin": blind}.items():
+        run = RunFolder.create(tmp_path / way, {}, parameters())
+        run_odometry(run, data, data.poses)
+        run_classify(run)
+        run_render(run, data.cameras["image_2"])
+        error[way] = evaluate_depth(run.path, drive / "depth_2").all
+    assert error["lasers"].shifts < 0.85 * error["origin"].shifts
+    assert error["lasers"].too_far < 0.85 * error["origin"].too_far
+
+
+def test_azimuth_tells_when_a_compensated_sweep_saw_each_point(drive):
+    sweep = open_dataset(drive).sweep(3)
+    exact = Drive(scene("city", 5), sensor("HDL-64"), 8, 5).sweep(3).relative_time
+    assert sweep.motion_compensated
+    off = np.abs(sweep.relative_time - exact)
+    off = np.minimum(off, 1 - off)  # the seam lies behind
+    assert np.median(off) < 0.005
+    assert off.max() < 0.05
+    assert np.corrcoef(sweep.relative_time, exact)[0, 1] > 0.99
+
+
+def test_times_of_points_are_kept_with_a_compensated_run_and_move_none(drive, tmp_path):
+    dataset = open_dataset(drive)
+    run = RunFolder.create(tmp_path / "run", {}, parameters())
+    run_odometry(run, dataset, dataset.poses)
+    frame, sweep = run.frame(3), dataset.sweep(3)
+    np.testing.assert_array_equal(frame.points, sweep.points[frame.index])
+    np.testing.assert_allclose(frame.time_offset, 0.1 * sweep.relative_time[frame.index], atol=1e-6)
+
+
+def test_a_drive_may_say_where_its_lidar_looks_from(tmp_path):
+    folder = write_drive(tmp_path, "city", "XT-32", frames=3, images=False)
+    assert open_dataset(folder).sweep(1).sensor_rig is None
+    file = folder / "docdepth.yaml"
+    about = yaml.safe_load(file.read_text())
+    file.write_text(yaml.safe_dump(about | {"looks_from": [0.1, 0, 0.2]}))
+    found = open_dataset(folder).sweep(1).sensor_rig
+    assert found is not None
+    np.testing.assert_array_equal(found.T_lidar_sensor[0, :3, 3], [0.1, 0, 0.2])
+    for wrong in ("here", [1, 2], [1, 2, "x"], [0, 0, 1e4]):
+        file.write_text(yaml.safe_dump(about | {"looks_from": wrong}))
+        with pytest.raises(DatasetError, match=r"docdepth\.yaml: looks_from"):
+            open_dataset(folder)
+
+
+def test_a_new_place_of_the_lidar_makes_odometry_run_again(tmp_path):
+    folder = write_drive(tmp_path / "drive", "city", "XT-32", frames=3, images=False)
+    dataset = open_dataset(folder)
+    run = RunFolder.create(tmp_path / "run", {}, parameters())
+    run_odometry(run, dataset, dataset.poses)
+    assert run.frame(1).sensor is None
+    file = folder / "docdepth.yaml"
+    file.write_text(yaml.safe_dump(yaml.safe_load(file.read_text()) | {"looks_from": [0, 0, 0.5]}))
+    moved = open_dataset(folder)
+    run_odometry(run, moved, moved.poses)
+    found = run.sensor_rig(run.frame(1))
+    assert found is not None
+    np.testing.assert_array_equal(found.T_lidar_sensor[0, :3, 3], [0, 0, 0.5])

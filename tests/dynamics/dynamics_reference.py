@@ -1,0 +1,301 @@
+"""Voting written from its description and nothing else, in plain numpy.
+
+Algorithm 1 against the pixels of a range image, and the vote against the surface of a key frame.
+"""
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from docdepth.geometry.scan_mesh import ScanMesh
+
+EMPTY = np.float32(np.inf)
+
+
+def reference_move(points, T_world_query, T_world_key):
+    """Float32 coordinates in the key frame, one rounded operation at a time."""
+    a, b = T_world_key[:3, :3], T_world_query[:3, :3]
+    shift = T_world_query[:3, 3] - T_world_key[:3, 3]
+    rotation = np.array(
+        [[(a[0, i] * b[0, j] + a[1, i] * b[1, j]) + a[2, i] * b[2, j] for j in range(3)]
+         for i in range(3)]
+    ).astype(np.float32)  # fmt: skip
+    offset = np.array(
+        [(a[0, i] * shift[0] + a[1, i] * shift[1]) + a[2, i] * shift[2] for i in range(3)]
+    ).astype(np.float32)
+    x, y, z = points.T
+    return [
+        ((row[0] * x + row[1] * y) + row[2] * z) + t
+        for row, t in zip(rotation, offset, strict=True)
+    ]
+
+
+def reference_pixels(x, y, z, columns):
+    pixel = 2 * np.pi / columns
+    rho = np.sqrt((x * x + y * y) + z * z)
+    assert rho.dtype == np.float32
+    cosine = np.clip(z.astype(np.float64) / rho.astype(np.float64), -1, 1)
+    theta = -np.arctan2(y.astype(np.float64), x.astype(np.float64))
+    row = np.floor(np.arccos(cosine) / pixel).astype(int)
+    return rho, row, np.floor((np.pi + theta) / pixel).astype(int) % columns
+
+
+def reference_image(points, ground, columns):
+    returns = points.any(axis=1)
+    points, ground = points[returns], ground[returns]
+    rho, row, column = reference_pixels(*points.T, columns)
+    image = np.full((columns // 2 + 1, columns), EMPTY)
+    image_ground = np.zeros(image.shape, bool)
+    order = np.argsort(rho, kind="stable")
+    _, first = np.unique((row * columns + column)[order], return_index=True)
+    nearest = order[first]
+    image[row[nearest], column[nearest]] = rho[nearest]
+    image_ground[row[nearest], column[nearest]] = ground[nearest]
+    return image, image_ground
+
+
+def reference_vote(points, ground, T_query, key_sweeps, key_grounds, key_poses, p):
+    static, dynamic = np.zeros((2, len(points)), np.uint16)
+    voted_on = points.any(axis=1)
+    if p.against == "pixels":
+        voted_on &= ~ground
+    for sweep, sweep_ground, T_key in zip(key_sweeps, key_grounds, key_poses, strict=True):
+        moved = reference_move(points, T_query, T_key)
+        if p.against == "pixels":
+            outcome = ask_pixels(moved, sweep, sweep_ground, p)
+        else:
+            outcome = ask_surface(moved, ground, sweep, sweep_ground, p)
+        static += (outcome == "static") & voted_on
+        dynamic += (outcome == "dynamic") & voted_on
+    return static, dynamic
+
+
+def ask_pixels(query, sweep, sweep_ground, p):
+    columns = round(360 / p.resolution_deg)
+    half = p.window // 2
+    image, image_ground = reference_image(sweep, sweep_ground, columns)
+    image = np.pad(image, ((half, half), (0, 0)), constant_values=EMPTY)
+    rho, row, column = reference_pixels(*query, columns)
+    centre_ground = image_ground[row, column]
+    tau = np.where(centre_ground, np.float32(0), np.float32(p.tolerance))
+    outcome = np.full(len(rho), "none   ")
+    going = np.ones(len(rho), bool)
+    for i in range(p.window):
+        for j in range(-half, half + 1):
+            measured = image[row + i, (column + j) % columns]
+            with np.errstate(invalid="ignore"):
+                difference = rho - measured
+            seen = going & (measured != EMPTY)
+            same = seen & (np.abs(difference) < tau)
+            nearer = seen & ~same & (difference < -tau)
+            hidden = seen & ~same & ~nearer & ~centre_ground
+            outcome[same], outcome[nearer], outcome[hidden] = "static", "dynamic", "none"
+            going &= ~(same | hidden)
+    return outcome
+
+
+def ask_surface(query, query_ground, sweep, sweep_ground, p):
+    columns = round(360 / p.resolution_deg)
+    half = p.window // 2
+    surface = ScanMesh(sweep)
+    image, _ = reference_image(sweep, np.zeros(len(sweep), bool), columns)
+    image = np.pad(image, ((half, half), (0, 0)), constant_values=EMPTY)
+    rho, row, column = reference_pixels(*query, columns)
+    window = np.stack(
+        [image[row + i, (column + j) % columns]
+         for i in range(p.window) for j in range(-half, half + 1)]
+    )  # fmt: skip
+    near_return = (np.abs(rho - window) < np.float32(p.tolerance)).any(axis=0)
+
+    f = np.float32
+    seen = triangle_image(sweep, surface, columns)[row, column]
+    corners = sweep[surface.triangles]
+    normal, flat = planes(corners)
+    in_sight = rho * nearest_corner(sweep, surface, columns, seen, row, column) < f(p.beam)
+    jump = (surface.cut | flat)[seen] & (seen >= 0)
+    plane = ~jump & (seen >= 0)
+
+    a, b, c = normal[seen].T
+    x, y, z = query
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = (a * x + b * y) + c * z
+        distance = f(1) / np.sqrt((a * a + b * b) + c * c)
+        before = f(1) - depth
+        level = plane & (np.abs(c) * distance > f(np.cos(np.radians(p.level_lean_deg))))
+        of_ground = query_ground | sweep_ground[surface.triangles].all(axis=1)[seen]
+        level_across = np.where(of_ground, f(p.ground_across), f(p.level_across))
+        across = np.where(level, level_across, f(p.across))
+        along = np.where(level, f(p.level_along), f(p.along) + f(p.along_growth) * rho)
+        on_plane = (np.abs(before) * distance < across) | (rho * np.abs(before) < along * depth)
+
+    x, y, z = np.moveaxis(corners, -1, 0)
+    beyond = rho[:, None] - np.sqrt((x * x + y * y) + z * z)[seen]
+    on_corner = (np.abs(beyond) < f(p.tolerance)).any(axis=1)
+    before_corners = (beyond < -f(p.tolerance)).all(axis=1)
+
+    outcome = np.full(len(rho), "none   ")
+    free = (plane & (before > 0) & (depth > 0)) | (jump & before_corners)
+    met = (plane & on_plane) | (jump & on_corner)
+    outcome[free & ~met & in_sight] = "dynamic"
+    outcome[(met & in_sight) | (near_return & ~level)] = "static"
+    return outcome
+
+
+def planes(corners):
+    """Unit normals over the distances of the planes, and which ones the sensor could not see."""
+    p = corners.astype(np.float64)
+    u, v = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    n = np.stack(
+        [
+            u[:, 1] * v[:, 2] - u[:, 2] * v[:, 1],
+            u[:, 2] * v[:, 0] - u[:, 0] * v[:, 2],
+            u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0],
+        ],
+        1,
+    )
+    length = np.sqrt((n[:, 0] * n[:, 0] + n[:, 1] * n[:, 1]) + n[:, 2] * n[:, 2])
+    offset = (n[:, 0] * p[:, 0, 0] + n[:, 1] * p[:, 0, 1]) + n[:, 2] * p[:, 0, 2]
+    edge_on = ~(np.abs(offset) > 0.01 * length)
+    return (n / np.where(edge_on, 1, offset)[:, None]).astype(np.float32), edge_on
+
+
+def triangle_image(sweep, surface, columns):
+    """For every pixel the first triangle that its centre lies in, -1 where there is none.
+
+    Corners are counted in ``columns`` x 65536ths of a turn, exactly.
+    """
+    turn = 65536
+    azimuth, elevation = directions(sweep)
+    x = ((turn // 2 - azimuth) * columns)[surface.triangles]
+    y = ((turn // 4 - elevation) * columns)[surface.triangles]
+    x += np.where(x[:, :1] - x > turn // 2 * columns, turn * columns, 0)
+    x -= np.where(x - x[:, :1] > turn // 2 * columns, turn * columns, 0)
+    # Pixel k has its centre at (2 k + 1) turn / 2. Try all pixels of each bounding box.
+    (left, right), (top, bottom) = (
+        ((c.min(1) - turn // 2 + turn - 1) // turn, (c.max(1) - turn // 2) // turn) for c in (x, y)
+    )
+    width, height = np.maximum(right - left + 1, 0), np.maximum(bottom - top + 1, 0)
+    triangle = np.repeat(np.arange(len(x)), width * height)
+    start = np.cumsum(width * height) - width * height
+    nth = np.arange(len(triangle)) - start[triangle]
+    column, row = left[triangle] + nth % width[triangle], top[triangle] + nth // width[triangle]
+    px, py = column * turn + turn // 2, row * turn + turn // 2
+    inside = np.ones(len(triangle), bool)
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        ax, ay, bx, by = (c[triangle, k] for k in (i, j) for c in (x, y))
+        inside &= (bx - ax) * (py - ay) - (by - ay) * (px - ax) >= 0
+    image = np.full((columns // 2 + 1, columns), len(x))
+    np.minimum.at(image, (row[inside], column[inside] % columns), triangle[inside])
+    return np.where(image == len(x), -1, image)
+
+
+def nearest_corner(sweep, surface, columns, triangle, row, column):
+    """Angle from the centre of a pixel to its triangle's nearest corner, in steps of 1/8 pixel."""
+    turn = 65536
+    azimuth, elevation = (angle[surface.triangles[triangle]] for angle in directions(sweep))
+    x = (turn // 2 - azimuth) * columns - (column * turn + turn // 2)[:, None]
+    y = (turn // 4 - elevation) * columns - (row * turn + turn // 2)[:, None]
+    x = (x + turn * columns // 2) % (turn * columns) - turn * columns // 2
+    steps = np.floor(np.sqrt((x * x + y * y).min(axis=1)) / (turn / 8))
+    return np.float32(2 * np.pi / columns / 8) * np.minimum(steps, 63).astype(np.float32)
+
+
+def directions(points):
+    """Azimuth and elevation in 65536ths of a turn, as the surface counts them."""
+    x, y, z = points.T
+    azimuth, elevation = (
+        np.floor(angle * (np.float32(1) / np.float32(2 * np.pi / 65536)) + np.float32(0.5))
+        for angle in (atan2_fixed(y, x), atan2_fixed(z, np.sqrt(x * x + y * y)))
+    )
+    azimuth = azimuth.astype(np.int64)
+    return np.where(azimuth >= 32768, azimuth - 65536, azimuth), elevation.astype(np.int64)
+
+
+def atan2_fixed(y, x):
+    """Abramowitz and Stegun 4.4.49 in float32."""
+    f = np.float32
+    ax, ay = np.abs(x), np.abs(y)
+    low, high = np.minimum(ax, ay), np.maximum(ax, ay)
+    t = np.where(high > 0, low / np.where(high > 0, high, f(1)), f(0))
+    s = t * t
+    series = f(0.0028662257)
+    for coefficient in (-0.0161657367, 0.0429096138, -0.0752896400, 0.1065626393, -0.1420889944,
+                        0.1999355085, -0.3333314528):  # fmt: skip
+        series = series * s + f(coefficient)
+    angle = t + (series * s) * t
+    angle = np.where(ay > ax, f(1.57079632679) - angle, angle)
+    angle = np.where(x < 0, f(3.14159265359) - angle, angle)
+    return np.where(y < 0, -angle, angle)
+
+
+def reference_moving(points, ground, static, dynamic, p):
+    """Evidence shared within connected objects, with scipy's graphs and all distances."""
+    static, dynamic = static.astype(int), dynamic.astype(int)
+    surface = ScanMesh(points)
+    edges = short_edges(points, surface.triangles[~surface.cut], p.link, p.link_growth)
+    candidate = dynamic > static
+    label, size = connected(len(points), edges[candidate[edges].all(axis=1)])
+    low, high = np.full(len(size), np.inf, np.float32), np.full(len(size), -np.inf, np.float32)
+    np.minimum.at(low, label, points[:, 2])
+    np.maximum.at(high, label, points[:, 2])
+    rises = high - low >= np.float32(p.object_height)
+    count = np.where(rises, size, np.bincount(label, ~ground))
+    moving = candidate & (count[label] >= p.companions)
+
+    edges = edges[~ground[edges].any(axis=1)]
+    label, size = connected(len(points), edges)
+    jumps = short_edges(points, surface.triangles[surface.cut], p.link, 0.03)
+    pieces = ~ground & (size[label] < 5)
+    label, size = connected(len(points), np.concatenate([edges, jumps[pieces[jumps].all(axis=1)]]))
+    in_pieces = np.bincount(label[surface.loose], minlength=len(size)) > 0
+    freed = (dynamic >= p.freed_votes) & (p.freed_ratio * dynamic > static)
+    found, voted = np.bincount(label, candidate), np.bincount(label, static + dynamic > 0)
+    goes = found >= np.float32(p.object_share) * voted
+    goes &= found >= np.float32(p.object_least) * size
+    left = np.bincount(label, freed) >= (np.float32(p.freed_share) * size.astype(np.float32))
+    for k in np.flatnonzero((goes | left) & (size >= p.object_points)):
+        members = np.flatnonzero((label == k) & ~ground)
+        x, y, z = np.ptp(points[members], axis=0) if len(members) else (0, 0, 0)
+        wide = x * x + y * y >= np.float32(p.object_width) ** 2
+        if goes[k]:
+            most = p.freed_ratio * np.maximum(dynamic[members], 1)
+            moving[members[static[members] < most]] = True
+        elif wide and z >= np.float32(p.object_height) and not in_pieces[k]:
+            moving[members] = True
+
+    sure = points[moving]
+    for i in np.flatnonzero(candidate & ~moving):
+        clear = dynamic[i] >= p.clear_votes and dynamic[i] > p.clear_ratio * static[i]
+        near = squared(sure - points[i]) < np.float32(p.company) ** 2
+        moving[i] = (clear and not ground[i]) or near.any()
+
+    share = np.bincount(label, moving) / size
+    loose = ~moving & ~ground & (size[label] < 5) & (static <= dynamic + p.loose_votes)
+    for k in np.flatnonzero((share >= 0.5) & (size >= p.object_points)):
+        members = points[(label == k) & ~ground]
+        low, high = members.min(0), members.max(0)
+        x, y = high[:2] - low[:2]
+        margin = np.float32(0.2)
+        if x * x + y * y <= 25**2:
+            inside = (points <= high + margin).all(1) & (low <= points + margin).all(1)
+            moving |= loose & inside
+    return moving
+
+
+def short_edges(points, triangles, link, growth):
+    """Sides of triangles whose corners are linked."""
+    corners = triangles.astype(int)
+    edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    range_ = np.sqrt(squared(points))[edges].min(axis=1)
+    most = np.maximum(np.float32(link), np.float32(growth) * range_)
+    return edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < most * most]
+
+
+def squared(v):
+    return (v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1]) + v[:, 2] * v[:, 2]
+
+
+def connected(count, edges):
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (count, count))
+    label = connected_components(graph, directed=False)[1]
+    return label, np.bincount(label)

@@ -1,0 +1,146 @@
+"""Objects of a sweep, and whole drives with and without following; runs that stop and go on."""
+
+import numpy as np
+import pytest
+
+from docdepth.config import Parameters, parameters
+from docdepth.dynamics.classifier import classify, classify_drive
+from docdepth.dynamics.clustering import cluster_objects
+from docdepth.dynamics.voting import Votes
+from docdepth.errors import RunError
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.ply import FrameRecord, write_trajectory
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline import classify as stage
+from docdepth.pipeline import run_classify
+from walled_yard import scan, straight
+
+DEFAULT = parameters("default").dynamics
+
+# So that votes do not tell already what is to be told by following.
+FEW_VOTES = {"freed_share": 1.0, "time_spacing": 1, "end_spacing": 0.2, "end_radius": 1}
+
+
+@pytest.fixture(scope="module")
+def street():
+    """A box that waits beside a slow ego for 20 sweeps and is gone soon after."""
+    trajectory = straight(30, 0.1)
+    box = [-3 + 3.0 * max(i - 20, 0) * 0.5 for i in range(30)]
+    scans = [scan(T, x) for T, x in zip(trajectory.poses, box, strict=True)]
+    return trajectory, [p for p, _ in scans], [w for _, w in scans]
+
+
+def test_a_box_that_waits_is_dynamic_in_the_whole_drive(street):
+    trajectory, sweeps, what = street
+    ground = [w == 0 for w in what]
+    alone = DEFAULT.model_copy(update={"tracks": False, **FEW_VOTES})
+    together = alone.model_copy(update={"tracks": True})
+    shares = []
+    for p in (alone, together):
+        labels = classify_drive(sweeps, trajectory, p, ground=ground)
+        box = [(label.classid[w == 2] == 100).mean() for label, w in zip(labels, what, strict=True)]
+        rest = [(label.classid[w != 2] < 100).mean() for label, w in zip(labels, what, strict=True)]
+        assert min(rest) > 0.999
+        shares.append(np.mean(box[:20]))
+    assert shares[0] < 0.2
+    assert shares[1] > 0.9
+
+
+def folder_of(path, trajectory, sweeps):
+    """A run whose odometry is done."""
+    settings = {"ground.seed_radius": 3.0, **{f"dynamics.{k}": v for k, v in FEW_VOTES.items()}}
+    run = RunFolder.create(path, {}, Parameters.model_validate(parameters("default", settings)))
+    for i, points in enumerate(sweeps):
+        record = FrameRecord(points, np.arange(len(points), dtype=np.uint32), f"{i:06d}",
+                             len(points), {"odometry": "exact"})  # fmt: skip
+        run.write_frame(i, record)
+    write_trajectory(run.trajectory_path, trajectory, np.arange(len(sweeps)))
+    run.set_stage("odometry", state="done", key="exact")
+    return run
+
+
+def test_a_run_gives_the_labels_of_the_drive_in_memory_and_goes_on(street, tmp_path, monkeypatch):
+    trajectory, sweeps, _ = street
+    run = folder_of(tmp_path / "run", trajectory, sweeps)
+    run_classify(run, threads=1)
+    labels = classify_drive(sweeps, Trajectory(trajectory.times, run.trajectory().poses),
+                            run.parameters.dynamics)  # fmt: skip
+    for i, label in enumerate(labels):
+        np.testing.assert_array_equal(run.frame(i).classid, label.classid)
+    assert not (run.path / ".objects").exists()
+
+    again = folder_of(tmp_path / "again", trajectory, sweeps)
+    # One file of ground comes first; then while it votes, and while evidence is carried.
+    for name, times in (("_write_arrays", 8), ("_write_arrays", 3), ("_write_classified", 7)):
+        whole, left = getattr(stage, name), iter(range(times))
+
+        def interrupted(*arguments, whole=whole, left=left):
+            if next(left, None) is None:
+                raise KeyboardInterrupt
+            whole(*arguments)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(stage, name, interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                run_classify(again)
+    seen = sorted((again.path / ".objects").glob("*/*.npy"))
+    assert len(seen) == len(sweeps)
+    size = seen[4].stat().st_size
+    with seen[4].open("r+b") as stream:  # as a disk may leave it when the power goes
+        stream.truncate(size // 2)
+    with pytest.raises(RunError, match=f"{seen[4].name} is damaged.*delete it"):
+        run_classify(again)
+    seen[4].unlink()
+    run_classify(again)
+    for i in range(len(sweeps)):
+        assert run.frame_path(i).read_bytes() == again.frame_path(i).read_bytes()
+
+
+def test_objects_are_connected_points_off_the_ground(street):
+    _, sweeps, what = street
+    objects = cluster_objects(sweeps[0], what[0] == 0)
+    assert (objects[what[0] == 0] == np.flatnonzero(what[0] == 0)).all()
+    box = np.flatnonzero(what[0] == 2)
+    assert np.bincount(objects[box]).max() > 0.9 * len(box)
+
+
+def _before_a_wall(met):
+    """A sweep of 16 rings: what is 8 m away where `met` (16 rings, 60 columns), else a wall."""
+    azimuth, elevation = np.meshgrid(
+        np.radians(np.arange(60) - 30.0), np.radians(np.arange(16) - 8)
+    )
+    range_ = np.where(met, 8.0, 20.0)
+    flat = range_ * np.cos(elevation)
+    points = np.stack(
+        [flat * np.cos(azimuth), flat * np.sin(azimuth), range_ * np.sin(elevation)], -1
+    )
+    return points.reshape(-1, 3).astype(np.float32), np.zeros(met.size, bool)
+
+
+def test_whom_each_ring_meets_once_is_one_object_and_not_the_wall_behind():
+    met = np.zeros((16, 60), bool)
+    met[3:13, 30] = True
+    points, ground = _before_a_wall(met)
+    objects = cluster_objects(points, ground)
+    assert len(np.unique(objects[met.ravel()])) == 1
+    assert not np.isin(objects[~met.ravel()], objects[met.ravel()]).any()
+    votes = Votes(*np.zeros((2, met.size), np.uint16))
+    votes.dynamic[np.flatnonzero(met)[::2]] = 1
+    assert ((classify(ground, votes, DEFAULT, points) == 100) == met.ravel()).all()
+
+
+def test_what_is_in_pieces_was_not_free_though_key_frames_look_past_it():
+    board = np.zeros((16, 60), bool)
+    board[3:13, 10:40] = True
+    fence = np.zeros_like(board)  # one wire, up and down
+    fence[3:13, 10:40:4] = True
+    for k in range(10, 36, 4):
+        fence[3 if k % 8 == 2 else 12, k : k + 4] = True
+    for met, moves in ((board, True), (fence, False)):
+        points, ground = _before_a_wall(met)
+        votes = Votes(*np.zeros((2, met.size), np.uint16))
+        votes.static[met.ravel()], votes.dynamic[met.ravel()] = 10, 2
+        largest = np.bincount(cluster_objects(points, ground)[met.ravel()]).max()
+        assert largest > 100
+        assert (classify(ground, votes, DEFAULT, points)[met.ravel()] == 100).all() == moves
+        assert (classify(ground, votes, DEFAULT, points)[met.ravel()] == 100).any() == moves

@@ -1,0 +1,166 @@
+"""Key frames and their votes against an independent numpy implementation, and real sweeps."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dynamics_reference import reference_vote
+
+from docdepth import _core
+from docdepth.config import DynamicsParameters, SurfaceParameters, parameters
+from docdepth.dynamics.classifier import classify_drive
+from docdepth.dynamics.key_frames import key_frames
+from docdepth.dynamics.voting import KeyFrame, vote
+from docdepth.errors import InputError
+from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.trajectory import Trajectory
+from walled_yard import pose, straight
+
+KITTI = os.environ.get("DOCDEPTH_KITTI_RAW")
+PAPER, DEFAULT = parameters("paper").dynamics, parameters("default").dynamics
+
+
+def test_key_frames_are_near_along_the_path_and_never_the_sweep_itself():
+    chosen = key_frames(straight(101, 1.0), PAPER)
+    expected = set(range(30, 71, 2)) | {0, 10, 20, 80, 90, 100}
+    assert set(chosen[50]) == expected - {50}
+    assert set(chosen[51]) == {i for i in range(32, 71, 2)} | {10, 20, 30, 80, 90, 100}
+    assert all(i not in frames and (np.diff(frames) > 0).all() for i, frames in enumerate(chosen))
+
+
+def test_a_crawling_ego_has_a_key_frame_a_second_and_the_ends_more():
+    p = DynamicsParameters(time_spacing=1, time_radius=4, end_spacing=0.2, end_radius=0.5)
+    chosen = key_frames(straight(101, 0.01), p)
+    assert list(chosen[50]) == [0, 10, 20, 30, 40, 60, 70, 80, 90, 100]
+    assert list(chosen[55]) == [0, 20, 30, 40, 50, 60, 70, 80, 90, 100]
+    assert {96, 98, 100} < set(chosen[95])
+    assert 97 not in chosen[95]
+    assert set(chosen[4]) == {0, 2, 10, 20, 30, 40, 100}
+
+
+def test_standing_adds_one_key_frame_to_the_letter():
+    rng = np.random.default_rng(0)
+    poses = np.stack([pose(*rng.normal(0, 0.005, 2)) for _ in range(50)])
+    chosen = key_frames(Trajectory(np.arange(50) * 100_000_000, poses), PAPER)
+    assert len(chosen[0]) == 0
+    assert all(list(frames) == [0] for frames in chosen[1:])
+
+
+@pytest.mark.parametrize("window", [1, 3, 5, 7, 11])
+@pytest.mark.parametrize("resolution_deg", [0.2, 0.35, 1.0])
+@pytest.mark.parametrize("against", ["pixels", "surface"])
+def test_votes_equal_the_reference_in_the_yard(yard, against, window, resolution_deg):
+    trajectory, sweeps, what = yard
+    p = DynamicsParameters(against=against, window=window, resolution_deg=resolution_deg)
+    ground = [w == 0 for w in what]
+    keys = [0, 3, 7, 11]
+    frames = [KeyFrame(sweeps[k], ground[k], p) for k in keys]
+    votes = vote(sweeps[5], ground[5], trajectory.poses[5], frames, trajectory.poses[keys], p)
+    expected = reference_vote(
+        sweeps[5], ground[5], trajectory.poses[5], [sweeps[k] for k in keys],
+        [ground[k] for k in keys], trajectory.poses[keys], p,
+    )  # fmt: skip
+    np.testing.assert_array_equal(votes.static, expected[0])
+    np.testing.assert_array_equal(votes.dynamic, expected[1])
+    assert votes.static.any()
+    assert votes.dynamic.any()
+
+
+@pytest.mark.parametrize("against", ["pixels", "surface"])
+def test_votes_equal_the_reference_on_noise(against):
+    """Returns in all directions at ranges near the tolerance: every branch of the algorithm."""
+    rng = np.random.default_rng(1)
+    T_query, T_key = pose(0.3, -0.2, 0.1), pose(-0.1, 0.4, -2.0)
+    for n in (300, 60_000):
+        sweep, query = rng.normal(size=(2, n, 3)).astype(np.float32)
+        for cloud in (sweep, query):
+            cloud *= rng.uniform(2, 3.2, (n, 1)) / np.linalg.norm(cloud, axis=1, keepdims=True)
+        ground, query_ground = rng.random((2, n)) < 0.3
+        p = DynamicsParameters(against=against, resolution_deg=1.0)
+        votes = vote(
+            query, query_ground, T_query, [KeyFrame(sweep, ground, p)], T_key[None], p, threads=2
+        )
+        expected = reference_vote(query, query_ground, T_query, [sweep], [ground], T_key[None], p)
+        np.testing.assert_array_equal(votes.static, expected[0])
+        np.testing.assert_array_equal(votes.dynamic, expected[1])
+
+
+@pytest.mark.parametrize("p", [PAPER, DEFAULT], ids=["paper", "default"])
+def test_rows_that_are_no_returns_get_no_vote(yard, p):
+    trajectory, sweeps, what = yard
+    bad = sweeps[0].copy()
+    bad[::7], bad[1::7], bad[2::7] = np.nan, 0, np.inf
+    bad[3::7] = 3e19  # whose range overflows
+    key = KeyFrame(bad, what[0] == 0, p)
+    assert vote(bad, what[0] == 0, np.eye(4), [key], np.eye(4)[None], p).static[::7].max() == 0
+    keep = np.isin(np.arange(len(bad)) % 7, [4, 5, 6])
+    clean = KeyFrame(bad[keep], (what[0] == 0)[keep], p)
+    votes, expected = (
+        vote(sweeps[1], what[1] == 0, trajectory.poses[1], [k], trajectory.poses[:1], p)
+        for k in (key, clean)
+    )
+    np.testing.assert_array_equal(votes.static, expected.static)
+    np.testing.assert_array_equal(votes.dynamic, expected.dynamic)
+
+
+def test_nothing_to_ask_and_nobody_to_ask():
+    nothing, none = np.zeros((0, 3), np.float32), np.zeros(0, bool)
+    point, flag = np.ones((1, 3), np.float32), np.zeros(1, bool)
+    assert vote(nothing, none, np.eye(4), [KeyFrame(point, flag)], np.eye(4)[None]).static.size == 0
+    assert vote(point, flag, np.eye(4), [KeyFrame(nothing, none)], np.eye(4)[None]).static == [0]
+    assert vote(point, flag, np.eye(4), [], np.zeros((0, 4, 4))).dynamic == [0]
+
+
+def test_the_surface_of_a_run_is_the_one_that_votes() -> None:
+    """A surface of tiny triangles only has no plane to look through."""
+    sweep = np.array([[10, y, z] for y in np.arange(-2, 2, 0.2) for z in np.arange(-1, 1, 0.2)])
+    wall = np.ascontiguousarray(sweep, np.float32)
+    query = np.ascontiguousarray(0.5 * (wall + [0, 0.1, 0.1]), np.float32)
+    none = np.zeros(len(wall), bool)
+    votes = [
+        vote(query, none, np.eye(4), [KeyFrame(wall, none, None, surface)], np.eye(4)[None])
+        for surface in (None, ScanMesh(wall, SurfaceParameters(max_gap_deg=0.1)))
+    ]
+    assert votes[0].dynamic.mean() > 0.5
+    assert votes[1].dynamic.sum() == 0
+
+
+def test_wrong_arrays_are_refused():
+    points, ground = np.ones((3, 3), np.float32), np.zeros(3, bool)
+    with pytest.raises(InputError, match="float32"):
+        KeyFrame(points.astype(np.float64), ground)
+    with pytest.raises(InputError, match="one flag a point"):
+        KeyFrame(points, ground[:2])
+    key = KeyFrame(points, ground)
+    with pytest.raises(InputError, match="1 key"):
+        vote(points, ground, np.eye(4), [key], np.zeros((2, 4, 4)))
+    with pytest.raises(InputError, match="not a rotation"):
+        vote(points, ground, 2 * np.eye(4), [key], np.eye(4)[None])
+    with pytest.raises(InputError, match="same drive"):
+        classify_drive([points], straight(2, 1.0), ground=[ground])
+    with pytest.raises(ValueError, match="odd"):
+        _core.RangeImage(points, ground, 0.01, 4, 0.2)
+
+
+@pytest.mark.skipif(KITTI is None, reason="DOCDEPTH_KITTI_RAW is not set")
+@pytest.mark.parametrize("p", [PAPER, DEFAULT], ids=["paper", "default"])
+def test_votes_equal_the_reference_on_real_sweeps(p):
+    sweeps, poses = zip(*(real_sweep(k) for k in (30, 20, 34, 60)), strict=True)
+    ground = [sweep[:, 2] < -1.5 for sweep in sweeps]
+    frames = [KeyFrame(s, g, p) for s, g in zip(sweeps[1:], ground[1:], strict=True)]
+    votes = vote(sweeps[0], ground[0], poses[0], frames, np.stack(poses[1:]), p)
+    expected = reference_vote(sweeps[0], ground[0], poses[0], sweeps[1:], ground[1:], poses[1:], p)
+    np.testing.assert_array_equal(votes.static, expected[0])
+    np.testing.assert_array_equal(votes.dynamic, expected[1])
+
+
+def real_sweep(k, drive="2011_09_26_drive_0005_sync"):
+    from docdepth.geometry.se3 import quaternion_to_matrix
+
+    folder = Path(str(KITTI)) / "2011_09_26" / drive
+    points = np.fromfile(folder / f"velodyne_points/data/{k:010d}.bin", np.float32).reshape(-1, 4)
+    row = np.loadtxt(folder / "lidar_poses_tum.txt")[k]
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = quaternion_to_matrix(row[4:]), row[1:4]
+    return np.ascontiguousarray(points[:, :3]), T

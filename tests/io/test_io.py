@@ -1,0 +1,160 @@
+"""Run folder files: written whole, read back the same, damaged ones named."""
+
+import numpy as np
+import pytest
+from plyfile import PlyData, PlyElement
+
+from docdepth.config import parameters
+from docdepth.errors import CalibrationError, RunError
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import poses_from, rotation_exp
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.atomic import write_atomically
+from docdepth.io.ply import (
+    FrameRecord,
+    read_frame,
+    read_frame_key,
+    read_trajectory,
+    write_frame,
+    write_trajectory,
+)
+from docdepth.io.run_folder import RunFolder, stage_key
+
+
+@pytest.fixture
+def frame() -> FrameRecord:
+    rng = np.random.default_rng(1)
+    return FrameRecord(
+        points=rng.normal(size=(100, 3)).astype(np.float32),
+        index=np.arange(0, 200, 2, dtype=np.uint32),
+        name="sweep with a space",
+        input_points=201,
+        key={"odometry": "abc", "classify": "def"},
+        classid=rng.choice([0, 50, 100], 100).astype(np.uint16),
+        votes_static=rng.integers(0, 60, 100, dtype=np.uint16),
+        votes_dynamic=rng.integers(0, 60, 100, dtype=np.uint16),
+        time_offset=rng.uniform(-0.05, 0.05, 100).astype(np.float32),
+    )
+
+
+def test_frame_is_read_back_the_same(tmp_path, frame):
+    path = tmp_path / "frames" / "frame_000000.ply"
+    write_frame(path, frame)
+    back = read_frame(path)
+    for name in ("points", "index", "classid", "votes_static", "votes_dynamic", "time_offset"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(frame, name))
+    assert (back.name, back.input_points, back.key) == (frame.name, 201, frame.key)
+    assert read_frame_key(path) == frame.key
+
+
+def test_truncated_frame_is_named_with_the_remedy(tmp_path, frame):
+    path = tmp_path / "frame_000003.ply"
+    write_frame(path, frame)
+    path.write_bytes(path.read_bytes()[:-7])
+    with pytest.raises(RunError, match=r"frame_000003\.ply is damaged.*run the stage again"):
+        read_frame(path)
+
+
+@pytest.mark.parametrize(
+    "kind", [{"byte_order": "<"}, {"byte_order": ">"}, {"text": True}], ids=lambda kind: str(kind)
+)
+@pytest.mark.parametrize("with_faces", [False, True])
+def test_frames_as_others_write_them(tmp_path, kind, with_faces):
+    """Also those that :func:`read_frame` leaves to plyfile, in every layout that plyfile writes."""
+    fields = [("x", "f4"), ("y", "f4"), ("z", "f8"), ("intensity", "u1"), ("classid", "i2")]
+    rows = np.zeros(50, fields)
+    rng = np.random.default_rng(2)
+    for name, _ in fields:
+        rows[name] = rng.integers(0, 100, 50)
+    elements = [PlyElement.describe(rows, "vertex")]
+    if with_faces:
+        face = np.array([([0, 1, 2],)], [("vertex_indices", "O")])
+        elements.append(PlyElement.describe(face, "face", val_types={"vertex_indices": "i4"}))
+    path = tmp_path / "frame_000007.ply"
+    PlyData(elements, comments=["made by another"], **kind).write(path)
+    frame = read_frame(path)
+    expected = np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
+    np.testing.assert_array_equal(frame.points, expected.astype(np.float32))
+    np.testing.assert_array_equal(frame.classid, rows["classid"])
+    assert frame.name == "frame_000007"
+    assert (frame.points.dtype, frame.classid.dtype) == (np.float32, np.uint16)
+
+
+@pytest.mark.parametrize("spoil", [
+    lambda content: b"", lambda content: content[:60], lambda content: b"P5" + content,
+    lambda content: content.replace(b"float x", b"floet x"),
+    lambda content: content.replace(b"vertex 100", b"vertex -10"),
+    lambda content: content.replace(b"vertex 100", b"vertex one"),
+    lambda content: content.replace(b"vertex 100", b"vertex 0").split(b"property float y")[0],
+])  # fmt: skip
+def test_a_damaged_header_is_named(tmp_path, frame, spoil):
+    path = tmp_path / "frame_000003.ply"
+    write_frame(path, frame)
+    path.write_bytes(spoil(path.read_bytes()))
+    with pytest.raises(RunError, match=r"frame_000003\.ply is damaged.*run the stage again"):
+        read_frame(path)
+
+
+def test_nanoseconds_survive(tmp_path):
+    times = np.array([1_317_000_000_123_456_789, 1_317_000_000_223_456_790])
+    poses = poses_from(
+        [rotation_exp([0.1, -0.2, 3.1]), rotation_exp([0, 0, -2.0])], [[1e5, 2, 3], [4, 5, 6]]
+    )
+    write_trajectory(tmp_path / "t.ply", Trajectory(times, poses), np.arange(2))
+    back, indices = read_trajectory(tmp_path / "t.ply")
+    np.testing.assert_array_equal(back.times, times)
+    np.testing.assert_allclose(back.poses, poses, atol=1e-12)
+    np.testing.assert_array_equal(indices, [0, 1])
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    path = tmp_path / "depth.png"
+    path.write_bytes(b"whole")
+
+    def full_disk(stream):
+        stream.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(RunError, match=r"depth\.png: No space left on device; make room"):
+        write_atomically(path, full_disk)
+    assert path.read_bytes() == b"whole"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_another_run_is_not_overwritten(tmp_path):
+    source = {"dataset": "a", "camera": None}
+    RunFolder.create(tmp_path / "run", source, parameters())
+    RunFolder.create(tmp_path / "run", source, parameters())  # the same one goes on
+    with pytest.raises(RunError, match=r"another run: its dataset is 'a', not 'b'"):
+        RunFolder.create(tmp_path / "run", {**source, "dataset": "b"}, parameters())
+    with pytest.raises(RunError, match=r"its dynamics\.tolerance is 0\.2, not 0\.3"):
+        RunFolder.create(
+            tmp_path / "run", source, parameters("default", {"dynamics.tolerance": 0.3})
+        )
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.jpg").touch()
+    with pytest.raises(RunError, match="holds no run"):
+        RunFolder.create(tmp_path / "photos", source, parameters())
+
+
+def test_calibration_round_trip_and_missing(tmp_path):
+    run = RunFolder.create(tmp_path / "run", {}, parameters())
+    with pytest.raises(CalibrationError, match=r"calib\.json is missing"):
+        run.calibration()
+    camera = Camera(np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]]), 1242, 375)
+    pose = poses_from([rotation_exp([0.01, 1.5, 0.3])], [[0.1, 0.2, 0.3]])[0]
+    run.write_calibration(camera, pose, (-0.3, 0.1, 0, 0.01), "image_03")
+    with pytest.raises(CalibrationError, match=r"calib\.json is missing"):
+        run.calibration()
+    assert run.calibration("image_03")[2] == [-0.3, 0.1, 0, 0.01]
+    run.write_calibration(camera, pose)
+    back, T_camera_lidar, distortion = run.calibration()
+    assert not any(distortion)
+    np.testing.assert_array_equal(back.K, camera.K)
+    np.testing.assert_array_equal(T_camera_lidar, pose)
+    assert (back.width, back.height) == (1242, 375)
+
+
+def test_stage_key_depends_on_every_value():
+    assert stage_key({"a": 1.0}, [2]) == stage_key({"a": 1.0}, [2])
+    assert stage_key({"a": 1.0}, [2]) != stage_key({"a": 1.0}, [3])

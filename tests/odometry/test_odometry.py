@@ -1,0 +1,283 @@
+"""Deskewing against scipy's matrix exponential, odometry against exact drives."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm, logm
+from scipy.spatial.transform import Rotation
+
+from docdepth.config import OdometryParameters
+from docdepth.datasets import Sweep, open_dataset
+from docdepth.errors import InputError, OdometryError
+from docdepth.geometry.se3 import exp, inverse, twist
+from docdepth.io.poses import read_poses
+from docdepth.odometry.deskewing import centred_motion, deskew
+from docdepth.odometry.odometry import estimate_poses, odometry
+from exact_drive import MOTION, Drive, pose_errors
+
+# ---- deskewing
+
+
+@pytest.mark.parametrize(
+    "rotation", [[0, 0, 0], [1e-12, 0, 0], [0, 1e-7, 1e-7], [0.01, -0.02, 0.1], [0.3, 2.0, -0.5]]
+)
+def test_deskew_is_the_matrix_exponential(rotation: list[float]) -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-60, 60, (200, 3)).astype(np.float32)
+    relative_time = rng.uniform(-0.5, 1.0, 200).astype(np.float32)
+    generator = np.zeros((4, 4))
+    generator[:3, :3] = [
+        [0, -rotation[2], rotation[1]],
+        [rotation[2], 0, -rotation[0]],
+        [-rotation[1], rotation[0], 0],
+    ]
+    generator[:3, 3] = (1.3, -0.2, 0.1)
+    expected = [
+        (expm(float(f) * generator) @ np.append(p.astype(np.float64), 1))[:3]
+        for p, f in zip(points, relative_time, strict=True)
+    ]
+    result = deskew(points, relative_time, expm(generator))
+    assert result.dtype == np.float32
+    np.testing.assert_allclose(result, expected, atol=3e-5)
+
+
+def test_deskewed_points_lie_on_the_surfaces() -> None:
+    drive = Drive(2)
+    sweep = drive.sweep(1)
+    usable = np.linalg.norm(sweep.points, axis=1) > 0.5
+    pose = drive.exact[1]
+
+    def off(points: np.ndarray) -> np.ndarray:
+        world = points[usable].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        return drive.street.distance(world)
+
+    assert np.percentile(off(sweep.points), 90) > 0.1
+    assert off(deskew(sweep.points, sweep.relative_time, MOTION)).max() < 1e-3
+    wrong = deskew(sweep.points, -sweep.relative_time, MOTION)
+    assert np.percentile(off(wrong), 90) > 0.2, "the direction matters"
+
+
+def test_deskew_keeps_rows_that_are_no_returns() -> None:
+    points = np.array(
+        [[0, 0, 0], [np.nan, 1, 2], [np.inf, 0, 0], [0.1, 0, 0], [5, 5, 1]], dtype=np.float32
+    )
+    relative_time = np.array([0.5, np.nan, 0.5, np.inf, 0.5], dtype=np.float32)
+    result = deskew(points, relative_time, MOTION)
+    np.testing.assert_array_equal(result[:4], points[:4])
+    assert (result[4] != points[4]).all()
+
+
+def test_deskew_refuses_what_does_not_fit() -> None:
+    points = np.ones((4, 3), np.float32)
+    with pytest.raises(InputError, match="no finite time"):
+        deskew(points, np.array([0, 0, np.nan, 0], np.float32), MOTION)
+    with pytest.raises(InputError, match=r"\(4, 3\) and \(3,\)"):
+        deskew(points, np.zeros(3, np.float32), MOTION)
+    with pytest.raises(InputError):
+        deskew(np.ones((4, 4), np.float32), np.zeros(4, np.float32), MOTION)
+
+
+def test_twist_and_exp_are_scipys() -> None:
+    for vector in Rotation.random(50, rng=np.random.default_rng(2)).as_rotvec():
+        generator = np.zeros((4, 4))
+        generator[:3, :3] = [
+            [0, -vector[2], vector[1]],
+            [vector[2], 0, -vector[0]],
+            [-vector[1], vector[0], 0],
+        ]
+        generator[:3, 3] = (1, 2, 3)
+        motion = expm(generator)
+        np.testing.assert_allclose(exp(vector, np.array([1.0, 2, 3])), motion, atol=1e-12)
+        omega, velocity = twist(motion)
+        np.testing.assert_allclose(omega, vector, atol=1e-10)
+        np.testing.assert_allclose(velocity, [1, 2, 3], atol=1e-10)
+
+
+def test_centred_motion() -> None:
+    rng = np.random.default_rng(1)
+    poses = [np.eye(4)]
+    for _ in range(6):
+        step = exp(rng.normal(0, 0.05, 3), rng.normal([1, 0, 0], 0.1))
+        poses.append(poses[-1] @ step)
+    poses = np.array(poses)
+    motions = centred_motion(poses)
+    for k in range(7):
+        around = range(max(k - 2, 0), min(k + 2, 6) + 1)
+        logarithms = [logm(np.linalg.inv(poses[k]) @ poses[j]).real.ravel() for j in around]
+        slope = np.polyfit(list(around), np.array(logarithms), 1)[0].reshape(4, 4)
+        np.testing.assert_allclose(motions[k], expm(slope), atol=1e-9)
+    assert centred_motion(poses[:1]).tolist() == [np.eye(4).tolist()]
+
+
+def test_jitter_of_poses_hardly_reaches_the_motion() -> None:
+    rng = np.random.default_rng(2)
+    poses = np.array([np.linalg.matrix_power(MOTION, k) for k in range(40)])
+    poses[:, :3, 3] += rng.normal(0, 0.01, (40, 3))
+    errors = (centred_motion(poses) - MOTION)[5:-5, :3, 3]
+    assert np.sqrt((errors**2).mean()) < 0.005  # 0.0032 by theory; 0.0071 of one on either side
+
+
+def test_a_lost_sweep_does_not_double_the_motion() -> None:
+    kept = np.array([0, 1, 2, 3, 6, 7, 8, 9])
+    poses = np.array([np.linalg.matrix_power(MOTION, k) for k in kept])
+    np.testing.assert_allclose(
+        centred_motion(poses, kept * 10**8), np.repeat(MOTION[None], 8, axis=0), atol=1e-9
+    )
+
+
+# ---- registration
+
+
+def test_raw_sweeps_at_speed() -> None:
+    """At 1.1 m a sweep from the first one on, where a start from standstill is 0.8 m off."""
+    drive = Drive(12)
+    result = odometry(drive, OdometryParameters(passes=3))
+    errors = pose_errors(result.trajectory.poses, drive.exact)
+    assert errors.max() < 0.01
+    np.testing.assert_array_equal(result.trajectory.times, drive.times)
+    for k in (0, 5, 11):
+        sweep = drive.sweep(k)
+        points = result.points(k)
+        assert points.shape == sweep.points.shape
+        assert points.dtype == np.float32
+        exact = deskew(sweep.points, sweep.relative_time, MOTION)
+        near = np.linalg.norm(exact, axis=1) < 30
+        assert np.abs(points - exact)[near].max() < 0.01
+
+
+@pytest.mark.parametrize("speed", [0.0, 2.0, 3.5])
+def test_the_first_motion_is_found_at_any_speed(speed: float) -> None:
+    drive = Drive(6, motion=exp(np.array([0.0, 0.0, 0.01]), np.array([speed, 0.0, 0.0])))
+    result = odometry(drive)
+    assert pose_errors(result.trajectory.poses, drive.exact).max() < 0.02
+
+
+def test_compensated_sweeps_are_left_alone() -> None:
+    drive = Drive(8, raw=False)
+    calls: list[tuple[int, int, str]] = []
+    result = odometry(drive, progress=lambda *call: calls.append(call))
+    assert pose_errors(result.trajectory.poses, drive.exact).max() < 0.01
+    np.testing.assert_array_equal(result.points(3), drive.sweep(3).points)
+    assert calls == [(k + 1, 16, f"odometry, pass {k // 8 + 1} of 2") for k in range(16)]
+
+
+def test_progress_counts_all_passes() -> None:
+    calls: list[tuple[int, int, str]] = []
+    odometry(Drive(3), OdometryParameters(passes=2), progress=lambda *call: calls.append(call))
+    assert [done for done, _, _ in calls] == [1, 2, 3, 4, 5, 6]
+    assert {total for _, total, _ in calls} == {6}
+    assert calls[3][2] == "odometry, pass 2 of 2"
+
+
+def test_the_same_poses_bit_for_bit_whatever_the_environment() -> None:
+    script = (
+        "import sys; sys.path[:0] = ['tests', 'tests/odometry']\n"
+        "from test_odometry import Drive, estimate_poses\n"
+        "import hashlib; print(hashlib.sha256(estimate_poses(Drive(4)).tobytes()).hexdigest())"
+    )
+    root = Path(__file__).resolve().parents[2]
+    hashes = {
+        subprocess.run(
+            [sys.executable, "-c", script],
+            env=os.environ | extra,
+            cwd=root,
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+        for extra in ({}, {"kiss_icp_data": '{"max_range": 20}', "OMP_NUM_THREADS": "1"})
+    }
+    assert len(hashes) == 1
+
+
+def test_unusable_sweeps_do_not_end_the_process(caplog: pytest.LogCaptureFixture) -> None:
+    drive = Drive(8)
+    good = drive.sweep(4)
+    spoilt = np.full_like(good.points, np.nan)
+    spoilt[::3] = 0
+    drive._sweeps[4] = Sweep(
+        spoilt, good.name, good.time, relative_time=np.full_like(spoilt[:, 0], 7)
+    )
+    result = odometry(drive, OdometryParameters(passes=2))
+    assert "frame 4 has 0 usable points" in caplog.text
+    assert pose_errors(result.trajectory.poses, drive.exact).max() < 0.3
+    np.testing.assert_array_equal(result.points(4), spoilt)
+
+
+def test_a_point_without_time_is_named() -> None:
+    drive = Drive(3)
+    drive.sweep(1).relative_time[100:2000] = np.nan
+    with pytest.raises(OdometryError, match=r"sweep 000001 \(frame 1\): .*no finite time"):
+        odometry(drive)
+
+
+def test_a_single_sweep() -> None:
+    result = odometry(Drive(1))
+    np.testing.assert_array_equal(result.trajectory.poses, [np.eye(4)])
+    result.points(0)
+
+
+# ---- poses brought along
+
+
+def test_given_poses_are_kept_and_deskew(caplog: pytest.LogCaptureFixture) -> None:
+    drive = Drive(6)
+    result = odometry(drive, poses=drive.exact)
+    assert drive.read == [], "nothing to register"
+    np.testing.assert_array_equal(result.trajectory.poses, drive.exact)
+    sweep = drive.sweep(3)
+    expected = deskew(sweep.points, sweep.relative_time, MOTION)
+    np.testing.assert_allclose(result.points(3), expected, atol=1e-4)
+    assert not caplog.records
+
+
+def test_refused_poses() -> None:
+    drive = Drive(4)
+    with pytest.raises(OdometryError, match="3 poses for 4 sweeps"):
+        odometry(drive, poses=drive.exact[:3])
+    with pytest.raises(OdometryError, match="the pose of frame 2"):
+        odometry(
+            drive,
+            poses=drive.exact * [[1.0], [1], [1], [1]] * np.r_[1, 1, np.nan, 1][:, None, None],
+        )
+    with pytest.raises(OdometryError, match=r"\(n, 4, 4\)"):
+        odometry(drive, poses=drive.exact[:, :3])
+
+
+def test_doubtful_poses_are_doubted(caplog: pytest.LogCaptureFixture) -> None:
+    drive = Drive(8)
+    odometry(drive, poses=np.repeat(np.eye(4)[None], 8, axis=0))
+    assert "all poses are the same" in caplog.text
+    camera = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    odometry(drive, poses=camera @ drive.exact @ inverse(camera))
+    assert "not forwards" in caplog.text
+    jump = drive.exact.copy()
+    jump[5:, 1, 3] += 3
+    odometry(drive, poses=jump)
+    assert "at frame 4 the way" in caplog.text or "at frame 5 the way" in caplog.text
+
+
+def test_standing_is_not_doubted(caplog: pytest.LogCaptureFixture) -> None:
+    odometry(Drive(8, motion=np.eye(4)), poses=np.repeat(np.eye(4)[None], 8, axis=0))
+    assert not caplog.records
+
+
+# ---- the real drive
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("DOCDEPTH_KITTI_RAW" not in os.environ, reason="no KITTI drives")
+def test_real_drive_agrees_with_another_registration() -> None:
+    root = Path(os.environ["DOCDEPTH_KITTI_RAW"])
+    dataset = open_dataset(root / "2011_09_26" / "2011_09_26_drive_0005_sync")
+    reference = read_poses(dataset.path / "lidar_poses_tum.txt", len(dataset))
+    poses = estimate_poses(dataset)
+    assert pose_errors(poses, reference).max() < 0.5
+    steps, expected = (inverse(p[:-1]) @ p[1:] for p in (poses, reference))
+    assert np.linalg.norm((inverse(expected) @ steps)[:, :3, 3], axis=1).max() < 0.05

@@ -1,0 +1,287 @@
+"""A whole run on a small synthetic drive: files, cameras, resume."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from command_line import cli
+from docdepth.datasets import open_dataset
+from docdepth.io.depth import read_depth
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline import classify as classes
+from docdepth.pipeline import render as depth_maps
+from docdepth.visualization import pictures as visualize
+
+FRAMES = 5
+
+
+def test_outputs_of_a_run(drive, finished):
+    run, output = finished
+    names = [p.stem for p in sorted((drive / "image_2").glob("*.png"))]
+    inside = [p.stem for p in sorted((run / "depth").glob("*.png"))]
+    left_out = RunFolder(run).stage("render")["left_out"]
+    assert sorted(inside + left_out) == names
+    assert inside
+    for name in inside:
+        depth = cv2.imread(str(run / "depth" / f"{name}.png"), cv2.IMREAD_UNCHANGED)
+        assert depth.dtype == np.uint16
+        assert depth.shape == (375, 1242)
+        assert (depth > 0).mean() > 0.2
+        assert (run / "report" / f"{name}.jpg").is_file()
+    for sweep in sorted((drive / "velodyne").glob("*.bin")):
+        rows = sweep.stat().st_size // 16
+        labels = np.fromfile(run / "labels" / f"{sweep.stem}.label", np.uint32)
+        assert len(labels) == rows
+        assert set(np.unique(labels)) <= {9, 251}
+    for name in ("traj_odometry.ply", "traj_camera.ply", "calib.json", "calib_lidar_ref_cam.txt"):
+        assert (run / name).is_file()
+    assert not list(run.rglob("*.part"))
+    page = (run / "report" / "index.html").read_text()
+    assert [f"{name}.jpg" for name in inside] == re.findall(r'src="([^"]+)"', page)
+    assert str(drive) in page
+    if left_out:
+        assert f"{len(left_out)} images outside" in output
+
+
+def test_interrupted_run_goes_on_and_ends_the_same(drive, finished, tmp_path, monkeypatch):
+    run = tmp_path / "run"
+    written = []
+
+    def stop_after(function, count):
+        def wrapped(*arguments):
+            written.append(arguments[0])
+            if len(written) == count:
+                raise KeyboardInterrupt
+            return function(*arguments)
+
+        return wrapped
+
+    for module, name, count in (
+        (classes, "_write_classified", 3),
+        (depth_maps, "_write_image", 2),
+    ):
+        written.clear()
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, stop_after(getattr(module, name), count))
+            assert cli("run", drive, "-o", run).exit_code != 0
+    before = {p: p.stat().st_mtime_ns for p in (run / "labels").iterdir()}
+    assert cli("run", drive, "-o", run).exit_code == 0
+    assert {p: p.stat().st_mtime_ns for p in (run / "labels").iterdir()} == before
+    for folder in ("frames", "labels", "depth"):
+        for path in sorted((finished[0] / folder).iterdir()):
+            assert path.read_bytes() == (run / folder / path.name).read_bytes(), path.name
+
+
+def test_votes_are_kept_when_only_their_use_changes(finished, tmp_path, monkeypatch):
+    kept, again = tmp_path / "kept", tmp_path / "again"
+    asked = []
+    vote = classes.voting.vote
+
+    def counted(*arguments, **named):
+        asked.append(1)
+        return vote(*arguments, **named)
+
+    monkeypatch.setattr(classes.voting, "vote", counted)
+    for run in (kept, again):
+        shutil.copytree(finished[0], run)
+    assert cli("classify", kept, "--set", "dynamics.object_share=0.05").exit_code == 0
+    assert not asked
+    # The same from votes that are cast anew: a change there and back.
+    assert cli("classify", again, "--set", "dynamics.tolerance=0.3").exit_code == 0
+    settings = ("--set", "dynamics.object_share=0.05", "--set", "dynamics.tolerance=0.2")
+    assert cli("classify", again, *settings).exit_code == 0
+    assert len(asked) == 2 * FRAMES
+    for path in sorted((kept / "frames").iterdir()):
+        assert path.read_bytes() == (again / "frames" / path.name).read_bytes()
+
+
+def test_several_cameras_in_several_formats(drive, finished, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    arguments = ("--camera", "image_2,image_3", "--format", "png,npz", "--format", "tiff")
+    result = cli("render", run, *arguments, "--scale", 64, "--set", "render.max_depth=700")
+    assert result.exit_code == 0, result.output
+    assert not list((run / "depth").glob("*.*"))
+    before = read_depth(finished[0] / "depth" / "000001.png")
+    for camera in ("image_2", "image_3"):
+        text = json.loads((run / "depth" / camera / "depth.json").read_text())
+        assert text["scale"] == {"png": 64.0, "npz": 1, "tiff": 1}
+        assert text["range"] == [0.1, 700.0]
+        assert text["camera"]["name"] == camera
+        assert len(text["maps"]) >= FRAMES - 1
+        for name, known in text["maps"].items():
+            path = run / "depth" / camera / name
+            png, npz, tiff = (read_depth(path.with_suffix(s)) for s in (".png", ".npz", ".tiff"))
+            np.testing.assert_array_equal(npz, tiff)
+            np.testing.assert_allclose(png, npz, atol=0.51 / 64)
+            assert known["coverage"] == pytest.approx(np.isfinite(npz).mean(), abs=1e-6)
+            assert (run / "report" / camera / f"{name}.jpg").is_file()
+    known = RunFolder(run).calibration("image_3")
+    np.testing.assert_allclose(known[1], open_dataset(drive).cameras["image_3"].T_camera_lidar)
+    left, right = (read_depth(run / "depth" / c / "000001.npz") for c in ("image_2", "image_3"))
+    np.testing.assert_allclose(left, before, atol=0.51 / 256)
+    assert not np.array_equal(left, right, equal_nan=True)
+    assert list(open_dataset(run).cameras) == ["image_2", "image_3"]
+    result = cli("evaluate", "depth", run, "--depth", drive)
+    assert "image_2, image_3: say --camera" in str(result.exception)
+    result = cli("evaluate", "depth", run, "--depth", drive, "--camera", "image_2", "--json")
+    assert json.loads(result.output)["all"]["mae"] < 3
+
+    # And back to one.
+    assert cli("render", run, "--camera", "image_2", "--format", "png").exit_code == 0
+    assert read_depth(run / "depth" / "000001.png").shape == before.shape
+    assert not (run / "depth" / "image_2").exists()
+    assert list(open_dataset(run).cameras) == ["camera"]
+
+
+def test_layers_beside_depth(finished, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    assert cli("render", run, "--layers", "class,time", "--layers", "support").exit_code == 0
+    names = [p.stem for p in sorted((run / "depth").glob("*.png"))]
+    assert [p.stem for p in sorted((run / "layers").iterdir())] == names
+    for name in names:  # depth is the same with and without
+        png = run / "depth" / f"{name}.png"
+        assert png.read_bytes() == (finished[0] / "depth" / png.name).read_bytes()
+        layers = np.load(run / "layers" / f"{name}.npz")
+        assert list(layers) == ["class", "time", "support"]
+        none = np.isnan(read_depth(png))
+        np.testing.assert_array_equal(layers["class"] == 255, none)
+        np.testing.assert_array_equal(np.isnan(layers["time"]), none)
+    # A map whose layers are missing is not whole.
+    (run / "layers" / f"{names[0]}.npz").unlink()
+    folder = RunFolder(run)
+    folder.set_stage("render", state="running")
+    assert cli("render", run).exit_code == 0
+    assert (run / "layers" / f"{names[0]}.npz").is_file()
+    assert cli("render", run, "--set", "output.layers=[]").exit_code == 0
+    assert not (run / "layers").exists()
+    result = cli("render", run, "--layers", "colour")
+    assert result.exit_code == 2
+    assert "output.layers" in str(result.exception)
+
+
+def test_video_of_a_run(drive, finished, tmp_path, monkeypatch):
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    assert cli("video", run).exit_code == 0
+    assert 'src="video.webm"' in (run / "report" / "index.html").read_text()
+    reader = cv2.VideoCapture(str(run / "report" / "video.webm"))
+    names = [p.stem for p in sorted((run / "depth").glob("*.png"))]
+    assert reader.get(cv2.CAP_PROP_FRAME_COUNT) == len(names)
+    assert reader.get(cv2.CAP_PROP_FPS) == pytest.approx(10, abs=0.1)
+    for name in names:
+        whole, frame = reader.read()
+        assert whole
+        assert frame.shape == (750, 1242, 3)
+        image = cv2.imread(str(drive / "image_2" / f"{name}.png"))
+        assert np.abs(frame[:375].astype(int) - image).mean() < 12
+        colours = visualize.colorize(read_depth(run / "depth" / f"{name}.png"))
+        assert np.abs(frame[375:].astype(int) - colours).mean() < 12
+    before = (run / "report" / "video.webm").read_bytes()
+    with monkeypatch.context() as patch:  # a full disk, as OpenCV tells it: not at all
+        patch.setattr(cv2.VideoWriter, "write", lambda *_: None)
+        result = cli("video", run)
+    assert result.exit_code == 2
+    assert "make room" in str(result.exception)
+    assert (run / "report" / "video.webm").read_bytes() == before
+    assert not list(run.rglob(".video*"))
+    (run / "depth" / f"{names[1]}.png").unlink()
+    assert f"lacks {names[1]}" in str(cli("video", run).exception)
+    assert "not of image_7" in str(cli("video", run, "--camera", "image_7").exception)
+
+
+def test_distorted_images_are_rectified_under_the_depth(drive, finished, tmp_path):
+    camera = open_dataset(drive).cameras["image_2"]
+    distorted = tmp_path / "drive"
+    shutil.copytree(drive, distorted)
+    (distorted / "image_2" / "distortion.txt").write_text("-0.3 0.1 0 0.001")
+    image = np.zeros((375, 1242, 3), np.uint8)
+    K, k = camera.camera.K, np.array([-0.3, 0.1, 0, 0.001])
+    ray = np.array([[0.6, 0.1, 1.0]])  # one bright point, where the lens puts it
+    (u, v) = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), K, k)[0].ravel().round().astype(int)
+    image[v - 3 : v + 4, u - 3 : u + 4] = 255
+    path = distorted / "image_2" / "000001.png"
+    cv2.imwrite(str(path), image)
+    stream = open_dataset(distorted).cameras["image_2"]
+    rectified = depth_maps.rectified_image(stream, stream.names.index("000001"))
+    row, column = np.argwhere(rectified.max(axis=2) > 128).mean(axis=0)
+    straight = K @ ray[0]
+    assert abs(column - straight[0]) < 1.5
+    assert abs(row - straight[1]) < 1.5
+    assert abs(column - u) > 20
+
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    folder = RunFolder(run)
+    folder.manifest["source"]["dataset"] = str(distorted)
+    folder.save()
+    assert cli("render", run).exit_code == 0
+    known = json.loads((run / "depth" / "depth.json").read_text())["camera"]
+    assert known["distortion_of_images"] == [-0.3, 0.1, 0, 0.001]
+    assert json.loads((run / "calib.json").read_text())["dist"] == [-0.3, 0.1, 0, 0.001]
+    for name in ("000001.png", "000002.png"):  # depth is of the rectified camera, as before
+        assert (run / "depth" / name).read_bytes() == (finished[0] / "depth" / name).read_bytes()
+
+
+def test_virtual_camera_beside_the_run(drive, finished, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    stream = open_dataset(drive).cameras["image_2"]
+    before = {p.name: p.read_bytes() for p in (run / "depth").glob("*")}
+    parameters = RunFolder(run).parameters
+    K = ",".join(repr(float(stream.camera.K[i])) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    times = tmp_path / "times.txt"
+    inside = [t for t in stream.times if t <= open_dataset(drive).times[-1]]
+    times.write_text("".join(f"{t // 10**9}.{t % 10**9:09d}\n" for t in inside))
+    pose = tmp_path / "pose.txt"
+    np.savetxt(pose, np.linalg.inv(stream.T_camera_lidar))
+    mounted = ("--K", K, "--size", "1242x375", "--format", "npy")
+    result = cli("render", run, "--pose", pose, *mounted, "--camera-times", times, "--name", "twin")
+    assert result.exit_code == 0, result.output
+    # Where a camera of the rig is, it sees what that sees.
+    for k, name in enumerate(sorted(n for n in before if n.endswith(".png"))):
+        twin = read_depth(run / "depth" / "twin" / f"{k:010d}.npy")
+        np.testing.assert_allclose(twin, read_depth(finished[0] / "depth" / name), atol=0.51 / 256)
+    # At the stamps of the sweeps, looking backwards along the road.
+    backwards = "0,0,0.5,-0.5,-0.5,0.5,0.5"
+    result = cli("render", run, "--pose", backwards, *mounted, "--name", "back")
+    assert result.exit_code == 0, result.output
+    known = json.loads((run / "depth" / "back" / "depth.json").read_text())
+    assert list(known["maps"]) == [f"{k:06d}" for k in range(FRAMES)]
+    T_camera_lidar = np.array(known["camera"]["T_camera_lidar"])
+    np.testing.assert_allclose(T_camera_lidar @ [-10, 0, 0.5, 1], [0, 0, 10, 1], atol=1e-9)
+    np.testing.assert_allclose(T_camera_lidar @ [-10, 1, 0.5, 1], [1, 0, 10, 1], atol=1e-9)
+    # The run itself is as it was.
+    assert {p.name: p.read_bytes() for p in (run / "depth").glob("*.*")} == before
+    assert RunFolder(run).parameters == parameters
+    assert cli("run", drive, "-o", run).exit_code == 0
+
+
+def test_a_png_that_cannot_hold_the_range_is_refused_at_once(finished, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    result = cli("render", run, "--set", "render.max_depth=700")
+    assert result.exit_code == 2
+    assert "--scale 64" in str(result.exception)
+    assert len(list((run / "depth").glob("*.png"))) == FRAMES - 1
+    assert cli("render", run, "--set", "render.max_depth=250").exit_code == 0
+
+
+def test_one_stage_again_with_another_parameter(finished, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    before = {p.name: p.read_bytes() for p in (run / "depth").iterdir()}
+    assert cli("render", run, "--set", "render.ahead=1").exit_code == 0
+    after = {p.name: p.read_bytes() for p in (run / "depth").iterdir()}
+    assert before.keys() == after.keys()
+    assert RunFolder(run).parameters.render.ahead == 1
+    result = cli("render", run, "--set", "dynamics.tolerance=1")
+    assert result.exit_code == 2
+    assert "this stage knows render and output only" in str(result.exception)

@@ -1,0 +1,98 @@
+"""A plain numpy rasteriser of splats, and the scenes that renderers are held against."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from docdepth.config import RenderParameters
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.frame import Frame
+from docdepth.render.selection import dynamic_frame, static_frames
+
+# Camera axes in the LiDAR frame: x right = -y, y down = -z, z forward = x.
+AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=np.float64)
+PAPER = RenderParameters(surface="splats", behind=0.5, ahead=100.0, step=0.2)
+TRIANGLES = RenderParameters()
+
+
+def small_camera(width=160, height=60, focal=90.0):
+    K = np.array([[focal, 0, width / 2 - 0.7], [0, focal * 1.1, height / 2 + 1.3], [0, 0, 1]])
+    return Camera(K, width, height)
+
+
+def straight(n, spacing=1.0, dt=100_000_000):
+    poses = np.repeat(np.eye(4)[None], n, axis=0)
+    poses[:, 0, 3] = np.arange(n) * spacing
+    return Trajectory(np.arange(n) * dt, poses)
+
+
+def reference(camera, clouds):
+    """Every splat pixel by pixel. clouds: (points, 4x4 pose, (size_max, size_min))."""
+    f = np.float32
+    fx, fy, cx, cy = (f(v) for v in camera.K[[0, 1, 0, 1], [0, 1, 2, 2]])
+    depth = np.full((camera.height, camera.width), np.inf, f)
+    for points, pose, (size_max, size_min) in clouds:
+        T = pose.astype(f)
+        p, q, r = points.T
+        with np.errstate(all="ignore"):
+            x, y, z = (((T[i, 0] * p + T[i, 1] * q) + T[i, 2] * r) + T[i, 3] for i in range(3))
+            u = np.floor((fx * x) / z + cx + f(0.5))
+            v = np.floor((fy * y) / z + cy + f(0.5))
+            squared = ((x * x + y * y) + z * z).astype(np.float64)
+            sigma = np.where(
+                squared < 1.65**2, size_max, np.maximum(size_max / np.log(squared), size_min)
+            )
+            inside = (z > f(0.1)) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        size = np.floor(sigma[inside] + 0.5).astype(int)
+        u, v, z = u[inside].astype(int), v[inside].astype(int), z[inside]
+        for h in np.unique(size):
+            reach = np.arange(-h, h + 1)
+            du, dv = np.meshgrid(reach, reach)
+            covered = 9 * du**2 + 4 * dv**2 <= h * h
+            for a, b in zip(du[covered], dv[covered], strict=True):
+                column, row = u[size == h] + a, v[size == h] + b
+                ok = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+                np.minimum.at(depth, (row[ok], column[ok]), z[size == h][ok])
+    depth[np.isinf(depth)] = np.nan
+    return depth
+
+
+def scattered(rng, n):
+    """Points all around a sensor, most of them near, some unusable."""
+    direction = rng.normal(size=(n, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    points = (direction * rng.gamma(1.5, 12.0, size=(n, 1))).astype(np.float32)
+    points[:3] = [[0, 0, 0], [np.nan, 1, 2], [np.inf, 0, 0]]
+    points[3] = [0.5, 0.1, 0.1]
+    return points
+
+
+def drive(rng, camera_time, parameters, n=6):
+    """Sweeps along a curve; returns what render() needs and what reference() needs."""
+    trajectory = straight(n)
+    angle = 0.05 * np.arange(n)
+    poses = trajectory.poses.copy()
+    poses[:, 0, 0] = poses[:, 1, 1] = np.cos(angle)
+    poses[:, 1, 0], poses[:, 0, 1] = np.sin(angle), -np.sin(angle)
+    trajectory = Trajectory(trajectory.times, poses)
+    sweeps = [scattered(rng, 4000) for _ in range(n)]
+    classes = [rng.choice([0, 50, 99, 100, 251], size=4000).astype(np.uint16) for _ in range(n)]
+    frames = [Frame(s, c, parameters) for s, c in zip(sweeps, classes, strict=True)]
+
+    T_camera_world = AXES @ np.linalg.inv(trajectory.interpolate(camera_time)[0])
+    clouds = []
+    for dynamic in (False, True):
+        indices = static_frames(trajectory, camera_time, parameters)
+        for i in [dynamic_frame(trajectory, camera_time)] if dynamic else indices:
+            with np.errstate(invalid="ignore", over="ignore"):
+                distance = np.linalg.norm(sweeps[i].astype(np.float64), axis=1)
+            keep = (distance < parameters.crop) & ((classes[i] >= 100) == dynamic)
+            pose = T_camera_world @ trajectory.poses[i]
+            size = (
+                (parameters.dynamic_size_max, parameters.dynamic_size_min)
+                if dynamic
+                else (parameters.static_size_max, parameters.static_size_min)
+            )
+            clouds.append((sweeps[i][keep], pose, size))
+    return trajectory, frames, clouds

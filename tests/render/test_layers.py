@@ -1,0 +1,219 @@
+"""Layers beside depth: against plain numpy, and against scenes whose every pixel is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from render_reference import AXES, PAPER, TRIANGLES, drive, small_camera, straight
+
+from docdepth.errors import InputError
+from docdepth.geometry.camera import Camera
+from docdepth.render.depth_map import render
+from docdepth.render.frame import Frame
+from docdepth.render.layers import _CONFIDENCE, LAYERS, confidence, layers
+from docdepth.render.selection import MOVING, static_frames
+
+OF_SPLATS = tuple(name for name in LAYERS if name != "normal")
+GROUND, WALL = -1.7, 25.0
+
+
+def test_splats_as_plain_numpy_counts_them():
+    camera, time = small_camera(), 130_000_000
+    trajectory, frames, clouds = drive(np.random.default_rng(5), time, PAPER)
+    scene = (camera, AXES, trajectory, time, frames.__getitem__, PAPER)
+    depth = render(*scene)
+    kept = depth.copy()
+    one, two = (layers(OF_SPLATS, depth, *scene, threads=t) for t in (1, 2))
+    np.testing.assert_array_equal(depth, kept)
+    for name in OF_SPLATS:
+        np.testing.assert_array_equal(one[name], two[name])
+
+    f = np.float32
+    fx, fy, cx, cy = (f(v) for v in camera.K[[0, 1, 0, 1], [0, 1, 2, 2]])
+    agreeing = [[[] for _ in range(camera.width)] for _ in range(camera.height)]
+    seen_from = {}
+    sweeps = [*static_frames(trajectory, time, PAPER), trajectory.nearest(time)]
+    for sweep, (points, pose, (largest, smallest)) in zip(sweeps, clouds, strict=True):
+        T = pose.astype(f)
+        p, q, r = points.T
+        with np.errstate(all="ignore"):
+            x, y, z = (((T[i, 0] * p + T[i, 1] * q) + T[i, 2] * r) + T[i, 3] for i in range(3))
+            u, v = np.floor((fx * x) / z + cx + f(0.5)), np.floor((fy * y) / z + cy + f(0.5))
+            squared = ((x * x + y * y) + z * z).astype(np.float64)
+            sigma = np.where(
+                squared < 1.65**2, largest, np.maximum(largest / np.log(squared), smallest)
+            )
+            inside = (z > f(0.1)) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        for i in np.flatnonzero(inside):
+            h = int(sigma[i] + 0.5)
+            for b in range(max(int(v[i]) - h, 0), min(int(v[i]) + h + 1, camera.height)):
+                for a in range(max(int(u[i]) - h, 0), min(int(u[i]) + h + 1, camera.width)):
+                    if 9 * (a - u[i]) ** 2 + 4 * (b - v[i]) ** 2 > h * h:
+                        continue
+                    if abs((z[i] - depth[b, a]) / depth[b, a]) <= f(0.02):
+                        agreeing[b][a].append(z[i])
+                    if z[i] == depth[b, a]:
+                        seen_from.setdefault((b, a), set()).add((sweep, np.linalg.norm(points[i])))
+    counts = [[len(cell) for cell in row] for row in agreeing]
+    np.testing.assert_array_equal(one["support"], counts)
+    deviations = [[np.std(c, ddof=1) if len(c) > 1 else np.nan for c in row] for row in agreeing]
+    np.testing.assert_allclose(one["std"], deviations, atol=1e-4)
+    for (b, a), sources in seen_from.items():
+        if len(sources) == 1:
+            sweep, distance = next(iter(sources))
+            delay = (trajectory.times[sweep] - time) * 1e-9
+            assert one["time"][b, a] == pytest.approx(delay)
+            assert one["range"][b, a] == pytest.approx(distance, rel=1e-5)
+    nothing = np.isnan(depth)
+    assert (one["class"][nothing] == 255).all()
+    assert np.isin(one["class"][~nothing], [0, 50, 100]).all()
+    assert np.isnan(one["time"][nothing]).all()
+
+
+def sweep_at(x, box_at=None):
+    """A spinning sensor on a road before a wall; a box that moves, 10 m ahead of the first."""
+    elevation, azimuth = np.meshgrid(np.radians(np.arange(-22, 6, 0.4)), np.radians(
+        np.arange(-60, 60, 0.25)), indexing="ij")  # fmt: skip
+    ray = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
+                    np.sin(elevation)], axis=-1).reshape(-1, 3)  # fmt: skip
+    with np.errstate(divide="ignore"):
+        road = np.where(ray[:, 2] < 0, GROUND / ray[:, 2], np.inf)
+        distance = np.minimum(road, (WALL - x) / ray[:, 0])
+    classid = np.where(distance == road, 0, 50)
+    if box_at is not None:
+        near = (box_at - x) / ray[:, 0]
+        place = near[:, None] * ray
+        hit = (np.abs(place[:, 1]) < 1) & (np.abs(place[:, 2] + 0.5) < 0.7) & (near < distance)
+        distance, classid = np.where(hit, near, distance), np.where(hit, 100, classid)
+    return (ray * distance[:, None]).astype(np.float32), classid.astype(np.uint16)
+
+
+def street(box=False):
+    trajectory, time = straight(5), 50_000_000
+    sweeps = [sweep_at(float(i), 10.0 + i if box else None) for i in range(5)]
+    frames = [Frame(points, classid, TRIANGLES) for points, classid in sweeps]
+    camera = Camera(np.array([[200.0, 0, 160], [0, 200, 50], [0, 0, 1]]), 320, 120)
+    scene = (camera, AXES, trajectory, time, frames.__getitem__, TRIANGLES)
+    return scene, render(*scene)
+
+
+def test_surfaces_of_a_street_are_what_they_are():
+    scene, depth = street()
+    _, _, trajectory, time, *_ = scene
+    found, again = (layers(LAYERS, depth, *scene, threads=t) for t in (1, 3))
+    for name in LAYERS:
+        np.testing.assert_array_equal(found[name], again[name])
+    u, v = np.meshgrid(np.arange(320), np.arange(120))
+    ray = np.stack([(u - 160) / 200, (v - 50) / 200, np.ones(u.shape)], axis=-1)
+    seen = np.isfinite(depth)
+    wall_depth = WALL - 0.5
+    on_wall = seen & (ray[..., 1] * wall_depth < -GROUND - 0.3)
+    on_road = seen & (ray[..., 1] * wall_depth > -GROUND + 1.0)
+    assert on_wall.sum() > 5000
+    assert on_road.sum() > 5000
+    assert (found["class"][on_wall] == 50).all()
+    assert (found["class"][on_road] == 0).all()
+    assert (found["class"][~seen] == 255).all()
+    np.testing.assert_allclose(found["normal"][on_wall] @ [0, 0, -1], 1, atol=1e-3)
+    np.testing.assert_allclose(found["normal"][on_road] @ [0, -1, 0], 1, atol=1e-3)
+    # The sweep that it comes from, by time, stood there when it measured this range.
+    sweep = np.searchsorted(trajectory.times, time + np.nan_to_num(found["time"]) * 1e9 - 1)
+    place = ray * depth[..., None]  # x right, y down, z ahead of x = 0.5
+    x = place[..., 2] + 0.5 - trajectory.poses[np.minimum(sweep, 4), 0, 3]
+    distance = np.sqrt(x**2 + place[..., 0] ** 2 + place[..., 1] ** 2)
+    np.testing.assert_allclose(found["range"][seen], distance[seen], rtol=1e-4)
+    # All five sweeps saw what lies 15 m ahead of the last.
+    common = on_wall & (np.abs(ray[..., 0]) < 0.5) & (np.abs(v - 50) < 5)
+    assert (found["support"][common] == len(static_frames(trajectory, time, TRIANGLES))).all()
+    assert found["std"][common].max() < 0.01
+    assert (found["support"][~seen] == 0).all()
+    single = seen & (found["support"] < 2)
+    assert np.isnan(found["std"][single]).all()
+
+
+def test_what_moves_is_held_against_what_moves():
+    scene, depth = street(box=True)
+    found = layers(("class", "support", "range"), depth, *scene)
+    box = np.abs(depth - 10.0) < 0.2
+    box &= found["class"] == 100
+    assert box.sum() > 200
+    assert found["support"][box].max() == MOVING
+    assert (found["support"][box] == MOVING).mean() > 0.5
+    # The box keeps 10 m ahead of the sensor.
+    assert np.abs(found["range"][box] - 10).max() < 1
+
+
+def test_layers_that_there_are_not():
+    scene, depth = street()
+    with pytest.raises(InputError, match="unknown layer 'colour'; there are class,"):
+        layers(("colour",), depth, *scene)
+    with pytest.raises(InputError, match="of shape \\(120, 320\\)"):
+        layers(("class",), depth[:-1], *scene)
+    with pytest.raises(InputError, match="no normal"):
+        layers(("normal",), depth, *scene[:-1], PAPER)
+
+
+def test_confidence_as_it_is_written():
+    rng = np.random.default_rng(2)
+    depth = np.full((20, 30), 10, np.float32) + rng.normal(0, 0.02, (20, 30)).astype(np.float32)
+    depth[:, 18:] = 30
+    depth[3:6, 4:7] = np.nan
+    measures = rng.integers(1, 9, depth.shape).astype(np.uint16)
+    support = np.minimum(rng.integers(0, 9, depth.shape), measures).astype(np.uint16)
+    bend = np.ones(depth.shape)
+    near = 1 / depth.astype(np.float64)
+    for v in range(20):
+        for u in range(30):
+            known = []
+            for dv, du in ((0, 1), (1, 0)):
+                if v - dv >= 0 and v + dv < 20 and u - du >= 0 and u + du < 30:
+                    known.append(near[v - dv, u - du] + near[v + dv, u + du] - 2 * near[v, u])
+            known = [abs(k) / near[v, u] for k in known if np.isfinite(k)]
+            bend[v, u] = max(known) if known else 1
+    a, b, c = _CONFIDENCE["triangles"]
+    found = confidence(depth, support, measures)
+    for v in range(20):
+        for u in range(30):
+            if np.isnan(depth[v, u]):
+                assert np.isnan(found[v, u])
+                continue
+            worst = bend[max(v - 3, 0) : v + 4, max(u - 3, 0) : u + 4].max()
+            edge = np.log10(min(max(worst, 1e-3), 1)) / 3 + 1
+            s, m = int(support[v, u]), int(measures[v, u])
+            odds = max((s + 0.25) / (m - s + 1), 0.25)
+            expected = 1 / (1 + np.exp(-(a + b * np.log(odds) - c * edge)))
+            assert found[v, u] == pytest.approx(expected, abs=2e-4)
+
+
+@pytest.mark.parametrize("preset", [TRIANGLES, PAPER])
+def test_error_falls_as_confidence_rises(preset):
+    """A crossing, a seed and a sensor of its own; exact classes and depth."""
+    pytest.importorskip("embreex")
+    from docdepth.geometry.trajectory import Trajectory
+    from docdepth.synthetic import Drive, scene, sensor
+
+    drive = Drive(scene("crossing", 7), sensor("XT-32"), 25, 7)
+    trajectory, camera = Trajectory(drive.times, drive.poses), drive.rig.camera
+    frames = {}
+
+    def frame(i):
+        if i not in frames:
+            sweep = drive.sweep(i)
+            classid = np.where(sweep.moving, 100, 50).astype(np.uint16)
+            frames[i] = Frame(sweep.points, classid, preset)
+        return frames[i]
+
+    time = int(drive.camera_times[8])
+    scene_of = (camera, drive.rig.T_camera_lidar, trajectory, time, frame, preset)
+    depth, truth = render(*scene_of), drive.image(8).depth
+    sure = layers(("confidence",), depth, *scene_of)["confidence"]
+    np.testing.assert_array_equal(np.isnan(sure), np.isnan(depth))
+    known = np.isfinite(depth) & (truth < 80)
+    wrong = np.abs(depth - truth)[known] > 0.05 * truth[known]
+    edges = np.unique(np.quantile(sure[known], [0.03, 0.1, 0.3, 0.6]))
+    bins = np.digitize(sure[known], edges)
+    shares = [wrong[bins == b].mean() for b in np.unique(bins)]
+    assert len(shares) > 3
+    assert (np.diff(shares) < 0.005).all(), shares
+    assert shares[0] > 5 * shares[-1]
+    assert abs(sure[known].mean() - (1 - wrong.mean())) < 0.1

@@ -1,0 +1,196 @@
+"""What rays met and went through: against plain numpy, and what they make of edges."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from docdepth import _core
+from docdepth.config import RenderParameters
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.depth_map import render
+from docdepth.render.frame import Frame
+
+F = np.float32
+TURN = 65536
+AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=np.float64)
+
+
+def atan2_fixed(y, x):
+    """Abramowitz and Stegun 4.4.49, one rounded operation at a time."""
+    ax, ay = np.abs(x), np.abs(y)
+    low, high = np.minimum(ax, ay), np.maximum(ax, ay)
+    t = low / high
+    s = t * t
+    p = np.full_like(t, F(0.0028662257))
+    for c in (-0.0161657367, 0.0429096138, -0.0752896400, 0.1065626393, -0.1420889944,
+              0.1999355085, -0.3333314528):  # fmt: skip
+        p = p * s + F(c)
+    angle = t + (p * s) * t
+    angle = np.where(ay > ax, F(1.57079632679) - angle, angle)
+    angle = np.where(x < 0, F(3.14159265359) - angle, angle)
+    return np.where(y < 0, -angle, angle).astype(F)
+
+
+def direction(p):
+    unit = F(1) / (F(6.283185307179586) / F(TURN))
+    across = np.sqrt(p[:, 0] * p[:, 0] + p[:, 1] * p[:, 1])
+    azimuth = np.floor(atan2_fixed(p[:, 1], p[:, 0]) * unit + F(0.5)).astype(int)
+    azimuth[azimuth >= TURN // 2] -= TURN
+    return azimuth, np.floor(atan2_fixed(p[:, 2], across) * unit + F(0.5)).astype(int), across
+
+
+def dot(a, b):
+    return (a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1]) + a[:, 2] * b[:, 2]
+
+
+def reference(points, normals, places, ray_origins=None):
+    """Every return in the nine cells around each place, none cleverly."""
+    ray_origins = np.zeros_like(points) if ray_origins is None else ray_origins
+    sights = points - ray_origins
+    azimuth, elevation, _ = direction(sights)
+    unit = F(6.283185307179586) / F(TURN)
+    flat = np.sqrt(sights[:, 0] * sights[:, 0] + sights[:, 1] * sights[:, 1])
+    aside = ray_origins[:, 1] * sights[:, 0] - ray_origins[:, 0] * sights[:, 1]
+    along = ray_origins[:, 0] * sights[:, 0] + ray_origins[:, 1] * sights[:, 1]
+    lift = ray_origins[:, 2] * flat - along * sights[:, 2] / flat
+    left = aside / flat / unit
+    up = lift / np.sqrt(flat * flat + sights[:, 2] * sights[:, 2]) / unit
+    low, high = elevation.min(), elevation.max()
+    side = int(1.6 * np.sqrt(TURN * (high - low + 1) / len(points)))
+    columns, rows = TURN // side, (high - low) // side + 1
+    column = (azimuth + TURN // 2) * columns // TURN
+    row = (elevation - low) // side
+    to_azimuth, to_elevation, across = direction(places)
+    to_column = (to_azimuth + TURN // 2) * columns // TURN
+    to_row = (to_elevation - low) // side
+    range_ = np.sqrt(dot(places, places))
+    narrowed = across / range_
+    squared_range = dot(points, points)
+    ends = np.sqrt(squared_range)
+    offset = dot(normals, points)
+    known = np.abs(offset) > F(0.02) * np.sqrt(dot(normals, normals)) * ends
+    with np.errstate(all="ignore"):
+        planes = np.where(
+            known[:, None], normals / offset[:, None], points / squared_range[:, None]
+        )
+    balance = np.zeros(len(places), F)
+    for i in range(len(places)):
+        apart = (column - to_column[i] + 1) % columns  # 0, 1, 2 from left to right
+        near = np.flatnonzero((apart < 3) & (np.abs(row - to_row[i]) <= 1))
+        if not len(near) or not -1 <= to_row[i] <= rows:
+            continue
+        u = ((azimuth[near] - to_azimuth[i] + TURN // 2) % TURN - TURN // 2).astype(F) * narrowed[i]
+        u = u + left[near] * (F(1) / range_[i])
+        v = (elevation[near] - to_elevation[i]).astype(F) + up[near] * (F(1) / range_[i])
+        squared = u * u + v * v
+        # Of equals the first, as they lie in memory: cell after cell.
+        least = near[squared == squared.min()]
+        k = min(least, key=lambda n: (column[n], row[n], n))
+        miss = (np.sqrt(squared.min()) * (F(6.283185307179586) / F(TURN))) * range_[i] + F(0.02)
+        margin = F(0.1) + F(0.03) * range_[i]
+        before = dot(planes[k : k + 1], places[i : i + 1])[0]
+        on_plane = range_[i] * np.abs(1 - before) < margin * before
+        if np.abs(ends[k] - range_[i]) < margin or on_plane:
+            balance[i] = 1 / (miss * miss)
+        elif ends[k] > range_[i] + margin and before < 1:
+            balance[i] = -1 / (miss * miss)
+    return balance
+
+
+@pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_rays_equal_plain_numpy(seed, beside):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(scale=(12, 12, 1.5), size=(3000, 3)).astype(F)
+    normals = rng.normal(size=(3000, 3)).astype(F)
+    normals[::3] = 0
+    places = rng.normal(scale=(10, 10, 1.5), size=(4000, 3)).astype(F)
+    places[:1000] = points[:1000] * rng.uniform(0.8, 1.2, (1000, 1))
+    ray_origins = rng.normal(scale=0.05, size=(3000, 3)).astype(F) if beside else None
+    balance = _core.Rays(points, normals, ray_origins).ask(places)
+    expected = reference(points, normals, places, ray_origins)
+    assert (expected > 0).sum() > 200
+    assert (expected < 0).sum() > 200
+    assert (expected == 0).sum() > 200
+    np.testing.assert_array_equal(balance, expected)
+
+
+def test_a_line_of_sight_passes_where_it_leads_from_its_start():
+    """Beside the origin it begins, and goes through all places between its start and its end."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        start = rng.uniform(-0.05, 0.05, 3).astype(F)
+        end = (rng.normal(size=3) * (20, 20, 3)).astype(F)
+        if np.linalg.norm(end[:2]) < 10:
+            continue
+        share = rng.uniform(0.3, 0.7, (20, 1))
+        places = (start + share * (end - start)).astype(F)
+        points, normals = end[None], np.zeros((1, 3), F)
+        told = _core.Rays(points, normals, start[None]).ask(places)
+        # Within a centimetre: -1 / (0.02 + 0.01)^2; as if from the origin it passed farther off.
+        assert (told < -1 / 0.03**2).all()
+
+
+def test_no_rays_tell_nothing():
+    none = np.empty((0, 3), F)
+    assert (_core.Rays(none, none).ask(np.ones((5, 3), F)) == 0).all()
+    zero = np.zeros((2, 3), F)
+    assert (_core.Rays(zero, zero).ask(np.ones((5, 3), F)) == 0).all()
+    with pytest.raises(ValueError, match="as many"):
+        _core.Rays(zero, none)
+    with pytest.raises(ValueError, match="as many"):
+        _core.Rays(zero, zero, none)
+
+
+def fence_and_wall(directions, x):
+    """Ranges along rays from (x, 0, 0): bars 0.3 m wide and 0.9 m apart at 12 m, a wall at 20 m."""
+    with np.errstate(divide="ignore"):
+        fence, wall = (12 - x) / directions[..., 0], (20 - x) / directions[..., 0]
+    side = fence * directions[..., 1]
+    hit = (fence > 0) & ((side % 0.9) < 0.3) & (np.abs(side) < 4)
+    return np.where(hit, fence, wall)
+
+
+def test_bars_of_a_fence_are_where_many_sweeps_met_them():
+    # Returns are 0.8 degrees apart, 7 pixels; a bar is 15 to 20 pixels wide.
+    a, e = np.meshgrid(np.radians(np.arange(-60, 60, 0.8)), np.radians(np.arange(-12, 12, 0.8)))
+    directions = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
+    directions = directions.reshape(-1, 3)
+    poses = np.repeat(np.eye(4)[None], 12, axis=0)
+    poses[:, 0, 3] = 0.53 * np.arange(12)
+    trajectory = Trajectory(np.arange(12) * 100_000_000, poses)
+    camera = Camera(np.array([[500.0, 0, 250], [0, 500, 50], [0, 0, 1]]), 501, 101)
+    columns, rows = np.meshgrid(np.arange(501) - 250, np.arange(101) - 50)
+    pixels = np.stack([np.ones(columns.shape), -columns / 500, -rows / 500], -1)
+    truth = fence_and_wall(pixels, 0.0)
+    drawn, wrong, missed = {}, {}, {}  # wrong: of those drawn; missed: or empty, of all
+    ways = {"alone": {"ahead": 0.1}, "not asked": {"witnesses": 0}, "asked": {}}
+    for way, settings in ways.items():
+        parameters = RenderParameters(step=0.5, behind=0.0, **settings)
+        frames = []
+        for pose in poses:
+            ranges = fence_and_wall(directions, pose[0, 3])
+            points = (directions * ranges[:, None])[(ranges > 0) & (ranges < 80)].astype(F)
+            frames.append(Frame(points, np.full(len(points), 50, np.uint16), parameters))
+        depth = render(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 1)
+        known = np.isfinite(depth)
+        drawn[way], wrong[way] = known.mean(), (np.abs(depth - truth) > 0.05 * truth)[known].mean()
+        missed[way] = (~(np.abs(depth - truth) <= 0.05 * truth)).mean()
+        threaded = render(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 3)
+        np.testing.assert_array_equal(threaded, depth)
+    # One sweep leaves out what lies between bar and wall; the others fill that, less truly.
+    assert drawn["alone"] < 0.8
+    assert wrong["alone"] < 0.01
+    assert wrong["not asked"] > 0.03
+    assert drawn["not asked"] > 0.95
+    assert drawn["asked"] > 0.95
+    assert 0.05 < missed["alone"] < 0.3
+    assert missed["asked"] < 0.65 * missed["alone"]
+    assert 0.05 < missed["not asked"] < 0.3
+    assert missed["asked"] < missed["not asked"]
+    assert wrong["asked"] < 0.8 * wrong["not asked"]
+    # They also tell how far out a bar goes beyond the returns of any one sweep.
+    assert wrong["asked"] < 0.6 * wrong["not asked"]
+    assert missed["asked"] < 0.7 * missed["not asked"]

@@ -1,0 +1,204 @@
+"""Composite rendering against a plain numpy rasteriser, exact scenes and a real drive."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from render_reference import (
+    AXES,
+    PAPER,
+    TRIANGLES,
+    drive,
+    reference,
+    small_camera,
+    straight,
+)
+
+from docdepth.config import RenderParameters
+from docdepth.errors import CalibrationError, InputError
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.depth_map import render
+from docdepth.render.frame import Frame
+from docdepth.render.selection import dynamic_frame, needed_frames, static_frames
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("sizes", [(50.0, 3.0, 80.0, 35.0), (9.3, 1.0, 14.0, 2.6), (1, 1, 1, 1)])
+def test_equals_plain_numpy_pixel_for_pixel(seed, sizes):
+    names = ("static_size_max", "static_size_min", "dynamic_size_max", "dynamic_size_min")
+    parameters = RenderParameters(
+        surface="splats", behind=0.5, ahead=100.0, step=0.2, **dict(zip(names, sizes, strict=True))
+    )
+    camera = small_camera()
+    time = 130_000_000
+    trajectory, frames, clouds = drive(np.random.default_rng(seed), time, parameters)
+    expected = reference(camera, clouds)
+    one, two = (
+        render(camera, AXES, trajectory, time, frames.__getitem__, parameters, threads=t)
+        for t in (1, 2)
+    )
+    np.testing.assert_array_equal(one, expected)
+    np.testing.assert_array_equal(two, expected)
+    assert one.dtype == np.float32
+    assert np.isfinite(one).mean() > 0
+
+
+def frame_of(points, classid=50):
+    points = np.asarray(points, dtype=np.float32).reshape(-1, 3)
+    return Frame(points, np.full(len(points), classid, np.uint16), PAPER)
+
+
+def test_a_single_splat_is_an_upright_ellipse_of_constant_depth():
+    camera = Camera(np.array([[100.0, 0, 40], [0, 100, 30], [0, 0, 1]]), 81, 61)
+    depth = render(camera, AXES, straight(1), 0, lambda _: frame_of([10, 0, 0]), PAPER)
+    h = round(50 / np.log(100))  # 11 pixels high
+    rows, columns = np.nonzero(np.isfinite(depth))
+    assert (rows.min(), rows.max()) == (30 - h // 2, 30 + h // 2)
+    assert (columns.min(), columns.max()) == (40 - h // 3, 40 + h // 3)
+    assert np.unique(depth[np.isfinite(depth)]) == [10.0]
+    assert np.isfinite(depth).sum() == sum(
+        9 * a * a + 4 * b * b <= h * h for a in range(-h, h + 1) for b in range(-h, h + 1)
+    )
+
+
+def test_near_moving_wall_hides_far_static_wall():
+    camera = small_camera()
+    side, up = np.meshgrid(np.arange(-30, 30, 0.1), np.arange(-12, 12, 0.1))
+
+    def wall(distance):
+        return np.column_stack([np.full(side.size, distance), side.ravel(), up.ravel()])
+
+    near = wall(8.0)[np.abs(side.ravel()) < 2]
+    points = np.concatenate([wall(20.0), near]).astype(np.float32)
+    classid = np.repeat(np.array([50, 100], np.uint16), [side.size, len(near)])
+    frame = Frame(points, classid, PAPER)
+    depth = render(camera, AXES, straight(1), 0, lambda _: frame, PAPER)
+    assert set(np.unique(depth)) == {8.0, 20.0}
+    assert (depth[:, 60:100] == 8.0).all()
+    assert (depth[:, :30] == 20.0).all()
+    assert (depth[:, -30:] == 20.0).all()
+
+
+def test_points_behind_too_near_or_centred_outside_are_not_drawn():
+    camera = small_camera()
+    for point in ([-5, 0, 0], [0.1, 0, 0], [5, 5, 0], [5, -5, 0], [5, 0, 3], [5, 0, -3]):
+        depth = render(camera, AXES, straight(1), 0, lambda _, p=point: frame_of(p), PAPER)
+        assert np.isnan(depth).all(), point
+
+
+def test_moving_points_come_from_the_sweep_nearest_in_time_only():
+    trajectory = straight(4)
+    asked = []
+
+    def frames(i):
+        asked.append(i)
+        return frame_of([20 + i, 0, 0], classid=100)
+
+    depth = render(small_camera(), AXES, trajectory, 160_000_000, frames, PAPER)
+    # Sweep 2 stands at 2 m and sees its point at 22 m; the camera stands at 1.6 m.
+    np.testing.assert_allclose(np.unique(depth[np.isfinite(depth)]), [22.4], rtol=1e-6)
+    assert set(asked) == {2, 3}  # static points: those after 1.6 - 0.5
+
+
+def test_static_frames_follow_the_path_window_and_step():
+    trajectory = straight(200, spacing=0.5)
+    taken = static_frames(trajectory, 5_000_000_000, PAPER)  # at 25 m
+    assert taken[0] == 50  # -0.5 m is excluded
+    assert taken[-1] == 199
+    taken = static_frames(trajectory, 5_000_000_000, PAPER.model_copy(update={"ahead": 10.0}))
+    assert (trajectory.arc_length[taken] < 35).all()
+    coarse = static_frames(trajectory, 5_000_000_000, PAPER.model_copy(update={"step": 2.0}))
+    assert (np.diff(trajectory.arc_length[coarse]) >= 2.0).all()
+
+
+def test_a_standing_ego_is_drawn_from_the_sweep_nearest_in_time():
+    poses = np.repeat(np.eye(4)[None], 30, axis=0)
+    poses[:, 0, 3] = 1e-3 * np.sin(np.arange(30))
+    trajectory = Trajectory(np.arange(30) * 100_000_000, poses)
+    assert static_frames(trajectory, 1_730_000_000, PAPER).tolist() == [17]
+    assert dynamic_frame(trajectory, 1_730_000_000) == 17
+
+
+@pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
+def test_no_points_give_no_depth(parameters):
+    empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
+    assert np.isnan(render(small_camera(), AXES, straight(2), 0, lambda _: empty, parameters)).all()
+
+
+def test_bad_input_is_refused():
+    with pytest.raises(InputError, match="float32"):
+        Frame(np.zeros((3, 3)), np.zeros(3, np.uint16))
+    with pytest.raises(InputError, match="one for each point"):
+        Frame(np.zeros((3, 3), np.float32), np.zeros(2, np.uint16))
+    with pytest.raises(InputError, match="outside the trajectory"):
+        render(small_camera(), AXES, straight(2), -1, lambda _: frame_of([5, 0, 0]), PAPER)
+    with pytest.raises(InputError, match="not made for triangles"):
+        render(small_camera(), AXES, straight(2), 0, lambda _: frame_of([5, 0, 0]), TRIANGLES)
+    with pytest.raises(InputError, match="time_offset"):
+        Frame(
+            np.zeros((3, 3), np.float32),
+            np.zeros(3, np.uint16),
+            time_offset=np.zeros(2, np.float32),
+        )
+    with pytest.raises(CalibrationError, match="skew"):
+        Camera(np.array([[9.0, 1, 5], [0, 9, 5], [0, 0, 1]]), 10, 10)
+
+
+@pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
+@pytest.mark.parametrize("time", [0, 130_000_000, 200_000_000, 260_000_000, 500_000_000])
+def test_needed_frames_are_those_that_are_asked_for(parameters, time):
+    trajectory, frames, _ = drive(np.random.default_rng(7), 130_000_000, parameters)
+    asked = set()
+
+    def frame(index):
+        asked.add(index)
+        return frames[index]
+
+    render(small_camera(), AXES, trajectory, time, frame, parameters)
+    assert asked == needed_frames(trajectory, time, parameters)
+
+
+@pytest.mark.skipif("DOCDEPTH_KITTI_RAW" not in os.environ, reason="DOCDEPTH_KITTI_RAW is not set")
+def test_equals_plain_numpy_on_real_sweeps():
+    folder = Path(os.environ["DOCDEPTH_KITTI_RAW"]) / "2011_09_26/2011_09_26_drive_9001_sync"
+    files = sorted((folder / "velodyne_points").rglob("*.bin"))[::20][:3]
+    sweeps = [np.fromfile(f, np.float32).reshape(-1, 4)[:, :3].copy() for f in files]
+    camera = Camera(
+        np.array([[721.5377, 0, 609.5593], [0, 721.5377, 172.854], [0, 0, 1]]), 1242, 375
+    )
+    trajectory = straight(len(sweeps), spacing=5.0)
+    # Every tenth point moves, so that both sizes are met.
+    classes = [np.where(np.arange(len(s)) % 10, 50, 100).astype(np.uint16) for s in sweeps]
+    frames = [Frame(s, c, PAPER) for s, c in zip(sweeps, classes, strict=True)]
+    time = 20_000_000
+    T_camera_world = AXES @ np.linalg.inv(trajectory.interpolate(time)[0])
+    clouds = []
+    for i, (s, c) in enumerate(zip(sweeps, classes, strict=True)):
+        pose = T_camera_world @ trajectory.poses[i]
+        if i in static_frames(trajectory, time, PAPER):
+            clouds.append((s[c < 100], pose, (50.0, 3.0)))
+        if i == dynamic_frame(trajectory, time):
+            clouds.append((s[c >= 100], pose, (80.0, 35.0)))
+    depth = render(camera, AXES, trajectory, time, frames.__getitem__, PAPER)
+    np.testing.assert_array_equal(depth, reference(camera, clouds))
+    assert np.isfinite(depth).mean() > 0.5
+
+
+@pytest.mark.parametrize("surface", ["splats", "triangles"])
+def test_scenes_of_700_metres(surface):
+    parameters = RenderParameters(surface=surface, crop=800, max_depth=700)
+    y, z = np.meshgrid(np.arange(-60, 61, 2.0), np.arange(-60, 61, 2.0))
+    far = np.stack([np.full(y.shape, 690.0), y, z], axis=-1).reshape(-1, 3).astype(np.float32)
+    beyond = far + np.float32([30, 200, 0])
+    points = np.concatenate([far, beyond])
+    frame = Frame(points, np.full(len(points), 50, np.uint16), parameters)
+    camera = Camera(np.array([[700.0, 0, 300], [0, 700, 60], [0, 0, 1]]), 601, 121)
+    depth = render(camera, AXES, straight(1), 0, lambda _: frame, parameters)
+    wall = depth[30:90, 270:330]
+    assert np.isfinite(wall).mean() > 0.9
+    np.testing.assert_allclose(wall[np.isfinite(wall)], 690, rtol=1e-5)
+    assert np.nanmax(depth) <= 700

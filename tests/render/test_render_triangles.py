@@ -1,0 +1,269 @@
+"""Sweeps drawn as surfaces, against exact scenes and a plain rasteriser of triangles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from render_reference import (
+    AXES,
+    TRIANGLES,
+    drive,
+    small_camera,
+    straight,
+)
+
+from docdepth.render.depth_map import render
+from docdepth.render.frame import Frame
+from docdepth.render.selection import static_frames
+
+
+def spinning(rings=48, columns=1500, low=-25.0, high=8.0):
+    azimuth = np.arange(columns) * 2 * np.pi / columns - np.pi + 1e-3
+    a, e = np.meshgrid(azimuth, np.radians(np.linspace(low, high, rings)))
+    return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1).reshape(-1, 3)
+
+
+def meet(directions, planes):
+    """Range of the first of the planes (n, d), n.x = d, that each ray meets, and which."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ranges = np.stack([d / (directions @ np.array(n)) for n, d in planes])
+    ranges[~(ranges > 0)] = np.inf
+    return ranges.min(axis=0), ranges.argmin(axis=0)
+
+
+def pixel_rays(camera):
+    """Directions in the LiDAR frame with unit depth, for AXES."""
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    x = (u - camera.K[0, 2]) / camera.K[0, 0]
+    y = (v - camera.K[1, 2]) / camera.K[1, 1]
+    return np.stack([np.ones_like(x), -x, -y], axis=-1)
+
+
+GROUND, WALL, SIDE = ((0.02, 0.01, 1.0), -1.7), ((1.0, 0.1, 0.0), 14.0), ((0.05, 1.0, 0.0), 5.0)
+
+
+@pytest.mark.parametrize("planes", [[GROUND], [WALL], [SIDE], [GROUND, WALL, SIDE]])
+def test_triangles_of_a_plane_are_that_plane_without_cracks(planes):
+    directions = spinning()
+    ranges, _ = meet(directions, planes)
+    hit = ranges < 60
+    points = (directions * ranges[:, None])[hit].astype(np.float32)
+    camera = small_camera()
+    frame = Frame(points, np.full(len(points), 50, np.uint16), TRIANGLES)
+    depth = render(camera, AXES, straight(1), 0, lambda _: frame, TRIANGLES)
+    rays = pixel_rays(camera)
+    exact, plane = meet(rays.reshape(-1, 3), planes)
+    exact, plane = np.minimum(exact, 1e6).reshape(depth.shape), plane.reshape(depth.shape)
+    # Pixels well within the returns: away from other planes and in the sensor's field of view.
+    elevation = np.degrees(np.arctan2(rays[..., 2], np.hypot(rays[..., 0], rays[..., 1])))
+    seen = (elevation > -24) & (elevation < 7) & (exact * np.linalg.norm(rays, axis=-1) < 25)
+    for shift in range(-6, 7):
+        for axis in (0, 1):
+            seen &= np.roll(plane, shift, axis) == plane
+    assert seen.sum() > 2000
+    assert np.isfinite(depth[seen]).all()
+    # Triangles are drawn 0.01 pixels larger, and nearness is clamped to that of their corners; a
+    # pixel beyond an acute corner is a few times that far outside. float32 adds 1e-5.
+    bend = sum(np.abs(np.gradient(1 / exact, axis=axis)) for axis in (0, 1)) * exact
+    assert (np.abs(depth - exact) / exact <= 0.05 * bend + 1e-5)[seen].all()
+
+
+def draw_triangles(camera, vertices, triangles, threads=1):
+    """Triangles in camera axes as one whole surface."""
+    from docdepth import _core
+
+    frame = _core.SurfaceFrame(
+        vertices.astype(np.float32),
+        np.full(len(vertices), 50, np.uint16),
+        triangles.astype(np.uint32),
+        np.zeros(len(triangles), np.uint8),
+        np.empty(0, np.uint32),
+        0.01,
+    )
+    placed = (frame, np.eye(4))
+    size = camera.width, camera.height
+    return _core.render_surfaces(camera.K, *size, [placed], [(*placed, 0.0)], 0.0, 12, threads)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_triangles_equal_a_plain_rasteriser(seed):
+    rng = np.random.default_rng(seed)
+    camera = small_camera()
+    vertices = rng.uniform([-12, -5, 2], [12, 5, 20], (60, 3)).astype(np.float32)
+    vertices[:3, 2] = -1, 0.05, 3  # behind the camera, too near
+    triangles = np.arange(60).reshape(-1, 3)
+    depth = draw_triangles(camera, vertices, triangles)
+    p = vertices.astype(np.float64)
+    u = camera.K[0, 0] * p[:, 0] / p[:, 2] + camera.K[0, 2]
+    v = camera.K[1, 1] * p[:, 1] / p[:, 2] + camera.K[1, 2]
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    expected, border = np.full(depth.shape, np.inf), np.zeros(depth.shape, bool)
+    for t in triangles[1:]:
+        inside, near = np.ones(depth.shape, bool), np.zeros(depth.shape, bool)
+        turn = (u[t[1]] - u[t[0]]) * (v[t[2]] - v[t[0]]) - (u[t[2]] - u[t[0]]) * (v[t[1]] - v[t[0]])
+        order = t if turn > 0 else t[::-1]
+        for a, b in zip(order, np.roll(order, -1), strict=True):
+            du, dv = u[b] - u[a], v[b] - v[a]
+            distance = (du * (rows - v[a]) - dv * (columns - u[a])) / np.hypot(du, dv)
+            inside &= distance > 0
+            near |= np.abs(distance) < 0.03
+        normal = np.cross(p[t[1]] - p[t[0]], p[t[2]] - p[t[0]])
+        rays = np.stack(
+            [(columns - camera.K[0, 2]) / camera.K[0, 0], (rows - camera.K[1, 2]) / camera.K[1, 1]]
+        )
+        z = (normal @ p[t[0]]) / (normal[0] * rays[0] + normal[1] * rays[1] + normal[2])
+        expected = np.where(inside & (z > 0), np.minimum(expected, z), expected)
+        border |= near
+    expected[np.isinf(expected)] = np.nan
+    sure = ~border
+    assert np.isfinite(expected[sure]).sum() > 500
+    np.testing.assert_allclose(depth[sure], expected[sure], rtol=1e-3)
+    np.testing.assert_array_equal(draw_triangles(camera, vertices, triangles, threads=3), depth)
+
+
+@pytest.mark.parametrize(("seed", "pixels"), [(5, 1000), (10, 1500)])
+def test_triangles_do_not_depend_on_threads(seed, pixels):
+    trajectory, frames, _ = drive(np.random.default_rng(seed), 130_000_000, TRIANGLES)
+    one, two = (
+        render(small_camera(250), AXES, trajectory, 130_000_000, frames.__getitem__, TRIANGLES, t)
+        for t in (1, 2)
+    )
+    np.testing.assert_array_equal(one, two)
+    assert np.isfinite(one).sum() > pixels
+
+
+@pytest.mark.parametrize(("max_speed", "time_offset"), [(0.0, None), (50.0, None), (50.0, 0.012)])
+def test_a_moving_box_is_carried_to_where_it_was_when_the_image_was_taken(max_speed, time_offset):
+    directions = spinning(columns=3000)
+    camera = small_camera()
+    parameters = TRIANGLES.model_copy(update={"max_speed": max_speed})
+
+    def frame(index):  # sweeps a metre apart, a wall at 20 m, the box at 8 m goes 2 m a sweep
+        wall = (20.0 - index) / directions[:, 0]
+        box = (8.0 + index + 20 * (time_offset or 0)) / directions[:, 0]
+        side = box[:, None] * directions
+        on_box = (wall > 0) & (np.abs(side[:, 1]) < 2) & (np.abs(side[:, 2] + 0.5) < 1)
+        ranges = np.where(on_box, box, wall)
+        seen = (ranges > 0) & (ranges < 60)
+        points = (directions * ranges[:, None])[seen].astype(np.float32)
+        classid = np.where(on_box[seen], 100, 50).astype(np.uint16)
+        times = None if time_offset is None else np.full(len(points), time_offset, np.float32)
+        return Frame(points, classid, parameters, time_offset=times)
+
+    frames = [frame(i) for i in range(4)]
+    depth = render(camera, AXES, straight(4), 160_000_000, frames.__getitem__, parameters)
+    # Sweep 2 saw the box at 12 m; 40 ms before, it was at 11.2 m and the camera at 1.6 m.
+    distance = 12 - 1.6 if max_speed == 0 else 11.2 - 1.6
+    row, middle = 32, 79
+    assert depth[row, middle] == pytest.approx(distance, abs=0.02)
+    box = np.abs(depth[row] - distance) < 0.1
+    assert abs(box.sum() - 4 / distance * 90) < 2.0  # 4 m wide; returns are 0.2 pixels apart
+    assert np.nanmax(np.abs(depth[row, 20:140][~box[20:140]] - 18.4)) < 0.1
+
+
+def test_what_a_post_hides_of_a_moving_box_other_sweeps_have_seen():
+    """The box goes a metre a sweep to the left; the camera looks past the post, 0.6 m beside it."""
+    directions = spinning(columns=3000)
+    T_camera_lidar = AXES.copy()
+    T_camera_lidar[0, 3] = 0.6
+    speed, post, box_at, wall = 10.0, 4.0, 10.0, 20.0
+
+    def frame(index):
+        ahead = directions[:, 0] > 0.1
+        y, z = (directions[:, i] / np.where(ahead, directions[:, 0], 1) for i in (1, 2))
+        on_box = (np.abs(y * box_at - speed * 0.1 * (index - 3)) < 2) & (np.abs(z * box_at) < 1)
+        on_post = np.abs(y * post) < 0.08
+        x = np.where(on_post, post, np.where(on_box, box_at, wall))
+        points = (x[:, None] * np.stack([np.ones_like(y), y, z], axis=1))[ahead].astype(np.float32)
+        return Frame(
+            points, np.where(on_box & ~on_post, 100, 50)[ahead].astype(np.uint16), TRIANGLES
+        )
+
+    frames, camera = [frame(i) for i in range(7)], small_camera(640, 240, 360.0)
+    time = 310_000_000
+    motion_corrected = straight(7, spacing=0.0)
+    depth = render(camera, T_camera_lidar, motion_corrected, time, frames.__getitem__, TRIANGLES)
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    side, up = ((u - camera.K[0, 2]) / camera.K[0, 0]), ((v - camera.K[1, 2]) / camera.K[1, 1])
+    y = 0.6 - side * box_at  # of the box's plane
+    inside = (np.abs(y - speed * 0.01) < 1.8) & (np.abs(up * box_at) < 0.7)
+    inside &= np.abs(0.6 - side * post) > 0.15
+    hidden = inside & (
+        np.abs(y - speed * 0.01) < 0.15
+    )  # by the post, for the sweep nearest in time
+    assert hidden.sum() > 50
+    assert (np.abs(depth[hidden] - box_at) < 0.05).mean() > 0.95
+    assert (np.abs(depth[inside] - box_at) < 0.05).mean() > 0.95
+    one = TRIANGLES.model_copy(update={"max_speed": 0.0})
+    alone = render(camera, T_camera_lidar, motion_corrected, time, frames.__getitem__, one)
+    assert not (np.abs(alone[hidden] - box_at) < 0.05).mean() > 0.9
+
+
+def test_a_moving_box_ends_close_to_the_last_ring_that_met_it():
+    """Rings are 0.42 m apart there; the box, 4 cm higher than the last that met it, goes aside."""
+    directions = spinning(rings=12, columns=3000)
+    directions = directions[directions[:, 0] > 0.1]
+    y, z = directions[:, 1] / directions[:, 0], directions[:, 2] / directions[:, 0]
+    last = -8 * np.tan(np.radians(1.0))
+
+    def frame(index):
+        on_box = (np.abs(y * 8 - 0.5 * (index - 3)) < 2) & (z * 8 < last + 0.04) & (z * 8 > -1.1)
+        points = directions / directions[:, :1] * np.where(on_box, 8.0, 20.0)[:, None]
+        classid = np.where(on_box, 100, 50).astype(np.uint16)
+        return Frame(points.astype(np.float32), classid, TRIANGLES)
+
+    frames, camera = [frame(i) for i in range(7)], small_camera(640, 240, 360.0)
+    motion_corrected = straight(7, spacing=0.0)
+    depth = render(camera, AXES, motion_corrected, 310_000_000, frames.__getitem__, TRIANGLES)
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    side = -8 * (u - camera.K[0, 2]) / camera.K[0, 0]
+    up = -8 * (v - camera.K[1, 2]) / camera.K[1, 1]
+    within = np.abs(side - 0.05) < 1.8
+    on_box = np.abs(depth - 8) < 0.05
+    assert on_box[within & (np.abs(up - last) < 0.04)].mean() > 0.99
+    assert on_box[within & (up < last - 0.02) & (up > -0.9)].mean() > 0.99  # rings or not
+    assert not on_box[within & (up > last + 0.16)].any()
+
+
+def test_a_return_alone_is_a_small_diamond():
+    camera = small_camera()
+    wide = TRIANGLES.model_copy(update={"loose_deg": 3.0})
+    frame = Frame(np.array([[10, 0, 0]], np.float32), np.array([50], np.uint16), wide)
+    depth = render(camera, AXES, straight(1), 0, lambda _: frame, wide)
+    u, v = np.meshgrid(np.arange(160) - camera.K[0, 2], np.arange(60) - camera.K[1, 2])
+    half = np.radians(3.0)
+    inside = np.abs(u / camera.K[0, 0]) + np.abs(v / camera.K[1, 1]) <= half
+    assert inside.sum() > 40
+    np.testing.assert_array_equal(np.isfinite(depth), inside)
+    np.testing.assert_allclose(depth[inside], 10, rtol=1e-5)
+
+
+def test_sweeps_of_triangles_start_with_the_nearest_and_thin_out():
+    trajectory = straight(300, spacing=0.5)
+    far = TRIANGLES.model_copy(update={"ahead": 100.0})
+    taken = static_frames(trajectory, 5_030_000_000, far)  # at 25.15 m
+    ahead = trajectory.arc_length[taken] - 25.15
+    assert taken[0] == 50
+    assert len(set(taken.tolist())) == len(taken)
+    assert (np.diff(np.abs(ahead[1:])) >= 0).all()
+    assert ahead.min() > -far.behind
+    assert ahead.max() > 0.7 * far.ahead
+    ordered = np.sort(ahead[1:])
+    assert np.diff(ordered)[np.abs(ordered[1:]) < 4].max() < 2.1
+    assert np.diff(ordered)[ordered[1:] > 50].min() >= 8
+    # The next images take the same sweeps, but for the nearest and a few that enter.
+    following = static_frames(trajectory, 5_130_000_000, far)
+    assert len(set(following.tolist()) - set(taken.tolist())) <= 3
+
+
+@pytest.mark.parametrize("spacing", [0.5, 1.1, 2.8])
+def test_sweeps_of_triangles_leave_no_gap_however_fast_the_ego_is(spacing):
+    trajectory = straight(300, spacing=spacing)
+    taken = static_frames(trajectory, int(trajectory.times[60]) + 30_000_000, TRIANGLES)
+    ahead = np.sort(
+        trajectory.arc_length[taken]
+        - trajectory.arc_length_at(int(trajectory.times[60]) + 30_000_000)[0]
+    )
+    ahead = ahead[ahead > 0]
+    # Spacings double, so the next sweep comes after twice the least distance at the most.
+    assert (np.diff(ahead) < 2 * TRIANGLES.step_growth * ahead[1:] + spacing + 0.01).all()

@@ -1,0 +1,98 @@
+"""Pictures: what a colour means and where a point is drawn."""
+
+import numpy as np
+import pytest
+
+from docdepth.errors import InputError
+from docdepth.visualization import pictures as visualize
+
+
+def test_near_is_red_far_is_blue_and_none_is_dark() -> None:
+    picture = visualize.colorize(np.array([[3.0, 80.0, np.nan, 1.0, 500.0]]), bar=False)
+    assert picture.dtype == np.uint8
+    blue, _, red = picture[0].T.astype(int)
+    assert red[0] > 2 * blue[0]
+    assert blue[1] > 2 * red[1]
+    assert (picture[0, 2] == picture[0, 2, 0]).all()
+    assert picture[0, 2, 0] < 40
+    np.testing.assert_array_equal(picture[0, 0], picture[0, 3])
+    np.testing.assert_array_equal(picture[0, 1], picture[0, 4])
+
+
+def test_colors_do_not_depend_on_the_picture() -> None:
+    alone = visualize.colorize(np.full((1, 1), 20.0), bar=False)
+    among = visualize.colorize(np.array([[5.0, 20.0, 70.0]]), bar=False)
+    np.testing.assert_array_equal(alone[0, 0], among[0, 1])
+
+
+def test_the_bar_is_drawn_on_a_copy() -> None:
+    plain = visualize.colorize(np.full((200, 600), 20.0), bar=False)
+    before = plain.copy()
+    barred = visualize.draw_bar(plain)
+    np.testing.assert_array_equal(plain, before)
+    assert (barred[170:] != plain[170:]).any()
+    np.testing.assert_array_equal(barred[:150], plain[:150])
+    assert visualize.draw_bar(np.zeros((5, 5, 3), np.uint8)).shape == (5, 5, 3)
+
+
+def test_overlay_shows_the_image_where_there_is_no_depth() -> None:
+    depth = np.full((20, 30), 10, np.float32)
+    depth[:, 15:] = np.nan
+    image = np.full((20, 30, 3), 200, np.uint8)
+    picture = visualize.overlay(depth, image)
+    assert (picture[:, 15:] == 100).all()
+    assert len(np.unique(picture[0, 0])) > 1
+    assert visualize.overlay(depth).shape == image.shape
+    with pytest.raises(InputError, match="differ in size"):
+        visualize.overlay(depth, image[:-1])
+
+
+def test_error_picture_tells_near_from_far() -> None:
+    truth = np.full((1, 4), 10.0)
+    picture = visualize.error_picture(np.array([[10.0, 8.0, 12.0, np.nan]]), truth)
+    assert picture[0, 0].tolist() == [255, 255, 255]
+    assert picture[0, 1].tolist() == [0, 0, 255]
+    assert picture[0, 2].tolist() == [255, 0, 0]
+    assert picture[0, 3].max() < 40
+
+
+def test_labels_from_above_are_where_the_points_are() -> None:
+    # One metre a pixel, sensor in the middle: 10 m ahead is up, 5 m to the left is left.
+    points = np.array([[10, 5, 0], [-10.5, 0, 0], [0, 60, 0]], np.float32)
+    classid = np.array([100, 0, 50], np.uint16)
+    picture = visualize.labels_from_above(points, classid, reach=50, size=100)
+    assert tuple(picture[40, 45]) == visualize.DYNAMIC_COLOR
+    assert tuple(picture[60, 50]) == visualize.GROUND_COLOR
+    assert (picture != picture[0, 0]).any(axis=2).sum() == 2
+
+
+def test_truth_colors_found_missed_and_false() -> None:
+    points = np.array([[10, 0, 0], [20, 0, 0], [30, 0, 0]], np.float32)
+    classid = np.array([100, 50, 100], np.uint16)
+    truth = np.array([True, True, False])
+    picture = visualize.labels_from_above(points, classid, truth, reach=50, size=100)
+    colors = [tuple(picture[row, 50]) for row in (40, 30, 20)]
+    expected = [visualize.FOUND_COLOR, visualize.MISSED_COLOR, visualize.FALSE_COLOR]
+    assert colors == expected
+
+
+def test_range_image_has_forward_in_the_middle() -> None:
+    points = np.array([[10, 0, 0], [0, 10, 1], [np.nan, 0, 0], [0, 0, 0]], np.float32)
+    classid = np.array([100, 50, 50, 50], np.uint16)
+    picture = visualize.labels_in_range_image(points, classid, resolution_deg=1.0)
+    rows, columns = np.nonzero((picture == visualize.DYNAMIC_COLOR).all(axis=2))
+    assert set(columns) == {180}
+    left = np.nonzero((picture == visualize.STATIC_COLOR).all(axis=2))
+    assert set(left[1]) == {90}
+    assert left[0].max() < rows.min()
+
+
+def test_side_by_side_fills_the_grid() -> None:
+    pictures = [np.full((40, 50, 3), k, np.uint8) for k in (10, 20, 30)]
+    grid = visualize.picture_grid(pictures, ["a", "b", "c"])
+    assert grid.shape == (2 * 66, 100, 3)
+    assert (grid[26:66, 50:] == 20).all()
+    with pytest.raises(InputError, match="captions"):
+        visualize.picture_grid(pictures, ["a"])
+    with pytest.raises(InputError, match="captions"):
+        visualize.picture_grid([], [])
