@@ -18,7 +18,7 @@ from docdepth.cli.doctor import doctor
 from docdepth.config import RenderParameters
 from docdepth.errors import BackendError
 from docdepth.render import backends
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 
 TIME = 130_000_000
@@ -48,9 +48,13 @@ def any_gl():
 
 
 def parameters_of(sizes):
-    names = ("static_size_max", "static_size_min", "dynamic_size_max", "dynamic_size_min")
     return RenderParameters(
-        surface="splats", behind=0.5, ahead=100.0, step=0.2, **dict(zip(names, sizes, strict=True))
+        primitive="splats",
+        behind=0.5,
+        ahead=100.0,
+        step=0.2,
+        static_size=sizes[:2],
+        dynamic_size=sizes[2:],
     )
 
 
@@ -78,15 +82,17 @@ def test_agrees_with_the_processor(gl, parameters):
     for seed in range(3):
         trajectory, frames, _ = drive(np.random.default_rng(seed), TIME, parameters)
         asked = (camera, AXES, trajectory, TIME, frames.__getitem__, parameters)
-        depth = render(*asked, renderer=gl)
+        depth = compose_depth(*asked, renderer=gl)
         assert np.isfinite(depth).any()
-        assert_agree(depth, render(*asked), gl)
+        assert_agree(depth, compose_depth(*asked), gl)
 
 
 def test_agrees_with_plain_numpy(gl):
     parameters, camera = DRAWN[2], small_camera()
     trajectory, frames, clouds = drive(np.random.default_rng(7), TIME, parameters)
-    depth = render(camera, AXES, trajectory, TIME, frames.__getitem__, parameters, renderer=gl)
+    depth = compose_depth(
+        camera, AXES, trajectory, TIME, frames.__getitem__, parameters, renderer=gl
+    )
     assert_agree(depth, reference(camera, clouds), gl)
 
 
@@ -95,10 +101,10 @@ def test_splats_larger_than_a_point_can_be_are_squares(gl):
     trajectory, frames, _ = drive(np.random.default_rng(1), TIME, parameters_of((1, 1, 1, 1)))
     parameters = parameters_of((400, 20, 500, 270))  # Mesa's points have at most 255 pixels
     asked = (camera, AXES, trajectory, TIME, frames.__getitem__, parameters)
-    assert_agree(render(*asked, renderer=gl), render(*asked), gl)
+    assert_agree(compose_depth(*asked, renderer=gl), compose_depth(*asked), gl)
     asked = (*asked[:-1], parameters_of((1500, 20, 1, 1)))
     with pytest.raises(BackendError, match="the cpu draws any size"):
-        render(*asked, renderer=gl)
+        compose_depth(*asked, renderer=gl)
 
 
 def test_each_image_is_drawn_anew(gl):
@@ -109,10 +115,10 @@ def test_each_image_is_drawn_anew(gl):
         trajectory, frames, _ = drive(np.random.default_rng(seed), TIME, parameters)
         for time in (TIME, TIME + 150_000_000):
             asked = (camera, AXES, trajectory, time, frames.__getitem__, parameters)
-            assert_agree(render(*asked, renderer=gl), render(*asked), gl)
+            assert_agree(compose_depth(*asked, renderer=gl), compose_depth(*asked), gl)
     empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
     assert np.isnan(
-        render(camera, AXES, straight(1), 0, lambda _: empty, parameters, renderer=gl)
+        compose_depth(camera, AXES, straight(1), 0, lambda _: empty, parameters, renderer=gl)
     ).all()
 
 
@@ -127,16 +133,16 @@ def test_real_drive(gl, drive_0005, parameters):
     classid = np.where(np.arange(len(points)) % 7 == 0, 100, 50).astype(np.uint16)
     frame = Frame(np.ascontiguousarray(points), classid, parameters)
     asked = (stream.camera, stream.T_camera_lidar, straight(1), 0, lambda _: frame, parameters)
-    assert_agree(render(*asked, renderer=gl), render(*asked), gl)
+    assert_agree(compose_depth(*asked, renderer=gl), compose_depth(*asked), gl)
 
 
 def test_draws_from_many_threads(gl):
     parameters, camera = parameters_of((9, 2, 14, 3)), small_camera()
     trajectory, frames, _ = drive(np.random.default_rng(0), TIME, parameters)
     asked = (camera, AXES, trajectory, TIME, frames.__getitem__, parameters)
-    expected = render(*asked)
+    expected = compose_depth(*asked)
     with ThreadPoolExecutor(3) as pool:
-        for depth in pool.map(lambda _: render(*asked, renderer=gl), range(9)):
+        for depth in pool.map(lambda _: compose_depth(*asked, renderer=gl), range(9)):
             assert_agree(depth, expected, gl)
 
 

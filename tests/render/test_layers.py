@@ -8,10 +8,10 @@ from render_reference import AXES, PAPER, TRIANGLES, drive, small_camera, straig
 
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
-from docdepth.render.layers import _CONFIDENCE, LAYERS, confidence, layers
-from docdepth.render.selection import MOVING, static_frames
+from docdepth.render.layers import _CONFIDENCE, LAYERS, compose_layers, confidence
+from docdepth.render.selection import DYNAMIC_FRAMES, static_frames
 
 OF_SPLATS = tuple(name for name in LAYERS if name != "normal")
 GROUND, WALL = -1.7, 25.0
@@ -21,9 +21,9 @@ def test_splats_as_plain_numpy_counts_them():
     camera, time = small_camera(), 130_000_000
     trajectory, frames, clouds = drive(np.random.default_rng(5), time, PAPER)
     scene = (camera, AXES, trajectory, time, frames.__getitem__, PAPER)
-    depth = render(*scene)
+    depth = compose_depth(*scene)
     kept = depth.copy()
-    one, two = (layers(OF_SPLATS, depth, *scene, threads=t) for t in (1, 2))
+    one, two = (compose_layers(OF_SPLATS, depth, *scene, threads=t) for t in (1, 2))
     np.testing.assert_array_equal(depth, kept)
     for name in OF_SPLATS:
         np.testing.assert_array_equal(one[name], two[name])
@@ -94,13 +94,13 @@ def street(box=False):
     frames = [Frame(points, classid, TRIANGLES) for points, classid in sweeps]
     camera = Camera(np.array([[200.0, 0, 160], [0, 200, 50], [0, 0, 1]]), 320, 120)
     scene = (camera, AXES, trajectory, time, frames.__getitem__, TRIANGLES)
-    return scene, render(*scene)
+    return scene, compose_depth(*scene)
 
 
 def test_surfaces_of_a_street_are_what_they_are():
     scene, depth = street()
     _, _, trajectory, time, *_ = scene
-    found, again = (layers(LAYERS, depth, *scene, threads=t) for t in (1, 3))
+    found, again = (compose_layers(LAYERS, depth, *scene, threads=t) for t in (1, 3))
     for name in LAYERS:
         np.testing.assert_array_equal(found[name], again[name])
     u, v = np.meshgrid(np.arange(320), np.arange(120))
@@ -133,12 +133,12 @@ def test_surfaces_of_a_street_are_what_they_are():
 
 def test_what_moves_is_held_against_what_moves():
     scene, depth = street(box=True)
-    found = layers(("class", "support", "range"), depth, *scene)
+    found = compose_layers(("class", "support", "range"), depth, *scene)
     box = np.abs(depth - 10.0) < 0.2
     box &= found["class"] == 100
     assert box.sum() > 200
-    assert found["support"][box].max() == MOVING
-    assert (found["support"][box] == MOVING).mean() > 0.5
+    assert found["support"][box].max() == DYNAMIC_FRAMES
+    assert (found["support"][box] == DYNAMIC_FRAMES).mean() > 0.5
     # The box keeps 10 m ahead of the sensor.
     assert np.abs(found["range"][box] - 10).max() < 1
 
@@ -146,11 +146,11 @@ def test_what_moves_is_held_against_what_moves():
 def test_layers_that_there_are_not():
     scene, depth = street()
     with pytest.raises(InputError, match="unknown layer 'colour'; there are class,"):
-        layers(("colour",), depth, *scene)
+        compose_layers(("colour",), depth, *scene)
     with pytest.raises(InputError, match="of shape \\(120, 320\\)"):
-        layers(("class",), depth[:-1], *scene)
+        compose_layers(("class",), depth[:-1], *scene)
     with pytest.raises(InputError, match="no normal"):
-        layers(("normal",), depth, *scene[:-1], PAPER)
+        compose_layers(("normal",), depth, *scene[:-1], PAPER)
 
 
 def test_confidence_as_it_is_written():
@@ -205,8 +205,8 @@ def test_error_falls_as_confidence_rises(preset):
 
     time = int(drive.camera_times[8])
     scene_of = (camera, drive.rig.T_camera_lidar, trajectory, time, frame, preset)
-    depth, truth = render(*scene_of), drive.image(8).depth
-    sure = layers(("confidence",), depth, *scene_of)["confidence"]
+    depth, truth = compose_depth(*scene_of), drive.image(8).depth
+    sure = compose_layers(("confidence",), depth, *scene_of)["confidence"]
     np.testing.assert_array_equal(np.isnan(sure), np.isnan(depth))
     known = np.isfinite(depth) & (truth < 80)
     wrong = np.abs(depth - truth)[known] > 0.05 * truth[known]

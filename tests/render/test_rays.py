@@ -9,7 +9,7 @@ from docdepth import _core
 from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 
 F = np.float32
@@ -166,7 +166,7 @@ def test_bars_of_a_fence_are_where_many_sweeps_met_them():
     pixels = np.stack([np.ones(columns.shape), -columns / 500, -rows / 500], -1)
     truth = fence_and_wall(pixels, 0.0)
     drawn, wrong, missed = {}, {}, {}  # wrong: of those drawn; missed: or empty, of all
-    ways = {"alone": {"ahead": 0.1}, "not asked": {"witnesses": 0}, "asked": {}}
+    ways = {"alone": {"ahead": 0.1}, "not asked": {"visibility_sweeps": 0}, "asked": {}}
     for way, settings in ways.items():
         parameters = RenderParameters(step=0.5, behind=0.0, **settings)
         frames = []
@@ -174,11 +174,11 @@ def test_bars_of_a_fence_are_where_many_sweeps_met_them():
             ranges = fence_and_wall(directions, pose[0, 3])
             points = (directions * ranges[:, None])[(ranges > 0) & (ranges < 80)].astype(F)
             frames.append(Frame(points, np.full(len(points), 50, np.uint16), parameters))
-        depth = render(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 1)
+        depth = compose_depth(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 1)
         known = np.isfinite(depth)
         drawn[way], wrong[way] = known.mean(), (np.abs(depth - truth) > 0.05 * truth)[known].mean()
         missed[way] = (~(np.abs(depth - truth) <= 0.05 * truth)).mean()
-        threaded = render(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 3)
+        threaded = compose_depth(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 3)
         np.testing.assert_array_equal(threaded, depth)
     # One sweep leaves out what lies between bar and wall; the others fill that, less truly.
     assert drawn["alone"] < 0.8

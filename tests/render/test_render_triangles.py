@@ -12,9 +12,11 @@ from render_reference import (
     straight,
 )
 
-from docdepth.render.depth_map import render
+from docdepth.render import depth_map
+from docdepth.render import frame as frame_module
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
-from docdepth.render.selection import static_frames
+from docdepth.render.selection import STEP_GROWTH, static_frames
 
 
 def spinning(rings=48, columns=1500, low=-25.0, high=8.0):
@@ -50,7 +52,7 @@ def test_triangles_of_a_plane_are_that_plane_without_cracks(planes):
     points = (directions * ranges[:, None])[hit].astype(np.float32)
     camera = small_camera()
     frame = Frame(points, np.full(len(points), 50, np.uint16), TRIANGLES)
-    depth = render(camera, AXES, straight(1), 0, lambda _: frame, TRIANGLES)
+    depth = compose_depth(camera, AXES, straight(1), 0, lambda _: frame, TRIANGLES)
     rays = pixel_rays(camera)
     exact, plane = meet(rays.reshape(-1, 3), planes)
     exact, plane = np.minimum(exact, 1e6).reshape(depth.shape), plane.reshape(depth.shape)
@@ -125,7 +127,9 @@ def test_triangles_equal_a_plain_rasteriser(seed):
 def test_triangles_do_not_depend_on_threads(seed, pixels):
     trajectory, frames, _ = drive(np.random.default_rng(seed), 130_000_000, TRIANGLES)
     one, two = (
-        render(small_camera(250), AXES, trajectory, 130_000_000, frames.__getitem__, TRIANGLES, t)
+        compose_depth(
+            small_camera(250), AXES, trajectory, 130_000_000, frames.__getitem__, TRIANGLES, t
+        )
         for t in (1, 2)
     )
     np.testing.assert_array_equal(one, two)
@@ -133,10 +137,12 @@ def test_triangles_do_not_depend_on_threads(seed, pixels):
 
 
 @pytest.mark.parametrize(("max_speed", "time_offset"), [(0.0, None), (50.0, None), (50.0, 0.012)])
-def test_a_moving_box_is_carried_to_where_it_was_when_the_image_was_taken(max_speed, time_offset):
+def test_a_moving_box_is_carried_to_where_it_was_when_the_image_was_taken(
+    max_speed, time_offset, monkeypatch
+):
+    monkeypatch.setattr(depth_map, "MAX_SPEED", max_speed)
     directions = spinning(columns=3000)
     camera = small_camera()
-    parameters = TRIANGLES.model_copy(update={"max_speed": max_speed})
 
     def frame(index):  # sweeps a metre apart, a wall at 20 m, the box at 8 m goes 2 m a sweep
         wall = (20.0 - index) / directions[:, 0]
@@ -148,10 +154,10 @@ def test_a_moving_box_is_carried_to_where_it_was_when_the_image_was_taken(max_sp
         points = (directions * ranges[:, None])[seen].astype(np.float32)
         classid = np.where(on_box[seen], 100, 50).astype(np.uint16)
         times = None if time_offset is None else np.full(len(points), time_offset, np.float32)
-        return Frame(points, classid, parameters, time_offset=times)
+        return Frame(points, classid, TRIANGLES, time_offset=times)
 
     frames = [frame(i) for i in range(4)]
-    depth = render(camera, AXES, straight(4), 160_000_000, frames.__getitem__, parameters)
+    depth = compose_depth(camera, AXES, straight(4), 160_000_000, frames.__getitem__, TRIANGLES)
     # Sweep 2 saw the box at 12 m; 40 ms before, it was at 11.2 m and the camera at 1.6 m.
     distance = 12 - 1.6 if max_speed == 0 else 11.2 - 1.6
     row, middle = 32, 79
@@ -161,7 +167,7 @@ def test_a_moving_box_is_carried_to_where_it_was_when_the_image_was_taken(max_sp
     assert np.nanmax(np.abs(depth[row, 20:140][~box[20:140]] - 18.4)) < 0.1
 
 
-def test_what_a_post_hides_of_a_moving_box_other_sweeps_have_seen():
+def test_what_a_post_hides_of_a_moving_box_other_sweeps_have_seen(monkeypatch):
     """The box goes a metre a sweep to the left; the camera looks past the post, 0.6 m beside it."""
     directions = spinning(columns=3000)
     T_camera_lidar = AXES.copy()
@@ -181,8 +187,8 @@ def test_what_a_post_hides_of_a_moving_box_other_sweeps_have_seen():
 
     frames, camera = [frame(i) for i in range(7)], small_camera(640, 240, 360.0)
     time = 310_000_000
-    motion_corrected = straight(7, spacing=0.0)
-    depth = render(camera, T_camera_lidar, motion_corrected, time, frames.__getitem__, TRIANGLES)
+    standing = straight(7, spacing=0.0)
+    depth = compose_depth(camera, T_camera_lidar, standing, time, frames.__getitem__, TRIANGLES)
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     side, up = ((u - camera.K[0, 2]) / camera.K[0, 0]), ((v - camera.K[1, 2]) / camera.K[1, 1])
     y = 0.6 - side * box_at  # of the box's plane
@@ -194,8 +200,8 @@ def test_what_a_post_hides_of_a_moving_box_other_sweeps_have_seen():
     assert hidden.sum() > 50
     assert (np.abs(depth[hidden] - box_at) < 0.05).mean() > 0.95
     assert (np.abs(depth[inside] - box_at) < 0.05).mean() > 0.95
-    one = TRIANGLES.model_copy(update={"max_speed": 0.0})
-    alone = render(camera, T_camera_lidar, motion_corrected, time, frames.__getitem__, one)
+    monkeypatch.setattr(depth_map, "MAX_SPEED", 0.0)
+    alone = compose_depth(camera, T_camera_lidar, standing, time, frames.__getitem__, TRIANGLES)
     assert not (np.abs(alone[hidden] - box_at) < 0.05).mean() > 0.9
 
 
@@ -213,8 +219,8 @@ def test_a_moving_box_ends_close_to_the_last_ring_that_met_it():
         return Frame(points.astype(np.float32), classid, TRIANGLES)
 
     frames, camera = [frame(i) for i in range(7)], small_camera(640, 240, 360.0)
-    motion_corrected = straight(7, spacing=0.0)
-    depth = render(camera, AXES, motion_corrected, 310_000_000, frames.__getitem__, TRIANGLES)
+    standing = straight(7, spacing=0.0)
+    depth = compose_depth(camera, AXES, standing, 310_000_000, frames.__getitem__, TRIANGLES)
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     side = -8 * (u - camera.K[0, 2]) / camera.K[0, 0]
     up = -8 * (v - camera.K[1, 2]) / camera.K[1, 1]
@@ -225,11 +231,11 @@ def test_a_moving_box_ends_close_to_the_last_ring_that_met_it():
     assert not on_box[within & (up > last + 0.16)].any()
 
 
-def test_a_return_alone_is_a_small_diamond():
+def test_a_return_alone_is_a_small_diamond(monkeypatch):
     camera = small_camera()
-    wide = TRIANGLES.model_copy(update={"loose_deg": 3.0})
-    frame = Frame(np.array([[10, 0, 0]], np.float32), np.array([50], np.uint16), wide)
-    depth = render(camera, AXES, straight(1), 0, lambda _: frame, wide)
+    monkeypatch.setattr(frame_module, "ISOLATED_SIZE_DEG", 3.0)
+    frame = Frame(np.array([[10, 0, 0]], np.float32), np.array([50], np.uint16), TRIANGLES)
+    depth = compose_depth(camera, AXES, straight(1), 0, lambda _: frame, TRIANGLES)
     u, v = np.meshgrid(np.arange(160) - camera.K[0, 2], np.arange(60) - camera.K[1, 2])
     half = np.radians(3.0)
     inside = np.abs(u / camera.K[0, 0]) + np.abs(v / camera.K[1, 1]) <= half
@@ -266,4 +272,4 @@ def test_sweeps_of_triangles_leave_no_gap_however_fast_the_ego_is(spacing):
     )
     ahead = ahead[ahead > 0]
     # Spacings double, so the next sweep comes after twice the least distance at the most.
-    assert (np.diff(ahead) < 2 * TRIANGLES.step_growth * ahead[1:] + spacing + 0.01).all()
+    assert (np.diff(ahead) < 2 * STEP_GROWTH * ahead[1:] + spacing + 0.01).all()

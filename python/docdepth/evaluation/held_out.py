@@ -140,7 +140,7 @@ def evaluate_held_out(
         frames = {k: made[int(kept[k])] for k in needed}
         # The others put the LiDAR between the sweeps before and after; it is known better.
         T_lidar_between = inverse(trajectory.poses[index]) @ others.interpolate(time)[0]
-        depth = render.render(
+        depth = render.compose_depth(
             view,
             T_camera_sensor @ inverse(seen.T_lidar_sensor) @ T_lidar_between,
             others,

@@ -14,7 +14,6 @@ from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
 from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.render import rectified_image
 from docdepth.pipeline.stage import Progress, progress_callback
 from docdepth.visualization import pictures as visualize
 from docdepth.visualization.report import write_index
@@ -72,7 +71,7 @@ def write_video(
     writer: cv2.VideoWriter | None = None
     try:
         for done, name in enumerate(names):
-            image = rectified_image(stream, images[name]) if stream and name in images else None
+            image = stream.rectified_image(images[name]) if stream and name in images else None
             frame = _frame(read_depth(maps[name]), image)
             if writer is None:
                 writer = _writer(part, fps, frame)
