@@ -17,8 +17,8 @@ from render_reference import (
     straight,
 )
 
-from docdepth.config import RenderParameters
-from docdepth.errors import CalibrationError, InputError
+from docdepth.config import RenderParameters, parameters, parse_settings
+from docdepth.errors import CalibrationError, ConfigError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
@@ -168,6 +168,28 @@ def test_needed_frames_are_those_that_are_asked_for(parameters, time):
 
     compose_depth(small_camera(), AXES, trajectory, time, frame, parameters)
     assert asked == needed_frames(trajectory, time, parameters)
+
+
+@pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
+def test_the_crop_leaves_dynamic_points(parameters):
+    """The paper crops static points only; returns that are not finite are never drawn."""
+    near = parameters.model_copy(update={"crop": 10.0})
+    points = np.float32([[20, 0, 0], [np.inf, 1, 0], [np.nan, 0, 1], [1e30, 0, 0]])
+    for classid, drawn in ((50, False), (99, False), (100, True)):
+        frame = Frame(points, np.full(4, classid, np.uint16), near)
+        depth = compose_depth(small_camera(), AXES, straight(1), 0, lambda _, f=frame: f, near)
+        assert np.isfinite(depth).any() == drawn
+        np.testing.assert_allclose(depth[np.isfinite(depth)], 20, rtol=1e-5)
+
+
+def test_sizes_are_pairs_of_pixels():
+    for size in ("[40, 2]", "40,2"):
+        changed = parameters("paper", parse_settings([f"render.static_size={size}"])).render
+        assert changed.static_size == (40.0, 2.0)
+        assert changed.dynamic_size == (80.0, 35.0)
+    for size in ("40", "[40]", "[40, 0]", "[40, 2, 1]"):
+        with pytest.raises(ConfigError, match=r"render\.static_size"):
+            parameters("paper", parse_settings([f"render.static_size={size}"]))
 
 
 @pytest.mark.skipif("DOCDEPTH_KITTI_RAW" not in os.environ, reason="DOCDEPTH_KITTI_RAW is not set")
