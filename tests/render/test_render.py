@@ -174,9 +174,12 @@ def test_needed_frames_are_those_that_are_asked_for(parameters, time):
 def test_the_crop_leaves_dynamic_points(parameters):
     """The paper crops static points only; returns that are not finite are never drawn."""
     near = parameters.model_copy(update={"crop": 10.0})
-    points = np.float32([[20, 0, 0], [np.inf, 1, 0], [np.nan, 0, 1], [1e30, 0, 0]])
+    y, z = np.meshgrid(np.linspace(-1, 1, 20), np.linspace(-1, 1, 20))
+    board = np.stack([np.full(y.shape, 20.0), y, z], axis=-1).reshape(-1, 3)
+    unusable = [[np.inf, 1, 0], [np.nan, 0, 1], [1e30, 0, 0]]
+    points = np.concatenate([board, unusable]).astype(np.float32)
     for classid, drawn in ((50, False), (99, False), (100, True)):
-        frame = Frame(points, np.full(4, classid, np.uint16), near)
+        frame = Frame(points, np.full(len(points), classid, np.uint16), near)
         depth = compose_depth(small_camera(), AXES, straight(1), 0, lambda _, f=frame: f, near)
         assert np.isfinite(depth).any() == drawn
         np.testing.assert_allclose(depth[np.isfinite(depth)], 20, rtol=1e-5)
