@@ -77,8 +77,8 @@ def main() -> None:
 
     renderers, first = {}, {}
     for backend in backends.available():
-        if not backend.well:
-            print(f"{backend.name:<12} not available: {backend.finding}")
+        if not backend.usable:
+            print(f"{backend.name:<12} not available: {backend.detail}")
             continue
         renderers[backend.name] = renderer = backends.choose(backend.name)
         first[backend.name] = seconds(lambda r=renderer: draw(r))

@@ -42,9 +42,9 @@ def any_gl():
     """The name of a back end that works here."""
     found = backends.available()[1:]
     for backend in found:
-        if backend.well:
+        if backend.usable:
             return backend.name
-    pytest.skip("no OpenGL: " + "; ".join(f"{b.name}: {b.finding}" for b in found))
+    pytest.skip("no OpenGL: " + "; ".join(f"{b.name}: {b.detail}" for b in found))
 
 
 def parameters_of(sizes):
@@ -229,14 +229,14 @@ from docdepth.render import backends
 from docdepth.errors import BackendError
 assert backends.choose("auto").name == "cpu"
 found = {b.name: b for b in backends.available()}
-assert found.pop("cpu").well
+assert found.pop("cpu").usable
 assert set(found) == {"egl", "surfaceless", "osmesa"}, found
 for name, backend in found.items():
-    assert not backend.well and ".so" in backend.finding, backend
+    assert not backend.usable and ".so" in backend.detail, backend
     try:
         backends.choose(name)
     except BackendError as error:
-        assert backend.finding in str(error)
+        assert backend.detail in str(error)
     else:
         raise AssertionError(name)
 """
@@ -290,4 +290,4 @@ def test_doctor_lists_every_back_end():
     rows = {name: (finding, well) for name, finding, well in doctor()}
     assert rows["renderer cpu"][1]
     for backend in backends.available():
-        assert rows[f"renderer {backend.name}"] == (backend.finding, backend.well)
+        assert rows[f"renderer {backend.name}"] == (backend.detail, backend.usable)
