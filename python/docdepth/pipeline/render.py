@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,12 +11,11 @@ from numpy.typing import NDArray
 
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
-from docdepth.errors import DatasetError
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.depth import check_format
 from docdepth.io.ply import write_trajectory
-from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.pipeline.depth_files import FOLDERS, DepthFiles
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.depth_files import FOLDERS
+from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render
 from docdepth.pipeline.stage import (
     Progress,
     Stopwatch,
@@ -29,7 +27,7 @@ from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.frame_cache import FrameCache
-from docdepth.render.layers import check_layers, compose_layers
+from docdepth.render.layers import compose_layers
 from docdepth.render.selection import needed_frames
 from docdepth.visualization.report import write_index
 
@@ -80,7 +78,7 @@ def run_render(
         A frame has no classes.
     """
     streams = [streams] if isinstance(streams, CameraStream) else list(streams)
-    plan = _plan(run, streams, stage, parameters or run.parameters)
+    plan = plan_render(run, streams, stage, parameters or run.parameters)
     if stage_is_done(run, stage, plan.key):
         return plan.left_out
     renderer, watch = renderer or Renderer(), Stopwatch()
@@ -109,86 +107,7 @@ def run_render(
     return plan.left_out
 
 
-@dataclass(frozen=True)
-class _Image:
-    """One image to render."""
-
-    time: int
-    files: DepthFiles
-    index: int
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """What is to be rendered.
-
-    ``images`` are those within the trajectory, sorted by time since cameras share the sweeps of one
-    time. ``key`` is a hash of all that the depth maps depend on.
-    """
-
-    files: list[DepthFiles]
-    images: list[_Image]
-    left_out: list[str]
-    key: str
-    trajectory: Trajectory
-    parameters: Parameters
-
-    @property
-    def folders(self) -> list[str]:
-        return [files.folder for files in self.files]
-
-
-def _plan(run: RunFolder, streams: list[CameraStream], stage: str, parameters: Parameters) -> _Plan:
-    drawing, output = parameters.render, parameters.output
-    for format in output.format:
-        check_format(format, output.scale, drawing.max_depth)
-    check_layers(output.layers, drawing)
-    trajectory = run.trajectory()
-    key = stage_key(
-        run.stage("classify").get("key"),
-        drawing.model_dump(),
-        output.model_dump(),
-        [_identity(stream) for stream in streams],
-    )
-    separate = len(streams) > 1 or stage != "render"
-    files, images, left_out = [], [], []
-    for stream in streams:
-        camera = DepthFiles(run, stream, stream.name if separate else "", parameters)
-        inside = _inside(trajectory, stream)
-        images += [_Image(int(stream.times[k]), camera, int(k)) for k in np.flatnonzero(inside)]
-        names = [stream.names[k] for k in np.flatnonzero(~inside)]
-        left_out += [f"{camera.folder}/{name}" if separate else name for name in names]
-        files.append(camera)
-    images.sort(key=lambda image: image.time)
-    return _Plan(files, images, left_out, key, trajectory, parameters)
-
-
-def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:
-    """Which images were taken between the first and the last sweep."""
-    inside = trajectory.covers(stream.times)
-    if not inside.any():
-        raise DatasetError(
-            f"none of the {len(stream.names)} images of {stream.name} lies between the first and "
-            "the last sweep; are camera and LiDAR on one clock? See --camera-times"
-        )
-    return inside
-
-
-def _identity(stream: CameraStream) -> list[Any]:
-    """All of a camera that its depth maps depend on."""
-    camera = stream.camera
-    return [
-        stream.name,
-        camera.K.tolist(),
-        [camera.width, camera.height],
-        stream.distortion_coefficients,
-        stream.T_camera_lidar.tolist(),
-        stream.names,
-        stream.times.tolist(),
-    ]
-
-
-def _remove_outdated(run: RunFolder, stage: str, plan: _Plan) -> None:
+def _remove_outdated(run: RunFolder, stage: str, plan: RenderPlan) -> None:
     """Delete the files that were made with other parameters or of other cameras."""
     before = run.stage(stage)
     if before.get("key") == plan.key:
@@ -201,7 +120,7 @@ def _remove_outdated(run: RunFolder, stage: str, plan: _Plan) -> None:
         run.forget_calibration(folder)
 
 
-def _write_cameras(run: RunFolder, plan: _Plan) -> None:
+def _write_cameras(run: RunFolder, plan: RenderPlan) -> None:
     """Write calibration and interpolated poses (paper V-A) of each camera."""
     for files in plan.files:
         stream, folder = files.stream, files.folder
@@ -215,16 +134,16 @@ def _write_cameras(run: RunFolder, plan: _Plan) -> None:
 
 
 class _Job(NamedTuple):
-    """What the rendering of every image needs."""
+    """What all images of the stage share."""
 
     run: RunFolder
-    plan: _Plan
+    plan: RenderPlan
     threads: int
     renderer: Renderer
     watch: Stopwatch
 
 
-def _render_images(job: _Job, images: list[_Image], progress: Callable[[int], None]) -> None:
+def _render_images(job: _Job, images: list[ImageToRender], progress: Callable[[int], None]) -> None:
     """Render images in order; meanwhile the next is prepared and the last is written."""
     run, plan, watch = job.run, job.plan, job.watch
     trajectory, parameters = plan.trajectory, plan.parameters
@@ -248,7 +167,7 @@ def _render_images(job: _Job, images: list[_Image], progress: Callable[[int], No
 
 
 def _render_image(
-    job: _Job, image: _Image, frames: dict[int, Frame]
+    job: _Job, image: ImageToRender, frames: dict[int, Frame]
 ) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
     parameters, stream = job.plan.parameters, image.files.stream
     scene = (
@@ -269,7 +188,10 @@ def _render_image(
 
 
 def _write(
-    image: _Image, depth: NDArray[np.float32], layers: dict[str, NDArray[Any]], watch: Stopwatch
+    image: ImageToRender,
+    depth: NDArray[np.float32],
+    layers: dict[str, NDArray[Any]],
+    watch: Stopwatch,
 ) -> None:
     with watch("write"):
         image.files.write(image.index, depth, layers)
