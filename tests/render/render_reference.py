@@ -1,4 +1,4 @@
-"""A plain numpy rasteriser of splats, and the scenes that renderers are held against."""
+"""A plain numpy rasteriser of splats, and scenes to compare renderers on."""
 
 from __future__ import annotations
 

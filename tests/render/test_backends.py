@@ -1,4 +1,4 @@
-"""OpenGL back ends against the cpu, and what happens when they are missing."""
+"""OpenGL back ends compared with the CPU, and missing libraries."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def gl(request):
 
 
 def any_gl():
-    """The name of a back end that works here."""
+    """The name of a back end that works on this machine."""
     found = backends.available()[1:]
     for backend in found:
         if backend.usable:
@@ -77,7 +77,7 @@ DRAWN = [
 
 
 @pytest.mark.parametrize("parameters", DRAWN)
-def test_agrees_with_the_processor(gl, parameters):
+def test_agrees_with_the_cpu(gl, parameters):
     camera = small_camera()
     for seed in range(3):
         trajectory, frames, _ = drive(np.random.default_rng(seed), TIME, parameters)
@@ -108,7 +108,7 @@ def test_splats_larger_than_a_point_can_be_are_squares(gl):
 
 
 def test_each_image_is_drawn_anew(gl):
-    """Other frames, poses and image sizes with one renderer; points on the device are not mixed."""
+    """One renderer for several frames, poses and image sizes; points on the device do not mix."""
     for seed, width in enumerate([160, 160, 160, 90, 1242]):
         parameters = DRAWN[seed % 3]
         camera = small_camera(width, 60, 60.0)
@@ -124,7 +124,7 @@ def test_each_image_is_drawn_anew(gl):
 
 @pytest.mark.parametrize("parameters", DRAWN[:2])
 def test_real_drive(gl, drive_0005, parameters):
-    """KITTI's camera, what the presets draw: the agreement that is promised."""
+    """The documented agreement, for KITTI's camera and both presets."""
     from docdepth.datasets import open_dataset
 
     dataset = open_dataset(drive_0005)
@@ -191,7 +191,7 @@ sys.exit(os.waitstatus_to_exitcode(status))
 
 
 @pytest.mark.parametrize("name", ["egl", "surfaceless", "osmesa"])
-def test_a_forked_child_is_told_and_the_parent_draws_on(name):
+def test_a_forked_child_gets_an_error_and_the_parent_continues(name):
     opened(name)
     done = subprocess.run(
         [sys.executable, "-c", FORKED, name], timeout=120, capture_output=True, text=True
@@ -221,7 +221,7 @@ def test_a_missing_library_is_named(backend):
 
 
 @LINUX
-def test_broken_libraries_leave_the_processor(tmp_path):
+def test_with_broken_libraries_the_cpu_renders(tmp_path):
     for name in BROKEN:
         (tmp_path / name).write_bytes(b"not a library")
     script = """
@@ -263,7 +263,7 @@ def test_the_extension_is_not_linked_to_opengl():
         assert name not in linked.stdout
 
 
-def test_auto_takes_a_graphics_card_else_the_processor(monkeypatch):
+def test_auto_takes_a_graphics_card_else_the_cpu(monkeypatch):
     monkeypatch.delenv("DOCDEPTH_RENDERER", raising=False)
     chosen = backends.choose()
     assert chosen.name == "cpu" or not chosen.software

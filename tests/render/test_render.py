@@ -204,7 +204,7 @@ def test_equals_plain_numpy_on_real_sweeps():
         np.array([[721.5377, 0, 609.5593], [0, 721.5377, 172.854], [0, 0, 1]]), 1242, 375
     )
     trajectory = straight(len(sweeps), spacing=5.0)
-    # Every tenth point moves, so that both sizes are met.
+    # Every tenth point is dynamic, so that both sizes occur.
     classes = [np.where(np.arange(len(s)) % 10, 50, 100).astype(np.uint16) for s in sweeps]
     frames = [Frame(s, c, PAPER) for s, c in zip(sweeps, classes, strict=True)]
     time = 20_000_000
