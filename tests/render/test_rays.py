@@ -129,7 +129,7 @@ def test_a_ray_is_free_between_its_origin_and_its_return():
         places = (start + share * (end - start)).astype(F)
         points, normals = end[None], np.zeros((1, 3), F)
         told = _core.Rays(points, normals, start[None]).ask(places)
-        # Within a centimetre: -1 / (0.02 + 0.01)^2; a ray from the frame's origin passes farther off.
+        # Within 1 cm: -1 / (0.02 + 0.01)^2. A ray from the frame's origin passes farther off.
         assert (told < -1 / 0.03**2).all()
 
 
@@ -165,13 +165,14 @@ def test_bars_of_a_fence_are_where_most_sweeps_measured_them():
     columns, rows = np.meshgrid(np.arange(501) - 250, np.arange(101) - 50)
     pixels = np.stack([np.ones(columns.shape), -columns / 500, -rows / 500], -1)
     truth = fence_and_wall(pixels, 0.0)
-    drawn, wrong, missed = (
-        {},
-        {},
-        {},
-    )  # wrong: share of the drawn pixels; missed: wrong or empty, share of all
-    ways = {"alone": {"ahead": 0.1}, "not asked": {"visibility_sweeps": 0}, "asked": {}}
-    for way, settings in ways.items():
+    # wrong: share of the drawn pixels; missed: share of all pixels that are wrong or empty
+    drawn, wrong, missed = {}, {}, {}
+    cases = {
+        "one sweep": {"ahead": 0.1},
+        "without rays": {"visibility_sweeps": 0},
+        "with rays": {},
+    }
+    for case, settings in cases.items():
         parameters = RenderParameters(step=0.5, behind=0.0, **settings)
         frames = []
         for pose in poses:
@@ -180,21 +181,22 @@ def test_bars_of_a_fence_are_where_most_sweeps_measured_them():
             frames.append(Frame(points, np.full(len(points), 50, np.uint16), parameters))
         depth = compose_depth(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 1)
         known = np.isfinite(depth)
-        drawn[way], wrong[way] = known.mean(), (np.abs(depth - truth) > 0.05 * truth)[known].mean()
-        missed[way] = (~(np.abs(depth - truth) <= 0.05 * truth)).mean()
+        drawn[case] = known.mean()
+        wrong[case] = (np.abs(depth - truth) > 0.05 * truth)[known].mean()
+        missed[case] = (~(np.abs(depth - truth) <= 0.05 * truth)).mean()
         threaded = compose_depth(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 3)
         np.testing.assert_array_equal(threaded, depth)
     # One sweep leaves pixels between bar and wall empty; others fill them, with more errors.
-    assert drawn["alone"] < 0.8
-    assert wrong["alone"] < 0.01
-    assert wrong["not asked"] > 0.03
-    assert drawn["not asked"] > 0.95
-    assert drawn["asked"] > 0.95
-    assert 0.05 < missed["alone"] < 0.3
-    assert missed["asked"] < 0.65 * missed["alone"]
-    assert 0.05 < missed["not asked"] < 0.3
-    assert missed["asked"] < missed["not asked"]
-    assert wrong["asked"] < 0.8 * wrong["not asked"]
+    assert drawn["one sweep"] < 0.8
+    assert wrong["one sweep"] < 0.01
+    assert wrong["without rays"] > 0.03
+    assert drawn["without rays"] > 0.95
+    assert drawn["with rays"] > 0.95
+    assert 0.05 < missed["one sweep"] < 0.3
+    assert missed["with rays"] < 0.65 * missed["one sweep"]
+    assert 0.05 < missed["without rays"] < 0.3
+    assert missed["with rays"] < missed["without rays"]
+    assert wrong["with rays"] < 0.8 * wrong["without rays"]
     # Rays also limit how far a bar extends beyond the returns of a single sweep.
-    assert wrong["asked"] < 0.6 * wrong["not asked"]
-    assert missed["asked"] < 0.7 * missed["not asked"]
+    assert wrong["with rays"] < 0.6 * wrong["without rays"]
+    assert missed["with rays"] < 0.7 * missed["without rays"]
