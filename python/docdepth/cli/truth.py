@@ -79,7 +79,7 @@ def sweep(
     """
     from docdepth.errors import ConfigError, MissingExtraError
     from docdepth.tuning import grid, parse_axes, plot, read_trials, table
-    from docdepth.tuning import sweep as work
+    from docdepth.tuning import tune as work
 
     if bool(vary) == bool(trials):
         raise ConfigError("say what to vary: --vary STAGE.NAME=A,B or --trials FILE")
@@ -91,7 +91,7 @@ def sweep(
         )  # fmt: skip
     out.print(str(table(outcomes)), soft_wrap=True, markup=False)
     try:
-        plot(outcomes, output / "sweep.png")
+        plot(outcomes, output / "tune.png")
     except MissingExtraError as error:
         out.print(f"no plot: {error}", markup=False)
 
