@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from docdepth.errors import MissingExtraError
+from docdepth.evaluation.label_counts import NOTE
 from docdepth.evaluation.tables import Table, number
 from docdepth.io.atomic import write_atomically
 
@@ -65,8 +66,7 @@ class Outcome:
 
 def table(outcomes: Sequence[Outcome]) -> Table:
     """One row per trial: metrics, and milliseconds per sweep."""
-    header = ("trial", "static accuracy SA %", "dynamic accuracy DA %", "F1", "precision", "IoU")
-    header += ("ground ms", "voting ms")
+    header = ("trial", "SA %", "DA %", "F1", "precision", "IoU", "ground ms", "voting ms")
     rows = []
     for outcome in outcomes:
         cells = [number(outcome.figure(name), 2 if name in ("sa", "da") else 4) for name in FIGURES]
@@ -74,7 +74,7 @@ def table(outcomes: Sequence[Outcome]) -> Table:
         rows.append((outcome.name, *cells, *times))
     first = outcomes[0].figures if outcomes else {}
     title = f"{first.get('protocol')}; poses: {first.get('poses')}; {first.get('sweeps')} sweeps"
-    return Table(title, header, tuple(rows))
+    return Table(title, header, tuple(rows), NOTE)
 
 
 def as_csv(outcomes: Sequence[Outcome]) -> str:
