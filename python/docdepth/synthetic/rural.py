@@ -202,6 +202,35 @@ def hills(seed: int) -> Scene:
     start, end = -125.0, 380.0
     road = _hill_road(start, end, rng)
     street = Street(road, rng)
+    _country_roadside(street, start, end)
+    for s, d, yaw in ((40.0, 18.0, 0.2), (130.0, -17.0, 2.9), (215.0, 16.5, 0.0)):
+        street.put(houses.building(rng, 12.0, 8.5, 4.5, gable=True), s, d, yaw)
+    street.park(road_users.car(rng), 66.0, -5.0)
+    street.send("car", [(30.0, -1.7), (100.0, -1.7)], Pace(12.5, wave=0.05))
+    for s, kind, speed in (
+        (55.0, "car", 14.0),
+        (120.0, "van", 13.0),
+        (190.0, "car", 15.0),
+        (290.0, "truck", 11.0),
+    ):
+        street.send(kind, [(s, 1.7), (s - 90, 1.7)], Pace(speed))
+    street.send("cyclist", [(48.0, -3.0), (100.0, -3.0)], Pace(4.0, wave=0.1))
+    street.send("cyclist", [(80.0, 2.9), (10.0, 2.9)], Pace(9.0))
+    for s, d, speed in ((35.0, 4.0, 1.2), (35.8, 4.5, 1.2), (75.0, -4.1, -1.0), (110.0, 4.2, -1.3)):
+        street.walk(s, d, speed)
+    street.send(
+        "car",
+        [(95.0, 5.2), (85.0, 1.8), (-80.0, 1.7)],
+        Pace(9.0, departure=2.5),
+        name="leaves a lay-by",
+    )
+    ego = Path(road, np.array([(0.0, -1.7), (100.0, -1.7)]), Pace(12.0, wave=0.05))
+    return street.scene("hills", seed, ego, 20.0)
+
+
+def _country_roadside(street: Street, start: float, end: float) -> None:
+    """Trees, bushes, hedges, fences, poles, markers and signs."""
+    rng = street.rng
     for side in (-1.0, 1.0):
         spots = np.arange(start, end, 9.0)
         street.row(
@@ -238,26 +267,3 @@ def hills(seed: int) -> Scene:
             street.put(roadside.hedge(rng, 5.0, 1.6, 1.0), s, 7.4)
         if part in (0, 2):
             street.put(roadside.fence(5.0, 1.2), s, 6.3 if part == 2 else -6.3)
-    for s, d, yaw in ((40.0, 18.0, 0.2), (130.0, -17.0, 2.9), (215.0, 16.5, 0.0)):
-        street.put(houses.building(rng, 12.0, 8.5, 4.5, gable=True), s, d, yaw)
-    street.park(road_users.car(rng), 66.0, -5.0)
-    street.send("car", [(30.0, -1.7), (100.0, -1.7)], Pace(12.5, wave=0.05))
-    for s, kind, speed in (
-        (55.0, "car", 14.0),
-        (120.0, "van", 13.0),
-        (190.0, "car", 15.0),
-        (290.0, "truck", 11.0),
-    ):
-        street.send(kind, [(s, 1.7), (s - 90, 1.7)], Pace(speed))
-    street.send("cyclist", [(48.0, -3.0), (100.0, -3.0)], Pace(4.0, wave=0.1))
-    street.send("cyclist", [(80.0, 2.9), (10.0, 2.9)], Pace(9.0))
-    for s, d, speed in ((35.0, 4.0, 1.2), (35.8, 4.5, 1.2), (75.0, -4.1, -1.0), (110.0, 4.2, -1.3)):
-        street.walk(s, d, speed)
-    street.send(
-        "car",
-        [(95.0, 5.2), (85.0, 1.8), (-80.0, 1.7)],
-        Pace(9.0, departure=2.5),
-        name="leaves a lay-by",
-    )
-    ego = Path(road, np.array([(0.0, -1.7), (100.0, -1.7)]), Pace(12.0, wave=0.05))
-    return street.scene("hills", seed, ego, 20.0)
