@@ -7,8 +7,8 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-import click
 import numpy as np
 import pytest
 import typer
@@ -98,18 +98,17 @@ def test_commands_and_options_exist(page: Path) -> None:
         assert options <= known, f"{page.name}: {options - known} in {line!r}"
 
 
-def _command(group: click.Command, words: list[str]) -> click.Command | None:
+def _command(group: Any, words: list[str]) -> Any:
     """The command that the first words name; the group itself if an option comes first."""
-    if not words or words[0].startswith("-") or not isinstance(group, click.Group):
+    verbs = getattr(group, "commands", None)
+    if verbs is None or not words or words[0].startswith("-"):
         return group
-    if words[0] not in group.commands:
-        return None
-    return _command(group.commands[words[0]], words[1:])
+    return _command(verbs[words[0]], words[1:]) if words[0] in verbs else None
 
 
 @pages
 def test_options_in_the_text_exist(page: Path) -> None:
-    def every(command: click.Command) -> Iterator[str]:
+    def every(command: Any) -> Iterator[str]:
         for parameter in command.params:
             yield from parameter.opts
         for child in getattr(command, "commands", {}).values():
@@ -168,7 +167,6 @@ def test_public_names_are_on_the_page_of_python() -> None:
     assert listed == set(docdepth.__all__) - {"__version__"}
 
 
-@pytest.mark.slow
 def test_snippets_of_the_readme_run(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -180,11 +178,11 @@ def test_snippets_of_the_readme_run(
         '"image_02"': '"image_2"',
         "index=50": "index=2",
     }
-    space: dict = {}
+    space: dict[str, Any] = {}
     exec(_with(depth_map, replaced), space)
     camera = space["drive"].cameras["image_2"].camera
     assert space["depth"].shape == (camera.height, camera.width)
-    assert np.isfinite(space["depth"]).mean() > 0.2
+    assert np.isfinite(space["depth"]).mean() > 0.5
 
     recording = open_dataset(drive)
     space |= {
