@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Iterator
 from typing import Any, Literal, get_args, get_origin
@@ -19,6 +20,7 @@ Set any of them with `--set STAGE.NAME=VALUE`, or in Python with
 keeps the values of a run. An unknown name or a value out of range is an error.
 
 *Paper* is the value of `--preset paper` where it differs from the default. *Symbol* is the paper's.
+Each stage lists where it departs from the paper's text.
 What is not listed here is a constant in the code, named, with its unit and reason.
 
 <!-- generated: python docs/parameters.py > docs/parameters.md -->
@@ -29,7 +31,7 @@ COLUMNS = ("name", "default", "paper", "unit", "range", "meaning", "symbol")
 # A description reads "meaning, symbol [unit]"; symbol and unit may be left out.
 SYMBOL = re.compile(
     r", ((?:l|s|w|alpha|delta|tau|k_nn|r_seed|[dR]_[a-z]+|sigma_[a-z]+|d_theta = d_phi)"
-    r"(?:, (?:[dR]_[a-z]+|sigma_[a-z]+))*)$"
+    r"(?:(?:, | and )(?:[dR]_[a-z]+|sigma_[a-z]+))*)$"
 )
 UNIT = re.compile(r"\s*\[([^]]*)\]$")
 
@@ -47,7 +49,7 @@ def page() -> str:
 
 def _table(stage: str, default: BaseModel, paper: BaseModel) -> Iterator[str]:
     yield f"## {stage}\n"
-    yield " ".join((type(default).__doc__ or "").split("\n\n")[0].split()) + "\n"
+    yield _documentation(type(default)) + "\n"
     yield _row(COLUMNS)
     yield _row(["---"] * len(COLUMNS))
     for name, field in type(default).model_fields.items():
@@ -56,6 +58,12 @@ def _table(stage: str, default: BaseModel, paper: BaseModel) -> Iterator[str]:
         shown = "" if here == there else _shown(there)
         cells = (f"`{stage}.{name}`", _shown(here), shown, unit, _range(field), text, symbol)
         yield _row(cells)
+
+
+def _documentation(group: type[BaseModel]) -> str:
+    """The docstring of a stage as Markdown, without the underlined title of its notes."""
+    text = inspect.cleandoc(group.__doc__ or "")
+    return re.sub(r"^Notes\n-+\n", "", text, flags=re.MULTILINE).replace("``", "`")
 
 
 def _described(field: FieldInfo) -> tuple[str, str, str]:
@@ -100,4 +108,4 @@ def _row(cells: Any) -> str:
 
 
 if __name__ == "__main__":
-    print(page(), end="")  # noqa: T201
+    print(page(), end="")
