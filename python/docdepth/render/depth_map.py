@@ -65,7 +65,7 @@ def render(
     """
     p = parameters or RenderParameters()
     core = (renderer or Renderer()).core
-    draw = core.render_splats if p.surface == "splats" else core.render_surfaces
+    draw = core.render_splats if p.surface == "splats" else core.render_meshes
     depth: NDArray[np.float32] = draw(
         **arguments(camera, T_camera_lidar, trajectory, time, frames, p), threads=threads
     )
@@ -84,7 +84,7 @@ def arguments(
 ) -> dict[str, Any]:
     """What the core draws, or looks at, for one image."""
     T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
-    kind = _core.Frame if p.surface == "splats" else _core.SurfaceFrame
+    kind = _core.Frame if p.surface == "splats" else _core.MeshFrame
 
     def frame(index: int) -> Frame:
         found = frames(index)
@@ -108,8 +108,8 @@ def arguments(
         }
     since = (np.int64(time) - trajectory.times[moving]) * 1e-9
     return image | {
-        "fixed": fixed,
-        "moving": [(*mover, float(t)) for mover, t in zip(dynamic_part, since, strict=True)],
+        "static_frames": fixed,
+        "dynamic_frames": [(*part, float(t)) for part, t in zip(dynamic_part, since, strict=True)],
         "max_speed": p.max_speed,
-        "witnesses": p.witnesses,
+        "visibility_sweeps": p.witnesses,
     }

@@ -102,7 +102,7 @@ class Frame:
             )
 
 
-_Part = tuple[_core.Frame | _core.SurfaceFrame, NDArray[np.float64]]
+_Part = tuple[_core.Frame | _core.MeshFrame, NDArray[np.float64]]
 """What is drawn, and where it stands in the LiDAR's frame."""
 
 
@@ -111,10 +111,10 @@ def _surface_frame(
     classid: NDArray[np.uint16],
     parameters: RenderParameters,
     time_offset: NDArray[np.float32] | None,
-) -> _core.SurfaceFrame:
+) -> _core.MeshFrame:
     """Rows that are not finite are no points of this surface."""
     points, ray_origins = part.view.points, part.view.ray_origins()
-    triangles, cut, loose = part.core.triangles, part.core.cut, part.core.loose
+    triangles, cut, loose = part.core.triangles, part.core.discontinuity, part.core.isolated
     if not np.isfinite(points).all():
         own = np.isfinite(points).all(axis=1)
         row = np.cumsum(own, dtype=np.uint32) - np.uint32(1)
@@ -126,6 +126,4 @@ def _surface_frame(
         ray_origins = None if ray_origins is None else ray_origins[own]
         triangles, loose = row[triangles], row[loose]
     angle = float(np.radians(parameters.loose_deg))
-    return _core.SurfaceFrame(
-        points, classid, triangles, cut, loose, angle, time_offset, ray_origins
-    )
+    return _core.MeshFrame(points, classid, triangles, cut, loose, angle, time_offset, ray_origins)
