@@ -21,7 +21,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
-from docdepth.io.ply import (
+from docdepth.io.frames import (
     FrameRecord,
     read_frame,
     read_frame_key,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import Dataset, Sweep
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.points import usable_points
-from docdepth.io.ply import FrameRecord, write_trajectory
+from docdepth.io.frames import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.odometry.blooming import blooming_points
 from docdepth.odometry.odometry import odometry
