@@ -60,7 +60,7 @@ def run(
     """
     from docdepth.config import parameters, parse_settings
     from docdepth.io.run_folder import RunFolder
-    from docdepth.pipeline.run_inputs import open_source
+    from docdepth.pipeline.run_inputs import open_inputs
     from docdepth.render.backends import choose
 
     drawn_by = choose(renderer)
@@ -74,7 +74,7 @@ def run(
         "camera_times": str(camera_times.resolve()) if camera_times else None,
         "image_size": image_size,
     }
-    recording, streams = open_source(source)
+    recording, streams = open_inputs(source)
     folder = RunFolder.create(output, source, values)
     with progress_bars() as progress:
         _run_all(folder, recording, streams, threads, progress, drawn_by)
@@ -85,13 +85,13 @@ def run(
 def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
     """Poses and deskewed sweeps again, with other parameters."""
     from docdepth.pipeline import run_odometry
-    from docdepth.pipeline.run_inputs import open_source, poses_of
+    from docdepth.pipeline.run_inputs import known_poses, open_inputs
 
     folder = reopen(run, changes_of(settings), "odometry")
     source = folder.manifest["source"]
-    recording, _ = open_source(source)
+    recording, _ = open_inputs(source)
     with progress_bars() as progress:
-        run_odometry(folder, recording, poses_of(source, recording), progress, threads)
+        run_odometry(folder, recording, known_poses(source, recording), progress, threads)
     show_summary(folder)
 
 
@@ -134,7 +134,7 @@ def render(
     from docdepth.datasets.run import RunDataset
     from docdepth.errors import ConfigError
     from docdepth.pipeline import run_render
-    from docdepth.pipeline.run_inputs import open_source
+    from docdepth.pipeline.run_inputs import open_inputs
     from docdepth.render.backends import choose
 
     drawn_by = choose(renderer)
@@ -156,7 +156,7 @@ def render(
     if source:
         if camera:
             source["camera"] = listed(camera)
-        _, streams = open_source(source)
+        _, streams = open_inputs(source)
         folder.save()
     else:
         streams = list(RunDataset(run).cameras.values())
@@ -175,13 +175,13 @@ def video(
 ) -> None:
     """The images of a run above their depth, as report/video.webm."""
     from docdepth.io.run_folder import RunFolder
-    from docdepth.pipeline.run_inputs import stream_of
+    from docdepth.pipeline.run_inputs import recorded_camera
     from docdepth.visualization.video import write_video
 
     folder = RunFolder.open(run)
     name = folder.depth_folder(camera)
     with progress_bars() as progress:
-        path = write_video(folder, name, stream_of(folder, name), fps, progress)
+        path = write_video(folder, name, recorded_camera(folder, name), fps, progress)
     out.print(f"{path}", soft_wrap=True, markup=False)
 
 
@@ -194,9 +194,9 @@ def _run_all(
     renderer: Renderer,
 ) -> None:
     from docdepth.pipeline import run_classify, run_odometry, run_render
-    from docdepth.pipeline.run_inputs import poses_of
+    from docdepth.pipeline.run_inputs import known_poses
 
-    poses = poses_of(folder.manifest["source"], recording)
+    poses = known_poses(folder.manifest["source"], recording)
     run_odometry(folder, recording, poses, progress, threads)
     run_classify(folder, threads, progress)
     run_render(folder, streams, threads, progress, renderer)

@@ -49,7 +49,7 @@ class FrameRecord:
     input_points : int
         Rows of the input sweep.
     key : dict
-        Which parameters made this file, a hash for each stage.
+        Hash of the parameters that made this file, by stage.
     classid : ndarray of uint16, shape (N,), optional
         Below 50 ground, 50 to 99 static, 100 and above dynamic.
     votes_static, votes_dynamic : ndarray of uint16, shape (N,), optional
@@ -72,7 +72,7 @@ class FrameRecord:
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, indices: NDArray[np.int64]) -> None:
-    """Write poses as ``x y z q_w q_x q_y q_z timestamp indices``, doubles, seconds."""
+    """Write poses as ``x y z q_w q_x q_y q_z timestamp indices``, in doubles and seconds."""
     rows = np.zeros(len(trajectory), _TRAJECTORY)
     rows["x"], rows["y"], rows["z"] = trajectory.poses[:, :3, 3].T
     quaternions = np.array([matrix_to_quaternion(pose[:3, :3]) for pose in trajectory.poses])
@@ -84,7 +84,7 @@ def write_trajectory(path: Path, trajectory: Trajectory, indices: NDArray[np.int
 
 
 def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
-    """Poses and their frame indices; ``qx`` for ``q_x`` is understood too.
+    """Read poses and their frame indices; ``qx`` is read like ``q_x``.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
 
 
 def write_frame(path: Path, frame: FrameRecord) -> None:
-    """Write a frame; labels, votes and times only when there are any."""
+    """Write a frame; classes, votes, times and sensors only where it has them."""
     fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("index", "<u4")]
     extra = {name: getattr(frame, name) for name in _OPTIONAL if getattr(frame, name) is not None}
     fields += [(name, _OPTIONAL[name]) for name in extra]
@@ -137,7 +137,9 @@ def write_frame(path: Path, frame: FrameRecord) -> None:
 
 
 def read_frame(path: Path) -> FrameRecord:
-    """Read a frame of ours or of the official release (then every row is its own index).
+    """Read a frame of docdepth or of the official release.
+
+    Of the official release, which has no indices, row ``i`` has index ``i``.
 
     Raises
     ------
@@ -171,12 +173,12 @@ def read_frame(path: Path) -> FrameRecord:
 
 
 def read_points(path: Path) -> NDArray[np.float32]:
-    """The points of a frame alone."""
+    """Read only the points of a frame, float32 (N, 3)."""
     return _points(path, read_vertices(path)[0])
 
 
 def read_frame_key(path: Path) -> dict[str, str]:
-    """Which parameters made a frame, from its header alone; empty when there is no such file."""
+    """The ``key`` of a frame, from its header alone; empty if the file is missing."""
     return _keys(_notes(read_comments(path)))
 
 
