@@ -20,7 +20,7 @@ from docdepth.errors import DatasetError
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
 from docdepth.io.depth import DESCRIPTION, FORMATS, check_format, encode_depth, read_depth
-from docdepth.io.ply import write_trajectory
+from docdepth.io.frames import write_trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.stage import (
     Progress,
