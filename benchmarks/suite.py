@@ -55,7 +55,7 @@ from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.selection import needed_frames
 from docdepth.synthetic import Drive, scene, sensor, sensors, write_drive
-from docdepth.tuning import Trial, read_trials, sweep
+from docdepth.tuning import Trial, read_trials, tune
 
 # Sweeps of a whole drive: as long as something happens.
 FRAMES = {"crossing": 100, "city": 125, "hills": 80, "residential": 90, "highway": 70}
@@ -132,7 +132,7 @@ def label_rows(
 ) -> dict[str, Row]:
     """Figures of each trial's classes."""
     run, sequence = cell.run(), cell.sequence()
-    outcomes = sweep(run.path, sequence, trials, out / cell.name, jobs, threads)
+    outcomes = tune(run.path, sequence, trials, out / cell.name, jobs, threads)
     rows = {}
     for outcome in outcomes:
         row = {name: outcome.figure(name) for name in ("sa", "da", "f1", "precision", "iou")}

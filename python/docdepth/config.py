@@ -36,13 +36,18 @@ class OdometryParameters(_Stage):
 
     max_range: float = Field(100.0, gt=0, description="points beyond are not registered [m]")
     min_range: float = Field(3.0, ge=0, description="points nearer are not registered [m]")
-    voxel_size: float = Field(1.0, gt=0, description="voxel size of kiss-icp's map [m]")
-    refine_voxel_size: float = Field(0.5, gt=0, description="of small_gicp's map [m]")
+    voxel_size: float = Field(1.0, gt=0, description="edge of a voxel of kiss-icp's map [m]")
     passes: int = Field(
-        3, ge=1, le=5, description="registrations; from the second on small_gicp's, deskewed"
+        3,
+        ge=1,
+        le=5,
+        description="registrations of the whole drive: one by kiss-icp, the others by small_gicp",
     )
     blooming_deg: float = Field(
-        0.0, ge=0, le=5, description="phantoms this far around reflectors are left out [deg]"
+        0.0,
+        ge=0,
+        le=5,
+        description="ghost returns up to this far beside retro-reflectors are removed [deg]",
     )
 
 

@@ -12,7 +12,7 @@ import yaml
 
 from command_line import cli
 from docdepth.errors import DatasetError
-from docdepth.io.ply import read_frame
+from docdepth.io.frames import read_frame
 from docdepth.io.run_folder import RunFolder
 
 

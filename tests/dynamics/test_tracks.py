@@ -380,7 +380,7 @@ def test_a_sighting_is_the_objects_of_its_sweep():
 def test_wrong_objects_are_refused():
     points, ground = np.ones((3, 3), np.float32), np.zeros(3, bool)
     objects, moving = np.array([0, 1, 1], np.uint32), np.zeros(3, bool)
-    with pytest.raises(ValueError, match="connect_objects"):
+    with pytest.raises(ValueError, match="cluster_objects"):
         Detections(points, ground, objects[::-1].copy(), moving, np.eye(4))
     with pytest.raises(InputError, match="one of each"):
         track_objects([Detections(points, ground, objects, moving, np.eye(4))], np.arange(2))

@@ -109,7 +109,7 @@ def test_rays_equal_plain_numpy(seed, beside):
     places = rng.normal(scale=(10, 10, 1.5), size=(4000, 3)).astype(F)
     places[:1000] = points[:1000] * rng.uniform(0.8, 1.2, (1000, 1))
     ray_origins = rng.normal(scale=0.05, size=(3000, 3)).astype(F) if beside else None
-    balance = _core.Rays(points, normals, ray_origins).ask(places)
+    balance = _core.Rays(points, normals, ray_origins).query_visibility(places)
     expected = reference(points, normals, places, ray_origins)
     assert (expected > 0).sum() > 200
     assert (expected < 0).sum() > 200
@@ -128,16 +128,16 @@ def test_a_ray_is_free_between_its_origin_and_its_return():
         share = rng.uniform(0.3, 0.7, (20, 1))
         places = (start + share * (end - start)).astype(F)
         points, normals = end[None], np.zeros((1, 3), F)
-        told = _core.Rays(points, normals, start[None]).ask(places)
+        told = _core.Rays(points, normals, start[None]).query_visibility(places)
         # Within 1 cm: -1 / (0.02 + 0.01)^2. A ray from the frame's origin passes farther off.
         assert (told < -1 / 0.03**2).all()
 
 
 def test_without_rays_visibility_is_unknown():
     none = np.empty((0, 3), F)
-    assert (_core.Rays(none, none).ask(np.ones((5, 3), F)) == 0).all()
+    assert (_core.Rays(none, none).query_visibility(np.ones((5, 3), F)) == 0).all()
     zero = np.zeros((2, 3), F)
-    assert (_core.Rays(zero, zero).ask(np.ones((5, 3), F)) == 0).all()
+    assert (_core.Rays(zero, zero).query_visibility(np.ones((5, 3), F)) == 0).all()
     with pytest.raises(ValueError, match="as many"):
         _core.Rays(zero, none)
     with pytest.raises(ValueError, match="as many"):

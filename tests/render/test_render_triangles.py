@@ -74,7 +74,7 @@ def draw_triangles(camera, vertices, triangles, threads=1):
     """Render triangles given in camera axes, none of them a depth jump."""
     from docdepth import _core
 
-    frame = _core.SurfaceFrame(
+    frame = _core.MeshFrame(
         vertices.astype(np.float32),
         np.full(len(vertices), 50, np.uint16),
         triangles.astype(np.uint32),
@@ -84,7 +84,7 @@ def draw_triangles(camera, vertices, triangles, threads=1):
     )
     placed = (frame, np.eye(4))
     size = camera.width, camera.height
-    return _core.render_surfaces(camera.K, *size, [placed], [(*placed, 0.0)], 0.0, 12, threads)
+    return _core.render_meshes(camera.K, *size, [placed], [(*placed, 0.0)], 0.0, 12, threads)
 
 
 @pytest.mark.parametrize("seed", range(3))

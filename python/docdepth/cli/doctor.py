@@ -11,7 +11,7 @@ from docdepth import __version__
 from docdepth.render import backends
 
 _REQUIRED = (
-    "numpy", "opencv-python-headless", "kiss-icp", "small-gicp", "pydantic", "plyfile",
+    "numpy", "opencv-python-headless", "kiss-icp", "small-gicp", "pydantic",
 )  # fmt: skip
 _EXTRAS = {
     "exr": ("OpenEXR",),

@@ -40,7 +40,7 @@ def cluster_objects(
     """
     points, ground = check_sweep(points, ground)
     p = _object_parameters(parameters or DynamicsParameters())
-    return _core.connect_objects(points, ground, (surface or ScanMesh(points)).core, p)
+    return _core.cluster_objects(points, ground, (surface or ScanMesh(points)).core, p)
 
 
 def classify_objects(
@@ -58,18 +58,18 @@ def classify_objects(
     them, and an object that stands for a while moves when enough of its place was seen free.
     """
     p = _object_parameters(parameters)
-    moving = _core.moving_points(points, ground, objects, static, dynamic, surface.core, p)
+    moving = _core.classify_objects(points, ground, objects, static, dynamic, surface.core, p)
     return moving.view(np.bool_)
 
 
 def _object_parameters(p: DynamicsParameters) -> _core.ObjectParameters:
     objects = _core.ObjectParameters()
-    objects.link, objects.link_growth = p.link, p.link_growth
-    objects.companions, objects.company = p.companions, p.company
+    objects.cluster_distance, objects.cluster_distance_growth = p.link, p.link_growth
+    objects.min_cluster_size, objects.neighbor_radius = p.companions, p.company
     objects.clear_votes, objects.clear_ratio = p.clear_votes, p.clear_ratio
-    objects.object_points, objects.share = p.object_points, p.object_share
-    objects.least = p.object_least
-    objects.width, objects.height = p.object_width, p.object_height
-    objects.freed_share, objects.freed_votes = p.freed_share, p.freed_votes
-    objects.freed_ratio, objects.loose_votes = p.freed_ratio, p.loose_votes
+    objects.min_object_points, objects.dynamic_share = p.object_points, p.object_share
+    objects.min_dynamic_share = p.object_least
+    objects.min_object_width, objects.min_object_height = p.object_width, p.object_height
+    objects.observed_free_share, objects.observed_free_votes = p.freed_share, p.freed_votes
+    objects.max_static_ratio, objects.isolated_votes = p.freed_ratio, p.loose_votes
     return objects

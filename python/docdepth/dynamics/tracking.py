@@ -36,7 +36,7 @@ def apply_tracks(
     inside = _core.add_points_inside(
         points, ground, static, dynamic, T_world_lidar, found.boxes, found.cubes, moving, p
     ).view(np.bool_)
-    all_moving = _core.add_loose_points(points, ground, objects, static, dynamic, inside, p)
+    all_moving = _core.add_isolated_points(points, ground, objects, static, dynamic, inside, p)
     return np.where(all_moving, np.uint16(100), classid)
 
 
@@ -120,7 +120,7 @@ class Detections:
         T_world_lidar: NDArray[np.float64],
     ) -> None:
         points, ground = check_sweep(points, ground)
-        self._core = _core.Sighting(points, ground, objects, moving, T_world_lidar)
+        self._core = _core.Detections(points, ground, objects, moving, T_world_lidar)
 
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
@@ -131,7 +131,7 @@ class Detections:
     def of(cls, arrays: Sequence[NDArray[Any]]) -> Detections:
         """The one that gave these arrays."""
         self = cls.__new__(cls)
-        self._core = _core.Sighting.of(*arrays)
+        self._core = _core.Detections.of(*arrays)
         return self
 
 
@@ -190,9 +190,10 @@ def track_objects(
     if len(detections) != len(times):
         raise InputError(f"{len(detections)} detections and {len(times)} times; give one of each")
     tracks = _core.TrackParameters()
-    tracks.sightings, tracks.distance = p.track_sightings, p.track_distance
-    tracks.max_speed, tracks.gap, tracks.hold = p.track_speed, p.track_gap, p.track_hold
+    tracks.min_detections, tracks.min_distance = p.track_sightings, p.track_distance
+    tracks.max_speed = p.track_speed
+    tracks.max_gap, tracks.max_gap_standing = p.track_gap, p.track_hold
     tracks.window = p.track_window
     seconds = (np.asarray(times) - times[0]) * 1e-9 if len(times) else np.zeros(0)
-    found = _core.follow([seen._core for seen in detections], seconds, tracks, threads)
+    found = _core.track_objects([seen._core for seen in detections], seconds, tracks, threads)
     return [TrackingResult(*sweep) for sweep in found]

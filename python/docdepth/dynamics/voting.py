@@ -154,12 +154,12 @@ def _range_image(
 def _surface_image(
     part: LidarMesh, ground: NDArray[np.bool_], p: DynamicsParameters
 ) -> _core.KeyFrame:
-    image = _core.SurfaceImageParameters()
+    image = _core.MeshImageParameters()
     image.resolution = float(np.radians(p.resolution_deg))
     image.window, image.tolerance = p.window, p.tolerance
     image.upright = _core.Margins(p.across, p.along, p.along_growth)
     image.level = _core.Margins(p.level_across, p.level_along, 0.0)
-    image.ground_across = p.ground_across
+    image.ground_tolerance = p.ground_across
     image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
-    image.beam = p.beam
-    return _core.SurfaceImage(part.view.points, ground, part.core, image)
+    image.max_ray_distance = p.beam
+    return _core.MeshImage(part.view.points, ground, part.core, image)

@@ -17,7 +17,7 @@ class LidarMesh(NamedTuple):
     """What one LiDAR saw of a sweep, and the surface of it."""
 
     view: LidarView
-    core: _core.Surface
+    core: _core.ScanMesh
 
 
 class ScanMesh:
@@ -70,15 +70,15 @@ class ScanMesh:
             raise InputError(
                 f"points must be float32, got {points.dtype}; convert them with astype(np.float32)"
             )
-        core = _core.SurfaceParameters()
+        core = _core.MeshParameters()
         core.max_gap = float(np.radians(p.max_gap_deg))
         core.jump_ratio, core.noise, core.flatness = p.jump_ratio, p.noise, p.flatness
         self.parts = [
-            LidarMesh(view, _core.Surface(view.motion_corrected(), core))
+            LidarMesh(view, _core.ScanMesh(view.motion_corrected(), core))
             for view in lidar_views(np.ascontiguousarray(points), sensor_rig)
         ]
         cores = [part.core for part in self.parts]
-        self.core = cores[0] if len(cores) == 1 else _core.join_surfaces(cores)
+        self.core = cores[0] if len(cores) == 1 else _core.join_meshes(cores)
         self.triangles = self.core.triangles
-        self.cut = self.core.cut.view(np.bool_)
-        self.loose = self.core.loose
+        self.cut = self.core.discontinuity.view(np.bool_)
+        self.loose = self.core.isolated

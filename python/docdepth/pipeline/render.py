@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.ply import write_trajectory
+from docdepth.io.frames import write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.depth_files import FOLDERS
 from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render

@@ -13,7 +13,7 @@ from docdepth.errors import CalibrationError, ConfigError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.run_inputs import size_from
+from docdepth.pipeline.run_inputs import parse_size
 
 FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from camera axes to LiDAR axes when the camera looks along the LiDAR's x axis."""
@@ -53,7 +53,7 @@ def virtual_camera(
     if name in run.stage("render").get("folders", []):
         raise ConfigError(f"--name {name}: the run has a camera of this name; choose another name")
     fx, fy, cx, cy = _numbers("--K", K, 4, "fx,fy,cx,cy")
-    pixels = size_from(size)
+    pixels = parse_size(size)
     if pixels is None:
         raise ConfigError("--size is missing; write --size WIDTHxHEIGHT, for example 1280x720")
     camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), *pixels)

@@ -72,7 +72,7 @@ def compose_depth(
     """
     p = parameters or RenderParameters()
     core = (renderer or Renderer()).core
-    draw = core.render_splats if p.primitive == "splats" else core.render_surfaces
+    draw = core.render_splats if p.primitive == "splats" else core.render_meshes
     depth: NDArray[np.float32] = draw(
         **core_arguments(camera, T_camera_lidar, trajectory, time, frames, p), threads=threads
     )
@@ -94,7 +94,7 @@ def core_arguments(
     Internal to this package.
     """
     splats = p.primitive == "splats"
-    kind = _core.Frame if splats else _core.SurfaceFrame
+    kind = _core.Frame if splats else _core.MeshFrame
     T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
     drawn = drawn_frames(trajectory, time, p)
 
@@ -119,8 +119,8 @@ def core_arguments(
         }
     seconds = (np.int64(time) - trajectory.times[drawn.dynamic]) * 1e-9
     return image | {
-        "fixed": static,
-        "moving": [(*part, float(s)) for part, s in zip(dynamic, seconds, strict=True)],
+        "static_frames": static,
+        "dynamic_frames": [(*part, float(s)) for part, s in zip(dynamic, seconds, strict=True)],
         "max_speed": MAX_SPEED,
-        "witnesses": p.visibility_sweeps,
+        "visibility_sweeps": p.visibility_sweeps,
     }

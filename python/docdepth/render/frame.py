@@ -19,7 +19,7 @@ ISOLATED_SIZE_DEG = 0.1
 """Triangles: half the diagonal of the square drawn for a return that belongs to no triangle, as the
 LiDAR sees it [deg]. Half the angle between two returns of a common spinning LiDAR."""
 
-Part: TypeAlias = "tuple[_core.Frame | _core.SurfaceFrame, NDArray[np.float64]]"
+Part: TypeAlias = "tuple[_core.Frame | _core.MeshFrame, NDArray[np.float64]]"
 """What the core draws, and the pose ``T_lidar_sensor`` of the LiDAR that measured it."""
 
 
@@ -149,7 +149,7 @@ def _part(
 ) -> Part:
     """The mesh of one LiDAR as the core draws it; rows of other LiDARs are NaN and left out."""
     points, ray_origins = mesh.view.points, mesh.view.ray_origins()
-    triangles, isolated = mesh.core.triangles, mesh.core.loose
+    triangles, isolated = mesh.core.triangles, mesh.core.isolated
     if not np.isfinite(points).all():
         own = np.isfinite(points).all(axis=1)
         row = np.cumsum(own, dtype=np.uint32) - np.uint32(1)
@@ -158,11 +158,11 @@ def _part(
         ray_origins = None if ray_origins is None else ray_origins[own]
         triangles, isolated = row[triangles], row[isolated]
     half_diagonal = float(np.radians(ISOLATED_SIZE_DEG))
-    core = _core.SurfaceFrame(
+    core = _core.MeshFrame(
         points,
         classid,
         triangles,
-        mesh.core.cut,
+        mesh.core.discontinuity,
         isolated,
         half_diagonal,
         time_offset,

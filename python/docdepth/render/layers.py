@@ -88,7 +88,7 @@ def compose_layers(
             f"depth must be float32 of shape ({camera.height}, {camera.width}) as the camera's "
             f"image, got {depth.dtype} {depth.shape}"
         )
-    gather = _core.splat_layers if p.primitive == "splats" else _core.surface_layers
+    gather = _core.splat_layers if p.primitive == "splats" else _core.mesh_layers
     found: dict[str, NDArray[Any]] = gather(
         **core_arguments(camera, T_camera_lidar, trajectory, time, frames, p),
         depth=np.ascontiguousarray(depth),
