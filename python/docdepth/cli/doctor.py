@@ -39,7 +39,7 @@ def doctor() -> list[tuple[str, str, bool]]:
         finding = f'missing; pip install "docdepth[{extra}]"' if missing else "installed"
         rows.append((f"extra {extra}", finding, not missing))
     for backend in backends.available():
-        rows.append((f"renderer {backend.name}", backend.finding, backend.well))
+        rows.append((f"renderer {backend.name}", backend.detail, backend.usable))
     return rows
 
 
