@@ -148,7 +148,6 @@ def run_render(
     trajectory = run.trajectory()
     key = stage_key(
         run.stage("classify").get("key"),
-        parameters.surface.model_dump(),
         drawing.model_dump(),
         output.model_dump(),
         [_identity(stream) for stream in streams],
@@ -276,7 +275,6 @@ def load_frame(
             record.points,
             classid,
             parameters.render,
-            parameters.surface,
             record.time_offset,
             run.sensor_rig(record),
             trajectory.velocity(index),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth import _core
-from docdepth.config import RenderParameters, SurfaceParameters
+from docdepth.config import RenderParameters
 from docdepth.errors import InputError
 from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
 from docdepth.geometry.sensor_rig import SensorRig
@@ -27,8 +27,6 @@ class Frame:
         Below 50 ground, below 100 static, moving from 100 on.
     parameters : RenderParameters, optional
         Its ``surface`` says what is made; :func:`render` wants the same.
-    surface_parameters : SurfaceParameters, optional
-        Of the triangles between neighbouring returns.
     time_offset : ndarray of float32, shape (N,), optional
         When each point was measured, seconds after the sweep's time. Known, it tells better where
         moving objects were.
@@ -50,7 +48,6 @@ class Frame:
         points: NDArray[np.float32],
         classid: NDArray[np.uint16],
         parameters: RenderParameters | None = None,
-        surface_parameters: SurfaceParameters | None = None,
         time_offset: NDArray[np.float32] | None = None,
         sensor_rig: SensorRig | None = None,
         velocity: ArrayLike | None = None,
@@ -84,7 +81,7 @@ class Frame:
             ).with_ego_motion(velocity, time_offset)
         time_offset = None if time_offset is None else time_offset[drawn].astype(np.float32)
         sensor_rig = None if sensor_rig is None else sensor_rig.select(drawn)
-        seen = ScanMesh(points, surface_parameters, sensor_rig)
+        seen = ScanMesh(points, sensor_rig)
         self.parts = [
             (_surface_frame(part, classid, p, time_offset), part.view.T_lidar_sensor)
             for part in seen.parts
@@ -95,7 +92,7 @@ class Frame:
             first = replace(
                 first, ego_displacement=None if sensor_rig is None else sensor_rig.ego_displacement
             )
-            (whole,) = ScanMesh(points, surface_parameters, first).parts
+            (whole,) = ScanMesh(points, first).parts
             self.dynamic_part = (
                 _surface_frame(whole, classid, p, time_offset),
                 whole.view.T_lidar_sensor,

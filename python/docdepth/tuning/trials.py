@@ -13,7 +13,7 @@ import yaml
 from docdepth.config import Parameters, parameters, parse_settings
 from docdepth.errors import ConfigError
 
-_STAGES = ("ground", "surface", "dynamics")
+_STAGES = ("ground", "dynamics")
 
 
 @dataclass(frozen=True)
