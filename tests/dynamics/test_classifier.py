@@ -6,9 +6,9 @@ from dynamics_reference import reference_moving
 
 from docdepth.config import parameters
 from docdepth.dynamics import key_frames, voting
+from docdepth.dynamics.classes import classify, confidence
 from docdepth.dynamics.classifier import classify_drive
 from docdepth.dynamics.clustering import OBJECT_PARAMETERS
-from docdepth.dynamics.sweep_classifier import classify, confidence
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.geometry.trajectory import Trajectory

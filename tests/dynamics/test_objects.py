@@ -8,9 +8,9 @@ import pytest
 from docdepth.config import parameters
 from docdepth.datasets.base import Sweep
 from docdepth.dynamics import key_frames
+from docdepth.dynamics.classes import classify
 from docdepth.dynamics.classifier import classify_drive
 from docdepth.dynamics.clustering import OBJECT_PARAMETERS, cluster_objects
-from docdepth.dynamics.sweep_classifier import classify
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import RunError
 from docdepth.geometry.sensor_rig import SensorRig
