@@ -33,14 +33,25 @@ $(BIN)/python: | system
 SOURCES := pyproject.toml CMakeLists.txt $(shell find cmake cpp python -type f \
              -name '*.[cht]*' -o -name '*.py' -path 'python/*')
 
+# pip says nothing while it compiles, which takes a minute or two: show the packages that it collects
+# and the files that the compiler is at. The whole log is kept beside the environment.
+define install
+	@echo "installing docdepth[$(1)]: packages, then the C++ core"
+	@$(BIN)/pip install --verbose '.[$(1)]' 2>&1 | tee $(VENV)/install.log | sed -unE \
+	  -e 's/^ *Collecting ([A-Za-z0-9_.-]+).*/  package \1/p' \
+	  -e 's,^ *(\[[0-9]+/[0-9]+\]) Building CXX object .*\.dir/(.*)\.o$$,  \1 \2,p' \
+	  -e 's/^ *(Successfully installed|ERROR|error:)/\1/p' \
+	  || { tail -n 40 $(VENV)/install.log; exit 1; }
+endef
+
 # A marker each, so that nothing is built again while no source has changed.
 $(VENV)/installed: $(SOURCES) | $(BIN)/python
-	$(BIN)/pip install --quiet '.[synth]'
-	touch $@
+	$(call install,synth)
+	@touch $@
 
 $(VENV)/developed: $(SOURCES) | $(BIN)/python
-	$(BIN)/pip install --quiet '.[dev]'
-	touch $@ $(VENV)/installed
+	$(call install,dev)
+	@touch $@ $(VENV)/installed
 
 install: $(VENV)/installed
 dev: $(VENV)/developed

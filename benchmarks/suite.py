@@ -51,11 +51,11 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline import run_odometry
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.selection import needed_frames
 from docdepth.synthetic import Drive, scene, sensor, sensors, write_drive
-from docdepth.tuning import Trial, read_trials, sweep
+from docdepth.tuning import Trial, read_trials, tune
 
 # Sweeps of a whole drive: as long as something happens.
 FRAMES = {"crossing": 100, "city": 125, "hills": 80, "residential": 90, "highway": 70}
@@ -132,7 +132,7 @@ def label_rows(
 ) -> dict[str, Row]:
     """Figures of each trial's classes."""
     run, sequence = cell.run(), cell.sequence()
-    outcomes = sweep(run.path, sequence, trials, out / cell.name, jobs, threads)
+    outcomes = tune(run.path, sequence, trials, out / cell.name, jobs, threads)
     rows = {}
     for outcome in outcomes:
         row = {name: outcome.figure(name) for name in ("sa", "da", "f1", "precision", "iou")}
@@ -221,7 +221,7 @@ def _renderer(recording: Recording, p: Parameters, threads: int) -> Draw:
         for index in needed - set(frames):
             frames[index] = recording.frame(index, p.render)
         place = rig.camera, rig.T_camera_lidar, trajectory, time
-        return render(*place, frames.__getitem__, p.render, threads)
+        return compose_depth(*place, frames.__getitem__, p.render, threads)
 
     return draw
 

@@ -24,8 +24,8 @@ def test_paper_preset_is_the_papers_text():
     assert (voting.vote_model, voting.time_spacing, voting.evidence) == ("range_image", 0, "points")
     assert (paper.ground.seed_quantile, paper.ground.step_height) == (0, 0)
     sizes = paper.render
-    assert (sizes.static_size_max, sizes.static_size_min) == (50, 3)
-    assert (sizes.dynamic_size_max, sizes.dynamic_size_min) == (80, 35)
+    assert sizes.static_size == (50, 3)
+    assert sizes.dynamic_size == (80, 35)
 
 
 def test_a_value_is_replaced_by_name():
@@ -63,14 +63,14 @@ def test_the_core_has_the_same_defaults():
     for name in set(GroundParameters.model_fields) - {"chunk_length", "max_slope_deg"}:
         assert getattr(ground, name) == getattr(p.ground, name), name
     assert ground.max_slope == np.radians(p.ground.max_slope_deg)
-    image = _core.SurfaceImageParameters()
+    image = _core.MeshImageParameters()
     assert image.resolution == np.radians(p.dynamics.resolution_deg)
     assert image.window == p.dynamics.window
     assert np.float32(image.tolerance) == np.float32(p.dynamics.tolerance)
 
 
 def test_constants_given_in_degrees():
-    mesh, image = _core.SurfaceParameters(), _core.SurfaceImageParameters()
+    mesh, image = _core.MeshParameters(), _core.MeshImageParameters()
     assert np.float32(mesh.max_gap) == np.float32(np.radians(4))
     assert np.float32(image.level_cosine) == np.float32(np.cos(np.radians(25)))
 

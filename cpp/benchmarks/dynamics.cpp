@@ -66,7 +66,7 @@ double median(std::vector<double> values) {
 
 /// Votes against surfaces, ground included, as the default preset asks for.
 void vote_on_surfaces(const Sweep& query) {
-  std::vector<std::unique_ptr<SurfaceImage>> owned;
+  std::vector<std::unique_ptr<MeshImage>> owned;
   std::vector<const KeyFrame*> frames;
   std::vector<Pose> poses;
   std::vector<double> builds, times;
@@ -74,8 +74,8 @@ void vote_on_surfaces(const Sweep& query) {
     if (k == 0) continue;
     const Sweep sweep = scan(2.0 * k);
     builds.push_back(seconds([&] {
-      owned.push_back(std::make_unique<SurfaceImage>(
-          sweep.points, sweep.flags(), build_surface(sweep.points, {}), SurfaceImageParameters{}));
+      owned.push_back(std::make_unique<MeshImage>(
+          sweep.points, sweep.flags(), build_scan_mesh(sweep.points, {}), MeshImageParameters{}));
     }));
     frames.push_back(owned.back().get());
     poses.push_back(sweep.pose);

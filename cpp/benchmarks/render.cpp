@@ -77,12 +77,12 @@ std::vector<float> plain(const Camera& c, const std::vector<Matrix>& sweeps,
 
 /// Each triangle of each sweep drawn where it falls, in double precision, one thread.
 std::vector<float> plain(const Camera& c, const std::vector<Matrix>& sweeps,
-                         const std::vector<Surface>& surfaces, const std::vector<Pose>& poses) {
+                         const std::vector<ScanMesh>& surfaces, const std::vector<Pose>& poses) {
   std::vector<float> depth(c.width * c.height, INFINITY);
   for (std::size_t k = 0; k < surfaces.size(); ++k)
     for (std::size_t t = 0; t < surfaces[k].triangles.size(); ++t) {
       Eigen::Vector3d p[3];  // u, v, 1 / z
-      bool before = surfaces[k].cut[t] == 0;
+      bool before = surfaces[k].discontinuity[t] == 0;
       for (int i = 0; i < 3; ++i) {
         const Eigen::Vector3f point = sweeps[k].row(surfaces[k].triangles[t][i]);
         const Eigen::Vector3d q = poses[k] * point.cast<double>();
@@ -112,27 +112,27 @@ std::vector<float> plain(const Camera& c, const std::vector<Matrix>& sweeps,
 void measure_surfaces(const Camera& camera, const std::vector<Matrix>& sweeps,
                       const Pose& T_camera_lidar) {
   const std::vector<std::uint16_t> classid(sweeps[0].rows(), 50);
-  std::vector<Surface> surfaces;
-  std::vector<SurfaceFrame> frames;
-  std::vector<PlacedSurface> placed;
+  std::vector<ScanMesh> surfaces;
+  std::vector<MeshFrame> frames;
+  std::vector<PlacedMeshFrame> placed;
   std::vector<Pose> poses;
   const auto frame_of = [&](std::size_t k) {
-    const Surface& s = surfaces[k];
-    return SurfaceFrame(sweeps[k], reinterpret_cast<const std::uint32_t (*)[3]>(s.triangles.data()),
-                        s.cut.data(), s.triangles.size(), s.loose.data(), s.loose.size(), 0.002f,
-                        classid.data(), nullptr);
+    const ScanMesh& s = surfaces[k];
+    return MeshFrame(sweeps[k], reinterpret_cast<const std::uint32_t (*)[3]>(s.triangles.data()),
+                     s.discontinuity.data(), s.triangles.size(), s.isolated.data(), s.isolated.size(), 0.002f,
+                     classid.data(), nullptr);
   };
   for (const double ahead :
        {0, -1, 1, -2, 2, -3, 3, -4, 4, -6, 6, -8, 8, 12, 16, 24, 32, 48, 64, 80, 96}) {
     const std::size_t k = poses.size();
-    surfaces.push_back(build_surface(sweeps[k], SurfaceParameters{}));
+    surfaces.push_back(build_scan_mesh(sweeps[k], MeshParameters{}));
     frames.push_back(frame_of(k));
     poses.push_back(T_camera_lidar);
     poses.back().translate(Eigen::Vector3d(ahead, 0, 0));
   }
   for (std::size_t k = 0; k < poses.size(); ++k) placed.push_back({&frames[k], poses[k]});
   const double make = median_ms(5, [&] {
-    surfaces[0] = build_surface(sweeps[0], SurfaceParameters{});
+    surfaces[0] = build_scan_mesh(sweeps[0], MeshParameters{});
     frame_of(0);
   });
   std::printf("make a surface of %d points and put it in order: %.1f ms\n", int(sweeps[0].rows()),
@@ -141,7 +141,7 @@ void measure_surfaces(const Camera& camera, const std::vector<Matrix>& sweeps,
   std::printf("default, %zu sweeps, plain triangles: %.1f ms\n", poses.size(), slow);
   for (const int threads : {1, 2}) {
     const Motion still{{{placed[0], 0}}, 0};
-    const double fast = median_ms(11, [&] { render_surfaces(camera, placed, still, 12, threads); });
+    const double fast = median_ms(11, [&] { render_meshes(camera, placed, still, 12, threads); });
     std::printf("default, %d threads: %.1f ms, %.1f times the plain loop\n", threads, fast,
                 slow / fast);
   }

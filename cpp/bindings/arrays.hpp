@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "docdepth/geometry/types.hpp"
+#include "docdepth/surface/surface.hpp"
 
 namespace docdepth::bindings {
 
@@ -56,6 +57,12 @@ const T* as_column(const Array<T>& array, py::ssize_t size, const char* name) {
     throw std::invalid_argument(std::string(name) + " must have shape (" + std::to_string(size) +
                                 ",)");
   return array.data();
+}
+
+/// Refuse a mesh of other points, which would be read beyond their end.
+inline void check_mesh(const ScanMesh& mesh, py::ssize_t rows) {
+  if (mesh.points != static_cast<std::size_t>(rows))
+    throw std::invalid_argument("the mesh was made of another number of points");
 }
 
 /// Hand a vector to numpy without copying its elements.

@@ -22,10 +22,10 @@ std::unique_ptr<GlRenderer> open(const std::string& backend, int device,
 }
 
 // The number of threads is the driver's own; the argument makes this a stand-in for the cpu.
-py::array_t<float> splats(GlRenderer& renderer, const Array<double>& K, int width, int height,
-                          const std::vector<Placed>& static_frames,
-                          const std::vector<Placed>& dynamic_frames, const Size& static_size,
-                          const Size& dynamic_size, int /*threads*/) {
+py::array_t<float> draw_splats(GlRenderer& renderer, const Array<double>& K, int width, int height,
+                               const std::vector<Placed>& static_frames,
+                               const std::vector<Placed>& dynamic_frames, const Size& static_size,
+                               const Size& dynamic_size, int /*threads*/) {
   const Camera camera = as_camera(K, width, height);
   const PlacedClouds placed(static_frames, dynamic_frames, static_size, dynamic_size);
   std::vector<float> depth;
@@ -36,18 +36,18 @@ py::array_t<float> splats(GlRenderer& renderer, const Array<double>& K, int widt
   return to_numpy(std::move(depth), {height, width});
 }
 
-py::array_t<float> surfaces(GlRenderer& renderer, const Array<double>& K, int width, int height,
-                            const std::vector<PlacedFrame>& fixed,
-                            const std::vector<MovingFrame>& moving, float max_speed, int witnesses,
-                            int threads) {
+py::array_t<float> draw_meshes(GlRenderer& renderer, const Array<double>& K, int width, int height,
+                               const std::vector<PlacedFrame>& static_frames,
+                               const std::vector<DynamicFrame>& dynamic_frames, float max_speed,
+                               int visibility_sweeps, int threads) {
   const Camera camera = as_camera(K, width, height);
-  const auto world = as_surfaces(fixed);
-  const Motion motion = as_motion(moving, max_speed);
+  const auto frames = as_mesh_frames(static_frames);
+  const Motion motion = as_motion(dynamic_frames, max_speed);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth =
-        renderer.render_triangles(camera, drawing_of(camera, world, motion, witnesses, threads));
+    depth = renderer.render_triangles(
+        camera, drawing_of(camera, frames, motion, visibility_sweeps, threads));
   }
   return to_numpy(std::move(depth), {height, width});
 }
@@ -65,10 +65,10 @@ void bind_gl(py::module_& m) {
       .def_property_readonly("version", [](const GlRenderer& r) { return r.context().version(); })
       .def_property_readonly("software", [](const GlRenderer& r) { return r.context().software(); })
       .def_property_readonly("point_limit", &GlRenderer::point_limit)
-      .def("render_splats", &splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
+      .def("render_splats", &draw_splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
            "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0)
-      .def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "moving"_a,
-           "max_speed"_a, "witnesses"_a, "threads"_a = 0);
+      .def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a,
+           "dynamic_frames"_a, "max_speed"_a, "visibility_sweeps"_a, "threads"_a = 0);
 }
 
 }  // namespace docdepth::bindings

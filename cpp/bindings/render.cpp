@@ -17,10 +17,10 @@ std::unique_ptr<Frame> make_frame(const Array<float>& points, const Array<std::u
   return std::make_unique<Frame>(map, classes, crop);
 }
 
-py::array_t<float> splats(const Array<double>& K, int width, int height,
-                          const std::vector<Placed>& static_frames,
-                          const std::vector<Placed>& dynamic_frames, const Size& static_size,
-                          const Size& dynamic_size, int threads) {
+py::array_t<float> draw_splats(const Array<double>& K, int width, int height,
+                               const std::vector<Placed>& static_frames,
+                               const std::vector<Placed>& dynamic_frames, const Size& static_size,
+                               const Size& dynamic_size, int threads) {
   const Camera camera = as_camera(K, width, height);
   const PlacedClouds placed(static_frames, dynamic_frames, static_size, dynamic_size);
   std::vector<float> depth;
@@ -32,59 +32,65 @@ py::array_t<float> splats(const Array<double>& K, int width, int height,
 }
 
 /// Of as many lines of sight as points; the points where none are given.
-PointMap starts_of(const std::optional<Array<float>>& starts, const PointMap& points) {
-  const PointMap map = starts ? as_points(*starts) : points;
-  if (map.rows() != points.rows()) throw std::invalid_argument("starts must be as many as points");
+PointMap origins_of(const std::optional<Array<float>>& ray_origins, const PointMap& points) {
+  const PointMap map = ray_origins ? as_points(*ray_origins) : points;
+  if (map.rows() != points.rows())
+    throw std::invalid_argument("ray_origins must be as many as the points");
   return map;
 }
 
-std::unique_ptr<SurfaceFrame> make_surface_frame(
-    const Array<float>& points, const Array<std::uint16_t>& classid,
-    const Array<std::uint32_t>& triangles, const Array<std::uint8_t>& cut,
-    const Array<std::uint32_t>& loose, float loose_angle, const std::optional<Array<float>>& late,
-    const std::optional<Array<float>>& starts) {
+std::unique_ptr<MeshFrame> make_mesh_frame(const Array<float>& points,
+                                           const Array<std::uint16_t>& classid,
+                                           const Array<std::uint32_t>& triangles,
+                                           const Array<std::uint8_t>& discontinuity,
+                                           const Array<std::uint32_t>& isolated,
+                                           float isolated_angle,
+                                           const std::optional<Array<float>>& time_offset,
+                                           const std::optional<Array<float>>& ray_origins) {
   const PointMap map = as_points(points);
-  const Points from = starts_of(starts, map);
+  const Points from = origins_of(ray_origins, map);
   const std::uint16_t* classes = as_column(classid, map.rows(), "classid");
+  if (triangles.ndim() != 2 || triangles.shape(1) != 3)
+    throw std::invalid_argument("triangles must be a uint32 array of shape (M, 3)");
   const py::ssize_t count = triangles.shape(0);
-  const std::uint8_t* cuts = as_column(cut, count, "cut");
-  const float* times = late ? as_column(*late, map.rows(), "late") : nullptr;
+  const std::uint8_t* jumps = as_column(discontinuity, count, "discontinuity");
+  const float* times = time_offset ? as_column(*time_offset, map.rows(), "time_offset") : nullptr;
   const auto* corners = reinterpret_cast<const std::uint32_t (*)[3]>(triangles.data());
   const py::gil_scoped_release release;
-  return std::make_unique<SurfaceFrame>(map, corners, cuts, count, loose.data(), loose.size(),
-                                        loose_angle, classes, times, starts ? &from : nullptr);
+  return std::make_unique<MeshFrame>(map, corners, jumps, count, isolated.data(), isolated.size(),
+                                     isolated_angle, classes, times, ray_origins ? &from : nullptr);
 }
 
-py::array_t<float> surfaces(const Array<double>& K, int width, int height,
-                            const std::vector<PlacedFrame>& fixed,
-                            const std::vector<MovingFrame>& moving, float max_speed, int witnesses,
-                            int threads) {
+py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
+                               const std::vector<PlacedFrame>& static_frames,
+                               const std::vector<DynamicFrame>& dynamic_frames, float max_speed,
+                               int visibility_sweeps, int threads) {
   const Camera camera = as_camera(K, width, height);
-  const auto world = as_surfaces(fixed);
-  const Motion motion = as_motion(moving, max_speed);
+  const auto frames = as_mesh_frames(static_frames);
+  const Motion motion = as_motion(dynamic_frames, max_speed);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth = render_surfaces(camera, world, motion, witnesses, threads);
+    depth = render_meshes(camera, frames, motion, visibility_sweeps, threads);
   }
   return to_numpy(std::move(depth), {height, width});
 }
 
 std::unique_ptr<Rays> make_rays(const Array<float>& points, const Array<float>& normals,
-                                const std::optional<Array<float>>& starts) {
+                                const std::optional<Array<float>>& ray_origins) {
   const PointMap map = as_points(points), directions = as_points(normals);
-  const Points from = starts_of(starts, map);
+  const Points from = origins_of(ray_origins, map);
   if (directions.rows() != map.rows())
-    throw std::invalid_argument("normals must be as many as points");
+    throw std::invalid_argument("normals must be as many as the points");
   const py::gil_scoped_release release;
   std::vector<Eigen::Vector3f> rows;
   for (Eigen::Index i = 0; i < map.rows(); ++i) rows.push_back(directions.row(i));
-  return std::make_unique<Rays>(map, rows, starts ? &from : nullptr);
+  return std::make_unique<Rays>(map, rows, ray_origins ? &from : nullptr);
 }
 
-py::array_t<float> ask(const Rays& rays, const Array<float>& places) {
-  const PointMap map = as_points(places);
-  std::vector<float> balance(map.rows(), 0.0f);
+py::array_t<float> query_visibility(const Rays& rays, const Array<float>& points) {
+  const PointMap map = as_points(points);
+  std::vector<float> score(map.rows(), 0.0f);
   {
     const py::gil_scoped_release release;
     Places some;
@@ -92,10 +98,10 @@ py::array_t<float> ask(const Rays& rays, const Array<float>& places) {
       some.size = std::min<std::size_t>(map.rows() - first, Places::kMost);
       for (std::size_t i = 0; i < some.size; ++i)
         some.x[i] = map(first + i, 0), some.y[i] = map(first + i, 1), some.z[i] = map(first + i, 2);
-      rays.ask(some, kBlur, balance.data() + first);
+      rays.ask(some, kBlur, score.data() + first);
     }
   }
-  return to_numpy(std::move(balance), {map.rows()});
+  return to_numpy(std::move(score), {map.rows()});
 }
 
 py::dict as_dict(Layers&& layers, int width, int height) {
@@ -135,19 +141,19 @@ py::dict splat_layers(const Array<double>& K, int width, int height,
   return as_dict(std::move(*layers), width, height);
 }
 
-py::dict surface_layers(const Array<double>& K, int width, int height,
-                        const std::vector<PlacedFrame>& fixed,
-                        const std::vector<MovingFrame>& moving, float max_speed, int witnesses,
-                        const Array<float>& depth, int threads) {
+py::dict mesh_layers(const Array<double>& K, int width, int height,
+                     const std::vector<PlacedFrame>& static_frames,
+                     const std::vector<DynamicFrame>& dynamic_frames, float max_speed,
+                     int visibility_sweeps, const Array<float>& depth, int threads) {
   const Camera camera = as_camera(K, width, height);
-  const auto world = as_surfaces(fixed);
-  const Motion motion = as_motion(moving, max_speed);
+  const auto frames = as_mesh_frames(static_frames);
+  const Motion motion = as_motion(dynamic_frames, max_speed);
   const float* z = as_depth(depth, width, height);
   std::optional<Layers> layers;
   {
     const py::gil_scoped_release release;
-    layers = layers_of_triangles(camera, drawing_of(camera, world, motion, witnesses, threads), z,
-                                 threads);
+    layers = layers_of_triangles(
+        camera, drawing_of(camera, frames, motion, visibility_sweeps, threads), z, threads);
   }
   return as_dict(std::move(*layers), width, height);
 }
@@ -162,19 +168,20 @@ void bind_render(py::module_& m) {
                              [](const Frame& frame) { return frame.static_points.size(); })
       .def_property_readonly("dynamic_size",
                              [](const Frame& frame) { return frame.dynamic_points.size(); });
-  py::class_<SurfaceFrame>(m, "SurfaceFrame")
-      .def(py::init(&make_surface_frame), "points"_a, "classid"_a, "triangles"_a, "cut"_a,
-           "loose"_a, "loose_angle"_a, "late"_a = py::none(), "starts"_a = py::none());
+  py::class_<MeshFrame>(m, "MeshFrame")
+      .def(py::init(&make_mesh_frame), "points"_a, "classid"_a, "triangles"_a, "discontinuity"_a,
+           "isolated"_a, "isolated_angle"_a, "time_offset"_a = py::none(),
+           "ray_origins"_a = py::none());
   py::class_<Rays>(m, "Rays")
-      .def(py::init(&make_rays), "points"_a, "normals"_a, "starts"_a = py::none())
-      .def("ask", &ask, "places"_a);
-  m.def("render_surfaces", &surfaces, "K"_a, "width"_a, "height"_a, "fixed"_a, "moving"_a,
-        "max_speed"_a, "witnesses"_a, "threads"_a = 0);
-  m.def("surface_layers", &surface_layers, "K"_a, "width"_a, "height"_a, "fixed"_a, "moving"_a,
-        "max_speed"_a, "witnesses"_a, "depth"_a, "threads"_a = 0);
+      .def(py::init(&make_rays), "points"_a, "normals"_a, "ray_origins"_a = py::none())
+      .def("query_visibility", &query_visibility, "points"_a);
+  m.def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a,
+        "dynamic_frames"_a, "max_speed"_a, "visibility_sweeps"_a, "threads"_a = 0);
+  m.def("mesh_layers", &mesh_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
+        "dynamic_frames"_a, "max_speed"_a, "visibility_sweeps"_a, "depth"_a, "threads"_a = 0);
   m.def("splat_layers", &splat_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "depth"_a, "threads"_a = 0);
-  m.def("render_splats", &splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
+  m.def("render_splats", &draw_splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0);
 }
 

@@ -41,25 +41,25 @@ struct PlacedClouds {
   PlacedClouds& operator=(const PlacedClouds&) = delete;
 };
 
-using PlacedFrame = std::pair<const SurfaceFrame*, Array<double>>;
+using PlacedFrame = std::pair<const MeshFrame*, Array<double>>;
 
-inline PlacedSurface as_surface(const PlacedFrame& placed) {
+inline PlacedMeshFrame as_mesh_frame(const PlacedFrame& placed) {
   return {placed.first, as_pose(placed.second)};
 }
 
-inline std::vector<PlacedSurface> as_surfaces(const std::vector<PlacedFrame>& placed) {
-  std::vector<PlacedSurface> surfaces;
-  for (const auto& frame : placed) surfaces.push_back(as_surface(frame));
-  return surfaces;
+inline std::vector<PlacedMeshFrame> as_mesh_frames(const std::vector<PlacedFrame>& placed) {
+  std::vector<PlacedMeshFrame> result;
+  for (const auto& frame : placed) result.push_back(as_mesh_frame(frame));
+  return result;
 }
 
 /// Its pose, and seconds from its stamp to the image.
-using MovingFrame = std::tuple<const SurfaceFrame*, Array<double>, float>;
+using DynamicFrame = std::tuple<const MeshFrame*, Array<double>, float>;
 
-inline Motion as_motion(const std::vector<MovingFrame>& moving, float max_speed) {
+inline Motion as_motion(const std::vector<DynamicFrame>& dynamic_frames, float max_speed) {
   Motion motion{{}, max_speed};
-  for (const auto& [frame, pose, since] : moving)
-    motion.sweeps.push_back({{frame, as_pose(pose)}, since});
+  for (const auto& [frame, pose, age] : dynamic_frames)
+    motion.sweeps.push_back({{frame, as_pose(pose)}, age});
   return motion;
 }
 

@@ -29,7 +29,7 @@ Cloud wall(float distance) {
 /// The votes of a key frame on one point straight ahead.
 std::array<int, 2> ask_surface(const Cloud& sweep, float distance) {
   const auto flags = std::make_unique<bool[]>(sweep.rows());
-  const SurfaceImage image(sweep, flags.get(), build_surface(sweep, {}), {});
+  const MeshImage image(sweep, flags.get(), build_scan_mesh(sweep, {}), {});
   Cloud point(1, 3);
   point << distance, 0.001f, 0.001f;
   const bool ground = false;

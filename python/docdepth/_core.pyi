@@ -7,7 +7,7 @@ import docdepth.errors
 import numpy
 import numpy.typing
 import typing
-__all__: list[str] = ['Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'ObjectParameters', 'RangeImage', 'Rays', 'Sighting', 'Surface', 'SurfaceFrame', 'SurfaceImage', 'SurfaceImageParameters', 'SurfaceParameters', 'TrackParameters', 'add_loose_points', 'add_points_inside', 'connect_objects', 'egl_devices', 'follow', 'join_surfaces', 'moving_points', 'render_splats', 'render_surfaces', 'splat_layers', 'surface_layers', 'vote']
+__all__: list[str] = ['Detections', 'Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'MeshFrame', 'MeshImage', 'MeshImageParameters', 'MeshParameters', 'ObjectParameters', 'RangeImage', 'Rays', 'ScanMesh', 'TrackParameters', 'add_isolated_points', 'add_points_inside', 'classify_objects', 'cluster_objects', 'egl_devices', 'join_meshes', 'mesh_layers', 'render_meshes', 'render_splats', 'splat_layers', 'track_objects', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -70,7 +70,7 @@ class GroundMap:
         ...
     def label(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> numpy.typing.NDArray[numpy.bool]:
         ...
-class SurfaceParameters:
+class MeshParameters:
     def __init__(self) -> None:
         ...
     @property
@@ -97,14 +97,14 @@ class SurfaceParameters:
     @noise.setter
     def noise(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
-class Surface:
-    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], parameters: SurfaceParameters) -> None:
+class ScanMesh:
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], parameters: MeshParameters) -> None:
         ...
     @property
-    def cut(self) -> numpy.typing.NDArray[numpy.uint8]:
+    def discontinuity(self) -> numpy.typing.NDArray[numpy.uint8]:
         ...
     @property
-    def loose(self) -> numpy.typing.NDArray[numpy.uint32]:
+    def isolated(self) -> numpy.typing.NDArray[numpy.uint32]:
         ...
     @property
     def triangles(self) -> numpy.typing.NDArray[numpy.uint32]:
@@ -115,30 +115,48 @@ class RangeImage(KeyFrame):
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], resolution: typing.SupportsFloat | typing.SupportsIndex, window: typing.SupportsInt | typing.SupportsIndex, tolerance: typing.SupportsFloat | typing.SupportsIndex, plain: bool = False) -> None:
         ...
 class Margins:
-    def __init__(self, across: typing.SupportsFloat | typing.SupportsIndex, along: typing.SupportsFloat | typing.SupportsIndex, growth: typing.SupportsFloat | typing.SupportsIndex) -> None:
+    def __init__(self, normal_tolerance: typing.SupportsFloat | typing.SupportsIndex, radial_tolerance: typing.SupportsFloat | typing.SupportsIndex, radial_growth: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
-class SurfaceImageParameters:
+    @property
+    def normal_tolerance(self) -> float:
+        ...
+    @normal_tolerance.setter
+    def normal_tolerance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def radial_growth(self) -> float:
+        ...
+    @radial_growth.setter
+    def radial_growth(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def radial_tolerance(self) -> float:
+        ...
+    @radial_tolerance.setter
+    def radial_tolerance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+class MeshImageParameters:
     level: Margins
     upright: Margins
     def __init__(self) -> None:
         ...
     @property
-    def beam(self) -> float:
+    def ground_tolerance(self) -> float:
         ...
-    @beam.setter
-    def beam(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def ground_across(self) -> float:
-        ...
-    @ground_across.setter
-    def ground_across(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+    @ground_tolerance.setter
+    def ground_tolerance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
     def level_cosine(self) -> float:
         ...
     @level_cosine.setter
     def level_cosine(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def max_ray_distance(self) -> float:
+        ...
+    @max_ray_distance.setter
+    def max_ray_distance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
     def resolution(self) -> float:
@@ -158,6 +176,9 @@ class SurfaceImageParameters:
     @window.setter
     def window(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
         ...
+class MeshImage(KeyFrame):
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], mesh: ScanMesh, parameters: MeshImageParameters) -> None:
+        ...
 class ObjectParameters:
     def __init__(self) -> None:
         ...
@@ -174,112 +195,97 @@ class ObjectParameters:
     def clear_votes(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
         ...
     @property
-    def companions(self) -> int:
+    def cluster_distance(self) -> float:
         ...
-    @companions.setter
-    def companions(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def company(self) -> float:
-        ...
-    @company.setter
-    def company(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+    @cluster_distance.setter
+    def cluster_distance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
-    def freed_ratio(self) -> float:
+    def cluster_distance_growth(self) -> float:
         ...
-    @freed_ratio.setter
-    def freed_ratio(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def freed_share(self) -> float:
-        ...
-    @freed_share.setter
-    def freed_share(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+    @cluster_distance_growth.setter
+    def cluster_distance_growth(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
-    def freed_votes(self) -> int:
+    def dynamic_share(self) -> float:
         ...
-    @freed_votes.setter
-    def freed_votes(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def height(self) -> float:
-        ...
-    @height.setter
-    def height(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+    @dynamic_share.setter
+    def dynamic_share(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
-    def least(self) -> float:
+    def isolated_votes(self) -> int:
         ...
-    @least.setter
-    def least(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def link(self) -> float:
-        ...
-    @link.setter
-    def link(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+    @isolated_votes.setter
+    def isolated_votes(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
         ...
     @property
-    def link_growth(self) -> float:
+    def max_static_ratio(self) -> float:
         ...
-    @link_growth.setter
-    def link_growth(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def loose_votes(self) -> int:
-        ...
-    @loose_votes.setter
-    def loose_votes(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
+    @max_static_ratio.setter
+    def max_static_ratio(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
-    def object_points(self) -> int:
+    def min_cluster_size(self) -> int:
         ...
-    @object_points.setter
-    def object_points(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def share(self) -> float:
-        ...
-    @share.setter
-    def share(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+    @min_cluster_size.setter
+    def min_cluster_size(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
         ...
     @property
-    def width(self) -> float:
+    def min_dynamic_share(self) -> float:
         ...
-    @width.setter
-    def width(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-class Sighting:
-    @staticmethod
-    def of(numbers: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], boxes: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], places: typing.Annotated[numpy.typing.ArrayLike, numpy.float32]) -> Sighting:
-        ...
-    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], first: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], moving: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
+    @min_dynamic_share.setter
+    def min_dynamic_share(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
-    def arrays(self) -> tuple:
+    def min_object_height(self) -> float:
+        ...
+    @min_object_height.setter
+    def min_object_height(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def min_object_points(self) -> int:
+        ...
+    @min_object_points.setter
+    def min_object_points(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def min_object_width(self) -> float:
+        ...
+    @min_object_width.setter
+    def min_object_width(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def neighbor_radius(self) -> float:
+        ...
+    @neighbor_radius.setter
+    def neighbor_radius(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def observed_free_share(self) -> float:
+        ...
+    @observed_free_share.setter
+    def observed_free_share(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def observed_free_votes(self) -> int:
+        ...
+    @observed_free_votes.setter
+    def observed_free_votes(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
         ...
 class TrackParameters:
     def __init__(self) -> None:
         ...
     @property
-    def distance(self) -> float:
+    def max_gap(self) -> float:
         ...
-    @distance.setter
-    def distance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def gap(self) -> float:
-        ...
-    @gap.setter
-    def gap(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+    @max_gap.setter
+    def max_gap(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
-    def hold(self) -> float:
+    def max_gap_standing(self) -> float:
         ...
-    @hold.setter
-    def hold(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+    @max_gap_standing.setter
+    def max_gap_standing(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
     def max_speed(self) -> float:
@@ -288,10 +294,16 @@ class TrackParameters:
     def max_speed(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
-    def sightings(self) -> int:
+    def min_detections(self) -> int:
         ...
-    @sightings.setter
-    def sightings(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
+    @min_detections.setter
+    def min_detections(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def min_distance(self) -> float:
+        ...
+    @min_distance.setter
+    def min_distance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
     def window(self) -> float:
@@ -299,8 +311,14 @@ class TrackParameters:
     @window.setter
     def window(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
-class SurfaceImage(KeyFrame):
-    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], surface: Surface, parameters: SurfaceImageParameters) -> None:
+class Detections:
+    @staticmethod
+    def of(numbers: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], boxes: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], samples: typing.Annotated[numpy.typing.ArrayLike, numpy.float32]) -> Detections:
+        ...
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], objects: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], dynamic: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
+        ...
+    @property
+    def arrays(self) -> tuple:
         ...
 class Frame:
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], classid: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], crop: typing.SupportsFloat | typing.SupportsIndex) -> None:
@@ -311,22 +329,22 @@ class Frame:
     @property
     def static_size(self) -> int:
         ...
-class SurfaceFrame:
-    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], classid: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], cut: typing.Annotated[numpy.typing.ArrayLike, numpy.uint8], loose: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], loose_angle: typing.SupportsFloat | typing.SupportsIndex, late: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None, starts: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
+class MeshFrame:
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], classid: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], discontinuity: typing.Annotated[numpy.typing.ArrayLike, numpy.uint8], isolated: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], isolated_angle: typing.SupportsFloat | typing.SupportsIndex, time_offset: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None, ray_origins: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
         ...
 class Rays:
-    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], starts: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ray_origins: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
         ...
-    def ask(self, places: typing.Annotated[numpy.typing.ArrayLike, numpy.float32]) -> numpy.typing.NDArray[numpy.float32]:
+    def query_visibility(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32]) -> numpy.typing.NDArray[numpy.float32]:
         ...
 class GlError(docdepth.errors.BackendError):
     pass
 class GlRenderer:
     def __init__(self, backend: str, device: typing.SupportsInt | typing.SupportsIndex = -1, library: str = '') -> None:
         ...
-    def render_splats(self, K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], static_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], dynamic_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
+    def render_meshes(self, K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsFloat | typing.SupportsIndex]], max_speed: typing.SupportsFloat | typing.SupportsIndex, visibility_sweeps: typing.SupportsInt | typing.SupportsIndex, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
         ...
-    def render_surfaces(self, K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, fixed: collections.abc.Sequence[tuple[SurfaceFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], moving: collections.abc.Sequence[tuple[SurfaceFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsFloat | typing.SupportsIndex]], max_speed: typing.SupportsFloat | typing.SupportsIndex, witnesses: typing.SupportsInt | typing.SupportsIndex, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
+    def render_splats(self, K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], static_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], dynamic_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
         ...
     @property
     def point_limit(self) -> int:
@@ -340,27 +358,27 @@ class GlRenderer:
     @property
     def version(self) -> str:
         ...
-def add_loose_points(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], first: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], statics: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamics: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], moving: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint8]:
+def add_isolated_points(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], objects: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], static_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamic_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamic: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint8]:
     ...
-def add_points_inside(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], statics: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamics: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], boxes: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], cubes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint64], moving: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint8]:
+def add_points_inside(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], static_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamic_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], boxes: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], voxels: typing.Annotated[numpy.typing.ArrayLike, numpy.uint64], dynamic: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint8]:
     ...
-def connect_objects(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], surface: Surface, parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint32]:
+def classify_objects(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], objects: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], static_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamic_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], mesh: ScanMesh, parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint8]:
+    ...
+def cluster_objects(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], mesh: ScanMesh, parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint32]:
     ...
 def egl_devices(library: str = '') -> list[bool]:
     ...
-def follow(sightings: collections.abc.Sequence[Sighting], times: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], parameters: TrackParameters, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> list:
+def join_meshes(meshes: collections.abc.Sequence[ScanMesh]) -> ScanMesh:
     ...
-def join_surfaces(surfaces: collections.abc.Sequence[Surface]) -> Surface:
+def mesh_layers(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsFloat | typing.SupportsIndex]], max_speed: typing.SupportsFloat | typing.SupportsIndex, visibility_sweeps: typing.SupportsInt | typing.SupportsIndex, depth: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> dict:
     ...
-def moving_points(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], first: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], statics: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamics: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], surface: Surface, parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint8]:
+def render_meshes(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsFloat | typing.SupportsIndex]], max_speed: typing.SupportsFloat | typing.SupportsIndex, visibility_sweeps: typing.SupportsInt | typing.SupportsIndex, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
     ...
 def render_splats(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], static_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], dynamic_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
     ...
-def render_surfaces(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, fixed: collections.abc.Sequence[tuple[SurfaceFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], moving: collections.abc.Sequence[tuple[SurfaceFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsFloat | typing.SupportsIndex]], max_speed: typing.SupportsFloat | typing.SupportsIndex, witnesses: typing.SupportsInt | typing.SupportsIndex, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
-    ...
 def splat_layers(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], static_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], dynamic_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], depth: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> dict:
     ...
-def surface_layers(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, fixed: collections.abc.Sequence[tuple[SurfaceFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], moving: collections.abc.Sequence[tuple[SurfaceFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsFloat | typing.SupportsIndex]], max_speed: typing.SupportsFloat | typing.SupportsIndex, witnesses: typing.SupportsInt | typing.SupportsIndex, depth: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> dict:
+def track_objects(detections: collections.abc.Sequence[Detections], times: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], parameters: TrackParameters, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> list:
     ...
 def vote(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], key_frames: collections.abc.Sequence[KeyFrame], poses: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> tuple:
     ...

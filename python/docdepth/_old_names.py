@@ -29,11 +29,18 @@ RENAMED: dict[str, tuple[str, Convert]] = {
     ),
     "dynamics.objects": ("dynamics.evidence", _objects_to_evidence),
     "dynamics.tracks": ("dynamics.evidence", _tracks_to_evidence),
+    "render.surface": ("render.primitive", lambda value, _: value),
+    "render.witnesses": ("render.visibility_sweeps", lambda value, _: value),
+    "render.static_size_max": ("render.static_size", lambda value, now: (value, now[1])),
+    "render.static_size_min": ("render.static_size", lambda value, now: (now[0], value)),
+    "render.dynamic_size_max": ("render.dynamic_size", lambda value, now: (value, now[1])),
+    "render.dynamic_size_min": ("render.dynamic_size", lambda value, now: (now[0], value)),
 }
 
 # Parameters of the last release that are constants now, and what its presets set them to: a
 # run.yaml with these values still opens.
 REMOVED: dict[str, tuple[float, ...]] = {
+    "odometry.refine_voxel_size": (0.5,),
     "ground.chunk_overlap": (100.0, 0),
     "ground.least_share": (0.01, 0),
     "surface.max_gap_deg": (4.0,),
@@ -73,6 +80,9 @@ REMOVED: dict[str, tuple[float, ...]] = {
     "dynamics.track_hold": (5.0,),
     "dynamics.track_stood": (0.8,),
     "dynamics.track_window": (0.3,),
+    "render.step_growth": (0.22,),
+    "render.max_speed": (50.0,),
+    "render.loose_deg": (0.1,),
 }
 
 

@@ -15,7 +15,7 @@ from docdepth.dynamics.voting import Votes
 from docdepth.errors import RunError
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.ground.growing import grow_ground
-from docdepth.io.ply import FrameRecord, write_trajectory
+from docdepth.io.frames import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import classify as stage
 from docdepth.pipeline import run_classify
@@ -27,7 +27,7 @@ DEFAULT = parameters("default").dynamics
 @pytest.fixture
 def few_votes(monkeypatch):
     """Votes alone do not find what tracks shall find."""
-    monkeypatch.setattr(OBJECT_PARAMETERS, "freed_share", 1.0)
+    monkeypatch.setattr(OBJECT_PARAMETERS, "observed_free_share", 1.0)
     monkeypatch.setattr(key_frames, "END_SPACING", 0.2)
     monkeypatch.setattr(key_frames, "END_RADIUS", 1)
     return {"ground.seed_radius": 3.0, "dynamics.time_spacing": 1}

@@ -164,7 +164,7 @@ def test_a_key_frame_votes_with_the_mesh_that_it_is_given() -> None:
     wall = np.ascontiguousarray(sweep, np.float32)
     query = np.ascontiguousarray(0.5 * (wall + [0, 0.1, 0.1]), np.float32)
     none = np.zeros(len(wall), bool)
-    tiny = _core.SurfaceParameters()
+    tiny = _core.MeshParameters()
     tiny.max_gap = float(np.radians(0.1))
     votes = [
         vote(query, none, np.eye(4), [KeyFrame(wall, none, None, mesh)], np.eye(4)[None])

@@ -1,4 +1,4 @@
-"""Figures of labels against numbers worked out by hand and against plain loops."""
+"""Metrics of labels against values worked out by hand and against plain loops."""
 
 import math
 
@@ -182,8 +182,8 @@ def test_a_removed_point_beside_a_kept_one_counts_as_kept() -> None:
     assert (nearest.dynamic_missed, nearest.dynamic_found) == (1, 1)
 
 
-def test_who_goes_half_a_metre_in_view_is_told_from_who_leaves_when_the_drive_ends():
-    """Two cars wait in sweeps 0 to 5; then one goes 1 m/s, and the other 0.4 m/s for 0.2 s."""
+def test_objects_that_travel_in_view_are_counted_apart():
+    """Two cars stand in sweeps 0 to 5; then one drives 1 m/s, the other 0.4 m/s for 0.2 s."""
     labels = np.array([252 | 1 << 16, 252 | 1 << 16, 252 | 2 << 16, 40], np.uint32)
     evaluation = LabelEvaluation()
     for i in range(12):

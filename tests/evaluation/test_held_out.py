@@ -1,4 +1,4 @@
-"""Depth against sweeps that were left out, on a small synthetic drive whose truth is known."""
+"""Depth maps against held-out sweeps, on a small synthetic drive with known depth."""
 
 from __future__ import annotations
 
@@ -43,17 +43,17 @@ def change(run, index, **arrays):
     folder.write_frame(index, replace(folder.frame(index), **arrays))
 
 
-def test_most_returns_of_a_sweep_lie_where_the_others_say(finished):
+def test_most_returns_agree_with_the_other_sweeps(finished):
     result = evaluate_held_out(finished, every=7)
     assert result.sweeps == 1
     assert result.all.density > 90
     assert result.all.too_near + result.all.too_far < 6
-    assert result.standing.pixels + result.moving.pixels == result.all.pixels
+    assert result.static.pixels + result.dynamic.pixels == result.all.pixels
     assert sum(r.errors.pixels for r in result.by_range) == result.all.pixels
 
 
-def test_a_sweep_has_no_part_in_the_map_that_it_judges(finished, run):
-    """Returns moved away are all called wrong, and by how much: nothing else has changed."""
+def test_a_held_out_sweep_is_not_drawn(finished, run):
+    """Only the held-out sweep is scaled, so that every comparison must fail."""
     before = evaluate_held_out(finished, every=7).all
     points = RunFolder.open(run).points(LEFT_OUT)
     change(run, LEFT_OUT, points=points * np.float32(1.25))
@@ -64,13 +64,13 @@ def test_a_sweep_has_no_part_in_the_map_that_it_judges(finished, run):
     assert evaluate_held_out(run, every=7).all.too_far > 95
 
 
-def test_what_the_other_sweeps_got_wrong_is_seen(finished, run):
+def test_errors_of_the_other_sweeps_are_found(finished, run):
     for index in {*range(7)} - {LEFT_OUT}:
         points = RunFolder.open(run).points(index)
         change(run, index, points=points * np.float32(1.1))
-    before, after = (evaluate_held_out(r, every=7).standing for r in (finished, run))
+    before, after = (evaluate_held_out(r, every=7).static for r in (finished, run))
     assert before.too_far < 5
-    assert after.too_far > 60  # what is drawn from ahead of the camera moves less
+    assert after.too_far > 60  # points from sweeps ahead of the camera move less
     assert after.mae > 5 * before.mae
 
 

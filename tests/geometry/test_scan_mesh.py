@@ -50,7 +50,7 @@ def signed_area(a: NDArray, b: NDArray, c: NDArray) -> NDArray:
     return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
 
 
-ALL_GAPS = _core.SurfaceParameters()
+ALL_GAPS = _core.MeshParameters()
 ALL_GAPS.max_gap = float(np.radians(89.0))
 
 

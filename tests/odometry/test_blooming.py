@@ -83,7 +83,7 @@ def test_shapes_are_checked():
 
 @pytest.mark.slow
 def test_phantoms_of_a_sensor_are_found():
-    lidar = replace(sensor("OS1-128"), bloom=np.radians(BLOOM))
+    lidar = replace(sensor("OS1-128"), blooming=np.radians(BLOOM))
     drive = Drive(scene("highway", 5), lidar, 10)
     made = found = taken = points = 0
     for k in range(0, 10, 3):

@@ -1,4 +1,4 @@
-"""Synthetic drives against geometry worked out by hand."""
+"""Synthetic drives against geometry that is computed by hand."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_skewed_points_deskewed_with_the_exact_motion_are_the_compensated_ones()
     assert np.abs(0.5 - azimuth / (2 * np.pi) - (skewed.relative_time + 0.5)).max() < 1e-3
 
 
-def test_movers_are_met_where_they_are_at_each_rays_own_time():
+def test_moving_objects_are_hit_at_their_pose_at_the_time_of_each_ray():
     drive = Drive(synthetic.plain_scene(actors=[moving_box(12.0)], speed=7.0), perfect(), 5)
     sweep = drive.sweep(3)
     mine = sweep.labels == (1 << 16 | 252)
@@ -128,13 +128,13 @@ def test_movers_are_met_where_they_are_at_each_rays_own_time():
     assert np.ptp(seconds) > 0.003
 
 
-def test_one_that_drives_off_later_is_a_mover_from_the_start():
+def test_a_car_that_departs_later_has_the_moving_class_in_all_sweeps():
     scene = synthetic.plain_scene(actors=[moving_box(5.0, departure=0.6)])
     drive = Drive(scene, perfect("XT-32"), 20)
-    early, time_offset = drive.sweep(1), drive.sweep(15)
+    early, late = drive.sweep(1), drive.sweep(15)
     assert early.moving.any()
     assert not early.speed[early.moving].any()
-    assert time_offset.speed[time_offset.moving].max() == pytest.approx(1.8 * 0.9, abs=0.1)
+    assert late.speed[late.moving].max() == pytest.approx(1.8 * 0.9, abs=0.1)
     short = Drive(scene, perfect("XT-32"), 4)
     assert not short.sweep(1).moving.any()
     assert (short.sweep(1).labels == (1 << 16 | 10)).any()
@@ -176,7 +176,7 @@ def test_camera_depth_of_plane_and_box():
     assert np.isnan(depth[:60][~(front | edge)[:60]]).all()
 
 
-def test_image_between_sweeps_shows_movers_at_the_shutter():
+def test_image_between_sweeps_shows_moving_objects_at_its_own_time():
     drive = Drive(synthetic.plain_scene(actors=[moving_box(-8.0 * -1)]), perfect(), 4)
     view, camera = drive.image(2), drive.rig.camera
     assert drive.times[2] < drive.camera_times[2] < drive.times[3]
@@ -228,7 +228,7 @@ def test_pedestrians_walk_on_moving_legs():
     assert np.abs(poses[1, :, :3, :3] - poses[0, :, :3, :3]).max() > 0.05
 
 
-def test_same_seed_same_drive_whatever_is_asked_first():
+def test_same_seed_same_drive_in_any_order_of_requests():
     sensor = synthetic.sensor("VLP-16")
     one = Drive(synthetic.scene("city", 3), sensor, 6, seed=5)
     two = Drive(synthetic.scene("city", 3), sensor, 6, seed=5)
@@ -298,10 +298,8 @@ def test_layout_on_disk(tmp_path, skew):
     assert about["scene"] == "crossing"
     # P2 and Tr together are the camera that took the depth.
     seen = drive.sweep(1)
-    motion_corrected = ~seen.moving
-    points = np.fromfile(folder / "velodyne/000001.bin", np.float32).reshape(-1, 4)[
-        motion_corrected, :3
-    ]
+    static = ~seen.moving
+    points = np.fromfile(folder / "velodyne/000001.bin", np.float32).reshape(-1, 4)[static, :3]
     camera = calib["P2"] @ Tr @ np.column_stack([points, np.ones(len(points))]).T
     if not skew:
         u, v = np.round(camera[:2] / camera[2]).astype(int)
@@ -310,10 +308,10 @@ def test_layout_on_disk(tmp_path, skew):
         assert np.nanmedian(error) < 0.1
 
 
-def test_mistakes_end_in_sentences(monkeypatch):
-    with pytest.raises(InputError, match="no scene 'moon'"):
+def test_mistakes_give_clear_errors(monkeypatch):
+    with pytest.raises(InputError, match="unknown scene 'moon'"):
         synthetic.scene("moon")
-    with pytest.raises(InputError, match="no sensor 'sonar'"):
+    with pytest.raises(InputError, match="unknown sensor 'sonar'"):
         synthetic.sensor("sonar")
     with pytest.raises(InputError, match="long enough for 2 to"):
         Drive(synthetic.plain_scene(), perfect(), 10_000)

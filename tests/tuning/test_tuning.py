@@ -1,4 +1,4 @@
-"""Sweeps of parameter sets: the figures of a plain run, resumable, the run left as it was."""
+"""Parameter search: same metrics as a plain run, resumable, and the run stays unchanged."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from docdepth.errors import ConfigError
 from docdepth.evaluation import LabelEvaluation
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.ply import FrameRecord, write_trajectory
+from docdepth.io.frames import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder
-from docdepth.tuning import Outcome, Trial, grid, parse_axes, plot, read_trials, sweep
+from docdepth.tuning import Outcome, Trial, grid, parse_axes, plot, read_trials, tune
 
 pytest.importorskip("embreex")
 
@@ -45,7 +45,7 @@ def drive():
 @pytest.fixture(scope="module")
 def run(drive, tmp_path_factory) -> Path:
     """A run folder up to odometry, and labels beside it."""
-    path = tmp_path_factory.mktemp("sweep")
+    path = tmp_path_factory.mktemp("tuning")
     labels = path / "labels"
     labels.mkdir()
     truth, sweeps = drive
@@ -78,7 +78,7 @@ def contents(path: Path) -> dict[str, str]:
 
 def test_figures_are_those_of_the_stages_in_memory(drive, run, tmp_path) -> None:
     before = contents(run)
-    outcomes = sweep(run, run.parent / "labels", TRIALS, tmp_path / "out", threads=1)
+    outcomes = tune(run, run.parent / "labels", TRIALS, tmp_path / "out", threads=1)
     assert contents(run) == before
     truth, sweeps = drive
     points = [one.points for one in sweeps]
@@ -99,20 +99,20 @@ def test_figures_are_those_of_the_stages_in_memory(drive, run, tmp_path) -> None
             assert outcome.figures[name] == expected[name], (outcome.name, name)
     assert outcomes[0].figures["static_kept"] != outcomes[1].figures["static_kept"]
     assert outcomes[0].vote_seconds > 0
-    with (tmp_path / "out" / "sweep.csv").open() as stream:
+    with (tmp_path / "out" / "tune.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [row["trial"] for row in rows] == [trial.name for trial in TRIALS]
     assert rows[1]["dynamics.window"] == "1"
     assert float(rows[1]["sa"]) == pytest.approx(outcomes[1].figures["sa"])
-    assert "| narrow |" in (tmp_path / "out" / "sweep.md").read_text()
+    assert "| narrow |" in (tmp_path / "out" / "tune.md").read_text()
     assert sorted(file.suffix for file in (tmp_path / "out").iterdir()) == sorted(
         [".json"] * 3 + [".csv", ".md"]
     )
 
 
-def test_a_sweep_goes_on_where_it_stopped(run, tmp_path, monkeypatch) -> None:
+def test_an_interrupted_search_resumes(run, tmp_path, monkeypatch) -> None:
     labels, out = run.parent / "labels", tmp_path / "out"
-    whole = sweep(run, labels, TRIALS[:2], tmp_path / "whole", threads=1)
+    whole = tune(run, labels, TRIALS[:2], tmp_path / "whole", threads=1)
     done = []
     original, write = pipeline.run_classify, voting.vote
 
@@ -131,7 +131,7 @@ def test_a_sweep_goes_on_where_it_stopped(run, tmp_path, monkeypatch) -> None:
 
     monkeypatch.setattr(pipeline, "run_classify", stop_in_the_second)
     with pytest.raises(KeyboardInterrupt):
-        sweep(run, labels, TRIALS[:2], out, threads=1)
+        tune(run, labels, TRIALS[:2], out, threads=1)
     voted: list[int] = []
     monkeypatch.setattr(
         voting, "vote", lambda *a, **named: (voted.append(1), write(*a, **named))[1]
@@ -140,21 +140,21 @@ def test_a_sweep_goes_on_where_it_stopped(run, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(
         pipeline, "run_classify", lambda f, *r: (counted.append(1), original(f, *r))
     )
-    again = sweep(run, labels, TRIALS[:2], out, threads=1)
+    again = tune(run, labels, TRIALS[:2], out, threads=1)
     assert len(counted) == 1
     # The last of the three may still have been on its way to the disk.
     assert FRAMES - 3 <= len(voted) <= FRAMES - 2
     assert [o.figures for o in again] == [o.figures for o in whole]
     # Another value under the same name is another trial.
-    sweep(run, labels, [Trial("narrow", {"dynamics.window": 3})], out, threads=1)
+    tune(run, labels, [Trial("narrow", {"dynamics.window": 3})], out, threads=1)
     assert len(counted) == 2
 
 
 @pytest.mark.slow
 def test_processes_find_the_same(run, tmp_path) -> None:
     labels, told = run.parent / "labels", []
-    alone = sweep(run, labels, TRIALS, tmp_path / "alone", threads=1)
-    beside = sweep(
+    alone = tune(run, labels, TRIALS, tmp_path / "alone", threads=1)
+    beside = tune(
         run, labels, TRIALS, tmp_path / "beside", 2, 1, lambda done, total: told.append(done)
     )
     assert [o.figures for o in alone] == [o.figures for o in beside]
@@ -178,19 +178,19 @@ def test_grids_and_files(tmp_path) -> None:
     ("trial", "message"),
     [
         (Trial("a", {"dynamics.windows": 3}), "windows"),
-        (Trial("a", {"render.step": 1.0}), "no parameter of the classification"),
+        (Trial("a", {"render.step": 1.0}), "not a parameter of the classification"),
         (Trial("a/b", {}), "cannot name"),
         (Trial("..", {}), "cannot name"),
     ],
 )
 def test_trials_that_cannot_be_are_refused(run, tmp_path, trial, message) -> None:
     with pytest.raises(ConfigError, match=message):
-        sweep(run, run.parent / "labels", [trial], tmp_path)
+        tune(run, run.parent / "labels", [trial], tmp_path)
 
 
 def test_two_trials_of_one_name_are_refused(run, tmp_path) -> None:
     with pytest.raises(ConfigError, match="unique"):
-        sweep(run, run.parent / "labels", [TRIALS[0], TRIALS[0]], tmp_path)
+        tune(run, run.parent / "labels", [TRIALS[0], TRIALS[0]], tmp_path)
 
 
 def test_plots_are_drawn(tmp_path) -> None:
@@ -199,9 +199,9 @@ def test_plots_are_drawn(tmp_path) -> None:
     trials = grid({"dynamics.window": [1, 3]})
     for some in (trials, TRIALS):
         outcomes = [Outcome(t.name, t.settings, figures, {"vote": 1.0}) for t in some]
-        plot(outcomes, tmp_path / "sweep.png")
-        assert (tmp_path / "sweep.png").read_bytes()[:4] == b"\x89PNG"
-        (tmp_path / "sweep.png").unlink()
+        plot(outcomes, tmp_path / "tune.png")
+        assert (tmp_path / "tune.png").read_bytes()[:4] == b"\x89PNG"
+        (tmp_path / "tune.png").unlink()
 
 
 def test_on_the_command_line(run: Path, tmp_path: Path) -> None:
@@ -213,7 +213,7 @@ def test_on_the_command_line(run: Path, tmp_path: Path) -> None:
     result = cli("-o", out, "--vary", "dynamics.tolerance=0.1,0.2", "--vary", "dynamics.window=5")
     assert result.exit_code == 0, result.output
     assert "tolerance=0.1,window=5" in result.output
-    assert len((out / "sweep.csv").read_text().splitlines()) == 3
+    assert len((out / "tune.csv").read_text().splitlines()) == 3
     assert isinstance(cli("-o", out).exception, ConfigError)
     trials = Path(__file__).parents[2] / "benchmarks" / "ablation.yaml"
     assert len(read_trials(trials)) == 4

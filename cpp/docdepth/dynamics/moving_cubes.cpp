@@ -19,15 +19,15 @@ struct Count {
 };
 
 std::vector<std::uint64_t> cubes_of(std::size_t sweep,
-                                    const std::vector<const Sighting*>& sightings,
+                                    const std::vector<const Detections*>& sightings,
                                     const std::vector<double>& times,
-                                    const std::vector<Followed>& followed) {
+                                    const std::vector<TrackingResult>& followed) {
   std::unordered_map<std::uint64_t, Count> counts;
   for (const bool moving : {true, false})
     for (std::size_t i = 0; i < times.size(); ++i) {
       if (i == sweep || std::fabs(times[i] - times[sweep]) > kNear + 1e-3) continue;
       const auto& rows = followed[i].objects;
-      for (const SeenObject& object : *sightings[i]) {
+      for (const Detection& object : *sightings[i]) {
         const bool moves =
             object.moves() || std::binary_search(rows.begin(), rows.end(), object.first);
         if (moves != moving) continue;
@@ -56,10 +56,9 @@ std::uint64_t cube_of(const Eigen::Vector3f& place) {
                   cube_step(place.z(), kCube));
 }
 
-std::vector<std::vector<std::uint64_t>> moving_cubes(const std::vector<const Sighting*>& sightings,
-                                                     const std::vector<double>& times,
-                                                     const std::vector<Followed>& followed,
-                                                     int threads) {
+std::vector<std::vector<std::uint64_t>> moving_cubes(
+    const std::vector<const Detections*>& sightings, const std::vector<double>& times,
+    const std::vector<TrackingResult>& followed, int threads) {
   std::vector<std::vector<std::uint64_t>> result(sightings.size());
   parallel_for(sightings.size(), 1, threads, [&](std::size_t i, std::size_t) {
     result[i] = cubes_of(i, sightings, times, followed);

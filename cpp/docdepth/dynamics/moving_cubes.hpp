@@ -17,9 +17,8 @@ std::uint64_t cube_of(const Eigen::Vector3f& place);
 ///
 /// @param times  seconds
 /// @param followed  what following found, which moves as well as what moves by its votes
-std::vector<std::vector<std::uint64_t>> moving_cubes(const std::vector<const Sighting*>& sightings,
-                                                     const std::vector<double>& times,
-                                                     const std::vector<Followed>& followed,
-                                                     int threads);
+std::vector<std::vector<std::uint64_t>> moving_cubes(
+    const std::vector<const Detections*>& sightings, const std::vector<double>& times,
+    const std::vector<TrackingResult>& followed, int threads);
 
 }  // namespace docdepth

@@ -52,7 +52,7 @@ class Sets {
 /// Join those points that `takes_part` and are corners of one triangle, of those that are cut or of
 /// the others, where they are no farther apart than `near`, or `growth` times their range.
 template <class TakesPart>
-void join_corners(const Points& points, const Surface& surface, bool cut, float near, float growth,
+void join_corners(const Points& points, const ScanMesh& mesh, bool cut, float near, float growth,
                   const TakesPart& takes_part, Sets& sets) {
   const auto range = [&](std::uint32_t i) {
     return range_of(points(i, 0), points(i, 1), points(i, 2));
@@ -63,9 +63,9 @@ void join_corners(const Points& points, const Surface& surface, bool cut, float 
     const float link = growth * std::min(range(a), range(b));
     return squared < link * link;
   };
-  for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
-    if (bool(surface.cut[t]) != cut) continue;
-    const auto& corners = surface.triangles[t];
+  for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
+    if (bool(mesh.discontinuity[t]) != cut) continue;
+    const auto& corners = mesh.triangles[t];
     const bool in[3] = {takes_part(corners[0]), takes_part(corners[1]), takes_part(corners[2])};
     if (in[0] + in[1] + in[2] < 2) continue;
     for (int i = 0, j = 2; i < 3; j = i++)
@@ -106,16 +106,16 @@ struct Object {
   /// Most of what was seen of it is dynamic.
   bool moves(const ObjectParameters& p) const {
     const auto found = static_cast<float>(dynamic);
-    return points >= p.object_points && found >= p.share * static_cast<float>(voted) &&
-           found >= p.least * static_cast<float>(points);
+    return points >= p.min_object_points && found >= p.dynamic_share * static_cast<float>(voted) &&
+           found >= p.min_dynamic_share * static_cast<float>(points);
   }
   /// It stands for a while, and most of its place was seen free. Of what is in pieces nobody can
   /// tell: key frames look past twigs and fences, so that they seem to be free now and then.
   bool stays(const ObjectParameters& p) const {
     const float x = high[0] - low[0], y = high[1] - low[1];
-    return points >= p.object_points && !in_pieces && high[2] - low[2] >= p.height &&
-           x * x + y * y >= p.width * p.width &&
-           static_cast<float>(freed) >= p.freed_share * static_cast<float>(points);
+    return points >= p.min_object_points && !in_pieces && high[2] - low[2] >= p.min_object_height &&
+           x * x + y * y >= p.min_object_width * p.min_object_width &&
+           static_cast<float>(freed) >= p.observed_free_share * static_cast<float>(points);
   }
 };
 
@@ -161,11 +161,12 @@ class Neighborhood {
 /// Dynamic points of their own right that are connected to enough others. Those that are called
 /// ground do not count, unless together they rise like an object: key frames tell so exactly what
 /// lies above a level plane that some bump of it seems to have been free.
-Flags believed(const Points& points, const bool* ground, const Surface& surface,
-               const Flags& dynamic, const ObjectParameters& p) {
+Flags believed(const Points& points, const bool* ground, const ScanMesh& mesh, const Flags& dynamic,
+               const ObjectParameters& p) {
   Sets joined(dynamic.size());
   const auto is_dynamic = [&](std::uint32_t i) { return dynamic[i] != 0; };
-  join_corners(points, surface, false, p.link, p.link_growth, is_dynamic, joined);
+  join_corners(points, mesh, false, p.cluster_distance, p.cluster_distance_growth, is_dynamic,
+               joined);
   const auto first = joined.first();
   struct Connected {
     int points = 0, off_ground = 0;
@@ -184,16 +185,16 @@ Flags believed(const Points& points, const bool* ground, const Surface& surface,
   for (std::size_t i = 0; i < first.size(); ++i) {
     if (!dynamic[i]) continue;
     const Connected& set = sets[first[i]];
-    const bool rises = set.high - set.low >= p.height;
-    result[i] = (rises ? set.points : set.off_ground) >= p.companions;
+    const bool rises = set.high - set.low >= p.min_object_height;
+    result[i] = (rises ? set.points : set.off_ground) >= p.min_cluster_size;
   }
   return result;
 }
 
 /// All points of the objects that move, but for those of what stands beside and is connected to it.
 void add_objects(const Points& points, const bool* ground, const std::uint32_t* first,
-                 const Surface& surface, const Flags& voted, const Flags& dynamic,
-                 const Flags& freed, const Flags& stood, const ObjectParameters& p, Flags& moving) {
+                 const ScanMesh& mesh, const Flags& voted, const Flags& dynamic, const Flags& freed,
+                 const Flags& stood, const ObjectParameters& p, Flags& moving) {
   const std::size_t count = moving.size();
   ByObject<Object> objects(count);
   for (std::size_t i = 0; i < count; ++i) {
@@ -208,7 +209,7 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
       object.high[axis] = std::max(object.high[axis], points(i, axis));
     }
   }
-  for (const auto i : surface.loose)
+  for (const auto i : mesh.isolated)
     if (!ground[i]) objects[first[i]].in_pieces = true;
   for (std::size_t i = 0; i < count; ++i) {
     if (ground[i]) continue;
@@ -219,11 +220,12 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
 
 }  // namespace
 
-std::vector<std::uint32_t> connect_objects(const Points& points, const bool* ground,
-                                           const Surface& surface, const ObjectParameters& p) {
+std::vector<std::uint32_t> cluster_objects(const Points& points, const bool* ground,
+                                           const ScanMesh& mesh, const ObjectParameters& p) {
   Sets sets(points.rows());
   const auto off_ground = [&](std::uint32_t i) { return !ground[i]; };
-  join_corners(points, surface, false, p.link, p.link_growth, off_ground, sets);
+  join_corners(points, mesh, false, p.cluster_distance, p.cluster_distance_growth, off_ground,
+               sets);
   auto first = sets.first();
   std::vector<std::uint32_t> size(first.size());
   for (const auto f : first) ++size[f];
@@ -231,45 +233,46 @@ std::vector<std::uint32_t> connect_objects(const Points& points, const bool* gro
   for (std::uint32_t i = 0; i < piece.size(); ++i)
     piece[i] = !ground[i] && size[first[i]] < kFewestPoints;
   const auto in_pieces = [&](std::uint32_t i) { return piece[i] != 0; };
-  join_corners(points, surface, true, p.link, kPieces, in_pieces, sets);
+  join_corners(points, mesh, true, p.cluster_distance, kPieces, in_pieces, sets);
   for (std::uint32_t i = 0; i < piece.size(); ++i)
     if (piece[i]) first[i] = sets.find(i);
   return first;
 }
 
-std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground,
-                                        const std::uint32_t* first, const std::uint16_t* statics,
-                                        const std::uint16_t* dynamics, const Surface& surface,
-                                        const ObjectParameters& p) {
+std::vector<std::uint8_t> classify_objects(const Points& points, const bool* ground,
+                                           const std::uint32_t* first, const std::uint16_t* statics,
+                                           const std::uint16_t* dynamics, const ScanMesh& mesh,
+                                           const ObjectParameters& p) {
   const auto count = static_cast<std::size_t>(points.rows());
   Flags voted(count), dynamic(count), freed(count), stood(count);
   bool any = false;
   for (std::size_t i = 0; i < count; ++i) {
     voted[i] = statics[i] || dynamics[i];
     dynamic[i] = dynamics[i] > statics[i];
-    stood[i] = statics[i] >= p.freed_ratio * static_cast<float>(std::max<int>(dynamics[i], 1));
-    freed[i] = dynamics[i] >= p.freed_votes &&
-               p.freed_ratio * static_cast<float>(dynamics[i]) > static_cast<float>(statics[i]);
+    stood[i] = statics[i] >= p.max_static_ratio * static_cast<float>(std::max<int>(dynamics[i], 1));
+    freed[i] =
+        dynamics[i] >= p.observed_free_votes &&
+        p.max_static_ratio * static_cast<float>(dynamics[i]) > static_cast<float>(statics[i]);
     any |= dynamic[i] || freed[i];
   }
   if (!any) return dynamic;
-  Flags moving = believed(points, ground, surface, dynamic, p);
-  add_objects(points, ground, first, surface, voted, dynamic, freed, stood, p, moving);
+  Flags moving = believed(points, ground, mesh, dynamic, p);
+  add_objects(points, ground, first, mesh, voted, dynamic, freed, stood, p, moving);
 
-  const Neighborhood neighborhood(points, moving, p.company);
+  const Neighborhood neighborhood(points, moving, p.neighbor_radius);
   for (std::uint32_t i = 0; i < count; ++i) {
     if (moving[i] || !dynamic[i]) continue;
     const bool clear = !ground[i] && dynamics[i] >= p.clear_votes &&
                        static_cast<float>(dynamics[i]) > p.clear_ratio * statics[i];
     moving[i] = clear || neighborhood.has_near(i);
   }
-  add_loose_points(points, ground, first, statics, dynamics, p, moving);
+  add_isolated_points(points, ground, first, statics, dynamics, p, moving);
   return moving;
 }
 
-void add_loose_points(const Points& points, const bool* ground, const std::uint32_t* first,
-                      const std::uint16_t* statics, const std::uint16_t* dynamics,
-                      const ObjectParameters& p, Flags& moving) {
+void add_isolated_points(const Points& points, const bool* ground, const std::uint32_t* first,
+                         const std::uint16_t* statics, const std::uint16_t* dynamics,
+                         const ObjectParameters& p, Flags& moving) {
   const std::size_t count = moving.size();
   struct Whole {
     std::uint32_t points = 0, moving = 0;
@@ -286,12 +289,12 @@ void add_loose_points(const Points& points, const bool* ground, const std::uint3
   }
   std::vector<Extent> movers;
   for (const Whole& object : objects.values())
-    if (int(object.points) >= p.object_points && 2 * object.moving >= object.points &&
+    if (int(object.points) >= p.min_object_points && 2 * object.moving >= object.points &&
         object.extent.width() <= kWidest)
       movers.push_back(object.extent);
   for (std::size_t i = 0; i < count; ++i) {
     if (moving[i] || ground[i] || objects[first[i]].points >= kFewestPoints) continue;
-    if (statics[i] > dynamics[i] + p.loose_votes) continue;
+    if (statics[i] > dynamics[i] + p.isolated_votes) continue;
     moving[i] = std::any_of(movers.begin(), movers.end(),
                             [&](const Extent& mover) { return mover.overlaps(at(i), kAround); });
   }
@@ -303,7 +306,7 @@ void add_points_inside(const Points& points, const bool* ground, const std::uint
                        const ObjectParameters& p, Flags& moving) {
   const RigidTransform T(T_world_lidar);
   for (std::size_t i = 0; i < moving.size(); ++i) {
-    if (moving[i] || ground[i] || statics[i] > dynamics[i] + p.loose_votes) continue;
+    if (moving[i] || ground[i] || statics[i] > dynamics[i] + p.isolated_votes) continue;
     const Eigen::Vector3f at = T * Eigen::Vector3f(points(i, 0), points(i, 1), points(i, 2));
     moving[i] = std::any_of(boxes.begin(), boxes.end(),
                             [&](const Extent& box) { return box.overlaps({at, at}, kAround); }) ||

@@ -11,29 +11,30 @@
 namespace docdepth {
 
 struct ObjectParameters {
-  float link = 0.3f;          ///< neighbouring returns farther apart are not connected [m],
-  float link_growth = 0.05f;  ///< or, where beams are wider apart, than so much of their range
-  int companions = 6;         ///< connected dynamic points that believe each other
-  float company = 1.0f;       ///< nearer to what is dynamic a single point is believed, too [m]
-  int clear_votes = 2;        ///< or with that many dynamic votes
-  float clear_ratio = 4;      ///< that outnumber the static ones so many times
-  int object_points = 10;     ///< an object has that many points
-  float share = 0.5f;         ///< and moves when that share of those with votes is dynamic
-  float least = 0.1f;         ///< and that share of all of them,
-  float width = 1.5f;         ///< or when it is that wide and long, from above [m],
-  float height = 0.3f;        ///< and that high [m]
-  float freed_share = 0.6f;   ///< and the place of that share was seen free:
-  int freed_votes = 2;        ///< by that many key frames,
-  float freed_ratio = 8;      ///< and by one to so many that saw it taken; others always stood
-  int loose_votes = 2;        ///< most static votes more than dynamic ones of a loose point
+  float cluster_distance = 0.3f;  ///< neighbouring returns farther apart are not connected [m],
+  float cluster_distance_growth =
+      0.05f;                     ///< or, where beams are wider apart, than so much of their range
+  int min_cluster_size = 6;      ///< connected dynamic points that believe each other
+  float neighbor_radius = 1.0f;  ///< nearer to what is dynamic a single point is believed, too [m]
+  int clear_votes = 2;           ///< or with that many dynamic votes
+  float clear_ratio = 4;         ///< that outnumber the static ones so many times
+  int min_object_points = 10;    ///< an object has that many points
+  float dynamic_share = 0.5f;    ///< and moves when that share of those with votes is dynamic
+  float min_dynamic_share = 0.1f;    ///< and that share of all of them,
+  float min_object_width = 1.5f;     ///< or when it is that wide and long, from above [m],
+  float min_object_height = 0.3f;    ///< and that high [m]
+  float observed_free_share = 0.6f;  ///< and the place of that share was seen free:
+  int observed_free_votes = 2;       ///< by that many key frames,
+  float max_static_ratio = 8;  ///< and by one to so many that saw it taken; others always stood
+  int isolated_votes = 2;      ///< most static votes more than dynamic ones of a loose point
 };
 
 /// Objects of a sweep, connected points off the ground: of each point the row of the first one.
 ///
 /// Returns are connected by the edges of the sweep's surface. Across depth jumps only pieces of few
 /// points are: somebody whom each ring meets once is in no triangle without a corner behind him.
-std::vector<std::uint32_t> connect_objects(const Points& points, const bool* ground,
-                                           const Surface& surface,
+std::vector<std::uint32_t> cluster_objects(const Points& points, const bool* ground,
+                                           const ScanMesh& mesh,
                                            const ObjectParameters& parameters);
 
 /// Which points belong to what moves at some time.
@@ -47,17 +48,17 @@ std::vector<std::uint32_t> connect_objects(const Points& points, const bool* gro
 ///
 /// @param ground, statics, dynamics  one value a point
 /// @param first  the sweep's objects
-/// @param surface  of these points
-std::vector<std::uint8_t> moving_points(const Points& points, const bool* ground,
-                                        const std::uint32_t* first, const std::uint16_t* statics,
-                                        const std::uint16_t* dynamics, const Surface& surface,
-                                        const ObjectParameters& parameters);
+/// @param mesh  of these points
+std::vector<std::uint8_t> classify_objects(const Points& points, const bool* ground,
+                                           const std::uint32_t* first, const std::uint16_t* statics,
+                                           const std::uint16_t* dynamics, const ScanMesh& mesh,
+                                           const ObjectParameters& parameters);
 
 /// Loose points, of no object worth the name, inside the extent of one that moves: unless many more
-/// votes are static than dynamic, they move, too. `moving_points` ends with it.
-void add_loose_points(const Points& points, const bool* ground, const std::uint32_t* first,
-                      const std::uint16_t* statics, const std::uint16_t* dynamics,
-                      const ObjectParameters& parameters, std::vector<std::uint8_t>& moving);
+/// votes are static than dynamic, they move, too. `classify_objects` ends with it.
+void add_isolated_points(const Points& points, const bool* ground, const std::uint32_t* first,
+                         const std::uint16_t* statics, const std::uint16_t* dynamics,
+                         const ObjectParameters& parameters, std::vector<std::uint8_t>& moving);
 
 /// Points off the ground inside one of the boxes, where something is on its way, or of the cubes,
 /// where sweeps near in time saw what moves: unless many more votes are static than dynamic, they

@@ -21,13 +21,13 @@ Places thinned_fast(const Places& points, const Extent& box) {
 
 }  // namespace
 
-Sighting sight(const Points& points, const bool* ground, const std::uint32_t* first,
-               const bool* moving, const Pose& T_world_lidar) {
+Detections sight(const Points& points, const bool* ground, const std::uint32_t* first,
+                 const bool* moving, const Pose& T_world_lidar) {
   const auto count = static_cast<std::uint32_t>(points.rows());
   std::vector<std::uint32_t> size(count, 0), place(count, 0);
   for (std::uint32_t i = 0; i < count; ++i)
     if (!ground[i]) ++size[first[i]];
-  Sighting seen;
+  Detections seen;
   std::vector<Places> members;
   const RigidTransform T(T_world_lidar);
   for (std::uint32_t i = 0; i < count; ++i) {
@@ -39,7 +39,7 @@ Sighting sight(const Points& points, const bool* ground, const std::uint32_t* fi
       seen.push_back({f, 0, 0, {p, p}, {}});
       members.emplace_back().reserve(size[f]);
     }
-    SeenObject& object = seen[place[f]];
+    Detection& object = seen[place[f]];
     ++object.points;
     object.dynamic += moving[i];
     object.box.add({p, p});

@@ -10,7 +10,7 @@
 namespace docdepth {
 
 /// Connected returns off the ground.
-struct SeenObject {
+struct Detection {
   std::uint32_t first = 0;    ///< row of its first point
   std::uint32_t points = 0;   ///< how many there are
   std::uint32_t dynamic = 0;  ///< how many of them are dynamic by the votes
@@ -20,14 +20,14 @@ struct SeenObject {
   bool moves() const { return 2 * dynamic >= points; }
 };
 
-using Sighting = std::vector<SeenObject>;
+using Detections = std::vector<Detection>;
 
 /// The objects of a sweep that have more than a few points, in the order of their first ones.
 ///
-/// @param first  of each point the row of its object's first point (`connect_objects`)
+/// @param first  of each point the row of its object's first point (`cluster_objects`)
 /// @param moving  what the votes on this sweep say
 /// @param T_world_lidar  its origin not farther than float can tell centimetres
-Sighting sight(const Points& points, const bool* ground, const std::uint32_t* first,
-               const bool* moving, const Pose& T_world_lidar);
+Detections sight(const Points& points, const bool* ground, const std::uint32_t* first,
+                 const bool* moving, const Pose& T_world_lidar);
 
 }  // namespace docdepth

@@ -43,7 +43,7 @@ std::uint32_t as_bits(float value) {
 struct AskTriangles {
   DOCDEPTH_KERNEL static void run(std::size_t count, const float* x, const float* y, const float* z,
                                   const float* range, const float* seen, float step,
-                                  SurfaceImageParameters p, std::uint16_t* __restrict statics,
+                                  MeshImageParameters p, std::uint16_t* __restrict statics,
                                   std::uint16_t* __restrict dynamics,
                                   std::int32_t* __restrict open) {
     for (std::size_t i = 0; i < count; ++i) {
@@ -59,10 +59,10 @@ struct AskTriangles {
       const float before = 1.0f - depth;
       // Choices between numbers, since compilers do not vectorise those between truth values.
       const int level = std::fabs(c) * distance > p.level_cosine ? 1 : 0;
-      const float level_across = bits & kOnGround ? p.ground_across : p.level.across;
-      const float across = level ? level_across : p.upright.across;
-      const float level_along = p.level.along + p.level.growth * r;
-      const float upright_along = p.upright.along + p.upright.growth * r;
+      const float level_across = bits & kOnGround ? p.ground_tolerance : p.level.normal_tolerance;
+      const float across = level ? level_across : p.upright.normal_tolerance;
+      const float level_along = p.level.radial_tolerance + p.level.radial_growth * r;
+      const float upright_along = p.upright.radial_tolerance + p.upright.radial_growth * r;
       const float along = level ? level_along : upright_along;
       const int on_plane = (std::fabs(before) * distance < across ? 1 : 0) |
                            (r * std::fabs(before) < along * depth ? 1 : 0);
@@ -80,7 +80,7 @@ struct AskTriangles {
       const int flat = jump ? 0 : level;
       const int returns =
           (r - nearest > -p.tolerance ? 1 : 0) & (r - farthest < p.tolerance ? 1 : 0);
-      const int in_sight = r * angle < p.beam ? 1 : 0;
+      const int in_sight = r * angle < p.max_ray_distance ? 1 : 0;
       const int is_static = in_sight & on_it;
       const int is_dynamic = in_sight & (1 - on_it) & before_it;
       statics[i] = static_cast<std::uint16_t>(statics[i] + is_static);
@@ -176,19 +176,19 @@ std::uint32_t steps_to_nearest(const std::array<Corner, 3>& corners, std::int64_
 
 }  // namespace
 
-SurfaceImage::SurfaceImage(const Points& points, const bool* ground, const Surface& surface,
-                           const SurfaceImageParameters& parameters)
+MeshImage::MeshImage(const Points& points, const bool* ground, const ScanMesh& mesh,
+                     const MeshImageParameters& parameters)
     : parameters_(parameters), canvas_(parameters.resolution, parameters.window / 2) {
   if (parameters.window < 1 || parameters.window % 2 == 0)
     throw std::invalid_argument("the window must be an odd number of pixels");
   const Returns returns(points);
   range_ = canvas_.nearest_ranges(returns, canvas_.fit(returns));
-  draw(points, ground, surface);
+  draw(points, ground, mesh);
   summarize_windows();
   range_.resize(canvas_.size() + kLanes, kEmpty);  // may be read, never looked at
 }
 
-void SurfaceImage::summarize_windows() {
+void MeshImage::summarize_windows() {
   std::vector<float> seen(range_);
   for (float& range : seen) range = range == kEmpty ? 0.0f : range;
   const auto nearest = window_minimum(range_, canvas_.stride(), canvas_.half());
@@ -200,9 +200,8 @@ void SurfaceImage::summarize_windows() {
 
 /// The plane through three returns, in double precision and a fixed order of operations. Corners
 /// in line, with each other or the sensor, have no plane that it could see and count as a jump.
-SurfaceImage::Seen SurfaceImage::triangle(const Points& points, const bool* ground,
-                                          const std::array<std::uint32_t, 3>& corners,
-                                          bool cut) const {
+MeshImage::Seen MeshImage::triangle(const Points& points, const bool* ground,
+                                    const std::array<std::uint32_t, 3>& corners, bool cut) const {
   double p[3][3], u[3], v[3];
   for (int i = 0; i < 3; ++i)
     for (int k = 0; k < 3; ++k) p[i][k] = points(corners[i], k);
@@ -226,15 +225,15 @@ SurfaceImage::Seen SurfaceImage::triangle(const Points& points, const bool* grou
           of_ground ? kOnGround : 0u};
 }
 
-void SurfaceImage::draw(const Points& points, const bool* ground, const Surface& surface) {
+void MeshImage::draw(const Points& points, const bool* ground, const ScanMesh& mesh) {
   seen_.assign(canvas_.size(), Seen{});
   std::vector<std::uint8_t> drawn(canvas_.size());
   const std::int64_t columns = canvas_.grid().columns(), turn = kTurn * columns;
   const std::vector<Direction> directions = directions_of(points);
-  for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
+  for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
     std::array<Corner, 3> corners;
     for (int i = 0; i < 3; ++i) {
-      const Direction d = directions[surface.triangles[t][i]];
+      const Direction d = directions[mesh.triangles[t][i]];
       corners[i] = {(kTurn / 2 - d.azimuth) * columns, (kTurn / 4 - d.elevation) * columns};
       // The shorter way around from the first corner.
       if (corners[i][0] - corners[0][0] > turn / 2) corners[i][0] -= turn;
@@ -249,7 +248,7 @@ void SurfaceImage::draw(const Points& points, const bool* ground, const Surface&
       const std::size_t pixel = (row - canvas_.top()) * canvas_.stride() + wrapped + canvas_.half();
       if (drawn[pixel]) return;
       drawn[pixel] = 1;
-      if (!is_seen) seen = triangle(points, ground, surface.triangles[t], surface.cut[t]);
+      if (!is_seen) seen = triangle(points, ground, mesh.triangles[t], mesh.discontinuity[t]);
       is_seen = true;
       seen_[pixel] = seen;
       seen_[pixel].bits |= steps_to_nearest(corners, column, row);
@@ -257,21 +256,21 @@ void SurfaceImage::draw(const Points& points, const bool* ground, const Surface&
   }
 }
 
-void SurfaceImage::find(const QueryPoints& points, std::int32_t* pixels) const {
+void MeshImage::find(const QueryPoints& points, std::int32_t* pixels) const {
   canvas_.find(points, pixels);
   for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&seen_[pixels[i]]);
 }
 
-void SurfaceImage::vote(const QueryPoints& points, const std::int32_t* pixels,
-                        std::uint16_t* statics, std::uint16_t* dynamics) const {
+void MeshImage::vote(const QueryPoints& points, const std::int32_t* pixels, std::uint16_t* statics,
+                     std::uint16_t* dynamics) const {
   constexpr std::size_t kMax = QueryPoints::kMax;
   static_assert(sizeof(Seen) == 4 * sizeof(float));
   float seen[4 * kMax];
   for (std::size_t i = 0; i < points.size; ++i)
     std::memcpy(&seen[4 * i], &seen_[pixels[i]], sizeof(Seen));
   const auto step = static_cast<float>(canvas_.grid().pixel() / kSteps);
-  SurfaceImageParameters margins = parameters_;
-  if (points.ground) margins.level.across = margins.ground_across;
+  MeshImageParameters margins = parameters_;
+  if (points.ground) margins.level.normal_tolerance = margins.ground_tolerance;
   std::int32_t open[kMax], left[kMax];
   dispatch<AskTriangles>(points.size, points.x, points.y, points.z, points.range, seen, step,
                          margins, statics, dynamics, open);

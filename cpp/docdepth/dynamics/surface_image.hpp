@@ -13,28 +13,28 @@ namespace docdepth {
 /// How near to a plane a point lies on it: by its distance from the plane, or along the line of
 /// sight.
 struct Margins {
-  float across;  ///< [m]
-  float along;   ///< [m]
-  float growth;  ///< of `along` with range [m/m]
+  float normal_tolerance;  ///< [m]
+  float radial_tolerance;  ///< [m]
+  float radial_growth;     ///< of `along` with range [m/m]
 };
 
-struct SurfaceImageParameters {
+struct MeshImageParameters {
   double resolution = 0.2 * 3.14159265358979323846 / 180.0;  ///< edge of a pixel [rad]
   int window = 5;          ///< edge of the window of returns [pixel], odd
   float tolerance = 0.2f;  ///< of single returns, tau [m]
   Margins upright{0.2f, 0.3f, 0.01f};
   Margins level{0.08f, 0.1f, 0.0f};  ///< of planes that lie flat, as ground does
-  float ground_across = 0.03f;       ///< `across` of these if point or plane is called ground [m]
+  float ground_tolerance = 0.03f;    ///< `across` of these if point or plane is called ground [m]
   float level_cosine = 0.906307787f;  ///< these are planes whose normal leans no more: 25 deg
-  float beam = 0.15f;                ///< what lies farther from a line of sight is not seen [m]
+  float max_ray_distance = 0.15f;    ///< what lies farther from a line of sight is not seen [m]
 };
 
 /// For each pixel the triangle of the surface that its centre lies in, and the nearest return.
-class SurfaceImage : public KeyFrame {
+class MeshImage : public KeyFrame {
  public:
   /// Points that are not finite or lie at the origin are left out.
-  SurfaceImage(const Points& points, const bool* ground, const Surface& surface,
-               const SurfaceImageParameters& parameters);
+  MeshImage(const Points& points, const bool* ground, const ScanMesh& mesh,
+            const MeshImageParameters& parameters);
 
   /// Each point is held against the plane of the triangle in its direction: on it static, before it
   /// dynamic, behind it unknown. Across a depth jump nothing is known but that what lies nearer
@@ -65,9 +65,9 @@ class SurfaceImage : public KeyFrame {
 
   Seen triangle(const Points& points, const bool* ground,
                 const std::array<std::uint32_t, 3>& corners, bool cut) const;
-  void draw(const Points& points, const bool* ground, const Surface& surface);
+  void draw(const Points& points, const bool* ground, const ScanMesh& mesh);
   void summarize_windows();
-  SurfaceImageParameters parameters_;
+  MeshImageParameters parameters_;
   Canvas canvas_;
   std::vector<Seen> seen_;
   std::vector<float> range_;  ///< nearest return, infinite where there is none

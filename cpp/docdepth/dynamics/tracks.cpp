@@ -46,7 +46,7 @@ struct Match {
   Vector largest;
 };
 
-bool can_be_followed(const SeenObject& object) {
+bool can_be_followed(const Detection& object) {
   return object.box.size().z() >= kLowest && object.box.width() <= kWidest;
 }
 
@@ -57,7 +57,7 @@ void append(Places& places, const Places& more) {
 /// Follows objects through sightings, one after the other in time or against it.
 class Follower {
  public:
-  Follower(const std::vector<const Sighting*>& sightings, const std::vector<double>& times,
+  Follower(const std::vector<const Detections*>& sightings, const std::vector<double>& times,
            const TrackParameters& p)
       : sightings_(sightings), times_(times), p_(p) {}
 
@@ -70,7 +70,7 @@ class Follower {
 
  private:
   void advance(std::size_t sweep) {
-    const Sighting& seen = *sightings_[sweep];
+    const Detections& seen = *sightings_[sweep];
     Flags taken(seen.size());
     for (std::size_t k = 0; k < seen.size(); ++k) taken[k] = !can_be_followed(seen[k]);
     // Those known for longest choose first.
@@ -96,11 +96,11 @@ class Follower {
 
   double patience(const Track& track) const {
     const bool stands = track.has_velocity() && track.velocity.norm() < kStanding;
-    return (stands && track.moved >= p_.sightings ? p_.hold : p_.gap) + 1e-3;
+    return (stands && track.moved >= p_.min_detections ? p_.max_gap_standing : p_.max_gap) + 1e-3;
   }
 
   /// Where it is, if those are its places.
-  Match find(const Track& track, const Places& places, const Sighting& seen, const Flags& taken,
+  Match find(const Track& track, const Places& places, const Detections& seen, const Flags& taken,
              double dt) const {
     const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
     Match best;
@@ -121,7 +121,7 @@ class Follower {
   }
 
   /// What of the sighting falls onto the places, shifted from `start` on.
-  Match match_from(const Track& track, const Places& places, const Sighting& seen,
+  Match match_from(const Track& track, const Places& places, const Detections& seen,
                    const Flags& taken, const Vector& start, float reach) const {
     Extent box = box_of(places);
     const Vector size = box.size();
@@ -158,7 +158,7 @@ class Follower {
   }
 
   void add(Track& track, std::size_t sweep, Match&& match, Flags& taken) const {
-    const Sighting& seen = *sightings_[sweep];
+    const Detections& seen = *sightings_[sweep];
     const Vector velocity = match.shift / static_cast<float>(times_[sweep] - track.time);
     track.velocity = track.has_velocity() ? 0.5f * track.velocity + 0.5f * velocity : velocity;
     track.time = times_[sweep];
@@ -181,7 +181,7 @@ class Follower {
     track.members.push_back({sweep, std::move(match.objects), match.box, shown});
   }
 
-  const std::vector<const Sighting*>& sightings_;
+  const std::vector<const Detections*>& sightings_;
   const std::vector<double>& times_;
   const TrackParameters& p_;
   std::vector<Track> alive_, done_;
@@ -190,21 +190,21 @@ class Follower {
 bool moved(const Track& track, const TrackParameters& p) {
   const auto& m = track.members;
   const auto way = [&](const Member& to) { return (to.place() - m.front().place()).norm(); };
-  return track.moved >= p.sightings && way(m.back()) >= p.distance &&
-         way(m[track.last_moved]) >= kByVotes * p.distance;
+  return track.moved >= p.min_detections && way(m.back()) >= p.min_distance &&
+         way(m[track.last_moved]) >= kByVotes * p.min_distance;
 }
 
 /// Whether an object lies in the box, and is no ground at its bottom.
-bool inside(const SeenObject& object, const Extent& box) {
+bool inside(const Detection& object, const Extent& box) {
   return (object.box.low.array() >= box.low.array() - kMargin).all() &&
          (object.box.high.array() <= box.high.array() + kMargin).all() &&
          object.box.high.z() >= box.low.z() + kLowest;
 }
 
 /// What is known of a track in a sweep.
-void find(const Way& way, std::size_t sweep, double time, const Sighting& seen,
-          const std::vector<const Sighting*>& sightings, const TrackParameters& p,
-          Followed& found) {
+void find(const Way& way, std::size_t sweep, double time, const Detections& seen,
+          const std::vector<const Detections*>& sightings, const TrackParameters& p,
+          TrackingResult& found) {
   const Extent box = way.box(time);
   const float speed = way.speed(time);
   for (std::uint32_t k = 0; k < seen.size(); ++k) {
@@ -219,10 +219,10 @@ void find(const Way& way, std::size_t sweep, double time, const Sighting& seen,
 
 }  // namespace
 
-std::vector<Followed> follow(const std::vector<const Sighting*>& sightings,
-                             const std::vector<double>& times, const TrackParameters& p,
-                             int threads) {
-  std::vector<Followed> ways[2];
+std::vector<TrackingResult> track_objects(const std::vector<const Detections*>& sightings,
+                                          const std::vector<double>& times,
+                                          const TrackParameters& p, int threads) {
+  std::vector<TrackingResult> ways[2];
   parallel_for(2, 1, threads, [&](std::size_t backward, std::size_t) {
     auto& found = ways[backward];
     found.resize(times.size());
@@ -233,7 +233,7 @@ std::vector<Followed> follow(const std::vector<const Sighting*>& sightings,
         if (way.reaches(times[i])) find(way, i, times[i], *sightings[i], sightings, p, found[i]);
     }
   });
-  std::vector<Followed> result = std::move(ways[0]);
+  std::vector<TrackingResult> result = std::move(ways[0]);
   for (std::size_t i = 0; i < result.size(); ++i) {
     auto& rows = result[i].objects;
     rows.insert(rows.end(), ways[1][i].objects.begin(), ways[1][i].objects.end());

@@ -10,16 +10,16 @@
 namespace docdepth {
 
 struct TrackParameters {
-  int sightings = 3;        ///< in so many sweeps the votes say that it moves,
-  float distance = 1.0f;    ///< and it went so far, from above [m]
-  float max_speed = 40.0f;  ///< [m/s]
-  float gap = 1.0f;         ///< unseen for longer it is lost [s]
-  float hold = 5.0f;        ///< where it stands, only after that time [s]
-  float window = 0.3f;      ///< sightings so near in time tell how far it reaches [s]
+  int min_detections = 3;         ///< in so many sweeps the votes say that it moves,
+  float min_distance = 1.0f;      ///< and it went so far, from above [m]
+  float max_speed = 40.0f;        ///< [m/s]
+  float max_gap = 1.0f;           ///< unseen for longer it is lost [s]
+  float max_gap_standing = 5.0f;  ///< where it stands, only after that time [s]
+  float window = 0.3f;            ///< sightings so near in time tell how far it reaches [s]
 };
 
 /// What following finds in a sweep.
-struct Followed {
+struct TrackingResult {
   std::vector<std::uint32_t> objects;  ///< `first` of those that move, but not by votes on it
   std::vector<Extent> boxes;           ///< where something is on its way, seen or not
 };
@@ -39,8 +39,8 @@ struct Followed {
 /// there is that of all sightings which are near in time, moved along.
 ///
 /// @param times seconds
-std::vector<Followed> follow(const std::vector<const Sighting*>& sightings,
-                             const std::vector<double>& times, const TrackParameters& parameters,
-                             int threads);
+std::vector<TrackingResult> track_objects(const std::vector<const Detections*>& sightings,
+                                          const std::vector<double>& times,
+                                          const TrackParameters& parameters, int threads);
 
 }  // namespace docdepth

@@ -28,10 +28,10 @@ Places outside(const Places& places, const Extent& box) {
 }
 
 /// Number of places where a sweep saw something that does not move.
-float taken(const Places& places, const Sighting& seen) {
+float taken(const Places& places, const Detections& seen) {
   const Extent box = box_of(places);
   Places there;
-  for (const SeenObject& object : seen) {
+  for (const Detection& object : seen) {
     if (object.moves() || !object.box.overlaps(box, kSame)) continue;
     for (const Vector& p : object.places)
       if (box.overlaps({p, p}, kSame)) there.push_back(p);
@@ -60,7 +60,8 @@ Way::Way(std::vector<Member> members, const std::vector<double>& times, const Tr
 
 bool Way::reaches(double t) const {
   const double nearest = std::clamp(t, time(0), time(members_.size() - 1));
-  return std::fabs(t - nearest) <= (speed(nearest) < kStanding ? p_.hold : p_.gap) + 1e-3;
+  return std::fabs(t - nearest) <=
+         (speed(nearest) < kStanding ? p_.max_gap_standing : p_.max_gap) + 1e-3;
 }
 
 Extent Way::box(double t) const {
@@ -93,7 +94,7 @@ bool Way::has(std::size_t sweep, std::uint32_t object) const {
 }
 
 bool Way::were_free(const Places& places, std::size_t sweep,
-                    const std::vector<const Sighting*>& sightings) const {
+                    const std::vector<const Detections*>& sightings) const {
   const auto distance = [&](std::size_t k) {
     const std::size_t other = members_[k].sweep;
     return other > sweep ? other - sweep : sweep - other;

@@ -34,7 +34,7 @@ class Way {
   Way(std::vector<Member> members, const std::vector<double>& times, const TrackParameters& p);
 
   /// Whether enough of it was seen to move for all that does not move now.
-  bool carries(const SeenObject& now) const { return now.points - now.dynamic <= most_; }
+  bool carries(const Detection& now) const { return now.points - now.dynamic <= most_; }
   /// Whether it is known where it is: a little before and after its sightings, longer if it stands.
   bool reaches(double t) const;
   float speed(double t) const { return velocity(t).norm(); }
@@ -44,7 +44,7 @@ class Way {
   bool has(std::size_t sweep, std::uint32_t object) const;
   /// Whether places were free when it was elsewhere, as the nearest such sweeps tell.
   bool were_free(const Places& places, std::size_t sweep,
-                 const std::vector<const Sighting*>& sightings) const;
+                 const std::vector<const Detections*>& sightings) const;
 
  private:
   double time(std::size_t k) const { return times_[members_[k].sweep]; }

@@ -88,7 +88,7 @@ std::vector<PlacedMover> carried(const Camera& camera, const Motion& motion, int
         find_again(objects, velocity, sweep.surface.frame->objects, passage_to(sweep));
   });
   for (std::size_t s = 1; s < motion.sweeps.size(); ++s) {
-    const SurfaceFrame& frame = *motion.sweeps[s].surface.frame;
+    const MeshFrame& frame = *motion.sweeps[s].surface.frame;
     for (std::size_t k = 0; k < velocity.size(); ++k) {
       if (velocity[k].isZero(0)) continue;
       Pose T = placed[k].trusted[0].T_camera_mesh;
@@ -104,10 +104,10 @@ std::vector<PlacedMover> carried(const Camera& camera, const Motion& motion, int
 
 }  // namespace
 
-SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles)[3],
-                           const std::uint8_t* cut, std::size_t triangle_count,
-                           const std::uint32_t* loose, std::size_t loose_count, float loose_angle,
-                           const std::uint16_t* classid, const float* late, const Points* starts)
+MeshFrame::MeshFrame(const Points& points, const std::uint32_t (*triangles)[3],
+                     const std::uint8_t* cut, std::size_t triangle_count,
+                     const std::uint32_t* loose, std::size_t loose_count, float loose_angle,
+                     const std::uint16_t* classid, const float* late, const Points* starts)
     : objects(find_objects(points, classid, late)) {
   auto [vertices, parts, normals] = part_surface(points, triangles, cut, triangle_count,
                                                  objects.owner, objects.places.size() + 1);
@@ -125,7 +125,7 @@ SurfaceFrame::SurfaceFrame(const Points& points, const std::uint32_t (*triangles
         {Mesh(all, parts[k].whole), Mesh(all, parts[k].inner), Mesh(all, parts[k].outer)});
 }
 
-Drawing drawing_of(const Camera& camera, const std::vector<PlacedSurface>& fixed,
+Drawing drawing_of(const Camera& camera, const std::vector<PlacedMeshFrame>& fixed,
                    const Motion& motion, int witnesses, int threads) {
   Drawing drawing;
   const auto count = static_cast<int>(fixed.size());
@@ -140,8 +140,8 @@ Drawing drawing_of(const Camera& camera, const std::vector<PlacedSurface>& fixed
   return drawing;
 }
 
-std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
-                                   const Motion& motion, int witnesses, int threads) {
+std::vector<float> render_meshes(const Camera& camera, const std::vector<PlacedMeshFrame>& fixed,
+                                 const Motion& motion, int witnesses, int threads) {
   return render_triangles(camera, drawing_of(camera, fixed, motion, witnesses, threads), threads);
 }
 

@@ -13,7 +13,7 @@
 namespace docdepth {
 
 /// A sweep's surface made ready to be drawn, each moving object apart.
-struct SurfaceFrame {
+struct MeshFrame {
   struct Mover {
     Mesh whole;  ///< measured surface, and returns that stand alone
     Mesh inner;  ///< what continues it over depth jumps of its own
@@ -31,22 +31,22 @@ struct SurfaceFrame {
   /// @param classid ClassId of every point
   /// @param late when every point was measured, seconds after the sweep's stamp; may be null
   /// @param starts where the line of sight of every point begins; may be null
-  SurfaceFrame(const Points& points, const std::uint32_t (*triangles)[3], const std::uint8_t* cut,
-               std::size_t triangle_count, const std::uint32_t* loose, std::size_t loose_count,
-               float loose_angle, const std::uint16_t* classid, const float* late,
-               const Points* starts = nullptr);
+  MeshFrame(const Points& points, const std::uint32_t (*triangles)[3], const std::uint8_t* cut,
+            std::size_t triangle_count, const std::uint32_t* loose, std::size_t loose_count,
+            float loose_angle, const std::uint16_t* classid, const float* late,
+            const Points* starts = nullptr);
 };
 
 /// A sweep where it stood relative to the camera at the image's time.
-struct PlacedSurface {
-  const SurfaceFrame* frame;
+struct PlacedMeshFrame {
+  const MeshFrame* frame;
   Pose T_camera_frame;
 };
 
 /// The sweeps that tell of what moves, the nearest in time first; the next tells how fast it is.
 struct Motion {
   struct Sweep {
-    PlacedSurface surface;
+    PlacedMeshFrame surface;
     float since;  ///< seconds from its stamp to the image
   };
   std::vector<Sweep> sweeps;
@@ -63,12 +63,12 @@ struct Motion {
 /// the
 ///   first to offer something is believed, and moving objects end a little past the middle between
 ///   returns
-std::vector<float> render_surfaces(const Camera& camera, const std::vector<PlacedSurface>& fixed,
-                                   const Motion& motion, int witnesses, int threads);
+std::vector<float> render_meshes(const Camera& camera, const std::vector<PlacedMeshFrame>& fixed,
+                                 const Motion& motion, int witnesses, int threads);
 
-/// What render_surfaces() draws, for any rasteriser of triangles. Its sweeps are numbered: those of
+/// What render_meshes() draws, for any rasteriser of triangles. Its sweeps are numbered: those of
 /// `fixed` from 0 on, then those of `motion`.
-Drawing drawing_of(const Camera& camera, const std::vector<PlacedSurface>& fixed,
+Drawing drawing_of(const Camera& camera, const std::vector<PlacedMeshFrame>& fixed,
                    const Motion& motion, int witnesses, int threads);
 
 }  // namespace docdepth

@@ -93,7 +93,7 @@ struct Shape {
 
 struct FindShapes {
   DOCDEPTH_KERNEL static void run(std::size_t count, const std::array<std::uint32_t, 3>* triangles,
-                                  const Ray* rays, const SurfaceParameters& parameters,
+                                  const Ray* rays, const MeshParameters& parameters,
                                   Shape* shapes) {
     for (std::size_t first = 0; first < count; first += kLanes) {
       const std::size_t some = std::min(count - first, std::size_t{kLanes});
@@ -159,13 +159,13 @@ struct JudgeFolds {
 /// Asks about triangles and a neighbour of theirs, and remembers which go on its plane.
 class Folds {
  public:
-  explicit Folds(const Triangulation& mesh) : mesh_(mesh) {}
+  explicit Folds(const Triangulation& triangulation) : triangulation_(triangulation) {}
 
   /// About triangle t and what lies beyond its side i.
   void add(std::uint32_t t, std::uint32_t i) {
-    const std::uint32_t neighbour = mesh_.across[t][i];
+    const std::uint32_t neighbour = triangulation_.across[t][i];
     if (neighbour == kNone) return;
-    const auto &corners = mesh_.corners[t], &other = mesh_.corners[neighbour];
+    const auto &corners = triangulation_.corners[t], &other = triangulation_.corners[neighbour];
     const std::uint32_t a = corners[i], b = corners[(i + 1) % 3], c = corners[(i + 2) % 3];
     folds_.push_back({a, b, c, other[0] ^ other[1] ^ other[2] ^ a ^ b});
     triangles_.push_back(t);
@@ -182,7 +182,7 @@ class Folds {
   }
 
  private:
-  const Triangulation& mesh_;
+  const Triangulation& triangulation_;
   std::vector<Fold> folds_;
   std::vector<std::uint32_t> triangles_;
 };
@@ -190,11 +190,11 @@ class Folds {
 /// Which triangles span a depth jump. First each steep one is held against its neighbour beyond the
 /// side that changes range the least (along a ring); then, for the last ring of a ground or wall,
 /// against its other neighbours that are whole.
-std::vector<std::uint8_t> cuts(const Points& points, const Triangulation& mesh,
+std::vector<std::uint8_t> cuts(const Points& points, const Triangulation& triangulation,
                                const std::vector<Shape>& shapes, float flatness) {
-  const auto count = static_cast<std::uint32_t>(mesh.corners.size());
+  const auto count = static_cast<std::uint32_t>(triangulation.corners.size());
   std::vector<std::uint8_t> cut(count);
-  Folds folds(mesh);
+  Folds folds(triangulation);
   for (std::uint32_t t = 0; t < count; ++t) {
     cut[t] = shapes[t].is_steep;
     if (cut[t]) folds.add(t, shapes[t].flattest);
@@ -202,14 +202,14 @@ std::vector<std::uint8_t> cuts(const Points& points, const Triangulation& mesh,
   folds.clear_flat(points, flatness, cut);
   for (std::uint32_t t = 0; t < count; ++t)
     for (std::uint32_t i = 0; cut[t] && i < 3; ++i)
-      if (mesh.across[t][i] != kNone && !cut[mesh.across[t][i]]) folds.add(t, i);
+      if (triangulation.across[t][i] != kNone && !cut[triangulation.across[t][i]]) folds.add(t, i);
   folds.clear_flat(points, flatness, cut);
   return cut;
 }
 
 }  // namespace
 
-Surface build_surface(const Points& points, const SurfaceParameters& parameters) {
+ScanMesh build_scan_mesh(const Points& points, const MeshParameters& parameters) {
   std::vector<Ray> rays(points.rows());
   dispatch<FindRays>(rays.size(), points.data(), static_cast<std::size_t>(points.outerStride()),
                      rays.data());
@@ -217,26 +217,27 @@ Surface build_surface(const Points& points, const SurfaceParameters& parameters)
   usable.reserve(rays.size());
   for (std::uint32_t i = 0; i < rays.size(); ++i)
     if (rays[i].range > 0.0f) usable.push_back(i);
-  const Triangulation mesh = triangulate(directions_of(points), usable);
-  std::vector<Shape> shapes(mesh.corners.size());
-  dispatch<FindShapes>(shapes.size(), mesh.corners.data(), rays.data(), parameters, shapes.data());
-  const std::vector<std::uint8_t> cut = cuts(points, mesh, shapes, parameters.flatness);
+  const Triangulation triangulation = triangulate(directions_of(points), usable);
+  std::vector<Shape> shapes(triangulation.corners.size());
+  dispatch<FindShapes>(shapes.size(), triangulation.corners.data(), rays.data(), parameters,
+                       shapes.data());
+  const std::vector<std::uint8_t> cut = cuts(points, triangulation, shapes, parameters.flatness);
 
-  Surface surface;
-  surface.points = rays.size();
-  surface.triangles.reserve(mesh.corners.size());
-  surface.cut.reserve(mesh.corners.size());
+  ScanMesh mesh;
+  mesh.points = rays.size();
+  mesh.triangles.reserve(triangulation.corners.size());
+  mesh.discontinuity.reserve(triangulation.corners.size());
   std::vector<std::uint8_t> used(rays.size(), 0);
-  for (std::size_t t = 0; t < mesh.corners.size(); ++t) {
+  for (std::size_t t = 0; t < triangulation.corners.size(); ++t) {
     if (shapes[t].is_wide) continue;
-    surface.triangles.push_back(mesh.corners[t]);
-    surface.cut.push_back(cut[t]);
+    mesh.triangles.push_back(triangulation.corners[t]);
+    mesh.discontinuity.push_back(cut[t]);
     if (!cut[t])
-      for (const auto corner : mesh.corners[t]) used[corner] = 1;
+      for (const auto corner : triangulation.corners[t]) used[corner] = 1;
   }
   for (const auto i : usable)
-    if (!used[i]) surface.loose.push_back(i);
-  return surface;
+    if (!used[i]) mesh.isolated.push_back(i);
+  return mesh;
 }
 
 }  // namespace docdepth

@@ -1,4 +1,4 @@
-"""What the verbs of the command line share: consoles, options, progress and summaries."""
+"""Consoles, options, progress bars and summaries that the verbs share."""
 
 from __future__ import annotations
 
@@ -26,40 +26,42 @@ app = typer.Typer(
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
 
-RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]
+RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")]
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="STAGE.NAME=VALUE", help="Replace one parameter."),
+    typer.Option("--set", metavar="STAGE.NAME=VALUE", help="Set a parameter."),
 ]
-Threads = Annotated[int, typer.Option(min=0, help="Threads; 0 takes every core.")]
+Threads = Annotated[int, typer.Option(min=0, help="Number of threads; 0 uses all cores.")]
 RendererName = Annotated[
     str | None,
     typer.Option(
         "--renderer",
         metavar="NAME",
-        help="auto (a graphics card, else cpu), cpu, egl, egl:N, surfaceless or osmesa; "
-        "DOCDEPTH_RENDERER, else auto, if absent.",
+        help="auto (GPU if present, else cpu), cpu, egl, egl:N, surfaceless or osmesa; "
+        "DOCDEPTH_RENDERER or auto if absent.",
     ),
 ]
 CameraNames = Annotated[
     list[str] | None,
     typer.Option(
-        "--camera", metavar="NAME", help="Cameras, one or several, or all; image_02 if absent."
+        "--camera", metavar="NAME", help="Camera, several with commas, or all; image_02 if absent."
     ),
 ]
 Formats = Annotated[
     list[str] | None,
     typer.Option(
-        "--format", metavar="NAME", help="png (default), exr, exr-half, tiff, npz, npy; several."
+        "--format",
+        metavar="NAME",
+        help="png (default), exr, exr-half, tiff, npz or npy; several with commas.",
     ),
 ]
-Scale = Annotated[float | None, typer.Option(help="Steps of a PNG a metre; 256 (KITTI) if absent.")]
+Scale = Annotated[float | None, typer.Option(help="PNG value per metre; 256 (KITTI) if absent.")]
 LayerNames = Annotated[
     list[str] | None,
     typer.Option(
         "--layers",
         metavar="NAME",
-        help="Also write class, time, range, support, std, normal, confidence.",
+        help="Per-pixel layers: class, time, range, support, std, normal, confidence.",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
@@ -72,7 +74,7 @@ def show(result: Any, as_json: bool) -> None:
 
 @contextmanager
 def progress_bars() -> Iterator[Any]:
-    """A bar a stage, with the time left."""
+    """One progress bar per stage, with the time left."""
     columns = (
         TextColumn("{task.description:<12}"),
         BarColumn(),
@@ -91,7 +93,7 @@ def progress_bars() -> Iterator[Any]:
 
 
 def listed(names: list[str] | None) -> str | list[str] | None:
-    """Names given one by one or with commas; one alone as itself."""
+    """Names from repeated options or commas; a single name as a string."""
     every = [name for text in names or [] for name in text.split(",")]
     return every[0] if len(every) == 1 else every or None
 
@@ -105,7 +107,7 @@ def changes_of(settings: list[str] | None) -> dict[str, Any]:
 def output_of(
     format: list[str] | None, scale: float | None, layers: list[str] | None
 ) -> dict[str, Any]:
-    """Options that stand for settings."""
+    """Parameters that have an option of their own."""
     chosen: dict[str, Any] = {}
     if format:
         chosen["output.format"] = ",".join(format)
@@ -145,8 +147,8 @@ def replaced(folder: RunFolder, changes: dict[str, Any], *stages: str) -> Parame
 
 
 def show_summary(folder: RunFolder) -> None:
-    """Seconds by stage, density and what was left out."""
-    table = Table("stage", "frames", "seconds", "ms a frame", "where the time went", box=None)
+    """Print seconds per stage, density and images left out."""
+    table = Table("stage", "frames", "seconds", "ms/frame", "seconds by step", box=None)
     for name, state in folder.manifest["stages"].items():
         seconds: dict[str, float] = state.get("seconds", {})
         total, frames = state.get("wall_seconds", 0.0), state.get("frames", 0)

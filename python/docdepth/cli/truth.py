@@ -1,4 +1,4 @@
-"""Verbs that make drives with exact truth, and hold runs against it."""
+"""Verbs that make synthetic drives, evaluate runs and tune parameters."""
 
 from __future__ import annotations
 
@@ -9,23 +9,27 @@ import typer
 
 from docdepth.cli.options import Json, RunPath, Threads, app, out, progress_bars, show, show_summary
 
-evaluate = typer.Typer(no_args_is_help=True, help="Compare a run with the truth.")
+evaluate = typer.Typer(no_args_is_help=True, help="Measure the accuracy of a run.")
 app.add_typer(evaluate, name="evaluate")
 
 
 @app.command()
 def synth(
-    output: Annotated[Path, typer.Argument(metavar="OUT", help="Folder for the drive.")],
-    scene: Annotated[str, typer.Option(help="Kind of street.")] = "city",
-    sensor: Annotated[str, typer.Option(help="Kind of LiDAR.")] = "HDL-64",
+    output: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the drive.")],
+    scene: Annotated[
+        str, typer.Option(help="city, crossing, highway, hills or residential.")
+    ] = "city",
+    sensor: Annotated[str, typer.Option(help="HDL-64, OS1-128, XT-32, VLP-16 or Avia.")] = "HDL-64",
     frames: Annotated[int, typer.Option(min=2, help="Number of sweeps.")] = 60,
-    seed: Annotated[int, typer.Option(min=0, help="Another seed, another street.")] = 0,
-    skew: Annotated[bool, typer.Option(help="Write raw sweeps, not motion compensated.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the scene.")] = 0,
+    skew: Annotated[
+        bool, typer.Option(help="Write raw sweeps, without motion compensation.")
+    ] = False,
     bloom: Annotated[
-        float, typer.Option(min=0, help="Phantoms so many degrees around retro-reflectors.")
+        float, typer.Option(min=0, help="Blooming around retro-reflectors, degrees.")
     ] = 0.0,
 ) -> None:
-    """A synthetic drive with exact labels, poses and depth, in SemanticKITTI layout."""
+    """Write a synthetic drive with exact labels, poses and depth (SemanticKITTI layout)."""
     from docdepth.synthetic import write_drive
 
     with progress_bars() as progress:
@@ -40,11 +44,13 @@ def synth(
 @app.command()
 def demo(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder.")] = Path("demo"),
-    frames: Annotated[int, typer.Option(min=3, help="Sweeps of the synthetic drive.")] = 40,
-    preset: Annotated[str, typer.Option(help="default (measured best) or paper.")] = "default",
+    frames: Annotated[int, typer.Option(min=3, help="Number of sweeps.")] = 40,
+    preset: Annotated[
+        str, typer.Option(help="default (most accurate) or paper (the paper's method).")
+    ] = "default",
     threads: Threads = 0,
 ) -> None:
-    """A synthetic drive, its depth maps and pictures, and how true they are."""
+    """Make a synthetic drive and its depth maps, and print their errors."""
     from docdepth.cli.demo import demo as make
     from docdepth.io.run_folder import RunFolder
 
@@ -79,7 +85,7 @@ def sweep(
     """
     from docdepth.errors import ConfigError, MissingExtraError
     from docdepth.tuning import grid, parse_axes, plot, read_trials, table
-    from docdepth.tuning import sweep as work
+    from docdepth.tuning import tune as work
 
     if bool(vary) == bool(trials):
         raise ConfigError("say what to vary: --vary STAGE.NAME=A,B or --trials FILE")
@@ -91,14 +97,14 @@ def sweep(
         )  # fmt: skip
     out.print(str(table(outcomes)), soft_wrap=True, markup=False)
     try:
-        plot(outcomes, output / "sweep.png")
+        plot(outcomes, output / "tune.png")
     except MissingExtraError as error:
         out.print(f"no plot: {error}", markup=False)
 
 
 @app.command()
 def doctor() -> None:
-    """What this installation can do, and why it cannot do the rest."""
+    """List what this installation can do, and what it lacks."""
     from docdepth.cli.doctor import doctor as examine
 
     for name, finding, well in examine():
@@ -111,7 +117,7 @@ def labels(
     truth: Annotated[Path, typer.Option("--labels", help="Folder of SemanticKITTI labels.")],
     as_json: Json = False,
 ) -> None:
-    """SA, DA, F1, precision and IoU of the dynamic class, point by point."""
+    """Static and dynamic accuracy (SA, DA), F1, precision and IoU per point."""
     from docdepth.evaluation.runs import evaluate_labels
 
     show(evaluate_labels(run, truth), as_json)
@@ -121,14 +127,16 @@ def labels(
 def depth(
     run: RunPath,
     truth: Annotated[Path, typer.Option("--depth", help="Folder of true depth maps.")],
-    mode: Annotated[str, typer.Option(help="valid, or kitti: empty pixels filled.")] = "valid",
+    mode: Annotated[str, typer.Option(help="valid, or kitti (empty pixels are filled).")] = "valid",
     max_range: Annotated[
-        float, typer.Option(help="Pixels farther than so many metres do not count.")
+        float, typer.Option(help="Ignore pixels beyond this depth, metres.")
     ] = 80.0,
-    camera: Annotated[str | None, typer.Option(help="Which, where there are several.")] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="Camera; needed where there are several.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """MAE, RMSE, density, and pixels too near and too far."""
+    """Error (MAE, RMSE), density, and pixels more than 5 % too near or too far."""
     from docdepth.evaluation.runs import evaluate_depth
 
     show(evaluate_depth(run, truth, mode, max_range, camera), as_json)  # type: ignore[arg-type]
@@ -137,17 +145,20 @@ def depth(
 @evaluate.command()
 def held_out(
     run: RunPath,
-    every: Annotated[int, typer.Option(min=1, help="Leave out each so many-th sweep.")] = 10,
+    every: Annotated[int, typer.Option(min=1, help="Leave out every N-th sweep.")] = 10,
     max_range: Annotated[
-        float, typer.Option(help="Returns farther than so many metres do not count.")
+        float, typer.Option(help="Ignore returns beyond this depth, metres.")
     ] = 80.0,
-    camera: Annotated[str | None, typer.Option(help="Which, where there are several.")] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="Camera; needed where there are several.")
+    ] = None,
     threads: Threads = 0,
     as_json: Json = False,
 ) -> None:
-    """Depth against sweeps that were left out: no truth but the recording itself.
+    """Compare depth with sweeps that were left out: needs no ground truth.
 
-    The nearest sweep is the one left out, and what lies between returns is not judged.
+    A sweep is left out, its view is rendered from the others, and each of its returns is compared
+    with the map. Pixels between returns are not judged.
     """
     from docdepth.evaluation.held_out import evaluate_held_out
 

@@ -37,7 +37,7 @@ def cluster_objects(
         A shape or dtype is wrong.
     """
     points, ground = check_sweep(points, ground)
-    return _core.connect_objects(points, ground, (mesh or ScanMesh(points)).core, OBJECT_PARAMETERS)
+    return _core.cluster_objects(points, ground, (mesh or ScanMesh(points)).core, OBJECT_PARAMETERS)
 
 
 def classify_objects(
@@ -70,7 +70,7 @@ def classify_objects(
     ndarray of bool, shape (N,)
         True for dynamic.
     """
-    moving = _core.moving_points(
+    moving = _core.classify_objects(
         points, ground, objects, static, dynamic, mesh.core, OBJECT_PARAMETERS
     )
     return moving.view(np.bool_)

@@ -76,7 +76,7 @@ class Detections:
         T_world_lidar: NDArray[np.float64],
     ) -> None:
         points, ground = check_sweep(points, ground)
-        self._core = _core.Sighting(points, ground, objects, moving, T_world_lidar)
+        self._core = _core.Detections(points, ground, objects, moving, T_world_lidar)
 
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
@@ -87,7 +87,7 @@ class Detections:
     def of(cls, arrays: Sequence[NDArray[Any]]) -> Detections:
         """The detections whose :attr:`arrays` these are."""
         self = cls.__new__(cls)
-        self._core = _core.Sighting.of(*arrays)
+        self._core = _core.Detections.of(*arrays)
         return self
 
 
@@ -137,7 +137,7 @@ def track_objects(
     if len(detections) != len(times):
         raise InputError(f"{len(detections)} detections and {len(times)} times; give one of each")
     seconds = (np.asarray(times) - times[0]) * 1e-9 if len(times) else np.zeros(0)
-    found = _core.follow([of._core for of in detections], seconds, TRACK_PARAMETERS, threads)
+    found = _core.track_objects([of._core for of in detections], seconds, TRACK_PARAMETERS, threads)
     return [TrackingResult(*sweep) for sweep in found]
 
 
@@ -183,7 +183,7 @@ def apply_tracks(
         moving,
         OBJECT_PARAMETERS,
     ).view(np.bool_)
-    every = _core.add_loose_points(
+    every = _core.add_isolated_points(
         points, ground, objects, static, dynamic, inside, OBJECT_PARAMETERS
     )
     return np.where(every, np.uint16(DYNAMIC), classid)
@@ -202,7 +202,7 @@ def _tracked_rows(
     """
     rows = np.flatnonzero(_rows_of(tracked, objects) & ~moving)
     of, count = objects[rows], len(objects)
-    occupied = votes.static[rows] >= OBJECT_PARAMETERS.freed_ratio
+    occupied = votes.static[rows] >= OBJECT_PARAMETERS.max_static_ratio
     occupied &= votes.dynamic[rows] == 0
     of_object = np.bincount(of, minlength=count)
     stays = np.bincount(of, occupied, count) > MAX_OCCUPIED_SHARE * of_object

@@ -152,12 +152,12 @@ def _range_image(
 def _surface_image(
     part: LidarMesh, ground: NDArray[np.bool_], p: DynamicsParameters
 ) -> _core.KeyFrame:
-    return _core.SurfaceImage(part.view.points, ground, part.core, _surface_parameters(p))
+    return _core.MeshImage(part.view.points, ground, part.core, _surface_parameters(p))
 
 
-def _surface_parameters(p: DynamicsParameters) -> _core.SurfaceImageParameters:
+def _surface_parameters(p: DynamicsParameters) -> _core.MeshImageParameters:
     """The public values; all others are constants, the defaults of the C++ structure."""
-    core = _core.SurfaceImageParameters()
+    core = _core.MeshImageParameters()
     core.resolution = float(np.radians(p.resolution_deg))
     core.window, core.tolerance = p.window, p.tolerance
     return core

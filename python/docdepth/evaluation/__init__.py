@@ -1,26 +1,27 @@
-"""How good labels and depth are, by the protocols that papers use, each named with its figures.
+"""Metrics of labels and depth maps, by the protocols of the literature.
 
-Shares of points and pixels (SA, DA, density, ...) are in percent, precision, F1 and IoU in 0..1,
-as the literature prints them. What is undefined (no moving point, no pixel) is NaN, not zero.
+Labels
+    static accuracy SA, dynamic accuracy DA, associated accuracy AA, F1, precision and IoU of the
+    dynamic class, point by point (the paper's evaluation of labels), or on the cleaned map
+    (DynamicMap_Benchmark, ERASOR).
+Depth
+    the error metrics of KITTI's development kit, density, and errors by range and region.
+
+Shares of points and pixels (SA, DA, density, ...) are percentages; precision, F1 and IoU lie in
+0..1. A metric without a point or pixel to compute it from is NaN, not zero.
 """
 
 from docdepth.evaluation.depth import DepthEvaluation, DepthResult
 from docdepth.evaluation.depth_metrics import DepthErrors, RegionErrors
-from docdepth.evaluation.labels import (
-    LabelCounts,
-    LabelEvaluation,
-    LabelResult,
-    ignored,
-    moving,
-)
-from docdepth.evaluation.pixels import depth_edges, fill_background
-from docdepth.evaluation.static_map import (
-    MapEvaluation,
-    MapResult,
+from docdepth.evaluation.label_counts import LabelCounts, ignored, moving
+from docdepth.evaluation.labels import LabelEvaluation, LabelResult
+from docdepth.evaluation.map_protocols import (
     PreservationRejection,
     nearest_neighbor_protocol,
     voxel_protocol,
 )
+from docdepth.evaluation.pixels import depth_edges, fill_background
+from docdepth.evaluation.static_map import MapEvaluation, MapResult
 from docdepth.evaluation.tables import Table
 
 __all__ = [

@@ -1,8 +1,7 @@
-"""Depth maps against the truth: KITTI's figures, edges, ranges, moving objects (paper IV-B).
+"""Depth maps against ground truth: KITTI's metrics, and errors by region and range.
 
-KITTI's figures are means over pixels of one image, then over images, as in its development kit.
-Everything that asks where errors sit (edges, range, moving objects) is over the pixels of all
-images together.
+KITTI's metrics are means over the pixels of an image, then over images, as in its development kit.
+Errors by region (interior, moving objects) and by range are over the pixels of all images together.
 """
 
 from __future__ import annotations
@@ -23,12 +22,19 @@ from docdepth.evaluation.tables import Table, number, percent, plain, ratio
 
 Mode = Literal["valid", "kitti"]
 
+# Ranges that are reported apart [m].
 RANGE_BINS = (0.0, 10.0, 20.0, 30.0, 50.0, 80.0)
+
+
+NOTE = (
+    "MAE in shifts: MAE divided by the MAE of the true depth map moved right by one pixel; "
+    "too near, too far: share of pixels more than 5 % off"
+)
 
 
 @dataclass(frozen=True)
 class RangeErrors:
-    """Errors of pixels whose true depth lies between two values [m]."""
+    """Errors of the pixels with ``near < true depth <= far`` [m]."""
 
     near: float
     far: float
@@ -37,31 +43,32 @@ class RangeErrors:
 
 @dataclass(frozen=True)
 class DepthResult:
-    """Figures of a set of depth maps.
+    """Metrics of a set of depth maps.
 
     Attributes
     ----------
     protocol : str
-        What was compared, in words.
+        What was compared, as a sentence.
     poses : str
-        Where the poses came from.
+        Source of the poses.
     images : int
     max_range : float
         Pixels with a larger true depth are not compared [m].
     density : float
-        Share of all pixels with depth [%], before any filling.
+        Share of all pixels that have depth [%], before hole filling.
     density_on_surfaces : float
-        Share of the pixels where the truth has any surface, however far [%], before any filling.
+        Share of the pixels with a true depth, at any distance, that have depth [%], before hole
+        filling.
     kitti : DepthErrors
-        Means over images.
+        KITTI's metrics, means over images.
     all, interior : RegionErrors
-        All compared pixels, and those farther than 3 pixels from a depth edge of the truth. The
-        interior has a meaning only where the truth is dense.
+        All pixels, and those farther than 3 pixels from a depth edge of the ground truth. The
+        interior is meaningful only for dense ground truth.
     dynamic : RegionErrors, optional
-        Pixels of moving objects, where a mask of them was given.
+        Pixels of moving objects; None without a mask.
     point_to_point : float
-        Mean distance [m] of the points that true and predicted depth put a pixel at; NaN without
-        camera matrices.
+        Mean distance between the 3D points that true and predicted depth give a pixel [m]; NaN
+        without camera matrices.
     by_range : tuple of RangeErrors
     """
 
@@ -79,7 +86,7 @@ class DepthResult:
     by_range: tuple[RangeErrors, ...] = field(default=())
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything by name, ready for JSON; what is undefined is None."""
+        """All metrics by name, ready for JSON; None replaces NaN."""
         result: dict[str, Any] = {
             "protocol": self.protocol,
             "poses": self.poses,
@@ -100,7 +107,7 @@ class DepthResult:
         return dict(plain(result))
 
     def table(self) -> Table:
-        """Errors by region, for a terminal or a report."""
+        """Errors by region and range, one row each."""
         rows = [("all", *self.all.cells()), ("interior", *self.interior.cells())]
         if self.dynamic is not None:
             rows.append(("moving objects", *self.dynamic.cells()))
@@ -109,14 +116,14 @@ class DepthResult:
         title = (
             f"depth: {self.protocol}; poses: {self.poses}; {self.images} images, "
             f"density {number(self.density, 1)} % ({number(self.density_on_surfaces, 1)} % "
-            "of the pixels with a surface)"
+            "of the pixels with a true depth)"
         )
-        header = ("pixels", "number", "density %", "MAE m", "RMSE m", "MAE shifts")
-        return Table(title, (*header, "too near %", "too far %"), tuple(rows))
+        header = ("region", "pixels", "density %", "MAE m", "RMSE m", "MAE in shifts")
+        return Table(title, (*header, "too near %", "too far %"), tuple(rows), NOTE)
 
     def kitti_table(self) -> Table:
-        """KITTI's figures, for a terminal or a report."""
-        header = ("figure", "mean over images")
+        """KITTI's metrics, one row each."""
+        header = ("metric", "mean over images")
         units = {"mae": "m", "rmse": "m", "imae": "1/km", "irmse": "1/km", "sq_rel_eigen": "m"}
         percents = ("abs_rel", "sq_rel", "delta1", "delta2", "delta3")
         rows = [
@@ -131,19 +138,19 @@ class DepthResult:
 
 
 class DepthEvaluation:
-    """Depth maps against the truth, an image at a time.
+    """Compares depth maps with ground truth, image by image.
 
     Parameters
     ----------
     mode : {"valid", "kitti"}
-        ``valid`` compares pixels that have depth, ``kitti`` fills empty ones first as the
+        ``valid`` compares pixels that have depth; ``kitti`` first fills empty pixels as the
         development kit does.
     max_range : float
         Pixels with a larger true depth are not compared [m].
     poses : str
-        Where the poses came from, printed with the figures.
+        Source of the poses; printed with the metrics.
     range_bins : sequence of float
-        Borders of the depths reported apart [m].
+        Borders of the depth ranges that are reported apart [m].
     """
 
     def __init__(
@@ -170,7 +177,7 @@ class DepthEvaluation:
         dynamic: Mask | None = None,
         K: NDArray[np.float64] | None = None,
     ) -> DepthErrors:
-        """Compare one image.
+        """Compare one depth map with ground truth.
 
         Parameters
         ----------
@@ -179,23 +186,23 @@ class DepthEvaluation:
         dynamic : ndarray of bool, shape (h, w), optional
             Pixels of moving objects.
         K : ndarray of float64, shape (3, 3), optional
-            Camera matrix, for the distance of points.
+            Camera matrix; needed for ``point_to_point``.
 
         Returns
         -------
         DepthErrors
-            KITTI's figures of this image.
+            KITTI's metrics of this image.
 
         Raises
         ------
         InputError
-            The images differ in size, or a depth is negative or infinite.
+            The arrays differ in size, or a depth is negative or infinite.
         """
         predicted, truth = _depth("predicted", predicted), _depth("true", truth)
         if predicted.shape != truth.shape or (dynamic is not None and dynamic.shape != truth.shape):
             raise InputError(
-                f"predicted depth {predicted.shape} and truth {truth.shape} (and the mask of "
-                "moving objects) must be of one size; was the truth made for another camera?"
+                f"predicted depth {predicted.shape}, true depth {truth.shape} and the mask of "
+                "moving objects must have one size; was the truth made for another camera?"
             )
         surface, has_depth = ~np.isnan(truth), ~np.isnan(predicted)
         self._pixels += truth.size
@@ -228,11 +235,11 @@ class DepthEvaluation:
         return errors
 
     def result(self) -> DepthResult:
-        """The figures of everything added so far."""
+        """Metrics of all images added so far."""
         filled = "empty pixels filled as in KITTI's kit"
-        what = filled if self._mode == "kitti" else "pixels with depth"
+        compared = filled if self._mode == "kitti" else "pixels with depth"
         return DepthResult(
-            protocol=f"{what}, truth up to {self._max_range:g} m",
+            protocol=f"{compared}, truth up to {self._max_range:g} m",
             poses=self._poses,
             images=len(self._images),
             max_range=self._max_range,
@@ -254,7 +261,7 @@ def _depth(name: str, depth: Depth) -> Depth:
     depth = np.asarray(depth)
     if depth.ndim != 2 or depth.dtype.kind != "f":
         raise InputError(
-            f"{name} depth is a float image of metres, shape (h, w); got {depth.dtype} "
+            f"{name} depth must be a float image in metres, shape (h, w); got {depth.dtype} "
             f"{depth.shape}"
         )
     depth = np.where(depth == 0, np.float32(np.nan), depth).astype(np.float32, copy=False)
@@ -264,6 +271,6 @@ def _depth(name: str, depth: Depth) -> Depth:
         row, column = np.argwhere(wrong)[0]
         raise InputError(
             f"{name} depth has {np.count_nonzero(wrong)} negative or infinite pixels, the first "
-            f"in row {row}, column {column}; NaN or 0 means no depth"
+            f"at row {row}, column {column}; NaN or 0 means no depth"
         )
     return depth

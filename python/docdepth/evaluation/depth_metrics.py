@@ -1,4 +1,4 @@
-"""Errors of depth: KITTI's figures of an image, and sums over the pixels of many."""
+"""Depth errors: KITTI's metrics of one image, and sums over the pixels of many images."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from docdepth.evaluation.pixels import Mask
 from docdepth.evaluation.tables import number, percent, ratio
 
-# Too near or too far is more than this share off.
-_OFF = 0.05
+# A pixel is too near or too far if its error exceeds this share of the true depth.
+_RELATIVE_ERROR = 0.05
 
 _ANY = slice(None)
 
@@ -23,20 +23,20 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DepthErrors:
-    """Mean errors of KITTI's development kit, in its units where it has some.
+    """Mean errors, as defined by KITTI's development kit and in its units.
 
     Attributes
     ----------
     mae, rmse : float
         Metres.
     imae, irmse : float
-        Of inverse depth [1/km].
+        Errors of inverse depth [1/km].
     log_mae, log_rmse : float
-        Of the natural logarithm of depth.
+        Errors of the natural logarithm of depth.
     silog : float
         Scale-invariant logarithmic error, times 100.
     abs_rel : float
-        Percent.
+        ``mean(|d - p| / d)`` [%].
     sq_rel : float
         ``mean((d - p)^2 / d^2)`` [%], as in the kit.
     sq_rel_eigen : float
@@ -92,27 +92,28 @@ class DepthErrors:
 
     @classmethod
     def mean(cls, errors: Sequence[DepthErrors]) -> DepthErrors:
-        """The mean over images; those without a pixel to compare do not count."""
+        """Mean over images; images without a compared pixel are left out."""
         rows = [tuple(asdict(e).values()) for e in errors if not math.isnan(e.mae)]
         return cls(*(float(x) for x in np.mean(rows, axis=0))) if rows else cls()
 
 
 @dataclass(frozen=True)
 class RegionErrors:
-    """Errors over some of the pixels of all images.
+    """Errors over the pixels of a region, over all images together.
 
     Attributes
     ----------
     pixels : int
-        Pixels of the truth there.
+        Pixels of the region that have a true depth.
     compared : int
-        Those with depth.
+        Of these, the pixels with a predicted depth.
     mae, rmse : float
         Metres.
     shifts : float
-        MAE over that of the exact depth moved right by one pixel, on the same pixels.
+        MAE in shifts: the MAE divided by the MAE of the true depth map moved right by one pixel,
+        on the same pixels.
     too_near, too_far : float
-        Share of compared pixels more than 5 % off [%].
+        Share of compared pixels whose depth is more than 5 % too small or too large [%].
     """
 
     pixels: int
@@ -143,29 +144,30 @@ class RegionErrors:
 
 
 class PixelSums:
-    """Sums over pixels by range, interior and moving or not, for :class:`RegionErrors`.
+    """Sums over pixels for :class:`RegionErrors`, by range, interior and moving.
 
     Parameters
     ----------
     bins : sequence of float
-        Borders of the ranges [m]; every true depth added lies between the first and the last.
+        Borders of the ranges [m]; every true depth must lie between the first and the last.
     """
 
     def __init__(self, bins: Sequence[float]) -> None:
         self._bins = bins
-        # Pixels, compared, too near, too far, |e|, e^2, |e| and shift where both are known.
+        # Number of pixels, compared, too near and too far; sums of |e| and e^2; and, over pixels
+        # where both are known, sums of |e| and of the error of the shifted depth.
         self._sums = np.zeros((8, len(bins) - 1, 2, 2))
 
     def add(
         self, error: Values, truth: Values, shift: Values, interior: Mask, dynamic: Mask
     ) -> None:
-        """Add one image's pixels, shape (k,) each; ``error`` and ``shift`` may be NaN."""
+        """Add pixels of one image, shape (k,) each; ``error`` and ``shift`` may be NaN [m]."""
         place = np.searchsorted(self._bins, truth, side="left") - 1
         cell = (2 * np.maximum(place, 0) + interior) * 2 + dynamic
         compared = ~np.isnan(error)
         size = np.abs(np.where(compared, error, 0))
         both = compared & ~np.isnan(shift)
-        off = _OFF * truth
+        off = _RELATIVE_ERROR * truth
         with np.errstate(invalid="ignore"):
             near, far = error < -off, error > off
         shares = (size, size * size, np.where(both, size, 0), np.where(both, shift, 0))
@@ -176,7 +178,7 @@ class PixelSums:
     def errors(
         self, ranges: int | slice = _ANY, interior: int | slice = _ANY, dynamic: int | slice = _ANY
     ) -> RegionErrors:
-        """Errors of a region: the number of a range, 1 or 0 for interior and moving or not."""
+        """Errors of a region: index of the range, interior and dynamic 0 or 1; default: all."""
         sums = [float(table[ranges, interior, dynamic].sum()) for table in self._sums]
         pixels, compared, near, far, absolute, squared, own, shift = sums
         return RegionErrors(

@@ -1,8 +1,9 @@
-"""How true depth maps are where no truth is recorded: sweeps that were left out tell.
+"""Depth maps against the recording itself: sweeps that were left out serve as ground truth.
 
-A sweep is left out, its view is drawn from all others, and what is drawn is held against every
-return that it had. A map has its sweeps nearer than that, since the nearest one was left out; but
-what lies between returns is not judged, and what all sweeps measured wrongly is not seen.
+One sweep is left out, the depth map of its view is drawn from all other sweeps, and each return of
+the sweep is compared with the pixel that it falls into. The result is pessimistic, since the map
+lacks its nearest sweep. It says nothing about pixels between returns, or about errors that all
+sweeps share.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from docdepth.errors import InputError
 from docdepth.evaluation.depth import RANGE_BINS, RangeErrors
@@ -26,49 +28,57 @@ from docdepth.geometry.sensor_rig import lidar_views
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.render import load_frame
-from docdepth.render import depth_map as render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.selection import needed_frames
 
 
 @dataclass(frozen=True)
 class HeldOutResult:
-    """Figures over the returns of sweeps that were left out.
+    """Metrics over the returns of the sweeps that were left out.
 
     Attributes
     ----------
     sweeps : int
-        Number of sweeps left out, one at a time.
+        Number of sweeps that were left out, one at a time.
     max_range : float
         Returns at a larger depth are not compared [m].
-    all, standing, moving : RegionErrors
-        All returns, and by the run's own classes of them. ``shifts`` is NaN: returns are too sparse
-        to be moved by a pixel.
+    all, static, dynamic : RegionErrors
+        All returns, and those that the run itself classified as static or dynamic. ``shifts`` is
+        NaN: returns are too sparse for a map that is moved by a pixel.
     by_range : tuple of RangeErrors
     """
 
     sweeps: int
     max_range: float
     all: RegionErrors
-    standing: RegionErrors
-    moving: RegionErrors
+    static: RegionErrors
+    dynamic: RegionErrors
     by_range: tuple[RangeErrors, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything by name, ready for JSON; what is undefined is None."""
-        regions = {name: getattr(self, name).as_dict() for name in ("all", "standing", "moving")}
+        """All metrics by name, ready for JSON; None replaces NaN."""
+        regions = {name: getattr(self, name).as_dict() for name in ("all", "static", "dynamic")}
         ranges = [{"near": r.near, "far": r.far, **r.errors.as_dict()} for r in self.by_range]
         head = {"sweeps": self.sweeps, "max_range": self.max_range}
         return dict(plain({**head, **regions, "by_range": ranges}))
 
     def table(self) -> Table:
-        """Errors by class and range, for a terminal or a report."""
-        rows = [("all", self.all), ("standing", self.standing), ("moving", self.moving)]
+        """Errors by class and range, one row each."""
+        rows = [("all", self.all), ("static", self.static), ("dynamic", self.dynamic)]
         rows += [(f"{r.near:g}..{r.far:g} m", r.errors) for r in self.by_range]
         header = ("returns", "number", "density %", "MAE m", "RMSE m", "too near %", "too far %")
         cells = [(name, *errors.cells()[:4], *errors.cells()[5:]) for name, errors in rows]
-        title = f"depth against {self.sweeps} sweeps left out, returns up to {self.max_range:g} m"
+        title = f"depth against {self.sweeps} held-out sweeps, returns up to {self.max_range:g} m"
         return Table(title, header, tuple(cells))
+
+
+class _Comparison(NamedTuple):
+    """Returns of a held-out sweep against the depth map of the others, shape (k,) each."""
+
+    truth: NDArray[np.float64]
+    error: NDArray[np.float64]
+    dynamic: NDArray[np.bool_]
 
 
 def evaluate_held_out(
@@ -79,25 +89,26 @@ def evaluate_held_out(
     threads: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> HeldOutResult:
-    """Depth maps of a run against its own sweeps, each left out of the map that it judges.
+    """Compare the depth maps of a run with its own sweeps, each left out of the map it judges.
 
-    The view of the camera is drawn from where the LiDAR stands, so that it sees what the LiDAR saw.
-    A return is compared with the pixel that it falls into, the nearest one where there are several.
+    The view of the camera is drawn from the position of the LiDAR, so that it sees what the LiDAR
+    saw. A return is compared with the pixel that it falls into; the nearest return of a pixel
+    counts.
 
     Parameters
     ----------
     run : Path
-        Run folder with classified frames and the calibration of a camera.
+        Run folder with classified sweeps and the calibration of a camera.
     every : int
-        Each so many-th sweep is left out, one at a time.
+        Leave out every n-th sweep, one at a time.
     max_range : float
         Returns at a larger depth are not compared [m].
     camera : str, optional
-        Whose matrix, size and direction; needed where there are several.
+        Gives the camera matrix, image size and viewing direction; needed if the run has several.
     threads : int
-        0 takes every core. The result does not depend on it.
+        0 uses all cores. The result does not depend on it.
     progress : callable, optional
-        Told how many sweeps of how many are done.
+        Called with the number of finished sweeps and the number of all held-out sweeps.
 
     Returns
     -------
@@ -108,61 +119,83 @@ def evaluate_held_out(
     InputError
         There are fewer than three sweeps, or ``every`` is below 1.
     RunError
-        A frame has no classes.
+        A sweep is not classified.
     """
     folder = RunFolder.open(run)
-    trajectory, p = folder.trajectory(), folder.parameters
-    if every < 1 or len(trajectory) < 3:
+    count = len(folder.trajectory())
+    if every < 1 or count < 3:
         raise InputError(
-            f"{len(trajectory)} sweeps, each {every}-th left out: between the first and the last "
-            "there must be one to leave out"
+            f"{count} sweeps, each {every}-th left out: give every >= 1 and at least 3 sweeps, so "
+            "that one between the first and the last can be left out"
         )
-    view, T_camera_lidar, _ = folder.calibration(folder.depth_folder(camera))
-    inner = len(trajectory) - 2
-    left_out = range(1 + (min(every, inner) - 1) // 2, len(trajectory) - 1, every)
-    bins = [b for b in RANGE_BINS if b < max_range] + [max_range]
+    left_out = range(1 + (min(every, count - 2) - 1) // 2, count - 1, every)
+    bins = [border for border in RANGE_BINS if border < max_range] + [max_range]
     sums = PixelSums(bins)
-    made: dict[int, Frame] = {}
+    views = _HeldOutViews(folder, camera, threads)
     for done, index in enumerate(left_out):
-        record, classid = folder.classified_frame(index)
-        seen = next(lidar_views(record.points, folder.sensor_rig(record)))
-        T_camera_sensor = T_camera_lidar @ seen.T_lidar_sensor
-        T_camera_sensor[:3, 3] = 0
-        truth, row = project(view, T_camera_sensor, seen.points)
-
-        kept = np.delete(np.arange(len(trajectory)), index)
-        others = Trajectory(trajectory.times[kept], trajectory.poses[kept])
-        time = int(trajectory.times[index])
-        needed = sorted(needed_frames(others, time, p.render))
-        made = {
-            i: made.get(i) or load_frame(folder, trajectory, i, p) for i in kept[needed].tolist()
-        }
-        frames = {k: made[int(kept[k])] for k in needed}
-        # The others put the LiDAR between the sweeps before and after; it is known better.
-        T_lidar_between = inverse(trajectory.poses[index]) @ others.interpolate(time)[0]
-        depth = render.render(
-            view,
-            T_camera_sensor @ inverse(seen.T_lidar_sensor) @ T_lidar_between,
-            others,
-            time,
-            frames.__getitem__,
-            p.render,
-            threads,
-        )
-        compared = truth <= max_range  # not where there is no return, which is NaN
-        there = truth[compared].astype(np.float64)
-        error, moving = depth[compared] - there, classid[row[compared]] >= DYNAMIC
-        sums.add(error, there, np.full(len(there), np.nan), np.zeros(len(there), bool), moving)
+        found = views.compare(index, max_range)
+        unknown = np.full(len(found.truth), np.nan)  # no shifted depth map
+        nowhere = np.zeros(len(found.truth), bool)  # no interior
+        sums.add(found.error, found.truth, unknown, nowhere, found.dynamic)
         if progress:
             progress(done + 1, len(left_out))
     return HeldOutResult(
         sweeps=len(left_out),
         max_range=max_range,
         all=sums.errors(),
-        standing=sums.errors(dynamic=0),
-        moving=sums.errors(dynamic=1),
+        static=sums.errors(dynamic=0),
+        dynamic=sums.errors(dynamic=1),
         by_range=tuple(
             RangeErrors(near, far, sums.errors(ranges=k))
             for k, (near, far) in enumerate(pairwise(bins))
         ),
     )
+
+
+class _HeldOutViews:
+    """Draws the view of a sweep from all other sweeps of a run."""
+
+    def __init__(self, folder: RunFolder, camera: str | None, threads: int) -> None:
+        self._folder, self._threads = folder, threads
+        self._trajectory, self._parameters = folder.trajectory(), folder.parameters
+        self._camera, self._T_camera_lidar, _ = folder.calibration(folder.depth_folder(camera))
+        self._frames: dict[int, Frame] = {}
+
+    def compare(self, index: int, max_range: float) -> _Comparison:
+        """Returns of sweep ``index``, at most ``max_range`` metres deep, against the others."""
+        record, classid = self._folder.classified_frame(index)
+        view = next(lidar_views(record.points, self._folder.sensor_rig(record)))
+        # The viewing direction of the camera, from the position of the LiDAR.
+        T_camera_sensor = self._T_camera_lidar @ view.T_lidar_sensor
+        T_camera_sensor[:3, 3] = 0
+        truth, row = project(self._camera, T_camera_sensor, view.points)
+        depth = self._depth_without(index, T_camera_sensor @ inverse(view.T_lidar_sensor))
+        compared = truth <= max_range  # false for pixels without a return, which are NaN
+        known = truth[compared].astype(np.float64)
+        return _Comparison(known, depth[compared] - known, classid[row[compared]] >= DYNAMIC)
+
+    def _depth_without(
+        self, index: int, T_camera_lidar: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """The depth map at the pose of sweep ``index``, drawn from all other sweeps."""
+        trajectory = self._trajectory
+        kept = np.delete(np.arange(len(trajectory)), index)
+        others = Trajectory(trajectory.times[kept], trajectory.poses[kept])
+        time = int(trajectory.times[index])
+        needed = sorted(needed_frames(others, time, self._parameters.render))
+        self._frames = {
+            k: self._frames.get(k) or load_frame(self._folder, trajectory, k, self._parameters)
+            for k in kept[needed].tolist()
+        }
+        frames = {k: self._frames[int(kept[k])] for k in needed}
+        # The renderer interpolates the pose between the neighbours; the estimated one is better.
+        T_lidar_interpolated = inverse(trajectory.poses[index]) @ others.interpolate(time)[0]
+        return compose_depth(
+            self._camera,
+            T_camera_lidar @ T_lidar_interpolated,
+            others,
+            time,
+            frames.__getitem__,
+            self._parameters.render,
+            self._threads,
+        )

@@ -1,10 +1,10 @@
-"""Static and dynamic labels against the truth, point by identity (paper IV-A)."""
+"""Static and dynamic labels against ground truth, point by point (the paper's SA, DA and F1)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -12,137 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.evaluation.tables import Table, number, percent, plain, ratio
+from docdepth.evaluation.label_counts import HEADER, NOTE, LabelCounts, ignored, moving
+from docdepth.evaluation.tables import Table, number, plain
 
-# Below this an object counts as standing at that moment [m/s].
+# Slower objects are standing at that moment [m/s].
 _MOVING_SPEED = 0.3
-# What goes less while the sensor sees it, nobody can see move [m].
-_SEEN_WAY = 0.5
+# An object that travels less while it has returns cannot be seen to move [m].
+_MIN_TRAVEL = 0.5
 
+# Distances from the sensor that are reported apart [m].
 RANGE_BINS = (0.0, 10.0, 20.0, 30.0, 50.0, 80.0, math.inf)
-
-
-def moving(labels: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """Which SemanticKITTI labels are of a moving class, 251 to 259.
-
-    Parameters
-    ----------
-    labels : ndarray of uint32, shape (N,)
-        Low 16 bits class, high 16 bits instance.
-    """
-    classes = _classes(labels)
-    return (classes >= 251) & (classes <= 259)
-
-
-def ignored(labels: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """Which SemanticKITTI labels do not count: 0 (unlabelled) and 1 (outlier)."""
-    return _classes(labels) <= 1
-
-
-def _classes(labels: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    labels = np.asarray(labels)
-    if labels.ndim != 1 or labels.dtype.kind not in "ui":
-        raise InputError(
-            f"labels are integers of shape (N,), one a point; got {labels.dtype} {labels.shape}"
-        )
-    return labels.astype(np.uint32, copy=False) & np.uint32(0xFFFF)
-
-
-@dataclass(frozen=True)
-class LabelCounts:
-    """How many points of each kind were called what.
-
-    Attributes
-    ----------
-    static_kept, static_lost : int
-        Static points called static, and dynamic (false alarms).
-    dynamic_found, dynamic_missed : int
-        Dynamic points called dynamic, and static.
-    """
-
-    static_kept: int = 0
-    static_lost: int = 0
-    dynamic_found: int = 0
-    dynamic_missed: int = 0
-
-    @classmethod
-    def of(cls, truth: NDArray[np.bool_], predicted: NDArray[np.bool_]) -> LabelCounts:
-        """Counts of points whose dynamic flags are ``truth`` and ``predicted``, shape (N,)."""
-        table = np.bincount(2 * truth.astype(np.int64) + predicted, minlength=4)
-        return cls(*(int(n) for n in (table[0], table[1], table[3], table[2])))
-
-    def __add__(self, other: LabelCounts) -> LabelCounts:
-        return LabelCounts(
-            self.static_kept + other.static_kept,
-            self.static_lost + other.static_lost,
-            self.dynamic_found + other.dynamic_found,
-            self.dynamic_missed + other.dynamic_missed,
-        )
-
-    @property
-    def static(self) -> int:
-        """Static points of the truth."""
-        return self.static_kept + self.static_lost
-
-    @property
-    def dynamic(self) -> int:
-        """Dynamic points of the truth."""
-        return self.dynamic_found + self.dynamic_missed
-
-    @property
-    def sa(self) -> float:
-        """Static accuracy [%]: static points called static."""
-        return percent(self.static_kept, self.static)
-
-    @property
-    def da(self) -> float:
-        """Dynamic accuracy [%]: dynamic points called dynamic, also recall."""
-        return percent(self.dynamic_found, self.dynamic)
-
-    @property
-    def f1(self) -> float:
-        """Harmonic mean of SA and DA (HA of DynamicMap_Benchmark), 0..1."""
-        return ratio(2 * self.sa * self.da, self.sa + self.da) / 100
-
-    @property
-    def aa(self) -> float:
-        """Geometric mean of SA and DA [%] (associated accuracy)."""
-        return math.sqrt(self.sa * self.da)
-
-    @property
-    def precision(self) -> float:
-        """Of the points called dynamic, the share that is, 0..1."""
-        return ratio(self.dynamic_found, self.dynamic_found + self.static_lost)
-
-    @property
-    def iou(self) -> float:
-        """Intersection over union of the dynamic class, 0..1 (LiDAR-MOS)."""
-        return ratio(self.dynamic_found, self.dynamic + self.static_lost)
-
-    def as_dict(self) -> dict[str, float]:
-        """Counts and figures by name."""
-        figures = {name: getattr(self, name) for name in _FIGURES}
-        return {"static": self.static, "dynamic": self.dynamic, **figures, **asdict(self)}
-
-    def cells(self) -> list[str]:
-        """The row of a table: points, then figures."""
-        shares = [self.sa, self.da, self.aa]
-        rates = [self.f1, self.precision, self.iou]
-        return [
-            f"{self.static:,}",
-            f"{self.dynamic:,}",
-            *(number(x, 2) for x in shares),
-            *(number(x, 4) for x in rates),
-        ]
-
-
-_FIGURES = ("sa", "da", "aa", "f1", "precision", "iou")
-HEADER = ("static", "dynamic", "SA %", "DA %", "AA %", "F1", "precision", "IoU")
 
 
 @dataclass(frozen=True)
 class RangeCounts:
-    """Counts of the points between two ranges [m]."""
+    """Counts of the points with ``near <= range < far`` [m]."""
 
     near: float
     far: float
@@ -151,31 +35,31 @@ class RangeCounts:
 
 @dataclass(frozen=True)
 class LabelResult:
-    """Figures of a drive.
+    """Metrics of the labels of a drive.
 
     Attributes
     ----------
     protocol : str
-        What was compared, in words.
+        What was compared, as a sentence.
     poses : str
-        Where the poses came from.
+        Source of the poses.
     sweeps : int
     counts : LabelCounts
-        Static points against moving ones; where speeds are known, against points that move at
-        that moment.
+        Static points, and dynamic points of moving classes. With speeds, only those that move at
+        that moment are dynamic; points of standing objects of a moving class are left out.
     with_standing : LabelCounts, optional
-        The same with the temporarily static points among the dynamic ones: the rule of
-        SemanticKITTI, whose moving classes hold for the whole drive. None without speeds.
+        All points of moving classes are dynamic, standing or not: the rule of SemanticKITTI, whose
+        moving classes hold for the whole drive. None without speeds.
     temporarily_static : LabelCounts, optional
-        Only points of moving classes that stand at that moment. None without speeds.
+        Only the points of moving classes that stand at that moment. None without speeds.
     seen_to_move : LabelCounts, optional
-        Those of them whose object goes half a metre or more while it has returns. Of the others no
-        measurement tells that they move: a car may leave its place as the drive ends, or be out of
-        sight by then.
+        Of these, the points of objects that travel at least half a metre while they have returns.
+        The others cannot be known to move: a parked car may leave as the drive ends, or out of
+        sight. None without speeds.
     by_range : tuple of RangeCounts
-        Empty when no ranges were given.
+        Empty without ranges.
     ignored : int
-        Points without a label.
+        Number of points without a label.
     """
 
     protocol: str
@@ -189,7 +73,7 @@ class LabelResult:
     ignored: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything by name, ready for JSON; what is undefined is None."""
+        """All metrics by name, ready for JSON; None replaces NaN."""
         result: dict[str, Any] = {
             "protocol": self.protocol,
             "poses": self.poses,
@@ -212,7 +96,7 @@ class LabelResult:
         return dict(plain(result))
 
     def table(self) -> Table:
-        """Rows of text for a terminal or a report."""
+        """One row for all points, and one per range."""
         rows = [("all", *self.counts.cells())]
         if self.with_standing is not None and self.temporarily_static is not None:
             rows = [("moving now", *self.counts.cells())]
@@ -224,20 +108,20 @@ class LabelResult:
             far = "" if math.isinf(row.far) else f"{row.far:g}"
             rows.append((f"{row.near:g}..{far} m", *row.counts.cells()))
         title = f"labels: {self.protocol}; poses: {self.poses}; {self.sweeps} sweeps"
-        return Table(title, ("points", *HEADER), tuple(rows))
+        return Table(title, ("points", *HEADER), tuple(rows), NOTE)
 
 
 class LabelEvaluation:
-    """Labels of a drive against the truth, a sweep at a time.
+    """Compares labels with ground truth, sweep by sweep.
 
     Parameters
     ----------
     poses : str
-        Where the poses came from, printed with the figures.
+        Source of the poses; printed with the metrics.
     min_speed : float
-        From here on an object moves at that moment [m/s].
+        Faster objects are moving at that moment [m/s].
     range_bins : sequence of float
-        Borders of the ranges reported apart [m].
+        Borders of the ranges that are reported apart [m].
     """
 
     def __init__(
@@ -253,7 +137,8 @@ class LabelEvaluation:
             raise InputError(f"range bins must increase, got {self._bins}")
         self._counts, self._standing = LabelCounts(), LabelCounts()
         self._by_range = [LabelCounts() for _ in self._bins[1:]]
-        self._way: dict[int, float] = {}
+        # By instance: metres travelled so far, and the points labelled while it stood.
+        self._travel: dict[int, float] = {}
         self._standing_of: dict[int, LabelCounts] = {}
         self._sweeps = self._ignored = self._with_speeds = self._with_ranges = 0
 
@@ -265,20 +150,20 @@ class LabelEvaluation:
         speeds: NDArray[np.floating[Any]] | None = None,
         seconds: float = 0.1,
     ) -> None:
-        """Count one sweep.
+        """Add one sweep.
 
         Parameters
         ----------
         labels : ndarray of uint32, shape (N,)
-            SemanticKITTI labels of the truth.
+            True SemanticKITTI labels.
         dynamic : ndarray of bool, shape (N,)
-            Points called dynamic, ``classid >= 100``.
+            Points labelled dynamic, ``classid >= 100``.
         ranges : ndarray of float, shape (N,), optional
-            Distance of each point from its sensor [m].
+            Distance of each point from its LiDAR [m].
         speeds : ndarray of float, shape (N,), optional
-            Speed over ground of each point's object at that moment [m/s]; for all sweeps or none.
+            Speed of each point's object over ground at that moment [m/s]; for all sweeps or none.
         seconds : float
-            Time from sweep to sweep, in which objects go on with that speed [s].
+            Time from sweep to sweep [s]; an object travels that long at its speed.
 
         Raises
         ------
@@ -293,7 +178,7 @@ class LabelEvaluation:
             standing = truth & counted & ~(speeds > self._min_speed)
             self._standing += LabelCounts.of(truth[standing], dynamic[standing])
             instance = np.asarray(labels).astype(np.uint32, copy=False) >> np.uint32(16)
-            self._follow(instance, truth & counted, standing, dynamic, speeds * seconds)
+            self._add_objects(instance, truth & counted, standing, dynamic, speeds * seconds)
         now = counted & ~standing
         self._counts += LabelCounts.of(truth[now], dynamic[now])
         if ranges is not None:
@@ -306,29 +191,29 @@ class LabelEvaluation:
         self._with_speeds += speeds is not None
         self._with_ranges += ranges is not None
 
-    def _follow(
+    def _add_objects(
         self,
         instance: NDArray[np.uint32],
         truth: NDArray[np.bool_],
         standing: NDArray[np.bool_],
         dynamic: NDArray[np.bool_],
-        way: NDArray[Any],
+        travel: NDArray[Any],
     ) -> None:
-        """Count the way of each moving object, and its points while it stands."""
+        """Sum the path length of each moving object, and count its points while it stands."""
         for k in np.unique(instance[truth]).tolist():
             here = truth & (instance == k)
-            motion_corrected = here & standing
-            self._way[k] = self._way.get(k, 0.0) + float(np.median(way[here]))
-            counts = LabelCounts.of(truth[motion_corrected], dynamic[motion_corrected])
+            self._travel[k] = self._travel.get(k, 0.0) + float(np.median(travel[here]))
+            here &= standing
+            counts = LabelCounts.of(truth[here], dynamic[here])
             self._standing_of[k] = self._standing_of.get(k, LabelCounts()) + counts
 
     def result(self) -> LabelResult:
-        """The figures of everything added so far.
+        """Metrics of all sweeps added so far.
 
         Raises
         ------
         InputError
-            Speeds were given for some sweeps only.
+            Only some sweeps had speeds.
         """
         if self._with_speeds not in (0, self._sweeps):
             raise InputError(
@@ -336,11 +221,11 @@ class LabelEvaluation:
                 "give them for all or for none"
             )
         speeds = self._with_speeds > 0
-        protocol = "every labelled point by identity, classes 251..259 dynamic, 0 and 1 ignored"
+        protocol = "point by point, classes 251..259 dynamic, 0 and 1 ignored"
         if speeds:
             protocol += f", moving now means above {self._min_speed:g} m/s"
-        far = [of for k, of in self._standing_of.items() if self._way[k] >= _SEEN_WAY]
-        seen = sum(far, LabelCounts())
+        visible = [n for k, n in self._standing_of.items() if self._travel[k] >= _MIN_TRAVEL]
+        seen = sum(visible, LabelCounts())
         by_range: tuple[RangeCounts, ...] = ()
         if self._with_ranges:
             bins = zip(pairwise(self._bins), self._by_range, strict=True)
@@ -362,8 +247,8 @@ def _flags(dynamic: NDArray[np.bool_], points: int) -> NDArray[np.bool_]:
     dynamic = np.asarray(dynamic)
     if dynamic.dtype != bool or dynamic.shape != (points,):
         raise InputError(
-            f"{points} labels need {points} bools that say dynamic, got {dynamic.dtype} "
-            f"{dynamic.shape}; labels belong to the points in input order"
+            f"{points} labels need {points} bools (True: dynamic), got {dynamic.dtype} "
+            f"{dynamic.shape}; give one per point, in input order"
         )
     return dynamic
 

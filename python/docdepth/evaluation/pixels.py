@@ -1,4 +1,4 @@
-"""What a depth map's pixels are: points in them, empty ones filled, edges, neighbours, rays."""
+"""Operations on depth maps: projection, hole filling, depth edges, shift, ray lengths."""
 
 from __future__ import annotations
 
@@ -12,30 +12,31 @@ from docdepth.render.depth_map import NEAR
 Depth = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-# An edge is where inverse depth, linear on every plane, bends by more than this share of itself.
+# Inverse depth is linear on every plane: a pixel is an edge if the second difference exceeds this
+# share of its inverse depth.
 _EDGE_BEND = 0.05
-# Interior is farther than this from an edge [pixels].
+# Interior pixels are farther than this from an edge [pixels].
 _EDGE_MARGIN = 3
 
 
 def project(
     camera: Camera, T_camera_lidar: NDArray[np.float64], points: NDArray[np.float32]
 ) -> tuple[Depth, NDArray[np.int64]]:
-    """The nearest point of each pixel.
+    """Project points into a camera; the nearest point wins each pixel.
 
     Parameters
     ----------
     camera : Camera
     T_camera_lidar : ndarray of float64, shape (4, 4)
     points : ndarray of float32, shape (N, 3)
-        Metres; rows that are not finite are left out.
+        LiDAR frame [m]; rows that are not finite are ignored.
 
     Returns
     -------
     depth : ndarray of float32, shape (h, w)
-        Metres along the optical axis, NaN where there is none.
+        Depth along the optical axis [m]; NaN = no point.
     row : ndarray of int64, shape (h, w)
-        Which point that is, -1 where there is none.
+        Index of the point; -1 = none.
     """
     moved = points.astype(np.float64) @ T_camera_lidar[:3, :3].T + T_camera_lidar[:3, 3]
     with np.errstate(invalid="ignore"):
@@ -53,27 +54,28 @@ def project(
 def fill_background(depth: Depth) -> Depth:
     """Fill empty pixels as KITTI's development kit does (``interpolateBackground``).
 
-    Gaps in a row take the nearer of their two borders; then values at the ends of rows, and at
-    the ends of columns, are carried to the border of the image. Empty rows between others stay.
+    A gap in a row takes the smaller depth of its two ends. Then the outermost depths of each row,
+    and of each column, are extended to the border of the image. An empty row between others stays
+    empty.
 
     Parameters
     ----------
     depth : ndarray of float32, shape (h, w)
-        Metres, NaN = none.
+        Metres; NaN = none.
     """
-    filled = _carry(depth, axis=1, between=True)
-    return _carry(filled, axis=0, between=False)
+    filled = _extend(depth, axis=1, between=True)
+    return _extend(filled, axis=0, between=False)
 
 
-def _carry(depth: Depth, axis: int, between: bool) -> Depth:
-    """Carry valid values along an axis into empty pixels at its ends, and in between if asked."""
-    # Rows are the direction of carrying, so that memory is read in order.
+def _extend(depth: Depth, axis: int, between: bool) -> Depth:
+    """Extend valid depths along an axis to its ends, and fill the gaps between if asked."""
+    # Contiguous lines along the axis, so that memory is read in order.
     lines = np.ascontiguousarray(depth if axis == 1 else depth.T)
     length = lines.shape[1]
-    place = np.arange(length, dtype=np.int32)
+    column = np.arange(length, dtype=np.int32)
     gap = np.isnan(lines)
-    before = np.maximum.accumulate(np.where(gap, -1, place), axis=1)
-    after = np.minimum.accumulate(np.where(gap, length, place)[:, ::-1], axis=1)[:, ::-1]
+    before = np.maximum.accumulate(np.where(gap, -1, column), axis=1)
+    after = np.minimum.accumulate(np.where(gap, length, column)[:, ::-1], axis=1)[:, ::-1]
     rows, columns = np.nonzero(gap)
     before, after = before[rows, columns], after[rows, columns]
     # The last value before an empty pixel and the first after it; NaN where there is none.
@@ -88,15 +90,20 @@ def _carry(depth: Depth, axis: int, between: bool) -> Depth:
 
 
 def depth_edges(depth: Depth) -> Mask:
-    """Where an exact, dense depth map has an edge.
+    """Depth edges of an exact, dense depth map.
 
-    Inverse depth is linear in the pixel on every plane; an edge is where its second difference,
-    along a row or a column, is above 5 % of its value. No depth counts as infinitely far.
+    Inverse depth is a linear function of the pixel on every plane. A pixel is an edge if the second
+    difference of inverse depth, along its row or its column, exceeds 5 % of its inverse depth.
+    Pixels without depth count as infinitely far.
 
     Parameters
     ----------
     depth : ndarray of float32, shape (h, w)
-        Metres, NaN = no surface.
+        Metres; NaN = no surface.
+
+    Returns
+    -------
+    ndarray of bool, shape (h, w)
     """
     inverse = np.where(np.isnan(depth), np.float32(0), 1 / depth)
     bend = np.zeros_like(inverse)
@@ -107,20 +114,21 @@ def depth_edges(depth: Depth) -> Mask:
 
 
 def near_edges(depth: Depth) -> Mask:
+    """Pixels at most 3 pixels from a depth edge, bool (h, w)."""
     size = 2 * _EDGE_MARGIN + 1
     edges = depth_edges(depth).astype(np.uint8)
     return np.asarray(cv2.dilate(edges, np.ones((size, size), np.uint8)) > 0)
 
 
 def shifted(depth: Depth) -> Depth:
-    """The depth map moved right by one pixel; the first column has none."""
+    """The depth map moved right by one pixel; the first column becomes NaN."""
     result = np.full_like(depth, np.nan)
     result[:, 1:] = depth[:, :-1]
     return result
 
 
 def ray_length(K: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Length of the ray of each pixel whose z is 1, shape (h, w)."""
+    """Length of each pixel's viewing ray up to depth 1, float64 (h, w)."""
     x = (np.arange(shape[1]) - K[0, 2]) / K[0, 0]
     y = (np.arange(shape[0]) - K[1, 2]) / K[1, 1]
     return np.asarray(np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2))

@@ -1,4 +1,4 @@
-"""A run folder against the truth on disk."""
+"""Metrics of a run folder against ground truth on disk."""
 
 from __future__ import annotations
 
@@ -10,30 +10,32 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
 from docdepth.evaluation.depth import DepthEvaluation, DepthResult, Mode
-from docdepth.evaluation.labels import LabelEvaluation, LabelResult, moving
+from docdepth.evaluation.label_counts import moving
+from docdepth.evaluation.labels import LabelEvaluation, LabelResult
+from docdepth.geometry.points import DYNAMIC
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 
 
 def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
-    """Classes of a run's points against SemanticKITTI labels.
+    """Compare the classes of a run with SemanticKITTI labels.
 
-    Points that were no usable returns count as static, and in no range.
+    Input points that the run dropped (no usable return) count as static and belong to no range.
 
     Parameters
     ----------
     run : Path or RunFolder
         Run folder with classified frames.
     labels : Path
-        Folder of ``NAME.label`` files, or one with a folder ``labels``. A folder ``speeds``
-        beside it (``NAME.npy``, m/s a point) tells standing from moving objects.
+        Folder of ``NAME.label`` files, or its parent with a folder ``labels``. A folder ``speeds``
+        beside it (``NAME.npy``, speed of each point in m/s) separates standing from moving objects.
 
     Raises
     ------
     DatasetError
-        A truth file is missing or has another number of points.
+        A label file is missing or has another number of points.
     RunError
-        A frame has no classes.
+        A sweep is not classified.
     """
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
     if (labels / "labels").is_dir():
@@ -46,7 +48,7 @@ def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
         record, classid = folder.classified_frame(index)
         truth = _read(labels / f"{record.name}.label", record.input_points)
         dynamic = np.zeros(record.input_points, dtype=bool)
-        dynamic[record.index] = classid >= 100
+        dynamic[record.index] = classid >= DYNAMIC
         ranges = np.full(record.input_points, np.nan)
         ranges[record.index] = np.linalg.norm(record.points, axis=1)
         speed = speeds / f"{record.name}.npy"
@@ -62,22 +64,26 @@ def evaluate_depth(
     max_range: float = 80.0,
     camera: str | None = None,
 ) -> DepthResult:
-    """Depth maps of a run against true ones of the same names.
+    """Compare the depth maps of a run with true depth maps of the same names.
 
     Parameters
     ----------
     run : Path
         Run folder with depth maps.
     depth : Path
-        Folder of depth maps in any format, or one with a folder ``depth_2``. A folder ``class_2``
-        beside it tells which pixels move.
+        Folder of depth maps in any format, or its parent with a folder ``depth_2``. A folder
+        ``class_2`` beside it marks the pixels of moving objects.
+    mode : {"valid", "kitti"}
+        ``kitti`` fills empty pixels first, as KITTI's development kit does.
+    max_range : float
+        Pixels with a larger true depth are not compared [m].
     camera : str, optional
-        One of several; needed when there are.
+        Name of the camera; needed if the run has several.
 
     Raises
     ------
     DatasetError
-        A truth file is missing, or nothing was rendered.
+        A true depth map is missing, or the run has no depth maps.
     """
     folder = RunFolder.open(run)
     if (depth / "depth_2").is_dir():
@@ -88,7 +94,7 @@ def evaluate_depth(
     evaluation = DepthEvaluation(mode=mode, max_range=max_range, poses=_poses(folder))
     maps, truths = maps_in(run / "depth" / camera), maps_in(depth)
     if not maps:
-        raise DatasetError(f"{run}/depth holds no depth map; run: docdepth render {run}")
+        raise DatasetError(f"{run}/depth has no depth maps; run: docdepth render {run}")
     for name, path in maps.items():
         if name not in truths:
             raise DatasetError(f"{depth} has no depth map {name}, {run} has {path.name}")
@@ -103,10 +109,10 @@ def evaluate_depth(
 
 def _read(path: Path, points: int) -> NDArray[np.uint32]:
     if not path.is_file():
-        raise DatasetError(f"{path} is missing; labels are named after the sweeps")
+        raise DatasetError(f"{path} is missing; label files have the names of the sweeps")
     truth = np.fromfile(path, np.uint32)
     if len(truth) != points:
-        raise DatasetError(f"{path} labels {len(truth)} points, the sweep has {points}")
+        raise DatasetError(f"{path} has {len(truth)} labels, the sweep has {points} points")
     return truth
 
 

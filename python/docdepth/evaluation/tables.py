@@ -1,4 +1,4 @@
-"""Figures as text: what a terminal, a report and a Markdown page print alike."""
+"""Tables of metrics for terminals, reports and Markdown pages."""
 
 from __future__ import annotations
 
@@ -9,17 +9,19 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Table:
-    """A title, a header and rows of text."""
+    """A title, a header, rows of text, and an optional note below them."""
 
     title: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    note: str = ""
 
     def markdown(self) -> str:
-        """The table as Markdown, its title above it."""
+        """The table as Markdown, with the title above and the note below."""
         lines = [self.header, tuple("---" for _ in self.header), *self.rows]
         body = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-        return f"{self.title}\n\n{body}\n"
+        note = f"\n{self.note}\n" if self.note else ""
+        return f"{self.title}\n\n{body}\n{note}"
 
     def __str__(self) -> str:
         widths = [max(map(len, column)) for column in zip(self.header, *self.rows, strict=True)]
@@ -30,11 +32,11 @@ class Table:
             )
             for row in (self.header, *self.rows)
         ]
-        return "\n".join([self.title, *lines])
+        return "\n".join([self.title, *lines, *([self.note] if self.note else [])])
 
 
 def plain(value: Any) -> Any:
-    """A tree of dicts, lists and numbers as JSON can hold it: None for NaN and infinity."""
+    """A tree of dicts, lists and numbers that JSON can store: None replaces NaN and infinity."""
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -43,15 +45,15 @@ def plain(value: Any) -> Any:
 
 
 def ratio(part: float, whole: float) -> float:
-    """``part / whole``, NaN where there is nothing to divide by."""
+    """``part / whole``; NaN if ``whole`` is zero."""
     return part / whole if whole else math.nan
 
 
 def percent(part: float, whole: float) -> float:
-    """``part`` of ``whole`` in percent, NaN where there is nothing to divide by."""
+    """``part / whole`` in percent; NaN if ``whole`` is zero."""
     return 100.0 * ratio(part, whole)
 
 
 def number(value: float, digits: int) -> str:
-    """A figure as text; a dash where it is undefined."""
+    """A metric as text; a dash if it is NaN."""
     return "-" if math.isnan(value) else f"{value:.{digits}f}"

@@ -18,11 +18,11 @@ class LidarMesh(NamedTuple):
     Attributes
     ----------
     view : LidarView
-    core : _core.Surface
+    core : _core.ScanMesh
     """
 
     view: LidarView
-    core: _core.Surface
+    core: _core.ScanMesh
 
 
 class ScanMesh:
@@ -40,7 +40,7 @@ class ScanMesh:
     sensor_rig : SensorRig, optional
         Where the sweep was measured from; each of several LiDARs has a mesh of its own. With an
         ``ego_displacement`` angles are seen from where the LiDAR was when it measured each return.
-    parameters : _core.SurfaceParameters, optional
+    parameters : _core.MeshParameters, optional
         Where a triangle spans a depth jump; the defaults are constants of the C++ structure.
 
     Attributes
@@ -64,15 +64,15 @@ class ScanMesh:
         self,
         points: NDArray[np.float32],
         sensor_rig: SensorRig | None = None,
-        parameters: _core.SurfaceParameters | None = None,
+        parameters: _core.MeshParameters | None = None,
     ) -> None:
-        parameters = parameters or _core.SurfaceParameters()
+        parameters = parameters or _core.MeshParameters()
         self.parts = [
-            LidarMesh(view, _core.Surface(view.motion_corrected(), parameters))
+            LidarMesh(view, _core.ScanMesh(view.motion_corrected(), parameters))
             for view in lidar_views(check_points(points), sensor_rig)
         ]
         cores = [part.core for part in self.parts]
-        self.core = cores[0] if len(cores) == 1 else _core.join_surfaces(cores)
+        self.core = cores[0] if len(cores) == 1 else _core.join_meshes(cores)
         self.triangles = self.core.triangles
-        self.discontinuity = self.core.cut.view(np.bool_)
-        self.isolated = self.core.loose
+        self.discontinuity = self.core.discontinuity.view(np.bool_)
+        self.isolated = self.core.isolated

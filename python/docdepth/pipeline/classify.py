@@ -21,7 +21,7 @@ from docdepth.geometry.points import DYNAMIC, MOVING_LABEL, OUTLIER_LABEL, STATI
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import chunk_progress, chunks, label_chunk
 from docdepth.io.atomic import write_atomically
-from docdepth.io.ply import FrameRecord
+from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.stage import (
     Progress,

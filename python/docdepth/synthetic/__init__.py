@@ -1,4 +1,4 @@
-"""Synthetic drives with exact truth: streets, sensors, and a camera between sweeps."""
+"""Synthetic drives with exact ground truth: scenes, LiDAR models and a camera."""
 
 from docdepth.synthetic.actors import Actor, Pace, Part, Path, Standing
 from docdepth.synthetic.drive import Drive, TrueSweep, kitti_rig, sweeps_of

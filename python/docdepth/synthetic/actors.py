@@ -1,4 +1,4 @@
-"""Things that move: a path on the road, a speed over time, and parts that swing."""
+"""Moving objects: a path on the road, a speed profile, and swinging parts."""
 
 from __future__ import annotations
 
@@ -14,20 +14,22 @@ from docdepth.synthetic.road import Floats, Road, resting_poses
 
 @dataclass(frozen=True)
 class Pace:
-    """Speed over time: stands until ``departure``, gains ``acceleration`` up to ``speed``.
+    """Speed profile: stands until ``departure``, then accelerates up to ``speed``.
 
     Attributes
     ----------
     speed : float
-        Metres a second.
+        Final speed [m/s].
     departure : float
-        Seconds; minus infinity for something that has been moving for ever.
+        Start of the motion [s]; minus infinity = has always been moving.
     acceleration : float
-        Metres a second squared.
+        [m/s^2].
     wave : float
-        Share by which the speed swings about ``speed`` while moving, with ``period`` seconds.
+        Amplitude of a speed variation, as a share of ``speed``.
+    period : float
+        Period of that variation [s].
     stop : float
-        Seconds after which it brakes to a stand.
+        Time at which it starts to brake to a stop [s].
     """
 
     speed: float
@@ -47,14 +49,14 @@ class Pace:
         return 0.5 * self.acceleration * gaining**2 + self.speed * (since - gaining)
 
     def distance(self, times: ArrayLike) -> Floats:
-        """Metres covered by ``times`` [s]; 0 at time 0 for what has always been moving."""
+        """Distance travelled by ``times`` [s], metres; 0 at time 0 if it has always been moving."""
         t = np.asarray(times, np.float64)
         braking = np.clip(t - self.stop, 0.0, self.speed / self.acceleration)
         slowed = self.speed * braking - 0.5 * self.acceleration * braking**2
         return self._covered(np.minimum(t, self.stop)) + slowed
 
     def at(self, times: ArrayLike) -> Floats:
-        """Speed at ``times`` [s]."""
+        """Speed at ``times`` [s], m/s."""
         t = np.asarray(times, np.float64)
         half = 1e-3
         return (self.distance(t + half) - self.distance(t - half)) / (2 * half)
@@ -62,7 +64,7 @@ class Pace:
 
 @dataclass(frozen=True)
 class Path:
-    """Straight lines between points (s, d) of the road, followed at a pace.
+    """A polyline of points (s, d) on the road, travelled with a speed profile.
 
     Attributes
     ----------
@@ -70,9 +72,10 @@ class Path:
     points : ndarray of float64, shape (k, 2)
     pace : Pace
     start : float
-        Metres along the path where the distance of ``pace`` is 0.
+        Position along the path at which the distance of ``pace`` is 0 [m].
     length, width : float
-        Between the points that rest on the ground; corners are rounded over ``length``.
+        Distances between the four points that rest on the ground [m]; corners are rounded over
+        ``length``.
     """
 
     road: Road
@@ -83,7 +86,7 @@ class Path:
     width: float = 1.5
 
     def along(self, distance: Floats) -> Floats:
-        """Points (s, d) at a distance along the path; it goes on straight beyond its ends."""
+        """Points (s, d) at a distance along the path, which extends straight beyond its ends."""
         points = np.asarray(self.points, np.float64)
         step = np.diff(points, axis=0)
         length = np.linalg.norm(step, axis=1)
@@ -94,7 +97,7 @@ class Path:
         return result
 
     def distance(self, times: ArrayLike) -> Floats:
-        """Metres along the path at ``times`` [s]."""
+        """Position along the path at ``times`` [s], metres."""
         return self.start + self.pace.distance(times)
 
     def poses(self, times: ArrayLike) -> Floats:
@@ -113,7 +116,7 @@ class Path:
 
 @dataclass(frozen=True)
 class Standing:
-    """A fixed pose, in the place of a path."""
+    """A fixed pose instead of a path."""
 
     pose: Floats
 
@@ -126,7 +129,7 @@ class Standing:
 
 @dataclass(frozen=True)
 class Part:
-    """A rigid piece of an actor; ``swing`` gives its pose (n, 4, 4) from metres covered."""
+    """A rigid part of an actor; ``swing`` gives its poses (n, 4, 4) from distance and speed."""
 
     mesh: Mesh
     swing: Callable[[Floats, Floats], Floats] | None = None
@@ -134,7 +137,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Actor:
-    """Something that moves, or may.
+    """An object that moves or may move.
 
     Attributes
     ----------
@@ -142,9 +145,9 @@ class Actor:
     parts : sequence of Part
     path : Path or Standing
     label : int
-        SemanticKITTI class while it never moves.
+        SemanticKITTI class if it never moves during the drive.
     moving_label : int
-        Class when it moves at any time of the drive.
+        SemanticKITTI class if it moves at any time of the drive.
     """
 
     name: str
@@ -159,14 +162,14 @@ class Actor:
         object.__setattr__(self, "radius", reach + 0.3)
 
     def speed(self, times: ArrayLike) -> Floats:
-        """Metres a second at ``times`` [s], shape (n,)."""
+        """Speed at ``times`` [s], m/s, shape (n,)."""
         times = np.atleast_1d(np.asarray(times, np.float64))
         if isinstance(self.path, Standing):
             return np.zeros(len(times))
         return self.path.pace.at(times)
 
     def moves_between(self, start: float, end: float) -> bool:
-        """Whether it covers more than 5 cm between two times [s]."""
+        """Whether it travels more than 5 cm between two times [s]."""
         covered = self.path.distance(np.linspace(start, end, 101))
         return bool(np.ptp(covered) > 0.05)
 
@@ -183,11 +186,11 @@ class Actor:
 def swinging(
     pivot: ArrayLike, amplitude: float, stride: float, phase: float
 ) -> Callable[[Floats, Floats], Floats]:
-    """A limb that swings about the y axis through ``pivot``, once in ``stride`` metres."""
+    """A limb that swings around the y axis through ``pivot``, once per ``stride`` metres."""
     x, _, z = np.asarray(pivot, np.float64)
 
     def swing(distance: Floats, speed: Floats) -> Floats:
-        # The amplitude fades below half a metre a second, so that who stands, stands still.
+        # The amplitude fades below 0.5 m/s, so that limbs rest while the person stands.
         angle = amplitude * np.clip(speed / 0.5, 0.0, 1.0)
         angle = angle * np.sin(2 * np.pi * distance / stride + phase)
         poses = np.zeros((len(angle), 4, 4))

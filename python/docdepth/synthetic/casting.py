@@ -1,7 +1,8 @@
-"""Rays against a street: a still part in one acceleration structure, each mover in its own.
+"""Ray casting in a scene with moving objects.
 
-Movers are met in their own frame, with every ray taken there by the mover's pose at the ray's own
-time, so that nothing is rebuilt and motion within a sweep is exact.
+The static part is one acceleration structure; each part of each actor is another. Rays are
+transformed into the frame of an actor with its pose at the time of each ray. So no structure is
+rebuilt, and motion within a sweep is exact.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from docdepth.synthetic.actors import Actor
 from docdepth.synthetic.mesh import Mesh
 
 Floats = NDArray[np.float64]
+# Rays per block of neighbours that share one bounding cone.
 _BLOCK = 32
 
 
@@ -33,7 +35,7 @@ def _embree() -> tuple[Any, Any]:
 
 
 class Target:
-    """One mesh made ready for rays."""
+    """One mesh and its acceleration structure."""
 
     def __init__(self, mesh: Mesh) -> None:
         scene_type, mesh_type = _embree()
@@ -48,7 +50,7 @@ class Target:
     def cast(
         self, origins: Floats, directions: Floats, limits: Floats
     ) -> tuple[Floats, NDArray[np.int32]]:
-        """Range and face of the first hit nearer than ``limits``; face -1 where there is none."""
+        """Range [m] and face of the first hit nearer than ``limits`` [m]; face -1 = no hit."""
         found = self._scene.run(
             np.ascontiguousarray(origins, np.float32),
             np.ascontiguousarray(directions, np.float32),
@@ -61,22 +63,22 @@ class Target:
 
 @dataclass(frozen=True)
 class Hits:
-    """What each ray met.
+    """First hit of each ray.
 
     Attributes
     ----------
     range : ndarray of float64, shape (N,)
-        Metres; inf where nothing was met.
+        Metres; inf = no hit.
     face : ndarray of int32, shape (N,)
-        Into the tables of :class:`World`; -1 where nothing was met.
+        Index into the tables of :class:`World`; -1 = no hit.
     labels : ndarray of uint32, shape (N,)
-        SemanticKITTI label: class in the low, instance in the high 16 bits.
+        SemanticKITTI class in the low 16 bits, instance in the high 16 bits.
     speed : ndarray of float32, shape (N,)
-        Of the object at that moment, metres a second.
+        Speed of the object at that moment [m/s].
     cosine : ndarray of float32, shape (N,)
-        Of the angle of incidence.
+        Cosine of the angle of incidence.
     normals : ndarray of float32, shape (N, 3)
-        World frame, towards the ray's origin.
+        World frame, facing the origin of the ray.
     """
 
     range: Floats
@@ -91,16 +93,16 @@ class Hits:
 class Rays:
     """Rays in world coordinates, each at its own time.
 
-    Neighbours in the list should look about the same way: they are handled in blocks.
+    Neighbours in the list should have similar directions: they are bounded in blocks.
 
     Attributes
     ----------
     origins : ndarray of float64, shape (N, 3)
-        Where each ray begins.
+        Origins [m].
     directions : ndarray of float64, shape (N, 3)
         Unit vectors, so that ``t`` along a ray is metres.
     times : ndarray of float64, shape (m,)
-        Seconds; the times at which rays leave, increasing.
+        Times at which rays leave, increasing [s].
     which : ndarray of int64, shape (N,)
         Index into ``times`` for each ray.
     """
@@ -118,7 +120,7 @@ class Rays:
         low, high = self.origins.min(axis=0), self.origins.max(axis=0)
         object.__setattr__(self, "middle", 0.5 * (low + high))
         object.__setattr__(self, "spread", 0.5 * float(np.linalg.norm(high - low)))
-        # A cone about each block of rays, so that most rays are never asked about most actors.
+        # A cone around each block of rays: most blocks then miss most actors without a ray test.
         first = np.arange(0, len(self.directions), _BLOCK)
         axes = np.add.reduceat(self.directions, first, axis=0)
         axes /= np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-9)
@@ -133,7 +135,7 @@ class Rays:
         return len(self.directions)
 
     def towards(self, centre: Floats, radius: float) -> NDArray[np.int64]:
-        """Rays that may meet a sphere, and some more."""
+        """Indices of the rays that may hit a sphere; some of them miss it."""
         offset = centre - self.middle
         away = float(np.linalg.norm(offset))
         if away < 1.2 * radius:
@@ -146,36 +148,35 @@ class Rays:
 
 
 class World:
-    """A still mesh and actors.
+    """A static mesh and actors, ready for ray casting.
 
     Parameters
     ----------
-    motion_corrected : Mesh
+    static : Mesh
     actors : sequence of Actor
     span : tuple of float
-        First and last second of the drive: who moves in between has the moving class throughout.
+        First and last second of the drive. An actor that moves in between has its moving class in
+        all sweeps.
 
     Attributes
     ----------
     labels, colours, reflectivity : ndarray
-        Of every face: those of the still mesh, then those of each part of each actor.
+        One row per face: the static mesh, then each part of each actor.
     """
 
-    def __init__(
-        self, motion_corrected: Mesh, actors: Sequence[Actor], span: tuple[float, float]
-    ) -> None:
-        self.motion_corrected = Target(motion_corrected)
+    def __init__(self, static: Mesh, actors: Sequence[Actor], span: tuple[float, float]) -> None:
+        self.static = Target(static)
         self.actors = list(actors)
-        meshes = [motion_corrected, *(part.mesh for actor in self.actors for part in actor.parts)]
+        meshes = [static, *(part.mesh for actor in self.actors for part in actor.parts)]
         first = np.cumsum([0, *(len(mesh) for mesh in meshes)]).tolist()
         targets = iter(zip(first[1:], map(Target, meshes[1:]), strict=False))
         self.targets = [[next(targets) for _ in actor.parts] for actor in self.actors]
-        labels = [motion_corrected.labels]
+        labels = [static.labels]
         for number, actor in enumerate(self.actors, 1):
             moves = actor.moves_between(*span)
             label = (number << 16) | (actor.moving_label if moves else actor.label)
             labels += [np.full(len(part.mesh), label, np.uint32) for part in actor.parts]
-        # One row more for rays that meet nothing: index -1.
+        # The last row is for rays without a hit: index -1.
         self.labels = np.concatenate([*labels, np.zeros(1, np.uint32)])
         self.colours = np.concatenate([m.colours for m in meshes] + [np.zeros((1, 3), np.float32)])
         self.reflectivity = np.concatenate(
@@ -183,12 +184,10 @@ class World:
         )
 
     def cast(self, rays: Rays, limit: float) -> Hits:
-        """What each ray meets first within ``limit`` metres."""
+        """First hit of each ray within ``limit`` metres."""
         count = len(rays)
-        distance, face = self.motion_corrected.cast(
-            rays.origins, rays.directions, np.full(count, limit)
-        )
-        normals = self.motion_corrected.normals[face]
+        distance, face = self.static.cast(rays.origins, rays.directions, np.full(count, limit))
+        normals = self.static.normals[face]
         speed = np.zeros(count, np.float32)
         for actor, targets in zip(self.actors, self.targets, strict=True):
             near = self._near(actor, rays, limit, distance)
@@ -216,10 +215,10 @@ class World:
         return Hits(distance, face, self.labels[face], speed, np.abs(facing), normals)
 
     def _near(self, actor: Actor, rays: Rays, limit: float, distance: Floats) -> NDArray[np.int64]:
-        """Rays that may meet the actor: those towards a sphere about where it is meanwhile."""
-        places = actor.path.poses(np.linspace(rays.times[0], rays.times[-1], 3))[:, :3, 3]
-        centre = 0.5 * (places.min(axis=0) + places.max(axis=0))
-        radius = actor.radius + 0.5 * float(np.linalg.norm(np.ptp(places, axis=0))) + rays.spread
+        """Indices of the rays towards a sphere that bounds the actor at all times of the rays."""
+        centres = actor.path.poses(np.linspace(rays.times[0], rays.times[-1], 3))[:, :3, 3]
+        centre = 0.5 * (centres.min(axis=0) + centres.max(axis=0))
+        radius = actor.radius + 0.5 * float(np.linalg.norm(np.ptp(centres, axis=0))) + rays.spread
         away = float(np.linalg.norm(centre - rays.middle))
         if away > limit + radius:
             return np.empty(0, np.int64)

@@ -1,4 +1,4 @@
-"""A sensor and a camera driven through a scene: sweeps and images with exact truth."""
+"""Drives a LiDAR and a camera through a scene: sweeps and images with exact ground truth."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from docdepth.synthetic.street import Scene
 
 Floats = NDArray[np.float64]
 _NS = 1_000_000_000
+_FIRST_MOVING_CLASS = 252  # of SemanticKITTI: a moving car
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Where the cameras are: KITTI's four, of which number 2 takes pictures.
+    """Calibration of KITTI's four cameras; camera 2 takes the images.
 
     Attributes
     ----------
     camera : Camera
-        Of camera 2.
+        Camera 2.
     P : ndarray of float64, shape (4, 3, 4)
-        Projections of cameras 0 to 3 from the frame of camera 0.
+        Projection matrices of cameras 0 to 3, from the frame of camera 0.
     Tr : ndarray of float64, shape (4, 4)
-        LiDAR points to camera 0.
+        ``T_camera0_lidar``.
     T_camera_lidar : ndarray of float64, shape (4, 4)
-        LiDAR points to camera 2.
+        Extrinsics of camera 2.
     """
 
     camera: Camera
@@ -43,7 +44,7 @@ class Rig:
 
 
 def kitti_rig() -> Rig:
-    """KITTI's camera: 0.27 m ahead of the LiDAR and 0.08 m below it, a little out of true."""
+    """KITTI's rig: the camera is 0.27 m ahead of the LiDAR, 0.08 m below it, slightly rotated."""
     K = np.array([(721.5377, 0.0, 609.5593), (0.0, 721.5377, 172.854), (0.0, 0.0, 1.0)])
     P = np.zeros((4, 3, 4))
     P[:, :, :3] = K
@@ -59,21 +60,21 @@ def kitti_rig() -> Rig:
 
 @dataclass(frozen=True)
 class TrueSweep:
-    """A sweep and all that is true of it.
+    """A sweep with exact ground truth.
 
     Attributes
     ----------
     points : ndarray of float32, shape (N, 3)
-        LiDAR frame, metres; taken to the stamp by the exact motion of the ego unless skewed.
+        LiDAR frame at the stamp of the sweep [m], motion compensated unless the drive is skewed.
     intensity : ndarray of float32, shape (N,)
         0..1.
     labels : ndarray of uint32, shape (N,)
-        SemanticKITTI class, moving ones for what moves at any time of the drive; instance in the
-        high 16 bits.
+        SemanticKITTI class in the low 16 bits, instance in the high 16 bits. Objects that move at
+        any time of the drive have a moving class.
     speed : ndarray of float32, shape (N,)
-        Of the object at that moment, metres a second.
+        Speed of the object at that moment [m/s].
     relative_time : ndarray of float32, shape (N,)
-        Time of measurement after the stamp, as a share of the sweep, -0.5..0.5.
+        Time of each point after the stamp, as a share of the sweep, -0.5..0.5.
     ring : ndarray of int64, shape (N,)
     """
 
@@ -87,34 +88,34 @@ class TrueSweep:
     @property
     def moving(self) -> NDArray[np.bool_]:
         """Points of objects that move at any time of the drive."""
-        return (self.labels & 0xFFFF) >= 252
+        return (self.labels & 0xFFFF) >= _FIRST_MOVING_CLASS
 
 
 class Drive:
-    """A recorded drive, made when asked for and never kept.
+    """A synthetic recording; sweeps and images are computed on request and not cached.
 
     Parameters
     ----------
     scene : Scene
     sensor : Sensor
     frames : int
-        Sweeps.
+        Number of sweeps.
     seed : int
-        Of noise and dropout.
+        Seed of noise and dropout.
     skew : bool
-        Leave sweeps as they were measured while the ego moved.
+        Leave the points as measured while the ego moved (raw sweeps).
     shutter : float
-        When image ``k`` is taken, as a share of the way from sweep ``k`` to ``k + 1``.
+        Time of image ``k``, as a share of the time from sweep ``k`` to sweep ``k + 1``.
 
     Attributes
     ----------
     times : ndarray of int64, shape (frames,)
-        Nanoseconds of each sweep's middle, where its pose holds.
+        Stamp of each sweep, at its middle [ns].
     poses : ndarray of float64, shape (frames, 4, 4)
-        ``T_world_lidar``; the world is the LiDAR frame of the first sweep.
+        ``T_world_lidar`` at the stamps; the world frame is the LiDAR frame of the first sweep.
     camera_times : ndarray of int64, shape (frames - 1,)
     T_scene_world : ndarray of float64, shape (4, 4)
-        Takes points of the drive's world to the frame in which the scene was built.
+        From the world frame of the drive to the frame of the scene.
     """
 
     def __init__(
@@ -137,9 +138,7 @@ class Drive:
         self.times = period * np.arange(frames, dtype=np.int64)
         self.camera_times = self.times[:-1] + round(shutter * period)
         half = 0.5 * sensor.period
-        self.world = World(
-            scene.motion_corrected, scene.actors, (-half, float(self.times[-1]) / _NS + half)
-        )
+        self.world = World(scene.static, scene.actors, (-half, float(self.times[-1]) / _NS + half))
         self.T_scene_world = self._scene_poses(np.zeros(1))[0]
         self.poses = self.pose_at(self.times)
         self._bias = sensor.bias * np.random.default_rng([seed, 2]).normal(size=256)
@@ -148,7 +147,7 @@ class Drive:
         return len(self.times)
 
     def _scene_poses(self, seconds: Floats) -> Floats:
-        """``T_scene_lidar`` at any times: the road, and a body that sways a little on it."""
+        """``T_scene_lidar`` (n, 4, 4) at ``seconds`` [s]: pose on the road plus a slight sway."""
         ego = self.scene.ego
         base = ego.poses(seconds)
         sway = ego.pace.at(seconds) / (ego.pace.at(seconds) + 3.0)
@@ -165,10 +164,10 @@ class Drive:
         return inverse(self.T_scene_world) @ self._scene_poses(seconds)
 
     def sweep(self, index: int) -> TrueSweep:
-        """Sweep ``index``."""
+        """The sweep ``index``."""
         sensor, rng = self.sensor, np.random.default_rng([self.seed, 1, index])
         pattern = sensor.pattern(index)
-        seconds = float(self.times[index]) / _NS + sensor.period * pattern.fractions
+        seconds = float(self.times[index]) / _NS + sensor.period * pattern.relative_times
         poses = self._scene_poses(seconds)
         rotation, which = poses[pattern.which, :3, :3], pattern.which
         directions = np.einsum("nij,nj->ni", rotation, pattern.directions)
@@ -179,8 +178,10 @@ class Drive:
         rays = Rays(origins, directions, seconds, which)
         hits = self.world.cast(rays, sensor.max_range)
         reflectivity = self.world.reflectivity[hits.face]
-        if sensor.bloom:
-            hits, reflectivity = _bloomed(hits, reflectivity, directions, sensor.bloom, rng)
+        if sensor.blooming:
+            hits, reflectivity = _with_blooming(
+                hits, reflectivity, directions, sensor.blooming, rng
+            )
         kept = np.flatnonzero(sensor.returned(hits.range, reflectivity, hits.cosine, rng))
         measured = hits.range[kept] + sensor.noise * rng.normal(size=len(kept))
         measured += self._bias[pattern.rings[kept]]
@@ -196,32 +197,33 @@ class Drive:
             np.clip(intensity, 0.0, 1.0).astype(np.float32),
             hits.labels[kept],
             hits.speed[kept],
-            pattern.fractions[which[kept]].astype(np.float32),
+            pattern.relative_times[which[kept]].astype(np.float32),
             pattern.rings[kept],
         )
 
     def image(self, index: int) -> View:
-        """What camera 2 sees at ``camera_times[index]``, with exact depth."""
+        """The image of camera 2 at ``camera_times[index]``, with exact depth."""
         time = self.camera_times[index : index + 1]
         pose = self.T_scene_world @ self.pose_at(time)[0] @ inverse(self.rig.T_camera_lidar)
         return photograph(self.world, self.rig.camera, pose, float(time[0]) / _NS)
 
     def depth(self, camera: Camera, T_world_camera: Floats, time: int) -> NDArray[np.float32]:
-        """Exact depth (h, w) of any camera at any time [ns]; NaN where there is no surface."""
+        """Exact depth (h, w) of any camera at any time [ns]; NaN = no surface."""
         pose = self.T_scene_world @ T_world_camera
         return photograph(self.world, camera, pose, time / _NS).depth
 
 
-def _bloomed(
+def _with_blooming(
     hits: Hits,
     reflectivity: NDArray[np.float32],
     directions: Floats,
-    bloom: float,
+    blooming: float,
     rng: np.random.Generator,
 ) -> tuple[Hits, NDArray[np.float32]]:
-    """Phantoms: rays that pass a retro-reflector closely come back dimly from its range.
+    """Add ghost returns around retro-reflectors, up to ``blooming`` radians from them.
 
-    The nearer they pass, the likelier. They are outliers (class 1) without a speed.
+    A ray that passes close to a retro-reflector returns weakly from its range; the closer, the more
+    likely. Ghost returns have class 1 (outlier) and no speed.
     """
     bright = np.flatnonzero((reflectivity > 1) & np.isfinite(hits.range))
     if not len(bright):
@@ -230,18 +232,18 @@ def _bloomed(
     for rows in np.array_split(np.arange(len(directions)), len(directions) // 8192 + 1):
         cosines = directions[rows] @ directions[bright].T
         source[rows], cosine[rows] = bright[cosines.argmax(axis=1)], cosines.max(axis=1)
-    phantom = rng.random(len(cosine)) < 1 - np.arccos(np.clip(cosine, -1, 1)) / bloom
-    phantom &= (reflectivity <= 1) & (hits.range > hits.range[source] + 0.3)
+    ghost = rng.random(len(cosine)) < 1 - np.arccos(np.clip(cosine, -1, 1)) / blooming
+    ghost &= (reflectivity <= 1) & (hits.range > hits.range[source] + 0.3)
     values = replace(
         hits,
-        range=np.where(phantom, hits.range[source], hits.range),
-        cosine=np.where(phantom, 1, hits.cosine),
-        labels=np.where(phantom, 1, hits.labels).astype(hits.labels.dtype),
-        speed=np.where(phantom, 0, hits.speed).astype(hits.speed.dtype),
+        range=np.where(ghost, hits.range[source], hits.range),
+        cosine=np.where(ghost, 1, hits.cosine),
+        labels=np.where(ghost, 1, hits.labels).astype(hits.labels.dtype),
+        speed=np.where(ghost, 0, hits.speed).astype(hits.speed.dtype),
     )
-    return values, np.where(phantom, 0.3, reflectivity).astype(np.float32)
+    return values, np.where(ghost, 0.3, reflectivity).astype(np.float32)
 
 
 def sweeps_of(drive: Drive, indices: Sequence[int] | None = None) -> list[TrueSweep]:
-    """All sweeps of a short drive at once."""
+    """The sweeps of a short drive as a list; all of them by default."""
     return [drive.sweep(k) for k in (range(len(drive)) if indices is None else indices)]

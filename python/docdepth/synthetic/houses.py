@@ -1,4 +1,4 @@
-"""Buildings with windows set into their walls."""
+"""Buildings with windows recessed into their walls."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from docdepth.synthetic.mesh import Colour, Mesh, Paint, box, merged, pose_of, quads
 
 Floats = NDArray[np.float64]
-_BASE = -1.5  # walls go down below the lowest ground about them
+# Walls reach below the lowest ground around them [m].
+_BASE = -1.5
 WALLS: tuple[Colour, ...] = (
     (0.72, 0.66, 0.55),
     (0.60, 0.42, 0.34),
@@ -85,9 +86,9 @@ def building(
     shop: bool = False,
     gable: bool = False,
 ) -> Mesh:
-    """A house ``length`` along x and ``depth`` along y, its foot at z = 0.
+    """A house, ``length`` along x and ``depth`` along y, centred, its foot at z = 0.
 
-    The walls stand on the rectangle about the origin; ledges and balconies jut out of them.
+    Ledges and balconies stand out of the walls.
     """
     colour = WALLS[rng.integers(len(WALLS))]
     paint = Paint(50, colour, float(rng.uniform(0.25, 0.6)))

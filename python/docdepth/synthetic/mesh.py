@@ -1,4 +1,4 @@
-"""Triangle meshes and the few shapes that streets are made of."""
+"""Triangle meshes and the basic shapes of the scenes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Colour = tuple[float, float, float]
 
 
 class Paint(NamedTuple):
-    """What a face is made of.
+    """Material of a face.
 
     Attributes
     ----------
@@ -22,7 +22,7 @@ class Paint(NamedTuple):
     colour : tuple of float
         Red, green, blue in 0..1.
     reflectivity : float
-        Diffuse at the LiDAR's wavelength, 0..1; above 1 for retro-reflectors. Glass is near 0.
+        Diffuse reflectivity at the wavelength of the LiDAR, 0..1; above 1 for retro-reflectors.
     """
 
     label: int
@@ -32,14 +32,14 @@ class Paint(NamedTuple):
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles with a class, a colour and a reflectivity each.
+    """Triangles, each with a label, a colour and a reflectivity.
 
     Attributes
     ----------
     vertices : ndarray of float64, shape (V, 3)
     faces : ndarray of int32, shape (F, 3)
     labels : ndarray of uint32, shape (F,)
-        SemanticKITTI class in the low, instance in the high 16 bits.
+        SemanticKITTI class in the low 16 bits, instance in the high 16 bits.
     colours : ndarray of float32, shape (F, 3)
     reflectivity : ndarray of float32, shape (F,)
     """
@@ -69,7 +69,7 @@ class Mesh:
 
 
 def painted(vertices: ArrayLike, faces: ArrayLike, paint: Paint) -> Mesh:
-    """A mesh of one paint."""
+    """A mesh of one material."""
     faces = np.asarray(faces, dtype=np.int32).reshape(-1, 3)
     return Mesh(
         np.asarray(vertices, dtype=np.float64).reshape(-1, 3),
@@ -104,7 +104,7 @@ def pose_of(x: float, y: float, z: float, yaw: float = 0.0) -> NDArray[np.float6
 
 
 def quads(corners: ArrayLike, paint: Paint) -> Mesh:
-    """Four-sided faces, shape (n, 4, 3), each cut into two triangles."""
+    """Quadrilaterals, shape (n, 4, 3), each split into two triangles."""
     corners = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 3)
     first = 4 * np.arange(len(corners))[:, None]
     faces = np.concatenate([first + np.array((0, 1, 2)), first + np.array((0, 2, 3))], axis=1)
@@ -112,7 +112,7 @@ def quads(corners: ArrayLike, paint: Paint) -> Mesh:
 
 
 def box(size: ArrayLike, centre: ArrayLike, paint: Paint) -> Mesh:
-    """A box along the axes."""
+    """An axis-aligned box."""
     signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     vertices = np.asarray(centre) + 0.5 * np.asarray(size) * signs
     faces = (
@@ -123,9 +123,9 @@ def box(size: ArrayLike, centre: ArrayLike, paint: Paint) -> Mesh:
 
 
 def loft(sections: ArrayLike, paint: Paint) -> Mesh:
-    """The closed hull of successive outlines with equally many points, shape (k, m, 3).
+    """The closed hull of successive outlines of m points each, shape (k, m, 3).
 
-    The first and the last outline are closed by fans about their first point.
+    The first and the last outline are closed by triangle fans.
     """
     sections = np.asarray(sections, dtype=np.float64)
     count, sides = sections.shape[:2]
@@ -139,7 +139,7 @@ def loft(sections: ArrayLike, paint: Paint) -> Mesh:
 
 
 def tube(path: ArrayLike, radii: ArrayLike, paint: Paint, sides: int = 8) -> Mesh:
-    """A round bar along the points ``path`` (k, 3) with a radius at each of them."""
+    """A round bar along the points ``path`` (k, 3), with a radius at each point."""
     path = np.asarray(path, dtype=np.float64)
     radii = np.broadcast_to(np.asarray(radii, dtype=np.float64), (len(path),))
     axis = path[-1] - path[0]
@@ -165,7 +165,7 @@ def ball(centre: ArrayLike, radii: ArrayLike, paint: Paint, sides: int = 8) -> M
 def leaves(
     centres: NDArray[np.float64], size: float, paint: Paint, rng: np.random.Generator
 ) -> Mesh:
-    """Small quads at ``centres`` (n, 3), turned every way, of different greens."""
+    """Small quadrilaterals at ``centres`` (n, 3), with random rotations and shades."""
     count = len(centres)
     u = rng.normal(size=(count, 3))
     u /= np.linalg.norm(u, axis=1, keepdims=True)
@@ -181,7 +181,7 @@ def leaves(
 def scattered(
     count: int, centre: ArrayLike, radii: ArrayLike, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Points in an ellipsoid, denser towards its skin, as leaves are."""
+    """Random points (count, 3) in an ellipsoid, denser towards its surface."""
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     radius = rng.uniform(0.3, 1.0, (count, 1)) ** 0.5

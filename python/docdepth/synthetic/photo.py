@@ -1,4 +1,4 @@
-"""The camera: exact depth and classes of every pixel, and a picture good enough to look at."""
+"""Renders the camera: exact depth and labels of each pixel, and a simply shaded image."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from docdepth.geometry.camera import Camera
 from docdepth.synthetic.casting import Hits, Rays, World
 
 Floats = NDArray[np.float64]
+# Surfaces farther away are sky [m].
 _FAR = 300.0
+# Direction towards the sun, scene frame.
 _SUN = np.array((0.450, 0.350, 0.822), np.float32)
 
 _HAZE = np.array((0.78, 0.83, 0.90), np.float32)
@@ -22,15 +24,16 @@ _ZENITH = np.array((0.40, 0.58, 0.85), np.float32)
 
 @dataclass(frozen=True)
 class View:
-    """What the camera sees.
+    """One image with exact ground truth.
 
     Attributes
     ----------
     depth : ndarray of float32, shape (h, w)
-        Metres along the optical axis; NaN where there is no surface.
+        Depth along the optical axis [m]; NaN = no surface.
     labels : ndarray of uint32, shape (h, w)
-        As of a sweep's points; 0 for the sky.
+        As for the points of a sweep; 0 for the sky.
     speed : ndarray of float32, shape (h, w)
+        Speed of the object at that moment [m/s].
     colour : ndarray of uint8, shape (h, w, 3)
         Red, green, blue.
     """
@@ -42,7 +45,7 @@ class View:
 
 
 def photograph(world: World, camera: Camera, T_scene_camera: Floats, second: float) -> View:
-    """Cast a ray through the centre of every pixel at one moment."""
+    """Cast a ray through the centre of each pixel at one moment [s]."""
     shape = (camera.height, camera.width)
     local = _pixel_rays(camera.width, camera.height, tuple(camera.K.ravel().tolist()))
     along = local[:, 2]  # depth of a point one metre along the ray
@@ -63,7 +66,7 @@ def photograph(world: World, camera: Camera, T_scene_camera: Floats, second: flo
 
 @lru_cache(maxsize=4)
 def _pixel_rays(width: int, height: int, numbers: tuple[float, ...]) -> Floats:
-    """Unit vectors through the pixel centres, camera frame, row by row."""
+    """Unit vectors through the pixel centres, camera frame, row by row, (h * w, 3)."""
     K = np.array(numbers).reshape(3, 3)
     v, u = np.indices((height, width), dtype=np.float64).reshape(2, -1)
     y = (v - K[1, 2]) / K[1, 1]
@@ -76,12 +79,12 @@ def _pixel_rays(width: int, height: int, numbers: tuple[float, ...]) -> Floats:
 def _shade(
     hits: Hits, colours: NDArray[np.float32], origin: Floats, directions: Floats
 ) -> NDArray[np.uint8]:
-    """Sunlight, a little grain that sticks to surfaces, haze, and a sky."""
-    met = np.isfinite(hits.range)
-    distance = np.where(met, hits.range, 0.0).astype(np.float32)
+    """Shade the hits: sunlight, a texture fixed to the surfaces, haze, and sky."""
+    hit = np.isfinite(hits.range)
+    distance = np.where(hit, hits.range, 0.0).astype(np.float32)
     light = 0.5 + 0.5 * np.maximum(np.einsum("ij,j->i", hits.normals, _SUN), 0.0)
-    places = origin + directions * distance[:, None]
-    x, y, z = np.floor(12.0 * places.T).astype(np.int32)
+    points = origin + directions * distance[:, None]
+    x, y, z = np.floor(12.0 * points.T).astype(np.int32)
     grain = x * np.int32(73856093) ^ y * np.int32(19349663) ^ z * np.int32(83492791)
     grain = (grain ^ grain >> 15) * np.int32(739982445)
     grain = (grain >> 12) & 255
@@ -90,6 +93,6 @@ def _shade(
     colour = colours * light[:, None] * (1.0 - haze) + haze * _HAZE
     up = np.clip(directions[:, 2:3].astype(np.float32) * 2.0, 0.0, 1.0)
     sky = (1 - up) * _HORIZON + up * _ZENITH
-    colour = np.where(met[:, None], colour, sky)
+    colour = np.where(hit[:, None], colour, sky)
     result: NDArray[np.uint8] = (235.0 * np.sqrt(np.clip(colour, 0, 1))).astype(np.uint8)
     return result

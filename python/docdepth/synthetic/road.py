@@ -1,4 +1,4 @@
-"""A road as a coordinate system: everything in a scene stands at (s, d) along and across it."""
+"""A road as a coordinate system: s runs along it, d across it to the left."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ _STEP = 0.1
 
 @dataclass(frozen=True)
 class Road:
-    """A centre line with elevation and a cross profile; (s, d) = (0, 0) is the origin.
+    """A centre line with elevation and cross profile; (s, d) = (0, 0) is the world origin.
 
     Attributes
     ----------
     start, end : float
-        Range of ``s``, metres along the centre line.
+        Range of ``s`` along the centre line [m].
     heading : callable
-        Heading of the centre line at ``s``, radians; smooth.
+        Heading of the centre line at ``s`` [rad]; smooth.
     elevation : callable
-        Height of the centre line at ``s``, metres; smooth.
+        Height of the centre line at ``s`` [m]; smooth.
     profile : callable
-        Height above the centre line at ``(s, d)``; ``d`` is metres to the left.
+        Height above the centre line at ``(s, d)`` [m].
     paint : callable
-        Index into ``paints`` for each cell of the ground, from its centre's ``(s, d)``.
+        Index into ``paints`` of each ground cell, from ``(s, d)`` of its centre.
     s_cuts, d_cuts : sequence of float
-        Where the ground has an edge (kerbs, markings), so that the mesh has one too.
+        Positions of edges (kerbs, markings) at which the mesh has vertices [m].
     """
 
     start: float
@@ -59,15 +59,15 @@ class Road:
         return self.elevation(s) + self.profile(s, d)
 
     def point(self, s: ArrayLike, d: ArrayLike, above: float = 0.0) -> Floats:
-        """World points (..., 3) at (s, d), ``above`` the ground."""
+        """World points (..., 3) at (s, d), ``above`` metres over the ground."""
         s, d = np.broadcast_arrays(np.asarray(s, np.float64), np.asarray(d, np.float64))
         heading = self.heading(s)
         x = np.interp(s, self.line[:, 0], self.line[:, 1]) - d * np.sin(heading)
         y = np.interp(s, self.line[:, 0], self.line[:, 2]) + d * np.cos(heading)
         return np.stack([x, y, self.height(s, d) + above], axis=-1)
 
-    def place(self, s: float, d: float, yaw: float = 0.0, above: float = 0.0) -> Floats:
-        """Pose of an upright thing at (s, d), turned by ``yaw`` from the road's heading."""
+    def upright(self, s: float, d: float, yaw: float = 0.0, above: float = 0.0) -> Floats:
+        """Pose of an upright object at (s, d), rotated by ``yaw`` from the heading of the road."""
         pose = np.eye(4)
         angle = float(self.heading(np.asarray(s))) + yaw
         pose[:2, :2] = ((np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle)))
@@ -75,7 +75,7 @@ class Road:
         return pose
 
     def resting(self, s: float, d: float, yaw: float, length: float, width: float) -> Floats:
-        """Pose of a thing that rests on the ground with four wheels ``length`` by ``width``."""
+        """Pose of a vehicle whose wheels, ``length`` by ``width`` apart, stand on the ground."""
         along = 0.5 * length * np.array((np.cos(yaw), np.sin(yaw)))
         across = 0.5 * width * np.array((-np.sin(yaw), np.cos(yaw)))
         ends = np.array([along, -along, across, -across]) + np.array((s, d))
@@ -83,7 +83,7 @@ class Road:
         return result
 
     def ground(self, step: float = 1.0) -> Mesh:
-        """The ground as a mesh; its cells follow the kerbs and markings."""
+        """The ground as a mesh; its cells follow kerbs and markings."""
         s = _breaks(self.start, self.end, step, self.s_cuts)
         d: Floats = np.unique(np.round(np.asarray(self.d_cuts, np.float64), 4))
         grid_s, grid_d = np.meshgrid(s, d, indexing="ij")
@@ -104,7 +104,7 @@ class Road:
 
 
 def resting_poses(front: Floats, rear: Floats, left: Floats, right: Floats) -> Floats:
-    """Poses (n, 4, 4) of things that rest on four points each, (n, 3)."""
+    """Poses (n, 4, 4) of objects that rest on four points each, (n, 3)."""
     x = front - rear
     x = x / np.linalg.norm(x, axis=-1, keepdims=True)
     y = left - right

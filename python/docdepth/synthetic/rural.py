@@ -1,4 +1,4 @@
-"""Roads between verges: highway and hills."""
+"""Scenes outside towns: highway and hills."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from docdepth.synthetic import houses, things
+from docdepth.synthetic import houses, road_users, roadside
 from docdepth.synthetic.actors import Pace, Path
 from docdepth.synthetic.mesh import Mesh, Paint, box, merged
 from docdepth.synthetic.road import Floats, Road
@@ -57,26 +57,36 @@ def _highway_road(start: float, end: float, rng: np.random.Generator) -> Road:
 
 
 def highway(seed: int) -> Scene:
-    """Three lanes each way at 27 m/s: rails, verges, embankments, lorries to overtake."""
+    """Three lanes per direction at 27 m/s: guard rails, verges, embankments, slower lorries."""
     rng = generator("highway", seed)
     start, end = -140.0, 560.0
     road = _highway_road(start, end, rng)
     street = Street(road, rng)
+    _highway_roadside(street, start, end)
+    _highway_traffic(street)
+    street.park(road_users.car(rng), 120.0, -13.6)
+    ego = Path(road, np.array([(0.0, -6.9), (100.0, -6.9)]), Pace(27.0, wave=0.02))
+    return street.scene("highway", seed, ego, 15.0, step=1.5)
+
+
+def _highway_roadside(street: Street, start: float, end: float) -> None:
+    """Guard rails, a noise barrier, plants, markers and signs."""
+    rng = street.rng
     for s in np.arange(start + 6, end - 6, 12.0):
-        street.put(things.guard_rail(12.0), s, 0.35)
-        street.put(things.guard_rail(12.0), s, -0.35, np.pi)
-        street.put(things.guard_rail(12.0), s, -14.9)
+        street.put(roadside.guard_rail(12.0), s, 0.35)
+        street.put(roadside.guard_rail(12.0), s, -0.35, np.pi)
+        street.put(roadside.guard_rail(12.0), s, -14.9)
         if s < 90.0 or s > 200.0:
-            street.put(things.guard_rail(12.0), s, 14.9, np.pi)
+            street.put(roadside.guard_rail(12.0), s, 14.9, np.pi)
     wall = Paint(50, (0.52, 0.50, 0.44), 0.35)
     for s in np.arange(90.0, 202.0, 4.0):
         street.put(box((4.0, 0.2, 4.2), (0, 0, 1.6), wall), s, 16.4)
         street.put(box((0.25, 0.3, 4.4), (-2.0, 0, 1.7), wall), s, 16.4)
     for side, d in ((1.0, 21.0), (1.0, 30.0), (-1.0, 23.0), (-1.0, 34.0)):
         spots = np.arange(start, end, 11.0)
-        street.row(lambda: things.tree(rng, float(rng.uniform(5, 10))), spots, side * d, 0.5, 3.0)
+        street.row(lambda: roadside.tree(rng, float(rng.uniform(5, 10))), spots, side * d, 0.5, 3.0)
         street.row(
-            lambda: things.bush(rng, float(rng.uniform(0.6, 1.5))),
+            lambda: roadside.bush(rng, float(rng.uniform(0.6, 1.5))),
             spots + 5,
             side * (d - 3.5),
             0.6,
@@ -86,7 +96,7 @@ def highway(seed: int) -> Scene:
         yaw = 0.0 if side < 0 else np.pi
         street.row(_marker, np.arange(start, end, 50.0), side * 15.5, 1, 0.1)
         street.row(
-            lambda: things.sign(rng, 2.6, 1.2),
+            lambda: roadside.sign(rng, 2.6, 1.2),
             np.arange(start, end, 120.0) + 30,
             side * 16.0,
             1,
@@ -95,6 +105,10 @@ def highway(seed: int) -> Scene:
         )
     for s in (75.0, 330.0):
         _gantry(street, s)
+
+
+def _highway_traffic(street: Street) -> None:
+    """Vehicles in both directions."""
     for s, d, speed, kind in (
         (38.0, -6.9, 29.0, "car"),
         (62.0, -10.6, 23.0, "truck"),
@@ -118,13 +132,10 @@ def highway(seed: int) -> Scene:
         (520.0, 3.4, 35.0, "car"),
     ):
         street.send(kind, [(s, d), (s - 100, d)], Pace(speed))
-    street.park(things.car(rng), 120.0, -13.6)
-    ego = Path(road, np.array([(0.0, -6.9), (100.0, -6.9)]), Pace(27.0, wave=0.02))
-    return street.scene("highway", seed, ego, 15.0, step=1.5)
 
 
 def _marker() -> Mesh:
-    """A white post with a reflector."""
+    """A white marker post with a reflector."""
     white = Paint(80, (0.9, 0.9, 0.88), 0.6)
     post = box((0.1, 0.12, 1.1), (0, 0, 0.45), white)
     eye = box((0.11, 0.06, 0.15), (0, 0, 0.8), Paint(80, (0.9, 0.6, 0.2), 3.0))
@@ -186,44 +197,15 @@ def _hill_road(start: float, end: float, rng: np.random.Generator) -> Road:
 
 
 def hills(seed: int) -> Scene:
-    """A winding country road with slopes of ten in a hundred, ditches, hedges and trees."""
+    """A winding country road with 10 % slopes, ditches, hedges and trees."""
     rng = generator("hills", seed)
     start, end = -125.0, 380.0
     road = _hill_road(start, end, rng)
     street = Street(road, rng)
-    for side in (-1.0, 1.0):
-        spots = np.arange(start, end, 9.0)
-        street.row(
-            lambda: things.tree(rng, float(rng.uniform(6, 12))), spots, side * 8.0, 0.35, 1.5
-        )
-        street.row(lambda: things.tree(rng, float(rng.uniform(6, 12))), spots, side * 17.0, 0.35, 3)
-        street.row(
-            lambda: things.bush(rng, float(rng.uniform(0.5, 1.4))), spots + 4, side * 6.8, 0.4, 1.5
-        )
-        street.row(_marker, np.arange(start, end, 25.0), side * 4.3, 1, 0.1)
-        street.row(
-            partial(things.pole, 8.0, 0.0, 0.13),
-            np.arange(start, end, 45.0),
-            side * 10.5,
-            1.0 if side < 0 else 0.0,
-        )
-        street.row(
-            lambda: things.sign(rng),
-            np.arange(start + 15, end, 70.0),
-            side * 4.7,
-            1,
-            4.0,
-            0.0 if side < 0 else np.pi,
-        )
-    for s in np.arange(start + 5, end, 5.0):
-        part = int((s - start) // 40) % 4
-        if part == 1:
-            street.put(things.hedge(rng, 5.0, 1.6, 1.0), s, 7.4)
-        if part in (0, 2):
-            street.put(things.fence(5.0, 1.2), s, 6.3 if part == 2 else -6.3)
+    _country_roadside(street, start, end)
     for s, d, yaw in ((40.0, 18.0, 0.2), (130.0, -17.0, 2.9), (215.0, 16.5, 0.0)):
         street.put(houses.building(rng, 12.0, 8.5, 4.5, gable=True), s, d, yaw)
-    street.park(things.car(rng), 66.0, -5.0)
+    street.park(road_users.car(rng), 66.0, -5.0)
     street.send("car", [(30.0, -1.7), (100.0, -1.7)], Pace(12.5, wave=0.05))
     for s, kind, speed in (
         (55.0, "car", 14.0),
@@ -244,3 +226,44 @@ def hills(seed: int) -> Scene:
     )
     ego = Path(road, np.array([(0.0, -1.7), (100.0, -1.7)]), Pace(12.0, wave=0.05))
     return street.scene("hills", seed, ego, 20.0)
+
+
+def _country_roadside(street: Street, start: float, end: float) -> None:
+    """Trees, bushes, hedges, fences, poles, markers and signs."""
+    rng = street.rng
+    for side in (-1.0, 1.0):
+        spots = np.arange(start, end, 9.0)
+        street.row(
+            lambda: roadside.tree(rng, float(rng.uniform(6, 12))), spots, side * 8.0, 0.35, 1.5
+        )
+        street.row(
+            lambda: roadside.tree(rng, float(rng.uniform(6, 12))), spots, side * 17.0, 0.35, 3
+        )
+        street.row(
+            lambda: roadside.bush(rng, float(rng.uniform(0.5, 1.4))),
+            spots + 4,
+            side * 6.8,
+            0.4,
+            1.5,
+        )
+        street.row(_marker, np.arange(start, end, 25.0), side * 4.3, 1, 0.1)
+        street.row(
+            partial(roadside.pole, 8.0, 0.0, 0.13),
+            np.arange(start, end, 45.0),
+            side * 10.5,
+            1.0 if side < 0 else 0.0,
+        )
+        street.row(
+            lambda: roadside.sign(rng),
+            np.arange(start + 15, end, 70.0),
+            side * 4.7,
+            1,
+            4.0,
+            0.0 if side < 0 else np.pi,
+        )
+    for s in np.arange(start + 5, end, 5.0):
+        part = int((s - start) // 40) % 4
+        if part == 1:
+            street.put(roadside.hedge(rng, 5.0, 1.6, 1.0), s, 7.4)
+        if part in (0, 2):
+            street.put(roadside.fence(5.0, 1.2), s, 6.3 if part == 2 else -6.3)

@@ -1,4 +1,4 @@
-"""The streets by name."""
+"""All scenes by name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SCENES = {
 
 
 def scene(name: str, seed: int = 0) -> Scene:
-    """A street with its traffic; the same for the same name and seed.
+    """Build a street with its traffic; equal names and seeds give equal scenes.
 
     Parameters
     ----------
@@ -28,8 +28,8 @@ def scene(name: str, seed: int = 0) -> Scene:
     Raises
     ------
     InputError
-        There is no such scene.
+        The name is unknown.
     """
     if name not in SCENES:
-        raise InputError(f"there is no scene {name!r}; known are {', '.join(SCENES)}")
+        raise InputError(f"unknown scene {name!r}; there are {', '.join(SCENES)}")
     return SCENES[name](seed)

@@ -1,4 +1,4 @@
-"""LiDAR models: where each sensor looks, when, and what comes back."""
+"""LiDAR models: scan pattern, firing times, noise and dropout of each sensor."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ class Pattern:
     ----------
     directions : ndarray of float64, shape (N, 3)
         Unit vectors in the LiDAR frame.
-    fractions : ndarray of float64, shape (m,)
-        The different moments of firing, -0.5..0.5 of a sweep about its stamp.
+    relative_times : ndarray of float64, shape (m,)
+        Distinct firing times after the stamp, as shares of a sweep, -0.5..0.5.
     which : ndarray of int64, shape (N,)
-        Index into ``fractions`` for each ray.
+        Index into ``relative_times`` for each ray.
     rings : ndarray of int64, shape (N,)
-        Number of the laser.
+        Index of the laser.
     ray_origins : ndarray of float64, shape (N, 3), optional
-        Where each ray begins, LiDAR frame, metres; at the origin when left out.
+        LiDAR frame [m]; None = all rays start at the origin.
     """
 
     directions: Floats
-    fractions: Floats
+    relative_times: Floats
     which: NDArray[np.int64]
     rings: NDArray[np.int64]
     ray_origins: Floats | None = None
@@ -47,22 +47,22 @@ class Sensor:
     ----------
     name : str
     pattern : callable
-        Rays of sweep ``k``.
+        Gives the rays of sweep ``k``.
     reach : float
-        Metres at which one in two pulses returns from a grey surface (reflectivity 0.1) met
-        head-on; decides what drops out.
+        Range at which half of the pulses return from a surface of reflectivity 0.1 at normal
+        incidence [m]; determines dropout.
     min_range, max_range : float
-        Metres.
+        Limits of the measured range [m].
     noise : float
-        Standard deviation of range, metres.
+        Standard deviation of range [m].
     bias : float
-        Standard deviation of the constant range error of each laser, metres.
+        Standard deviation of the constant range error of each laser [m].
     period : float
-        Seconds a sweep.
+        Duration of a sweep [s].
     height : float
-        Metres above the ground.
-    bloom : float
-        Around a retro-reflector, echoes as if it were wider by this angle, radians.
+        Height above the ground [m].
+    blooming : float
+        Ghost returns appear around retro-reflectors, up to this angle from them [rad].
     """
 
     name: str
@@ -74,7 +74,7 @@ class Sensor:
     bias: float = 0.0
     period: float = 0.1
     height: float = 1.73
-    bloom: float = 0.0
+    blooming: float = 0.0
 
     def returned(
         self,
@@ -83,17 +83,17 @@ class Sensor:
         cosine: NDArray[np.float32],
         rng: np.random.Generator,
     ) -> NDArray[np.bool_]:
-        """Which pulses come back: the weaker the echo, the fewer.
+        """Which pulses return: weak echoes drop out more often.
 
-        Rough surfaces send more back at grazing angles than Lambert's law says; the square root
-        of the cosine keeps the road visible as far as on real sweeps.
+        Rough surfaces reflect more at grazing angles than Lambert's law predicts. The square root
+        of the cosine keeps the road visible as far as in real sweeps.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             power = reflectivity / 0.1 * np.sqrt(np.maximum(cosine, 1e-3))
             power = power * (self.reach / distance) ** 2
             chance = power**2 / (1.0 + power**2)
         in_range = (distance >= self.min_range) & (distance <= self.max_range)
-        # Half a percent is lost whatever the echo.
+        # Half a percent drops out whatever the echo.
         result: NDArray[np.bool_] = in_range & (rng.random(len(distance)) < 0.995 * chance)
         return result
 
@@ -101,13 +101,13 @@ class Sensor:
 def _spinning(
     elevations: Floats, columns: int, offsets: Floats | None = None
 ) -> Callable[[int], Pattern]:
-    """Clockwise from above, seam at the back, forward at the stamp, one ring after the other.
+    """A spinning LiDAR: clockwise from above, seam at the back, forward at the stamp.
 
-    ``offsets`` are the azimuths of the lasers against each other, radians.
+    ``offsets`` are the azimuth offsets of the lasers [rad].
     """
     rings = len(elevations)
-    fractions = (np.arange(columns) + 0.5) / columns - 0.5
-    azimuth = -2.0 * np.pi * fractions[None] + (0.0 if offsets is None else offsets[:, None])
+    relative_times = (np.arange(columns) + 0.5) / columns - 0.5
+    azimuth = -2.0 * np.pi * relative_times[None] + (0.0 if offsets is None else offsets[:, None])
     azimuth = np.broadcast_to(azimuth, (rings, columns)).ravel()
     elevation = np.repeat(elevations, columns)
     directions = np.stack(
@@ -120,7 +120,7 @@ def _spinning(
     )
     pattern = Pattern(
         directions,
-        fractions,
+        relative_times,
         np.tile(np.arange(columns), rings),
         np.repeat(np.arange(rings), columns),
     )
@@ -130,20 +130,20 @@ def _spinning(
 def _rosette(
     points: int, lasers: int, half_width: float, half_height: float
 ) -> Callable[[int], Pattern]:
-    """Two wedge prisms that turn against each other: a rosette that never repeats.
+    """A rosette scan that never repeats, drawn by two counter-rotating prisms (Livox).
 
-    The speeds are those measured on Livox's first units, 7294 and -4664 turns a minute.
+    The prisms turn at 7294 and -4664 rpm, as measured on Livox's first units.
     """
 
     def pattern(index: int) -> Pattern:
         moments = points // lasers
-        fractions = (np.arange(moments) + 0.5) / moments - 0.5
-        seconds = 0.1 * (index + fractions)
+        relative_times = (np.arange(moments) + 0.5) / moments - 0.5
+        seconds = 0.1 * (index + relative_times)
         first = 2 * np.pi * 7294.0 / 60.0 * seconds
         second = -2 * np.pi * 4664.0 / 60.0 * seconds
         x = 0.5 * (np.cos(first) + np.cos(second))
         y = 0.5 * (np.sin(first) + np.sin(second))
-        # The lasers stand side by side; each draws the same rosette a little apart.
+        # The lasers stand side by side; each draws the same rosette with a small offset.
         spread = np.radians(1.2) * (np.arange(lasers) - 0.5 * (lasers - 1)) / lasers
         azimuth = (half_width * x[None] + spread[:, None]).ravel()
         elevation = (half_height * y[None] + 0.7 * spread[:, None]).ravel()
@@ -158,14 +158,14 @@ def _rosette(
         which = np.tile(np.arange(moments), lasers)
         order = np.argsort(which, kind="stable")
         rings = np.repeat(np.arange(lasers), moments)
-        return Pattern(directions[order], fractions, which[order], rings[order])
+        return Pattern(directions[order], relative_times, which[order], rings[order])
 
     return pattern
 
 
 def _hdl64() -> Callable[[int], Pattern]:
-    """KITTI's: its lasers look from two blocks, one above the other, of two columns each."""
-    # Nor do they look along one plane: a fixed part of a degree each.
+    """KITTI's HDL-64E: two blocks of lasers, one above the other, of two columns each."""
+    # The lasers of a column do not lie in one plane: each has a fixed azimuth offset.
     offsets = np.radians(np.random.default_rng(64).uniform(-0.4, 0.4, 64))
     pattern = _spinning(np.arctan(kitti_lidar.SLOPES), 2083, offsets)(0)
     along = pattern.directions[:, :2] / np.hypot(*pattern.directions.T[:2])[:, None]
@@ -180,7 +180,7 @@ def _degrees(first: float, last: float, count: int) -> Floats:
 
 
 def sensors() -> dict[str, Callable[[], Sensor]]:
-    """Every sensor by name."""
+    """Constructors of all sensors by name."""
     return {
         "HDL-64": lambda: Sensor("HDL-64", _hdl64(), 62.0, 0.9, 120.0, 0.015, bias=0.008),
         "OS1-128": lambda: Sensor(
@@ -210,9 +210,9 @@ def sensor(name: str) -> Sensor:
     Raises
     ------
     InputError
-        There is no such sensor.
+        The name is unknown.
     """
     known = sensors()
     if name not in known:
-        raise InputError(f"there is no sensor {name!r}; known are {', '.join(known)}")
+        raise InputError(f"unknown sensor {name!r}; there are {', '.join(known)}")
     return known[name]()

@@ -1,4 +1,4 @@
-"""A scene being built: things are put on a road, actors sent along it."""
+"""Builds scenes: objects stand on a road, actors move along it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from docdepth.synthetic import things
+from docdepth.synthetic import road_users
 from docdepth.synthetic.actors import Actor, Pace, Part, Path
 from docdepth.synthetic.mesh import Mesh, Paint, merged
 from docdepth.synthetic.road import Floats, Road
@@ -26,24 +26,24 @@ PAINTS = (ASPHALT, MARKING, PAVEMENT, GRASS, PARKING, COURT, KERB)
 
 @dataclass(frozen=True)
 class Scene:
-    """A street and everything on it.
+    """A street, its static objects and its actors.
 
     Attributes
     ----------
     name : str
     seed : int
-    motion_corrected : Mesh
-        All that never moves, world frame.
+    static : Mesh
+        Everything that never moves, world frame [m].
     actors : list of Actor
     ego : Path
-        Way of the point on the road below the LiDAR.
+        Path of the point on the road below the LiDAR.
     duration : float
-        Seconds after time 0 for which the street is long enough.
+        Time after 0 for which the street is long enough [s].
     """
 
     name: str
     seed: int
-    motion_corrected: Mesh
+    static: Mesh
     actors: list[Actor]
     ego: Path
     duration: float
@@ -66,11 +66,11 @@ class Street:
     instances: int = 1000
 
     def put(self, mesh: Mesh, s: float, d: float, yaw: float = 0.0, above: float = 0.0) -> None:
-        """Stand something upright on the ground."""
-        self.meshes.append(mesh.moved(self.road.place(s, d, yaw, above)))
+        """Place an upright object on the ground."""
+        self.meshes.append(mesh.moved(self.road.upright(s, d, yaw, above)))
 
     def park(self, mesh: Mesh, s: float, d: float, yaw: float = 0.0) -> None:
-        """Put a vehicle on its wheels, an instance of its own."""
+        """Place a parked vehicle on its wheels, as an instance of its own."""
         self.instances += 1
         labels = mesh.labels | np.uint32(self.instances << 16)
         mesh = Mesh(mesh.vertices, mesh.faces, labels, mesh.colours, mesh.reflectivity)
@@ -79,14 +79,14 @@ class Street:
     def send(
         self, kind: str, points: ArrayLike, pace: Pace, start: float = 0.0, name: str = ""
     ) -> None:
-        """An actor along the points (s, d)."""
+        """Add an actor that moves along the points (s, d)."""
         make, label, moving, length, width = KINDS[kind]
         path = Path(self.road, np.asarray(points, np.float64), pace, start, length, width)
         name = name or f"{kind} {len(self.actors) + 1}"
         self.actors.append(Actor(name, make(self.rng), path, label, moving))
 
     def walk(self, s: float, d: float, speed: float, to: float | None = None) -> None:
-        """A pedestrian along the road from (s, d); a negative speed walks backwards along it."""
+        """Add a pedestrian along the road from (s, d); with a negative speed, against the road."""
         sign = 1.0 if speed > 0 else -1.0
         points = [(s, d), (s + sign * 20.0, d if to is None else to)]
         self.send("pedestrian", points, Pace(abs(speed), wave=0.05, period=5.0))
@@ -100,7 +100,7 @@ class Street:
         jitter: float = 0.3,
         yaw: float = 0.0,
     ) -> None:
-        """The same kind of thing at many places along the road."""
+        """Place objects of one kind along the road, each with a probability and a jitter."""
         for s in spots:
             keep, shift = self.rng.random() < chance, self.rng.normal(0, jitter, 2)
             if keep:
@@ -109,17 +109,17 @@ class Street:
     def parked_row(
         self, spots: Sequence[float] | NDArray[np.float64], d: float, chance: float, yaw: float
     ) -> None:
-        """Parked cars, now and then a van, with gaps and not quite in line."""
+        """Place parked cars and some vans, with gaps and slightly out of line."""
         for s in spots:
             if self.rng.random() < chance:
-                make = things.car if self.rng.random() < 0.88 else things.van
+                make = road_users.car if self.rng.random() < 0.88 else road_users.van
                 shift = self.rng.normal(0, (0.2, 0.06, 0.015))
                 self.park(make(self.rng), s + shift[0], d + shift[1], yaw + shift[2])
 
     def scene(self, name: str, seed: int, ego: Path, duration: float, step: float = 1.0) -> Scene:
-        """Everything put together."""
-        motion_corrected = merged([self.road.ground(step), *self.meshes])
-        return Scene(name, seed, motion_corrected, self.actors, ego, duration)
+        """The finished scene."""
+        static = merged([self.road.ground(step), *self.meshes])
+        return Scene(name, seed, static, self.actors, ego, duration)
 
 
 def _one(mesh: Mesh) -> list[Part]:
@@ -127,21 +127,21 @@ def _one(mesh: Mesh) -> list[Part]:
 
 
 KINDS: dict[str, tuple[Callable[[np.random.Generator], list[Part]], int, int, float, float]] = {
-    "car": (lambda rng: _one(things.car(rng, 10)), 10, 252, 2.6, 1.5),
-    "van": (lambda rng: _one(things.van(rng, 20)), 20, 259, 3.2, 1.7),
-    "truck": (lambda rng: _one(things.truck(rng, 18)), 18, 258, 5.5, 2.1),
-    "cyclist": (lambda rng: things.cyclist(rng, 31), 31, 253, 1.04, 0.1),
-    "pedestrian": (lambda rng: things.pedestrian(rng, 30), 30, 254, 0.4, 0.2),
+    "car": (lambda rng: _one(road_users.car(rng, 10)), 10, 252, 2.6, 1.5),
+    "van": (lambda rng: _one(road_users.van(rng, 20)), 20, 259, 3.2, 1.7),
+    "truck": (lambda rng: _one(road_users.truck(rng, 18)), 18, 258, 5.5, 2.1),
+    "cyclist": (lambda rng: road_users.cyclist(rng, 31), 31, 253, 1.04, 0.1),
+    "pedestrian": (lambda rng: road_users.pedestrian(rng, 30), 30, 254, 0.4, 0.2),
 }
 
 
 def generator(name: str, seed: int) -> np.random.Generator:
-    """Random numbers that depend on the scene's name and seed only."""
+    """A random generator that depends only on the name of the scene and the seed."""
     return np.random.default_rng([zlib.crc32(name.encode()), seed])
 
 
 def waves(*terms: tuple[float, float, float]) -> Callable[[Floats], Floats]:
-    """A smooth function of ``s``: a sum of (amplitude, wavelength, phase)."""
+    """A smooth function of ``s``: a sum of sines (amplitude, wavelength, phase)."""
 
     def value(s: Floats) -> Floats:
         s = np.asarray(s, np.float64)
@@ -154,7 +154,7 @@ def waves(*terms: tuple[float, float, float]) -> Callable[[Floats], Floats]:
 
 
 def bumps(s: Floats, d: Floats) -> Floats:
-    """Uneven ground, about 3 cm up and down."""
+    """Height of uneven ground, about 3 cm up and down [m]."""
     first = np.sin(0.9 * s + 1.3 * np.sin(0.37 * d)) * np.sin(1.1 * d + 0.8)
     second = np.sin(2.1 * s - 0.7 * d) * np.sin(1.7 * d + 0.5 * s)
     result: Floats = 0.02 * first + 0.015 * second
@@ -175,23 +175,23 @@ def level_road(start: float = -150.0, end: float = 350.0) -> Road:
 
 
 def plain_scene(
-    motion_corrected: Sequence[Mesh] = (),
+    static: Sequence[Mesh] = (),
     actors: Sequence[Actor] = (),
     speed: float = 0.0,
     duration: float = 30.0,
 ) -> Scene:
-    """A small scene made by hand: things and actors on a plane, the ego along x from the origin.
+    """A small scene on a plane; the ego moves along x from the origin.
 
     Parameters
     ----------
-    motion_corrected : sequence of Mesh
-        In the frame of the plane, ``Mesh.moved(pose_of(x, y, z, yaw))`` puts them there.
+    static : sequence of Mesh
+        In the frame of the plane; ``Mesh.moved(pose_of(x, y, z, yaw))`` places them.
     actors : sequence of Actor
-        On paths of :func:`level_road`, for instance.
+        For instance on paths along :func:`level_road`.
     speed : float
-        Of the ego, metres a second.
+        Speed of the ego [m/s].
     """
     road = level_road(end=max(350.0, 150.0 + speed * duration))
     ground = road.ground(step=25.0)
     ego = Path(road, np.array([(0.0, 0.0), (1.0, 0.0)]), Pace(speed))
-    return Scene("plain", 0, merged([ground, *motion_corrected]), list(actors), ego, duration)
+    return Scene("plain", 0, merged([ground, *static]), list(actors), ego, duration)

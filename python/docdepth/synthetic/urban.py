@@ -1,4 +1,4 @@
-"""Streets between kerbs: city, crossing and residential."""
+"""Scenes with kerbs and pavements: city, crossing and residential."""
 
 from __future__ import annotations
 
@@ -7,163 +7,18 @@ from functools import partial
 
 import numpy as np
 
-from docdepth.synthetic import houses, things
+from docdepth.synthetic import houses, road_users, roadside
 from docdepth.synthetic.actors import Pace, Path
-from docdepth.synthetic.road import Floats, Road
-from docdepth.synthetic.street import PAINTS, Scene, Street, bumps, generator, waves
+from docdepth.synthetic.road import Floats
+from docdepth.synthetic.street import Scene, Street, generator
+from docdepth.synthetic.urban_street import add_furniture, add_houses, away_from, blocks, urban_road
 
+# Centre of a lane, from the centre line [m].
 _LANE = 1.75
 
 
-def urban_road(
-    start: float,
-    end: float,
-    heading: Sequence[tuple[float, float, float]],
-    elevation: Sequence[tuple[float, float, float]],
-    kerb: float,
-    walk: float,
-    junctions: Sequence[tuple[float, float]] = (),
-    parking: float = 99.0,
-    yard: int = 5,
-) -> Road:
-    """A street with camber, kerbs 12 cm high and pavements.
-
-    Parameters
-    ----------
-    kerb, walk : float
-        Where the pavement begins and ends, metres from the middle.
-    junctions : sequence of (s, half width)
-        Streets that cross; there are no kerbs there.
-    parking : float
-        Where the strip for parked cars begins.
-    yard : int
-        Paint beyond the pavement: 3 grass, 5 courtyards.
-    """
-    lines = [(s - half, s + half) for s, half in junctions]
-
-    def open_to_traffic(s: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        inside = np.zeros(np.shape(s), bool)
-        for low, high in lines:
-            inside |= (s > low) & (s < high)
-        return inside
-
-    def profile(s: Floats, d: Floats) -> Floats:
-        across = np.abs(d)
-        raised = (across > kerb) & ~open_to_traffic(s)
-        road = -0.02 * np.minimum(across, kerb)
-        pavement = 0.12 + 0.02 * np.clip(across - kerb, 0, walk - kerb)
-        far = np.clip((across - walk) / 3.0, 0.0, 1.0) * bumps(s, d) * (yard == 3)
-        result: Floats = road + np.where(raised, pavement + far, 0.0)
-        return result
-
-    def paint(s: Floats, d: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-        across, crossing = np.abs(d), open_to_traffic(s)
-        beside = np.zeros(len(s), bool)
-        for low, high in lines:
-            beside |= (s > low - 3.0) & (s < high + 3.0)
-        kind = np.where(across > walk, np.where(beside, 2, yard), 2)
-        kind = np.where((across > kerb - 0.02) & (across < kerb + 0.15), 6, kind)
-        kind = np.where(across < kerb, np.where(across > parking, 4, 0), kind)
-        dashes = (across < 0.07) & (np.mod(s, 6.0) < 3.0)
-        kind = np.where(dashes, 1, kind)
-        kind = np.where(crossing, 0, kind)
-        for low, high in lines:  # crosswalk stripes before and behind the junction
-            stripes = ((s > low - 4) & (s < low - 1)) | ((s < high + 4) & (s > high + 1))
-            kind = np.where(stripes & (across < kerb - 0.3) & (np.mod(d, 1.0) < 0.5), 1, kind)
-        return kind.astype(np.int64)
-
-    cuts = [0.0, 0.07, kerb - 0.01, kerb + 0.01, kerb + 0.15, walk, *np.arange(0.5, walk + 4, 0.5)]
-    cuts += [parking] if parking < kerb else []
-    cuts += [*np.arange(walk + 4, 30.0, 2.0), *np.arange(30.0, 96.0, 5.0)]
-    sides = np.array(cuts)
-    edges = [v + e for low, high in lines for v in (low, high) for e in (-0.01, 0.01)]
-    edges += [v + e for low, high in lines for v in (low, high) for e in (-4, -3, -1, 1, 3, 4)]
-    return Road(
-        start,
-        end,
-        waves(*heading),
-        waves(*elevation),
-        profile,
-        paint,
-        PAINTS,
-        np.concatenate([-sides, sides]).tolist(),
-        edges,
-    )
-
-
-def _blocks(
-    start: float, end: float, junctions: Sequence[tuple[float, float]]
-) -> list[tuple[float, float]]:
-    edges = [start, *(e for s, half in junctions for e in (s - half - 3, s + half + 3)), end]
-    return list(zip(edges[::2], edges[1::2], strict=True))
-
-
-def _fronts(street: Street, blocks: list[tuple[float, float]], face: float, tall: float) -> None:
-    """Closed rows of houses on both sides, and more behind them along the cross streets."""
-    rng = street.rng
-    for low, high in blocks:
-        for side in (-1.0, 1.0):
-            s = low
-            while s < high - 7.0:
-                length = min(float(rng.uniform(13, 24)), high - s)
-                height = float(rng.uniform(0.7, 1.3)) * tall
-                depth = float(rng.uniform(10, 13))
-                setback = float(rng.choice([0.0, 0.0, 0.4, 1.2]))
-                house = houses.building(rng, length, depth, height, shop=rng.random() < 0.5)
-                yaw = 0.0 if side > 0 else np.pi
-                street.put(house, s + 0.5 * length, side * (face + setback + 0.5 * depth), yaw)
-                s += length + float(rng.choice([0.0, 0.0, 0.0, 2.5]))
-    for low, high in blocks:
-        for side in (-1.0, 1.0):
-            for d in np.arange(face + 23.0, 85.0, 17.0):
-                for s in (low + 5.0, high - 5.0):
-                    house = houses.building(rng, 10.0, 15.0, float(rng.uniform(0.7, 1.2)) * tall)
-                    street.put(house, s, side * d)
-
-
-def _gaps(spots: Floats, junctions: Sequence[tuple[float, float]], margin: float) -> Floats:
-    keep = np.ones(len(spots), bool)
-    for s, half in junctions:
-        keep &= np.abs(spots - s) > half + margin
-    return spots[keep]
-
-
-def _furniture(
-    street: Street,
-    start: float,
-    end: float,
-    kerb: float,
-    junctions: Sequence[tuple[float, float]],
-    trees: float,
-) -> None:
-    rng = street.rng
-    for side in (-1.0, 1.0):
-        d = side * (kerb + 0.8)
-        spots = _gaps(np.arange(start + 5 + 4 * side, end, 13.0), junctions, 6.0)
-        street.row(lambda: things.tree(rng, float(rng.uniform(6, 9.5))), spots, d, trees, 0.8)
-        poles = _gaps(np.arange(start + 11 + 8 * side, end, 26.0), junctions, 3.0)
-        yaw = np.pi if side > 0 else 0.0
-        street.row(partial(things.pole, 7.0, 1.5), poles, side * (kerb + 0.5), 1, 0.2, yaw)
-        spots = np.arange(start + 20, end, 31.0)
-        street.row(lambda: things.sign(rng), spots, side * (kerb + 0.4), 0.8, 3.0, yaw)
-        street.row(
-            things.bollard,
-            _gaps(np.arange(start, end, 2.5), junctions, 1.0),
-            side * (kerb + 0.3),
-            0.12,
-            0.1,
-        )
-        spots = np.arange(start + 7, end, 17.0)
-        street.row(lambda: things.bin_(rng), spots, side * (kerb + 3.6), 0.5, 2.0)
-        street.row(things.bicycle, spots + 8.0, side * (kerb + 3.7), 0.6, 2.0)
-    for s, half in junctions:
-        for side in (-1.0, 1.0):
-            yaw = 0.0 if side < 0 else np.pi
-            street.put(things.traffic_light(), s + side * (half + 0.6), side * (kerb + 0.5), yaw)
-
-
 def city(seed: int) -> Scene:
-    """A busy street between houses: 9 m/s past parked cars, two junctions, many on foot."""
+    """A busy street at 9 m/s: houses, parked cars, two junctions and many pedestrians."""
     rng = generator("city", seed)
     start, end, kerb, walk = -130.0, 370.0, 5.6, 9.6
     junctions = [(72.0, 5.0), (205.0, 5.0)]
@@ -171,11 +26,21 @@ def city(seed: int) -> Scene:
     hills = ((1.6, 260.0, rng.uniform(0, 6.3)), (0.25, 70.0, rng.uniform(0, 6.3)))
     road = urban_road(start, end, bend, hills, kerb, walk, junctions, parking=3.5)
     street = Street(road, rng)
-    _fronts(street, _blocks(start, end, junctions), walk, 13.0)
-    _furniture(street, start, end, kerb, junctions, 0.75)
+    add_houses(street, blocks(start, end, junctions), walk, 13.0)
+    add_furniture(street, start, end, kerb, junctions, 0.75)
+    _city_parking(street, start, end, junctions)
+    _city_traffic(street)
+    ego = Path(road, np.array([(0.0, -_LANE), (100.0, -_LANE)]), Pace(9.0, wave=0.06))
+    return street.scene("city", seed, ego, 24.0)
+
+
+def _city_parking(
+    street: Street, start: float, end: float, junctions: Sequence[tuple[float, float]]
+) -> None:
+    """Parked cars on both sides, and cars that leave their parking places."""
     waiting = {1.0: (46.0, 150.0), -1.0: (112.0, 180.0)}
     for side in (-1.0, 1.0):
-        spots = _gaps(np.arange(start + 3, end - 3, 6.1), junctions, 7.0)
+        spots = away_from(np.arange(start + 3, end - 3, 6.1), junctions, 7.0)
         for s in waiting[side]:
             spots = spots[np.abs(spots - s) > 6.5]
         street.parked_row(spots, side * 4.55, 0.72, 0.0 if side < 0 else np.pi)
@@ -193,6 +58,11 @@ def city(seed: int) -> Scene:
             Pace(10.0, departure=2.0 + 0.1 * (s - 112)),
             name="leaves its parking place",
         )
+
+
+def _city_traffic(street: Street) -> None:
+    """Vehicles, cyclists and pedestrians."""
+    rng = street.rng
     street.send("car", [(24.0, -_LANE), (80.0, -_LANE)], Pace(9.4, wave=0.05))
     street.send("cyclist", [(33.0, -3.05), (90.0, -3.05)], Pace(4.6, wave=0.1))
     street.send("cyclist", [(98.0, 3.0), (10.0, 3.0)], Pace(5.2))
@@ -224,31 +94,38 @@ def city(seed: int) -> Scene:
         Pace(0.95),
         name="to its car",
     )
-    ego = Path(road, np.array([(0.0, -_LANE), (100.0, -_LANE)]), Pace(9.0, wave=0.06))
-    return street.scene("city", seed, ego, 24.0)
 
 
 def crossing(seed: int) -> Scene:
-    """A wide junction: the ego stands for three seconds, then crawls up to it."""
+    """A wide junction: the ego stands for three seconds, then approaches it slowly."""
     rng = generator("crossing", seed)
     start, end, kerb, walk, centre, half = -120.0, 190.0, 7.2, 11.5, 30.0, 7.0
     junctions = [(centre, half)]
     hills = ((0.9, 240.0, rng.uniform(0, 6.3)),)
     road = urban_road(start, end, ((0.02, 300.0, 0.5),), hills, kerb, walk, junctions)
     street = Street(road, rng)
-    _fronts(street, _blocks(start, end, junctions), walk, 15.0)
-    _furniture(street, start, end, kerb, junctions, 0.5)
+    add_houses(street, blocks(start, end, junctions), walk, 15.0)
+    add_furniture(street, start, end, kerb, junctions, 0.5)
     for side in (-1.0, 1.0):
         spots = np.arange(centre + half + 22, end - 5, 6.2)
         street.parked_row(spots, side * 6.2, 0.6, 0.0 if side < 0 else np.pi)
         street.parked_row(np.arange(start + 5, -14.0, 6.2), side * 6.2, 0.6, np.pi)
+    _crossing_traffic(street, centre + half)
+    ego = Path(
+        road, np.array([(0.0, -_LANE), (60.0, -_LANE)]), Pace(1.2, departure=3.0, acceleration=0.5)
+    )
+    return street.scene("crossing", seed, ego, 30.0)
+
+
+def _crossing_traffic(street: Street, far_side: float) -> None:
+    """Cross traffic, cars that wait at the light, and pedestrians."""
     for s, speed, at in ((26.6, 9.0, 34.0), (26.8, 8.0, 62.0), (27.0, 9.5, 84.0)):
         street.send("car", [(s, at), (s, -90.0)], Pace(speed))
     for s, speed, at in ((33.2, 8.5, -18.0), (33.4, 9.0, -45.0)):
         street.send("car", [(s, at), (s, 90.0)], Pace(speed))
     street.send("van", [(33.2, -70.0), (33.2, 90.0)], Pace(8.6))
     street.send("cyclist", [(24.6, 14.0), (24.6, -80.0)], Pace(4.2))
-    for k, at in enumerate((centre + half + 5, centre + half + 11.5, centre + half + 18.5)):
+    for k, at in enumerate((far_side + 5, far_side + 11.5, far_side + 18.5)):
         kind = "van" if k == 1 else "car"
         street.send(
             kind,
@@ -285,14 +162,10 @@ def crossing(seed: int) -> Scene:
     street.send(
         "pedestrian", [(17.0, -8.4), (30.0, -8.4)], Pace(1.0, departure=99.0), name="stands"
     )
-    ego = Path(
-        road, np.array([(0.0, -_LANE), (60.0, -_LANE)]), Pace(1.2, departure=3.0, acceleration=0.5)
-    )
-    return street.scene("crossing", seed, ego, 30.0)
 
 
 def residential(seed: int) -> Scene:
-    """Houses with gardens: hedges, picket fences, slow traffic, people in the street."""
+    """Houses with gardens: hedges, picket fences, slow traffic, people on the street."""
     rng = generator("residential", seed)
     start, end, kerb, walk = -110.0, 290.0, 4.2, 5.9
     junctions = [(60.0, 3.2)]
@@ -301,9 +174,9 @@ def residential(seed: int) -> Scene:
     road = urban_road(start, end, bend, hills, kerb, walk, junctions, yard=3)
     street = Street(road, rng)
     for side in (-1.0, 1.0):
-        _gardens(street, _gaps(np.arange(start + 8, end - 8, 19.0), junctions, 9.0), side, walk)
+        _gardens(street, away_from(np.arange(start + 8, end - 8, 19.0), junctions, 9.0), side, walk)
         street.row(
-            partial(things.pole, 5.5, 0.8, 0.06),
+            partial(roadside.pole, 5.5, 0.8, 0.06),
             np.arange(start, end, 33.0) + 9 * side,
             side * (kerb + 0.4),
             1,
@@ -311,9 +184,9 @@ def residential(seed: int) -> Scene:
             np.pi if side > 0 else 0.0,
         )
         spots = np.arange(start + 12, end, 47.0)
-        street.row(lambda: things.sign(rng), spots, side * (kerb + 0.3), 0.8, 2.0)
-        street.row(lambda: things.bin_(rng), spots + 6, side * (kerb + 1.2), 0.9, 2.0)
-    spots = _gaps(np.arange(start, end, 6.3), junctions, 6.0)
+        street.row(lambda: roadside.sign(rng), spots, side * (kerb + 0.3), 0.8, 2.0)
+        street.row(lambda: roadside.refuse_bin(rng), spots + 6, side * (kerb + 1.2), 0.9, 2.0)
+    spots = away_from(np.arange(start, end, 6.3), junctions, 6.0)
     spots = spots[(np.abs(spots - 34.0) > 6.5)]
     street.parked_row(spots, 3.2, 0.5, np.pi)
     street.send(
@@ -355,17 +228,19 @@ def _gardens(street: Street, spots: Floats, side: float, walk: float) -> None:
         for shift in (-5.6, 5.0):
             if border < 0.45:
                 height = float(rng.uniform(0.9, 1.9))
-                thing = things.hedge(rng, width, height)
+                thing = roadside.hedge(rng, width, height)
             elif border < 0.8:
-                thing = things.fence(width, float(rng.uniform(0.9, 1.3)))
+                thing = roadside.fence(width, float(rng.uniform(0.9, 1.3)))
             else:
                 continue
             street.put(thing, s + shift, side * (walk + 0.6), yaw)
         for _ in range(rng.integers(1, 4)):
             at = side * (walk + float(rng.uniform(1.8, setback - 0.5)))
-            street.put(things.bush(rng, float(rng.uniform(0.4, 1.0))), s + rng.uniform(-6, 6), at)
+            street.put(roadside.bush(rng, float(rng.uniform(0.4, 1.0))), s + rng.uniform(-6, 6), at)
         if rng.random() < 0.6:
             tall = float(rng.uniform(4.0, 8.0))
-            street.put(things.tree(rng, tall), s + 9.3, side * (walk + float(rng.uniform(2, 5))))
+            street.put(roadside.tree(rng, tall), s + 9.3, side * (walk + float(rng.uniform(2, 5))))
         if rng.random() < 0.4:
-            street.park(things.car(rng), s - 0.5 * length - 2.6, side * (walk + 4.5), 0.5 * np.pi)
+            street.park(
+                road_users.car(rng), s - 0.5 * length - 2.6, side * (walk + 4.5), 0.5 * np.pi
+            )

@@ -1,4 +1,4 @@
-"""Drives on disk, as KITTI odometry and SemanticKITTI lay them out."""
+"""Writes drives in the layout of KITTI odometry and SemanticKITTI."""
 
 from __future__ import annotations
 
@@ -28,33 +28,34 @@ def write_drive(
     blooming_deg: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Make a synthetic drive and write it below ``out``.
+    """Make a synthetic drive and write it to ``out/sequences/00``.
 
     Parameters
     ----------
     out : path
-        ``out/sequences/00`` is filled.
+        Output folder.
     scene, sensor : str
-        Names that :func:`scene` and :func:`sensor` know.
+        Names known to :func:`scene` and :func:`sensor`.
     frames : int
-        Sweeps; there is one image less, each between two sweeps.
+        Number of sweeps. There is one image between each two sweeps.
     seed : int
     skew : bool
-        Leave sweeps as they were measured and write ``point_times``; else they are motion
-        compensated with the exact motion of the ego, as SemanticKITTI's are.
+        Write raw sweeps and ``point_times``. Otherwise sweeps are motion compensated with the exact
+        motion of the ego, as in SemanticKITTI.
     images : bool
-        Write the camera's pictures and exact depth.
+        Write camera images and exact depth maps.
     blooming_deg : float
-        Phantom returns around retro-reflectors, up to so many degrees from them; class 1, outlier.
+        Ghost returns appear around retro-reflectors, up to this angle from them [deg]. They have
+        class 1, outlier.
     progress : callable, optional
-        Called with sweeps done and all sweeps.
+        Called with the number of finished sweeps and the number of all sweeps.
 
     Returns
     -------
     Path
-        The sequence folder.
+        The folder of the sequence.
     """
-    lidar = replace(make_sensor(sensor), bloom=float(np.radians(blooming_deg)))
+    lidar = replace(make_sensor(sensor), blooming=float(np.radians(blooming_deg)))
     drive = Drive(make_scene(scene, seed), lidar, frames, seed, skew)
     folder = Path(out) / "sequences" / "00"
     folder.mkdir(parents=True, exist_ok=True)
@@ -75,8 +76,8 @@ def write_drive(
         "motion_compensated": not skew,
     }
     if blooming_deg:
-        about["bloom_deg"] = blooming_deg
-    # Written last: a folder with it is a whole drive.
+        about["blooming_deg"] = blooming_deg
+    # Written last: a folder that has it is complete.
     (folder / "docdepth.yaml").write_text(yaml.safe_dump(about, sort_keys=False))
     return folder
 

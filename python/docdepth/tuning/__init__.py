@@ -1,13 +1,13 @@
-"""Many parameter sets over the classification of one run: figures, seconds, a table and plots.
+"""Parameter search: classify one run with many parameter sets and compare each with the truth.
 
-Each set is a trial, made by the very stages of a run (:mod:`docdepth.pipeline`) in a folder of its
-own that borrows the deskewed sweeps of the run. Trials run side by side in processes; what is done
-is known from the files, so a sweep that was killed goes on where it stopped.
+Each parameter set is a trial. A trial runs the classification stage of :mod:`docdepth.pipeline` in
+a folder of its own and reads the deskewed sweeps of the run. Trials can run in parallel processes.
+Results are kept on disk, so an interrupted search resumes where it stopped.
 """
 
 from docdepth.tuning.results import Outcome, as_csv, plot, table
 from docdepth.tuning.trials import Trial, grid, parse_axes, read_trials
-from docdepth.tuning.tune import sweep
+from docdepth.tuning.tune import tune
 
 __all__ = [
     "Outcome",
@@ -17,6 +17,6 @@ __all__ = [
     "parse_axes",
     "plot",
     "read_trials",
-    "sweep",
     "table",
+    "tune",
 ]

@@ -1,4 +1,4 @@
-"""What the trials of a sweep reached: a table, CSV and plots."""
+"""Results of a parameter search as a table, CSV and plots."""
 
 from __future__ import annotations
 
@@ -11,25 +11,32 @@ from pathlib import Path
 from typing import Any
 
 from docdepth.errors import MissingExtraError
+from docdepth.evaluation.label_counts import NOTE
 from docdepth.evaluation.tables import Table, number
 from docdepth.io.atomic import write_atomically
 
-_NAMES = {"sa": "SA", "da": "DA", "precision": "precision", "iou": "IoU"}
+_NAMES = {
+    "sa": "static accuracy SA",
+    "da": "dynamic accuracy DA",
+    "precision": "precision",
+    "iou": "IoU",
+}
 FIGURES = ("sa", "da", "f1", "precision", "iou")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a trial reached.
+    """Result of one trial.
 
     Attributes
     ----------
     name : str
     settings : dict
+        Parameter values of the trial by dotted name.
     figures : dict
-        :meth:`docdepth.evaluation.LabelResult.as_dict`.
+        Metrics, from :meth:`docdepth.evaluation.LabelResult.as_dict`.
     seconds : dict
-        Of each step of the classification, over all sweeps.
+        Seconds of each step of the classification, summed over all sweeps.
     """
 
     name: str
@@ -39,16 +46,16 @@ class Outcome:
 
     @property
     def ground_seconds(self) -> float:
-        """Seconds a sweep of growing the ground; to label points, those of each thread."""
+        """Seconds per sweep to grow the ground and to label the points (summed over threads)."""
         return self._per_sweep(lambda step: step.startswith("ground"))
 
     @property
     def vote_seconds(self) -> float:
-        """Seconds of one thread a sweep: making key frames and voting."""
+        """Seconds per sweep to build key frames and to vote (summed over threads)."""
         return self._per_sweep(lambda step: step in ("key frames", "vote"))
 
     def figure(self, name: str) -> float:
-        """A figure by name, NaN where it is undefined."""
+        """A metric by name; NaN where it is undefined."""
         value = self.figures.get(name)
         return math.nan if value is None else float(value)
 
@@ -58,7 +65,7 @@ class Outcome:
 
 
 def table(outcomes: Sequence[Outcome]) -> Table:
-    """A row a trial: figures, and milliseconds a sweep."""
+    """One row per trial: metrics, and milliseconds per sweep."""
     header = ("trial", "SA %", "DA %", "F1", "precision", "IoU", "ground ms", "voting ms")
     rows = []
     for outcome in outcomes:
@@ -67,11 +74,11 @@ def table(outcomes: Sequence[Outcome]) -> Table:
         rows.append((outcome.name, *cells, *times))
     first = outcomes[0].figures if outcomes else {}
     title = f"{first.get('protocol')}; poses: {first.get('poses')}; {first.get('sweeps')} sweeps"
-    return Table(title, header, tuple(rows))
+    return Table(title, header, tuple(rows), NOTE)
 
 
 def as_csv(outcomes: Sequence[Outcome]) -> str:
-    """The table with every digit and a column for each parameter that any trial sets."""
+    """The table with all digits and one column per parameter that any trial sets."""
     names = list(dict.fromkeys(name for outcome in outcomes for name in outcome.settings))
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -85,13 +92,16 @@ def as_csv(outcomes: Sequence[Outcome]) -> str:
 
 
 def plot(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Figures over the one parameter that varies, or else precision against DA; and seconds.
+    """Plot the metrics of all trials, and IoU over the seconds of voting.
+
+    Where exactly one numeric parameter varies, it is the x axis of the metrics; otherwise precision
+    is plotted over dynamic accuracy.
 
     Parameters
     ----------
     outcomes : sequence of Outcome
     path : Path
-        PNG, PDF or SVG.
+        Output file: PNG, PDF or SVG.
 
     Raises
     ------
@@ -106,25 +116,25 @@ def plot(outcomes: Sequence[Outcome], path: Path) -> None:
         ) from None
     figure = Figure(figsize=(12, 4.5), layout="constrained")
     left, right = figure.subplots(1, 2)
-    axis = _only_axis(outcomes)
+    axis = _varying_parameter(outcomes)
     if axis is not None:
         values = [outcome.settings[axis] for outcome in outcomes]
         for name, scale in (("sa", 0.01), ("da", 0.01), ("precision", 1.0), ("iou", 1.0)):
             heights = [scale * outcome.figure(name) for outcome in outcomes]
             left.plot(values, heights, "o-", label=_NAMES[name])
-        left.set(xlabel=axis, ylabel="share")
+        left.set(xlabel=axis, ylabel="metric, 0..1")
         left.legend()
     else:
         for outcome in outcomes:
-            place = outcome.figure("da"), outcome.figure("precision")
-            left.plot(*place, "o")
-            left.annotate(outcome.name, place, textcoords="offset points", xytext=(4, 4), size=8)
-        left.set(xlabel="DA [%]", ylabel="precision")
+            position = outcome.figure("da"), outcome.figure("precision")
+            left.plot(*position, "o")
+            left.annotate(outcome.name, position, textcoords="offset points", xytext=(4, 4), size=8)
+        left.set(xlabel="dynamic accuracy DA [%]", ylabel="precision")
     for outcome in outcomes:
-        place = 1e3 * outcome.vote_seconds, outcome.figure("iou")
-        right.plot(*place, "o")
-        right.annotate(outcome.name, place, textcoords="offset points", xytext=(4, 4), size=8)
-    right.set(xlabel="key frames and voting [ms a sweep]", ylabel="IoU of the dynamic class")
+        position = 1e3 * outcome.vote_seconds, outcome.figure("iou")
+        right.plot(*position, "o")
+        right.annotate(outcome.name, position, textcoords="offset points", xytext=(4, 4), size=8)
+    right.set(xlabel="key frames and voting [ms per sweep]", ylabel="IoU of the dynamic class")
     for axes in (left, right):
         axes.grid(alpha=0.3)
     stream = io.BytesIO()
@@ -132,8 +142,8 @@ def plot(outcomes: Sequence[Outcome], path: Path) -> None:
     write_atomically(path, lambda out: out.write(stream.getvalue()))
 
 
-def _only_axis(outcomes: Sequence[Outcome]) -> str | None:
-    """The parameter that alone tells the trials apart, if its values are numbers."""
+def _varying_parameter(outcomes: Sequence[Outcome]) -> str | None:
+    """The only parameter whose values differ between trials, if they are numbers."""
     names = {name for outcome in outcomes for name in outcome.settings}
     varying = [name for name in names if len({repr(o.settings.get(name)) for o in outcomes}) > 1]
     if len(varying) != 1:

@@ -1,4 +1,4 @@
-"""A run folder for one trial, without a copy of the sweeps."""
+"""The run folder of one trial; it reads the sweeps of another run."""
 
 from __future__ import annotations
 
@@ -19,14 +19,25 @@ from docdepth.errors import RunError
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
-from docdepth.io.ply import FrameRecord
+from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder
 
 _STORED = ("classid", "votes_static", "votes_dynamic")
 
 
 class TrialFolder(RunFolder):
-    """A run folder that borrows trajectory and sweeps of another and keeps its own classes."""
+    """A run folder with its own classes and votes, and the trajectory and sweeps of another run.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the trial; emptied unless ``key`` made it.
+    source : Path
+        The run whose sweeps are read.
+    parameters : Parameters
+    key : str
+        Hash of everything that the results depend on.
+    """
 
     def __init__(self, path: Path, source: Path, parameters: Parameters, key: str) -> None:
         super().__init__(path)
@@ -44,19 +55,19 @@ class TrialFolder(RunFolder):
             self.save()
 
     def trajectory(self) -> Trajectory:
-        """LiDAR poses of the run."""
+        """LiDAR trajectory of the run."""
         return self._source.trajectory()
 
     def sensor_rig(self, frame: FrameRecord) -> SensorRig | None:
-        """Where a sweep of the run was measured from."""
+        """Laser positions of a sweep of the run."""
         return self._source.sensor_rig(frame)
 
     def points(self, index: int) -> NDArray[np.float32]:
-        """The points of a sweep of the run."""
+        """Points of a sweep of the run, float32 (N, 3), LiDAR frame [m]."""
         return self._source.points(index)
 
     def frame(self, index: int) -> FrameRecord:
-        """Sweep of the run with the classes of the trial, where there are any."""
+        """A sweep of the run with the classes and votes of the trial, if it has them."""
         record = self._source.frame(index)
         stored = self._stored(index)
         return replace(
@@ -68,11 +79,11 @@ class TrialFolder(RunFolder):
         )
 
     def frame_key(self, index: int) -> dict[str, str]:
-        """Which parameters made the classes of frame ``index``."""
+        """Hash of the parameters that made the classes of a sweep, by stage."""
         return _key(self._stored(index))
 
     def write_frame(self, index: int, frame: FrameRecord) -> None:
-        """Keep the classes and votes of a frame; its points are the run's."""
+        """Store the classes and votes of a sweep; its points stay in the run."""
         arrays = {name: getattr(frame, name) for name in _STORED}
         arrays = {name: value for name, value in arrays.items() if value is not None}
         stream = io.BytesIO()

@@ -1,4 +1,4 @@
-"""Parameter sets of a sweep: combinations, or a file of named ones."""
+"""Parameter sets of a search: a grid, or a YAML file of named sets."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import yaml
 from docdepth.config import Parameters, parameters, parse_settings
 from docdepth.errors import ConfigError
 
+# Stages that the classification depends on.
 _STAGES = ("ground", "dynamics")
 
 
@@ -23,10 +24,10 @@ class Trial:
     Attributes
     ----------
     name : str
-        A folder name; the row of the table.
+        Names the result file and the row of the table.
     settings : dict
-        Values by dotted name over those of the run, ``{"dynamics.window": 3}``. The name
-        ``preset`` starts from a preset instead of the run.
+        Values by dotted name that replace those of the run, ``{"dynamics.window": 3}``. The key
+        ``preset`` starts from that preset instead of the parameters of the run.
     """
 
     name: str
@@ -34,12 +35,12 @@ class Trial:
 
 
 def grid(axes: Mapping[str, Sequence[Any]]) -> list[Trial]:
-    """All combinations of some values of some parameters.
+    """All combinations of the given values.
 
     Parameters
     ----------
     axes : dict
-        ``{"dynamics.tolerance": [0.1, 0.2], "dynamics.window": [3, 5]}``.
+        Values by dotted name, ``{"dynamics.tolerance": [0.1, 0.2], "dynamics.window": [3, 5]}``.
     """
     trials = []
     for values in itertools.product(*axes.values()):
@@ -50,7 +51,7 @@ def grid(axes: Mapping[str, Sequence[Any]]) -> list[Trial]:
 
 
 def parse_axes(assignments: Sequence[str]) -> dict[str, list[Any]]:
-    """``["dynamics.tolerance=0.1,0.2"]`` as axes of a :func:`grid`."""
+    """Turn ``["dynamics.tolerance=0.1,0.2"]`` into the axes of a :func:`grid`."""
     axes = {}
     for name, value in parse_settings(list(assignments)).items():
         values = yaml.safe_load(f"[{value}]") if isinstance(value, str) else value
@@ -59,12 +60,12 @@ def parse_axes(assignments: Sequence[str]) -> dict[str, list[Any]]:
 
 
 def read_trials(path: Path) -> list[Trial]:
-    """Trials of a YAML file, ``NAME: {stage.parameter: value}``.
+    """Read trials from a YAML file of lines ``NAME: {stage.parameter: value}``.
 
     Raises
     ------
     ConfigError
-        The file is missing or of another shape.
+        The file is missing or has another structure.
     """
     try:
         tree = yaml.safe_load(path.read_text())
@@ -73,27 +74,38 @@ def read_trials(path: Path) -> list[Trial]:
     if not isinstance(tree, dict) or not all(
         isinstance(settings, dict) or settings is None for settings in tree.values()
     ):
-        raise ConfigError(f"{path}: write NAME: {{stage.parameter: value}}, a line a trial")
+        raise ConfigError(f"{path}: write one line per trial, NAME: {{stage.parameter: value}}")
     return [Trial(str(name), dict(settings or {})) for name, settings in tree.items()]
 
 
 def parameters_of(base: Parameters, trial: Trial) -> Parameters:
-    """Parameters of a trial: those of the run, or of a preset, with its settings."""
+    """Parameters of a trial: those of the run, or of a preset, with the settings of the trial.
+
+    Raises
+    ------
+    ConfigError
+        A name is unknown or does not belong to the classification, or a value is out of range.
+    """
     settings = dict(trial.settings)
-    for name in settings:
-        if name != "preset" and name.partition(".")[0] not in _STAGES:
-            raise ConfigError(
-                f"trial {trial.name!r}: {name!r} is no parameter of the classification; "
-                f"a sweep varies {', '.join(_STAGES)}"
-            )
     preset = settings.pop("preset", None)
-    if preset is None:
-        preset = base.preset
-        of_run = base.model_dump()
-        settings = {
-            f"{stage}.{name}": value
-            for stage, values in of_run.items()
-            if isinstance(values, dict)
-            for name, value in values.items()
-        } | settings
-    return parameters(preset, settings)
+    for name in settings:
+        if name.partition(".")[0] not in _STAGES:
+            raise ConfigError(
+                f"trial {trial.name!r}: {name!r} is not a parameter of the classification; "
+                f"trials vary the stages {' and '.join(_STAGES)}"
+            )
+    if preset is not None:
+        return parameters(preset, settings)
+    # Names are resolved before they meet those of the run: a setting may be given by an old name.
+    return parameters(base.preset, _by_name(base) | _by_name(parameters(settings=settings), True))
+
+
+def _by_name(p: Parameters, set_only: bool = False) -> dict[str, Any]:
+    """Parameter values by dotted name; only those that were given, where asked."""
+    stages = p.model_dump(exclude_unset=set_only)
+    return {
+        f"{stage}.{name}": value
+        for stage, values in stages.items()
+        if isinstance(values, dict)
+        for name, value in values.items()
+    }

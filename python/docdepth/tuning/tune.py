@@ -1,4 +1,4 @@
-"""Running trials: one process each, resumable."""
+"""Runs the trials of a parameter search: in parallel processes, resumable."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from docdepth.tuning.trial_folder import TrialFolder
 from docdepth.tuning.trials import Trial, parameters_of
 
 
-def sweep(
+def tune(
     run: Path,
     labels: Path,
     trials: Sequence[Trial],
@@ -35,18 +35,18 @@ def sweep(
     Parameters
     ----------
     run : Path
-        Run folder with deskewed sweeps; it stays as it is.
+        Run folder with deskewed sweeps; it is only read.
     labels : Path
         SemanticKITTI labels, as for :func:`docdepth.evaluation.runs.evaluate_labels`.
     trials : sequence of Trial
     out : Path
-        Folder of the results: a file a trial, ``sweep.csv`` and ``sweep.md``.
+        Folder of the results: one JSON file per trial, ``tune.csv`` and ``tune.md``.
     jobs : int
-        Trials at a time. Seconds are comparable only when there is one.
+        Number of trials that run at the same time. Their seconds are comparable only with 1.
     threads : int
-        Of each trial; 0 takes every core.
+        Threads per trial; 0 uses all cores.
     progress : callable, optional
-        Called with the trials done and their number.
+        Called with the number of finished trials and the number of all trials.
 
     Returns
     -------
@@ -56,7 +56,8 @@ def sweep(
     Raises
     ------
     ConfigError
-        Two trials have one name, or a parameter is unknown or not of the classification.
+        Two trials have the same name, a name cannot name a folder, or a parameter is unknown or
+        does not belong to the classification.
     """
     source = RunFolder.open(run)
     tasks = []
@@ -68,20 +69,20 @@ def sweep(
     names = [trial.name for trial in trials]
     for name in names:
         if names.count(name) > 1 or not name.strip(".") or set(name) & set("/\\\0"):
-            raise ConfigError(f"{name!r} cannot name a trial: names are unique and name folders")
-    left = [task for task in tasks if task.outcome() is None]
-    _work(left, jobs, len(tasks), progress)
+            raise ConfigError(f"{name!r} cannot name a trial: names must be unique folder names")
+    remaining = [task for task in tasks if task.outcome() is None]
+    _run_tasks(remaining, jobs, len(tasks), progress)
     outcomes = [found for found in (task.outcome() for task in tasks) if found is not None]
     text = table(outcomes).markdown().encode()
-    write_atomically(out / "sweep.md", lambda stream: stream.write(text))
+    write_atomically(out / "tune.md", lambda stream: stream.write(text))
     rows = as_csv(outcomes).encode()
-    write_atomically(out / "sweep.csv", lambda stream: stream.write(rows))
+    write_atomically(out / "tune.csv", lambda stream: stream.write(rows))
     return outcomes
 
 
 @dataclass(frozen=True)
 class _Task:
-    """A trial with everything a process needs to know."""
+    """One trial and everything that a worker process needs to run it."""
 
     run: Path
     labels: Path
@@ -96,7 +97,7 @@ class _Task:
         return self.out / f"{self.trial.name}.json"
 
     def outcome(self) -> Outcome | None:
-        """What is on disk, if it was made with the same run, parameters and version."""
+        """The stored result, if the same run, parameters and version made it."""
         try:
             found = json.loads(self.file.read_text())
         except (FileNotFoundError, json.JSONDecodeError):
@@ -106,7 +107,7 @@ class _Task:
         return Outcome(self.trial.name, self.trial.settings, found["figures"], found["seconds"])
 
     def __call__(self) -> None:
-        """Classify, evaluate, write the outcome, and delete the classes."""
+        """Classify, evaluate, write the result and delete the classes."""
         from docdepth.pipeline import run_classify
 
         folder = TrialFolder(self.out / f".{self.trial.name}", self.run, self.parameters, self.key)
@@ -118,26 +119,26 @@ class _Task:
         shutil.rmtree(folder.path, ignore_errors=True)
 
 
-def _work(
+def _run_tasks(
     tasks: list[_Task], jobs: int, total: int, progress: Callable[[int, int], None] | None
 ) -> None:
-    def tell(left: int) -> None:
+    def report(remaining: int) -> None:
         if progress:
-            progress(total - left, total)
+            progress(total - remaining, total)
 
-    tell(len(tasks))
+    report(len(tasks))
     if jobs <= 1 or len(tasks) <= 1:
         for k, task in enumerate(tasks):
             task()
-            tell(len(tasks) - k - 1)
+            report(len(tasks) - k - 1)
         return
-    # Fresh processes: a fork of one with running threads can hang.
+    # Spawned, not forked: a fork of a process with running threads can deadlock.
     with ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=get_context("spawn")) as pool:
         futures = [pool.submit(task) for task in tasks]
         try:
             for k, future in enumerate(as_completed(futures)):
                 future.result()
-                tell(len(tasks) - k - 1)
+                report(len(tasks) - k - 1)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

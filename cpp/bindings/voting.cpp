@@ -1,0 +1,81 @@
+#include <pybind11/stl.h>
+
+#include <memory>
+
+#include "arrays.hpp"
+#include "docdepth/dynamics/key_frame.hpp"
+#include "docdepth/dynamics/range_image.hpp"
+#include "docdepth/dynamics/surface_image.hpp"
+
+namespace docdepth::bindings {
+namespace {
+
+std::unique_ptr<RangeImage> make_range_image(const Array<float>& points, const Array<bool>& ground,
+                                             double resolution, int window, float tolerance,
+                                             bool plain) {
+  const PointMap map = as_points(points);
+  const bool* flags = as_column(ground, map.rows(), "ground");
+  const py::gil_scoped_release release;
+  return std::make_unique<RangeImage>(map, flags,
+                                      RangeImageParameters{resolution, window, tolerance, plain});
+}
+
+std::unique_ptr<MeshImage> make_mesh_image(const Array<float>& points, const Array<bool>& ground,
+                                           const ScanMesh& mesh,
+                                           const MeshImageParameters& parameters) {
+  const PointMap map = as_points(points);
+  const bool* flags = as_column(ground, map.rows(), "ground");
+  check_mesh(mesh, map.rows());
+  const py::gil_scoped_release release;
+  return std::make_unique<MeshImage>(map, flags, mesh, parameters);
+}
+
+py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
+                  const Array<double>& T_world_lidar,
+                  const std::vector<const KeyFrame*>& key_frames, const Array<double>& poses,
+                  int threads) {
+  const PointMap map = as_points(points);
+  const bool* flags = as_column(ground, map.rows(), "ground");
+  const Pose pose = as_pose(T_world_lidar);
+  const std::vector<Pose> T_world_key = as_poses(poses);
+  Votes votes;
+  {
+    const py::gil_scoped_release release;
+    votes = vote(map, flags, pose, key_frames, T_world_key, threads);
+  }
+  const py::ssize_t count = map.rows();
+  return py::make_tuple(to_numpy(std::move(votes.statics), {count}),
+                        to_numpy(std::move(votes.dynamics), {count}));
+}
+
+}  // namespace
+
+void bind_voting(py::module_& m) {
+  using namespace py::literals;
+  py::class_<KeyFrame>(m, "KeyFrame");
+  py::class_<RangeImage, KeyFrame>(m, "RangeImage")
+      .def(py::init(&make_range_image), "points"_a, "ground"_a, "resolution"_a, "window"_a,
+           "tolerance"_a, "plain"_a = false);
+  py::class_<Margins>(m, "Margins")
+      .def(py::init<float, float, float>(), "normal_tolerance"_a, "radial_tolerance"_a,
+           "radial_growth"_a)
+      .def_readwrite("normal_tolerance", &Margins::normal_tolerance)
+      .def_readwrite("radial_tolerance", &Margins::radial_tolerance)
+      .def_readwrite("radial_growth", &Margins::radial_growth);
+  py::class_<MeshImageParameters>(m, "MeshImageParameters")
+      .def(py::init<>())
+      .def_readwrite("resolution", &MeshImageParameters::resolution)
+      .def_readwrite("window", &MeshImageParameters::window)
+      .def_readwrite("tolerance", &MeshImageParameters::tolerance)
+      .def_readwrite("upright", &MeshImageParameters::upright)
+      .def_readwrite("level", &MeshImageParameters::level)
+      .def_readwrite("ground_tolerance", &MeshImageParameters::ground_tolerance)
+      .def_readwrite("level_cosine", &MeshImageParameters::level_cosine)
+      .def_readwrite("max_ray_distance", &MeshImageParameters::max_ray_distance);
+  py::class_<MeshImage, KeyFrame>(m, "MeshImage")
+      .def(py::init(&make_mesh_image), "points"_a, "ground"_a, "mesh"_a, "parameters"_a);
+  m.def("vote", &vote_on, "points"_a, "ground"_a, "T_world_lidar"_a, "key_frames"_a, "poses"_a,
+        "threads"_a = 0);
+}
+
+}  // namespace docdepth::bindings

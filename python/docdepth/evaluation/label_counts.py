@@ -1,0 +1,139 @@
+"""SemanticKITTI's labels, the confusion matrix of static and dynamic points, and its metrics."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import InputError
+from docdepth.evaluation.tables import number, percent, ratio
+
+# SemanticKITTI's classes of moving objects, and the last class without a meaning (outlier).
+_FIRST_MOVING, _LAST_MOVING, _OUTLIER = 251, 259, 1
+
+
+def moving(labels: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """Which SemanticKITTI labels have a moving class, 251 to 259.
+
+    Parameters
+    ----------
+    labels : ndarray of uint32, shape (N,)
+        Class in the low 16 bits, instance in the high 16 bits.
+    """
+    classes = _classes(labels)
+    return (classes >= _FIRST_MOVING) & (classes <= _LAST_MOVING)
+
+
+def ignored(labels: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """Which SemanticKITTI labels are not evaluated: 0 (unlabelled) and 1 (outlier)."""
+    return _classes(labels) <= _OUTLIER
+
+
+def _classes(labels: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    labels = np.asarray(labels)
+    if labels.ndim != 1 or labels.dtype.kind not in "ui":
+        raise InputError(
+            f"labels must be integers of shape (N,), one per point; got {labels.dtype} "
+            f"{labels.shape}"
+        )
+    return labels.astype(np.uint32, copy=False) & np.uint32(0xFFFF)
+
+
+@dataclass(frozen=True)
+class LabelCounts:
+    """Confusion matrix of the classes static and dynamic.
+
+    Attributes
+    ----------
+    static_kept, static_lost : int
+        Static points labelled static, and static points labelled dynamic (false positives).
+    dynamic_found, dynamic_missed : int
+        Dynamic points labelled dynamic, and dynamic points labelled static (false negatives).
+    """
+
+    static_kept: int = 0
+    static_lost: int = 0
+    dynamic_found: int = 0
+    dynamic_missed: int = 0
+
+    @classmethod
+    def of(cls, truth: NDArray[np.bool_], predicted: NDArray[np.bool_]) -> LabelCounts:
+        """Count points from their true and predicted dynamic flags, shape (N,) each."""
+        table = np.bincount(2 * truth.astype(np.int64) + predicted, minlength=4)
+        return cls(*(int(n) for n in (table[0], table[1], table[3], table[2])))
+
+    def __add__(self, other: LabelCounts) -> LabelCounts:
+        return LabelCounts(
+            self.static_kept + other.static_kept,
+            self.static_lost + other.static_lost,
+            self.dynamic_found + other.dynamic_found,
+            self.dynamic_missed + other.dynamic_missed,
+        )
+
+    @property
+    def static(self) -> int:
+        """Number of static points in the ground truth."""
+        return self.static_kept + self.static_lost
+
+    @property
+    def dynamic(self) -> int:
+        """Number of dynamic points in the ground truth."""
+        return self.dynamic_found + self.dynamic_missed
+
+    @property
+    def sa(self) -> float:
+        """Static accuracy SA [%]: share of static points labelled static."""
+        return percent(self.static_kept, self.static)
+
+    @property
+    def da(self) -> float:
+        """Dynamic accuracy DA [%]: share of dynamic points labelled dynamic (recall)."""
+        return percent(self.dynamic_found, self.dynamic)
+
+    @property
+    def f1(self) -> float:
+        """Harmonic mean of SA and DA (HA of DynamicMap_Benchmark), 0..1."""
+        return ratio(2 * self.sa * self.da, self.sa + self.da) / 100
+
+    @property
+    def aa(self) -> float:
+        """Associated accuracy AA [%]: geometric mean of SA and DA."""
+        return math.sqrt(self.sa * self.da)
+
+    @property
+    def precision(self) -> float:
+        """Share of the points labelled dynamic that are dynamic, 0..1."""
+        return ratio(self.dynamic_found, self.dynamic_found + self.static_lost)
+
+    @property
+    def iou(self) -> float:
+        """Intersection over union of the dynamic class, 0..1 (LiDAR-MOS)."""
+        return ratio(self.dynamic_found, self.dynamic + self.static_lost)
+
+    def as_dict(self) -> dict[str, float]:
+        """Counts and metrics by name."""
+        figures = {name: getattr(self, name) for name in _FIGURES}
+        return {"static": self.static, "dynamic": self.dynamic, **figures, **asdict(self)}
+
+    def cells(self) -> list[str]:
+        """Cells of a table row: numbers of points, then metrics."""
+        shares = [self.sa, self.da, self.aa]
+        rates = [self.f1, self.precision, self.iou]
+        return [
+            f"{self.static:,}",
+            f"{self.dynamic:,}",
+            *(number(x, 2) for x in shares),
+            *(number(x, 4) for x in rates),
+        ]
+
+
+_FIGURES = ("sa", "da", "aa", "f1", "precision", "iou")
+HEADER = ("static points", "dynamic points", "SA %", "DA %", "AA %", "F1", "precision", "IoU")
+NOTE = (
+    "static accuracy SA, dynamic accuracy DA: share of static (dynamic) points labelled so; "
+    "associated accuracy AA: sqrt(SA DA); F1: harmonic mean of SA and DA; "
+    "precision and IoU of the dynamic class"
+)
