@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import yaml
 
 from docdepth import _core
 from docdepth._old_names import REMOVED, warn_of_rename
 from docdepth.config import GroundParameters, Parameters, parameters, parse_settings
-from docdepth.errors import ConfigError
+from docdepth.errors import ConfigError, RunError
+from docdepth.io.run_folder import RunFolder
 
 
 def test_paper_preset_is_the_papers_text():
@@ -87,15 +89,25 @@ def test_constants_given_in_degrees():
         ("paper", {"dynamics.objects": True}, {"evidence": "objects"}),
         ("paper", {"dynamics.objects": True, "dynamics.tracks": True}, {"evidence": "tracks"}),
         ("paper", {"dynamics.tracks": True}, {"evidence": "points"}),
+        ("paper", {"render.surface": "triangles"}, {"primitive": "triangles"}),
+        ("default", {"render.witnesses": 3}, {"visibility_sweeps": 3}),
+        (
+            "default",
+            {"render.static_size_max": 40, "render.static_size_min": 2},
+            {"static_size": (40, 2)},
+        ),
+        ("default", {"render.dynamic_size_min": 20}, {"dynamic_size": (80, 20)}),
+        ("default", {"odometry.bloom_deg": 0.5}, {"blooming_deg": 0.5}),
     ],
 )
 def test_names_of_the_last_release_are_understood(preset, settings, new, caplog):
     warn_of_rename.cache_clear()
     changed = parameters(preset, settings)
-    expected = parameters(preset, {f"dynamics.{name}": value for name, value in new.items()})
+    stage = next(iter(settings)).partition(".")[0]
+    expected = parameters(preset, {f"{stage}.{name}": value for name, value in new.items()})
     assert changed == expected
     for old in settings:
-        assert f"{old} is called dynamics.{next(iter(new))} now" in caplog.text
+        assert f"{old} is called {stage}.{next(iter(new))} now" in caplog.text
 
 
 OLD = {
@@ -122,3 +134,15 @@ def test_what_is_a_constant_now_is_named(name):
         parameters(settings={name: REMOVED[name][0]})
     assert name not in [f"{s}.{key}" for s, v in parameters().model_dump().items()
                         if s != "preset" for key in v]  # fmt: skip
+
+
+def test_a_run_of_the_last_release_continues(tmp_path):
+    manifest = {"source": {}, "parameters": OLD, "stages": {}}
+    (tmp_path / "run.yaml").write_text(yaml.safe_dump(manifest))
+    p = parameters(settings={"ground.voxel_size": 0.05})
+    assert RunFolder.open(tmp_path).parameters == p
+    run = RunFolder.create(tmp_path, {}, p)
+    assert run.manifest["parameters"] == p.model_dump(mode="json")
+    other = parameters(settings={"dynamics.window": 7, "ground.voxel_size": 0.05})
+    with pytest.raises(RunError, match=r"dynamics.window is 5, not 7"):
+        RunFolder.create(tmp_path, {}, other)

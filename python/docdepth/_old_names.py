@@ -29,6 +29,7 @@ RENAMED: dict[str, tuple[str, Convert]] = {
     ),
     "dynamics.objects": ("dynamics.evidence", _objects_to_evidence),
     "dynamics.tracks": ("dynamics.evidence", _tracks_to_evidence),
+    "odometry.bloom_deg": ("odometry.blooming_deg", lambda value, _: value),
     "render.surface": ("render.primitive", lambda value, _: value),
     "render.witnesses": ("render.visibility_sweeps", lambda value, _: value),
     "render.static_size_max": ("render.static_size", lambda value, now: (value, now[1])),
