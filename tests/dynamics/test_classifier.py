@@ -6,9 +6,9 @@ from dynamics_reference import reference_moving
 
 from docdepth.config import parameters
 from docdepth.dynamics import key_frames, voting
+from docdepth.dynamics.classes import classify, confidence
 from docdepth.dynamics.classifier import classify_drive
 from docdepth.dynamics.clustering import OBJECT_PARAMETERS
-from docdepth.dynamics.sweep_classifier import classify, confidence
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.geometry.trajectory import Trajectory
@@ -40,7 +40,7 @@ def test_feet_called_ground_move_with_what_stands_on_them(yard, monkeypatch):
 
         def changed(p, margin=margin):
             core = constants(p)
-            core.ground_across = margin
+            core.ground_tolerance = margin
             return core
 
         monkeypatch.setattr(voting, "_surface_parameters", changed)
@@ -104,8 +104,8 @@ def test_shared_evidence_equals_the_reference(yard, seed, monkeypatch):
     rows = np.sort(rng.permutation(len(sweeps[seed]))[:15_000])
     points, ground = sweeps[seed][rows], what[seed][rows] == 0
     votes = random_votes(points, seed)
-    monkeypatch.setattr(OBJECT_PARAMETERS, "link", 0.4)
-    monkeypatch.setattr(OBJECT_PARAMETERS, "company", 0.4)
+    monkeypatch.setattr(OBJECT_PARAMETERS, "cluster_distance", 0.4)
+    monkeypatch.setattr(OBJECT_PARAMETERS, "neighbor_radius", 0.4)
     expected = reference_moving(
         points, ground, votes.static, votes.dynamic, cluster_distance=0.4, neighbor_radius=0.4
     )
@@ -143,7 +143,7 @@ def test_points_without_votes_do_not_count_against_their_object(yard, monkeypatc
     votes.dynamic[seen] = 3
     assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).all()
     with monkeypatch.context() as patch:
-        patch.setattr(OBJECT_PARAMETERS, "least", 0.5)
+        patch.setattr(OBJECT_PARAMETERS, "min_dynamic_share", 0.5)
         assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).mean() < 0.9
     # But where most of those who looked saw it stand, or hardly anybody looked, it does not move.
     votes.static[np.setdiff1d(box, seen)] = 3
@@ -151,7 +151,7 @@ def test_points_without_votes_do_not_count_against_their_object(yard, monkeypatc
     votes.static[:], votes.dynamic[:] = 0, 0
     votes.dynamic[seen[-len(box) // 8 :]] = 3
     with monkeypatch.context() as patch:
-        patch.setattr(OBJECT_PARAMETERS, "least", 0.2)
+        patch.setattr(OBJECT_PARAMETERS, "min_dynamic_share", 0.2)
         assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).mean() < 0.9
     assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).all()
     votes.dynamic[:] = 0

@@ -8,9 +8,9 @@ import pytest
 from docdepth.config import parameters
 from docdepth.datasets.base import Sweep
 from docdepth.dynamics import key_frames
+from docdepth.dynamics.classes import classify
 from docdepth.dynamics.classifier import classify_drive
 from docdepth.dynamics.clustering import OBJECT_PARAMETERS, cluster_objects
-from docdepth.dynamics.sweep_classifier import classify
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import RunError
 from docdepth.geometry.sensor_rig import SensorRig
@@ -27,7 +27,7 @@ DEFAULT = parameters("default").dynamics
 @pytest.fixture
 def few_votes(monkeypatch):
     """Votes alone do not find what tracks shall find."""
-    monkeypatch.setattr(OBJECT_PARAMETERS, "freed_share", 1.0)
+    monkeypatch.setattr(OBJECT_PARAMETERS, "observed_free_share", 1.0)
     monkeypatch.setattr(key_frames, "END_SPACING", 0.2)
     monkeypatch.setattr(key_frames, "END_RADIUS", 1)
     return {"ground.seed_radius": 3.0, "dynamics.time_spacing": 1}

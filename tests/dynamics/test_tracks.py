@@ -319,8 +319,8 @@ def test_tracked_objects_equal_the_reference(seed, monkeypatch):
     pairs = [pair for pair in np.sort(rng.integers(0, 12, (3, 2)), 1).tolist() if pair[0] < pair[1]]
     joined = {tuple(pair): range(rng.integers(0, 20), 25) for pair in pairs}
     detections, _ = sightings_of(random_things(rng, 30), 30, seed, joined)
-    monkeypatch.setattr(TRACK_PARAMETERS, "gap", 0.3)
-    monkeypatch.setattr(TRACK_PARAMETERS, "hold", 1.0)
+    monkeypatch.setattr(TRACK_PARAMETERS, "max_gap", 0.3)
+    monkeypatch.setattr(TRACK_PARAMETERS, "max_gap_standing", 1.0)
     times = np.arange(30) * 100_000_000
     found = [track_objects(detections, times, threads) for threads in (1, 2)]
     again = [Detections.of(seen.arrays) for seen in detections]

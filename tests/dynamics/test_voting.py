@@ -42,6 +42,49 @@ def test_a_crawling_ego_has_a_key_frame_a_second_and_the_ends_more(monkeypatch):
     assert set(chosen[4]) == {0, 2, 10, 20, 30, 40, 100}
 
 
+def plain_key_frames(trajectory, p):
+    """Every sweep against every key frame."""
+    arc, time = trajectory.arc_length, (trajectory.times - trajectory.times[0]) * 1e-9
+    kinds = [
+        (trajectory.subsample(p.fine_spacing), p.fine_radius, np.inf),
+        (trajectory.subsample(p.coarse_spacing), p.coarse_radius, np.inf),
+    ]
+    if p.time_spacing:
+        often = trajectory.subsample(p.fine_spacing, p.time_spacing)
+        kinds.append((often, p.fine_radius, 10.0))
+    last = len(trajectory) - 1
+    ends = np.append(trajectory.subsample(np.inf, 0.4), last)
+    chosen = []
+    for i in range(len(trajectory)):
+        near = [
+            frames[(np.abs(arc[frames] - arc[i]) <= radius) & (np.abs(time[frames] - time[i]) <= t)]
+            for frames, radius, t in kinds
+        ]
+        if p.time_spacing and time[last] - time[i] <= 3.0:
+            near.append(ends[ends > i])
+        if p.time_spacing and time[i] <= 3.0:
+            near.append(ends[ends < i])
+        chosen.append(sorted(set(np.concatenate(near).tolist()) - {i}))
+    return chosen
+
+
+@pytest.mark.parametrize("p", [PAPER, DEFAULT], ids=["paper", "default"])
+@pytest.mark.parametrize("seed", range(3))
+def test_key_frames_of_a_long_drive_are_those_of_the_plain_comparison(seed, p):
+    """It stands at times, steps are round numbers at times (radii are met exactly), and jitters."""
+    rng = np.random.default_rng(seed)
+    speed = np.repeat(rng.choice([0.0, 0.0, 0.01, 0.1, 0.5, 1.0, rng.uniform(0, 3)], 60), 50)
+    poses = np.tile(np.eye(4), (3000, 1, 1))
+    poses[:, 0, 3] = np.cumsum(speed)
+    poses[:, 1, 3] = rng.normal(0, 0.01, 3000) * (seed > 0)
+    step = 100_000_000 + (rng.integers(-3_000_000, 3_000_000, 3000) if seed > 1 else 0)
+    trajectory = Trajectory(np.cumsum(np.full(3000, step)), poses)
+    found, expected = key_frames(trajectory, p), plain_key_frames(trajectory, p)
+    for one, plain in zip(found, expected, strict=True):
+        assert one.dtype == np.int64
+        np.testing.assert_array_equal(one, plain)
+
+
 def test_standing_adds_one_key_frame_to_the_letter():
     rng = np.random.default_rng(0)
     poses = np.stack([pose(*rng.normal(0, 0.005, 2)) for _ in range(50)])

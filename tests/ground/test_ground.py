@@ -9,7 +9,8 @@ from docdepth.errors import InputError
 from docdepth.geometry.se3 import quaternion_to_matrix
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground import growing
-from docdepth.ground.growing import GroundMap, chunks, grow_ground
+from docdepth.ground.ground_map import GroundMap
+from docdepth.ground.growing import chunks, grow_ground
 
 PAPER = parameters("paper").ground
 COARSE_GROUND = {"voxel_size": 0.1, "plane_distance": 0.1}
@@ -205,7 +206,7 @@ def test_warns_when_there_is_next_to_no_ground(caplog):
     hole = np.array([[0.2, 0.1, -9.0]], dtype=np.float32)
     ground_map = GroundMap(COARSE)
     ground_map.insert(np.concatenate([sweeps[0], hole]), poses[0])
-    with caplog.at_level(logging.WARNING, "docdepth.ground.growing"):
+    with caplog.at_level(logging.WARNING, "docdepth.ground.ground_map"):
         assert ground_map.grow() < 100
     assert "almost no ground" in caplog.text
 

@@ -79,6 +79,8 @@ class RunFolder:
         run = cls(path)
         wanted = {"source": source, "parameters": parameters.model_dump(mode="json")}
         if run.manifest:
+            # In today's names: a release before this one may have started the run.
+            run.manifest["parameters"] = run.parameters.model_dump(mode="json")
             for part, value in wanted.items():
                 if run.manifest.get(part) != value:
                     difference = _difference(run.manifest.get(part), value)

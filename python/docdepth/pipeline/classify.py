@@ -11,8 +11,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.dynamics.classifier import classify_sweeps
-from docdepth.dynamics.sweep_classifier import Evidence, InputSweep, Labels
+from docdepth.dynamics.classes import Labels
+from docdepth.dynamics.scheduling import classify_sweeps
+from docdepth.dynamics.sweep_classifier import Evidence, InputSweep
 from docdepth.dynamics.tracking import Detections
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import RunError
@@ -100,7 +101,7 @@ def _grow_ground(
 
 
 class _FrameStore:
-    """The frames of a run as a :class:`docdepth.dynamics.classifier.SweepStore`.
+    """The frames of a run as a :class:`docdepth.dynamics.scheduling.SweepStore`.
 
     Parameters
     ----------
