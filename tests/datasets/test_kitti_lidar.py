@@ -47,7 +47,10 @@ def test_neighbours_fire_evenly_only_as_seen_from_their_laser(drive_0005):
     often = np.median(step[same & (np.abs(jump) < 1e-3) & (step > 0.002) & (step < 0.0045)])
     same &= np.abs(jump) > 0.03
     rest = {}
-    for way, aside in {"axis": 0 * jump, "laser": kitti_lidar.ASIDE[found.index[1:]]}.items():
+    for way, aside in {
+        "axis": 0 * jump,
+        "laser": kitti_lidar.LATERAL_OFFSETS[found.index[1:]],
+    }.items():
         steps = (step - aside * jump)[same] / often
         rest[way] = np.median(np.abs(steps - np.round(steps)))
     assert same.sum() > 500

@@ -116,7 +116,7 @@ def test_lasers_of_one_head_see_from_beside_its_axis():
 @pytest.mark.parametrize(
     ("index", "T", "message"),
     [
-        ([0, 2], [np.eye(4)] * 2, "LiDAR 2"),
+        ([0, 2], [np.eye(4)] * 2, "sensor 2"),
         ([0, 1], np.eye(4), "shapes"),
         ([0, 1], [np.eye(4), np.diag([2.0, 1, 1, 1.0])], "rotation"),
     ],
