@@ -1,4 +1,4 @@
-"""Ghost returns around retro-reflectors against exact scenes, where each return's source is known."""
+"""Ghost returns around retro-reflectors in exact scenes, where the source of each is known."""
 
 from dataclasses import replace
 
@@ -99,7 +99,7 @@ def test_ghost_returns_of_a_sensor_are_found():
 
 def test_ghost_returns_take_no_part_in_a_run(tmp_path):
     folder = write_drive(tmp_path, frames=3, seed=3, blooming_deg=BLOOMING_DEG, images=False)
-    settings = {"odometry.blooming_deg": BLOOMING_DEG, "dynamics.end_radius": 0}
+    settings = {"odometry.blooming_deg": BLOOMING_DEG, "dynamics.time_spacing": 0}
     dataset = open_dataset(folder)
     run = RunFolder.create(tmp_path / "run", {}, parameters("default", settings))
     run_odometry(run, dataset, dataset.poses)

@@ -305,7 +305,7 @@ def test_doubtful_poses_are_doubted(caplog: pytest.LogCaptureFixture) -> None:
     jump = drive.exact.copy()
     jump[5:, 1, 3] += 3
     register_drive(drive, poses=jump)
-    assert "at frame 4 the way" in caplog.text or "at frame 5 the way" in caplog.text
+    assert "at frame 4 the step" in caplog.text or "at frame 5 the step" in caplog.text
 
 
 def test_standing_is_not_doubted(caplog: pytest.LogCaptureFixture) -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import json
-import tempfile
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import DatasetError, InputError, MissingExtraError, RunError
+from docdepth.errors import DatasetError, InputError
 from docdepth.io.atomic import write_atomically
+from docdepth.io.exr import encode_exr, import_exr, read_exr
 
 FORMATS = {  # from the least to the most exact
     "png": ".png",  # uint16, metres times a scale, 0 = none
@@ -70,7 +70,7 @@ def encode_depth(
     if format == "png":
         return _encode_png(depth, scale)
     if format in ("exr", "exr-half"):
-        return _encode_exr(depth, np.dtype(np.float16 if format == "exr-half" else np.float32))
+        return encode_exr(depth, np.dtype(np.float16 if format == "exr-half" else np.float32))
     if format == "tiff":
         return bytes(cv2.imencode(".tiff", depth)[1].tobytes())
     stream = io.BytesIO()
@@ -143,7 +143,7 @@ def check_format(format: str, scale: float, max_depth: float) -> None:
             "render.max_depth"
         )
     if format in ("exr", "exr-half"):
-        _open_exr()
+        import_exr()
 
 
 def read_depth(path: Path, scale: float | None = None) -> NDArray[np.float32]:
@@ -177,7 +177,7 @@ def read_depth(path: Path, scale: float | None = None) -> NDArray[np.float32]:
     if suffix not in _READ:
         raise DatasetError(f"{path}: depth is read from {', '.join(_READ)}, not {suffix!r}")
     if suffix == ".exr":
-        depth = _read_exr(path)
+        depth = read_exr(path)
     else:
         depth = _decoded(path) if suffix in (".tiff", ".tif") else _load(path)
     if depth.ndim != 2 or depth.dtype.kind != "f":
@@ -231,44 +231,6 @@ def _encode_png(depth: NDArray[np.float32], scale: float) -> bytes:
     steps = np.maximum(np.rint(depth * scale), 1)
     pixels = np.where(np.isnan(depth), 0, steps).astype(np.uint16)
     return bytes(cv2.imencode(".png", pixels)[1].tobytes())
-
-
-def _open_exr() -> Any:
-    # OpenCV's wheels read EXR only if a variable is set before the import, or not at all.
-    try:
-        import OpenEXR
-    except ImportError:
-        raise MissingExtraError('EXR needs a package: pip install "docdepth[exr]"') from None
-    return OpenEXR
-
-
-def _encode_exr(depth: NDArray[np.float32], dtype: np.dtype[Any]) -> bytes:
-    OpenEXR = _open_exr()
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    # OpenCV writes one channel Y and reads no other.
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "depth.exr"
-            OpenEXR.File(header, {"Y": depth.astype(dtype)}).write(str(path))
-            return path.read_bytes()
-    except (OSError, RuntimeError) as error:  # OpenEXR writes to files only
-        raise RunError(
-            f"cannot write an EXR to {tempfile.gettempdir()}: {error}; make room there or set "
-            "TMPDIR"
-        ) from None
-
-
-def _read_exr(path: Path) -> NDArray[Any]:
-    OpenEXR = _open_exr()
-    try:
-        with OpenEXR.File(str(path)) as image:
-            channels = {name: c.pixels.copy() for name, c in image.channels().items()}
-    except (RuntimeError, ValueError) as error:
-        raise DatasetError(f"{path} is damaged: {error}; delete it and render again") from None
-    for name in ("Y", "Z", *(channels if len(channels) == 1 else ())):
-        if name in channels:
-            return np.asarray(channels[name])
-    raise DatasetError(f"{path} has the channels {', '.join(channels)}; depth is one, Y or Z")
 
 
 def _decoded(path: Path) -> NDArray[Any]:
