@@ -1,4 +1,4 @@
-"""KITTI's LiDAR: known by its points, each point's laser, and what that is good for."""
+"""KITTI's LiDAR: detected from points, the laser of each point, and what ray origins bring."""
 
 from dataclasses import replace
 
@@ -59,7 +59,7 @@ def test_neighbours_fire_evenly_only_as_seen_from_their_laser(drive_0005):
 
 
 @pytest.mark.parametrize("name", sorted(sensors()))
-def test_only_its_own_sweeps_are_taken_for_its(name):
+def test_sweeps_of_other_lidars_are_not_taken_for_it(name):
     sweep = Drive(scene("city", 1), sensor(name), 4, 1).sweep(2)
     assert kitti_lidar.is_kitti_lidar([sweep.points]) == (name == "HDL-64")
     few = sweep.points[:20]

@@ -61,7 +61,13 @@ class RunDataset:
         """Frame ``index``: the usable returns of the original sweep, deskewed."""
         record = self._run.frame(index)
         sensor_rig = self._run.sensor_rig(record)
-        return Sweep(record.points, record.name, int(self.times[index]), sensor_rig=sensor_rig)
+        return Sweep(
+            record.points,
+            record.name,
+            int(self.times[index]),
+            sensor_rig=sensor_rig,
+            motion_compensated=True,
+        )
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """SemanticKITTI labels: 251 for dynamic points, 9 for others; None without classes."""
