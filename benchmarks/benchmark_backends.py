@@ -21,12 +21,12 @@ from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render import backends
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 
 CAMERA = Camera(np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]]), 1242, 375)
 T_CAMERA_LIDAR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
-RELEASED = RenderParameters(surface="splats", behind=0.5, ahead=1000.0, step=0.2)
+RELEASED = RenderParameters(primitive="splats", behind=0.5, ahead=1000.0, step=0.2)
 
 
 def street_sweep(count: int, seed: int) -> Frame:
@@ -71,14 +71,14 @@ def main() -> None:
     trajectory = Trajectory(np.arange(count) * 100_000_000, poses)
 
     def draw(renderer):
-        return render(
+        return compose_depth(
             CAMERA, T_CAMERA_LIDAR, trajectory, 0, frames.__getitem__, RELEASED, renderer=renderer
         )
 
     renderers, first = {}, {}
     for backend in backends.available():
-        if not backend.well:
-            print(f"{backend.name:<12} not available: {backend.finding}")
+        if not backend.usable:
+            print(f"{backend.name:<12} not available: {backend.detail}")
             continue
         renderers[backend.name] = renderer = backends.choose(backend.name)
         first[backend.name] = seconds(lambda r=renderer: draw(r))

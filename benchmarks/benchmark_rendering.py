@@ -21,7 +21,7 @@ from docdepth.config import parameters
 from docdepth.datasets import open_dataset
 from docdepth.geometry.camera import Camera
 from docdepth.io.run_folder import RunFolder
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.selection import needed_frames
 
@@ -64,7 +64,7 @@ class Scene:
         scaled = Camera(K, round(size * camera.width), round(size * camera.height))
 
         def draw() -> None:
-            render(
+            compose_depth(
                 scaled, self.stream.T_camera_lidar, self.trajectory, self.time,
                 frames.__getitem__, p, self.threads,
             )  # fmt: skip

@@ -24,9 +24,9 @@ from docdepth.config import RenderParameters, parameters
 from docdepth.errors import DocDepthError, MissingExtraError
 from docdepth.evaluation import Table
 from docdepth.evaluation.tables import number
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
-from docdepth.render.layers import confidence, features, layers
+from docdepth.render.layers import compose_layers, confidence, confidence_features
 
 Columns = dict[str, NDArray[Any]]
 
@@ -46,10 +46,10 @@ def pixels(cell: Cell, p: RenderParameters, images: int, threads: int) -> Column
 
         time = int(drive.camera_times[k])
         view = (rig.camera, rig.T_camera_lidar, record.trajectory, time, frame, p, threads)
-        depth, truth = render(*view), drive.image(int(k)).depth
-        found = layers(("support", "measures"), depth, *view)
-        sure = confidence(depth, found["support"], found["measures"], p.surface)
-        odds, edge = features(depth, found["support"], found["measures"], p.surface)
+        depth, truth = compose_depth(*view), drive.image(int(k)).depth
+        found = compose_layers(("support", "measures"), depth, *view)
+        sure = confidence(depth, found["support"], found["measures"], p.primitive)
+        odds, edge = confidence_features(depth, found["support"], found["measures"], p.primitive)
         known = np.isfinite(depth) & (truth <= 80)
         error = np.abs(depth - truth)
         columns = {"sure": sure, "error": error, "right": error < 0.05 * truth}

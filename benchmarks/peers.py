@@ -90,9 +90,10 @@ def drive_of_recording(recording: Path, poses_file: Path | None, raw: bool) -> D
     if raw:
         read = lambda index: dataset.sweep(index).points  # noqa: E731
     else:
-        from docdepth.odometry.odometry import odometry
+        from docdepth.odometry.odometry import register_drive
 
-        read = odometry(dataset, poses=poses).points
+        sweeps = register_drive(dataset, poses=poses).sweeps
+        read = lambda index: sweeps[index].points  # noqa: E731
 
     def points(index: int) -> np.ndarray:
         found = read(index)

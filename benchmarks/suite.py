@@ -37,7 +37,6 @@ from docdepth import __version__
 from docdepth.config import (
     Parameters,
     RenderParameters,
-    SurfaceParameters,
     parameters,
     parse_settings,
 )
@@ -52,7 +51,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline import run_odometry
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.selection import needed_frames
 from docdepth.synthetic import Drive, scene, sensor, sensors, write_drive
@@ -177,9 +176,7 @@ class Recording:
         self.drive = Drive(world, sensor(cell.sensor), cell.frames, cell.seed)
         self.trajectory = Trajectory(self.drive.times, self.drive.poses)
 
-    def frame(
-        self, index: int, p: RenderParameters, surface: SurfaceParameters | None = None
-    ) -> Frame:
+    def frame(self, index: int, p: RenderParameters) -> Frame:
         """A sweep, dynamic where it is of what moves at any time of the drive."""
         labels, sweep = self.dataset.labels(index), self.dataset.sweep(index)
         assert labels is not None
@@ -187,9 +184,7 @@ class Recording:
         classid[moving(labels)] = DYNAMIC
         time_offset, velocity = self._late(sweep.points), self.trajectory.velocity(index)
         seen_by = sweep.sensors
-        return Frame(
-            sweep.points, classid.astype(np.uint16), p, surface, time_offset, seen_by, velocity
-        )
+        return Frame(sweep.points, classid.astype(np.uint16), p, time_offset, seen_by, velocity)
 
     def _late(self, points: NDArray[np.float32]) -> NDArray[np.float32] | None:
         """Seconds after the stamp at which each was measured; None for a sensor that does not spin.
@@ -224,9 +219,9 @@ def _renderer(recording: Recording, p: Parameters, threads: int) -> Draw:
         for index in set(frames) - needed:
             del frames[index]
         for index in needed - set(frames):
-            frames[index] = recording.frame(index, p.render, p.surface)
+            frames[index] = recording.frame(index, p.render)
         place = rig.camera, rig.T_camera_lidar, trajectory, time
-        return render(*place, frames.__getitem__, p.render, threads)
+        return compose_depth(*place, frames.__getitem__, p.render, threads)
 
     return draw
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from docdepth.datasets import Sweep
-from docdepth.geometry.se3 import exp, inverse, twist
+from docdepth.geometry.se3 import inverse, se3_exp, se3_log
 
-MOTION = exp(np.array([0.002, -0.004, 0.06]), np.array([1.1, 0.05, -0.01]))
+MOTION = se3_exp(np.array([0.002, -0.004, 0.06]), np.array([1.1, 0.05, -0.01]))
 
 
 class Street:
@@ -97,8 +97,10 @@ class Drive:
              np.sin(elevation)], axis=1,
         )  # fmt: skip
         relative_time = column * (-0.5 / np.pi if self.raw else 0.0)
-        omega, velocity = twist(self.motion)
-        pose = self.exact[index] @ np.array([exp(f * omega, f * velocity) for f in relative_time])
+        omega, velocity = se3_log(self.motion)
+        pose = self.exact[index] @ np.array(
+            [se3_exp(f * omega, f * velocity) for f in relative_time]
+        )
         pose, relative_time = np.tile(pose, (24, 1, 1)), np.tile(relative_time, 24)
         direction = np.einsum("nij,nj->ni", pose[:, :3, :3], ray)
         distance = self.street.ranges(pose[:, :3, 3], direction)

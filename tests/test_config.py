@@ -19,8 +19,8 @@ def test_paper_preset_is_the_papers_text():
     assert (voting.fine_radius, voting.coarse_radius) == (20, 50)
     assert (voting.resolution_deg, voting.window, voting.tolerance) == (0.2, 5, 0.2)
     sizes = paper.render
-    assert (sizes.static_size_max, sizes.static_size_min) == (50, 3)
-    assert (sizes.dynamic_size_max, sizes.dynamic_size_min) == (80, 35)
+    assert sizes.static_size == (50, 3)
+    assert sizes.dynamic_size == (80, 35)
 
 
 def test_a_value_is_replaced_by_name():

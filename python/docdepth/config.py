@@ -8,7 +8,14 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PositiveFloat,
+    ValidationError,
+    field_validator,
+)
 
 from docdepth.errors import ConfigError
 
@@ -16,6 +23,8 @@ Layer = Literal["class", "time", "range", "support", "std", "normal", "confidenc
 DepthFormat = Literal["png", "exr-half", "exr", "tiff", "npz", "npy"]
 
 Preset = Literal["default", "paper"]
+
+_Size = tuple[PositiveFloat, PositiveFloat]
 
 
 class _Stage(BaseModel):
@@ -27,13 +36,18 @@ class OdometryParameters(_Stage):
 
     max_range: float = Field(100.0, gt=0, description="points beyond are not registered [m]")
     min_range: float = Field(3.0, ge=0, description="points nearer are not registered [m]")
-    voxel_size: float = Field(1.0, gt=0, description="voxel size of kiss-icp's map [m]")
-    refine_voxel_size: float = Field(0.5, gt=0, description="of small_gicp's map [m]")
+    voxel_size: float = Field(1.0, gt=0, description="edge of a voxel of kiss-icp's map [m]")
     passes: int = Field(
-        3, ge=1, le=5, description="registrations; from the second on small_gicp's, deskewed"
+        3,
+        ge=1,
+        le=5,
+        description="registrations of the whole drive: one by kiss-icp, the others by small_gicp",
     )
     blooming_deg: float = Field(
-        0.0, ge=0, le=5, description="phantoms this far around reflectors are left out [deg]"
+        0.0,
+        ge=0,
+        le=5,
+        description="ghost returns up to this far beside retro-reflectors are removed [deg]",
     )
 
 
@@ -193,43 +207,66 @@ class DynamicsParameters(VotingParameters):
 
 
 class RenderParameters(_Stage):
-    """Composite rendering (paper III-D)."""
+    """Which sweeps an image is drawn from, and how (paper V-B).
 
-    surface: Literal["splats", "triangles"] = Field(
+    Differences from the paper's text:
+
+    - Both presets: the paper names ``d_min`` and ``d_crop`` without values and has no far plane.
+      ``behind`` of the preset ``paper`` (0.5 m, about one sweep as in the authors' release),
+      ``crop`` and ``max_depth`` are docdepth's own.
+    - Both presets: arc length ignores steps below 5 cm, so that the jitter of a standing vehicle
+      adds no path. Of sweeps at one arc length, the nearest in time is drawn.
+    - Both presets: points closer than 1.65 m to the camera, where the paper's formula for the size
+      of a splat diverges, get the largest size.
+    - Both presets: sizes of splats are pixels of the authors' image (1920 x 1080) and are not
+      scaled to other images.
+    - ``default`` draws triangles between neighbouring returns, compares the rays of several sweeps
+      at depth edges and moves dynamic objects to the image's time. It also has its own ``behind``,
+      ``ahead`` and ``step``: the paper's ``d_max`` is 100 m, its ``d_step`` 0.2 m.
+    """
+
+    primitive: Literal["splats", "triangles"] = Field(
         "triangles",
-        description="what a sweep is drawn as: discs of the paper's size, or the surface itself",
+        description="what a sweep is drawn as: the paper's splats, or triangles between returns",
     )
-    behind: float = Field(15.0, ge=0, description="static sweeps behind the camera, d_min [m]")
-    ahead: float = Field(80.0, gt=0, description="static sweeps ahead of it, d_max [m]")
-    step: float = Field(0.25, gt=0, description="spacing of static sweeps, d_step [m]")
-    step_growth: float = Field(
-        0.22, ge=0, description="spacing of triangles over their distance to the image [-]"
+    behind: float = Field(
+        15.0, ge=0, description="path behind the camera from which static points come, d_min [m]"
     )
-    crop: float = Field(300.0, gt=0, description="points farther from their sensor, d_crop [m]")
-    max_depth: float = Field(250.0, gt=0, description="nothing farther is drawn [m]")
-    max_speed: float = Field(
-        50.0, ge=0, description="moving objects are carried to the image's time up to this [m/s]"
+    ahead: float = Field(80.0, gt=0, description="the same ahead of the camera, d_max [m]")
+    step: float = Field(
+        0.25, gt=0, description="path between sweeps that static points come from, d_step [m]"
     )
-    witnesses: int = Field(
-        15, ge=0, le=100, description="sweeps whose rays are asked at edges; 0 believes the nearest"
+    crop: float = Field(
+        300.0, gt=0, description="maximum range of static points from their LiDAR, d_crop [m]"
     )
-    loose_deg: float = Field(
-        0.1, gt=0, lt=10, description="half width of a return without a triangle [deg]"
+    max_depth: float = Field(250.0, gt=0, description="far plane of the depth map [m]")
+    visibility_sweeps: int = Field(
+        15,
+        ge=0,
+        le=100,
+        description="sweeps whose rays decide between depths at edges; 0: the nearest sweep wins",
     )
-    static_size_max: float = Field(50.0, gt=0, description="sigma_max of static points [pixel]")
-    static_size_min: float = Field(3.0, gt=0, description="sigma_min of static points [pixel]")
-    dynamic_size_max: float = Field(80.0, gt=0, description="sigma_max of dynamic points [pixel]")
-    dynamic_size_min: float = Field(35.0, gt=0, description="sigma_min of dynamic points [pixel]")
+    static_size: _Size = Field(
+        (50.0, 3.0), description="height of static splats, sigma_max and sigma_min [pixels]"
+    )
+    dynamic_size: _Size = Field(
+        (80.0, 35.0), description="height of dynamic splats, sigma_max and sigma_min [pixels]"
+    )
+
+    @field_validator("static_size", "dynamic_size", mode="before")
+    @classmethod
+    def _pair(cls, size: Any) -> Any:
+        return size.split(",") if isinstance(size, str) else size
 
 
 class OutputParameters(_Stage):
-    """What is written of each depth map."""
+    """The files of each depth map."""
 
     format: tuple[DepthFormat, ...] = Field(
-        ("png",), min_length=1, description="of depth maps; PNG is uint16, the others are floats"
+        ("png",), min_length=1, description="file formats; PNG holds uint16, all others floats"
     )
-    scale: float = Field(256.0, gt=0, description="steps of a PNG a metre")
-    layers: tuple[Layer, ...] = Field((), description="what else is written of each pixel")
+    scale: float = Field(256.0, gt=0, description="value of one metre in a PNG [1/m]")
+    layers: tuple[Layer, ...] = Field((), description="further layers, written per pixel")
 
     @field_validator("format", "layers", mode="before")
     @classmethod
@@ -239,9 +276,9 @@ class OutputParameters(_Stage):
 
     @field_validator("format")
     @classmethod
-    def _apart(cls, format: tuple[str, ...]) -> tuple[str, ...]:
+    def _one_exr(cls, format: tuple[str, ...]) -> tuple[str, ...]:
         if {"exr", "exr-half"} <= set(format):
-            raise ValueError("exr and exr-half have one file name; choose one of them")
+            raise ValueError("exr and exr-half share one file name; choose one of them")
         return format
 
 
@@ -278,7 +315,7 @@ _PAPER: dict[str, dict[str, Any]] = {
         "objects": False,
         "tracks": False,
     },
-    "render": {"surface": "splats", "behind": 0.5, "ahead": 100, "step": 0.2},
+    "render": {"primitive": "splats", "behind": 0.5, "ahead": 100, "step": 0.2},
 }
 
 

@@ -12,7 +12,7 @@ import yaml
 
 from command_line import cli
 from docdepth.errors import DatasetError
-from docdepth.io.ply import read_frame
+from docdepth.io.frames import read_frame
 from docdepth.io.run_folder import RunFolder
 
 
@@ -20,8 +20,8 @@ from docdepth.io.run_folder import RunFolder
     ("arguments", "message"),
     [
         (["--pose", "0,0"], "needs --pose, --K and --size"),
-        (["--pose", "0,0", "--K", "9,9,4,3", "--size", "9x7"], "with a rotation"),
-        (["--pose", "0,0,0,0,0,0,0", "--K", "9,9,4,3", "--size", "9x7"], "with a rotation"),
+        (["--pose", "0,0", "--K", "9,9,4,3", "--size", "9x7"], "must be rigid"),
+        (["--pose", "0,0,0,0,0,0,0", "--K", "9,9,4,3", "--size", "9x7"], "must be rigid"),
         (["--pose", "0,0,1", "--K", "9,9,4", "--size", "9x7"], "fx,fy,cx,cy"),
         (["--pose", "0,0,1", "--K", "9,9,4,3", "--size", "9"], "WIDTHxHEIGHT"),
         (["--pose", "0,0,1", "--K", "9,9,4,3", "--size", "9x7", "--name", "a/b"], "a folder"),

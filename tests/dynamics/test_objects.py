@@ -9,7 +9,7 @@ from docdepth.dynamics.clustering import cluster_objects
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import RunError
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.ply import FrameRecord, write_trajectory
+from docdepth.io.frames import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import classify as stage
 from docdepth.pipeline import run_classify

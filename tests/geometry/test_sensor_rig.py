@@ -19,7 +19,7 @@ from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry, run_render
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.synthetic import scene, sensor, write_drive
 from docdepth.synthetic.drive import Drive
@@ -88,7 +88,7 @@ def test_a_driving_lidar_keeps_neighbours_and_looks_from_where_it_was():
     right[:3, :3] = [[-1, 0, 0], [0, 0, -1], [0, -1, 0]]
     moving = standing.with_ego_motion((20, 0, 0), time_offset)
     drawn = [
-        render(camera, right, trajectory, 0, lambda _, frame=frame: frame, p)
+        compose_depth(camera, right, trajectory, 0, lambda _, frame=frame: frame, p)
         for frame in (told, Frame(points, classid, p, sensor_rig=moving),
                       Frame(points, classid, p))
     ]  # fmt: skip

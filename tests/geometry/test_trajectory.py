@@ -189,6 +189,73 @@ def test_arc_length_at() -> None:
     assert trajectory.arc_length_at([0, 5 * 10**7, 15 * 10**7]).tolist() == [0.0, 0.5, 2.0]
 
 
+# ---- the same as by plain loops, and fast
+
+
+def plain_arc_length(trajectory: Trajectory) -> np.ndarray:
+    positions = trajectory.poses[:, :3, 3]
+    arc, kept, base = [0.0], positions[0], 0.0
+    for position in positions[1:]:
+        distance = float(np.linalg.norm(position - kept))
+        if distance >= 0.05:
+            base, kept = base + distance, position
+        arc.append(base)
+    return np.array(arc)
+
+
+def plain_subsample(trajectory: Trajectory, spacing: float, duration: float) -> list[int]:
+    arc = plain_arc_length(trajectory)
+    seconds, kept = (trajectory.times - trajectory.times[0]) * 1e-9, [0]
+    for i in range(1, len(arc)):
+        overdue = seconds[i] - seconds[kept[-1]] >= 0.95 * duration
+        if overdue or arc[i] - arc[kept[-1]] >= spacing:
+            kept.append(i)
+    return kept + [len(arc) - 1] * bool(arc[-1] > arc[kept[-1]])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_random_trajectories_agree_with_plain_loops_bit_for_bit(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 400))
+    steps = rng.exponential(rng.choice([0.01, 0.1, 2.0], count)[:, None], (count, 3))
+    poses = poses_from([np.eye(3)] * count, np.cumsum(steps, axis=0))
+    spacing = 2 * rng.integers(1, 5 * 10**7, count)  # even, so that there are ties
+    trajectory = Trajectory(START + np.cumsum(spacing), poses)
+    assert trajectory.arc_length.tobytes() == plain_arc_length(trajectory).tobytes()
+    for distance, duration in [(0.0, np.inf), (1.0, np.inf), (5.0, 0.5), (np.inf, 0.4)]:
+        expected = plain_subsample(trajectory, distance, duration)
+        assert trajectory.subsample(distance, duration).tolist() == expected
+    middles = (trajectory.times[:-1] + trajectory.times[1:]) // 2
+    edges = [trajectory.times[0] - 10**9, trajectory.times[-1] + 10**9]
+    random = rng.integers(trajectory.times[0] - 10, trajectory.times[-1] + 10, 200)
+    for time in [*middles, *(middles + 1), *trajectory.times, *edges, *random]:
+        assert trajectory.nearest(time) == np.argmin(np.abs(trajectory.times - time))
+    asked = np.append(random, edges)
+    start = trajectory.times[0]
+    expected = np.interp(
+        (asked - start).astype(float),
+        (trajectory.times - start).astype(float),
+        plain_arc_length(trajectory),
+    )
+    assert trajectory.arc_length_at(asked).tobytes() == expected.tobytes()
+
+
+def test_arc_length_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    trajectory = straight([0.0, 1.0, 3.0, 6.0])
+    arc = trajectory.arc_length
+    computed = []
+    norm = np.linalg.norm
+    monkeypatch.setattr(np.linalg, "norm", lambda *a, **k: computed.append(a) or norm(*a, **k))
+    assert trajectory.arc_length is arc
+    trajectory.arc_length_at([0, 10**8])
+    trajectory.subsample(1.0)
+    assert not computed
+    with pytest.raises(ValueError, match="read-only"):
+        arc[0] = 1.0
+    assert Trajectory(trajectory.times[1:], trajectory.poses[1:]).arc_length.tolist() == [0, 2, 5]
+    assert computed
+
+
 # ---- refused
 
 

@@ -1,16 +1,19 @@
 """Run folder files: written whole, read back the same, damaged ones named."""
 
+import os
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from plyfile import PlyData, PlyElement
 
 from docdepth.config import parameters
 from docdepth.errors import CalibrationError, RunError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import poses_from, rotation_exp
+from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
-from docdepth.io.ply import (
+from docdepth.io.frames import (
     FrameRecord,
     read_frame,
     read_frame_key,
@@ -47,37 +50,25 @@ def test_frame_is_read_back_the_same(tmp_path, frame):
     assert read_frame_key(path) == frame.key
 
 
+def test_a_frame_of_the_release_before_is_read(tmp_path, frame):
+    path = tmp_path / "frame_000000.ply"
+    write_frame(path, frame)
+    path.write_bytes(path.read_bytes().replace(b"float time_offset", b"float late"))
+    np.testing.assert_array_equal(read_frame(path).time_offset, frame.time_offset)
+
+
+def test_names_of_files_survive(tmp_path, frame):
+    name = os.fsdecode(b"stra\xc3\x9fe \xff ")
+    write_frame(tmp_path / "frame.ply", replace(frame, name=name))
+    assert read_frame(tmp_path / "frame.ply").name == name
+
+
 def test_truncated_frame_is_named_with_the_remedy(tmp_path, frame):
     path = tmp_path / "frame_000003.ply"
     write_frame(path, frame)
     path.write_bytes(path.read_bytes()[:-7])
     with pytest.raises(RunError, match=r"frame_000003\.ply is damaged.*run the stage again"):
         read_frame(path)
-
-
-@pytest.mark.parametrize(
-    "kind", [{"byte_order": "<"}, {"byte_order": ">"}, {"text": True}], ids=lambda kind: str(kind)
-)
-@pytest.mark.parametrize("with_faces", [False, True])
-def test_frames_as_others_write_them(tmp_path, kind, with_faces):
-    """Also those that :func:`read_frame` leaves to plyfile, in every layout that plyfile writes."""
-    fields = [("x", "f4"), ("y", "f4"), ("z", "f8"), ("intensity", "u1"), ("classid", "i2")]
-    rows = np.zeros(50, fields)
-    rng = np.random.default_rng(2)
-    for name, _ in fields:
-        rows[name] = rng.integers(0, 100, 50)
-    elements = [PlyElement.describe(rows, "vertex")]
-    if with_faces:
-        face = np.array([([0, 1, 2],)], [("vertex_indices", "O")])
-        elements.append(PlyElement.describe(face, "face", val_types={"vertex_indices": "i4"}))
-    path = tmp_path / "frame_000007.ply"
-    PlyData(elements, comments=["made by another"], **kind).write(path)
-    frame = read_frame(path)
-    expected = np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
-    np.testing.assert_array_equal(frame.points, expected.astype(np.float32))
-    np.testing.assert_array_equal(frame.classid, rows["classid"])
-    assert frame.name == "frame_000007"
-    assert (frame.points.dtype, frame.classid.dtype) == (np.float32, np.uint16)
 
 
 @pytest.mark.parametrize("spoil", [
@@ -153,6 +144,19 @@ def test_calibration_round_trip_and_missing(tmp_path):
     np.testing.assert_array_equal(back.K, camera.K)
     np.testing.assert_array_equal(T_camera_lidar, pose)
     assert (back.width, back.height) == (1242, 375)
+
+
+def test_sensors_of_the_release_before_are_read(tmp_path, frame):
+    run = RunFolder.create(tmp_path / "run", {}, parameters())
+    index = np.zeros(100, np.uint8)
+    rig = SensorRig(index, np.eye(4)[None], np.array([0.02]), np.array([3], np.uint8))
+    run.write_sensors(rig)
+    record = replace(frame, sensor=index)
+    assert run.sensor_rig(record).lidar_id.tolist() == [3]
+    old = {"T_lidar_sensor": rig.T_lidar_sensor, "aside": rig.lateral_offset, "head": rig.lidar_id}
+    np.savez(run.path / "sensors.npz", **old)
+    found = RunFolder.open(run.path).sensor_rig(record)
+    assert (found.lateral_offset.tolist(), found.lidar_id.tolist()) == ([0.02], [3])
 
 
 def test_stage_key_depends_on_every_value():

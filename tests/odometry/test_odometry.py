@@ -12,13 +12,15 @@ import pytest
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
-from docdepth.config import OdometryParameters
+from docdepth.config import OdometryParameters, Parameters
 from docdepth.datasets import Sweep, open_dataset
 from docdepth.errors import InputError, OdometryError
-from docdepth.geometry.se3 import exp, inverse, twist
+from docdepth.geometry.se3 import inverse, se3_exp, se3_log
 from docdepth.io.poses import read_poses
+from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.deskewing import centred_motion, deskew
-from docdepth.odometry.odometry import estimate_poses, odometry
+from docdepth.odometry.odometry import estimate_poses, register_drive
+from docdepth.pipeline import run_odometry
 from exact_drive import MOTION, Drive, pose_errors
 
 # ---- deskewing
@@ -83,7 +85,7 @@ def test_deskew_refuses_what_does_not_fit() -> None:
         deskew(np.ones((4, 4), np.float32), np.zeros(4, np.float32), MOTION)
 
 
-def test_twist_and_exp_are_scipys() -> None:
+def test_logarithm_and_exponential_are_scipys() -> None:
     for vector in Rotation.random(50, rng=np.random.default_rng(2)).as_rotvec():
         generator = np.zeros((4, 4))
         generator[:3, :3] = [
@@ -93,8 +95,8 @@ def test_twist_and_exp_are_scipys() -> None:
         ]
         generator[:3, 3] = (1, 2, 3)
         motion = expm(generator)
-        np.testing.assert_allclose(exp(vector, np.array([1.0, 2, 3])), motion, atol=1e-12)
-        omega, velocity = twist(motion)
+        np.testing.assert_allclose(se3_exp(vector, np.array([1.0, 2, 3])), motion, atol=1e-12)
+        omega, velocity = se3_log(motion)
         np.testing.assert_allclose(omega, vector, atol=1e-10)
         np.testing.assert_allclose(velocity, [1, 2, 3], atol=1e-10)
 
@@ -103,7 +105,7 @@ def test_centred_motion() -> None:
     rng = np.random.default_rng(1)
     poses = [np.eye(4)]
     for _ in range(6):
-        step = exp(rng.normal(0, 0.05, 3), rng.normal([1, 0, 0], 0.1))
+        step = se3_exp(rng.normal(0, 0.05, 3), rng.normal([1, 0, 0], 0.1))
         poses.append(poses[-1] @ step)
     poses = np.array(poses)
     motions = centred_motion(poses)
@@ -134,16 +136,20 @@ def test_a_lost_sweep_does_not_double_the_motion() -> None:
 # ---- registration
 
 
+def passes(count: int) -> Parameters:
+    return Parameters(odometry=OdometryParameters(passes=count))
+
+
 def test_raw_sweeps_at_speed() -> None:
     """At 1.1 m a sweep from the first one on, where a start from standstill is 0.8 m off."""
     drive = Drive(12)
-    result = odometry(drive, OdometryParameters(passes=3))
+    result = register_drive(drive, passes(3))
     errors = pose_errors(result.trajectory.poses, drive.exact)
     assert errors.max() < 0.01
     np.testing.assert_array_equal(result.trajectory.times, drive.times)
     for k in (0, 5, 11):
         sweep = drive.sweep(k)
-        points = result.points(k)
+        points = result.sweeps[k].points
         assert points.shape == sweep.points.shape
         assert points.dtype == np.float32
         exact = deskew(sweep.points, sweep.relative_time, MOTION)
@@ -153,23 +159,23 @@ def test_raw_sweeps_at_speed() -> None:
 
 @pytest.mark.parametrize("speed", [0.0, 2.0, 3.5])
 def test_the_first_motion_is_found_at_any_speed(speed: float) -> None:
-    drive = Drive(6, motion=exp(np.array([0.0, 0.0, 0.01]), np.array([speed, 0.0, 0.0])))
-    result = odometry(drive)
+    drive = Drive(6, motion=se3_exp(np.array([0.0, 0.0, 0.01]), np.array([speed, 0.0, 0.0])))
+    result = register_drive(drive)
     assert pose_errors(result.trajectory.poses, drive.exact).max() < 0.02
 
 
 def test_compensated_sweeps_are_left_alone() -> None:
     drive = Drive(8, raw=False)
     calls: list[tuple[int, int, str]] = []
-    result = odometry(drive, progress=lambda *call: calls.append(call))
+    result = register_drive(drive, progress=lambda *call: calls.append(call))
     assert pose_errors(result.trajectory.poses, drive.exact).max() < 0.01
-    np.testing.assert_array_equal(result.points(3), drive.sweep(3).points)
+    np.testing.assert_array_equal(result.sweeps[3].points, drive.sweep(3).points)
     assert calls == [(k + 1, 16, f"odometry, pass {k // 8 + 1} of 2") for k in range(16)]
 
 
 def test_progress_counts_all_passes() -> None:
     calls: list[tuple[int, int, str]] = []
-    odometry(Drive(3), OdometryParameters(passes=2), progress=lambda *call: calls.append(call))
+    register_drive(Drive(3), passes(2), progress=lambda *call: calls.append(call))
     assert [done for done, _, _ in calls] == [1, 2, 3, 4, 5, 6]
     assert {total for _, total, _ in calls} == {6}
     assert calls[3][2] == "odometry, pass 2 of 2"
@@ -204,23 +210,62 @@ def test_unusable_sweeps_do_not_end_the_process(caplog: pytest.LogCaptureFixture
     drive._sweeps[4] = Sweep(
         spoilt, good.name, good.time, relative_time=np.full_like(spoilt[:, 0], 7)
     )
-    result = odometry(drive, OdometryParameters(passes=2))
+    result = register_drive(drive, passes(2))
     assert "frame 4 has 0 usable points" in caplog.text
     assert pose_errors(result.trajectory.poses, drive.exact).max() < 0.3
-    np.testing.assert_array_equal(result.points(4), spoilt)
+    np.testing.assert_array_equal(result.sweeps[4].points, spoilt)
 
 
 def test_a_point_without_time_is_named() -> None:
     drive = Drive(3)
     drive.sweep(1).relative_time[100:2000] = np.nan
     with pytest.raises(OdometryError, match=r"sweep 000001 \(frame 1\): .*no finite time"):
-        odometry(drive)
+        register_drive(drive)
 
 
 def test_a_single_sweep() -> None:
-    result = odometry(Drive(1))
+    result = register_drive(Drive(1))
     np.testing.assert_array_equal(result.trajectory.poses, [np.eye(4)])
-    result.points(0)
+    assert len(result.sweeps) == len(list(result.sweeps)) == 1
+
+
+def test_sweeps_are_read_when_asked_for_and_once_each() -> None:
+    drive = Drive(5)
+    result = register_drive(drive, poses=drive.exact)
+    assert drive.read == []
+    assert [sweep.name for sweep in result.sweeps] == [f"{k:06d}" for k in range(5)]
+    assert drive.read == [0, 1, 2, 3, 4]
+    drive.read.clear()
+    last, measured = result.sweeps[-1], drive._sweeps[4]
+    assert drive.read == [4]
+    assert last.motion_compensated
+    assert (last.time, last.name) == (measured.time, measured.name)
+    assert last.relative_time is measured.relative_time
+    assert [sweep.name for sweep in result.sweeps[1:4:2]] == ["000001", "000003"]
+    with pytest.raises(IndexError):
+        result.sweeps[5]
+
+
+def test_each_pass_reads_each_sweep_once() -> None:
+    drive = Drive(6)
+    register_drive(drive, passes(2), threads=1)
+    # One look at whether they are raw, and three that find the first motion.
+    assert sorted(drive.read) == sorted([0] + [0, 1, 2] + 2 * list(range(6)))
+
+
+def test_a_run_reads_each_sweep_once(tmp_path: Path) -> None:
+    """And once more the first, for where its sensors sit."""
+    drive = Drive(5)
+    run = RunFolder.create(tmp_path / "run", {}, Parameters())
+    run_odometry(run, drive, drive.exact)
+    assert drive.read == [0, *range(5)]
+    deskewed = register_drive(drive, poses=drive.exact).sweeps[3]
+    frame = run.frame(3)
+    np.testing.assert_array_equal(frame.points, deskewed.points[frame.index])
+    np.testing.assert_allclose(frame.time_offset, 0.1 * deskewed.relative_time[frame.index], 1e-6)
+    drive.read.clear()
+    run_odometry(run, drive, drive.exact)
+    assert drive.read == [0], "nothing is left to do"
 
 
 # ---- poses brought along
@@ -228,43 +273,43 @@ def test_a_single_sweep() -> None:
 
 def test_given_poses_are_kept_and_deskew(caplog: pytest.LogCaptureFixture) -> None:
     drive = Drive(6)
-    result = odometry(drive, poses=drive.exact)
+    result = register_drive(drive, poses=drive.exact)
     assert drive.read == [], "nothing to register"
     np.testing.assert_array_equal(result.trajectory.poses, drive.exact)
     sweep = drive.sweep(3)
     expected = deskew(sweep.points, sweep.relative_time, MOTION)
-    np.testing.assert_allclose(result.points(3), expected, atol=1e-4)
+    np.testing.assert_allclose(result.sweeps[3].points, expected, atol=1e-4)
     assert not caplog.records
 
 
 def test_refused_poses() -> None:
     drive = Drive(4)
     with pytest.raises(OdometryError, match="3 poses for 4 sweeps"):
-        odometry(drive, poses=drive.exact[:3])
+        register_drive(drive, poses=drive.exact[:3])
     with pytest.raises(OdometryError, match="the pose of frame 2"):
-        odometry(
+        register_drive(
             drive,
             poses=drive.exact * [[1.0], [1], [1], [1]] * np.r_[1, 1, np.nan, 1][:, None, None],
         )
     with pytest.raises(OdometryError, match=r"\(n, 4, 4\)"):
-        odometry(drive, poses=drive.exact[:, :3])
+        register_drive(drive, poses=drive.exact[:, :3])
 
 
 def test_doubtful_poses_are_doubted(caplog: pytest.LogCaptureFixture) -> None:
     drive = Drive(8)
-    odometry(drive, poses=np.repeat(np.eye(4)[None], 8, axis=0))
+    register_drive(drive, poses=np.repeat(np.eye(4)[None], 8, axis=0))
     assert "all poses are the same" in caplog.text
     camera = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-    odometry(drive, poses=camera @ drive.exact @ inverse(camera))
+    register_drive(drive, poses=camera @ drive.exact @ inverse(camera))
     assert "not forwards" in caplog.text
     jump = drive.exact.copy()
     jump[5:, 1, 3] += 3
-    odometry(drive, poses=jump)
+    register_drive(drive, poses=jump)
     assert "at frame 4 the way" in caplog.text or "at frame 5 the way" in caplog.text
 
 
 def test_standing_is_not_doubted(caplog: pytest.LogCaptureFixture) -> None:
-    odometry(Drive(8, motion=np.eye(4)), poses=np.repeat(np.eye(4)[None], 8, axis=0))
+    register_drive(Drive(8, motion=np.eye(4)), poses=np.repeat(np.eye(4)[None], 8, axis=0))
     assert not caplog.records
 
 

@@ -20,7 +20,7 @@ import pytest
 from docdepth.config import OdometryParameters
 from docdepth.datasets import Sweep
 from docdepth.errors import OdometryError
-from docdepth.odometry import parallel_passes as run_parallel
+from docdepth.odometry import parallel_passes
 from docdepth.odometry.odometry import estimate_poses
 from exact_drive import Drive
 
@@ -64,7 +64,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[subprocess.Popen]:
             super().__init__(*args, **more)
             workers.append(self)
 
-    monkeypatch.setattr(run_parallel.subprocess, "Popen", Popen)
+    monkeypatch.setattr(parallel_passes.subprocess, "Popen", Popen)
     return workers
 
 
@@ -157,7 +157,7 @@ def test_datasets_that_cannot_be_sent(
         assert estimate_poses(drive, threads=3).tobytes() == expected.tobytes()
     finally:
         del drive.open  # type: ignore[attr-defined]
-    monkeypatch.setattr(run_parallel, "_LARGEST", 10_000)
+    monkeypatch.setattr(parallel_passes, "_LARGEST_DATASET", 10_000)
     assert estimate_poses(drive, threads=3).tobytes() == expected.tobytes()
     assert started == []
     handle = Handle(COUNT)

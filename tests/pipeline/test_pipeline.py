@@ -15,7 +15,7 @@ from docdepth.datasets import open_dataset
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import classify as classes
-from docdepth.pipeline import render as depth_maps
+from docdepth.pipeline import depth_files
 from docdepth.visualization import pictures as visualize
 
 FRAMES = 5
@@ -64,7 +64,7 @@ def test_interrupted_run_goes_on_and_ends_the_same(drive, finished, tmp_path, mo
 
     for module, name, count in (
         (classes, "_write_classified", 3),
-        (depth_maps, "_write_image", 2),
+        (depth_files, "_write_image", 2),
     ):
         written.clear()
         with monkeypatch.context() as patch:
@@ -210,7 +210,7 @@ def test_distorted_images_are_rectified_under_the_depth(drive, finished, tmp_pat
     path = distorted / "image_2" / "000001.png"
     cv2.imwrite(str(path), image)
     stream = open_dataset(distorted).cameras["image_2"]
-    rectified = depth_maps.rectified_image(stream, stream.names.index("000001"))
+    rectified = stream.rectified_image(stream.names.index("000001"))
     row, column = np.argwhere(rectified.max(axis=2) > 128).mean(axis=0)
     straight = K @ ray[0]
     assert abs(column - straight[0]) < 1.5

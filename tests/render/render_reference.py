@@ -1,4 +1,4 @@
-"""A plain numpy rasteriser of splats, and the scenes that renderers are held against."""
+"""A plain numpy rasteriser of splats, and scenes to compare renderers on."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from docdepth.render.selection import dynamic_frame, static_frames
 
 # Camera axes in the LiDAR frame: x right = -y, y down = -z, z forward = x.
 AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=np.float64)
-PAPER = RenderParameters(surface="splats", behind=0.5, ahead=100.0, step=0.2)
+PAPER = RenderParameters(primitive="splats", behind=0.5, ahead=100.0, step=0.2)
 TRIANGLES = RenderParameters()
 
 
@@ -69,7 +69,7 @@ def scattered(rng, n):
 
 
 def drive(rng, camera_time, parameters, n=6):
-    """Sweeps along a curve; returns what render() needs and what reference() needs."""
+    """Sweeps along a curve; returns what compose_depth() needs and what reference() needs."""
     trajectory = straight(n)
     angle = 0.05 * np.arange(n)
     poses = trajectory.poses.copy()
@@ -87,12 +87,9 @@ def drive(rng, camera_time, parameters, n=6):
         for i in [dynamic_frame(trajectory, camera_time)] if dynamic else indices:
             with np.errstate(invalid="ignore", over="ignore"):
                 distance = np.linalg.norm(sweeps[i].astype(np.float64), axis=1)
-            keep = (distance < parameters.crop) & ((classes[i] >= 100) == dynamic)
+            kept = np.isfinite(distance) if dynamic else distance < parameters.crop
+            keep = kept & ((classes[i] >= 100) == dynamic)
             pose = T_camera_world @ trajectory.poses[i]
-            size = (
-                (parameters.dynamic_size_max, parameters.dynamic_size_min)
-                if dynamic
-                else (parameters.static_size_max, parameters.static_size_min)
-            )
+            size = parameters.dynamic_size if dynamic else parameters.static_size
             clouds.append((sweeps[i][keep], pose, size))
     return trajectory, frames, clouds

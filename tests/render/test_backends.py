@@ -1,4 +1,4 @@
-"""OpenGL back ends against the cpu, and what happens when they are missing."""
+"""OpenGL back ends compared with the CPU, and missing libraries."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from docdepth.cli.doctor import doctor
 from docdepth.config import RenderParameters
 from docdepth.errors import BackendError
 from docdepth.render import backends
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 
 TIME = 130_000_000
@@ -39,18 +39,22 @@ def gl(request):
 
 
 def any_gl():
-    """The name of a back end that works here."""
+    """The name of a back end that works on this machine."""
     found = backends.available()[1:]
     for backend in found:
-        if backend.well:
+        if backend.usable:
             return backend.name
-    pytest.skip("no OpenGL: " + "; ".join(f"{b.name}: {b.finding}" for b in found))
+    pytest.skip("no OpenGL: " + "; ".join(f"{b.name}: {b.detail}" for b in found))
 
 
 def parameters_of(sizes):
-    names = ("static_size_max", "static_size_min", "dynamic_size_max", "dynamic_size_min")
     return RenderParameters(
-        surface="splats", behind=0.5, ahead=100.0, step=0.2, **dict(zip(names, sizes, strict=True))
+        primitive="splats",
+        behind=0.5,
+        ahead=100.0,
+        step=0.2,
+        static_size=sizes[:2],
+        dynamic_size=sizes[2:],
     )
 
 
@@ -73,20 +77,22 @@ DRAWN = [
 
 
 @pytest.mark.parametrize("parameters", DRAWN)
-def test_agrees_with_the_processor(gl, parameters):
+def test_agrees_with_the_cpu(gl, parameters):
     camera = small_camera()
     for seed in range(3):
         trajectory, frames, _ = drive(np.random.default_rng(seed), TIME, parameters)
         asked = (camera, AXES, trajectory, TIME, frames.__getitem__, parameters)
-        depth = render(*asked, renderer=gl)
+        depth = compose_depth(*asked, renderer=gl)
         assert np.isfinite(depth).any()
-        assert_agree(depth, render(*asked), gl)
+        assert_agree(depth, compose_depth(*asked), gl)
 
 
 def test_agrees_with_plain_numpy(gl):
     parameters, camera = DRAWN[2], small_camera()
     trajectory, frames, clouds = drive(np.random.default_rng(7), TIME, parameters)
-    depth = render(camera, AXES, trajectory, TIME, frames.__getitem__, parameters, renderer=gl)
+    depth = compose_depth(
+        camera, AXES, trajectory, TIME, frames.__getitem__, parameters, renderer=gl
+    )
     assert_agree(depth, reference(camera, clouds), gl)
 
 
@@ -95,30 +101,30 @@ def test_splats_larger_than_a_point_can_be_are_squares(gl):
     trajectory, frames, _ = drive(np.random.default_rng(1), TIME, parameters_of((1, 1, 1, 1)))
     parameters = parameters_of((400, 20, 500, 270))  # Mesa's points have at most 255 pixels
     asked = (camera, AXES, trajectory, TIME, frames.__getitem__, parameters)
-    assert_agree(render(*asked, renderer=gl), render(*asked), gl)
+    assert_agree(compose_depth(*asked, renderer=gl), compose_depth(*asked), gl)
     asked = (*asked[:-1], parameters_of((1500, 20, 1, 1)))
     with pytest.raises(BackendError, match="the cpu draws any size"):
-        render(*asked, renderer=gl)
+        compose_depth(*asked, renderer=gl)
 
 
 def test_each_image_is_drawn_anew(gl):
-    """Other frames, poses and image sizes with one renderer; points on the device are not mixed."""
+    """One renderer for several frames, poses and image sizes; points on the device do not mix."""
     for seed, width in enumerate([160, 160, 160, 90, 1242]):
         parameters = DRAWN[seed % 3]
         camera = small_camera(width, 60, 60.0)
         trajectory, frames, _ = drive(np.random.default_rng(seed), TIME, parameters)
         for time in (TIME, TIME + 150_000_000):
             asked = (camera, AXES, trajectory, time, frames.__getitem__, parameters)
-            assert_agree(render(*asked, renderer=gl), render(*asked), gl)
+            assert_agree(compose_depth(*asked, renderer=gl), compose_depth(*asked), gl)
     empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
     assert np.isnan(
-        render(camera, AXES, straight(1), 0, lambda _: empty, parameters, renderer=gl)
+        compose_depth(camera, AXES, straight(1), 0, lambda _: empty, parameters, renderer=gl)
     ).all()
 
 
 @pytest.mark.parametrize("parameters", DRAWN[:2])
 def test_real_drive(gl, drive_0005, parameters):
-    """KITTI's camera, what the presets draw: the agreement that is promised."""
+    """The documented agreement, for KITTI's camera and both presets."""
     from docdepth.datasets import open_dataset
 
     dataset = open_dataset(drive_0005)
@@ -127,16 +133,16 @@ def test_real_drive(gl, drive_0005, parameters):
     classid = np.where(np.arange(len(points)) % 7 == 0, 100, 50).astype(np.uint16)
     frame = Frame(np.ascontiguousarray(points), classid, parameters)
     asked = (stream.camera, stream.T_camera_lidar, straight(1), 0, lambda _: frame, parameters)
-    assert_agree(render(*asked, renderer=gl), render(*asked), gl)
+    assert_agree(compose_depth(*asked, renderer=gl), compose_depth(*asked), gl)
 
 
 def test_draws_from_many_threads(gl):
     parameters, camera = parameters_of((9, 2, 14, 3)), small_camera()
     trajectory, frames, _ = drive(np.random.default_rng(0), TIME, parameters)
     asked = (camera, AXES, trajectory, TIME, frames.__getitem__, parameters)
-    expected = render(*asked)
+    expected = compose_depth(*asked)
     with ThreadPoolExecutor(3) as pool:
-        for depth in pool.map(lambda _: render(*asked, renderer=gl), range(9)):
+        for depth in pool.map(lambda _: compose_depth(*asked, renderer=gl), range(9)):
             assert_agree(depth, expected, gl)
 
 
@@ -185,7 +191,7 @@ sys.exit(os.waitstatus_to_exitcode(status))
 
 
 @pytest.mark.parametrize("name", ["egl", "surfaceless", "osmesa"])
-def test_a_forked_child_is_told_and_the_parent_draws_on(name):
+def test_a_forked_child_gets_an_error_and_the_parent_continues(name):
     opened(name)
     done = subprocess.run(
         [sys.executable, "-c", FORKED, name], timeout=120, capture_output=True, text=True
@@ -215,7 +221,7 @@ def test_a_missing_library_is_named(backend):
 
 
 @LINUX
-def test_broken_libraries_leave_the_processor(tmp_path):
+def test_with_broken_libraries_the_cpu_renders(tmp_path):
     for name in BROKEN:
         (tmp_path / name).write_bytes(b"not a library")
     script = """
@@ -223,14 +229,14 @@ from docdepth.render import backends
 from docdepth.errors import BackendError
 assert backends.choose("auto").name == "cpu"
 found = {b.name: b for b in backends.available()}
-assert found.pop("cpu").well
+assert found.pop("cpu").usable
 assert set(found) == {"egl", "surfaceless", "osmesa"}, found
 for name, backend in found.items():
-    assert not backend.well and ".so" in backend.finding, backend
+    assert not backend.usable and ".so" in backend.detail, backend
     try:
         backends.choose(name)
     except BackendError as error:
-        assert backend.finding in str(error)
+        assert backend.detail in str(error)
     else:
         raise AssertionError(name)
 """
@@ -257,7 +263,7 @@ def test_the_extension_is_not_linked_to_opengl():
         assert name not in linked.stdout
 
 
-def test_auto_takes_a_graphics_card_else_the_processor(monkeypatch):
+def test_auto_takes_a_graphics_card_else_the_cpu(monkeypatch):
     monkeypatch.delenv("DOCDEPTH_RENDERER", raising=False)
     chosen = backends.choose()
     assert chosen.name == "cpu" or not chosen.software
@@ -284,4 +290,4 @@ def test_doctor_lists_every_back_end():
     rows = {name: (finding, well) for name, finding, well in doctor()}
     assert rows["renderer cpu"][1]
     for backend in backends.available():
-        assert rows[f"renderer {backend.name}"] == (backend.finding, backend.well)
+        assert rows[f"renderer {backend.name}"] == (backend.detail, backend.usable)

@@ -1,4 +1,4 @@
-"""Layers beside depth: against plain numpy, and against scenes whose every pixel is known."""
+"""Layers beside depth, against plain numpy and against exact scenes."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from render_reference import AXES, PAPER, TRIANGLES, drive, small_camera, straig
 
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
-from docdepth.render.layers import _CONFIDENCE, LAYERS, confidence, layers
-from docdepth.render.selection import MOVING, static_frames
+from docdepth.render.layers import _CONFIDENCE, LAYERS, compose_layers, confidence
+from docdepth.render.selection import DYNAMIC_FRAMES, static_frames
 
 OF_SPLATS = tuple(name for name in LAYERS if name != "normal")
 GROUND, WALL = -1.7, 25.0
 
 
-def test_splats_as_plain_numpy_counts_them():
+def test_layers_of_splats_equal_plain_numpy():
     camera, time = small_camera(), 130_000_000
     trajectory, frames, clouds = drive(np.random.default_rng(5), time, PAPER)
     scene = (camera, AXES, trajectory, time, frames.__getitem__, PAPER)
-    depth = render(*scene)
+    depth = compose_depth(*scene)
     kept = depth.copy()
-    one, two = (layers(OF_SPLATS, depth, *scene, threads=t) for t in (1, 2))
+    one, two = (compose_layers(OF_SPLATS, depth, *scene, threads=t) for t in (1, 2))
     np.testing.assert_array_equal(depth, kept)
     for name in OF_SPLATS:
         np.testing.assert_array_equal(one[name], two[name])
@@ -71,7 +71,7 @@ def test_splats_as_plain_numpy_counts_them():
 
 
 def sweep_at(x, box_at=None):
-    """A spinning sensor on a road before a wall; a box that moves, 10 m ahead of the first."""
+    """A sweep of a road that ends at a wall, optionally with a box that moves ahead of the ego."""
     elevation, azimuth = np.meshgrid(np.radians(np.arange(-22, 6, 0.4)), np.radians(
         np.arange(-60, 60, 0.25)), indexing="ij")  # fmt: skip
     ray = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
@@ -94,13 +94,13 @@ def street(box=False):
     frames = [Frame(points, classid, TRIANGLES) for points, classid in sweeps]
     camera = Camera(np.array([[200.0, 0, 160], [0, 200, 50], [0, 0, 1]]), 320, 120)
     scene = (camera, AXES, trajectory, time, frames.__getitem__, TRIANGLES)
-    return scene, render(*scene)
+    return scene, compose_depth(*scene)
 
 
-def test_surfaces_of_a_street_are_what_they_are():
+def test_layers_of_an_exact_street():
     scene, depth = street()
     _, _, trajectory, time, *_ = scene
-    found, again = (layers(LAYERS, depth, *scene, threads=t) for t in (1, 3))
+    found, again = (compose_layers(LAYERS, depth, *scene, threads=t) for t in (1, 3))
     for name in LAYERS:
         np.testing.assert_array_equal(found[name], again[name])
     u, v = np.meshgrid(np.arange(320), np.arange(120))
@@ -116,13 +116,13 @@ def test_surfaces_of_a_street_are_what_they_are():
     assert (found["class"][~seen] == 255).all()
     np.testing.assert_allclose(found["normal"][on_wall] @ [0, 0, -1], 1, atol=1e-3)
     np.testing.assert_allclose(found["normal"][on_road] @ [0, -1, 0], 1, atol=1e-3)
-    # The sweep that it comes from, by time, stood there when it measured this range.
+    # The sweep that the time layer names measured this range from its pose.
     sweep = np.searchsorted(trajectory.times, time + np.nan_to_num(found["time"]) * 1e9 - 1)
     place = ray * depth[..., None]  # x right, y down, z ahead of x = 0.5
     x = place[..., 2] + 0.5 - trajectory.poses[np.minimum(sweep, 4), 0, 3]
     distance = np.sqrt(x**2 + place[..., 0] ** 2 + place[..., 1] ** 2)
     np.testing.assert_allclose(found["range"][seen], distance[seen], rtol=1e-4)
-    # All five sweeps saw what lies 15 m ahead of the last.
+    # All five sweeps measured the wall straight ahead.
     common = on_wall & (np.abs(ray[..., 0]) < 0.5) & (np.abs(v - 50) < 5)
     assert (found["support"][common] == len(static_frames(trajectory, time, TRIANGLES))).all()
     assert found["std"][common].max() < 0.01
@@ -131,29 +131,29 @@ def test_surfaces_of_a_street_are_what_they_are():
     assert np.isnan(found["std"][single]).all()
 
 
-def test_what_moves_is_held_against_what_moves():
+def test_support_of_a_moving_box_comes_from_dynamic_points():
     scene, depth = street(box=True)
-    found = layers(("class", "support", "range"), depth, *scene)
+    found = compose_layers(("class", "support", "range"), depth, *scene)
     box = np.abs(depth - 10.0) < 0.2
     box &= found["class"] == 100
     assert box.sum() > 200
-    assert found["support"][box].max() == MOVING
-    assert (found["support"][box] == MOVING).mean() > 0.5
-    # The box keeps 10 m ahead of the sensor.
+    assert found["support"][box].max() == DYNAMIC_FRAMES
+    assert (found["support"][box] == DYNAMIC_FRAMES).mean() > 0.5
+    # The box stays 10 m ahead of the sensor.
     assert np.abs(found["range"][box] - 10).max() < 1
 
 
-def test_layers_that_there_are_not():
+def test_unknown_layers_are_refused():
     scene, depth = street()
     with pytest.raises(InputError, match="unknown layer 'colour'; there are class,"):
-        layers(("colour",), depth, *scene)
+        compose_layers(("colour",), depth, *scene)
     with pytest.raises(InputError, match="of shape \\(120, 320\\)"):
-        layers(("class",), depth[:-1], *scene)
+        compose_layers(("class",), depth[:-1], *scene)
     with pytest.raises(InputError, match="no normal"):
-        layers(("normal",), depth, *scene[:-1], PAPER)
+        compose_layers(("normal",), depth, *scene[:-1], PAPER)
 
 
-def test_confidence_as_it_is_written():
+def test_confidence_equals_its_formula():
     rng = np.random.default_rng(2)
     depth = np.full((20, 30), 10, np.float32) + rng.normal(0, 0.02, (20, 30)).astype(np.float32)
     depth[:, 18:] = 30
@@ -187,7 +187,7 @@ def test_confidence_as_it_is_written():
 
 @pytest.mark.parametrize("preset", [TRIANGLES, PAPER])
 def test_error_falls_as_confidence_rises(preset):
-    """A crossing, a seed and a sensor of its own; exact classes and depth."""
+    """A synthetic crossing with exact classes and depth, not among those of the fit."""
     pytest.importorskip("embreex")
     from docdepth.geometry.trajectory import Trajectory
     from docdepth.synthetic import Drive, scene, sensor
@@ -205,8 +205,8 @@ def test_error_falls_as_confidence_rises(preset):
 
     time = int(drive.camera_times[8])
     scene_of = (camera, drive.rig.T_camera_lidar, trajectory, time, frame, preset)
-    depth, truth = render(*scene_of), drive.image(8).depth
-    sure = layers(("confidence",), depth, *scene_of)["confidence"]
+    depth, truth = compose_depth(*scene_of), drive.image(8).depth
+    sure = compose_layers(("confidence",), depth, *scene_of)["confidence"]
     np.testing.assert_array_equal(np.isnan(sure), np.isnan(depth))
     known = np.isfinite(depth) & (truth < 80)
     wrong = np.abs(depth - truth)[known] > 0.05 * truth[known]

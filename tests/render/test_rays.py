@@ -1,4 +1,4 @@
-"""What rays met and went through: against plain numpy, and what they make of edges."""
+"""Visibility along measured rays: against plain numpy, and its effect at depth edges."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from docdepth import _core
 from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 
 F = np.float32
@@ -46,7 +46,7 @@ def dot(a, b):
 
 
 def reference(points, normals, places, ray_origins=None):
-    """Every return in the nine cells around each place, none cleverly."""
+    """Visibility of each place by brute force: every return in the nine cells around it."""
     ray_origins = np.zeros_like(points) if ray_origins is None else ray_origins
     sights = points - ray_origins
     azimuth, elevation, _ = direction(sights)
@@ -85,7 +85,7 @@ def reference(points, normals, places, ray_origins=None):
         u = u + left[near] * (F(1) / range_[i])
         v = (elevation[near] - to_elevation[i]).astype(F) + up[near] * (F(1) / range_[i])
         squared = u * u + v * v
-        # Of equals the first, as they lie in memory: cell after cell.
+        # Of equal returns the first in memory counts: cell after cell.
         least = near[squared == squared.min()]
         k = min(least, key=lambda n: (column[n], row[n], n))
         miss = (np.sqrt(squared.min()) * (F(6.283185307179586) / F(TURN))) * range_[i] + F(0.02)
@@ -117,8 +117,8 @@ def test_rays_equal_plain_numpy(seed, beside):
     np.testing.assert_array_equal(balance, expected)
 
 
-def test_a_line_of_sight_passes_where_it_leads_from_its_start():
-    """Beside the origin it begins, and goes through all places between its start and its end."""
+def test_a_ray_is_free_between_its_origin_and_its_return():
+    """The ray origin lies beside the origin of the frame."""
     rng = np.random.default_rng(0)
     for _ in range(50):
         start = rng.uniform(-0.05, 0.05, 3).astype(F)
@@ -129,11 +129,11 @@ def test_a_line_of_sight_passes_where_it_leads_from_its_start():
         places = (start + share * (end - start)).astype(F)
         points, normals = end[None], np.zeros((1, 3), F)
         told = _core.Rays(points, normals, start[None]).query_visibility(places)
-        # Within a centimetre: -1 / (0.02 + 0.01)^2; as if from the origin it passed farther off.
+        # Within 1 cm: -1 / (0.02 + 0.01)^2. A ray from the frame's origin passes farther off.
         assert (told < -1 / 0.03**2).all()
 
 
-def test_no_rays_tell_nothing():
+def test_without_rays_visibility_is_unknown():
     none = np.empty((0, 3), F)
     assert (_core.Rays(none, none).query_visibility(np.ones((5, 3), F)) == 0).all()
     zero = np.zeros((2, 3), F)
@@ -153,7 +153,7 @@ def fence_and_wall(directions, x):
     return np.where(hit, fence, wall)
 
 
-def test_bars_of_a_fence_are_where_many_sweeps_met_them():
+def test_bars_of_a_fence_are_where_most_sweeps_measured_them():
     # Returns are 0.8 degrees apart, 7 pixels; a bar is 15 to 20 pixels wide.
     a, e = np.meshgrid(np.radians(np.arange(-60, 60, 0.8)), np.radians(np.arange(-12, 12, 0.8)))
     directions = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
@@ -165,32 +165,38 @@ def test_bars_of_a_fence_are_where_many_sweeps_met_them():
     columns, rows = np.meshgrid(np.arange(501) - 250, np.arange(101) - 50)
     pixels = np.stack([np.ones(columns.shape), -columns / 500, -rows / 500], -1)
     truth = fence_and_wall(pixels, 0.0)
-    drawn, wrong, missed = {}, {}, {}  # wrong: of those drawn; missed: or empty, of all
-    ways = {"alone": {"ahead": 0.1}, "not asked": {"witnesses": 0}, "asked": {}}
-    for way, settings in ways.items():
+    # wrong: share of the drawn pixels; missed: share of all pixels that are wrong or empty
+    drawn, wrong, missed = {}, {}, {}
+    cases = {
+        "one sweep": {"ahead": 0.1},
+        "without rays": {"visibility_sweeps": 0},
+        "with rays": {},
+    }
+    for case, settings in cases.items():
         parameters = RenderParameters(step=0.5, behind=0.0, **settings)
         frames = []
         for pose in poses:
             ranges = fence_and_wall(directions, pose[0, 3])
             points = (directions * ranges[:, None])[(ranges > 0) & (ranges < 80)].astype(F)
             frames.append(Frame(points, np.full(len(points), 50, np.uint16), parameters))
-        depth = render(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 1)
+        depth = compose_depth(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 1)
         known = np.isfinite(depth)
-        drawn[way], wrong[way] = known.mean(), (np.abs(depth - truth) > 0.05 * truth)[known].mean()
-        missed[way] = (~(np.abs(depth - truth) <= 0.05 * truth)).mean()
-        threaded = render(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 3)
+        drawn[case] = known.mean()
+        wrong[case] = (np.abs(depth - truth) > 0.05 * truth)[known].mean()
+        missed[case] = (~(np.abs(depth - truth) <= 0.05 * truth)).mean()
+        threaded = compose_depth(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 3)
         np.testing.assert_array_equal(threaded, depth)
-    # One sweep leaves out what lies between bar and wall; the others fill that, less truly.
-    assert drawn["alone"] < 0.8
-    assert wrong["alone"] < 0.01
-    assert wrong["not asked"] > 0.03
-    assert drawn["not asked"] > 0.95
-    assert drawn["asked"] > 0.95
-    assert 0.05 < missed["alone"] < 0.3
-    assert missed["asked"] < 0.65 * missed["alone"]
-    assert 0.05 < missed["not asked"] < 0.3
-    assert missed["asked"] < missed["not asked"]
-    assert wrong["asked"] < 0.8 * wrong["not asked"]
-    # They also tell how far out a bar goes beyond the returns of any one sweep.
-    assert wrong["asked"] < 0.6 * wrong["not asked"]
-    assert missed["asked"] < 0.7 * missed["not asked"]
+    # One sweep leaves pixels between bar and wall empty; others fill them, with more errors.
+    assert drawn["one sweep"] < 0.8
+    assert wrong["one sweep"] < 0.01
+    assert wrong["without rays"] > 0.03
+    assert drawn["without rays"] > 0.95
+    assert drawn["with rays"] > 0.95
+    assert 0.05 < missed["one sweep"] < 0.3
+    assert missed["with rays"] < 0.65 * missed["one sweep"]
+    assert 0.05 < missed["without rays"] < 0.3
+    assert missed["with rays"] < missed["without rays"]
+    assert wrong["with rays"] < 0.8 * wrong["without rays"]
+    # Rays also limit how far a bar extends beyond the returns of a single sweep.
+    assert wrong["with rays"] < 0.6 * wrong["without rays"]
+    assert missed["with rays"] < 0.7 * missed["without rays"]

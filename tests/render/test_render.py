@@ -17,11 +17,11 @@ from render_reference import (
     straight,
 )
 
-from docdepth.config import RenderParameters
-from docdepth.errors import CalibrationError, InputError
+from docdepth.config import RenderParameters, parameters, parse_settings
+from docdepth.errors import CalibrationError, ConfigError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.selection import dynamic_frame, needed_frames, static_frames
 
@@ -29,16 +29,20 @@ from docdepth.render.selection import dynamic_frame, needed_frames, static_frame
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("sizes", [(50.0, 3.0, 80.0, 35.0), (9.3, 1.0, 14.0, 2.6), (1, 1, 1, 1)])
 def test_equals_plain_numpy_pixel_for_pixel(seed, sizes):
-    names = ("static_size_max", "static_size_min", "dynamic_size_max", "dynamic_size_min")
     parameters = RenderParameters(
-        surface="splats", behind=0.5, ahead=100.0, step=0.2, **dict(zip(names, sizes, strict=True))
+        primitive="splats",
+        behind=0.5,
+        ahead=100.0,
+        step=0.2,
+        static_size=sizes[:2],
+        dynamic_size=sizes[2:],
     )
     camera = small_camera()
     time = 130_000_000
     trajectory, frames, clouds = drive(np.random.default_rng(seed), time, parameters)
     expected = reference(camera, clouds)
     one, two = (
-        render(camera, AXES, trajectory, time, frames.__getitem__, parameters, threads=t)
+        compose_depth(camera, AXES, trajectory, time, frames.__getitem__, parameters, threads=t)
         for t in (1, 2)
     )
     np.testing.assert_array_equal(one, expected)
@@ -54,7 +58,7 @@ def frame_of(points, classid=50):
 
 def test_a_single_splat_is_an_upright_ellipse_of_constant_depth():
     camera = Camera(np.array([[100.0, 0, 40], [0, 100, 30], [0, 0, 1]]), 81, 61)
-    depth = render(camera, AXES, straight(1), 0, lambda _: frame_of([10, 0, 0]), PAPER)
+    depth = compose_depth(camera, AXES, straight(1), 0, lambda _: frame_of([10, 0, 0]), PAPER)
     h = round(50 / np.log(100))  # 11 pixels high
     rows, columns = np.nonzero(np.isfinite(depth))
     assert (rows.min(), rows.max()) == (30 - h // 2, 30 + h // 2)
@@ -76,7 +80,7 @@ def test_near_moving_wall_hides_far_static_wall():
     points = np.concatenate([wall(20.0), near]).astype(np.float32)
     classid = np.repeat(np.array([50, 100], np.uint16), [side.size, len(near)])
     frame = Frame(points, classid, PAPER)
-    depth = render(camera, AXES, straight(1), 0, lambda _: frame, PAPER)
+    depth = compose_depth(camera, AXES, straight(1), 0, lambda _: frame, PAPER)
     assert set(np.unique(depth)) == {8.0, 20.0}
     assert (depth[:, 60:100] == 8.0).all()
     assert (depth[:, :30] == 20.0).all()
@@ -86,7 +90,7 @@ def test_near_moving_wall_hides_far_static_wall():
 def test_points_behind_too_near_or_centred_outside_are_not_drawn():
     camera = small_camera()
     for point in ([-5, 0, 0], [0.1, 0, 0], [5, 5, 0], [5, -5, 0], [5, 0, 3], [5, 0, -3]):
-        depth = render(camera, AXES, straight(1), 0, lambda _, p=point: frame_of(p), PAPER)
+        depth = compose_depth(camera, AXES, straight(1), 0, lambda _, p=point: frame_of(p), PAPER)
         assert np.isnan(depth).all(), point
 
 
@@ -98,7 +102,7 @@ def test_moving_points_come_from_the_sweep_nearest_in_time_only():
         asked.append(i)
         return frame_of([20 + i, 0, 0], classid=100)
 
-    depth = render(small_camera(), AXES, trajectory, 160_000_000, frames, PAPER)
+    depth = compose_depth(small_camera(), AXES, trajectory, 160_000_000, frames, PAPER)
     # Sweep 2 stands at 2 m and sees its point at 22 m; the camera stands at 1.6 m.
     np.testing.assert_allclose(np.unique(depth[np.isfinite(depth)]), [22.4], rtol=1e-6)
     assert set(asked) == {2, 3}  # static points: those after 1.6 - 0.5
@@ -126,7 +130,9 @@ def test_a_standing_ego_is_drawn_from_the_sweep_nearest_in_time():
 @pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
 def test_no_points_give_no_depth(parameters):
     empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
-    assert np.isnan(render(small_camera(), AXES, straight(2), 0, lambda _: empty, parameters)).all()
+    assert np.isnan(
+        compose_depth(small_camera(), AXES, straight(2), 0, lambda _: empty, parameters)
+    ).all()
 
 
 def test_bad_input_is_refused():
@@ -135,9 +141,11 @@ def test_bad_input_is_refused():
     with pytest.raises(InputError, match="one for each point"):
         Frame(np.zeros((3, 3), np.float32), np.zeros(2, np.uint16))
     with pytest.raises(InputError, match="outside the trajectory"):
-        render(small_camera(), AXES, straight(2), -1, lambda _: frame_of([5, 0, 0]), PAPER)
+        compose_depth(small_camera(), AXES, straight(2), -1, lambda _: frame_of([5, 0, 0]), PAPER)
     with pytest.raises(InputError, match="not made for triangles"):
-        render(small_camera(), AXES, straight(2), 0, lambda _: frame_of([5, 0, 0]), TRIANGLES)
+        compose_depth(
+            small_camera(), AXES, straight(2), 0, lambda _: frame_of([5, 0, 0]), TRIANGLES
+        )
     with pytest.raises(InputError, match="time_offset"):
         Frame(
             np.zeros((3, 3), np.float32),
@@ -158,8 +166,33 @@ def test_needed_frames_are_those_that_are_asked_for(parameters, time):
         asked.add(index)
         return frames[index]
 
-    render(small_camera(), AXES, trajectory, time, frame, parameters)
+    compose_depth(small_camera(), AXES, trajectory, time, frame, parameters)
     assert asked == needed_frames(trajectory, time, parameters)
+
+
+@pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
+def test_the_crop_leaves_dynamic_points(parameters):
+    """The paper crops static points only; returns that are not finite are never drawn."""
+    near = parameters.model_copy(update={"crop": 10.0})
+    y, z = np.meshgrid(np.linspace(-1, 1, 20), np.linspace(-1, 1, 20))
+    board = np.stack([np.full(y.shape, 20.0), y, z], axis=-1).reshape(-1, 3)
+    unusable = [[np.inf, 1, 0], [np.nan, 0, 1], [1e30, 0, 0]]
+    points = np.concatenate([board, unusable]).astype(np.float32)
+    for classid, drawn in ((50, False), (99, False), (100, True)):
+        frame = Frame(points, np.full(len(points), classid, np.uint16), near)
+        depth = compose_depth(small_camera(), AXES, straight(1), 0, lambda _, f=frame: f, near)
+        assert np.isfinite(depth).any() == drawn
+        np.testing.assert_allclose(depth[np.isfinite(depth)], 20, rtol=1e-5)
+
+
+def test_sizes_are_pairs_of_pixels():
+    for size in ("[40, 2]", "40,2"):
+        changed = parameters("paper", parse_settings([f"render.static_size={size}"])).render
+        assert changed.static_size == (40.0, 2.0)
+        assert changed.dynamic_size == (80.0, 35.0)
+    for size in ("40", "[40]", "[40, 0]", "[40, 2, 1]"):
+        with pytest.raises(ConfigError, match=r"render\.static_size"):
+            parameters("paper", parse_settings([f"render.static_size={size}"]))
 
 
 @pytest.mark.skipif("DOCDEPTH_KITTI_RAW" not in os.environ, reason="DOCDEPTH_KITTI_RAW is not set")
@@ -171,7 +204,7 @@ def test_equals_plain_numpy_on_real_sweeps():
         np.array([[721.5377, 0, 609.5593], [0, 721.5377, 172.854], [0, 0, 1]]), 1242, 375
     )
     trajectory = straight(len(sweeps), spacing=5.0)
-    # Every tenth point moves, so that both sizes are met.
+    # Every tenth point is dynamic, so that both sizes occur.
     classes = [np.where(np.arange(len(s)) % 10, 50, 100).astype(np.uint16) for s in sweeps]
     frames = [Frame(s, c, PAPER) for s, c in zip(sweeps, classes, strict=True)]
     time = 20_000_000
@@ -183,21 +216,21 @@ def test_equals_plain_numpy_on_real_sweeps():
             clouds.append((s[c < 100], pose, (50.0, 3.0)))
         if i == dynamic_frame(trajectory, time):
             clouds.append((s[c >= 100], pose, (80.0, 35.0)))
-    depth = render(camera, AXES, trajectory, time, frames.__getitem__, PAPER)
+    depth = compose_depth(camera, AXES, trajectory, time, frames.__getitem__, PAPER)
     np.testing.assert_array_equal(depth, reference(camera, clouds))
     assert np.isfinite(depth).mean() > 0.5
 
 
-@pytest.mark.parametrize("surface", ["splats", "triangles"])
-def test_scenes_of_700_metres(surface):
-    parameters = RenderParameters(surface=surface, crop=800, max_depth=700)
+@pytest.mark.parametrize("primitive", ["splats", "triangles"])
+def test_scenes_of_700_metres(primitive):
+    parameters = RenderParameters(primitive=primitive, crop=800, max_depth=700)
     y, z = np.meshgrid(np.arange(-60, 61, 2.0), np.arange(-60, 61, 2.0))
     far = np.stack([np.full(y.shape, 690.0), y, z], axis=-1).reshape(-1, 3).astype(np.float32)
     beyond = far + np.float32([30, 200, 0])
     points = np.concatenate([far, beyond])
     frame = Frame(points, np.full(len(points), 50, np.uint16), parameters)
     camera = Camera(np.array([[700.0, 0, 300], [0, 700, 60], [0, 0, 1]]), 601, 121)
-    depth = render(camera, AXES, straight(1), 0, lambda _: frame, parameters)
+    depth = compose_depth(camera, AXES, straight(1), 0, lambda _: frame, parameters)
     wall = depth[30:90, 270:330]
     assert np.isfinite(wall).mean() > 0.9
     np.testing.assert_allclose(wall[np.isfinite(wall)], 690, rtol=1e-5)

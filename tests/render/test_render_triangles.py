@@ -1,4 +1,4 @@
-"""Sweeps drawn as surfaces, against exact scenes and a plain rasteriser of triangles."""
+"""Sweeps drawn as triangles, against exact scenes and a plain rasteriser."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from render_reference import (
     straight,
 )
 
-from docdepth.render.depth_map import render
+from docdepth.render import depth_map
+from docdepth.render import frame as frame_module
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
-from docdepth.render.selection import static_frames
+from docdepth.render.selection import STEP_GROWTH, static_frames
 
 
 def spinning(rings=48, columns=1500, low=-25.0, high=8.0):
@@ -24,7 +26,7 @@ def spinning(rings=48, columns=1500, low=-25.0, high=8.0):
 
 
 def meet(directions, planes):
-    """Range of the first of the planes (n, d), n.x = d, that each ray meets, and which."""
+    """Range of the nearest of the planes (n, d), n.x = d, along each ray, and its index."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ranges = np.stack([d / (directions @ np.array(n)) for n, d in planes])
     ranges[~(ranges > 0)] = np.inf
@@ -50,7 +52,7 @@ def test_triangles_of_a_plane_are_that_plane_without_cracks(planes):
     points = (directions * ranges[:, None])[hit].astype(np.float32)
     camera = small_camera()
     frame = Frame(points, np.full(len(points), 50, np.uint16), TRIANGLES)
-    depth = render(camera, AXES, straight(1), 0, lambda _: frame, TRIANGLES)
+    depth = compose_depth(camera, AXES, straight(1), 0, lambda _: frame, TRIANGLES)
     rays = pixel_rays(camera)
     exact, plane = meet(rays.reshape(-1, 3), planes)
     exact, plane = np.minimum(exact, 1e6).reshape(depth.shape), plane.reshape(depth.shape)
@@ -62,14 +64,14 @@ def test_triangles_of_a_plane_are_that_plane_without_cracks(planes):
             seen &= np.roll(plane, shift, axis) == plane
     assert seen.sum() > 2000
     assert np.isfinite(depth[seen]).all()
-    # Triangles are drawn 0.01 pixels larger, and nearness is clamped to that of their corners; a
-    # pixel beyond an acute corner is a few times that far outside. float32 adds 1e-5.
+    # Triangles are drawn 0.01 pixels larger, with inverse depth clamped to that of their corners;
+    # a pixel beyond an acute corner is a few times that far outside. float32 adds 1e-5.
     bend = sum(np.abs(np.gradient(1 / exact, axis=axis)) for axis in (0, 1)) * exact
     assert (np.abs(depth - exact) / exact <= 0.05 * bend + 1e-5)[seen].all()
 
 
 def draw_triangles(camera, vertices, triangles, threads=1):
-    """Triangles in camera axes as one whole surface."""
+    """Render triangles given in camera axes, none of them a depth jump."""
     from docdepth import _core
 
     frame = _core.MeshFrame(
@@ -90,7 +92,7 @@ def test_triangles_equal_a_plain_rasteriser(seed):
     rng = np.random.default_rng(seed)
     camera = small_camera()
     vertices = rng.uniform([-12, -5, 2], [12, 5, 20], (60, 3)).astype(np.float32)
-    vertices[:3, 2] = -1, 0.05, 3  # behind the camera, too near
+    vertices[:3, 2] = -1, 0.05, 3  # behind the camera; nearer than the near plane
     triangles = np.arange(60).reshape(-1, 3)
     depth = draw_triangles(camera, vertices, triangles)
     p = vertices.astype(np.float64)
@@ -125,7 +127,9 @@ def test_triangles_equal_a_plain_rasteriser(seed):
 def test_triangles_do_not_depend_on_threads(seed, pixels):
     trajectory, frames, _ = drive(np.random.default_rng(seed), 130_000_000, TRIANGLES)
     one, two = (
-        render(small_camera(250), AXES, trajectory, 130_000_000, frames.__getitem__, TRIANGLES, t)
+        compose_depth(
+            small_camera(250), AXES, trajectory, 130_000_000, frames.__getitem__, TRIANGLES, t
+        )
         for t in (1, 2)
     )
     np.testing.assert_array_equal(one, two)
@@ -133,12 +137,14 @@ def test_triangles_do_not_depend_on_threads(seed, pixels):
 
 
 @pytest.mark.parametrize(("max_speed", "time_offset"), [(0.0, None), (50.0, None), (50.0, 0.012)])
-def test_a_moving_box_is_carried_to_where_it_was_when_the_image_was_taken(max_speed, time_offset):
+def test_a_moving_box_is_drawn_where_it_was_at_the_time_of_the_image(
+    max_speed, time_offset, monkeypatch
+):
+    monkeypatch.setattr(depth_map, "MAX_SPEED", max_speed)
     directions = spinning(columns=3000)
     camera = small_camera()
-    parameters = TRIANGLES.model_copy(update={"max_speed": max_speed})
 
-    def frame(index):  # sweeps a metre apart, a wall at 20 m, the box at 8 m goes 2 m a sweep
+    def frame(index):  # a wall at 20 m, a box at 8 m; per sweep the ego moves 1 m, the box 2 m
         wall = (20.0 - index) / directions[:, 0]
         box = (8.0 + index + 20 * (time_offset or 0)) / directions[:, 0]
         side = box[:, None] * directions
@@ -148,10 +154,10 @@ def test_a_moving_box_is_carried_to_where_it_was_when_the_image_was_taken(max_sp
         points = (directions * ranges[:, None])[seen].astype(np.float32)
         classid = np.where(on_box[seen], 100, 50).astype(np.uint16)
         times = None if time_offset is None else np.full(len(points), time_offset, np.float32)
-        return Frame(points, classid, parameters, time_offset=times)
+        return Frame(points, classid, TRIANGLES, time_offset=times)
 
     frames = [frame(i) for i in range(4)]
-    depth = render(camera, AXES, straight(4), 160_000_000, frames.__getitem__, parameters)
+    depth = compose_depth(camera, AXES, straight(4), 160_000_000, frames.__getitem__, TRIANGLES)
     # Sweep 2 saw the box at 12 m; 40 ms before, it was at 11.2 m and the camera at 1.6 m.
     distance = 12 - 1.6 if max_speed == 0 else 11.2 - 1.6
     row, middle = 32, 79
@@ -161,8 +167,8 @@ def test_a_moving_box_is_carried_to_where_it_was_when_the_image_was_taken(max_sp
     assert np.nanmax(np.abs(depth[row, 20:140][~box[20:140]] - 18.4)) < 0.1
 
 
-def test_what_a_post_hides_of_a_moving_box_other_sweeps_have_seen():
-    """The box goes a metre a sweep to the left; the camera looks past the post, 0.6 m beside it."""
+def test_other_sweeps_fill_the_part_of_a_moving_box_behind_a_post(monkeypatch):
+    """The box moves 1 m per sweep to the left; the camera is 0.6 m beside the LiDAR."""
     directions = spinning(columns=3000)
     T_camera_lidar = AXES.copy()
     T_camera_lidar[0, 3] = 0.6
@@ -181,8 +187,8 @@ def test_what_a_post_hides_of_a_moving_box_other_sweeps_have_seen():
 
     frames, camera = [frame(i) for i in range(7)], small_camera(640, 240, 360.0)
     time = 310_000_000
-    motion_corrected = straight(7, spacing=0.0)
-    depth = render(camera, T_camera_lidar, motion_corrected, time, frames.__getitem__, TRIANGLES)
+    standing = straight(7, spacing=0.0)
+    depth = compose_depth(camera, T_camera_lidar, standing, time, frames.__getitem__, TRIANGLES)
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     side, up = ((u - camera.K[0, 2]) / camera.K[0, 0]), ((v - camera.K[1, 2]) / camera.K[1, 1])
     y = 0.6 - side * box_at  # of the box's plane
@@ -190,17 +196,17 @@ def test_what_a_post_hides_of_a_moving_box_other_sweeps_have_seen():
     inside &= np.abs(0.6 - side * post) > 0.15
     hidden = inside & (
         np.abs(y - speed * 0.01) < 0.15
-    )  # by the post, for the sweep nearest in time
+    )  # hidden by the post in the sweep nearest in time
     assert hidden.sum() > 50
     assert (np.abs(depth[hidden] - box_at) < 0.05).mean() > 0.95
     assert (np.abs(depth[inside] - box_at) < 0.05).mean() > 0.95
-    one = TRIANGLES.model_copy(update={"max_speed": 0.0})
-    alone = render(camera, T_camera_lidar, motion_corrected, time, frames.__getitem__, one)
+    monkeypatch.setattr(depth_map, "MAX_SPEED", 0.0)
+    alone = compose_depth(camera, T_camera_lidar, standing, time, frames.__getitem__, TRIANGLES)
     assert not (np.abs(alone[hidden] - box_at) < 0.05).mean() > 0.9
 
 
-def test_a_moving_box_ends_close_to_the_last_ring_that_met_it():
-    """Rings are 0.42 m apart there; the box, 4 cm higher than the last that met it, goes aside."""
+def test_a_moving_box_ends_close_to_its_last_ring():
+    """Rings are 0.42 m apart there; the box ends 4 cm above its last ring and moves sideways."""
     directions = spinning(rings=12, columns=3000)
     directions = directions[directions[:, 0] > 0.1]
     y, z = directions[:, 1] / directions[:, 0], directions[:, 2] / directions[:, 0]
@@ -213,23 +219,23 @@ def test_a_moving_box_ends_close_to_the_last_ring_that_met_it():
         return Frame(points.astype(np.float32), classid, TRIANGLES)
 
     frames, camera = [frame(i) for i in range(7)], small_camera(640, 240, 360.0)
-    motion_corrected = straight(7, spacing=0.0)
-    depth = render(camera, AXES, motion_corrected, 310_000_000, frames.__getitem__, TRIANGLES)
+    standing = straight(7, spacing=0.0)
+    depth = compose_depth(camera, AXES, standing, 310_000_000, frames.__getitem__, TRIANGLES)
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     side = -8 * (u - camera.K[0, 2]) / camera.K[0, 0]
     up = -8 * (v - camera.K[1, 2]) / camera.K[1, 1]
     within = np.abs(side - 0.05) < 1.8
     on_box = np.abs(depth - 8) < 0.05
     assert on_box[within & (np.abs(up - last) < 0.04)].mean() > 0.99
-    assert on_box[within & (up < last - 0.02) & (up > -0.9)].mean() > 0.99  # rings or not
+    assert on_box[within & (up < last - 0.02) & (up > -0.9)].mean() > 0.99  # between rings as well
     assert not on_box[within & (up > last + 0.16)].any()
 
 
-def test_a_return_alone_is_a_small_diamond():
+def test_an_isolated_return_is_a_small_diamond(monkeypatch):
     camera = small_camera()
-    wide = TRIANGLES.model_copy(update={"loose_deg": 3.0})
-    frame = Frame(np.array([[10, 0, 0]], np.float32), np.array([50], np.uint16), wide)
-    depth = render(camera, AXES, straight(1), 0, lambda _: frame, wide)
+    monkeypatch.setattr(frame_module, "ISOLATED_SIZE_DEG", 3.0)
+    frame = Frame(np.array([[10, 0, 0]], np.float32), np.array([50], np.uint16), TRIANGLES)
+    depth = compose_depth(camera, AXES, straight(1), 0, lambda _: frame, TRIANGLES)
     u, v = np.meshgrid(np.arange(160) - camera.K[0, 2], np.arange(60) - camera.K[1, 2])
     half = np.radians(3.0)
     inside = np.abs(u / camera.K[0, 0]) + np.abs(v / camera.K[1, 1]) <= half
@@ -238,7 +244,7 @@ def test_a_return_alone_is_a_small_diamond():
     np.testing.assert_allclose(depth[inside], 10, rtol=1e-5)
 
 
-def test_sweeps_of_triangles_start_with_the_nearest_and_thin_out():
+def test_sweeps_for_triangles_start_with_the_nearest_and_thin_out():
     trajectory = straight(300, spacing=0.5)
     far = TRIANGLES.model_copy(update={"ahead": 100.0})
     taken = static_frames(trajectory, 5_030_000_000, far)  # at 25.15 m
@@ -251,13 +257,13 @@ def test_sweeps_of_triangles_start_with_the_nearest_and_thin_out():
     ordered = np.sort(ahead[1:])
     assert np.diff(ordered)[np.abs(ordered[1:]) < 4].max() < 2.1
     assert np.diff(ordered)[ordered[1:] > 50].min() >= 8
-    # The next images take the same sweeps, but for the nearest and a few that enter.
+    # The next image takes the same sweeps, except the nearest and a few new ones.
     following = static_frames(trajectory, 5_130_000_000, far)
     assert len(set(following.tolist()) - set(taken.tolist())) <= 3
 
 
 @pytest.mark.parametrize("spacing", [0.5, 1.1, 2.8])
-def test_sweeps_of_triangles_leave_no_gap_however_fast_the_ego_is(spacing):
+def test_sweeps_for_triangles_leave_no_gap_however_fast_the_ego_is(spacing):
     trajectory = straight(300, spacing=spacing)
     taken = static_frames(trajectory, int(trajectory.times[60]) + 30_000_000, TRIANGLES)
     ahead = np.sort(
@@ -265,5 +271,5 @@ def test_sweeps_of_triangles_leave_no_gap_however_fast_the_ego_is(spacing):
         - trajectory.arc_length_at(int(trajectory.times[60]) + 30_000_000)[0]
     )
     ahead = ahead[ahead > 0]
-    # Spacings double, so the next sweep comes after twice the least distance at the most.
-    assert (np.diff(ahead) < 2 * TRIANGLES.step_growth * ahead[1:] + spacing + 0.01).all()
+    # Spacings double, so the next sweep is at most twice the minimum spacing away.
+    assert (np.diff(ahead) < 2 * STEP_GROWTH * ahead[1:] + spacing + 0.01).all()

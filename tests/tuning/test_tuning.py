@@ -20,7 +20,7 @@ from docdepth.evaluation import LabelEvaluation
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import grow_ground
-from docdepth.io.ply import FrameRecord, write_trajectory
+from docdepth.io.frames import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.tuning import Outcome, Trial, grid, parse_axes, plot, read_trials, tune
 

@@ -87,7 +87,7 @@ def test_range_image_has_forward_in_the_middle() -> None:
     assert left[0].max() < rows.min()
 
 
-def test_side_by_side_fills_the_grid() -> None:
+def test_a_grid_is_filled_row_by_row() -> None:
     pictures = [np.full((40, 50, 3), k, np.uint8) for k in (10, 20, 30)]
     grid = visualize.picture_grid(pictures, ["a", "b", "c"])
     assert grid.shape == (2 * 66, 100, 3)

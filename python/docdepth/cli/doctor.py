@@ -11,7 +11,7 @@ from docdepth import __version__
 from docdepth.render import backends
 
 _REQUIRED = (
-    "numpy", "opencv-python-headless", "kiss-icp", "small-gicp", "pydantic", "plyfile",
+    "numpy", "opencv-python-headless", "kiss-icp", "small-gicp", "pydantic",
 )  # fmt: skip
 _EXTRAS = {
     "exr": ("OpenEXR",),
@@ -39,7 +39,7 @@ def doctor() -> list[tuple[str, str, bool]]:
         finding = f'missing; pip install "docdepth[{extra}]"' if missing else "installed"
         rows.append((f"extra {extra}", finding, not missing))
     for backend in backends.available():
-        rows.append((f"renderer {backend.name}", backend.finding, backend.well))
+        rows.append((f"renderer {backend.name}", backend.detail, backend.usable))
     return rows
 
 

@@ -98,13 +98,13 @@ def run(
 def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
     """Repeat odometry and deskewing, with other parameters."""
     from docdepth.pipeline import run_odometry
-    from docdepth.pipeline.run_inputs import open_source, poses_of
+    from docdepth.pipeline.run_inputs import known_poses, open_inputs
 
     folder = reopen(run, changes_of(settings), "odometry")
     source = folder.manifest["source"]
-    recording, _ = open_source(source)
+    recording, _ = open_inputs(source)
     with progress_bars() as progress:
-        run_odometry(folder, recording, poses_of(source, recording), progress, threads)
+        run_odometry(folder, recording, known_poses(source, recording), progress, threads)
     show_summary(folder)
 
 
@@ -149,7 +149,7 @@ def render(
     from docdepth.datasets.run import RunDataset
     from docdepth.errors import ConfigError
     from docdepth.pipeline import run_render
-    from docdepth.pipeline.run_inputs import open_source
+    from docdepth.pipeline.run_inputs import open_inputs
     from docdepth.render.backends import choose
 
     drawn_by = choose(renderer)
@@ -171,7 +171,7 @@ def render(
     if source:
         if camera:
             source["camera"] = listed(camera)
-        _, streams = open_source(source)
+        _, streams = open_inputs(source)
         folder.save()
     else:
         streams = list(RunDataset(run).cameras.values())
@@ -192,11 +192,11 @@ def video(
 ) -> None:
     """Write report/video.webm: each image above its depth map."""
     from docdepth.io.run_folder import RunFolder
-    from docdepth.pipeline.run_inputs import stream_of
+    from docdepth.pipeline.run_inputs import recorded_camera
     from docdepth.visualization.video import write_video
 
     folder = RunFolder.open(run)
     name = folder.depth_folder(camera)
     with progress_bars() as progress:
-        path = write_video(folder, name, stream_of(folder, name), fps, progress)
+        path = write_video(folder, name, recorded_camera(folder, name), fps, progress)
     out.print(f"{path}", soft_wrap=True, markup=False)

@@ -10,10 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import CalibrationError
+from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.sensor_rig import SensorRig
 
@@ -52,23 +53,24 @@ class Sweep:
 
 @dataclass(frozen=True)
 class CameraStream:
-    """One camera of the rig: calibration, time of each image, and the images where there are any.
+    """One camera of the vehicle: calibration, time of each image, and the images if available.
 
     Attributes
     ----------
     name : str
     camera : Camera
+        The rectified camera.
     T_camera_lidar : ndarray of float64, shape (4, 4)
-        Takes LiDAR points to the camera.
+        Transforms LiDAR points to the camera.
     times : ndarray of int64, shape (m,)
-        Nanoseconds, on the clock of the sweeps.
+        Time of each image in nanoseconds, on the clock of the sweeps.
     names : list of str
-        Stems of the images; depth maps are written under them.
+        File names of the images without suffix; depth maps get the same names.
     images : list of Path, optional
         Empty when the images are not on disk.
     distortion : ndarray of float64, shape (4,), (5,), (8,), (12,) or (14,), optional
-        Of the images, as OpenCV has it: k1 k2 p1 p2 [k3 ...]. Depth maps are those of the
-        rectified camera with the same K, ``cv2.undistort(image, K, distortion)``.
+        Lens distortion of the images in OpenCV's order: k1 k2 p1 p2 [k3 ...]. Depth maps belong to
+        the rectified camera with the same K, ``cv2.undistort(image, K, distortion)``.
     """
 
     name: str
@@ -86,6 +88,44 @@ class CameraStream:
                 f"{self.name}: distortion must be 4, 5, 8, 12 or 14 numbers k1 k2 p1 p2 [k3 ...], "
                 f"got {d.tolist()}"
             )
+
+    @property
+    def distortion_coefficients(self) -> list[float]:
+        """``distortion`` as numbers; five zeros where there is none."""
+        return [0.0] * 5 if self.distortion is None else self.distortion.tolist()
+
+    def rectified_image(self, index: int) -> NDArray[np.uint8] | None:
+        """Read an image and remove its lens distortion, as depth maps see it.
+
+        Parameters
+        ----------
+        index : int
+            Which of ``images``.
+
+        Returns
+        -------
+        ndarray of uint8, shape (height, width, 3), or None
+            BGR; None when the images are not on disk.
+
+        Raises
+        ------
+        DatasetError
+            The file cannot be read, or its size differs from that of the camera.
+        """
+        if not self.images:
+            return None
+        path, camera = self.images[index], self.camera
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        if image is None:
+            raise DatasetError(f"{path} is not a readable image; replace or remove it")
+        if image.shape[:2] != (camera.height, camera.width):
+            raise DatasetError(
+                f"{path} is {image.shape[1]}x{image.shape[0]} pixels, the calibration is for "
+                f"{camera.width}x{camera.height}; give the right --image-size"
+            )
+        if self.distortion is not None:
+            image = cv2.undistort(image, camera.K, self.distortion)
+        return np.asarray(image, np.uint8)
 
 
 @runtime_checkable

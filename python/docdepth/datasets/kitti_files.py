@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import CalibrationError, DatasetError
+from docdepth.geometry.se3 import nearest_rotation, poses_from
 
 _POINT_BYTES = 16  # x y z reflectance, float32
 
@@ -159,13 +160,11 @@ class Calibration:
         return values.reshape(shape)
 
 
-def rigid(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """4x4 transform of the rotation nearest to a 3x3 matrix printed with few digits."""
-    u, _, vt = np.linalg.svd(rotation)
-    result = np.eye(4)
-    result[:3, :3] = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    result[:3, 3] = translation
-    return result
+def rigid_transform(
+    rotation: NDArray[np.float64], translation: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """4x4 transform; a rotation that is printed with few digits becomes an exact one."""
+    return poses_from([nearest_rotation(rotation)], [translation])[0]
 
 
 def camera_offset(P: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -75,7 +75,7 @@ class KittiOdometry:
         self.times = _times(self.path / "times.txt", self.sweeps)
         calibration = Calibration(self.path / "calib.txt", _REMEDY)
         Tr = calibration.matrix("Tr", 3, 4)
-        T_camera_lidar = kitti_files.rigid(Tr[:, :3], Tr[:, 3])
+        T_camera_lidar = kitti_files.rigid_transform(Tr[:, :3], Tr[:, 3])
         self.poses = _poses(self.path, self.sweeps, T_camera_lidar)
         settings = _settings(self.path / "docdepth.yaml")
         self.motion_compensated: bool = settings["motion_compensated"]
@@ -197,7 +197,9 @@ def _other_lidars(
                 f"{lacking[0]} is in one of {sequence / 'velodyne'} and {folder} only; "
                 "the LiDARs of a sequence measure each sweep together"
             )
-        found.append((folder, inverse(T_camera_lidar) @ kitti_files.rigid(Tr[:, :3], Tr[:, 3])))
+        found.append(
+            (folder, inverse(T_camera_lidar) @ kitti_files.rigid_transform(Tr[:, :3], Tr[:, 3]))
+        )
     return found
 
 

@@ -92,8 +92,12 @@ def _cameras(
 ) -> dict[str, CameraStream]:
     cameras = Calibration(drive.parent / "calib_cam_to_cam.txt", _CALIBRATION)
     velodyne = Calibration(drive.parent / "calib_velo_to_cam.txt", _CALIBRATION)
-    T_camera0_lidar = kitti_files.rigid(velodyne.matrix("R", 3, 3), velodyne.matrix("T", 3))
-    T_rectified_camera0 = kitti_files.rigid(cameras.matrix("R_rect_00", 3, 3), np.zeros(3))
+    T_camera0_lidar = kitti_files.rigid_transform(
+        velodyne.matrix("R", 3, 3), velodyne.matrix("T", 3)
+    )
+    T_rectified_camera0 = kitti_files.rigid_transform(
+        cameras.matrix("R_rect_00", 3, 3), np.zeros(3)
+    )
 
     streams: dict[str, CameraStream] = {}
     for number in ("00", "01", "02", "03"):

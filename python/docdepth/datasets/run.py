@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, Sweep
-from docdepth.io.ply import read_trajectory
+from docdepth.io.frames import read_trajectory
 from docdepth.io.run_folder import RunFolder
 
 

@@ -28,7 +28,7 @@ from docdepth.geometry.sensor_rig import lidar_views
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.render import load_frame
-from docdepth.render.depth_map import render
+from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.selection import needed_frames
 
@@ -190,7 +190,7 @@ class _HeldOutViews:
         frames = {k: self._frames[int(kept[k])] for k in needed}
         # The renderer interpolates the pose between the neighbours; the estimated one is better.
         T_lidar_interpolated = inverse(trajectory.poses[index]) @ others.interpolate(time)[0]
-        return render(
+        return compose_depth(
             self._camera,
             T_camera_lidar @ T_lidar_interpolated,
             others,

@@ -1,4 +1,4 @@
-"""Rigid transforms: checks, inverses, rotations, quaternions and twists."""
+"""Rigid transforms, SE(3): checks, inverses, rotations, quaternions, logarithm and exponential."""
 
 from __future__ import annotations
 
@@ -8,6 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import InputError
+
+_ORTHOGONAL = 1e-3  # of R R^T - I; poses printed with a few digits pass
+_SERIES_ANGLE = 1e-6  # radians; below, the Jacobian's closed form loses digits and a series has all
+_SMALL_ANGLE = 1e-8  # radians; below, the rotation's linear terms are exact
+_NO_SINE = 1e-12  # of half an angle; below, the axis cannot be told and does not matter
+_SHORTEST_QUATERNION = 1e-6
 
 
 def check_rigid(poses: NDArray[np.float64]) -> None:
@@ -22,7 +28,8 @@ def check_rigid(poses: NDArray[np.float64]) -> None:
     finite = np.isfinite(poses).all(axis=(1, 2))
     with np.errstate(invalid="ignore"):
         orthogonal = (
-            np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) < 1e-3
+            np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+            < _ORTHOGONAL
         )
         right_handed = np.linalg.det(np.where(np.isfinite(rotation), rotation, 0)) > 0
         affine = (poses[:, 3] == (0, 0, 0, 1)).all(axis=1)
@@ -48,7 +55,7 @@ def rotation_log(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotation vector (axis times angle in radians, shape (3,)) of a 3x3 rotation."""
     x, y, z, w = matrix_to_quaternion(rotation)
     vector, sine = np.array([x, y, z]), float(np.sqrt(x * x + y * y + z * z))
-    if sine < 1e-12:
+    if sine < _NO_SINE:
         return np.asarray(2.0 * vector)
     return np.asarray(vector * (2.0 * np.arctan2(sine, w) / sine))
 
@@ -61,7 +68,7 @@ def rotation_exp(vector: ArrayLike) -> NDArray[np.float64]:
     zero = np.zeros_like(x)
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
     cross = cross.reshape((*vector.shape[:-1], 3, 3))
-    small = angle < 1e-8
+    small = angle < _SMALL_ANGLE
     safe = np.where(small, 1.0, angle)
     first = np.where(small, 1.0, np.sin(safe) / safe)
     second = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
@@ -69,7 +76,7 @@ def rotation_exp(vector: ArrayLike) -> NDArray[np.float64]:
 
 
 def rotation_power(rotation: NDArray[np.float64], share: float) -> NDArray[np.float64]:
-    """The ``share``-th part of a rotation, along the shorter arc (SLERP from identity)."""
+    """A rotation by ``share`` of the angle, about the same axis (SLERP from identity)."""
     return rotation_exp(share * rotation_log(rotation))
 
 
@@ -94,7 +101,7 @@ def quaternion_to_matrix(quaternion: ArrayLike) -> NDArray[np.float64]:
     """3x3 rotation of a quaternion (x, y, z, w) of any length but zero."""
     q = np.asarray(quaternion, dtype=np.float64)
     norm = float(np.linalg.norm(q))
-    if not np.isfinite(norm) or norm < 1e-6:
+    if not np.isfinite(norm) or norm < _SHORTEST_QUATERNION:
         raise InputError(f"{q.tolist()} is not a quaternion x y z w; its length is {norm}")
     x, y, z, w = q / norm
     return np.array(
@@ -117,30 +124,54 @@ def poses_from(
     return poses
 
 
-def twist(motion: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rotation vector and velocity whose constant action for one unit of time is ``motion``."""
+def nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The rotations nearest to matrices (..., 3, 3), in the Frobenius norm (Kabsch)."""
+    u, _, vt = np.linalg.svd(matrix)
+    signs = np.ones((*u.shape[:-2], 1, 3))
+    signs[..., 0, 2] = np.sign(np.linalg.det(u @ vt))
+    return np.asarray((u * signs) @ vt)
+
+
+def nearest_rigid(pose: ArrayLike) -> NDArray[np.float64]:
+    """The same poses (..., 4, 4) with the nearest rotations; rounding errors do not add up so."""
+    pose = np.array(pose, dtype=np.float64)
+    pose[..., :3, :3] = nearest_rotation(pose[..., :3, :3])
+    return pose
+
+
+def se3_log(motion: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Logarithm of a rigid motion (4, 4).
+
+    Returns
+    -------
+    omega, velocity : ndarray of float64, shape (3,)
+        The twist: rotation vector in radians and velocity in metres that, held for one unit of
+        time, make the motion.
+    """
     motion = np.asarray(motion, dtype=np.float64)
     omega = rotation_log(motion[:3, :3])
     return omega, np.linalg.solve(_left_jacobian(omega), motion[:3, 3])
 
 
-def exp(omega: NDArray[np.float64], velocity: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The motion (4, 4) of a constant twist after one unit of time."""
+def se3_exp(omega: NDArray[np.float64], velocity: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Exponential of a twist: the rigid motion (4, 4) that :func:`se3_log` takes apart."""
     result = np.eye(4)
     result[:3, :3] = rotation_exp(omega)
     result[:3, 3] = _left_jacobian(omega) @ velocity
     return result
 
 
+def skew(v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The matrix [v]x (3, 3) whose product with a vector is the cross product of v with it."""
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
 def _left_jacobian(omega: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The left Jacobian of SO(3) at a rotation vector."""
     angle = float(np.linalg.norm(omega))
-    A = _cross(omega)
-    if angle < 1e-6:
+    A = skew(omega)
+    if angle < _SERIES_ANGLE:
         return np.asarray(np.eye(3) + 0.5 * A + A @ A / 6.0)
     first = (1.0 - np.cos(angle)) / angle**2
     second = (angle - np.sin(angle)) / angle**3
     return np.asarray(np.eye(3) + first * A + second * (A @ A))
-
-
-def _cross(v: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])

@@ -1,8 +1,9 @@
-"""Where the LiDAR was when: poses in time and along the path (paper III-B, sections 4 and 6)."""
+"""The poses of a sensor over time and along its path (paper III-B; interpolation: V-A)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,20 +11,25 @@ from numpy.typing import ArrayLike, NDArray
 from docdepth.errors import InputError
 from docdepth.geometry.se3 import check_rigid, rotation_power
 
-# A pose that lies nearer than this to the last kept one adds no path: standing jitters.
-_JITTER = 0.05
+_JITTER = 0.05  # metres; poses of a standing sensor differ by less
+_EARLY = 0.95  # share of a duration that counts as all of it, since stamps jitter
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Poses of a sensor, sorted by time.
+    """Poses of a sensor, sorted by time. Do not change its arrays: lengths are computed once.
 
     Attributes
     ----------
     times : ndarray of int64, shape (n,)
         Nanoseconds, strictly increasing.
     poses : ndarray of float64, shape (n, 4, 4)
-        ``T_world_lidar``, which takes points of a sweep to the world.
+        ``T_world_lidar``: takes points from the LiDAR frame of a sweep to the world frame.
+
+    Raises
+    ------
+    InputError
+        Shapes do not fit, times do not increase, or a pose is not rigid.
     """
 
     times: NDArray[np.int64]
@@ -50,12 +56,12 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.times)
 
-    @property
+    @cached_property
     def arc_length(self) -> NDArray[np.float64]:
-        """Path length at each pose, shape (n,), in metres; it does not grow while the ego stands.
+        """Path length from the first pose to each pose, shape (n,), metres, read-only.
 
-        Distances are summed over poses at least 5 cm apart, so that the jitter of a standing
-        sensor adds nothing and a crawl is not lost.
+        Distances are summed over poses at least 5 cm apart. So the jitter of a standing sensor
+        adds nothing, and a crawl is not lost.
         """
         positions = self.poses[:, :3, 3]
         arc = np.zeros(len(self))
@@ -65,18 +71,34 @@ class Trajectory:
             if distance >= _JITTER:
                 base, kept = base + distance, positions[i]
             arc[i] = base
+        arc.setflags(write=False)
         return arc
 
-    def subsample(self, spacing: float, duration: float = np.inf) -> NDArray[np.int64]:
-        """Indices of poses at least ``spacing`` metres of path apart, greedily from the first.
+    @cached_property
+    def _elapsed(self) -> NDArray[np.float64]:
+        """Nanoseconds since the first pose, shape (n,); exact for drives of up to 104 days."""
+        return (self.times - self.times[0]).astype(np.float64)
 
-        Or ``duration`` seconds apart, to a twentieth since stamps jitter, whichever comes first.
-        The end of the path is taken too: without it nothing looks back at the last sweeps.
+    def subsample(self, spacing: float, duration: float = np.inf) -> NDArray[np.int64]:
+        """Indices of poses spaced along the path, chosen greedily from the first.
+
+        Parameters
+        ----------
+        spacing : float
+            Least distance along the path between two of them, metres.
+        duration : float
+            A pose that is this many seconds after the last one is taken whatever its distance.
+
+        Returns
+        -------
+        ndarray of int64, shape (k,)
+            Increasing. The end of the path is taken too: without it no key frame would look back
+            at the last sweeps.
         """
-        arc, seconds = self.arc_length, (self.times - self.times[0]) * 1e-9
+        arc, seconds = self.arc_length.tolist(), ((self.times - self.times[0]) * 1e-9).tolist()
         kept = [0]
         for i in range(1, len(self)):
-            overdue = seconds[i] - seconds[kept[-1]] >= 0.95 * duration
+            overdue = seconds[i] - seconds[kept[-1]] >= _EARLY * duration
             if overdue or arc[i] - arc[kept[-1]] >= spacing:
                 kept.append(i)
         if arc[-1] > arc[kept[-1]]:
@@ -85,7 +107,11 @@ class Trajectory:
 
     def nearest(self, time: int) -> int:
         """Index of the pose nearest in time to ``time`` [ns]; the earlier one on a tie."""
-        return int(np.argmin(np.abs(self.times - np.int64(time))))
+        after = int(np.searchsorted(self.times, np.int64(time)))
+        if after in (0, len(self)):
+            return min(after, len(self) - 1)
+        late = int(self.times[after]) - int(time)
+        return after if late < int(time) - int(self.times[after - 1]) else after - 1
 
     def covers(self, times: ArrayLike) -> NDArray[np.bool_]:
         """Which of ``times`` [ns] lie between the first and the last pose."""
@@ -94,7 +120,9 @@ class Trajectory:
         return covered
 
     def interpolate(self, times: ArrayLike) -> NDArray[np.float64]:
-        """Poses between sweeps: linear in position, SLERP in rotation (shorter arc).
+        """Poses at any time within the trajectory (paper V-A).
+
+        Positions are interpolated linearly, rotations by SLERP along the shorter arc.
 
         Parameters
         ----------
@@ -135,22 +163,18 @@ class Trajectory:
         return result
 
     def velocity(self, index: int) -> NDArray[np.float64]:
-        """Of the sensor at pose ``index``, (3,) in its frame, metres a second; 0 of a single pose.
+        """Velocity at pose ``index`` in the sensor's frame, shape (3,), metres a second.
 
-        By way and time between the poses before and after.
+        By central differences, at the ends one-sided; 0 for a single pose.
         """
         before, after = max(index - 1, 0), min(index + 1, len(self) - 1)
         seconds = (self.times[after] - self.times[before]) * 1e-9
-        way: NDArray[np.float64] = self.poses[after, :3, 3] - self.poses[before, :3, 3]
-        return way @ self.poses[index, :3, :3] / (seconds or 1.0)
+        distance: NDArray[np.float64] = self.poses[after, :3, 3] - self.poses[before, :3, 3]
+        return distance @ self.poses[index, :3, :3] / (seconds or 1.0)
 
     def arc_length_at(self, times: ArrayLike) -> NDArray[np.float64]:
-        """Path length at ``times`` [ns], linear between poses."""
+        """Path length at ``times`` [ns], metres, linear between poses."""
         times = np.atleast_1d(np.asarray(times, dtype=np.int64))
-        start = self.times[0]
-        arc: NDArray[np.float64] = np.interp(
-            (times - start).astype(np.float64),
-            (self.times - start).astype(np.float64),
-            self.arc_length,
-        )
+        elapsed = (times - self.times[0]).astype(np.float64)
+        arc: NDArray[np.float64] = np.interp(elapsed, self._elapsed, self.arc_length)
         return arc

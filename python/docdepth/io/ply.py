@@ -1,250 +1,281 @@
-"""Trajectories and frames as PLY, in the layout of the official DOC-Depth release."""
+"""PLY files: the scalar properties of their vertices, in every layout that the format knows.
+
+Text and binary, either byte order, elements in any order. Elements before the vertices are skipped,
+lists and all; what follows the vertices is not read.
+"""
 
 from __future__ import annotations
 
+import os
+import struct
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement, PlyParseError
 
 from docdepth.errors import RunError
-from docdepth.geometry.se3 import matrix_to_quaternion, poses_from, quaternion_to_matrix
-from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
 
-_SECOND = 1_000_000_000
-
-_TRAJECTORY = np.dtype(
-    [(name, "<f8") for name in ("x", "y", "z", "q_w", "q_x", "q_y", "q_z", "timestamp")]
-    # A double loses the nanoseconds of a clock that counts from 1970, so they stand apart.
-    + [("indices", "<i4"), ("seconds", "<u4"), ("nanoseconds", "<u4")]
-)
+_BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 _SCALARS = {
-    **{"char": "<i1", "uchar": "<u1", "short": "<i2", "ushort": "<u2", "int": "<i4"},
-    **{"uint": "<u4", "float": "<f4", "double": "<f8", "int8": "<i1", "uint8": "<u1"},
-    **{"int16": "<i2", "uint16": "<u2", "int32": "<i4", "uint32": "<u4"},
-    **{"float32": "<f4", "float64": "<f8"},
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4"},
+    **{"uint32": "u4", "float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
+_NAMES = {
+    code: name for name, code in reversed(_SCALARS.items())
+}  # the older names, which all read
 
-_EXTRA = {
-    "classid": "<u2",
-    "votes_static": "<u2",
-    "votes_dynamic": "<u2",
-    "time_offset": "<f4",
-    "sensor": "<u1",
-}
+_TEXT = ("utf-8", "surrogateescape")  # of headers: comments hold names of files, whatever they are
+_LONGEST_LINE = 1 << 16  # bytes of a header line: a file without line ends is not read as a whole
+_MOST_DIGITS = 18  # of a count: it fits in an int64
+
+
+class _Damaged(Exception):
+    """What is wrong with a file, without its name."""
 
 
 @dataclass(frozen=True)
-class FrameRecord:
-    """One deskewed sweep of a run folder.
-
-    Attributes
-    ----------
-    points : ndarray of float32, shape (N, 3)
-        LiDAR frame at the sweep's stamp, metres; usable returns only.
-    index : ndarray of uint32, shape (N,)
-        Row of each point in the input sweep.
-    name : str
-        Stem of the input file.
-    input_points : int
-        Rows of the input sweep.
-    key : dict
-        Which parameters made this file, a hash for each stage.
-    classid : ndarray of uint16, shape (N,), optional
-        Below 50 ground, 50 to 99 static, 100 and above dynamic.
-    votes_static, votes_dynamic : ndarray of uint16, shape (N,), optional
-    time_offset : ndarray of float32, shape (N,), optional
-        When each point was measured, seconds after the sweep's stamp.
-    sensor : ndarray of uint8, shape (N,), optional
-        Which LiDAR, or which of its lasers, measured each point; see :class:`SensorRig`.
-    """
-
-    points: NDArray[np.float32]
-    index: NDArray[np.uint32]
+class _Property:
     name: str
-    input_points: int
-    key: dict[str, str]
-    classid: NDArray[np.uint16] | None = None
-    votes_static: NDArray[np.uint16] | None = None
-    votes_dynamic: NDArray[np.uint16] | None = None
-    time_offset: NDArray[np.float32] | None = None
-    sensor: NDArray[np.uint8] | None = None
+    scalar: str  # numpy's type code
+    count: str | None = None  # type code of the length, where the property is a list
 
 
-def write_trajectory(path: Path, trajectory: Trajectory, indices: NDArray[np.int64]) -> None:
-    """Write poses as ``x y z q_w q_x q_y q_z timestamp indices``, doubles, seconds."""
-    rows = np.zeros(len(trajectory), _TRAJECTORY)
-    rows["x"], rows["y"], rows["z"] = trajectory.poses[:, :3, 3].T
-    quaternions = np.array([matrix_to_quaternion(pose[:3, :3]) for pose in trajectory.poses])
-    rows["q_x"], rows["q_y"], rows["q_z"], rows["q_w"] = quaternions.T
-    rows["timestamp"] = trajectory.times / _SECOND
-    rows["seconds"], rows["nanoseconds"] = np.divmod(trajectory.times, _SECOND)
-    rows["indices"] = indices
-    _write(path, rows, [])
+@dataclass
+class _Element:
+    name: str
+    count: int
+    properties: list[_Property]
+
+    def dtype(self, byte_order: str) -> np.dtype[Any]:
+        """Of a row; refused where a property is a list, or two have one name."""
+        lists = [p.name for p in self.properties if p.count]
+        if lists:
+            raise _Damaged(f"property {lists[0]} of its {self.name} is a list, not a number")
+        if not self.properties:
+            raise _Damaged(f"its {self.name} has no properties")
+        try:
+            return np.dtype([(p.name, (byte_order or "<") + p.scalar) for p in self.properties])
+        except ValueError as error:
+            raise _Damaged(str(error)) from None
 
 
-def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
-    """Poses and their frame indices; ``qx`` for ``q_x`` is understood too.
-
-    Raises
-    ------
-    RunError
-        The file is missing, truncated or lacks a column.
-    """
-    rows, _ = _read(path)
-    names = rows.dtype.names or ()
-    try:
-        quaternions = np.stack(
-            [rows[f"q_{a}" if f"q_{a}" in names else f"q{a}"] for a in "xyzw"], axis=1
-        )
-        positions = np.stack([rows[a] for a in "xyz"], axis=1)
-        if "nanoseconds" in names:
-            times = rows["seconds"].astype(np.int64) * _SECOND + rows["nanoseconds"]
-        else:
-            times = np.round(rows["timestamp"] * _SECOND).astype(np.int64)
-        indices = rows["indices"].astype(np.int64)
-    except (KeyError, ValueError) as error:
-        raise RunError(
-            f"{path}: {error}; a trajectory has x y z q_w q_x q_y q_z timestamp indices"
-        ) from None
-    poses = poses_from([quaternion_to_matrix(q) for q in quaternions], positions)
-    return Trajectory(times, poses), indices
+@dataclass
+class _Header:
+    byte_order: str | None
+    elements: list[_Element]
+    comments: list[str]
 
 
-def write_frame(path: Path, frame: FrameRecord) -> None:
-    """Write a frame; labels, votes and times only when there are any."""
-    fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("index", "<u4")]
-    extra = {name: getattr(frame, name) for name in _EXTRA if getattr(frame, name) is not None}
-    fields += [(name, _EXTRA[name]) for name in extra]
-    rows = np.empty(len(frame.points), np.dtype(fields))
-    # Numpy is slow where both sides are strided and one of them is not aligned.
-    rows["x"], rows["y"], rows["z"] = np.ascontiguousarray(frame.points.T)
-    rows["index"] = frame.index
-    for name, values in extra.items():
-        rows[name] = values
-    comments = [f"name {frame.name}", f"input_points {frame.input_points}"]
-    comments += [f"key {stage} {key}" for stage, key in frame.key.items()]
-    _write(path, rows, comments)
+def write_vertices(path: Path, rows: NDArray[Any], comments: list[str]) -> None:
+    """Write the rows of a structured array as a little-endian PLY file, whole or not at all.
 
-
-def read_frame(path: Path) -> FrameRecord:
-    """Read a frame of ours or of the official release (then every row is its own index).
+    Parameters
+    ----------
+    path : Path
+    rows : structured ndarray, shape (n,)
+        A field for each property, of 1 to 4 byte integers or 4 or 8 byte floats.
+    comments : list of str
+        Lines for the header.
 
     Raises
     ------
     RunError
-        The file is missing, truncated or has no coordinates.
+        The file cannot be written.
     """
-    rows, comments = _read(path)
-    names = rows.dtype.names or ()
-    points = _points(path, rows)
-    notes = _notes(comments)
+    rows = np.ascontiguousarray(rows.astype(rows.dtype.newbyteorder("<"), copy=False))
+    fields = [(name, rows.dtype[name].str[1:]) for name in rows.dtype.names or ()]
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *(f"comment {' '.join(comment.splitlines())}" for comment in comments),
+        f"element vertex {len(rows)}",
+        *(f"property {_NAMES[code]} {name}" for name, code in fields),
+        "end_header",
+    ]
+    header = "".join(f"{line}\n" for line in lines).encode(*_TEXT)
 
-    def column(name: str) -> NDArray[Any] | None:
-        return np.ascontiguousarray(rows[name], _EXTRA[name]) if name in names else None
+    def write(stream: BinaryIO) -> None:
+        stream.write(header)
+        stream.write(rows.view(np.uint8).data)
 
-    index = (
-        rows["index"].astype(np.uint32)
-        if "index" in names
-        else np.arange(len(rows), dtype=np.uint32)
-    )
-    return FrameRecord(
-        points,
-        index,
-        notes.get("name", path.stem),
-        int(notes.get("input_points", len(rows))),
-        {k.removeprefix("key "): v for k, v in notes.items() if k.startswith("key ")},
-        *map(column, _EXTRA),
-    )
+    write_atomically(path, write)
 
 
-def read_points(path: Path) -> NDArray[np.float32]:
-    """The points of a frame alone."""
-    return _points(path, _read(path)[0])
+def read_vertices(path: Path) -> tuple[NDArray[Any], list[str]]:
+    """Rows of the element ``vertex``, and the comments of the header.
 
+    Parameters
+    ----------
+    path : Path
 
-def read_frame_key(path: Path) -> dict[str, str]:
-    """Which parameters made a frame, from its header alone; empty when there is no such file."""
-    if not path.is_file():
-        return {}
-    with path.open("rb") as stream:
-        notes = _notes(_header(stream)[1])
-    return {k.removeprefix("key "): v for k, v in notes.items() if k.startswith("key ")}
+    Returns
+    -------
+    structured ndarray, shape (n,)
+        A field for each property, in the byte order of the machine.
+    list of str
 
-
-def _points(path: Path, rows: NDArray[Any]) -> NDArray[np.float32]:
-    if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
-        raise RunError(f"{path}: has no x y z")
-    return np.stack([np.ascontiguousarray(rows[name], np.float32) for name in "xyz"], axis=1)
-
-
-def _notes(comments: list[str]) -> dict[str, str]:
-    notes = {}
-    for comment in comments:
-        name, _, value = comment.partition(" ")
-        if name == "key":
-            stage, _, value = value.partition(" ")
-            name = f"key {stage}"
-        notes[name] = value
-    return notes
-
-
-def _write(path: Path, rows: NDArray[Any], comments: list[str]) -> None:
-    element = PlyElement.describe(rows, "vertex")
-    write_atomically(path, PlyData([element], byte_order="<", comments=comments).write)
-
-
-def _read(path: Path) -> tuple[NDArray[Any], list[str]]:
+    Raises
+    ------
+    RunError
+        The file is missing, no PLY file or damaged, or a property of its vertices is a list.
+    """
     try:
-        with path.open("rb") as stream:
-            lines, comments = _header(stream)
-            layout = _layout(lines)
-            if layout is not None:
-                count, dtype = layout
-                rows = np.fromfile(stream, dtype, count)
-                if len(rows) != count:
-                    raise ValueError(f"{len(rows)} of {count} rows are there")
-                return rows, comments
-        data = PlyData.read(path)
-        return data["vertex"].data, list(data.comments)
+        with Path(path).open("rb") as stream:
+            header = _read_header(stream)
+            size = os.fstat(stream.fileno()).st_size
+            return _read_rows(stream, size, header), header.comments
     except FileNotFoundError:
         raise RunError(f"{path} is missing; run the stage that writes it") from None
-    except (PlyParseError, KeyError, UnicodeDecodeError, ValueError) as error:
+    except OSError as error:
+        raise RunError(f"{path} cannot be read: {error.strerror or error}") from None
+    except _Damaged as error:
         raise RunError(f"{path} is damaged ({error}); delete it and run the stage again") from None
 
 
-def _header(stream: BinaryIO) -> tuple[list[str], list[str]]:
-    """Lines of a header but its comments, and these; no lines where it has no end."""
-    lines, comments = [], []
-    for raw in stream:
-        line = raw.decode("ascii", "replace").strip()
-        if line == "end_header":
-            break
-        if line.startswith("comment "):
-            comments.append(line.removeprefix("comment "))
+def read_comments(path: Path) -> list[str]:
+    """The comments of a header; none where the file is missing or its header is damaged."""
+    try:
+        with Path(path).open("rb") as stream:
+            return _read_header(stream).comments
+    except (OSError, _Damaged):
+        return []
+
+
+def _read_header(stream: BinaryIO) -> _Header:
+    if _read_line(stream) != "ply":
+        raise _Damaged("it does not begin with 'ply'")
+    header = _Header(None, [], [])
+    while (line := _read_line(stream)) != "end_header":
+        keyword, _, rest = line.partition(" ")
+        if keyword == "comment":
+            header.comments.append(rest)
+        elif keyword == "format":
+            words = rest.split()
+            if len(words) != 2 or words[0] not in _BYTE_ORDERS or words[1] != "1.0":
+                raise _Damaged(f"its format {rest!r} is unknown")
+            header.byte_order = _BYTE_ORDERS[words[0]]
+        elif keyword == "element":
+            header.elements.append(_parse_element(line.split()))
+        elif keyword == "property" and header.elements:
+            header.elements[-1].properties.append(_parse_property(line.split()))
+        elif keyword not in ("obj_info", ""):
+            raise _Damaged(f"{line[:60]!r} is no line of a header")
+    if header.byte_order is None:
+        raise _Damaged("its header names no format")
+    return header
+
+
+def _read_line(stream: BinaryIO) -> str:
+    line = stream.readline(_LONGEST_LINE)
+    if not line.endswith(b"\n"):
+        raise _Damaged("its header has no end")
+    text = line.decode(*_TEXT).rstrip("\r\n")
+    return text if text.startswith("comment ") else text.strip()
+
+
+def _parse_element(words: list[str]) -> _Element:
+    if len(words) != 3 or not words[2].isascii() or not words[2].isdigit():
+        raise _Damaged(f"{' '.join(words)[:60]!r} tells no number of rows")
+    if len(words[2]) > _MOST_DIGITS:
+        raise _Damaged(f"nothing has {words[2][:20]}... rows")
+    return _Element(words[1], int(words[2]), [])
+
+
+def _parse_property(words: list[str]) -> _Property:
+    types = words[1:-1]
+    if types[:1] == ["list"]:
+        types = types[1:]
+        lists = len(types) == 2 and _SCALARS.get(types[0], "f")[0] != "f"
+        if lists and types[1] in _SCALARS:
+            return _Property(words[-1], _SCALARS[types[1]], _SCALARS[types[0]])
+    elif len(types) == 1 and types[0] in _SCALARS:
+        return _Property(words[-1], _SCALARS[types[0]])
+    raise _Damaged(f"{' '.join(words)[:60]!r} has a type that PLY lacks")
+
+
+def _read_rows(stream: BinaryIO, size: int, header: _Header) -> NDArray[Any]:
+    """Rows of the vertices, from a stream that stands after the header."""
+    for element in header.elements:
+        if element.name != "vertex":
+            _skip(stream, size, element, header.byte_order or "")
+        elif header.byte_order:
+            return _read_binary(stream, size, element, header.byte_order)
         else:
-            lines.append(line)
-    else:
-        lines.clear()
-    return lines, comments
+            return _read_text(stream, size, element)
+    raise _Damaged("it has no element 'vertex'")
 
 
-def _layout(lines: list[str]) -> tuple[int, np.dtype[Any]] | None:
-    """Rows and their type, if they are all there is and laid out as numpy has it.
+def _read_binary(stream: BinaryIO, size: int, element: _Element, byte_order: str) -> NDArray[Any]:
+    dtype = element.dtype(byte_order)
+    whole = (size - stream.tell()) // dtype.itemsize
+    if whole < element.count:  # before memory is taken for rows that are not there
+        raise _Damaged(f"{whole} of {element.count} rows are there")
+    rows = np.fromfile(stream, dtype, element.count)
+    return rows if byte_order == "<" else rows.astype(dtype.newbyteorder("<"))
 
-    plyfile reads a header letter by letter; for files that are read again by each stage that takes
-    as long as their points.
-    """
-    if lines[:2] != ["ply", "format binary_little_endian 1.0"] or len(lines) < 3:
-        return None
-    element, *properties = [line.split() for line in lines[2:]]
-    if element[:2] != ["element", "vertex"] or len(element) != 3:
-        return None
-    if any(len(p) != 3 or p[0] != "property" or p[1] not in _SCALARS for p in properties):
-        return None
-    return int(element[2]), np.dtype([(name, _SCALARS[scalar]) for _, scalar, name in properties])
+
+def _read_text(stream: BinaryIO, size: int, element: _Element) -> NDArray[Any]:
+    dtype = element.dtype("")
+    columns = len(element.properties)
+    # A number and what parts it from the next are two bytes at least.
+    if element.count * 2 * columns > size - stream.tell() + 1:
+        raise _Damaged(f"it is too short for {element.count} rows")
+    words = [line.split() for line in islice(stream, element.count)]
+    if len(words) < element.count:
+        raise _Damaged(f"{len(words)} of {element.count} rows are there")
+    wrong = next((k for k, row in enumerate(words) if len(row) != columns), None)
+    if wrong is not None:
+        raise _Damaged(f"row {wrong} has {len(words[wrong])} numbers, not {columns}")
+    try:
+        values = np.array(words, dtype="S").astype(np.float64).reshape(len(words), columns)
+    except (ValueError, UnicodeDecodeError):
+        raise _Damaged("a row holds what is no number") from None
+    rows = np.empty(len(words), dtype)
+    for column, name in zip(values.T, dtype.names or (), strict=True):
+        if dtype[name].kind in "iu":
+            limits = np.iinfo(dtype[name])
+            if not ((column >= limits.min) & (column <= limits.max) & (column % 1 == 0)).all():
+                raise _Damaged(f"a value of {name} is no {_NAMES[dtype[name].str[1:]]}")
+        with np.errstate(over="ignore"):
+            rows[name] = column
+    return rows
+
+
+def _skip(stream: BinaryIO, size: int, element: _Element, byte_order: str) -> None:
+    """Pass the rows of an element that is not wanted."""
+    if not byte_order:
+        skipped = sum(1 for _ in islice(stream, element.count))
+        if skipped < element.count:
+            raise _Damaged(f"{skipped} of {element.count} rows of its {element.name} are there")
+        return
+    sizes = [np.dtype(p.count or p.scalar).itemsize for p in element.properties]
+    if stream.tell() + element.count * sum(sizes) > size:
+        raise _Damaged(f"it is too short for {element.count} rows of its {element.name}")
+    if not any(p.count for p in element.properties):
+        stream.seek(element.count * sum(sizes), os.SEEK_CUR)
+        return
+    for _ in range(element.count):
+        for one in element.properties:
+            length = 1
+            if one.count:
+                length = _read_number(stream, byte_order, one.count)
+            stream.seek(length * np.dtype(one.scalar).itemsize, os.SEEK_CUR)
+    if stream.tell() > size:
+        raise _Damaged(f"it ends within its {element.name}")
+
+
+def _read_number(stream: BinaryIO, byte_order: str, code: str) -> int:
+    number = np.dtype(code)
+    data = stream.read(number.itemsize)
+    if len(data) < number.itemsize:
+        raise _Damaged("it ends within a list")
+    value: int = struct.unpack(byte_order + number.char, data)[0]
+    if value < 0:
+        raise _Damaged(f"a list has {value} entries")
+    return value

@@ -16,6 +16,7 @@ from docdepth.errors import InputError, OdometryError
 from docdepth.geometry.se3 import (
     check_rigid,
     matrix_to_quaternion,
+    nearest_rigid,
     poses_from,
     quaternion_to_matrix,
 )
@@ -144,10 +145,7 @@ def _from_tum(rows: NDArray[np.float64], path: Path | str) -> NDArray[np.float64
 def _from_kitti(rows: NDArray[np.float64], path: Path | str) -> NDArray[np.float64]:
     matrices = rows.reshape(-1, 3, 4)
     poses = _checked(poses_from(list(matrices[:, :, :3]), matrices[:, :, 3]), path)
-    # Printed with few digits a matrix is a rotation only nearly: take the nearest one.
-    u, _, vt = np.linalg.svd(poses[:, :3, :3])
-    poses[:, :3, :3] = u @ vt
-    return poses
+    return nearest_rigid(poses)  # printed with few digits, matrices are not quite rotations
 
 
 def _checked(poses: NDArray[np.float64], path: Path | str) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""The run folder: what each stage leaves for the next, in the official DOC-Depth layout."""
+"""The run folder: the results of each stage, in the layout of the official DOC-Depth release."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
-from docdepth.io.ply import (
+from docdepth.io.frames import (
     FrameRecord,
     read_frame,
     read_frame_key,
@@ -30,12 +30,24 @@ from docdepth.io.ply import (
     write_frame,
 )
 
+_SENSOR_NAMES = ("T_lidar_sensor", "lateral_offset", "lidar_id")  # arrays of sensors.npz
+_OLD_SENSOR_NAMES = {"aside": "lateral_offset", "head": "lidar_id"}  # read for one release
+
 
 class RunFolder:
-    """A folder that holds one run.
+    """The files of one run.
 
-    ``run.yaml`` tells the dataset, the parameters and the state of each stage; everything else is
-    data. Files appear under their final names only when they are whole.
+    ``run.yaml`` holds the inputs (``source``), the parameters and the state of each stage. All
+    other files are results:
+
+    - ``traj_odometry.ply``: LiDAR poses; ``frames/frame_NNNNNN.ply``: deskewed sweeps, with classes
+      once they are classified; ``sensors.npz``: where the LiDARs or their lasers sit;
+    - ``labels/NAME.label``: a SemanticKITTI label for each point of the input;
+    - ``calib.json``, ``calib_lidar_ref_cam.txt``, ``traj_camera.ply``: the camera; of several
+      cameras, and of virtual ones, in ``cameras/NAME/``;
+    - ``depth/``: depth maps.
+
+    A file has its final name only when it is whole.
     """
 
     def __init__(self, path: Path) -> None:
@@ -49,12 +61,15 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: Path, source: dict[str, Any], parameters: Parameters) -> RunFolder:
-        """Begin a run, or go on with the one that is there if it is the same.
+        """Start a run, or continue the one in this folder if inputs and parameters are the same.
 
         Parameters
         ----------
+        path : Path
         source : dict
-            What is being run: dataset, camera, poses; plain YAML values.
+            The inputs: dataset, camera, poses and more, plain YAML values; see
+            :mod:`docdepth.pipeline.run_inputs`.
+        parameters : Parameters
 
         Raises
         ------
@@ -80,12 +95,12 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path) -> RunFolder:
-        """A run that exists.
+        """An existing run, or an official DOC-Depth folder without run.yaml.
 
         Raises
         ------
         RunError
-            There is none; an official DOC-Depth folder without run.yaml is accepted.
+            The folder holds neither.
         """
         run = cls(path)
         if not run.manifest:
@@ -107,7 +122,7 @@ class RunFolder:
 
     @property
     def parameters(self) -> Parameters:
-        """The parameters that the run was made with."""
+        """The parameters of the run."""
         try:
             return Parameters.model_validate(self.manifest["parameters"])
         except (KeyError, ValueError) as error:
@@ -119,7 +134,7 @@ class RunFolder:
         write_atomically(self._manifest_path, lambda stream: stream.write(text.encode()))
 
     def stage(self, name: str) -> dict[str, Any]:
-        """State of a stage as run.yaml keeps it."""
+        """State of a stage in run.yaml; empty before it starts."""
         return dict(self.manifest["stages"].get(name, {}))
 
     def set_stage(self, name: str, **state: Any) -> None:
@@ -140,7 +155,7 @@ class RunFolder:
         Raises
         ------
         RunError
-            It has none.
+            The frame has no classes.
         """
         record = self.frame(index)
         if record.classid is None:
@@ -150,21 +165,18 @@ class RunFolder:
         return record, record.classid
 
     def points(self, index: int) -> NDArray[np.float32]:
-        """The points of frame number ``index``, faster than all of it."""
+        """The points of frame number ``index``; faster than reading the whole frame."""
         return read_points(self.frame_path(index))
 
     def sensor_rig(self, frame: FrameRecord) -> SensorRig | None:
-        """Where a frame was measured from, if not from the origin."""
+        """Where the rays of a frame begin; None where they begin at the origin."""
         return None if frame.sensor is None else SensorRig(frame.sensor, **self._sensors)
 
     def write_sensors(self, sensor_rig: SensorRig) -> None:
-        """Keep where the LiDARs, or their lasers, sit: once for all frames."""
-        kept = {
-            name: getattr(sensor_rig, name)
-            for name in ("T_lidar_sensor", "lateral_offset", "lidar_id")
-        }
+        """Write where the LiDARs or their lasers sit, once for all frames."""
+        kept = {name: getattr(sensor_rig, name) for name in _SENSOR_NAMES}
         write_atomically(self._sensors_path, lambda stream: np.savez(stream, **kept))
-        self.__dict__.pop("_sensors", None)  # what was read before
+        self.__dict__.pop("_sensors", None)  # the cache of what was read before
 
     @property
     def _sensors_path(self) -> Path:
@@ -174,14 +186,14 @@ class RunFolder:
     def _sensors(self) -> dict[str, NDArray[Any]]:
         try:
             with np.load(self._sensors_path) as kept:
-                return dict(kept)
+                return {_OLD_SENSOR_NAMES.get(name, name): kept[name] for name in kept}
         except FileNotFoundError:
             raise RunError(
                 f"{self._sensors_path} is missing; run again: docdepth odometry {self.path}"
             ) from None
 
     def frame_key(self, index: int) -> dict[str, str]:
-        """Which parameters made frame ``index``; empty when it is not there."""
+        """Hash of the parameters that made frame ``index``, by stage; empty if it is missing."""
         return read_frame_key(self.frame_path(index))
 
     def write_frame(self, index: int, frame: FrameRecord) -> None:
@@ -197,7 +209,7 @@ class RunFolder:
         return trajectory
 
     def calibration_folder(self, camera: str = "") -> Path:
-        """Where a camera's calibration and trajectory are: here, or its own folder."""
+        """Folder of a camera's calibration and trajectory; ``camera`` is one among several."""
         return self.path / "cameras" / camera if camera else self.path
 
     def write_calibration(
@@ -212,9 +224,9 @@ class RunFolder:
         Parameters
         ----------
         distortion : sequence of float
-            Of its images before they are rectified, as OpenCV has it.
+            Of the images before they are rectified, in OpenCV's order.
         name : str
-            Of one camera among several.
+            The camera, if there are several.
         """
         folder = self.calibration_folder(name)
         calibration = {
@@ -266,12 +278,12 @@ class RunFolder:
         return Camera(K, int(width), int(height)), T_camera_lidar, distortion
 
     def depth_folder(self, camera: str | None = None) -> str:
-        """The folder in ``depth/`` of a camera, empty where there is but one.
+        """The folder of a camera inside ``depth/``; empty if the run has only one camera.
 
         Raises
         ------
         RunError
-            There is no such camera, or there are several and none was named.
+            There is no such camera, or there are several and none is named.
         """
         apart = sorted(p.name for p in (self.path / "depth").glob("*") if p.is_dir())
         stage = self.stage("render")
@@ -289,7 +301,7 @@ class RunFolder:
         )
 
     def clear(self, folder: str) -> None:
-        """Delete the files of an output folder whose parameters have changed."""
+        """Delete the files of an output folder."""
         for path in sorted((self.path / folder).glob("*")):
             with contextlib.suppress(IsADirectoryError, PermissionError):
                 path.unlink()
@@ -298,7 +310,7 @@ class RunFolder:
 
 
 def stage_key(*parts: Any) -> str:
-    """Short hash of what a stage's result depends on."""
+    """Short hash of all that a stage's result depends on."""
     text = json.dumps(parts, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

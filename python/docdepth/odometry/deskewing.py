@@ -1,4 +1,4 @@
-"""Sweeps as if measured in one instant (paper III-B)."""
+"""Deskewing: sweeps as if measured in one instant (paper III-B)."""
 
 from __future__ import annotations
 
@@ -9,26 +9,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import InputError
 from docdepth.geometry.points import usable_points
-from docdepth.geometry.se3 import _cross, exp, inverse, twist
+from docdepth.geometry.se3 import inverse, se3_exp, se3_log, skew
 
-AROUND = 2
-"""Sweeps on either side whose poses tell the motion of one."""
+NEIGHBORS = 2
+"""Sweeps on either side whose poses give the motion of one."""
+
+_STRAIGHT = 1e-9  # radians a sweep; a smaller turn moves no point by a micrometre
 
 
 def deskew(
     points: NDArray[np.float32], relative_time: NDArray[np.float32], motion: ArrayLike
 ) -> NDArray[np.float32]:
-    """Move each point to where it was at the sweep's stamp, had the sensor measured it then.
+    """Move each point to where the sensor would have measured it at the sweep's stamp.
 
     Parameters
     ----------
     points : ndarray of float32, shape (N, 3)
         In the sensor's frame at the time of each point.
     relative_time : ndarray of float32, shape (N,)
-        Time of each point after the stamp, in sweeps (:class:`~docdepth.datasets.base.Sweep`).
+        Time of each point after the stamp, as a share of the sweep's duration.
     motion : array_like of float64, shape (4, 4)
-        The sensor's pose one sweep after the stamp, in its frame at the stamp. Turning and
-        driving are taken to be constant meanwhile (a screw).
+        The sensor's pose one sweep after the stamp, in its frame at the stamp. Angular and linear
+        velocity are constant during the sweep (a screw motion).
 
     Returns
     -------
@@ -48,17 +50,17 @@ def deskew(
     usable = usable_points(points)
     if not np.isfinite(relative_time[usable]).all():
         raise InputError("a usable point has no finite time; drop it or give it one")
-    omega, velocity = twist(motion)
+    omega, velocity = se3_log(motion)
     angle = float(np.linalg.norm(omega))
     share = np.where(usable, relative_time, 0).astype(np.float32)
     x, y, z = (np.where(usable, points[:, k], 0).astype(np.float32) for k in range(3))
-    if angle < 1e-9:
+    if angle < _STRAIGHT:
         moved = [p + share * np.float32(v) for p, v in zip((x, y, z), velocity, strict=True)]
     else:
-        # exp(share * twist) applied to p, sorted by what depends on the point's time:
+        # The exponential of share * twist applied to p, sorted by what depends on the time:
         # p + sin a (A p + b) + (1 - cos a)(A A p + c) + share d, a = share * angle, A = [axis]x.
         axis = omega / angle
-        A = _cross(axis)
+        A = skew(axis)
         sine = np.sin(share * np.float32(angle))
         half = np.sin(share * np.float32(0.5 * angle))
         versine = np.float32(2) * half * half
@@ -84,21 +86,21 @@ def centred_motion(
     times: ArrayLike | None = None,
     frames: Sequence[int] | None = None,
 ) -> NDArray[np.float64]:
-    """Motion of the sensor during one sweep around each stamp, fitted to the poses around it.
+    """Motion of the sensor during one sweep around each stamp, fitted to neighbouring poses.
 
-    A straight line of twists through the poses of up to two sweeps before and two after: of poses
-    that jitter by a centimetre, half as much reaches the points as with one sweep on either side.
+    The fit is a straight line through the twists to up to two poses before and two after. It passes
+    half as much jitter of the poses on to the points as one neighbour on either side would.
 
     Parameters
     ----------
     poses : ndarray of float64, shape (n, 4, 4)
         ``T_world_lidar`` at each stamp.
     times : array_like of int64, shape (n,), optional
-        Nanoseconds; without them the sweeps follow each other evenly. The duration of a sweep is
-        the median distance of stamps, so that a lost sweep does not double the motion.
+        Nanoseconds; without them sweeps are evenly spaced. A sweep lasts the median difference of
+        stamps, so that a lost sweep does not double the motion.
     frames : sequence of int, optional
-        Sweeps that are asked for, all of them by default. Only the poses up to :data:`AROUND`
-        sweeps away from these count.
+        Sweeps whose motion is wanted, all by default. Only poses up to :data:`NEIGHBORS` sweeps
+        away from these are used.
 
     Returns
     -------
@@ -113,11 +115,11 @@ def centred_motion(
     sweeps = (stamps - stamps[0]) / float(np.median(np.diff(stamps)))
     motions = np.empty((len(frames), 4, 4))
     for row, k in enumerate(frames):
-        around = np.arange(max(k - AROUND, 0), min(k + AROUND, n - 1) + 1)
-        twists = np.array([np.concatenate(twist(inverse(poses[k]) @ poses[j])) for j in around])
+        around = np.arange(max(k - NEIGHBORS, 0), min(k + NEIGHBORS, n - 1) + 1)
+        twists = np.array([np.concatenate(se3_log(inverse(poses[k]) @ poses[j])) for j in around])
         x = sweeps[around] - sweeps[around].mean()
         slope = x @ twists / (x @ x)
-        motions[row] = exp(slope[:3], slope[3:])
+        motions[row] = se3_exp(slope[:3], slope[3:])
     return motions
 
 

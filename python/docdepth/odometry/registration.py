@@ -1,59 +1,80 @@
-"""Sweeps registered one after the other: kiss-icp finds the way, small_gicp refines it."""
+"""Sweeps registered one after the other: kiss-icp finds the poses, small_gicp refines them."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters
+from docdepth.datasets.base import Sweep
 from docdepth.errors import OdometryError
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, nearest_rigid
 
 log = logging.getLogger(__name__)
 
 PreviousPoses = Callable[[int], NDArray[np.float64]]
-"""``before(k)`` gives the poses (n, 4, 4) of the pass before, the first k + 1 of them at least."""
+"""``previous(k)`` gives poses (n, 4, 4) of the previous pass; the first k + 1 are known."""
 
-_FEWEST_POINTS = 50  # below that a sweep cannot be registered
-_START = 3  # sweeps that find the motion at the start
-_SPEEDS = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # metres a sweep that are tried; 5 is 180 km/h at 10 Hz
-# Of small_gicp: to a voxel's mean in metres; one thread, as for kiss-icp.
+_FEWEST_POINTS = 50  # a sweep with fewer usable points is not registered: its pose is predicted
+_THREADS = 1  # sums of several threads come in any order: poses would differ from run to run
+
+# kiss-icp: its own defaults.
+_MAX_ITERATIONS = 500
+_CONVERGENCE = 1e-4  # metres and radians of the last step
+_POINTS_PER_VOXEL = 20
+_FIRST_THRESHOLD = 2.0  # metres to a correspondence at the start
+_LEAST_MOTION = 0.1  # metres; smaller deviations do not change the threshold
+
+# small_gicp: voxels of 0.5 m resolve kerbs and posts, and still hold points enough for a normal.
+_FINE_VOXEL = 0.5  # metres, edge of a voxel of the map
+_FINE_SAMPLING = 0.5 * _FINE_VOXEL  # metres, edge of a voxel in which a sweep keeps one point
+_NORMAL_NEIGHBORS = 10  # points that give the covariance of one
 _ALIGN = {
-    "max_correspondence_distance": 1.0,
-    "num_threads": 1,
+    "max_correspondence_distance": 1.0,  # metres, to the mean of a voxel
+    "num_threads": _THREADS,
     "max_iterations": 30,
-    "rotation_epsilon": 1e-5,
-    "translation_epsilon": 1e-4,
+    "rotation_epsilon": 1e-5,  # radians
+    "translation_epsilon": 1e-4,  # metres
 }
+
+# The first motion is searched on a grid of forward speeds; ICP finds what lies between.
+_FIRST_SWEEPS = 3
+_STEPS = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # metres a sweep; 5 is 180 km/h at 10 sweeps a second
+_FIRST_VOXEL = 1.0  # metres, of the map
+_FIRST_SAMPLING = 0.5  # metres, of the sweeps
+_CLEARLY_MORE = 1e-3  # share of inliers by which a faster start has to be better
 
 
 class CoarseRegistration:
-    """kiss-icp's map, threshold and point-to-point ICP, one sweep after the other."""
+    """kiss-icp's map, adaptive threshold and point-to-point ICP."""
 
     def __init__(self, parameters: OdometryParameters) -> None:
         from kiss_icp.pybind import kiss_icp_pybind as kiss
 
         self._kiss = kiss
         self._parameters = parameters
-        # One thread: the sums of more threads come in any order, and poses would differ from run
-        # to run. kiss-icp keeps the first count that a process asks for.
+        # kiss-icp keeps the first number of threads that a process asks for.
         self._icp = kiss._Registration(
-            max_num_iterations=500, convergence_criterion=1e-4, max_num_threads=1
+            max_num_iterations=_MAX_ITERATIONS,
+            convergence_criterion=_CONVERGENCE,
+            max_num_threads=_THREADS,
         )
         self._map = kiss._VoxelHashMap(
             voxel_size=parameters.voxel_size,
             max_distance=parameters.max_range,
-            max_points_per_voxel=20,
+            max_points_per_voxel=_POINTS_PER_VOXEL,
         )
         self._threshold = kiss._AdaptiveThreshold(
-            initial_threshold=2.0, min_motion_th=0.1, max_range=parameters.max_range
+            initial_threshold=_FIRST_THRESHOLD,
+            min_motion_th=_LEAST_MOTION,
+            max_range=parameters.max_range,
         )
 
     def add(self, near: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Register one sweep, starting at ``guess``, and merge it into the map."""
+        """Register one sweep from an initial guess (4, 4), and add it to the map."""
         voxel = self._parameters.voxel_size
         fine = self._kiss._voxel_down_sample(self._kiss._Vector3dVector(near), 0.5 * voxel)
         coarse = self._kiss._voxel_down_sample(fine, 1.5 * voxel)
@@ -74,41 +95,89 @@ class CoarseRegistration:
 
 
 class FineRegistration:
-    """small_gicp's map of voxels, each a normal distribution, and its registration (VGICP)."""
+    """small_gicp's map of voxels, each a normal distribution, and its VGICP."""
 
-    def __init__(self, parameters: OdometryParameters) -> None:
+    def __init__(self) -> None:
         import small_gicp
 
-        self._small = small_gicp
-        self._sampling = 0.5 * parameters.refine_voxel_size
-        self._map = small_gicp.GaussianVoxelMap(parameters.refine_voxel_size)
+        self._small_gicp = small_gicp
+        self._map = small_gicp.GaussianVoxelMap(_FINE_VOXEL)
         self._empty = True
 
     def add(self, near: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Register one sweep, starting at ``guess``, and merge it into the map."""
-        cloud, _ = self._small.preprocess_points(near, self._sampling, 10, 1)
+        """Register one sweep from an initial guess (4, 4), and add it to the map."""
+        cloud, _ = self._small_gicp.preprocess_points(
+            near, _FINE_SAMPLING, _NORMAL_NEIGHBORS, _THREADS
+        )
         pose = guess.copy()
         if not self._empty:
-            found = self._small.align(self._map, cloud, init_T_target_source=guess, **_ALIGN)
-            # Where hardly anything meets the map, what the pass before said stays.
+            found = self._small_gicp.align(self._map, cloud, init_T_target_source=guess, **_ALIGN)
+            # With too few inliers the pose of the previous pass stays.
             if found.num_inliers >= _FEWEST_POINTS:
                 pose = np.asarray(found.T_target_source, dtype=np.float64)
-                pose = _rigid(pose) if np.isfinite(pose).all() else pose
+                pose = nearest_rigid(pose) if np.isfinite(pose).all() else pose
         if np.isfinite(pose).all():
             self._map.insert(cloud, pose)
             self._empty = False
         return pose
 
 
-def _add(
+def register(
+    sweeps: Sequence[Sweep], parameters: OdometryParameters, previous: PreviousPoses | None
+) -> Iterator[NDArray[np.float64]]:
+    """Register sweeps one after the other.
+
+    Parameters
+    ----------
+    sweeps : sequence of Sweep
+        Each is read once; without ``previous`` the first few are read twice.
+    parameters : OdometryParameters
+    previous : callable, optional
+        Poses of the previous pass. Without them poses are found from scratch (kiss-icp), with them
+        they are refined (small_gicp).
+
+    Yields
+    ------
+    ndarray of float64, shape (4, 4)
+        ``T_world_lidar`` of each sweep, in the frame of the first.
+
+    Raises
+    ------
+    OdometryError
+        A sweep cannot be registered.
+    """
+    registration: CoarseRegistration | FineRegistration
+    step = np.eye(4)
+    if previous is None:
+        step = first_motion(sweeps, range(len(sweeps)), parameters)
+        registration = CoarseRegistration(parameters)
+    else:
+        registration = FineRegistration()
+    pose = np.eye(4)
+    for k in range(len(sweeps)):
+        guess = pose
+        if k > 0:
+            if previous is not None:
+                known = previous(k)
+                step = inverse(known[k - 1]) @ known[k]
+            guess = pose @ step
+        found = _register_sweep(registration, sweeps[k].points, guess, k, parameters)
+        # Row by row, as poses are stored: products of other layouts differ in the last bit.
+        last, pose = pose, np.array(found, order="C")
+        if k > 0:
+            step = inverse(last) @ pose
+        yield pose
+
+
+def _register_sweep(
     registration: CoarseRegistration | FineRegistration,
     points: NDArray[np.float32],
     guess: NDArray[np.float64],
     frame: int,
     parameters: OdometryParameters,
 ) -> NDArray[np.float64]:
-    """Pose of a sweep; of one with too few points the guess."""
-    near = _near(points, parameters)
+    """Pose of a sweep; the guess where it has too few points."""
+    near = _points_in_range(points, parameters)
     if len(near) < _FEWEST_POINTS:
         log.warning(
             "frame %d has %d usable points between %g and %g m: its pose is predicted",
@@ -124,83 +193,50 @@ def _add(
     return pose
 
 
-def register(
-    points: Callable[[int], NDArray[np.float32]],
-    count: int,
-    parameters: OdometryParameters,
-    before: PreviousPoses | None,
-) -> Iterator[NDArray[np.float64]]:
-    """Poses of one pass, sweep by sweep; ``before`` are those of the pass before."""
-    registration: CoarseRegistration | FineRegistration
-    step = np.eye(4)
-    if before is None:
-        step = first_motion(points, range(count), parameters)
-        registration = CoarseRegistration(parameters)
-    else:
-        registration = FineRegistration(parameters)
-    pose = np.eye(4)
-    for k in range(count):
-        guess = pose
-        if k > 0:
-            if before is not None:
-                known = before(k)
-                step = inverse(known[k - 1]) @ known[k]
-            guess = pose @ step
-        # Row by row, as poses are stored: products of other layouts differ in the last bit.
-        last, pose = pose, np.array(_add(registration, points(k), guess, k, parameters), order="C")
-        if k > 0:
-            step = inverse(last) @ pose
-        yield pose
-
-
 def first_motion(
-    points: Callable[[int], NDArray[np.float32]], frames: range, parameters: OdometryParameters
+    sweeps: Sequence[Sweep], frames: range, parameters: OdometryParameters
 ) -> NDArray[np.float64]:
-    """Motion of the first of these sweeps: of several speeds the one at which most points meet.
+    """Motion (4, 4) from the first of these frames to the next.
 
-    A registration that starts from standstill locks in to a wrong motion at the speed of a
-    motorway, and stays with it.
+    Registration that starts from standstill at the speed of a motorway finds a wrong motion and
+    keeps it. So the first sweeps are registered from several speeds, and the motion with most
+    inliers wins.
     """
     import small_gicp
 
     clouds = []
-    for k in frames[:_START]:
-        near = _near(points(k), parameters)
+    for k in frames[:_FIRST_SWEEPS]:
+        near = _points_in_range(sweeps[k].points, parameters)
         if len(near) < _FEWEST_POINTS:
             break
-        clouds.append(small_gicp.preprocess_points(near, 0.5, 10, 1)[0])
+        cloud, _ = small_gicp.preprocess_points(near, _FIRST_SAMPLING, _NORMAL_NEIGHBORS, _THREADS)
+        clouds.append(cloud)
     best, most = np.eye(4), 0.0
-    for speed in _SPEEDS if len(clouds) > 1 else ():
-        known = small_gicp.GaussianVoxelMap(1.0)
-        known.insert(clouds[0])
-        step, pose, met = np.eye(4), np.eye(4), 0.0
+    for speed in _STEPS if len(clouds) > 1 else ():
+        voxel_map = small_gicp.GaussianVoxelMap(_FIRST_VOXEL)
+        voxel_map.insert(clouds[0])
+        step, pose, inliers = np.eye(4), np.eye(4), 0.0
         step[0, 3] = speed
         for cloud in clouds[1:]:
-            found = small_gicp.align(known, cloud, init_T_target_source=pose @ step, **_ALIGN)
+            found = small_gicp.align(voxel_map, cloud, init_T_target_source=pose @ step, **_ALIGN)
             if not np.isfinite(found.T_target_source).all():
                 break
-            next_pose = _rigid(found.T_target_source)
+            next_pose = nearest_rigid(found.T_target_source)
             step, pose = inverse(pose) @ next_pose, next_pose
-            met += found.num_inliers / cloud.size()
-        if met > most * (1 + 1e-3):
-            best, most = step, met
+            inliers += found.num_inliers / cloud.size()
+        if inliers > most * (1 + _CLEARLY_MORE):
+            best, most = step, inliers
     return best
 
 
-def _near(points: NDArray[np.float32], parameters: OdometryParameters) -> NDArray[np.float64]:
-    """Points that are neither of the ego nor too far to be of use."""
+def _points_in_range(
+    points: NDArray[np.float32], parameters: OdometryParameters
+) -> NDArray[np.float64]:
+    """Finite points farther away than the vehicle itself and not too far to be of use."""
     low, high = parameters.min_range, parameters.max_range
     x, y, z = points.T
     with np.errstate(invalid="ignore", over="ignore"):
         squared = x * x + y * y + z * z
-        near = (squared > low * low) & (squared < high * high)
-    # Half the time of points[near], once in every pass.
-    return np.compress(near, points, axis=0).astype(np.float64)
-
-
-def _rigid(pose: ArrayLike) -> NDArray[np.float64]:
-    """The nearest rigid motion: rounding grows from sweep to sweep otherwise."""
-    pose = np.array(pose, dtype=np.float64)
-    u, _, vt = np.linalg.svd(pose[:3, :3])
-    pose[:3, :3] = u @ vt
-    return pose
+        inside = (squared > low * low) & (squared < high * high)
+    # Half the time of points[inside], once in every pass.
+    return np.compress(inside, points, axis=0).astype(np.float64)

@@ -32,7 +32,7 @@ from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import GroundMap, chunks
 from docdepth.io.atomic import write_atomically
-from docdepth.io.ply import FrameRecord
+from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.stage import (
     Progress,

@@ -11,7 +11,7 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.classify import run_classify
 from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.render import run_render
-from docdepth.pipeline.run_inputs import open_source, poses_of
+from docdepth.pipeline.run_inputs import known_poses, open_inputs
 from docdepth.pipeline.stage import Progress
 from docdepth.render.backends import Renderer
 
@@ -76,9 +76,9 @@ def run(
         "camera_times": _absolute(camera_times),
         "image_size": image_size,
     }
-    recording, cameras = open_source(inputs)
+    recording, cameras = open_inputs(inputs)
     folder = RunFolder.create(Path(output), inputs, parameters or Parameters())
-    run_odometry(folder, recording, poses_of(inputs, recording), progress, threads)
+    run_odometry(folder, recording, known_poses(inputs, recording), progress, threads)
     run_classify(folder, threads, progress)
     run_render(folder, cameras, threads, progress, renderer)
     return folder

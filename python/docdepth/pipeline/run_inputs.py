@@ -1,7 +1,7 @@
-"""What a run is made of, opened as its run.yaml tells: recording, cameras, poses.
+"""The inputs of a run, opened as run.yaml names them: recording, cameras, poses.
 
-``source`` has ``dataset``, ``name``, ``camera`` (a name, a list of names or None), ``poses``,
-``camera_times`` and ``image_size``, all plain values.
+The entry ``source`` of run.yaml has ``dataset``, ``name``, ``camera`` (a name, a list of names or
+None), ``poses``, ``camera_times`` and ``image_size``, all plain values.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ from docdepth.io.poses import read_poses
 from docdepth.io.run_folder import RunFolder
 
 ALL = "all"
+"""Name that stands for all cameras of a recording."""
 
 
-def open_source(source: dict[str, Any]) -> tuple[Dataset, list[CameraStream]]:
-    """The recording and the cameras that depth maps are wanted for.
+def open_inputs(source: dict[str, Any]) -> tuple[Dataset, list[CameraStream]]:
+    """Open the recording, and the cameras whose depth maps are wanted.
 
     Raises
     ------
     DatasetError, CalibrationError
         A file is missing or broken, or there is no such camera.
     """
-    size = size_from(source["image_size"])
+    size = parse_size(source["image_size"])
     recording = open_dataset(Path(source["dataset"]), source["name"], size)
-    streams = [recording.cameras[name] for name in _names(source["camera"], recording)]
+    streams = [recording.cameras[name] for name in _camera_names(source["camera"], recording)]
     if size:
         streams = [
             s
@@ -42,29 +43,35 @@ def open_source(source: dict[str, Any]) -> tuple[Dataset, list[CameraStream]]:
             for s in streams
         ]
     if source["camera_times"]:
-        streams = [_retimed(stream, Path(source["camera_times"])) for stream in streams]
+        streams = [_with_times(stream, Path(source["camera_times"])) for stream in streams]
     return recording, streams
 
 
-def stream_of(run: RunFolder, folder: str) -> CameraStream | None:
-    """The camera whose maps are in ``depth/FOLDER``; None for one that was not there."""
+def recorded_camera(run: RunFolder, folder: str) -> CameraStream | None:
+    """The camera whose maps are in ``depth/FOLDER``; None for a virtual camera."""
     stage = run.stage("render")
     if not run.manifest["source"] or folder not in stage.get("folders", []):
         return None
     name = stage["cameras"][stage["folders"].index(folder)]
-    _, streams = open_source(run.manifest["source"])
+    _, streams = open_inputs(run.manifest["source"])
     return next((stream for stream in streams if stream.name == name), None)
 
 
-def poses_of(source: dict[str, Any], recording: Dataset) -> NDArray[np.float64] | None:
-    """``T_world_lidar`` that need not be estimated, None where they must be."""
+def known_poses(source: dict[str, Any], recording: Dataset) -> NDArray[np.float64] | None:
+    """Poses ``T_world_lidar`` (n, 4, 4) from a file or another run; None: to be estimated."""
     if source["poses"]:
         return read_poses(Path(source["poses"]), len(recording))
     return recording.poses if recording.name == "run" else None
 
 
-def size_from(text: str | None) -> tuple[int, int] | None:
-    """Width and height from ``1242x375``."""
+def parse_size(text: str | None) -> tuple[int, int] | None:
+    """Width and height in pixels from ``1242x375``.
+
+    Raises
+    ------
+    CalibrationError
+        The text is not a size.
+    """
     if not text:
         return None
     width, _, height = text.partition("x")
@@ -73,14 +80,15 @@ def size_from(text: str | None) -> tuple[int, int] | None:
     return int(width), int(height)
 
 
-def _names(asked: str | list[str] | None, recording: Dataset) -> list[str]:
+def _camera_names(wanted: str | list[str] | None, recording: Dataset) -> list[str]:
+    """Names of the wanted cameras; the left colour camera if none is named."""
     cameras = recording.cameras
     if not cameras:
         raise CalibrationError(f"{recording.path} has no calibrated camera; add its calibration")
-    if asked is None:
+    if wanted is None:
         colour = [c for c in cameras if c in ("image_02", "image_2")]
         return [colour[0] if colour else next(iter(cameras))]
-    names = [asked] if isinstance(asked, str) else list(dict.fromkeys(asked))
+    names = [wanted] if isinstance(wanted, str) else list(dict.fromkeys(wanted))
     if names == [ALL]:
         return list(cameras)
     for name in names:
@@ -91,8 +99,8 @@ def _names(asked: str | list[str] | None, recording: Dataset) -> list[str]:
     return names
 
 
-def _retimed(stream: CameraStream, path: Path) -> CameraStream:
-    """A camera whose images were taken at the times of a file."""
+def _with_times(stream: CameraStream, path: Path) -> CameraStream:
+    """The camera with the times of a file."""
     times = read_times(path)
     if stream.images and len(times) != len(stream.images):
         raise DatasetError(

@@ -1,4 +1,4 @@
-"""Cameras that were not there: any pinhole camera, mounted on the LiDAR of a run."""
+"""Virtual cameras: any pinhole camera, mounted on the LiDAR of a run."""
 
 from __future__ import annotations
 
@@ -13,44 +13,49 @@ from docdepth.errors import CalibrationError, ConfigError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.run_inputs import size_from
+from docdepth.pipeline.run_inputs import parse_size
 
 FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Axes of a camera that looks along x of the LiDAR, as columns: right, down, forward."""
+"""Rotation from camera axes to LiDAR axes when the camera looks along the LiDAR's x axis."""
 
 
 def virtual_camera(
     run: RunFolder, name: str, pose: str, K: str, size: str, times: Path | None = None
 ) -> CameraStream:
-    """A camera that moves with the LiDAR.
+    """Make a camera that moves with the LiDAR.
 
     Parameters
     ----------
     run : RunFolder
     name : str
-        Its maps are written to ``depth/NAME``.
+        Folder of its depth maps in ``depth/``.
     pose : str
-        ``T_lidar_camera``, see :func:`parse_pose`.
+        ``T_lidar_camera`` as :func:`parse_pose` reads it.
     K : str
         ``fx,fy,cx,cy`` in pixels.
     size : str
         ``WIDTHxHEIGHT`` in pixels.
     times : Path, optional
-        Seconds, an image a line; images are taken at the stamps of the sweeps if absent.
+        A file with the time of each image in seconds, one per line; the times of the sweeps if
+        absent.
+
+    Returns
+    -------
+    CameraStream
 
     Raises
     ------
     ConfigError, CalibrationError
-        A value cannot be read, or the name is that of a camera of the run.
+        A value cannot be read, or the run has a camera of this name.
     """
     if not name or name in (".", "..") or "/" in name or "\\" in name:
-        raise ConfigError(f"--name {name!r}: it names a folder; take letters and digits")
+        raise ConfigError(f"--name {name!r} cannot be a folder name; use letters and digits")
     if name in run.stage("render").get("folders", []):
-        raise ConfigError(f"--name {name}: the run has a camera of this name; choose another")
+        raise ConfigError(f"--name {name}: the run has a camera of this name; choose another name")
     fx, fy, cx, cy = _numbers("--K", K, 4, "fx,fy,cx,cy")
-    pixels = size_from(size)
+    pixels = parse_size(size)
     if pixels is None:
-        raise ConfigError("--size is missing: say --size WIDTHxHEIGHT, for example 1280x720")
+        raise ConfigError("--size is missing; write --size WIDTHxHEIGHT, for example 1280x720")
     camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), *pixels)
     stamps = read_times(times) if times else run.trajectory().times
     names = [f"{i:010d}" if times else f"{i:06d}" for i in range(len(stamps))]
@@ -58,15 +63,15 @@ def virtual_camera(
 
 
 def parse_pose(text: str) -> NDArray[np.float64]:
-    """``T_lidar_camera``: where a camera is in the LiDAR's frame (x forward, y left, z up).
+    """Read the pose ``T_lidar_camera`` of a camera in the LiDAR frame (x forward, y left, z up).
 
     Parameters
     ----------
     text : str
-        Numbers, or a file with numbers, parted by blanks or commas: ``x y z`` of a camera that
-        looks along the LiDAR's x; ``x y z qx qy qz qw`` of one turned from the LiDAR's axes to
-        the camera's (x right, y down, z forward); or the 3x4 or 4x4 matrix, row by row, that
-        takes camera points to the LiDAR.
+        Numbers separated by blanks or commas, or the path of a file with them: ``x y z`` of a
+        camera that looks along the LiDAR's x axis; ``x y z qx qy qz qw`` with the rotation from
+        camera axes (x right, y down, z forward) to LiDAR axes; or a 3x4 or 4x4 matrix, row by row,
+        that transforms camera points to the LiDAR frame.
 
     Returns
     -------
@@ -75,7 +80,7 @@ def parse_pose(text: str) -> NDArray[np.float64]:
     Raises
     ------
     CalibrationError
-        It is none of these, or no rotation.
+        The text has another form, or its rotation is not one.
     """
     file = Path(text)
     content = file.read_text(encoding="utf-8") if len(text) < 256 and file.is_file() else text
@@ -94,8 +99,8 @@ def parse_pose(text: str) -> NDArray[np.float64]:
     turned = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
     if not np.isfinite(values).all() or not turned or np.linalg.det(rotation) < 0:
         raise CalibrationError(
-            f"--pose {text!r}: write x,y,z or x,y,z,qx,qy,qz,qw or a file with a 4x4 matrix, the "
-            "camera's place in the LiDAR's frame, with a rotation"
+            f"--pose {text!r}: write x,y,z or x,y,z,qx,qy,qz,qw or a file with a 4x4 matrix; it is "
+            "the pose of the camera in the LiDAR frame and must be rigid"
         )
     u, _, vt = np.linalg.svd(rotation)
     return poses_from([u @ vt], position[None])[0]

@@ -1,18 +1,18 @@
-"""Which device draws: the processor, or OpenGL without a window through EGL or OSMesa.
+"""Renderers: the CPU, or OpenGL without a window through EGL or OSMesa.
 
-All of them draw the same. OpenGL's libraries are looked for when a back end is asked for, so
-docdepth needs none of them. A back end is named as in ``--renderer`` and ``DOCDEPTH_RENDERER``:
+All of them render the same depth. OpenGL's libraries are loaded when a back end is chosen, so
+docdepth works without them. The names of ``--renderer`` and ``DOCDEPTH_RENDERER`` are:
 
 ``auto``
-    a graphics card through EGL where there is one, else ``cpu``
+    a graphics card through EGL if there is one, else ``cpu``
 ``cpu``
-    docdepth's own rasteriser, which is always there
+    docdepth's own rasteriser, always available
 ``egl``, ``egl:N``
-    EGL on its first device that works, graphics cards first, or on device N
+    EGL on the first device that works, graphics cards first; or on device N
 ``surfaceless``
     EGL without a device (Mesa)
 ``osmesa``
-    Mesa's off-screen library, which Mesa dropped with version 25.1
+    Mesa's off-screen library, removed from Mesa with version 25.1
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from docdepth.errors import BackendError
 
 log = logging.getLogger(__name__)
 
-CPU = "docdepth's own rasteriser"
+_CPU = "docdepth's own rasteriser"
 
 
 class Renderer:
-    """A back end that is ready to draw, from any thread: each gets an OpenGL context of its own.
+    """A back end that is ready to render, from any thread; each thread gets its own OpenGL context.
 
     Parameters
     ----------
@@ -44,14 +44,14 @@ class Renderer:
     ----------
     name : str
     description : str
-        The device: GL_RENDERER of OpenGL.
+        The device, OpenGL's GL_RENDERER.
     software : bool
-        The processor draws.
+        The CPU renders.
 
     Raises
     ------
     BackendError
-        There is no such back end, or it cannot be used here.
+        The name is unknown, or the back end cannot be used on this machine.
     """
 
     def __init__(self, name: str = "cpu") -> None:
@@ -59,17 +59,17 @@ class Renderer:
         self._library = None if name == "cpu" else _library(name)
         self._threads = threading.local()
         core = self.core
-        self.description: str = core.renderer if self._library else CPU
+        self.description: str = core.renderer if self._library else _CPU
         self.software: bool = core.software if self._library else True
 
     @property
     def core(self) -> Any:
-        """What has ``render_splats`` and its like in this thread.
+        """The object with ``render_splats`` and ``render_surfaces`` for this thread.
 
         Raises
         ------
         BackendError
-            OpenGL has been used before this process was forked, which drivers do not survive.
+            This process was forked after OpenGL had been used, which drivers do not support.
         """
         if self._library is None:
             return _core
@@ -85,24 +85,28 @@ class Renderer:
 
 
 def choose(name: str | None = None) -> Renderer:
-    """The renderer of a name.
+    """Choose a renderer by name.
 
     Parameters
     ----------
     name : str, optional
-        As in the list above; ``DOCDEPTH_RENDERER`` if absent, else ``auto``.
+        A name of the list above; if absent ``DOCDEPTH_RENDERER``, else ``auto``.
+
+    Returns
+    -------
+    Renderer
 
     Raises
     ------
     BackendError
-        There is no such back end, or it cannot be used here. ``auto`` never fails.
+        The name is unknown, or the back end cannot be used on this machine. ``auto`` never fails.
     """
     name = name or os.environ.get("DOCDEPTH_RENDERER") or "auto"
     return _graphics_card() or Renderer("cpu") if name == "auto" else Renderer(name)
 
 
 def _graphics_card() -> Renderer | None:
-    """The first that draws in hardware. Software devices are known without being started."""
+    """The first device that renders in hardware, if any."""
     try:
         devices = _core.egl_devices()
     except _core.GlError as error:
@@ -116,32 +120,32 @@ def _graphics_card() -> Renderer | None:
             continue
         if not renderer.software:
             return renderer
-        log.info("EGL device %d is drawn by %s", device, renderer.description)
+        log.info("EGL device %d is software: %s", device, renderer.description)
     return None
 
 
 @dataclass(frozen=True)
 class Backend:
-    """A back end that was tried out.
+    """The result of trying a back end.
 
     Attributes
     ----------
     name : str
         As in ``--renderer``.
-    well : bool
-        It can be used here.
-    finding : str
-        The device that draws, or why it cannot.
+    usable : bool
+        It can be used on this machine.
+    detail : str
+        The device that renders, or the reason why none does.
     """
 
     name: str
-    well: bool
-    finding: str
+    usable: bool
+    detail: str
 
 
 def available() -> list[Backend]:
-    """Every back end, tried out; EGL once for each of its devices."""
-    found = [Backend("cpu", True, CPU)]
+    """Try every back end, and EGL on each of its devices."""
+    found = [Backend("cpu", True, _CPU)]
     names = ["surfaceless", "osmesa"]
     try:
         names = [f"egl:{i}" for i in range(len(_core.egl_devices()))] + names
@@ -156,7 +160,7 @@ def available() -> list[Backend]:
 
 
 def _library(name: str) -> tuple[str, int]:
-    """Library and device number, -1 for any."""
+    """The library of a back end and the number of a device, -1 for any."""
     egl = re.fullmatch(r"egl(?::([0-9]{1,4}))?", name)
     if egl:
         return "egl", int(egl[1] or -1)

@@ -1,4 +1,4 @@
-"""Composite rendering of depth maps (paper III-D)."""
+"""Composite rendering of depth maps (paper V-B)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,18 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.backends import Renderer
-from docdepth.render.frame import Frame
-from docdepth.render.selection import drawn_sweeps
+from docdepth.render.frame import Frame, Part
+from docdepth.render.selection import drawn_frames
 
 NEAR = 0.1
-"""Nothing nearer to the image plane is drawn [m]."""
+"""Near plane of the core's renderers [m]: points closer to the image plane are not drawn."""
+
+MAX_SPEED = 50.0
+"""Triangles: the fastest motion of an object between its sweep and the image [m/s], 180 km/h.
+Matches that need a higher speed are rejected."""
 
 
-def render(
+def compose_depth(
     camera: Camera,
     T_camera_lidar: NDArray[np.float64],
     trajectory: Trajectory,
@@ -32,24 +36,27 @@ def render(
     threads: int = 0,
     renderer: Renderer | None = None,
 ) -> NDArray[np.float32]:
-    """Depth map of the camera at one moment, composed of many sweeps (paper III-D).
+    """Render the depth map of one image from many sweeps (paper V-B).
+
+    :func:`~docdepth.render.scene.render_depth` does the same without explicit frames.
 
     Parameters
     ----------
     camera : Camera
     T_camera_lidar : ndarray of float64, shape (4, 4)
-        Takes LiDAR points to the camera.
+        Transforms LiDAR points to the camera.
     trajectory : Trajectory
         Poses and times of all sweeps.
     time : int
         When the image was taken [ns]; within the trajectory.
     frames : callable
-        Gives the :class:`Frame` of a sweep by its index; asked only for sweeps that are drawn.
+        Returns the :class:`Frame` of a sweep by its index. Only the sweeps of
+        :func:`~docdepth.render.selection.needed_frames` are asked for.
     parameters : RenderParameters, optional
     threads : int
         0 takes all cores. The result does not depend on it.
     renderer : Renderer, optional
-        What draws, from :func:`docdepth.render.backends.choose`; the processor if absent.
+        From :func:`docdepth.render.backends.choose`; the CPU if absent.
 
     Returns
     -------
@@ -59,22 +66,22 @@ def render(
     Raises
     ------
     InputError
-        ``time`` lies outside the trajectory, or a frame was made for another ``surface``.
+        ``time`` lies outside the trajectory, or a frame was prepared for another ``primitive``.
     BackendError
         The renderer failed.
     """
     p = parameters or RenderParameters()
     core = (renderer or Renderer()).core
-    draw = core.render_splats if p.surface == "splats" else core.render_meshes
+    draw = core.render_splats if p.primitive == "splats" else core.render_meshes
     depth: NDArray[np.float32] = draw(
-        **arguments(camera, T_camera_lidar, trajectory, time, frames, p), threads=threads
+        **core_arguments(camera, T_camera_lidar, trajectory, time, frames, p), threads=threads
     )
-    # The far plane: nearest wins, so cutting the result is cutting the points.
+    # The nearest depth wins, so cutting the map at the far plane is cutting the points.
     depth[depth > p.max_depth] = np.nan
     return depth
 
 
-def arguments(
+def core_arguments(
     camera: Camera,
     T_camera_lidar: NDArray[np.float64],
     trajectory: Trajectory,
@@ -82,34 +89,38 @@ def arguments(
     frames: Callable[[int], Frame],
     p: RenderParameters,
 ) -> dict[str, Any]:
-    """What the core draws, or looks at, for one image."""
+    """Arguments that the core's functions for depth and for layers share.
+
+    Internal to this package.
+    """
+    splats = p.primitive == "splats"
+    kind = _core.Frame if splats else _core.MeshFrame
     T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
-    kind = _core.Frame if p.surface == "splats" else _core.MeshFrame
+    drawn = drawn_frames(trajectory, time, p)
 
-    def frame(index: int) -> Frame:
-        found = frames(index)
-        if not isinstance(found.dynamic_part[0], kind):
-            raise InputError(f"frame {index} was not made for {p.surface}; give Frame parameters")
-        return found
+    def placed(index: int, parts: list[Part]) -> list[Part]:
+        """The parts of a sweep with their poses ``T_camera_sensor``."""
+        if not isinstance(parts[0][0], kind):
+            raise InputError(
+                f"frame {index} was not made for {p.primitive}; give Frame the same parameters"
+            )
+        T_camera_sweep = T_camera_world @ trajectory.poses[index]
+        return [(core, T_camera_sweep @ T_lidar_sensor) for core, T_lidar_sensor in parts]
 
-    T_camera_sweep = T_camera_world @ trajectory.poses
-    world, moving = drawn_sweeps(trajectory, time, p)
+    static = [part for i in drawn.static for part in placed(i, frames(i).parts)]
+    dynamic = [part for i in drawn.dynamic for part in placed(i, [frames(i).dynamic_part])]
     image = {"K": camera.K, "width": camera.width, "height": camera.height}
-    fixed = [(core, T_camera_sweep[i] @ T) for i in world for core, T in frame(i).parts]
-    dynamic_part = [
-        (core, T_camera_sweep[i] @ T) for i in moving for core, T in [frame(i).dynamic_part]
-    ]
-    if p.surface == "splats":
+    if splats:
         return image | {
-            "static_frames": fixed,
-            "dynamic_frames": dynamic_part,
-            "static_size": (p.static_size_max, p.static_size_min),
-            "dynamic_size": (p.dynamic_size_max, p.dynamic_size_min),
+            "static_frames": static,
+            "dynamic_frames": dynamic,
+            "static_size": p.static_size,
+            "dynamic_size": p.dynamic_size,
         }
-    since = (np.int64(time) - trajectory.times[moving]) * 1e-9
+    seconds = (np.int64(time) - trajectory.times[drawn.dynamic]) * 1e-9
     return image | {
-        "static_frames": fixed,
-        "dynamic_frames": [(*part, float(t)) for part, t in zip(dynamic_part, since, strict=True)],
-        "max_speed": p.max_speed,
-        "visibility_sweeps": p.witnesses,
+        "static_frames": static,
+        "dynamic_frames": [(*part, float(s)) for part, s in zip(dynamic, seconds, strict=True)],
+        "max_speed": MAX_SPEED,
+        "visibility_sweeps": p.visibility_sweeps,
     }

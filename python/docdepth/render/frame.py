@@ -1,129 +1,171 @@
-"""A sweep made ready to be drawn (paper V-B)."""
+"""A sweep prepared for rendering (paper V-B)."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth import _core
-from docdepth.config import RenderParameters, SurfaceParameters
+from docdepth.config import RenderParameters
 from docdepth.errors import InputError
+from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
 from docdepth.geometry.sensor_rig import SensorRig
 
+ISOLATED_SIZE_DEG = 0.1
+"""Triangles: half the diagonal of the square drawn for a return that belongs to no triangle, as the
+LiDAR sees it [deg]. Half the angle between two returns of a common spinning LiDAR."""
+
+Part: TypeAlias = "tuple[_core.Frame | _core.MeshFrame, NDArray[np.float64]]"
+"""What the core draws, and the pose ``T_lidar_sensor`` of the LiDAR that measured it."""
+
 
 class Frame:
-    """A sweep made ready to be drawn: static and moving parts apart, neighbours together.
+    """A sweep prepared for rendering: static and dynamic points apart, neighbours together.
 
-    Make it once a sweep and keep it for all images that see the sweep.
+    Prepare a sweep once and use the frame for all images that need it;
+    :class:`~docdepth.render.scene.Scene` does so.
 
     Parameters
     ----------
     points : ndarray of float32, shape (N, 3)
-        LiDAR frame, metres, deskewed to the sweep's time. Points that are not finite are left out.
+        Metres, LiDAR frame, deskewed to the sweep's time. Points that are not finite are left out.
     classid : ndarray of uint16, shape (N,)
-        Below 50 ground, below 100 static, moving from 100 on.
+        Class of each point: ground below 50, static below 100, dynamic from 100 on.
     parameters : RenderParameters, optional
-        Its ``surface`` says what is made; :func:`render` wants the same.
-    surface_parameters : SurfaceParameters, optional
-        Of the triangles between neighbouring returns.
+        ``primitive`` and ``crop`` are used; give the same to
+        :func:`~docdepth.render.depth_map.compose_depth`.
     time_offset : ndarray of float32, shape (N,), optional
-        When each point was measured, seconds after the sweep's time. Known, it tells better where
-        moving objects were.
-    sensor_rig : Sensors, optional
-        Where the sweep was measured from, if not from the origin. Each of several LiDARs has a
-        surface and lines of sight of its own.
+        Seconds from the sweep's time to each measurement. With it, dynamic objects are placed more
+        exactly. Used by triangles only.
+    sensor_rig : SensorRig, optional
+        Where each point was measured from; the origin if absent. Each of several LiDARs gets a mesh
+        and rays of its own. Used by triangles only.
     velocity : array_like of float64, shape (3,), optional
-        Of the LiDAR in its own frame, metres a second (:meth:`Trajectory.velocity`). With
-        ``time_offset`` known, lines of sight begin where it was when it measured each point.
+        Velocity of the LiDAR in its own frame, m/s (:meth:`Trajectory.velocity`). Together with
+        ``time_offset`` it gives each return its own ray origin.
+
+    Attributes
+    ----------
+    parts : list of Part
+        The static points: one part for each LiDAR.
+    dynamic_part : Part
+        The dynamic points of all LiDARs.
 
     Raises
     ------
     InputError
-        Shapes or dtypes are wrong.
+        A shape or dtype is wrong.
     """
+
+    parts: list[Part]
+    dynamic_part: Part
 
     def __init__(
         self,
         points: NDArray[np.float32],
         classid: NDArray[np.uint16],
         parameters: RenderParameters | None = None,
-        surface_parameters: SurfaceParameters | None = None,
         time_offset: NDArray[np.float32] | None = None,
         sensor_rig: SensorRig | None = None,
         velocity: ArrayLike | None = None,
     ) -> None:
-        points, classid = np.asarray(points), np.asarray(classid)
-        if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
-            raise InputError(
-                f"points must be float32 of shape (N, 3), got {points.dtype} {points.shape}"
-            )
-        if classid.shape != (len(points),) or classid.dtype != np.uint16:
-            raise InputError(
-                f"classid must be uint16 of shape ({len(points)},), one for each point; "
-                f"got {classid.dtype} {classid.shape}"
-            )
+        points, classid = _checked(points, classid)
         if time_offset is not None and time_offset.shape != (len(points),):
-            raise InputError(f"time_offset must have shape ({len(points)},), a time a point")
+            raise InputError(
+                f"time_offset must have shape ({len(points)},), one for each point; "
+                f"got {time_offset.shape}"
+            )
         p = parameters or RenderParameters()
-        points, classid = np.ascontiguousarray(points), np.ascontiguousarray(classid)
-        self.parts: list[_Part]
-        self.dynamic_part: _Part
-        if p.surface == "splats":
-            self.dynamic_part = (_core.Frame(points, classid, p.crop), np.eye(4))
+        drawn = _within_crop(points, classid, p.crop)
+        if p.primitive == "splats":
+            if not drawn.all():
+                points, classid = points.compress(drawn, axis=0), classid[drawn]
+            self.dynamic_part = (_core.Frame(points, classid, np.inf), np.eye(4))
             self.parts = [self.dynamic_part]
             return
-        with np.errstate(invalid="ignore", over="ignore"):
-            drawn = np.einsum("ij,ij->i", points, points, dtype=np.float64) < p.crop**2
-        points, classid = points.compress(drawn, axis=0), classid[drawn]
         if time_offset is not None and velocity is not None:
-            sensor_rig = (
-                sensor_rig or SensorRig.single((0, 0, 0), len(time_offset))
-            ).with_ego_motion(velocity, time_offset)
-        time_offset = None if time_offset is None else time_offset[drawn].astype(np.float32)
-        sensor_rig = None if sensor_rig is None else sensor_rig.select(drawn)
-        seen = ScanMesh(points, surface_parameters, sensor_rig)
-        self.parts = [
-            (_surface_frame(part, classid, p, time_offset), part.view.T_lidar_sensor)
-            for part in seen.parts
-        ]
+            rig = sensor_rig or SensorRig.single((0, 0, 0), len(points))
+            sensor_rig = rig.with_ego_motion(velocity, time_offset)
+        if time_offset is not None:
+            time_offset = time_offset[drawn].astype(np.float32)
+        if sensor_rig is not None:
+            sensor_rig = sensor_rig.select(drawn)
+        self._triangulate(points.compress(drawn, axis=0), classid[drawn], time_offset, sensor_rig)
+
+    def _triangulate(
+        self,
+        points: NDArray[np.float32],
+        classid: NDArray[np.uint16],
+        time_offset: NDArray[np.float32] | None,
+        sensor_rig: SensorRig | None,
+    ) -> None:
+        # This mesh differs from the one that votes use: its ray origins move with the vehicle,
+        # which changes which returns are neighbours, and points beyond the crop are missing.
+        meshes = ScanMesh(points, sensor_rig=sensor_rig).parts
+        self.parts = [_part(mesh, classid, time_offset) for mesh in meshes]
         self.dynamic_part = self.parts[0]
-        if len(self.parts) > 1:  # what moves is small, and drawn as if the first had seen all of it
-            first = SensorRig.single(seen.parts[0].view.T_lidar_sensor[:3, 3], len(points))
-            first = replace(
-                first, ego_displacement=None if sensor_rig is None else sensor_rig.ego_displacement
-            )
-            (whole,) = ScanMesh(points, surface_parameters, first).parts
-            self.dynamic_part = (
-                _surface_frame(whole, classid, p, time_offset),
-                whole.view.T_lidar_sensor,
-            )
+        if sensor_rig is not None and len(meshes) > 1:
+            # An object seen by two LiDARs must be one object: its motion is found by matching it as
+            # a whole with other sweeps and is tested with the rays of all LiDARs. So the returns of
+            # all are triangulated once more, as seen from the first LiDAR.
+            first = SensorRig.single(meshes[0].view.T_lidar_sensor[:3, 3], len(points))
+            first = replace(first, ego_displacement=sensor_rig.ego_displacement)
+            (whole,) = ScanMesh(points, sensor_rig=first).parts
+            self.dynamic_part = _part(whole, classid, time_offset)
 
 
-_Part = tuple[_core.Frame | _core.MeshFrame, NDArray[np.float64]]
-"""What is drawn, and where it stands in the LiDAR's frame."""
+def _checked(
+    points: NDArray[np.float32], classid: NDArray[np.uint16]
+) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
+    points, classid = np.asarray(points), np.asarray(classid)
+    if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
+        raise InputError(
+            f"points must be float32 of shape (N, 3), got {points.dtype} {points.shape}"
+        )
+    if classid.shape != (len(points),) or classid.dtype != np.uint16:
+        raise InputError(
+            f"classid must be uint16 of shape ({len(points)},), one for each point; "
+            f"got {classid.dtype} {classid.shape}"
+        )
+    return np.ascontiguousarray(points), np.ascontiguousarray(classid)
 
 
-def _surface_frame(
-    part: LidarMesh,
-    classid: NDArray[np.uint16],
-    parameters: RenderParameters,
-    time_offset: NDArray[np.float32] | None,
-) -> _core.MeshFrame:
-    """Rows that are not finite are no points of this surface."""
-    points, ray_origins = part.view.points, part.view.ray_origins()
-    triangles, cut, loose = part.core.triangles, part.core.discontinuity, part.core.isolated
+def _within_crop(
+    points: NDArray[np.float32], classid: NDArray[np.uint16], crop: float
+) -> NDArray[np.bool_]:
+    """Dynamic points, and static points nearer than ``crop`` [m]; none that are not finite."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        squared = np.einsum("ij,ij->i", points, points, dtype=np.float64)
+        within: NDArray[np.bool_] = squared < crop**2
+    return within | (np.isfinite(squared) & (classid >= DYNAMIC))
+
+
+def _part(
+    mesh: LidarMesh, classid: NDArray[np.uint16], time_offset: NDArray[np.float32] | None
+) -> Part:
+    """The mesh of one LiDAR as the core draws it; rows of other LiDARs are NaN and left out."""
+    points, ray_origins = mesh.view.points, mesh.view.ray_origins()
+    triangles, isolated = mesh.core.triangles, mesh.core.isolated
     if not np.isfinite(points).all():
         own = np.isfinite(points).all(axis=1)
         row = np.cumsum(own, dtype=np.uint32) - np.uint32(1)
-        points, classid, time_offset = (
-            points[own],
-            classid[own],
-            None if time_offset is None else time_offset[own],
-        )
+        points, classid = points[own], classid[own]
+        time_offset = None if time_offset is None else time_offset[own]
         ray_origins = None if ray_origins is None else ray_origins[own]
-        triangles, loose = row[triangles], row[loose]
-    angle = float(np.radians(parameters.loose_deg))
-    return _core.MeshFrame(points, classid, triangles, cut, loose, angle, time_offset, ray_origins)
+        triangles, isolated = row[triangles], row[isolated]
+    half_diagonal = float(np.radians(ISOLATED_SIZE_DEG))
+    core = _core.MeshFrame(
+        points,
+        classid,
+        triangles,
+        mesh.core.discontinuity,
+        isolated,
+        half_diagonal,
+        time_offset,
+        ray_origins,
+    )
+    return core, mesh.view.T_lidar_sensor

@@ -1,20 +1,20 @@
-"""What is known of each pixel of a depth map beside its depth.
+"""Layers beside a depth map: further knowledge of each pixel.
 
 ``class``
-    uint8: 0 ground, 50 static, 100 dynamic, 255 where there is no depth
+    uint8: 0 ground, 50 static, 100 dynamic; 255 where there is no depth
 ``time``
-    float32, seconds from the image to the sweep that the depth comes from; negative before it
+    float32: seconds from the image to the sweep that the depth comes from; negative before it
 ``range``
-    float32, metres from the LiDAR when it was measured
+    float32: metres from the LiDAR to the measured point
 ``support``
-    uint16: how many measurements agree with the depth within 2 %. Drawn as surfaces, each sweep
-    measures a pixel once; drawn as splats, each splat that covers it does
+    uint16: number of measurements that agree with the depth within 2 %. Of triangles, each sweep
+    measures a pixel once; of splats, each splat that covers the pixel counts
 ``std``
-    float32, metres: standard deviation of the depths that agree; NaN of a single one
+    float32: standard deviation of the agreeing depths in metres; NaN of a single one
 ``normal``
-    float32, x y z: of the surface in the camera's frame, towards the camera. Splats have none
+    float32, x y z: surface normal in the camera frame, towards the camera. Triangles only
 ``confidence``
-    float32, 0..1: how likely the depth is less than 5 % off, see :func:`confidence`
+    float32, 0..1: probability that the depth is less than 5 % off, see :func:`confidence`
 
 Where there is no depth, floats are NaN and counts 0.
 """
@@ -33,17 +33,18 @@ from docdepth.config import Layer, RenderParameters
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.depth_map import arguments
+from docdepth.render.depth_map import core_arguments
 from docdepth.render.frame import Frame
-from docdepth.render.selection import drawn_sweeps
-
-# Of confidence(): a, b, c.
-_CONFIDENCE = {"triangles": (4.47, 0.67, 2.79), "splats": (3.9, 1.0, 2.7)}
+from docdepth.render.selection import drawn_frames
 
 LAYERS: tuple[str, ...] = get_args(Layer)
 
+_CONFIDENCE = {"triangles": (4.47, 0.67, 2.79), "splats": (3.9, 1.0, 2.7)}
+"""Weights a, b and c of :func:`confidence` [-], fitted by ``benchmarks/confidence.py`` to the exact
+depth of synthetic drives."""
 
-def layers(
+
+def compose_layers(
     names: Sequence[str],
     depth: NDArray[np.float32],
     camera: Camera,
@@ -54,20 +55,20 @@ def layers(
     parameters: RenderParameters | None = None,
     threads: int = 0,
 ) -> dict[str, NDArray[Any]]:
-    """Layers of a depth map that :func:`~docdepth.render.depth_map.render` drew.
+    """Gather layers of a depth map of :func:`~docdepth.render.depth_map.compose_depth`.
 
-    They are gathered by the processor, whichever renderer drew the map: every sweep is drawn once
-    more, alone, and held against the depth that is there. The map itself never depends on it.
+    Every sweep is drawn once more, alone, and its depth compared with the map. This is always done
+    on the CPU, whichever renderer drew the map; the map does not depend on it.
 
     Parameters
     ----------
     names : sequence of str
-        Of :data:`LAYERS`; and ``measures``, uint16, how many measurements there are, whether they
+        Of :data:`LAYERS`; also ``measures``, uint16: the number of all measurements, whether they
         agree or not.
     depth : ndarray of float32, shape (h, w)
         Metres, NaN = none.
     camera, T_camera_lidar, trajectory, time, frames, parameters, threads
-        As they were given to :func:`~docdepth.render.depth_map.render`.
+        The arguments that :func:`~docdepth.render.depth_map.compose_depth` was given.
 
     Returns
     -------
@@ -77,7 +78,8 @@ def layers(
     Raises
     ------
     InputError
-        A name is unknown, the depth map is of another size, or normals of splats are asked for.
+        A name is unknown, the depth map has another size than the image, or normals of splats are
+        asked for.
     """
     p = parameters or RenderParameters()
     check_layers(names, p)
@@ -86,85 +88,25 @@ def layers(
             f"depth must be float32 of shape ({camera.height}, {camera.width}) as the camera's "
             f"image, got {depth.dtype} {depth.shape}"
         )
-    gather = _core.splat_layers if p.surface == "splats" else _core.mesh_layers
+    gather = _core.splat_layers if p.primitive == "splats" else _core.mesh_layers
     found: dict[str, NDArray[Any]] = gather(
-        **arguments(camera, T_camera_lidar, trajectory, time, frames, p),
+        **core_arguments(camera, T_camera_lidar, trajectory, time, frames, p),
         depth=np.ascontiguousarray(depth),
         threads=threads,
     )
-    world, moving = drawn_sweeps(trajectory, time, p)
-    world = [i for i in world for _ in frames(i).parts]
-    delays = (trajectory.times[[*world, *moving]] - np.int64(time)).astype(np.float64) * 1e-9
-    sweep = found["sweep"]
+    drawn = drawn_frames(trajectory, time, p)
+    # The core numbers parts: a sweep of several LiDARs has a number for each.
+    sweeps = [i for i in drawn.static for _ in frames(i).parts] + drawn.dynamic
+    delays = (trajectory.times[sweeps] - np.int64(time)).astype(np.float64) * 1e-9
+    number = found["sweep"]
+    found["time"] = np.where(number < 0, np.nan, delays[number]).astype(np.float32)
     if "confidence" in names:
-        found["confidence"] = confidence(depth, found["support"], found["measures"], p.surface)
-    found["time"] = np.where(sweep < 0, np.nan, delays[sweep]).astype(np.float32)
+        found["confidence"] = confidence(depth, found["support"], found["measures"], p.primitive)
     return {name: found[name] for name in names}
 
 
-def confidence(
-    depth: NDArray[np.float32],
-    support: NDArray[np.uint16],
-    measures: NDArray[np.uint16],
-    surface: str = "triangles",
-) -> NDArray[np.float32]:
-    """How likely the depth of each pixel is less than 5 % off.
-
-    The logistic function of ``a + b ln((s + 1/4) / (m - s + 1)) - c e``: of m measurements of the
-    pixel s agree with its depth, and a pixel that nobody measured counts as a quarter of one
-    against one. Of triangles the logarithm is that of such a pixel at the least: sweeps that all
-    measured another depth make it no worse than none did. e is 0 where the map is smooth within 3
-    pixels and 1 at a depth edge, the logarithm of the largest second difference of nearness over
-    nearness, from 0.1 to 100 %. a, b and c were fitted to exact depth of synthetic drives, see
-    ``benchmarks/confidence.py``.
-
-    Parameters
-    ----------
-    depth : ndarray of float32, shape (h, w)
-        Metres, NaN = none.
-    support, measures : ndarray of uint16, shape (h, w)
-        Measurements that agree with the depth, and all.
-    surface : {"triangles", "splats"}
-        What was drawn.
-
-    Returns
-    -------
-    ndarray of float32, shape (h, w)
-        NaN where there is no depth.
-    """
-    a, b, c = _CONFIDENCE[surface]
-    odds, edge = features(depth, support, measures, surface)
-    chance = 1 / (1 + np.exp(-(a + b * odds - c * edge)))
-    return np.where(np.isnan(depth), np.nan, chance).astype(np.float32)
-
-
-def features(
-    depth: NDArray[np.float32],
-    support: NDArray[np.uint16],
-    measures: NDArray[np.uint16],
-    surface: str = "triangles",
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The two terms of :func:`confidence`: logarithm of the odds, and edge, 0..1."""
-    against = measures.astype(np.float32) - support
-    odds = np.log((support.astype(np.float32) + 0.25) / (against + 1))
-    if surface == "triangles":
-        odds = np.maximum(odds, np.float32(np.log(0.25)))
-    bend = cv2.dilate(_bends(depth), np.ones((7, 7), np.uint8))
-    return odds, np.log10(np.clip(bend, 1e-3, 1)) / 3 + 1
-
-
-def _bends(depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Second difference of nearness, linear on planes, over nearness; 1 where it is unknown."""
-    near = np.pad(1 / depth, 1, constant_values=np.nan)
-    here = near[1:-1, 1:-1]
-    across = np.abs(near[1:-1, :-2] + near[1:-1, 2:] - 2 * here)
-    along = np.abs(near[:-2, 1:-1] + near[2:, 1:-1] - 2 * here)
-    bend = np.fmax(across, along) / here  # of the two that which is known
-    return np.nan_to_num(bend, nan=1.0).astype(np.float32)
-
-
 def check_layers(names: Sequence[str], parameters: RenderParameters) -> None:
-    """Refuse layers that there are not.
+    """Refuse unknown layers, and layers that the primitive does not have.
 
     Raises
     ------
@@ -173,8 +115,74 @@ def check_layers(names: Sequence[str], parameters: RenderParameters) -> None:
     unknown = [name for name in names if name not in (*LAYERS, "measures")]
     if unknown:
         raise InputError(f"unknown layer {unknown[0]!r}; there are {', '.join(LAYERS)}")
-    if parameters.surface == "splats" and "normal" in names:
+    if parameters.primitive == "splats" and "normal" in names:
         raise InputError(
-            "splats face the camera and have no normal; leave the layer out, or draw sweeps as "
-            "surfaces (--set render.surface=triangles)"
+            "splats face the camera and have no normal; leave the layer out, or draw triangles "
+            "(--set render.primitive=triangles)"
         )
+
+
+def confidence(
+    depth: NDArray[np.float32],
+    support: NDArray[np.uint16],
+    measures: NDArray[np.uint16],
+    primitive: str = "triangles",
+) -> NDArray[np.float32]:
+    """Probability that the depth of each pixel is less than 5 % off.
+
+    A logistic regression on two features::
+
+        confidence = 1 / (1 + exp(-(a + b * log_odds - c * edge)))
+
+    ``log_odds = ln((support + 1/4) / (measures - support + 1))`` grows with the measurements that
+    agree with the depth and falls with those that do not. The constants 1/4 and 1 are the prior of
+    a pixel without measurements. For triangles ``log_odds`` is at least ``ln(1/4)``: disagreement
+    alone is no worse than no measurement.
+
+    ``edge`` is 0 where the map is smooth and 1 at a depth edge. It is the largest relative second
+    difference of inverse depth within 3 pixels, on a logarithmic scale from 0.1 % to 100 %; planes
+    have none, since their inverse depth is linear in the image.
+
+    Parameters
+    ----------
+    depth : ndarray of float32, shape (h, w)
+        Metres, NaN = none.
+    support, measures : ndarray of uint16, shape (h, w)
+        Number of measurements that agree with the depth, and of all.
+    primitive : {"triangles", "splats"}
+        What the map was drawn from.
+
+    Returns
+    -------
+    ndarray of float32, shape (h, w)
+        NaN where there is no depth.
+    """
+    a, b, c = _CONFIDENCE[primitive]
+    log_odds, edge = confidence_features(depth, support, measures, primitive)
+    probability = 1 / (1 + np.exp(-(a + b * log_odds - c * edge)))
+    return np.where(np.isnan(depth), np.nan, probability).astype(np.float32)
+
+
+def confidence_features(
+    depth: NDArray[np.float32],
+    support: NDArray[np.uint16],
+    measures: NDArray[np.uint16],
+    primitive: str = "triangles",
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """``log_odds`` and ``edge`` of :func:`confidence`, each of shape (h, w)."""
+    disagreeing = measures.astype(np.float32) - support
+    log_odds = np.log((support.astype(np.float32) + 0.25) / (disagreeing + 1))
+    if primitive == "triangles":
+        log_odds = np.maximum(log_odds, np.float32(np.log(0.25)))
+    largest = cv2.dilate(_relative_curvature(depth), np.ones((7, 7), np.uint8))
+    return log_odds, np.log10(np.clip(largest, 1e-3, 1)) / 3 + 1
+
+
+def _relative_curvature(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Second difference of inverse depth over inverse depth; 1 where it is unknown."""
+    inverse_depth = np.pad(1 / depth, 1, constant_values=np.nan)
+    centre = inverse_depth[1:-1, 1:-1]
+    horizontal = np.abs(inverse_depth[1:-1, :-2] + inverse_depth[1:-1, 2:] - 2 * centre)
+    vertical = np.abs(inverse_depth[:-2, 1:-1] + inverse_depth[2:, 1:-1] - 2 * centre)
+    curvature = np.fmax(horizontal, vertical) / centre  # fmax ignores a NaN
+    return np.nan_to_num(curvature, nan=1.0).astype(np.float32)

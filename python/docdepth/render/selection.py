@@ -1,6 +1,13 @@
-"""Which sweeps are drawn into an image (paper V-B)."""
+"""Which sweeps an image is drawn from (paper V-B).
+
+Only the part of the trajectory around the image is touched, so the length of the drive costs
+nothing.
+"""
 
 from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,21 +15,62 @@ from numpy.typing import NDArray
 from docdepth.config import RenderParameters
 from docdepth.geometry.trajectory import Trajectory
 
-MOVING = 4
-"""Sweeps that moving objects are drawn from, as triangles."""
+DYNAMIC_FRAMES = 4
+"""Triangles: sweeps that dynamic objects are drawn from. The nearest in time gives the objects; the
+others their velocity, and surfaces that the nearest did not see."""
+
+STEP_GROWTH = 0.22
+"""Triangles: spacing of static sweeps over their distance to the image [-]. Seen from the camera,
+far sweeps differ little from each other: drawing all takes twice the time for 3 % less error."""
+
+
+class DrawnFrames(NamedTuple):
+    """Indices of the sweeps of an image, in the order in which the core numbers them.
+
+    Attributes
+    ----------
+    static : list of int
+        Sweeps whose static points (ground included) are drawn.
+    dynamic : list of int
+        Sweeps that dynamic objects are drawn from, the nearest in time first.
+    """
+
+    static: list[int]
+    dynamic: list[int]
+
+
+def drawn_frames(
+    trajectory: Trajectory, time: int, parameters: RenderParameters | None = None
+) -> DrawnFrames:
+    """Select the sweeps of the image taken at ``time`` [ns]."""
+    p = parameters or RenderParameters()
+    return DrawnFrames(static_frames(trajectory, time, p).tolist(), _dynamic(trajectory, time, p))
+
+
+def needed_frames(
+    trajectory: Trajectory, time: int, parameters: RenderParameters | None = None
+) -> set[int]:
+    """All sweeps that :func:`~docdepth.render.depth_map.compose_depth` asks for."""
+    drawn = drawn_frames(trajectory, time, parameters)
+    return {*drawn.static, *drawn.dynamic}
 
 
 def static_frames(
     trajectory: Trajectory, time: int, parameters: RenderParameters | None = None
 ) -> NDArray[np.int64]:
-    """Sweeps whose static points are drawn into the image taken at ``time`` [ns] (paper III-D).
+    """Select the sweeps whose static points are drawn into the image taken at ``time`` [ns].
 
-    Those with ``-behind < arc length from the image < ahead``. As splats they are taken in order of
-    path and at least ``step`` apart. As triangles the one nearest in time comes first, being the
-    most trustworthy, and then others by their distance. The path is cut every ``step``, and of
-    these cuts every second, fourth, eighth ... is used farther away: images one after the other
-    share their sweeps. Where the ego stands, many sweeps have one arc length: of these only the one
-    nearest in time can be taken.
+    A sweep is a candidate when its arc length is less than ``behind`` before or less than ``ahead``
+    after that of the image.
+
+    Splats: candidates in order of arc length, at least ``step`` apart. Among candidates of equal
+    arc length (the ego stands) the nearest in time is taken.
+
+    Triangles: first the sweep nearest in time, which is drawn with the highest priority, then
+    others by their distance to the image. The path is divided at multiples of ``step``; a candidate
+    is taken when it is the first after a multiple ``n * step``, n = m * 2^k with m odd, whose
+    spacing ``2^k * step`` is at least ``STEP_GROWTH`` times its distance. Multiples belong to the
+    path and not to the image, so consecutive images share their sweeps.
 
     Returns
     -------
@@ -30,56 +78,65 @@ def static_frames(
         Indices of the trajectory, in the order in which they are drawn.
     """
     p = parameters or RenderParameters()
-    arc = trajectory.arc_length
-    ahead = arc - trajectory.arc_length_at(time)[0]
-    window = np.flatnonzero((-p.behind < ahead) & (ahead < p.ahead))
-    delay = np.abs(trajectory.times - np.int64(time))
-    kept: list[int] = []
-    if p.surface == "splats":
-        for place in np.unique(arc[window]):
-            if not kept or place - arc[kept[-1]] >= p.step:
-                here = window[arc[window] == place]
-                kept.append(int(here[np.argmin(delay[here])]))
-        return np.array(kept, dtype=np.int64)
-
-    nearest = trajectory.nearest(time)
-    cut = (arc // p.step).astype(np.int64)
-    for k in window[np.diff(cut, prepend=-1)[window] > 0]:
-        passed = range(cut[k - 1] + 1 if k else 0, cut[k] + 1)
-        spacing = p.step * max(n & -n or np.inf for n in passed)  # of the widest cutting passed
-        if abs(arc[k] - arc[nearest]) >= p.step / 2 and p.step_growth * abs(ahead[k]) <= spacing:
-            kept.append(int(k))
-    kept.sort(key=lambda k: abs(ahead[k]))
-    return np.array([nearest, *kept], dtype=np.int64)
+    here = float(trajectory.arc_length_at(time)[0])
+    select = _spaced if p.primitive == "splats" else _thinned
+    return np.array(select(trajectory, time, here, p), dtype=np.int64)
 
 
 def dynamic_frame(trajectory: Trajectory, time: int) -> int:
-    """The sweep whose moving points are drawn: the nearest in time to ``time`` [ns]."""
+    """Index of the sweep whose dynamic points are drawn: the nearest in time to ``time`` [ns]."""
     return trajectory.nearest(time)
 
 
-def _moving_frames(trajectory: Trajectory, time: int, parameters: RenderParameters) -> list[int]:
-    """Sweeps that tell of what moves, the nearest in time first."""
+def _window(arc: NDArray[np.float64], here: float, p: RenderParameters) -> tuple[int, int]:
+    """First candidate and the one after the last; arc lengths never decrease."""
+    begin = bisect_right(arc, -p.behind, key=lambda a: a - here)
+    return begin, _first_beyond(arc, here, p.ahead, begin, len(arc))
+
+
+def _first_beyond(
+    arc: NDArray[np.float64], origin: float, distance: float, begin: int, end: int
+) -> int:
+    """First index from ``begin`` on where arc length exceeds ``origin`` by ``distance`` or more."""
+    return bisect_left(arc, distance, begin, end, key=lambda a: a - origin)
+
+
+def _spaced(trajectory: Trajectory, time: int, here: float, p: RenderParameters) -> list[int]:
+    arc = trajectory.arc_length
+    first, end = _window(arc, here, p)
+    kept: list[int] = []
+    while first < end:
+        last = bisect_right(arc, arc[first], first, end)
+        delay = np.abs(trajectory.times[first:last] - np.int64(time))
+        kept.append(first + int(np.argmin(delay)))
+        first = _first_beyond(arc, arc[first], p.step, last, end)
+    return kept
+
+
+def _thinned(trajectory: Trajectory, time: int, here: float, p: RenderParameters) -> list[int]:
+    arc = trajectory.arc_length
+    begin, end = _window(arc, here, p)
+    nearest = trajectory.nearest(time)
+    multiple = (arc[begin:end] // p.step).astype(np.int64)
+    before = int(arc[begin - 1] // p.step) if begin else -1
+    passed = np.diff(multiple, prepend=before)
+    kept: list[int] = []
+    for k in np.flatnonzero(passed > 0):
+        sweep, last = begin + int(k), int(multiple[k])
+        multiples = range(last + 1 - int(passed[k]), last + 1)
+        spacing = p.step * max(n & -n or np.inf for n in multiples)  # n & -n is 2^k
+        apart = abs(arc[sweep] - arc[nearest]) >= p.step / 2
+        if apart and STEP_GROWTH * abs(arc[sweep] - here) <= spacing:
+            kept.append(sweep)
+    kept.sort(key=lambda sweep: abs(arc[sweep] - here))
+    return [nearest, *kept]
+
+
+def _dynamic(trajectory: Trajectory, time: int, p: RenderParameters) -> list[int]:
     nearest = dynamic_frame(trajectory, time)
-    if parameters.surface == "splats":
+    if p.primitive == "splats":
         return [nearest]
-    around = np.arange(max(nearest - MOVING, 0), min(nearest + MOVING + 1, len(trajectory)))
+    first = max(nearest - DYNAMIC_FRAMES, 0)
+    around = np.arange(first, min(nearest + DYNAMIC_FRAMES + 1, len(trajectory)))
     delay = np.abs(trajectory.times[around] - np.int64(time))
-    return [int(i) for i in around[np.argsort(delay, kind="stable")[:MOVING]]]
-
-
-def needed_frames(
-    trajectory: Trajectory, time: int, parameters: RenderParameters | None = None
-) -> set[int]:
-    """Every sweep that :func:`render` asks for; all others can be forgotten."""
-    p = parameters or RenderParameters()
-    world, moving = drawn_sweeps(trajectory, time, p)
-    return {*world, *moving}
-
-
-def drawn_sweeps(
-    trajectory: Trajectory, time: int, parameters: RenderParameters
-) -> tuple[list[int], list[int]]:
-    """Sweeps that are drawn, as the core numbers them: of the world, then of what moves."""
-    moving = _moving_frames(trajectory, time, parameters)
-    return static_frames(trajectory, time, parameters).tolist(), moving
+    return [int(i) for i in around[np.argsort(delay, kind="stable")[:DYNAMIC_FRAMES]]]

@@ -19,7 +19,7 @@ from docdepth.errors import RunError
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
-from docdepth.io.ply import FrameRecord
+from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder
 
 _STORED = ("classid", "votes_static", "votes_dynamic")

@@ -1,7 +1,7 @@
 """Pictures of depth and labels, with OpenCV alone. All are BGR, uint8.
 
-Colours of depth mean the same in every picture: turbo over the logarithm of depth, red near, blue
-far, so that pictures can be compared.
+The colours of depth are the same in every picture, so pictures can be compared: OpenCV's turbo over
+the logarithm of depth, red near and blue far.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
+from docdepth.geometry.points import DYNAMIC, STATIC
 
 Picture = NDArray[np.uint8]
 
@@ -23,7 +24,7 @@ NEAR, FAR = 3.0, 80.0
 GROUND_COLOR = (110, 125, 95)
 STATIC_COLOR = (205, 205, 205)
 DYNAMIC_COLOR = (40, 60, 255)
-# Against a truth: dynamic points found and missed, and false alarms.
+# Compared with ground truth: true positives, false negatives and false positives.
 FOUND_COLOR = (90, 200, 60)
 MISSED_COLOR = (20, 170, 255)
 FALSE_COLOR = (220, 40, 230)
@@ -35,16 +36,16 @@ _TICKS = (3, 5, 10, 20, 40, 80, 160, 320)
 def colorize(
     depth: NDArray[np.floating[Any]], near: float = NEAR, far: float = FAR, bar: bool = True
 ) -> Picture:
-    """Colours of a depth map, none where there is no depth.
+    """Colour a depth map; pixels without depth stay dark.
 
     Parameters
     ----------
     depth : ndarray of float, shape (h, w)
         Metres, NaN = none.
     near, far : float
-        Depths of the first and the last colour [m]; what lies beyond takes that colour.
+        Depths of the first and the last colour [m]; depths beyond get the same colours.
     bar : bool
-        Draw the scale.
+        Draw the colour bar.
 
     Returns
     -------
@@ -65,16 +66,16 @@ def overlay(
     near: float = NEAR,
     far: float = FAR,
 ) -> Picture:
-    """Depth over the camera image; where there is no depth the image is seen, darker and grey.
+    """Blend the colours of depth with the camera image; pixels without depth show the image, dark.
 
     Parameters
     ----------
     depth : ndarray of float, shape (h, w)
         Metres, NaN = none.
     image : ndarray of uint8, shape (h, w, 3), optional
-        BGR. Without one the colours of depth alone.
+        BGR. Without it the picture shows depth alone.
     opacity : float
-        Of the colours, 0..1.
+        Weight of the colours, 0..1.
     """
     colors = colorize(depth, near, far, bar=False)
     if image is not None:
@@ -92,14 +93,14 @@ def overlay(
 def error_picture(
     predicted: NDArray[np.floating[Any]], truth: NDArray[np.floating[Any]], limit: float = 0.1
 ) -> Picture:
-    """Where depth is too near (red) and too far (blue), white where it is right.
+    """Colour the relative error of depth: red too near, blue too far, white correct.
 
     Parameters
     ----------
     predicted, truth : ndarray of float, shape (h, w)
-        Metres, NaN = none; pixels without both stay dark.
+        Metres, NaN = none; pixels without one of them stay dark.
     limit : float
-        Relative error of the full colour.
+        Relative error from which on the colour is saturated.
     """
     relative = (predicted - truth) / truth
     known = np.isfinite(relative)
@@ -121,21 +122,21 @@ def labels_from_above(
     reach: float = 50.0,
     size: int = 800,
 ) -> Picture:
-    """A sweep seen from above, x up, y to the left, the sensor in the middle.
+    """Draw the classes of a sweep from above: x up, y to the left, the sensor in the middle.
 
     Parameters
     ----------
     points : ndarray of float32, shape (N, 3)
         LiDAR frame [m].
     classid : ndarray of uint16, shape (N,)
-        Below 50 ground, below 100 static, else dynamic.
+        Ground below 50, static below 100, dynamic from 100 on.
     truth : ndarray of bool, shape (N,), optional
-        Which points are dynamic. With it dynamic points found are green and missed orange, false
-        alarms magenta; without, dynamic points are red.
+        Which points are really dynamic. With it, true positives are green, false negatives orange
+        and false positives magenta; without it, dynamic points are red.
     reach : float
-        Half the edge of the picture [m].
+        Distance from the sensor to the edges of the picture [m].
     size : int
-        Edge of the picture [pixels].
+        Width and height of the picture [pixels].
     """
     scale = size / (2 * reach)
     rows = np.floor((reach - points[:, 0]) * scale)
@@ -152,16 +153,16 @@ def labels_in_range_image(
     resolution_deg: float = 0.2,
     row_height: int = 2,
 ) -> Picture:
-    """A sweep as its sensor saw it: azimuth from left (behind) to right, elevation down.
+    """Draw the classes of a sweep over azimuth (forward in the middle) and elevation.
 
     Parameters
     ----------
     points, classid, truth
         As in :func:`labels_from_above`.
     resolution_deg : float
-        Width of a pixel.
+        Azimuth of a pixel.
     row_height : int
-        Pixels a row is drawn high, since rings lie farther apart than columns.
+        Height of a row in pixels; rings are farther apart than columns.
     """
     ranges = np.linalg.norm(points, axis=1)
     seen = np.isfinite(ranges) & (ranges > 0)
@@ -181,15 +182,15 @@ def labels_in_range_image(
 
 
 def picture_grid(pictures: Sequence[Picture], captions: Sequence[str], columns: int = 2) -> Picture:
-    """Pictures of one size in a grid, each with its caption above.
+    """Arrange pictures of one size in a grid, each with its caption above.
 
     Parameters
     ----------
     pictures : sequence of ndarray of uint8, shape (h, w, 3)
     captions : sequence of str
-        One a picture.
+        One for each picture.
     columns : int
-        Pictures a row.
+        Pictures in a row.
     """
     if not pictures or len(pictures) != len(captions) or len({p.shape for p in pictures}) != 1:
         raise InputError(
@@ -204,7 +205,7 @@ def picture_grid(pictures: Sequence[Picture], captions: Sequence[str], columns: 
 
 
 def draw_bar(picture: Picture, near: float = NEAR, far: float = FAR) -> Picture:
-    """A copy with the scale of depth in its lower left corner, where it is large enough."""
+    """Draw the colour bar of depth into the lower left corner of a copy, if there is room."""
     height, width = picture.shape[:2]
     length, thick = min(width // 3, 400), 10
     if length < 60 or height < 60:
@@ -222,9 +223,9 @@ def draw_bar(picture: Picture, near: float = NEAR, far: float = FAR) -> Picture:
 
 
 def _turbo(share: NDArray[np.floating[Any]]) -> Picture:
-    """Turbo colours of 0 (red) to 1 (blue), shape (...) to (..., 3)."""
+    """Colours of numbers from 0 (red) to 1 (blue); shape (...) to (..., 3)."""
     steps = np.rint(255 * (1 - np.clip(share, 0, 1))).astype(np.uint8)
-    # The ends of turbo are nearly black; its readable part is enough.
+    # The ends of turbo are nearly black and hard to tell apart.
     table = cv2.applyColorMap(
         np.linspace(18, 238, 256).astype(np.uint8)[:, None], cv2.COLORMAP_TURBO
     )
@@ -240,15 +241,15 @@ def _draw(
 ) -> None:
     height, width = picture.shape[:2]
     inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    dynamic = classid >= 100
+    dynamic, ground = classid >= DYNAMIC, classid < STATIC
     layers = [
-        (classid < 50, GROUND_COLOR),
-        ((classid >= 50) & ~dynamic, STATIC_COLOR),
+        (ground, GROUND_COLOR),
+        (~ground & ~dynamic, STATIC_COLOR),
         (dynamic, DYNAMIC_COLOR if truth is None else FALSE_COLOR),
     ]
     if truth is not None:
         layers += [(truth & ~dynamic, MISSED_COLOR), (truth & dynamic, FOUND_COLOR)]
-    # Later layers lie above earlier ones: few dynamic points must not drown in the ground.
+    # Later layers cover earlier ones, so that the few dynamic points stay visible.
     for chosen, color in layers:
         chosen = chosen & inside
         picture[rows[chosen].astype(np.int64), columns[chosen].astype(np.int64)] = color

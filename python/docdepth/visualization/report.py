@@ -1,4 +1,4 @@
-"""The pictures and figures of a run on one page: ``report/index.html``."""
+"""The report of a run: its pictures and figures on one page, ``report/index.html``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ figcaption { color: #666; font-size: 13px }
 
 
 def write_index(run: RunFolder) -> Path:
-    """Write ``report/index.html``; it shows what lies in ``report/`` and needs nothing else.
+    """Write ``report/index.html``, which shows the files in ``report/``.
 
     Parameters
     ----------
@@ -29,6 +29,7 @@ def write_index(run: RunFolder) -> Path:
     Returns
     -------
     Path
+        Of the page.
     """
     report = run.path / "report"
     title = f"docdepth: {run.path.resolve().name}"
@@ -36,7 +37,7 @@ def write_index(run: RunFolder) -> Path:
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(title)}</title>",
         f"<style>{_STYLE}</style><h1>{escape(title)}</h1>",
         _table((), _facts(run)),
-        _table(("stage", "frames", "seconds", "where the time went"), _stages(run)),
+        _table(("stage", "frames", "seconds", "seconds by part"), _stages(run)),
         *(
             _pictures(report, report / folder)
             for folder in run.stage("render").get("folders", [""])
@@ -53,7 +54,7 @@ def _facts(run: RunFolder) -> Iterable[tuple[str, str]]:
     yield "recording", str(run.manifest["source"].get("dataset", "unknown"))
     yield "docdepth", f"{__version__}, preset {run.parameters.preset}"
     yield "cameras", ", ".join(stage.get("cameras", []))
-    yield "drawn by", str(stage.get("renderer", ""))
+    yield "renderer", str(stage.get("renderer", ""))
     if "density" in stage:
         yield "pixels with depth", f"{100 * stage['density']:.1f} %"
     if stage.get("left_out"):

@@ -1,9 +1,10 @@
-"""A run as a video: the picture above the colours of its depth."""
+"""A video of a run: the camera images above the colours of their depth."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -14,8 +15,6 @@ from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
 from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.render import rectified_image
-from docdepth.pipeline.stage import Progress, progress_callback
 from docdepth.visualization import pictures as visualize
 from docdepth.visualization.report import write_index
 
@@ -25,30 +24,33 @@ def write_video(
     folder: str = "",
     stream: CameraStream | None = None,
     fps: float | None = None,
-    progress: Progress | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> Path:
-    """Join the depth maps of a camera to ``report/video.webm``, in order of time.
+    """Write the depth maps of a camera to ``report/video.webm``, in order of time.
 
-    VP8, which OpenCV writes on every machine and every browser and notebook plays.
+    The codec is VP8: OpenCV writes it on every machine, browsers and notebooks play it.
 
     Parameters
     ----------
     run : RunFolder
     folder : str
-        Of its maps in ``depth/``, where there are several cameras.
+        The camera's folder in ``depth/``; empty for the only camera of a run.
     stream : CameraStream, optional
-        The camera, whose images are shown above where there are any.
+        The camera; its images, if available, are shown above the depth.
     fps : float, optional
-        Images a second; as they were taken if absent.
+        Images per second; the recorded rate if absent.
+    progress : callable, optional
+        Called with "video", the number of images done and of all images.
 
     Returns
     -------
     Path
+        Of the video.
 
     Raises
     ------
     RunError
-        There is no depth map, or the video cannot be written.
+        A depth map is missing, or the video cannot be written.
     DatasetError
         A depth map or an image is damaged.
     """
@@ -68,19 +70,19 @@ def write_video(
     path = run.path / "report" / folder / "video.webm"
     part = path.with_name(".video.part.webm")
     path.parent.mkdir(parents=True, exist_ok=True)
-    tell = progress_callback(progress, "video")
     writer: cv2.VideoWriter | None = None
     try:
         for done, name in enumerate(names):
-            image = rectified_image(stream, images[name]) if stream and name in images else None
+            image = stream.rectified_image(images[name]) if stream and name in images else None
             frame = _frame(read_depth(maps[name]), image)
             if writer is None:
                 writer = _writer(part, fps, frame)
             writer.write(frame)
-            tell(done + 1, len(names))
+            if progress:
+                progress("video", done + 1, len(names))
         if writer is not None:
             writer.release()
-        if _frames(part) != len(names):  # OpenCV itself does not tell
+        if _frames(part) != len(names):  # OpenCV does not report errors
             raise RunError(
                 f"cannot write {path}: OpenCV stopped early; make room on the disk and try again"
             )
@@ -93,7 +95,7 @@ def write_video(
 
 def _writer(path: Path, fps: float, frame: NDArray[np.uint8]) -> cv2.VideoWriter:
     code = cv2.VideoWriter.fourcc(*"VP80")
-    # OpenCV opens WebM, but tells first on standard error that WebM has no such codes.
+    # OpenCV prints a warning about WebM's codec tags to standard error, though it writes the file.
     stderr, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(null, 2)
@@ -105,7 +107,7 @@ def _writer(path: Path, fps: float, frame: NDArray[np.uint8]) -> cv2.VideoWriter
 
 
 def _times(path: Path) -> dict[str, int]:
-    """Nanoseconds of each map."""
+    """Time of each depth map [ns]."""
     try:
         maps = json.loads(path.read_text())["maps"]
         return {name: int(known["time_ns"]) for name, known in maps.items()}
@@ -116,7 +118,7 @@ def _times(path: Path) -> dict[str, int]:
 def _frame(depth: NDArray[np.float32], image: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
     colours = visualize.colorize(depth)
     both = colours if image is None else np.vstack([image, colours])
-    # The format wants even sizes.
+    # VP8 needs even sizes.
     padding = (0, both.shape[0] % 2, 0, both.shape[1] % 2)
     return np.asarray(cv2.copyMakeBorder(both, *padding, cv2.BORDER_REPLICATE), np.uint8)
 

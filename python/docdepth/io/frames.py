@@ -1,0 +1,209 @@
+"""Frames and trajectories of a run folder, in the PLY layout of the official DOC-Depth release."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import InputError, RunError
+from docdepth.geometry.se3 import matrix_to_quaternion, poses_from, quaternion_to_matrix
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.ply import read_comments, read_vertices, write_vertices
+
+_SECOND = 1_000_000_000  # nanoseconds
+
+_TRAJECTORY = np.dtype(
+    [(name, "<f8") for name in ("x", "y", "z", "q_w", "q_x", "q_y", "q_z", "timestamp")]
+    # A double loses the nanoseconds of a clock that counts from 1970, so they stand apart.
+    + [("indices", "<i4"), ("seconds", "<u4"), ("nanoseconds", "<u4")]
+)
+
+_OPTIONAL = {
+    "classid": "<u2",
+    "votes_static": "<u2",
+    "votes_dynamic": "<u2",
+    "time_offset": "<f4",
+    "sensor": "<u1",
+}
+"""Properties of a frame that it may lack."""
+
+_OLD_NAMES = {"time_offset": "late"}  # read for one release
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """One deskewed sweep of a run folder.
+
+    Attributes
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        LiDAR frame at the sweep's stamp, metres; usable returns only.
+    index : ndarray of uint32, shape (N,)
+        Row of each point in the input sweep.
+    name : str
+        Stem of the input file.
+    input_points : int
+        Rows of the input sweep.
+    key : dict
+        Hash of the parameters that made this file, by stage.
+    classid : ndarray of uint16, shape (N,), optional
+        Below 50 ground, 50 to 99 static, 100 and above dynamic.
+    votes_static, votes_dynamic : ndarray of uint16, shape (N,), optional
+    time_offset : ndarray of float32, shape (N,), optional
+        When each point was measured, seconds after the sweep's stamp.
+    sensor : ndarray of uint8, shape (N,), optional
+        Which LiDAR, or which of its lasers, measured each point; see :class:`SensorRig`.
+    """
+
+    points: NDArray[np.float32]
+    index: NDArray[np.uint32]
+    name: str
+    input_points: int
+    key: dict[str, str]
+    classid: NDArray[np.uint16] | None = None
+    votes_static: NDArray[np.uint16] | None = None
+    votes_dynamic: NDArray[np.uint16] | None = None
+    time_offset: NDArray[np.float32] | None = None
+    sensor: NDArray[np.uint8] | None = None
+
+
+def write_trajectory(path: Path, trajectory: Trajectory, indices: NDArray[np.int64]) -> None:
+    """Write poses as ``x y z q_w q_x q_y q_z timestamp indices``, in doubles and seconds."""
+    rows = np.zeros(len(trajectory), _TRAJECTORY)
+    rows["x"], rows["y"], rows["z"] = trajectory.poses[:, :3, 3].T
+    quaternions = np.array([matrix_to_quaternion(pose[:3, :3]) for pose in trajectory.poses])
+    rows["q_x"], rows["q_y"], rows["q_z"], rows["q_w"] = quaternions.T
+    rows["timestamp"] = trajectory.times / _SECOND
+    rows["seconds"], rows["nanoseconds"] = np.divmod(trajectory.times, _SECOND)
+    rows["indices"] = indices
+    write_vertices(path, rows, [])
+
+
+def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
+    """Read poses and their frame indices; ``qx`` is read like ``q_x``.
+
+    Raises
+    ------
+    RunError
+        The file is missing, truncated or lacks a column.
+    """
+    rows, _ = read_vertices(path)
+    names = rows.dtype.names or ()
+    try:
+        quaternions = np.stack(
+            [rows[f"q_{a}" if f"q_{a}" in names else f"q{a}"] for a in "xyzw"], axis=1
+        )
+        positions = np.stack([rows[a] for a in "xyz"], axis=1)
+        if "nanoseconds" in names:
+            times = rows["seconds"].astype(np.int64) * _SECOND + rows["nanoseconds"].astype(
+                np.int64
+            )
+        else:
+            if not np.isfinite(rows["timestamp"]).all():
+                raise ValueError("a timestamp is not finite")
+            times = np.round(rows["timestamp"] * _SECOND).astype(np.int64)
+        indices = rows["indices"].astype(np.int64)
+    except (KeyError, ValueError) as error:
+        raise RunError(
+            f"{path}: {error}; a trajectory has x y z q_w q_x q_y q_z timestamp indices"
+        ) from None
+    if not len(rows):
+        raise RunError(f"{path} holds no poses; run the stage that writes it again")
+    try:
+        poses = poses_from([quaternion_to_matrix(q) for q in quaternions], positions)
+        return Trajectory(times, poses), indices
+    except InputError as error:
+        raise RunError(f"{path}: {error}") from None
+
+
+def write_frame(path: Path, frame: FrameRecord) -> None:
+    """Write a frame; classes, votes, times and sensors only where it has them."""
+    fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("index", "<u4")]
+    extra = {name: getattr(frame, name) for name in _OPTIONAL if getattr(frame, name) is not None}
+    fields += [(name, _OPTIONAL[name]) for name in extra]
+    rows = np.empty(len(frame.points), np.dtype(fields))
+    # Numpy is slow where both sides are strided and one of them is not aligned.
+    rows["x"], rows["y"], rows["z"] = np.ascontiguousarray(frame.points.T)
+    rows["index"] = frame.index
+    for name, values in extra.items():
+        rows[name] = values
+    comments = [f"name {frame.name}", f"input_points {frame.input_points}"]
+    comments += [f"key {stage} {key}" for stage, key in frame.key.items()]
+    write_vertices(path, rows, comments)
+
+
+def read_frame(path: Path) -> FrameRecord:
+    """Read a frame of docdepth or of the official release.
+
+    Of the official release, which has no indices, row ``i`` has index ``i``.
+
+    Raises
+    ------
+    RunError
+        The file is missing, truncated or has no coordinates.
+    """
+    rows, comments = read_vertices(path)
+    names = rows.dtype.names or ()
+    points = _points(path, rows)
+    notes = _notes(comments)
+
+    def column(name: str) -> NDArray[Any] | None:
+        written = name if name in names else _OLD_NAMES.get(name)
+        if written not in names:
+            return None
+        return np.ascontiguousarray(rows[written], _OPTIONAL[name])
+
+    index = (
+        rows["index"].astype(np.uint32)
+        if "index" in names
+        else np.arange(len(rows), dtype=np.uint32)
+    )
+    return FrameRecord(
+        points,
+        index,
+        notes.get("name", path.stem),
+        _count(path, notes.get("input_points", str(len(rows)))),
+        _keys(notes),
+        *map(column, _OPTIONAL),
+    )
+
+
+def read_points(path: Path) -> NDArray[np.float32]:
+    """Read only the points of a frame, float32 (N, 3)."""
+    return _points(path, read_vertices(path)[0])
+
+
+def read_frame_key(path: Path) -> dict[str, str]:
+    """The ``key`` of a frame, from its header alone; empty if the file is missing."""
+    return _keys(_notes(read_comments(path)))
+
+
+def _points(path: Path, rows: NDArray[Any]) -> NDArray[np.float32]:
+    if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
+        raise RunError(f"{path}: has no x y z")
+    return np.stack([np.ascontiguousarray(rows[name], np.float32) for name in "xyz"], axis=1)
+
+
+def _count(path: Path, text: str) -> int:
+    if not text.isascii() or not text.isdigit() or len(text) > 18:
+        raise RunError(f"{path} is damaged (input_points is {text[:20]!r}); run the stage again")
+    return int(text)
+
+
+def _notes(comments: list[str]) -> dict[str, str]:
+    notes = {}
+    for comment in comments:
+        name, _, value = comment.partition(" ")
+        if name == "key":
+            stage, _, value = value.partition(" ")
+            name = f"key {stage}"
+        notes[name] = value
+    return notes
+
+
+def _keys(notes: dict[str, str]) -> dict[str, str]:
+    return {k.removeprefix("key "): v for k, v in notes.items() if k.startswith("key ")}

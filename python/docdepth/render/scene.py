@@ -1,0 +1,238 @@
+"""A drive ready for rendering, and depth maps of its images (paper V-B)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.concurrency import thread_count
+from docdepth.config import Parameters
+from docdepth.datasets.base import CameraStream, Sweep
+from docdepth.errors import InputError
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.points import usable_points
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.backends import Renderer
+from docdepth.render.depth_map import compose_depth
+from docdepth.render.frame import Frame
+from docdepth.render.frame_cache import FrameCache
+from docdepth.render.layers import check_layers, compose_layers
+from docdepth.render.selection import needed_frames
+
+
+class HasClasses(Protocol):
+    """Labels of one sweep: ``classid`` is uint16 of shape (N,)."""
+
+    @property
+    def classid(self) -> NDArray[np.uint16]: ...
+
+
+Classes: TypeAlias = HasClasses | NDArray[np.uint16]
+
+
+_Image: TypeAlias = tuple[Camera, NDArray[np.float64], Trajectory, int, Callable[[int], Frame]]
+
+
+class Scene:
+    """A classified drive, from which depth maps of any camera at any time can be rendered.
+
+    Sweeps are read and prepared when an image needs them and forgotten when the next image does
+    not, so memory stays bounded. Render images in order of time: consecutive images share most of
+    their sweeps. Safe to use from several threads.
+
+    Parameters
+    ----------
+    sweeps : sequence of Sweep, or of ndarray of float32, shape (N, 3)
+        Metres, LiDAR frame, deskewed to the sweep's time. A :class:`Sweep` also says when
+        (``relative_time``) and from where (``sensor_rig``) each point was measured, which places
+        dynamic objects and depth edges more exactly. The sequence may read each sweep from disk.
+    trajectory : Trajectory
+        The pose of each sweep.
+    labels : sequence of Labels, or of ndarray of uint16, shape (N,)
+        The class of each point: ground below 50, static below 100, dynamic from 100 on.
+    parameters : Parameters, optional
+        ``render`` is used.
+
+    Raises
+    ------
+    InputError
+        The lengths of ``sweeps``, ``trajectory`` and ``labels`` differ.
+    """
+
+    def __init__(
+        self,
+        sweeps: Sequence[Sweep] | Sequence[NDArray[np.float32]],
+        trajectory: Trajectory,
+        labels: Sequence[Classes],
+        parameters: Parameters | None = None,
+    ) -> None:
+        if not len(sweeps) == len(trajectory) == len(labels):
+            raise InputError(
+                f"{len(sweeps)} sweeps, {len(trajectory)} poses and {len(labels)} labels; a scene "
+                "needs one pose and one entry of labels for each sweep"
+            )
+        self.sweeps, self.trajectory, self.labels = sweeps, trajectory, labels
+        self.parameters = parameters or Parameters()
+        times = trajectory.times
+        self._period = np.float32(np.median(np.diff(times)) * 1e-9 if len(times) > 1 else 0)
+        self._cache = FrameCache(self._prepare)
+        self._reading = Lock()
+
+    def __len__(self) -> int:
+        return len(self.trajectory)
+
+    def frames_at(self, time: int, threads: int = 0) -> dict[int, Frame]:
+        """Prepare all frames that the image taken at ``time`` [ns] needs.
+
+        Returns
+        -------
+        dict of int to Frame
+            By the index of their sweep.
+
+        Raises
+        ------
+        InputError
+            ``time`` lies outside the trajectory, or the arrays of a sweep are wrong.
+        """
+        if not self.trajectory.covers(time):
+            first, last = self.trajectory.times[[0, -1]]
+            raise InputError(
+                f"{time} ns lies outside the trajectory, which goes from {first} to {last} ns; "
+                "poses are not extrapolated, so leave this image out"
+            )
+        needed = needed_frames(self.trajectory, time, self.parameters.render)
+        with ThreadPoolExecutor(thread_count(threads)) as executor:
+            requested = self._cache.request(needed, executor)
+        return {i: frame.result() for i, frame in requested.items()}
+
+    def _prepare(self, index: int) -> Frame:
+        with self._reading:  # datasets need not be safe to read from several threads
+            sweep, classes = self.sweeps[index], self.labels[index]
+        points = np.asarray(sweep.points if isinstance(sweep, Sweep) else sweep)
+        classid = np.asarray(classes.classid if hasattr(classes, "classid") else classes)
+        time_offset, sensor_rig = None, None
+        if points.ndim != 2 or classid.shape != points.shape[:1]:
+            raise InputError(
+                f"sweep {index}: points {points.shape} must have shape (N, 3), and their classes "
+                f"{classid.shape} shape (N,), one for each point"
+            )
+        usable = usable_points(points)
+        if isinstance(sweep, Sweep):
+            if sweep.relative_time is not None:
+                time_offset = (self._period * sweep.relative_time)[usable]
+            if sweep.sensor_rig is not None:
+                sensor_rig = sweep.sensor_rig.select(usable)
+        try:
+            return Frame(
+                points[usable],
+                classid[usable],
+                self.parameters.render,
+                time_offset,
+                sensor_rig,
+                self.trajectory.velocity(index),
+            )
+        except InputError as error:
+            raise InputError(f"sweep {index}: {error}") from None
+
+
+def render_depth(
+    scene: Scene,
+    camera: CameraStream,
+    index: int | None = None,
+    time: int | None = None,
+    threads: int = 0,
+    renderer: Renderer | None = None,
+) -> NDArray[np.float32]:
+    """Render the depth map of one image (paper V-B).
+
+    Parameters
+    ----------
+    scene : Scene
+    camera : CameraStream
+    index : int, optional
+        Which image of the camera; give this or ``time``. Negative ones count from the end.
+    time : int, optional
+        Any time within the trajectory [ns].
+    threads : int
+        0 takes all cores. The result does not depend on it.
+    renderer : Renderer, optional
+        From :func:`docdepth.render.backends.choose`; the CPU if absent.
+
+    Returns
+    -------
+    ndarray of float32, shape (height, width)
+        z along the optical axis of the rectified camera in metres; NaN where there is no depth.
+
+    Raises
+    ------
+    InputError
+        The camera has no such image, the time lies outside the trajectory, or the arrays of a sweep
+        are wrong.
+    BackendError
+        The renderer failed.
+    """
+    image = _image(scene, camera, index, time, threads)
+    return compose_depth(*image, scene.parameters.render, threads, renderer)
+
+
+def render_layers(
+    scene: Scene,
+    camera: CameraStream,
+    names: Sequence[str],
+    index: int | None = None,
+    time: int | None = None,
+    depth: NDArray[np.float32] | None = None,
+    threads: int = 0,
+) -> dict[str, NDArray[Any]]:
+    """Gather layers of a depth map: class, confidence and others (:mod:`docdepth.render.layers`).
+
+    Parameters
+    ----------
+    scene, camera, index, time, threads
+        The arguments that :func:`render_depth` was given.
+    names : sequence of str
+        Of :data:`docdepth.render.layers.LAYERS`.
+    depth : ndarray of float32, shape (height, width), optional
+        The map that :func:`render_depth` returned; rendered again if absent.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (height, width) or (height, width, 3)
+        By name, in the order of ``names``.
+
+    Raises
+    ------
+    InputError
+        As :func:`render_depth`; a name is unknown, or ``depth`` has another size.
+    """
+    p = scene.parameters.render
+    check_layers(names, p)
+    image = _image(scene, camera, index, time, threads)
+    if depth is None:
+        depth = compose_depth(*image, p, threads)
+    return compose_layers(names, depth, *image, p, threads)
+
+
+def _image(
+    scene: Scene, camera: CameraStream, index: int | None, time: int | None, threads: int
+) -> _Image:
+    """The arguments of :func:`compose_depth` up to its frames."""
+    stamp = _stamp(camera, index, time)
+    frames = scene.frames_at(stamp, threads)
+    return camera.camera, camera.T_camera_lidar, scene.trajectory, stamp, frames.__getitem__
+
+
+def _stamp(camera: CameraStream, index: int | None, time: int | None) -> int:
+    if time is not None and index is None:
+        return int(time)
+    if index is None or time is not None:
+        raise InputError("give either the index of an image or a time [ns]")
+    count = len(camera.times)
+    if not -count <= index < count:
+        raise InputError(f"camera {camera.name} has {count} images; there is no image {index}")
+    return int(camera.times[index])

@@ -1,0 +1,102 @@
+"""The sweeps of an image, against the same rules on the whole trajectory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from render_reference import AXES, PAPER, TRIANGLES, small_camera
+
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.depth_map import compose_depth
+from docdepth.render.frame import Frame
+from docdepth.render.selection import STEP_GROWTH, drawn_frames, static_frames
+
+
+def reference(trajectory, time, p):
+    """Whole arrays, without any search."""
+    arc = trajectory.arc_length
+    ahead = arc - trajectory.arc_length_at(time)[0]
+    window = np.flatnonzero((-p.behind < ahead) & (ahead < p.ahead))
+    delay = np.abs(trajectory.times - np.int64(time))
+    kept = []
+    if p.primitive == "splats":
+        for place in np.unique(arc[window]):
+            if not kept or place - arc[kept[-1]] >= p.step:
+                here = window[arc[window] == place]
+                kept.append(int(here[np.argmin(delay[here])]))
+        return kept
+    nearest = int(np.argmin(delay))
+    multiple = (arc // p.step).astype(np.int64)
+    for k in window[np.diff(multiple, prepend=-1)[window] > 0]:
+        passed = range(multiple[k - 1] + 1 if k else 0, multiple[k] + 1)
+        spacing = p.step * max(n & -n or np.inf for n in passed)
+        apart = abs(arc[k] - arc[nearest]) >= p.step / 2
+        if apart and STEP_GROWTH * abs(ahead[k]) <= spacing:
+            kept.append(int(k))
+    kept.sort(key=lambda k: abs(ahead[k]))
+    return [nearest, *kept]
+
+
+def random_drive(rng, n):
+    """Stop and go, with a tunnel that no sweep was recorded in."""
+    speed = (
+        np.clip(np.cumsum(rng.normal(0, 0.3, n)) + 3, 0, 30)
+        * rng.integers(0, 2, n // 50 + 1)[np.arange(n) // 50]
+    )
+    poses = np.repeat(np.eye(4)[None], n, axis=0)
+    poses[:, 0, 3] = np.cumsum(0.1 * speed) + 1e-3 * rng.normal(size=n)
+    poses[n // 2 :, 0, 3] += 400
+    times = np.arange(n) * 100_000_000 + rng.integers(-20_000_000, 20_000_000, n)
+    return Trajectory(times, poses)
+
+
+@pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
+@pytest.mark.parametrize(("seed", "n"), [(0, 1), (1, 2), (2, 60), (3, 400), (4, 4000)])
+def test_selection_equals_the_rules_on_the_whole_trajectory(parameters, seed, n):
+    rng = np.random.default_rng(seed)
+    trajectory = random_drive(rng, n)
+    times = rng.integers(trajectory.times[0], trajectory.times[-1] + 1, 12)
+    for time in [*trajectory.times[[0, n // 3, n // 2, -1]], *times]:
+        for step in (parameters.step, 2.0):
+            p = parameters.model_copy(update={"step": step})
+            assert static_frames(trajectory, time, p).tolist() == reference(trajectory, time, p)
+
+
+@pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
+def test_a_window_that_holds_no_sweep(parameters):
+    """Between two sweeps that are 500 m apart."""
+    poses = np.repeat(np.eye(4)[None], 4, axis=0)
+    poses[:, 0, 3] = 0, 1, 501, 502
+    trajectory = Trajectory(np.arange(4) * 10**8, poses)
+    time = 150_000_000
+    assert static_frames(trajectory, time, parameters).tolist() == reference(
+        trajectory, time, parameters
+    )
+
+
+class Whole(np.ndarray):
+    """An array of the whole drive: it can be indexed, and nothing else."""
+
+    def __getitem__(self, key):
+        return np.asarray(self)[key]
+
+    def __array_ufunc__(self, *_, **__):
+        raise AssertionError("arithmetic on the whole drive")
+
+
+class Watched(Trajectory):
+    @property
+    def arc_length(self):
+        return self.kept.view(Whole)
+
+
+@pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
+def test_an_image_costs_the_same_however_long_the_drive_is(parameters):
+    trajectory = random_drive(np.random.default_rng(9), 500)
+    empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
+    watched = Watched(trajectory.times, trajectory.poses)
+    object.__setattr__(watched, "kept", trajectory.arc_length)
+    object.__setattr__(watched, "poses", trajectory.poses.view(Whole))
+    time = int(trajectory.times[200])
+    assert drawn_frames(watched, time, parameters) == drawn_frames(trajectory, time, parameters)
+    compose_depth(small_camera(), AXES, watched, time, lambda _: empty, parameters)
