@@ -1,24 +1,25 @@
-"""Seconds a depth map by every back end, beside the processor's rasteriser, and how far they agree.
+"""Seconds per depth map with each renderer, compared with the CPU, and how far they agree.
 
     python benchmarks/benchmark_backends.py [--sweeps 100] [--points 100000] [--repeat 5]
 
-The paper's splats at their released sizes into a KITTI image: static points of a street of sweeps
-1 m apart, moving ones of one sweep. Medians of runs that take turns, all of them in this process
-on all of its cores; the first image, which sends the points to the device, is counted apart. Freed
-memory is kept, as the command line does: two threads that ask for fresh pages wait for each other.
+Draws the paper's splats at their released sizes into a KITTI image: static points of a street, one
+sweep per metre, and dynamic points of one sweep. Prints medians of runs that take turns, with all
+cores. The first image, which also uploads the points, is timed apart. Freed memory is kept, as on
+the command line: otherwise threads that request fresh pages wait for each other.
 """
 
 from __future__ import annotations
 
 import argparse
-import statistics
-import time
 
 import numpy as np
+from numpy.typing import NDArray
+from timing import interleaved, seconds
 
 from docdepth.cli import keep_memory
 from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render import backends
 from docdepth.render.depth_map import compose_depth
@@ -30,7 +31,7 @@ RELEASED = RenderParameters(primitive="splats", behind=0.5, ahead=1000.0, step=0
 
 
 def street_sweep(count: int, seed: int) -> Frame:
-    """64 rings in a street: road, facades 9 m to the sides, houses ahead, a car's worth moving."""
+    """64 rings in a street: road, facades 9 m to the sides, houses ahead, one moving car."""
     random = np.random.default_rng(seed)
     azimuth = random.uniform(0, 2 * np.pi, count)
     elevation = np.radians(2.0 - 26.8 * random.integers(0, 64, count) / 63)
@@ -44,22 +45,24 @@ def street_sweep(count: int, seed: int) -> Frame:
     )
     with np.errstate(divide="ignore"):
         distance = np.minimum(9 / np.abs(ray[:, 1]), 60 / np.abs(ray[:, 0]))
-        down = np.where(ray[:, 2] < 0, -1.73 / ray[:, 2], np.inf)
-    distance = np.minimum(distance, down) + random.normal(0, 0.02, count)
-    classid = np.where((np.abs(azimuth - 0.2) < 0.03) & (elevation < 0), 100, 50)
-    return Frame((ray * distance[:, None]).astype(np.float32), classid.astype(np.uint16), RELEASED)
+        road = np.where(ray[:, 2] < 0, -1.73 / ray[:, 2], np.inf)
+    distance = np.minimum(distance, road) + random.normal(0, 0.02, count)
+    car = (np.abs(azimuth - 0.2) < 0.03) & (elevation < 0)
+    classid = np.where(car, DYNAMIC, STATIC).astype(np.uint16)
+    return Frame((ray * distance[:, None]).astype(np.float32), classid, RELEASED)
 
 
-def seconds(work) -> float:
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
+def agreement(depth: NDArray[np.float32], expected: NDArray[np.float32]) -> tuple[float, float]:
+    """Shares of pixels within 1 cm and exactly equal [%]."""
+    equal = (depth == expected) | (np.isnan(depth) & np.isnan(expected))
+    close = equal | (np.abs(depth - expected) <= 0.01)
+    return 100 * float(close.mean()), 100 * float(equal.mean())
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--sweeps", type=int, default=100)
-    parser.add_argument("--points", type=int, default=100_000, help="of a sweep")
+    parser.add_argument("--points", type=int, default=100_000, help="points per sweep")
     parser.add_argument("--repeat", type=int, default=5)
     arguments = parser.parse_args()
     keep_memory()
@@ -70,34 +73,28 @@ def main() -> None:
     poses[:, 0, 3] = np.arange(count)
     trajectory = Trajectory(np.arange(count) * 100_000_000, poses)
 
-    def draw(renderer):
-        return compose_depth(
-            CAMERA, T_CAMERA_LIDAR, trajectory, 0, frames.__getitem__, RELEASED, renderer=renderer
-        )
+    def draw(renderer: backends.Renderer) -> NDArray[np.float32]:
+        view = CAMERA, T_CAMERA_LIDAR, trajectory, 0, frames.__getitem__, RELEASED
+        return compose_depth(*view, renderer=renderer)
 
-    renderers, first = {}, {}
+    renderers = {}
     for backend in backends.available():
-        if not backend.usable:
-            print(f"{backend.name:<12} not available: {backend.detail}")
-            continue
-        renderers[backend.name] = renderer = backends.choose(backend.name)
-        first[backend.name] = seconds(lambda r=renderer: draw(r))
-    times = {name: [] for name in renderers}
-    for _ in range(arguments.repeat):
-        for name, renderer in renderers.items():
-            times[name].append(seconds(lambda r=renderer: draw(r)))
+        if backend.well:
+            renderers[backend.name] = backends.choose(backend.name)
+        else:
+            print(f"{backend.name:<12} not available: {backend.finding}")
+    jobs = {name: lambda r=renderer: draw(r) for name, renderer in renderers.items()}
+    first = {name: seconds(job) for name, job in jobs.items()}
+    medians = interleaved(jobs, arguments.repeat)
 
     print(f"{count * arguments.points / 1e6:.1f} M points, {CAMERA.width} x {CAMERA.height}")
-    expected, cpu = draw(renderers["cpu"]), statistics.median(times["cpu"])
+    expected = draw(renderers["cpu"])
     for name, renderer in renderers.items():
-        depth, median = draw(renderer), statistics.median(times[name])
-        equal = (depth == expected) | (np.isnan(depth) & np.isnan(expected))
-        close = equal | (np.abs(depth - expected) <= 0.01)
+        close, equal = agreement(draw(renderer), expected)
         print(
-            f"{name:<12} {1000 * median:8.1f} ms (first {1000 * first[name]:8.1f})  "
-            f"cpu {median / cpu:6.1f} times as fast  "
-            f"within 1 cm {100 * close.mean():.3f} %, equal {100 * equal.mean():.3f} %  "
-            f"{renderer.description}"
+            f"{name:<12} {1000 * medians[name]:8.1f} ms (first {1000 * first[name]:8.1f})  "
+            f"speedup over cpu {medians['cpu'] / medians[name]:6.1f}  "
+            f"within 1 cm {close:.3f} %, equal {equal:.3f} %  {renderer.description}"
         )
 
 

@@ -9,8 +9,8 @@
 #include <random>
 #include <vector>
 
+#include "docdepth/dynamics/mesh_image.hpp"
 #include "docdepth/dynamics/range_image.hpp"
-#include "docdepth/dynamics/surface_image.hpp"
 #include "keep_memory.hpp"
 
 using namespace docdepth;

@@ -8,10 +8,10 @@
 #include <random>
 
 #include "docdepth/geometry/rigid.hpp"
+#include "docdepth/mesh/scan_mesh.hpp"
 #include "docdepth/render/cloud.hpp"
+#include "docdepth/render/mesh_frame.hpp"
 #include "docdepth/render/splats.hpp"
-#include "docdepth/render/surfaces.hpp"
-#include "docdepth/surface/surface.hpp"
 #include "keep_memory.hpp"
 
 using namespace docdepth;
@@ -119,8 +119,8 @@ void measure_surfaces(const Camera& camera, const std::vector<Matrix>& sweeps,
   const auto frame_of = [&](std::size_t k) {
     const ScanMesh& s = surfaces[k];
     return MeshFrame(sweeps[k], reinterpret_cast<const std::uint32_t (*)[3]>(s.triangles.data()),
-                     s.discontinuity.data(), s.triangles.size(), s.isolated.data(), s.isolated.size(), 0.002f,
-                     classid.data(), nullptr);
+                     s.discontinuity.data(), s.triangles.size(), s.isolated.data(),
+                     s.isolated.size(), 0.002f, classid.data(), nullptr);
   };
   for (const double ahead :
        {0, -1, 1, -2, 2, -3, 3, -4, 4, -6, 6, -8, 8, 12, 16, 24, 32, 48, 64, 80, 96}) {
@@ -140,7 +140,7 @@ void measure_surfaces(const Camera& camera, const std::vector<Matrix>& sweeps,
   const double slow = median_ms(3, [&] { plain(camera, sweeps, surfaces, poses); });
   std::printf("default, %zu sweeps, plain triangles: %.1f ms\n", poses.size(), slow);
   for (const int threads : {1, 2}) {
-    const Motion still{{{placed[0], 0}}, 0};
+    const DynamicSweeps still{{{placed[0], 0}}, 0};
     const double fast = median_ms(11, [&] { render_meshes(camera, placed, still, 12, threads); });
     std::printf("default, %d threads: %.1f ms, %.1f times the plain loop\n", threads, fast,
                 slow / fast);

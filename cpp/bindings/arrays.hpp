@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "docdepth/geometry/types.hpp"
-#include "docdepth/surface/surface.hpp"
+#include "docdepth/mesh/scan_mesh.hpp"
 
 namespace docdepth::bindings {
 

@@ -42,12 +42,12 @@ py::array_t<float> draw_meshes(GlRenderer& renderer, const Array<double>& K, int
                                int visibility_sweeps, int threads) {
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
-  const Motion motion = as_motion(dynamic_frames, max_speed);
+  const DynamicSweeps motion = as_motion(dynamic_frames, max_speed);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
     depth = renderer.render_triangles(
-        camera, drawing_of(camera, frames, motion, visibility_sweeps, threads));
+        camera, compose_scene(camera, frames, motion, visibility_sweeps, threads));
   }
   return to_numpy(std::move(depth), {height, width});
 }

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "arrays.hpp"
-#include "docdepth/surface/surface.hpp"
+#include "docdepth/mesh/scan_mesh.hpp"
 
 namespace docdepth::bindings {
 namespace {

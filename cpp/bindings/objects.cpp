@@ -1,13 +1,12 @@
-#include "docdepth/dynamics/objects.hpp"
-
 #include <pybind11/stl.h>
 
 #include <memory>
 
 #include "arrays.hpp"
-#include "docdepth/dynamics/moving_cubes.hpp"
-#include "docdepth/dynamics/sighting.hpp"
-#include "docdepth/dynamics/tracks.hpp"
+#include "docdepth/objects/classification.hpp"
+#include "docdepth/objects/clustering.hpp"
+#include "docdepth/objects/detections.hpp"
+#include "docdepth/objects/tracking.hpp"
 
 PYBIND11_MAKE_OPAQUE(docdepth::Detections)
 
@@ -135,7 +134,7 @@ std::unique_ptr<Detections> make_detections(const Array<float>& points, const Ar
   const bool* moves = as_column(dynamic, map.rows(), "dynamic");
   const Pose T_world_lidar = as_pose(pose);
   const py::gil_scoped_release release;
-  return std::make_unique<Detections>(sight(map, flags, first, moves, T_world_lidar));
+  return std::make_unique<Detections>(detect_objects(map, flags, first, moves, T_world_lidar));
 }
 
 /// Detections as arrays: per object its first row, its points, how many of them are dynamic and
@@ -146,9 +145,9 @@ py::tuple arrays_of(const Detections& detections) {
   std::vector<float> boxes, samples;
   for (const Detection& object : detections) {
     numbers.insert(numbers.end(), {object.first, object.points, object.dynamic,
-                                   static_cast<std::uint32_t>(object.places.size())});
+                                   static_cast<std::uint32_t>(object.samples.size())});
     append_box(object.box, boxes);
-    for (const auto& point : object.places)
+    for (const auto& point : object.samples)
       samples.insert(samples.end(), point.data(), point.data() + 3);
   }
   const auto all = static_cast<py::ssize_t>(samples.size() / 3);
@@ -175,7 +174,7 @@ std::unique_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
     if (n[3] == 0 || row + n[3] > all.rows())
       throw std::invalid_argument("there are fewer sampled points than the detections say");
     for (const Eigen::Index end = row + n[3]; row < end; ++row)
-      object.places.push_back(all.row(row).transpose());
+      object.samples.push_back(all.row(row).transpose());
   }
   return detections;
 }
@@ -188,23 +187,20 @@ py::list track(const std::vector<const Detections*>& detections, const Array<dou
   for (const Detections* sweep : detections)
     if (!sweep) throw std::invalid_argument("tracking needs the detections of each sweep");
   std::vector<TrackingResult> tracked;
-  std::vector<std::vector<std::uint64_t>> voxels(detections.size());
   {
     const py::gil_scoped_release release;
     tracked = track_objects(detections, {t, t + count}, parameters, threads);
-    if (parameters.window > 0) voxels = moving_cubes(detections, {t, t + count}, tracked, threads);
   }
   py::list result;
-  for (std::size_t i = 0; i < tracked.size(); ++i) {
-    auto& [rows, boxes] = tracked[i];
+  for (TrackingResult& sweep : tracked) {
     std::vector<float> corners;
-    for (const Extent& box : boxes) append_box(box, corners);
-    const auto objects = static_cast<py::ssize_t>(rows.size()),
-               boxed = static_cast<py::ssize_t>(boxes.size()),
-               voxel_count = static_cast<py::ssize_t>(voxels[i].size());
-    result.append(py::make_tuple(to_numpy(std::move(rows), {objects}),
-                                 to_numpy(std::move(corners), {boxed, 6}),
-                                 to_numpy(std::move(voxels[i]), {voxel_count})));
+    for (const Extent& box : sweep.boxes) append_box(box, corners);
+    const auto objects = static_cast<py::ssize_t>(sweep.objects.size()),
+               boxes = static_cast<py::ssize_t>(sweep.boxes.size()),
+               voxels = static_cast<py::ssize_t>(sweep.voxels.size());
+    result.append(py::make_tuple(to_numpy(std::move(sweep.objects), {objects}),
+                                 to_numpy(std::move(corners), {boxes, 6}),
+                                 to_numpy(std::move(sweep.voxels), {voxels})));
   }
   return result;
 }

@@ -67,7 +67,7 @@ py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
                                int visibility_sweeps, int threads) {
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
-  const Motion motion = as_motion(dynamic_frames, max_speed);
+  const DynamicSweeps motion = as_motion(dynamic_frames, max_speed);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
@@ -93,12 +93,12 @@ py::array_t<float> query_visibility(const Rays& rays, const Array<float>& points
   std::vector<float> score(map.rows(), 0.0f);
   {
     const py::gil_scoped_release release;
-    Places some;
+    PointBatch some;
     for (Eigen::Index first = 0; first < map.rows(); first += Eigen::Index(some.size)) {
-      some.size = std::min<std::size_t>(map.rows() - first, Places::kMost);
+      some.size = std::min<std::size_t>(map.rows() - first, PointBatch::kMax);
       for (std::size_t i = 0; i < some.size; ++i)
         some.x[i] = map(first + i, 0), some.y[i] = map(first + i, 1), some.z[i] = map(first + i, 2);
-      rays.ask(some, kBlur, score.data() + first);
+      rays.query_visibility(some, kRayBlur, score.data() + first);
     }
   }
   return to_numpy(std::move(score), {map.rows()});
@@ -147,13 +147,13 @@ py::dict mesh_layers(const Array<double>& K, int width, int height,
                      int visibility_sweeps, const Array<float>& depth, int threads) {
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
-  const Motion motion = as_motion(dynamic_frames, max_speed);
+  const DynamicSweeps motion = as_motion(dynamic_frames, max_speed);
   const float* z = as_depth(depth, width, height);
   std::optional<Layers> layers;
   {
     const py::gil_scoped_release release;
     layers = layers_of_triangles(
-        camera, drawing_of(camera, frames, motion, visibility_sweeps, threads), z, threads);
+        camera, compose_scene(camera, frames, motion, visibility_sweeps, threads), z, threads);
   }
   return as_dict(std::move(*layers), width, height);
 }

@@ -8,8 +8,8 @@
 #include "arrays.hpp"
 #include "docdepth/render/camera.hpp"
 #include "docdepth/render/cloud.hpp"
+#include "docdepth/render/mesh_frame.hpp"
 #include "docdepth/render/splats.hpp"
-#include "docdepth/render/surfaces.hpp"
 
 namespace docdepth::bindings {
 
@@ -56,8 +56,8 @@ inline std::vector<PlacedMeshFrame> as_mesh_frames(const std::vector<PlacedFrame
 /// Its pose, and seconds from its stamp to the image.
 using DynamicFrame = std::tuple<const MeshFrame*, Array<double>, float>;
 
-inline Motion as_motion(const std::vector<DynamicFrame>& dynamic_frames, float max_speed) {
-  Motion motion{{}, max_speed};
+inline DynamicSweeps as_motion(const std::vector<DynamicFrame>& dynamic_frames, float max_speed) {
+  DynamicSweeps motion{{}, max_speed};
   for (const auto& [frame, pose, age] : dynamic_frames)
     motion.sweeps.push_back({{frame, as_pose(pose)}, age});
   return motion;

@@ -4,8 +4,8 @@
 
 #include "arrays.hpp"
 #include "docdepth/dynamics/key_frame.hpp"
+#include "docdepth/dynamics/mesh_image.hpp"
 #include "docdepth/dynamics/range_image.hpp"
-#include "docdepth/dynamics/surface_image.hpp"
 
 namespace docdepth::bindings {
 namespace {

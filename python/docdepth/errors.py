@@ -1,8 +1,8 @@
-"""What can go wrong, as sentences that name the file, the frame and the remedy."""
+"""Errors of docdepth. Each message names the file, the frame and the remedy."""
 
 
 class DocDepthError(Exception):
-    """Base of every error that docdepth raises on purpose."""
+    """Base class of all errors that docdepth raises."""
 
 
 class InputError(DocDepthError, ValueError):

@@ -1,4 +1,4 @@
-"""Confidence against exact depth, from benchmarks/."""
+"""Calibration of confidence, from benchmarks/confidence.py."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ def _benchmarks():
     sys.path.remove(str(BENCHMARKS))
 
 
-def test_bins_and_constants_of_made_up_pixels():
-    """Pixels that are right exactly as often as promised: the fit finds the promise again."""
-    pytest.importorskip("embreex")  # what the example imports needs it
+def test_bins_and_fitted_constants_of_made_up_pixels():
+    """Pixels that are right as often as their confidence says: the fit finds the constants."""
+    pytest.importorskip("embreex")  # the benchmark imports it
     from confidence import fit, joined, reliability
 
     rng = np.random.default_rng(4)
     n = 200_000
-    odds, edge = rng.normal(1, 1.5, n), rng.uniform(0, 1, n)
-    sure = 1 / (1 + np.exp(-(1.5 + 0.7 * odds - 2.0 * edge)))
-    right = rng.uniform(size=n) < sure
-    columns = {"odds": odds, "edge": edge, "sure": sure, "right": right, "error": 1 - sure}
+    log_odds, edge = rng.normal(1, 1.5, n), rng.uniform(0, 1, n)
+    confidence = 1 / (1 + np.exp(-(1.5 + 0.7 * log_odds - 2.0 * edge)))
+    right = rng.uniform(size=n) < confidence
+    columns = {"log_odds": log_odds, "edge": edge, "confidence": confidence}
+    columns |= {"right": right, "error": 1 - confidence}
     np.testing.assert_allclose(fit([columns, columns]), (1.5, 0.7, 2.0), atol=0.05)
     rows = reliability(joined({"a": columns, "b": columns}))
     assert sum(share for share, *_ in rows) == pytest.approx(1)
@@ -38,7 +39,7 @@ def test_bins_and_constants_of_made_up_pixels():
 
 
 @pytest.mark.slow
-def test_the_example_runs(tmp_path, capsys):
+def test_the_benchmark_runs(tmp_path, capsys):
     pytest.importorskip("embreex")
     pytest.importorskip("matplotlib")
     from confidence import main

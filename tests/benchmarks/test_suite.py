@@ -1,4 +1,4 @@
-"""The synthetic suite and its baseline, from benchmarks/."""
+"""The synthetic suite and IP-Basic, from benchmarks/."""
 
 from __future__ import annotations
 
@@ -64,10 +64,10 @@ def test_ip_basic_leaves_far_pixels_out_and_nothing_empty() -> None:
     np.testing.assert_allclose(ip_basic(sparse), 20, rtol=1e-6)
 
 
-def test_table_tells_the_mean_and_the_worst_of_each_figure() -> None:
-    from suite import table
+def test_table_has_the_mean_and_the_worst_of_each_metric() -> None:
+    from suite import Column, table
 
-    columns = [("f1", "F1", 2, 1), ("shifts", "shifts", 1, -1)]
+    columns = [Column("f1", "F1", 2), Column("shifts", "shifts", 1, -1)]
     cells = {
         "a": {"t": {"f1": 0.9, "shifts": 1.0}},
         "b": {"t": {"f1": 0.7, "shifts": 2.0}},
@@ -82,6 +82,7 @@ def test_table_tells_the_mean_and_the_worst_of_each_figure() -> None:
 @pytest.mark.slow
 def test_suite_of_two_tiny_cells(tmp_path, monkeypatch) -> None:
     pytest.importorskip("embreex")
+    import cells
     import suite
 
     tiny = [str(tmp_path / "drives"), "-o", str(tmp_path / "out"), "--frames", "6"]
@@ -93,11 +94,11 @@ def test_suite_of_two_tiny_cells(tmp_path, monkeypatch) -> None:
     for rows in depth.values():
         assert set(rows) == {t.name for t in suite.DEPTH_TRIALS} | {suite.IP_BASIC}
         assert rows["default"]["shifts"] < rows[suite.IP_BASIC]["shifts"]
-    # Nothing is made again: not even the world is built.
-    monkeypatch.setattr(suite, "Drive", None)
-    monkeypatch.setattr(suite, "write_drive", None)
+    # Nothing is computed again: not even the scene is built.
+    monkeypatch.setattr(cells, "Drive", None)
+    monkeypatch.setattr(cells, "write_drive", None)
     assert suite.main([*tiny, "--depth", "--images", "1"]) == depth
     stored = tmp_path / "out/depth/seed0/city_VLP-16/paper.json"
     assert json.loads(stored.read_text())["figures"]["poses"] == "exact"
-    with pytest.raises(suite.RunError, match="another drive"):
+    with pytest.raises(cells.RunError, match="another drive"):
         suite.main([*tiny, "--frames", "5"])

@@ -1,4 +1,4 @@
-"""KITTI's LiDAR: known by its points, each point's laser, and what that is good for."""
+"""KITTI's LiDAR: detected from points, the laser of each point, and what ray origins bring."""
 
 from dataclasses import replace
 
@@ -47,7 +47,10 @@ def test_neighbours_fire_evenly_only_as_seen_from_their_laser(drive_0005):
     often = np.median(step[same & (np.abs(jump) < 1e-3) & (step > 0.002) & (step < 0.0045)])
     same &= np.abs(jump) > 0.03
     rest = {}
-    for way, aside in {"axis": 0 * jump, "laser": kitti_lidar.ASIDE[found.index[1:]]}.items():
+    for way, aside in {
+        "axis": 0 * jump,
+        "laser": kitti_lidar.LATERAL_OFFSETS[found.index[1:]],
+    }.items():
         steps = (step - aside * jump)[same] / often
         rest[way] = np.median(np.abs(steps - np.round(steps)))
     assert same.sum() > 500
@@ -56,7 +59,7 @@ def test_neighbours_fire_evenly_only_as_seen_from_their_laser(drive_0005):
 
 
 @pytest.mark.parametrize("name", sorted(sensors()))
-def test_only_its_own_sweeps_are_taken_for_its(name):
+def test_sweeps_of_other_lidars_are_not_taken_for_it(name):
     sweep = Drive(scene("city", 1), sensor(name), 4, 1).sweep(2)
     assert kitti_lidar.is_kitti_lidar([sweep.points]) == (name == "HDL-64")
     few = sweep.points[:20]

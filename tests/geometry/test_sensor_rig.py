@@ -34,7 +34,7 @@ def pose(x, y, z, yaw=0.0):
     return T
 
 
-def test_each_sees_its_own_points_from_its_own_place():
+def test_each_lidar_views_its_own_points_from_its_own_place():
     points = np.random.default_rng(0).uniform(-20, 20, (1000, 3)).astype(np.float32)
     T = np.array([pose(1, 2, 3), pose(-2, 0.5, 1, 0.7)])
     sensor_rig = SensorRig((np.arange(1000) % 2).astype(np.uint8), T)
@@ -50,8 +50,8 @@ def test_each_sees_its_own_points_from_its_own_place():
     np.testing.assert_array_equal(whole.triangles, np.concatenate(joined))
 
 
-def test_a_driving_lidar_keeps_neighbours_and_looks_from_where_it_was():
-    """It passes a panel at 20 m/s; deskewed, what it saw beside that lies behind it."""
+def test_ray_origins_follow_a_driving_lidar():
+    """The LiDAR passes a panel at 20 m/s; deskewed, returns beside the panel lie behind it."""
     angles = np.linspace(0.5, -2.5, 1500)  # forward on the left to backward on the right
     a, e = np.meshgrid(angles, np.radians(np.linspace(-8, 8, 9)))
     look = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1).reshape(-1, 3)
@@ -69,7 +69,7 @@ def test_a_driving_lidar_keeps_neighbours_and_looks_from_where_it_was():
     np.testing.assert_array_equal(view.points, points)
 
     def mixed(sensor_rig):
-        """Triangles between the panel's returns and others: its outline, if nothing is amiss."""
+        """Triangles between returns of the panel and others; only its outline should have any."""
         corners = panel[ScanMesh(points, sensor_rig=sensor_rig).triangles]
         return int((corners.any(axis=1) & ~corners.all(axis=1)).sum())
 
@@ -96,7 +96,7 @@ def test_a_driving_lidar_keeps_neighbours_and_looks_from_where_it_was():
     assert (drawn[0] != drawn[2])[np.isfinite(drawn[0])].any()
 
 
-def test_lasers_of_one_head_see_from_beside_its_axis():
+def test_rays_of_a_laser_begin_beside_the_axis():
     """A laser 5 cm left of an axis 0.2 m above the origin, looking everywhere."""
     angles = np.linspace(-3, 3, 50)
     look = np.column_stack([np.cos(angles), np.sin(angles), 0.1 * np.ones(50)])
@@ -116,7 +116,7 @@ def test_lasers_of_one_head_see_from_beside_its_axis():
 @pytest.mark.parametrize(
     ("index", "T", "message"),
     [
-        ([0, 2], [np.eye(4)] * 2, "LiDAR 2"),
+        ([0, 2], [np.eye(4)] * 2, "sensor 2"),
         ([0, 1], np.eye(4), "shapes"),
         ([0, 1], [np.eye(4), np.diag([2.0, 1, 1, 1.0])], "rotation"),
     ],
@@ -181,10 +181,10 @@ def grid(x, width, height):
     return np.stack([np.full(y.size, x), y.ravel(), z.ravel()], axis=1).astype(np.float32)
 
 
-@pytest.mark.parametrize("against", ["pixels", "surface"])
-def test_each_answers_for_itself(against):
+@pytest.mark.parametrize("vote_model", ["range_image", "surface"])
+def test_each_lidar_votes_from_its_own_place(vote_model):
     """The second LiDAR stands behind the wall that the first one sees, and looks farther on."""
-    p = parameters(settings={"dynamics.against": against}).dynamics
+    p = parameters(settings={"dynamics.vote_model": vote_model}).dynamics
     ahead = pose(6, 0, 0)
     near, far = grid(5, 2, 1), grid(12, 3, 1.5)
     points = np.concatenate([near, far])
@@ -194,11 +194,11 @@ def test_each_answers_for_itself(against):
     asked = np.float32([[4, 0.1, 0.1], [5, 0.3, 0], [9, 0.1, 0.1], [12, 0.4, 0.2], [14, 0, 0.1]])
     frame = voting.KeyFrame(points, np.zeros(len(points), bool), p, None, sensor_rig)
     ground = np.zeros(len(asked), bool)
-    votes = voting.vote(asked, ground, np.eye(4), [frame], np.eye(4)[None], p)
+    votes = voting.vote(asked, ground, np.eye(4), [frame], np.eye(4)[None])
     assert votes.dynamic.tolist() == [1, 0, 1, 0, 0]
     assert votes.static.tolist() == [0, 1, 0, 1, 0]
     as_one = voting.KeyFrame(points, np.zeros(len(points), bool), p)
-    votes = voting.vote(asked, ground, np.eye(4), [as_one], np.eye(4)[None], p)
+    votes = voting.vote(asked, ground, np.eye(4), [as_one], np.eye(4)[None])
     assert votes.dynamic[2] == 0  # hidden by the wall
 
 
@@ -236,7 +236,7 @@ def test_a_run_of_both(two, tmp_path):
     assert right.too_near + right.too_far < less.too_near + less.too_far
 
 
-def test_what_does_not_fit_together_is_named(two, tmp_path):
+def test_inconsistent_lidars_are_named(two, tmp_path):
     broken = tmp_path / "00"
     shutil.copytree(two, broken)
     (broken / "velodyne_2" / "000005.bin").unlink()

@@ -57,7 +57,7 @@ def test_png_holds_its_whole_range_and_refuses_more(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.inf])
-def test_depth_that_is_no_depth_is_refused(value: float) -> None:
+def test_depths_that_are_not_positive_are_refused(value: float) -> None:
     depth = np.full((2, 2), 5, np.float32)
     depth[1, 0] = value
     with pytest.raises(InputError, match="row 1, column 0"):
@@ -106,7 +106,7 @@ def test_half_floats_are_the_nearest_of_numpy(tmp_path: Path) -> None:
     assert b"Y\0\1\0\0\0" in path.read_bytes()
 
 
-def test_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     OpenEXR = pytest.importorskip("OpenEXR")
 
     def full(*_: object) -> None:

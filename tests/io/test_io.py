@@ -50,7 +50,7 @@ def test_frame_is_read_back_the_same(tmp_path, frame):
     assert read_frame_key(path) == frame.key
 
 
-def test_a_frame_of_the_release_before_is_read(tmp_path, frame):
+def test_a_frame_of_the_previous_release_is_read(tmp_path, frame):
     path = tmp_path / "frame_000000.ply"
     write_frame(path, frame)
     path.write_bytes(path.read_bytes().replace(b"float time_offset", b"float late"))
@@ -146,7 +146,7 @@ def test_calibration_round_trip_and_missing(tmp_path):
     assert (back.width, back.height) == (1242, 375)
 
 
-def test_sensors_of_the_release_before_are_read(tmp_path, frame):
+def test_sensors_of_the_previous_release_are_read(tmp_path, frame):
     run = RunFolder.create(tmp_path / "run", {}, parameters())
     index = np.zeros(100, np.uint8)
     rig = SensorRig(index, np.eye(4)[None], np.array([0.02]), np.array([3], np.uint8))

@@ -39,7 +39,7 @@ CAMERAS = ("camera", [("double", "focal"), ("int", "id")], [(1.0, 2), (3.0, 4)])
 
 
 def ply(layout: str, *elements: tuple) -> bytes:
-    """A file by the words of the format's description, independent of docdepth."""
+    """A file as the description of the format has it, written without docdepth."""
     lines = ["ply", f"format {layout} 1.0", "comment made by another", "obj_info of no use"]
     for name, properties, rows in elements:
         lines += [f"element {name} {len(rows)}", *(f"property {t} {n}" for t, n in properties)]
@@ -176,7 +176,7 @@ def replaced(old: bytes, new: bytes, layout: str = "binary_little_endian") -> by
         (replaced(b"element face 3", b"element face 99", "ascii"), "6 of 99 rows of its face"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said(tmp_path: Path, content: bytes, match: str) -> None:
+def test_damage_is_described(tmp_path: Path, content: bytes, match: str) -> None:
     path = tmp_path / "frame_000003.ply"
     path.write_bytes(content)
     with pytest.raises(
@@ -219,8 +219,8 @@ def test_every_truncation_is_an_error(tmp_path: Path, layout: str) -> None:
             read_vertices(path)
 
 
-def test_random_bytes_are_an_error_or_rows(tmp_path: Path) -> None:
-    """Bytes changed anywhere end in a file that is read or refused, never in a crash."""
+def test_random_bytes_are_read_or_refused(tmp_path: Path) -> None:
+    """A file with changed bytes is read or refused; nothing crashes."""
     rng = np.random.default_rng(8)
     path = tmp_path / "a.ply"
     poses = ("vertex", [("double", n) for n in ("x", "y", "z", "q_w", "q_x", "q_y", "q_z",
@@ -243,14 +243,14 @@ def test_random_bytes_are_an_error_or_rows(tmp_path: Path) -> None:
     assert refused > 500
 
 
-def test_notes_that_are_no_numbers(tmp_path: Path) -> None:
+def test_a_count_that_is_no_number(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
     path.write_bytes(ply("ascii", VERTICES).replace(b"comment made", b"comment input_points made"))
     with pytest.raises(RunError, match="input_points is 'made by another'"):
         read_frame(path)
 
 
-def test_a_written_frame_is_read_by_words_of_the_format(tmp_path: Path) -> None:
+def test_the_header_of_a_written_frame(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
     path.write_bytes(ply("binary_big_endian", VERTICES))
     write_frame(path, read_frame(path))

@@ -1,4 +1,4 @@
-"""Phantoms around retro-reflectors against exact scenes, where each return's source is known."""
+"""Ghost returns around retro-reflectors in exact scenes, where the source of each is known."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from docdepth.pipeline import run_classify, run_odometry
 from docdepth.synthetic import Drive, scene, write_drive
 from docdepth.synthetic.sensors import sensor
 
-BLOOM = 0.8
+BLOOMING_DEG = 0.8
 
 
 def sweep_of(things):
@@ -42,8 +42,8 @@ def box(y, z, width, height):
     return lambda a, b: (np.abs(a - y) < width / 2) & (np.abs(b - z) < height / 2)
 
 
-def test_a_halo_is_phantom_but_neither_post_nor_wall_nor_car():
-    bloom = 20 * np.radians(BLOOM)
+def test_a_halo_is_ghosts_but_neither_post_nor_wall_nor_car():
+    bloom = 20 * np.radians(BLOOMING_DEG)
     points, intensity, names = sweep_of(
         [
             ("reflector", 20.0, disc(0, 0.3, 0.35)),
@@ -55,8 +55,8 @@ def test_a_halo_is_phantom_but_neither_post_nor_wall_nor_car():
             ("car", 18.0, box(1.6, -0.2, 1.7, 1.4)),
         ]
     )
-    phantom = blooming_points(points, intensity, BLOOM)
-    share = {name: phantom[names == name].mean() for name in set(names)}
+    ghost = blooming_points(points, intensity, BLOOMING_DEG)
+    share = {name: ghost[names == name].mean() for name in set(names)}
     assert share["halo"] > 0.8
     assert not any(share[name] for name in ("background", "reflector", "wall", "car"))
     assert share["post"] < 0.35  # but for what hides between two halves of the halo
@@ -64,53 +64,53 @@ def test_a_halo_is_phantom_but_neither_post_nor_wall_nor_car():
 
 @pytest.mark.parametrize("scale", [1, 255, 65535])
 def test_scales_of_intensity(scale):
-    bloom = 20 * np.radians(BLOOM)
+    bloom = 20 * np.radians(BLOOMING_DEG)
     points, intensity, names = sweep_of(
         [("reflector", 20.0, disc(0, 0, 0.35)), ("halo", 20.0, disc(0, 0, 0.35 + bloom))]
     )
     points[:3] = [[np.nan, 0, 0], [0, 0, 0], [0, np.inf, 0]]
     intensity[:3] = np.nan
-    phantom = blooming_points(points, intensity * scale, BLOOM)
-    assert phantom[names == "halo"].mean() > 0.9
-    assert not phantom[names != "halo"].any()
-    assert not blooming_points(points, np.minimum(intensity, 0.5) * scale, BLOOM).any()
+    ghost = blooming_points(points, intensity * scale, BLOOMING_DEG)
+    assert ghost[names == "halo"].mean() > 0.9
+    assert not ghost[names != "halo"].any()
+    assert not blooming_points(points, np.minimum(intensity, 0.5) * scale, BLOOMING_DEG).any()
 
 
 def test_shapes_are_checked():
     with pytest.raises(InputError, match="differ"):
-        blooming_points(np.zeros((3, 3), np.float32), np.zeros(2, np.float32), BLOOM)
+        blooming_points(np.zeros((3, 3), np.float32), np.zeros(2, np.float32), BLOOMING_DEG)
 
 
 @pytest.mark.slow
-def test_phantoms_of_a_sensor_are_found():
-    lidar = replace(sensor("OS1-128"), blooming=np.radians(BLOOM))
+def test_ghost_returns_of_a_sensor_are_found():
+    lidar = replace(sensor("OS1-128"), blooming=np.radians(BLOOMING_DEG))
     drive = Drive(scene("highway", 5), lidar, 10)
     made = found = taken = points = 0
     for k in range(0, 10, 3):
         sweep = drive.sweep(k)
-        phantom = blooming_points(sweep.points, sweep.intensity, BLOOM)
+        ghost = blooming_points(sweep.points, sweep.intensity, BLOOMING_DEG)
         truth = sweep.labels & 0xFFFF == 1
-        made, found = made + truth.sum(), found + (truth & phantom).sum()
-        taken, points = taken + (phantom & ~truth).sum(), points + len(truth)
+        made, found = made + truth.sum(), found + (truth & ghost).sum()
+        taken, points = taken + (ghost & ~truth).sum(), points + len(truth)
     assert made > 50
     assert found > 0.7 * made
     assert taken < 0.002 * points
 
 
-def test_phantoms_take_no_part_in_a_run(tmp_path):
-    folder = write_drive(tmp_path, frames=3, seed=3, blooming_deg=BLOOM, images=False)
-    settings = {"odometry.blooming_deg": BLOOM, "dynamics.end_radius": 0}
+def test_ghost_returns_take_no_part_in_a_run(tmp_path):
+    folder = write_drive(tmp_path, frames=3, seed=3, blooming_deg=BLOOMING_DEG, images=False)
+    settings = {"odometry.blooming_deg": BLOOMING_DEG, "dynamics.time_spacing": 0}
     dataset = open_dataset(folder)
     run = RunFolder.create(tmp_path / "run", {}, parameters("default", settings))
     run_odometry(run, dataset, dataset.poses)
     run_classify(run)
     for k in range(3):
         sweep = dataset.sweep(k)
-        phantom = blooming_points(sweep.points, sweep.intensity, BLOOM)
-        np.testing.assert_array_equal(run.frame(k).index, np.flatnonzero(~phantom))
+        ghost = blooming_points(sweep.points, sweep.intensity, BLOOMING_DEG)
+        np.testing.assert_array_equal(run.frame(k).index, np.flatnonzero(~ghost))
         labels = np.fromfile(run.path / "labels" / f"{sweep.name}.label", np.uint32)
-        np.testing.assert_array_equal(labels == 1, phantom)
-    assert phantom.any()
+        np.testing.assert_array_equal(labels == 1, ghost)
+    assert ghost.any()
 
     dataset.sweep = lambda k: replace(sweep, intensity=None)
     other = RunFolder.create(tmp_path / "other", {}, parameters("default", settings))

@@ -75,7 +75,7 @@ def test_deskew_keeps_rows_that_are_no_returns() -> None:
     assert (result[4] != points[4]).all()
 
 
-def test_deskew_refuses_what_does_not_fit() -> None:
+def test_deskew_refuses_wrong_shapes_and_times() -> None:
     points = np.ones((4, 3), np.float32)
     with pytest.raises(InputError, match="no finite time"):
         deskew(points, np.array([0, 0, np.nan, 0], np.float32), MOTION)
@@ -141,7 +141,7 @@ def passes(count: int) -> Parameters:
 
 
 def test_raw_sweeps_at_speed() -> None:
-    """At 1.1 m a sweep from the first one on, where a start from standstill is 0.8 m off."""
+    """At 1.1 m a sweep from the start; registration that starts at standstill is 0.8 m off."""
     drive = Drive(12)
     result = register_drive(drive, passes(3))
     errors = pose_errors(result.trajectory.poses, drive.exact)
@@ -268,10 +268,10 @@ def test_a_run_reads_each_sweep_once(tmp_path: Path) -> None:
     assert drive.read == [0], "nothing is left to do"
 
 
-# ---- poses brought along
+# ---- given poses
 
 
-def test_given_poses_are_kept_and_deskew(caplog: pytest.LogCaptureFixture) -> None:
+def test_given_poses_are_kept_and_used_for_deskewing(caplog: pytest.LogCaptureFixture) -> None:
     drive = Drive(6)
     result = register_drive(drive, poses=drive.exact)
     assert drive.read == [], "nothing to register"
@@ -295,7 +295,7 @@ def test_refused_poses() -> None:
         register_drive(drive, poses=drive.exact[:, :3])
 
 
-def test_doubtful_poses_are_doubted(caplog: pytest.LogCaptureFixture) -> None:
+def test_unlikely_poses_give_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     drive = Drive(8)
     register_drive(drive, poses=np.repeat(np.eye(4)[None], 8, axis=0))
     assert "all poses are the same" in caplog.text
@@ -305,10 +305,10 @@ def test_doubtful_poses_are_doubted(caplog: pytest.LogCaptureFixture) -> None:
     jump = drive.exact.copy()
     jump[5:, 1, 3] += 3
     register_drive(drive, poses=jump)
-    assert "at frame 4 the way" in caplog.text or "at frame 5 the way" in caplog.text
+    assert "at frame 4 the step" in caplog.text or "at frame 5 the step" in caplog.text
 
 
-def test_standing_is_not_doubted(caplog: pytest.LogCaptureFixture) -> None:
+def test_standing_still_gives_no_warning(caplog: pytest.LogCaptureFixture) -> None:
     register_drive(Drive(8, motion=np.eye(4)), poses=np.repeat(np.eye(4)[None], 8, axis=0))
     assert not caplog.records
 

@@ -1,4 +1,4 @@
-"""Passes of odometry run at once: the same poses, and nothing left behind however it ends."""
+"""Parallel passes of odometry: the same poses as in sequence, and no process is left behind."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def saved(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture(scope="module")
 def expected(drive: Drive) -> np.ndarray:
-    """One pass after the other."""
+    """Poses of the passes in sequence."""
     return estimate_poses(drive, threads=1)
 
 
@@ -69,26 +69,26 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[subprocess.Popen]:
 
 
 class Spoilt(Drive):
-    """A drive that does something else than reading one sweep, in the process of a pass."""
+    """A drive that calls ``action`` at one sweep, in the process of a pass only."""
 
-    def __init__(self, drive: Drive, deed: Callable[[], object]) -> None:
-        vars(self).update(vars(drive), deed=deed, caller=os.getpid())
+    def __init__(self, drive: Drive, action: Callable[[], object]) -> None:
+        vars(self).update(vars(drive), action=action, caller=os.getpid())
 
     def sweep(self, index: int) -> Sweep:
         if index == 12 and os.getpid() != self.caller:
-            self.deed()
+            self.action()
         return super().sweep(index)
 
 
 class Handle(Drive):
-    """A drive that opens its file but once: it can be sent, yet not read from there."""
+    """A drive with an open file: it can be pickled, but not read in another process."""
 
     def __getstate__(self) -> dict:
         return {name: value for name, value in vars(self).items() if name != "_sweeps"}
 
 
 def with_sweep(drive: Drive, index: int, **change: object) -> Drive:
-    """The drive, one sweep of it changed."""
+    """The drive with one sweep changed."""
     other = copy.copy(drive)
     other._sweeps = drive._sweeps | {index: replace(drive.sweep(index), **change)}
     return other
@@ -98,7 +98,7 @@ def die() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def stumble() -> None:
+def fail() -> None:
     raise EOFError("the file is too short")
 
 
@@ -127,7 +127,7 @@ def script(drive: str, *lines: str) -> subprocess.CompletedProcess:
 
 
 @pytest.mark.parametrize(("threads", "processes"), [(3, 2), (2, 1)])
-def test_passes_at_once_give_the_same_bits(
+def test_parallel_passes_give_the_same_bits(
     drive: Drive, expected: np.ndarray, started: list, threads: int, processes: int
 ) -> None:
     calls: list[tuple[int, int, str]] = []
@@ -184,10 +184,10 @@ def test_warnings_are_logged_by_the_caller(drive: Drive, caplog: pytest.LogCaptu
     assert all("frame 4 has 0 usable points" in text for text in said)
 
 
-# ---- ends before the end
+# ---- errors, and processes that are killed
 
 
-def test_an_error_arrives_as_it_was_raised(drive: Drive, started: list) -> None:
+def test_an_error_in_a_process_is_raised_by_the_caller(drive: Drive, started: list) -> None:
     relative_time = drive.sweep(9).relative_time.copy()
     relative_time[100:2000] = np.nan
     with pytest.raises(OdometryError) as caught:
@@ -197,7 +197,7 @@ def test_an_error_arrives_as_it_was_raised(drive: Drive, started: list) -> None:
     )
     assert len(started) == 2
     with pytest.raises(EOFError, match="the file is too short"):
-        estimate_poses(Spoilt(drive, stumble), threads=3)
+        estimate_poses(Spoilt(drive, fail), threads=3)
 
 
 def test_a_killed_process_is_named(drive: Drive, started: list) -> None:
@@ -218,10 +218,10 @@ def test_no_process_outlives_the_caller(saved: str, end: str) -> None:
     assert result.stderr.count("Traceback") == (result.returncode == -signal.SIGINT)
 
 
-# ---- going on
+# ---- continuing
 
 
-def test_passes_are_kept_the_moment_they_are_whole(
+def test_each_finished_pass_is_saved_at_once(
     drive: Drive, expected: np.ndarray, started: list, tmp_path: Path
 ) -> None:
     first = tmp_path / "odometry_pass_1.npz"
@@ -247,7 +247,7 @@ def test_passes_are_kept_the_moment_they_are_whole(
     assert len(list(tmp_path.iterdir())) == 3
 
 
-def test_an_interrupted_run_goes_on_after_the_last_whole_pass(tmp_path: Path) -> None:
+def test_an_interrupted_run_continues_after_the_last_finished_pass(tmp_path: Path) -> None:
     drive = Drive(4)
     whole = estimate_poses(drive)
     drive.read.clear()

@@ -7,8 +7,7 @@
 #include <stdexcept>
 
 #include "docdepth/dynamics/window.hpp"
-#include "docdepth/geometry/dispatch.hpp"
-#include "docdepth/geometry/lanes.hpp"
+#include "docdepth/geometry/simd.hpp"
 
 namespace docdepth {
 namespace {
@@ -121,7 +120,7 @@ struct SettleVotes {
 
 RangeImage::RangeImage(const Points& points, const bool* ground,
                        const RangeImageParameters& parameters)
-    : canvas_(parameters.resolution, parameters.window / 2),
+    : padded_(parameters.resolution, parameters.window / 2),
       tolerance_(parameters.tolerance),
       plain_(parameters.plain) {
   if (parameters.window < 1 || parameters.window % 2 == 0)
@@ -134,34 +133,34 @@ RangeImage::RangeImage(const Points& points, const bool* ground,
 
 void RangeImage::draw(const Points& points, const bool* ground) {
   const Returns returns(points);
-  const std::vector<std::int32_t> pixels = canvas_.fit(returns);
-  std::vector<std::uint32_t> nearest(canvas_.size(), kNobody);
-  range_ = canvas_.nearest_ranges(returns, pixels, &nearest);
-  range_.resize(canvas_.size() + kLanes, kEmpty);  // may be read, never looked at
+  const std::vector<std::int32_t> pixels = padded_.fit(returns);
+  std::vector<std::uint32_t> nearest(padded_.size(), kNobody);
+  range_ = padded_.nearest_ranges(returns, pixels, &nearest);
+  range_.resize(padded_.size() + kLanes, kEmpty);  // may be read, never looked at
   ground_.assign(range_.size(), 0);
   for (std::size_t i = 0; i < nearest.size(); ++i)
     ground_[i] = nearest[i] != kNobody && ground[returns.number[nearest[i]]];
 }
 
 void RangeImage::summarize_windows() {
-  const std::size_t stride = canvas_.stride(), rim = canvas_.half() * (stride + 1);
-  const float* corner = canvas_.corner(range_);
+  const std::size_t stride = padded_.stride(), rim = padded_.half() * (stride + 1);
+  const float* corner = padded_.corner(range_);
   const float tie_free = tie_free_range(tolerance_);
   spans_.resize(range_.size());
-  dispatch<FindSpans>(canvas_.size() - 2 * rim, corner + rim, stride, 2 * canvas_.half() + 1,
+  dispatch<FindSpans>(padded_.size() - 2 * rim, corner + rim, stride, 2 * padded_.half() + 1,
                       tolerance_, tie_free, spans_[rim].data());
   // Around a ground pixel the loop has no end but the window's, and one return behind the point
   // makes it dynamic: the farthest one tells.
   std::vector<float> seen(range_);
   for (float& range : seen) range = range == kEmpty ? 0.0f : range;
-  const std::vector<float> farthest = window_maximum(seen, stride, canvas_.half());
-  for (std::size_t i = 0; i < canvas_.size(); ++i)
+  const std::vector<float> farthest = window_maximum(seen, stride, padded_.half());
+  for (std::size_t i = 0; i < padded_.size(); ++i)
     if (ground_[i]) spans_[i].fill(static_cast<std::uint32_t>(cell_of(farthest[i])) * 0x10001);
 }
 
 void RangeImage::find(const QueryPoints& points, std::int32_t* pixels) const {
   if (plain_) return;  // the plain loop finds them itself
-  canvas_.find(points, pixels);
+  padded_.find(points, pixels);
   for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&spans_[pixels[i]]);
 }
 
@@ -185,7 +184,7 @@ void RangeImage::vote_plainly(const QueryPoints& points, std::uint16_t* statics,
                               std::uint16_t* dynamics) const {
   for (std::size_t i = 0; i < points.size; ++i) {
     const std::ptrdiff_t pixel =
-        canvas_.pixel(points.x[i], points.y[i], points.z[i], points.range[i]);
+        padded_.pixel(points.x[i], points.y[i], points.z[i], points.range[i]);
     if (pixel < 0) continue;
     const Vote vote = ask(points.range[i], pixel);
     statics[i] += vote == Vote::kStatic;
@@ -199,9 +198,9 @@ RangeImage::Vote RangeImage::ask(float range, std::size_t pixel) const {
   const bool centre_ground = ground_[pixel];
   const float tolerance = centre_ground ? 0.0f : tolerance_;
   Vote vote = Vote::kNone;
-  const int half = canvas_.half();
+  const int half = padded_.half();
   for (int row = -half; row <= half; ++row) {
-    const float* image = &range_[pixel + row * static_cast<std::ptrdiff_t>(canvas_.stride())];
+    const float* image = &range_[pixel + row * static_cast<std::ptrdiff_t>(padded_.stride())];
     for (int column = -half; column <= half; ++column) {
       if (image[column] == kEmpty) continue;
       const float difference = range - image[column];

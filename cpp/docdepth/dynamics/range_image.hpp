@@ -5,8 +5,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "docdepth/dynamics/canvas.hpp"
 #include "docdepth/dynamics/key_frame.hpp"
+#include "docdepth/dynamics/padded_range_image.hpp"
 
 namespace docdepth {
 
@@ -41,7 +41,7 @@ class RangeImage : public KeyFrame {
                     std::uint16_t* dynamics) const;
   Vote ask(float range, std::size_t pixel) const;
 
-  Canvas canvas_;
+  PaddedRangeImage padded_;
   float tolerance_;  ///< tau
   bool plain_;
   std::vector<float> range_;          ///< nearest return, infinite where there is none

@@ -2,9 +2,9 @@
 #include <stdexcept>
 
 #include "docdepth/dynamics/key_frame.hpp"
-#include "docdepth/geometry/dispatch.hpp"
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/geometry/rigid.hpp"
+#include "docdepth/geometry/simd.hpp"
 #include "docdepth/geometry/spherical.hpp"
 
 namespace docdepth {

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "docdepth/geometry/dispatch.hpp"
+#include "docdepth/geometry/simd.hpp"
 
 namespace docdepth {
 namespace {

@@ -1,6 +1,6 @@
 #include "docdepth/geometry/spherical.hpp"
 
-#include "docdepth/geometry/dispatch.hpp"
+#include "docdepth/geometry/simd.hpp"
 
 namespace docdepth {
 namespace {

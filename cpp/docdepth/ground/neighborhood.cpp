@@ -5,8 +5,7 @@
 #include <cstring>
 #include <limits>
 
-#include "docdepth/geometry/dispatch.hpp"
-#include "docdepth/geometry/lanes.hpp"
+#include "docdepth/geometry/simd.hpp"
 
 namespace docdepth {
 namespace {

@@ -31,7 +31,7 @@ class Neighborhood {
   /// Look for the k nearest points, itself the first, of a point of the leaf.
   Outcome search(std::uint32_t point);
 
-  /// Candidates in the order of their points.
+  /// DepthHypotheses in the order of their points.
   const std::vector<std::uint32_t>& nearest() const { return nearest_; }
   /// From the point that was searched for to its n-th neighbour, all neighbours' mean, and their
   /// covariance (times their number) around that mean.

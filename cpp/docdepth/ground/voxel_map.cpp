@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include "docdepth/geometry/dispatch.hpp"
 #include "docdepth/geometry/parallel.hpp"
+#include "docdepth/geometry/simd.hpp"
 
 namespace docdepth {
 namespace {

@@ -1,9 +1,10 @@
-// The pinhole camera that depth maps are drawn for, and what it cannot see.
+// The pinhole camera of a depth map, and what it sees.
 #pragma once
 
 #include <array>
 
 #include "docdepth/geometry/types.hpp"
+#include "docdepth/render/constants.hpp"
 
 namespace docdepth {
 
@@ -13,23 +14,20 @@ struct Camera {
   int width, height;
 };
 
-/// Points nearer to the image plane than this are not drawn, metres.
-constexpr float kNear = 0.1f;
-
 /// An axis-aligned box.
 struct Box {
   Eigen::Vector3f center = Eigen::Vector3f::Zero();
   Eigen::Vector3f extent = Eigen::Vector3f::Zero();  ///< half the edges
 };
 
-/// The five planes around what a camera sees, in the frame of the points that are asked for.
+/// The five planes of a camera's view, in the frame of the points.
 class Frustum {
  public:
-  /// `margin` pixels beyond the border still count as seen. It is at least one here, so that
-  /// rounding cannot hide a point that projects into the image.
+  /// @param margin  pixels beyond the border that count as visible; at least one, so that rounding
+  ///   cannot hide a point that projects into the image
   Frustum(const Camera& camera, const Pose& T_camera_points, double margin = 1.0);
 
-  /// False only if no point of the box can be seen.
+  /// False only if no point of the box is visible.
   bool touches(const Box& box) const {
     for (const auto& plane : planes_) {
       const Eigen::Vector3f normal = plane.head<3>();

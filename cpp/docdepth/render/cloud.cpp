@@ -11,11 +11,11 @@ namespace {
 
 constexpr std::uint32_t kSectors = 64, kRings = 128;
 
-/// Which of the cells around the sensor a point lies in: equal sectors of azimuth, rings that grow
-/// with range. Cells that follow each other are neighbours, so blocks of points are compact.
+/// Cell of a point around the sensor: equal sectors of azimuth, rings that grow with range.
+/// Consecutive cells are neighbours, so blocks of points are compact.
 std::uint32_t cell(float x, float y) {
   const float sum = std::abs(x) + std::abs(y);
-  // The diamond angle grows with azimuth like the angle itself, from 0 to 4, without trigonometry.
+  // The diamond angle, 0 to 4, grows with azimuth and needs no trigonometry.
   float angle = sum > 0 ? x / sum : 0.0f;
   angle = y < 0 ? 3.0f + angle : 1.0f - angle;
   const auto sector = std::min(static_cast<std::uint32_t>(angle * (kSectors / 4.0f)), kSectors - 1);
@@ -28,7 +28,7 @@ std::uint32_t cell(float x, float y) {
 }
 
 Box box_around(const Eigen::Vector3f& low, const Eigen::Vector3f& high) {
-  // A little larger, since center and extent are rounded.
+  // A millimetre larger, since center and extent are rounded.
   return {(low + high) / 2, (high - low) / 2 + Eigen::Vector3f::Constant(1e-3f)};
 }
 

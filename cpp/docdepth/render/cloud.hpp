@@ -1,4 +1,4 @@
-// Points of one sweep, put in order once so that what the camera cannot see costs nothing.
+// The points of a sweep in blocks of neighbours, so that blocks outside the view are skipped.
 #pragma once
 
 #include <cstdint>
@@ -8,11 +8,11 @@
 
 namespace docdepth {
 
-/// Points in blocks of neighbours, each with its box; coordinates apart, as vector units like them.
+/// Points in blocks of neighbours, each with its box. One column per coordinate.
 class Cloud {
  public:
   static constexpr std::uint32_t kBlock = 256;   ///< most points in a block
-  static constexpr std::uint32_t kPadding = 16;  ///< numbers that can be read behind the last point
+  static constexpr std::uint32_t kPadding = 16;  ///< values that may be read behind the last point
 
   struct Block {
     Box box;
@@ -21,8 +21,8 @@ class Cloud {
 
   Cloud() = default;
 
-  /// @param keep one byte a point; points with 0 are left out. All others must be finite.
-  /// @param classid ClassId of every point; ground if null
+  /// @param keep     0 for points that are left out; all others must be finite
+  /// @param classid  ClassId of every point; ground if null
   Cloud(const Points& points, const std::vector<std::uint8_t>& keep,
         const std::uint16_t* classid = nullptr);
 
@@ -43,12 +43,13 @@ class Cloud {
   std::vector<std::uint8_t> classes_;
 };
 
-/// A sweep made ready to be drawn: moving points are drawn from one sweep, all others from many.
+/// A sweep made ready to be drawn as splats. Dynamic points are drawn from one sweep, static points
+/// from many.
 struct Frame {
   Cloud static_points, dynamic_points;
 
-  /// @param classid ClassId of every point
-  /// @param crop points this far from the sensor and farther are left out, metres
+  /// @param classid  ClassId of every point
+  /// @param crop     points at this range and beyond are left out [m]
   Frame(const Points& points, const std::uint16_t* classid, double crop);
 };
 

@@ -1,4 +1,4 @@
-// How a copy on a graphics card is found again.
+// Identity of shapes, by which the OpenGL renderer finds its copies on the device.
 #pragma once
 
 #include <atomic>
@@ -6,7 +6,7 @@
 
 namespace docdepth {
 
-/// A number that no other call gets, and that copies of its owner share.
+/// A number that no other call returns. Copies of a shape share it.
 inline std::uint64_t new_identity() {
   static std::atomic<std::uint64_t> given{0};
   return ++given;

@@ -1,4 +1,4 @@
-// What is known of each pixel of a depth map beside its depth.
+// Layers of a depth map: where the depth of each pixel comes from.
 #pragma once
 
 #include <cstdint>
@@ -10,29 +10,26 @@
 
 namespace docdepth {
 
-/// Depths that differ by less than this share of them are one surface.
-constexpr float kAgree = 0.02f;
-
-/// Row after row like the depth map that they belong to.
+/// Row after row, like the depth map.
 struct Layers {
-  std::vector<std::int32_t> sweep;      ///< that the depth comes from; -1 where there is none
-  std::vector<std::uint8_t> classid;    ///< ClassId
-  std::vector<std::uint8_t> measured;   ///< 0 where a surface only goes on over a depth jump
-  std::vector<float> range;             ///< metres from the sensor that measured it, else NaN
-  std::vector<float> normal;            ///< x y z of the camera, towards it; empty for splats
-  std::vector<std::uint16_t> support;   ///< measurements here that agree with the depth (kAgree)
-  std::vector<std::uint16_t> measures;  ///< all measurements here
-  std::vector<float> deviation;  ///< standard deviation of those that agree, metres; NaN if one
+  std::vector<std::int32_t> sweep;      ///< number of the sweep; -1 if there is no depth
+  std::vector<std::uint8_t> classid;    ///< ClassId, or kNoClass
+  std::vector<std::uint8_t> measured;   ///< 0 if a surface is only continued over a discontinuity
+  std::vector<float> range;             ///< from the sensor that measured it [m]; NaN if none
+  std::vector<float> normal;            ///< x y z in the camera frame, towards it; none of splats
+  std::vector<std::uint16_t> support;   ///< measurements that agree with the depth (kAgree)
+  std::vector<std::uint16_t> measures;  ///< all measurements of the pixel
+  std::vector<float> deviation;  ///< standard deviation of the support [m]; NaN of less than two
 
   Layers(const Camera& camera, bool with_normals);
 };
 
-/// Layers of a depth map that was drawn from the same sweeps, by any renderer; each sweep measures
-/// a pixel once. The depth comes from the surface that is nearest to it.
-Layers layers_of_triangles(const Camera& camera, const Drawing& drawing, const float* depth,
+/// Layers of a depth map that any renderer drew from the same sweeps. Each sweep measures a pixel
+/// once; the depth comes from the surface nearest to it.
+Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const float* depth,
                            int threads);
 
-/// The same of splats; each splat that covers a pixel measures it.
+/// The same for splats. Each splat that covers a pixel is a measurement.
 Layers layers_of_splats(const Camera& camera, const std::vector<PlacedCloud>& clouds,
                         const float* depth, int threads);
 

@@ -1,4 +1,4 @@
-// How triangles become pixels: what drawing depth and gathering its layers share.
+// Rasterising triangles, for depth maps and for their layers.
 #pragma once
 
 #include <algorithm>
@@ -8,44 +8,41 @@
 #include <limits>
 #include <vector>
 
-#include "docdepth/geometry/lanes.hpp"
 #include "docdepth/geometry/rigid.hpp"
+#include "docdepth/geometry/simd.hpp"
 #include "docdepth/render/camera.hpp"
-#include "docdepth/render/candidates.hpp"
-#include "docdepth/render/dispatch.hpp"
+#include "docdepth/render/depth_hypotheses.hpp"
 #include "docdepth/render/triangles.hpp"
 
-// The image is cut into strips of columns. One thread draws all of a strip, mesh after mesh, so
-// nothing is shared and the order within a strip never changes.
+// The image is cut into strips of columns. One thread draws all meshes into a strip, so nothing is
+// shared and the order within a strip never changes.
 namespace docdepth {
 
-constexpr int kStrip = Candidates::kStrip;  // 375 rows of them fit the first cache levels
+constexpr int kStrip = DepthHypotheses::kStrip;  // 375 rows of them fit the first cache levels
 
-/// Pixels by which triangles are larger than they are, so that rounding leaves no cracks.
-constexpr float kSlack = 0.01f;
-
-/// Nearness (1 / depth, linear on every plane's image) of the columns [begin, end); 0 is empty.
+/// Inverse depth, which is linear on the image of a plane, of columns [begin, end); 0 is empty.
 struct Strip {
   int begin, end, height;
-  std::vector<float> nearness;           // kStride numbers a row
-  std::vector<std::uint8_t> open_tiles;  // 0 where nothing needs to be drawn
-  std::vector<std::int32_t> numbers;     // of the triangles, like nearness; empty in plain drawing
+  std::vector<float> inverse_depth;      // kStride values a row
+  std::vector<std::uint8_t> open_tiles;  // 0 where nothing has to be drawn
+  std::vector<std::int32_t>
+      numbers;  // of the triangles, laid out like inverse_depth; empty for depth maps
 
-  static constexpr int kStride = kStrip + kLanes, kTile = Candidates::kTile,
+  static constexpr int kStride = kStrip + kLanes, kTile = DepthHypotheses::kTile,
                        kTiles = kStride / kTile;
   Strip(int b, int e, int h)
       : begin(b),
         end(e),
         height(h),
-        nearness(std::size_t(kStride) * h, 0.0f),
+        inverse_depth(std::size_t(kStride) * h, 0.0f),
         open_tiles(std::size_t(kTiles) * ((h + kTile - 1) / kTile), 1) {}
 
-  /// Empties the strip, and keeps from being drawn what nobody can offer anything for.
-  void open_only(const Candidates& candidates) {
-    std::fill(nearness.begin(), nearness.end(), 0.0f);
-    const auto& open = candidates.open_tiles();
+  /// Empty the strip, and draw only in the open tiles from now on.
+  void open_only(const DepthHypotheses& hypotheses) {
+    std::fill(inverse_depth.begin(), inverse_depth.end(), 0.0f);
+    const auto& open = hypotheses.open_tiles();
     for (std::size_t tile = 0; tile < open.size(); ++tile)
-      open_tiles[tile / candidates.tiles() * kTiles + tile % candidates.tiles()] = open[tile];
+      open_tiles[tile / hypotheses.tiles() * kTiles + tile % hypotheses.tiles()] = open[tile];
   }
 
   bool is_open(int first_u, int last_u, int first_v, int last_v) const {
@@ -56,19 +53,19 @@ struct Strip {
   }
 };
 
-/// Vertices of a patch in the image, and where they lie beside the strip.
+/// Vertices of a patch in the image.
 struct Projected {
-  alignas(32) float u[Mesh::kVertices + kLanes], v[Mesh::kVertices + kLanes],
-      w[Mesh::kVertices + kLanes];  // w is 1 / depth, 0 where there is none
-  alignas(32) std::int32_t beside[Mesh::kVertices + kLanes];
+  alignas(32) float u[PatchMesh::kVertices + kLanes], v[PatchMesh::kVertices + kLanes],
+      w[PatchMesh::kVertices + kLanes];  // 1 / depth; 0 if nearer than kNear
+  alignas(32) std::int32_t outside[PatchMesh::kVertices + kLanes];
 };
 
-/// Sides of the strip that vertices may lie beyond; what all corners lie beyond is not seen, nor is
-/// what has a corner behind the camera.
+/// Sides of the strip beyond which a vertex lies. A triangle is not visible if all its corners lie
+/// beyond one side, or one lies behind the camera.
 constexpr std::int32_t kLeft = 1, kRight = 2, kAbove = 4, kBelow = 8, kBehind = 16;
 
-/// False if nothing of the patch falls on what may still be drawn.
-DOCDEPTH_INLINE bool project_patch(const Mesh& mesh, const Mesh::Patch& patch,
+/// Project a patch. @return false if nothing of it falls on open tiles.
+DOCDEPTH_KERNEL bool project_patch(const PatchMesh& mesh, const PatchMesh::Patch& patch,
                                    const RigidTransform& T, const Camera& camera,
                                    const Strip& strip, Projected& out) {
   const auto& r = T.r;
@@ -89,13 +86,13 @@ DOCDEPTH_INLINE bool project_patch(const Mesh& mesh, const Mesh::Patch& patch,
     const Floats w = 1.0f / z;
     const Floats u = (fx * x) * w + cx, v = (fy * y) * w + cy;
     const Floats shown = seen ? w : Floats{};
-    const Ints beside = ((u + kSlack < left) & kLeft) | ((u - kSlack > right) & kRight) |
-                        ((v + kSlack < 0.0f) & kAbove) | ((v - kSlack > bottom) & kBelow) |
-                        (~seen & kBehind);
+    const Ints outside = ((u + kSlack < left) & kLeft) | ((u - kSlack > right) & kRight) |
+                         ((v + kSlack < 0.0f) & kAbove) | ((v - kSlack > bottom) & kBelow) |
+                         (~seen & kBehind);
     std::memcpy(out.u + i, &u, sizeof u);
     std::memcpy(out.v + i, &v, sizeof v);
     std::memcpy(out.w + i, &shown, sizeof shown);
-    std::memcpy(out.beside + i, &beside, sizeof beside);
+    std::memcpy(out.outside + i, &outside, sizeof outside);
     const Ints part =
         seen & (Ints{0, 1, 2, 3, 4, 5, 6, 7} + std::int32_t(i) < std::int32_t(patch.vertices));
     low_u = part & (u < low_u) ? u : low_u, high_u = part & (u > high_u) ? u : high_u;
@@ -114,21 +111,39 @@ DOCDEPTH_INLINE bool project_patch(const Mesh& mesh, const Mesh::Patch& patch,
          strip.is_open(int(first_u), int(last_u), int(first_v), int(last_v));
 }
 
-/// One edge of a triangle: its value at a pixel is not negative inside.
+/// An edge of a triangle. Its value is not negative inside the triangle.
 struct Edge {
   float u, v, du, dv, slack;
 };
 
-DOCDEPTH_INLINE Edge edge(float u0, float v0, float u1, float v1, float turn) {
+DOCDEPTH_KERNEL Edge edge(float u0, float v0, float u1, float v1, float turn) {
   const float du = (u1 - u0) * turn, dv = (v1 - v0) * turn;
   return {u0, v0, du, dv, kSlack * (std::fabs(du) + std::fabs(dv))};
 }
 
-/// No corner is behind the camera, and not all are beside the strip on one side.
+/// Keep the inverse depth of eight pixels where they are inside a triangle and nearer than before.
+template <bool kNumbered>
+DOCDEPTH_KERNEL void keep_nearer(Strip& strip, std::size_t pixel, const Ints& inside,
+                                 const Floats& w, std::int32_t number) {
+  float* cell = strip.inverse_depth.data() + pixel;
+  const Floats old = load(cell);
+  const Ints nearer = inside & (w > old);
+  const Floats now = nearer ? w : old;
+  std::memcpy(cell, &now, sizeof now);
+  if constexpr (kNumbered) {
+    std::int32_t* numbers = strip.numbers.data() + pixel;
+    Ints before;
+    std::memcpy(&before, numbers, sizeof before);
+    const Ints after = nearer ? Ints{} + number : before;
+    std::memcpy(numbers, &after, sizeof after);
+  }
+}
+
+/// No corner is behind the camera, and not all are outside the strip on one side.
 ///
 /// @tparam kNumbered also keeps the number of the triangle
 template <bool kNumbered>
-DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corners,
+DOCDEPTH_KERNEL void draw_triangle(const Projected& p, const PatchMesh::Corners& corners,
                                    std::int32_t number, Strip& strip) {
   const int a = corners[0], b = corners[1], c = corners[2];
   const float wa = p.w[a], wb = p.w[b], wc = p.w[c];
@@ -165,40 +180,29 @@ DOCDEPTH_INLINE void draw_triangle(const Projected& p, const Mesh::Corners& corn
       Floats w = (row - va) * slope_v + w_column;
       w = w < low_w ? Floats{} + low_w : w;
       w = w > high_w ? Floats{} + high_w : w;
-      float* cell = strip.nearness.data() + std::size_t(v) * Strip::kStride + (u - strip.begin);
-      Floats old;
-      std::memcpy(&old, cell, sizeof old);
-      const Ints nearer = inside & (w > old);
-      const Floats now = nearer ? w : old;
-      std::memcpy(cell, &now, sizeof now);
-      if constexpr (kNumbered) {
-        std::int32_t* numbers = strip.numbers.data() + (cell - strip.nearness.data());
-        Ints before;
-        std::memcpy(&before, numbers, sizeof before);
-        const Ints after = nearer ? Ints{} + number : before;
-        std::memcpy(numbers, &after, sizeof after);
-      }
+      keep_nearer<kNumbered>(strip, std::size_t(v) * Strip::kStride + (u - strip.begin), inside, w,
+                             number);
     }
   }
 }
 
-/// False if nothing of it can be seen.
+/// Draw a mesh. @return false if nothing of it is visible.
 template <bool kNumbered = false>
-DOCDEPTH_INLINE bool draw_mesh(const Camera& camera, const PlacedMesh& placed, Strip& strip) {
-  const Mesh& mesh = *placed.mesh;
-  Camera part = camera;  // the columns of the strip as a camera of their own, for culling
+DOCDEPTH_KERNEL bool draw_mesh(const Camera& camera, const PlacedMesh& placed, Strip& strip) {
+  const PatchMesh& mesh = *placed.mesh;
+  Camera part = camera;  // that sees only the columns of the strip
   part.cx -= strip.begin;
   part.width = strip.end - strip.begin;
   const Frustum frustum(part, placed.T_camera_mesh);
   if (!mesh.size() || !frustum.touches(mesh.box())) return false;
   const RigidTransform T(placed.T_camera_mesh);
   Projected points;
-  for (const Mesh::Patch& patch : mesh.patches()) {
+  for (const PatchMesh::Patch& patch : mesh.patches()) {
     if (!frustum.touches(patch.box)) continue;
     if (!project_patch(mesh, patch, T, camera, strip, points)) continue;
     for (std::uint32_t t = patch.triangle; t < patch.triangle + patch.triangles; ++t) {
       const auto& [i, j, k] = mesh.corners()[t];
-      const std::int32_t a = points.beside[i], b = points.beside[j], c = points.beside[k];
+      const std::int32_t a = points.outside[i], b = points.outside[j], c = points.outside[k];
       if ((a & b & c) || ((a | b | c) & kBehind)) continue;
       draw_triangle<kNumbered>(points, mesh.corners()[t], static_cast<std::int32_t>(t), strip);
     }

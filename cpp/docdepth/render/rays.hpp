@@ -1,4 +1,4 @@
-// What the rays of a sweep met, and what they went through on their way.
+// The rays of a sweep: where each ended on a surface, and what space it passed through.
 #pragma once
 
 #include <cstddef>
@@ -6,57 +6,60 @@
 #include <vector>
 
 #include "docdepth/geometry/types.hpp"
+#include "docdepth/render/constants.hpp"
 
 namespace docdepth {
 
-/// Some places, coordinate by coordinate.
-struct Places {
-  static constexpr std::size_t kMost = 256;
+/// Up to kMax points, one column per coordinate.
+struct PointBatch {
+  static constexpr std::size_t kMax = 256;
   std::size_t size = 0;
-  float x[kMost], y[kMost], z[kMost];
+  float x[kMax], y[kMax], z[kMax];
 };
 
-constexpr float kBlur = 0.02f;  ///< no ray is known better than this [m]
-
-/// The returns of a sweep by the direction of their lines of sight.
+/// The returns of a sweep, sorted by the direction of their rays.
 class Rays {
  public:
   Rays() = default;
 
-  /// @param normals of the surface at each point, of any length; zero where there is none
-  /// @param starts where the line of sight of each point begins, near the origin; may be null
+  /// @param normals      of the surface at each point, of any length; zero if unknown
+  /// @param ray_origins  where each ray starts, near the origin; null for the origin itself
   Rays(const Points& points, const std::vector<Eigen::Vector3f>& normals,
-       const Points* starts = nullptr);
+       const Points* ray_origins = nullptr);
 
-  /// Adds to each balance what the ray that passed nearest to a place, in the frame of the sweep,
-  /// tells of it: more than 0 if it met a surface there, less if it went on, nothing if it ended
-  /// before or no ray came near. The nearer it passed the more it counts: 1 / (distance + blur)^2.
-  void ask(const Places& places, float blur, float* balance) const;
+  /// Add the score of the nearest ray to the score of each point (frame of the sweep).
+  ///
+  /// The score is 1 / (distance + blur)^2: positive if the ray ended on a surface at the point,
+  /// negative if it passed through, zero if it ended before or no ray is near.
+  void query_visibility(const PointBatch& points, float blur, float* scores) const;
 
-  /// Where a ray ended.
+  /// The end of a ray.
   struct End {
     Eigen::Vector3f plane;  ///< of the surface there: plane . x = 1
-    float range;
+    float range;            ///< [m]
   };
 
-  /// Returns in cells of direction, column after column.
+  /// Rays in cells of direction, column after column.
   struct Cells {
     int side = 1, columns = 0, rows = 0, low = 0;  ///< angles in units of kTurn
-    std::vector<std::uint32_t> start;              ///< of each cell, and the end
-    std::vector<float> azimuth, elevation;         ///< of each line of sight; whole numbers
-    std::vector<float> left, up;                   ///< of the origin it passes [units * m]
+    std::vector<std::uint32_t> start;              ///< first ray of each cell, and the end
+    std::vector<float> azimuth, elevation;         ///< of each ray; integers
+    std::vector<float> left, up;                   ///< offset of the ray's origin [units * m]
     std::vector<End> ends;
   };
 
  private:
+  void make_cells(const std::vector<std::uint32_t>& rows, int low, int high);
+  void place_origin(const Eigen::Vector3f& origin, const Eigen::Vector3f& point, std::uint32_t to);
+
   Cells cells_;
 };
 
-/// A sweep's rays where it stood relative to the camera at the image's time.
+/// Rays in the frame of the camera at the time of the image.
 struct PlacedRays {
   const Rays* rays;
   Pose T_camera_rays;
-  float blur = kBlur;  ///< how well it is known where they passed [m]
+  float blur = kRayBlur;  ///< how exactly their position is known [m]
 };
 
 }  // namespace docdepth

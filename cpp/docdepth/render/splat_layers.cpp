@@ -11,19 +11,19 @@
 namespace docdepth {
 namespace {
 
-/// What the splats over a pixel say. Sums of whole numbers, so that their order does not matter.
+/// The measurements of a pixel. Sums of integers, so that their order does not matter.
 struct Tally {
-  std::atomic<std::uint64_t> best{~0ull};  // relative difference, then the number of the point
+  std::atomic<std::uint64_t> best{~0ull};  // relative difference (32 bits), number of the point
   std::atomic<std::uint32_t> support{0}, measures{0};
   std::atomic<std::int64_t> sum{0}, squares{0};  // of differences in kSteps
 };
 
-constexpr float kSteps = 1 << 20;
+constexpr float kSteps = 1 << 20;  // to 1: relative differences are summed as integers
 
-/// The splat of one point over the depth that is there.
-void hold_against(const Camera& camera, const Eigen::Vector3f& p, int size, std::uint32_t number,
-                  const float* depth, Tally* tallies) {
-  // As splats.cpp finds the pixel, operation by operation.
+/// Compare the splat of one point with the depth map.
+void compare(const Camera& camera, const Eigen::Vector3f& p, int size, std::uint32_t number,
+             const float* depth, Tally* tallies) {
+  // The same operations as in splats.cpp, so that the pixel is the same.
   const float column = (float(camera.fx) * p.x()) / p.z() + float(camera.cx) + 0.5f;
   const float row = (float(camera.fy) * p.y()) / p.z() + float(camera.cy) + 0.5f;
   if (!(p.z() > kNear && column >= 0 && column < float(camera.width) && row >= 0 &&
@@ -44,7 +44,7 @@ void hold_against(const Camera& camera, const Eigen::Vector3f& p, int size, std:
       tally.support.fetch_add(1, std::memory_order_relaxed);
       tally.sum.fetch_add(steps, std::memory_order_relaxed);
       tally.squares.fetch_add(steps * steps, std::memory_order_relaxed);
-      std::uint32_t bits;  // ordered like the floats, which are not negative
+      std::uint32_t bits;  // bits of positive floats are ordered like the floats
       std::memcpy(&bits, &difference, sizeof bits);
       const std::uint64_t mine = (std::uint64_t(bits) << 32) | number;
       std::uint64_t best = tally.best.load(std::memory_order_relaxed);
@@ -67,7 +67,7 @@ Layers layers_of_splats(const Camera& camera, const std::vector<PlacedCloud>& cl
                         const float* depth, int threads) {
   const std::size_t pixels = std::size_t(camera.width) * camera.height;
   const auto tallies = std::make_unique<Tally[]>(pixels);
-  std::vector<std::uint32_t> first{0};  // number of each cloud's first point
+  std::vector<std::uint32_t> first{0};  // number of the first point of each cloud
   for (const auto& placed : clouds)
     first.push_back(first.back() + std::uint32_t(placed.cloud->size()));
   parallel_for(clouds.size(), 1, threads, [&](std::size_t c, std::size_t) {
@@ -80,7 +80,7 @@ Layers layers_of_splats(const Camera& camera, const std::vector<PlacedCloud>& cl
       for (std::uint32_t i = block.begin; i < block.end; ++i) {
         const Eigen::Vector3f p = T * Eigen::Vector3f(cloud.x()[i], cloud.y()[i], cloud.z()[i]);
         const float squared = (p.x() * p.x() + p.y() * p.y()) + p.z() * p.z();
-        hold_against(camera, p, (*clouds[c].heights)(squared), first[c] + i, depth, tallies.get());
+        compare(camera, p, (*clouds[c].heights)(squared), first[c] + i, depth, tallies.get());
       }
     }
   });

@@ -9,14 +9,13 @@
 #include <mutex>
 #include <new>
 
-#include "docdepth/geometry/lanes.hpp"
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/geometry/rigid.hpp"
-#include "docdepth/render/dispatch.hpp"
+#include "docdepth/geometry/simd.hpp"
 
-// A splat's size depends on its distance alone. So all points of one height are first drawn as
-// single pixels into an image of that height, whatever their number; spreading a disc over each is
-// then the maximum of shifted rows (a grey-scale dilation of nearness), shared by all points.
+// The size of a splat depends only on its distance. So all points with one height are first drawn
+// as single pixels into an image of that height. Spreading the discs is then a grey-scale dilation,
+// the maximum of shifted rows, which all points share.
 namespace docdepth {
 namespace {
 
@@ -32,14 +31,14 @@ float float_of(std::uint32_t bits) {
   return value;
 }
 
-// Depth as an integer that is 0 where nothing was drawn and grows as depth falls: patterns of
-// positive floats are ordered like the floats. Fresh pages of zeros are an empty image for free.
+// Depth as an integer that is 0 for an empty pixel and grows as depth falls: bits of positive
+// floats are ordered like the floats. Fresh pages of zeros are an empty image for free.
 constexpr std::int32_t kNearest = 0x7f800000;
-DOCDEPTH_INLINE std::int32_t nearness(std::uint32_t depth_bits) {
+DOCDEPTH_KERNEL std::int32_t nearness_bits(std::uint32_t depth_bits) {
   return kNearest - static_cast<std::int32_t>(depth_bits);
 }
 
-constexpr int kTile = 64;  // pixels of a row that are skipped together when nothing lies in them
+constexpr int kTile = 64;  // pixels of a row that are skipped together when they are empty
 
 struct Zeros {
   void operator()(void* memory) const { std::free(memory); }
@@ -51,7 +50,7 @@ struct Zeros {
   }
 };
 
-/// The nearest point at each pixel among those with one splat height.
+/// The nearest point at each pixel, of the points with one splat height.
 class PixelImage {
  public:
   PixelImage(int tiles, int height)
@@ -59,7 +58,7 @@ class PixelImage {
         nearness_(Zeros::make<std::int32_t>(std::size_t(tiles) * kTile * height)),
         used_(Zeros::make<std::uint8_t>(std::size_t(tiles) * height)) {}
 
-  /// Safe and without a lock from any thread: the maximum does not depend on the order.
+  /// Thread-safe without a lock: the maximum does not depend on the order.
   void put(std::int32_t pixel, std::int32_t value) {
     std::int32_t* cell = &nearness_[pixel];
     std::int32_t old = __atomic_load_n(cell, __ATOMIC_RELAXED);
@@ -79,7 +78,7 @@ class PixelImage {
   std::unique_ptr<std::uint8_t[], Zeros> used_;
 };
 
-/// One PixelImage a height, made when the first point needs it.
+/// One PixelImage for each height, made when the first point needs it.
 class PixelImages {
  public:
   PixelImages(const Camera& camera, int largest)
@@ -111,58 +110,49 @@ class PixelImages {
   std::vector<std::atomic<PixelImage*>> images_;
 };
 
-/// Single precision camera, in the order of operations that the tests write out.
+/// Camera in single precision. The tests repeat its operations in the same order.
 struct Projection {
   float fx, fy, cx, cy, width, height;
   std::int32_t stride;
 };
 
-/// Where the points of a block fall: pixel, depth and squared distance.
+/// The points of a block in the image.
 struct Projected {
   std::int32_t pixel[Cloud::kBlock];  // negative outside
   float depth[Cloud::kBlock], squared[Cloud::kBlock];
 };
 
-// In lanes: left to themselves compilers do not find this loop worth vectorising.
-DOCDEPTH_INLINE void project_block(const Cloud& cloud, const Cloud::Block& block,
-                                   const RigidTransform& T, const Projection& camera,
-                                   Projected& out) {
-  const auto& r = T.r;
-  for (std::uint32_t i = 0; i < block.end - block.begin; i += kLanes) {
-    Floats a, b, c;
-    std::memcpy(&a, cloud.x() + block.begin + i, sizeof a);
-    std::memcpy(&b, cloud.y() + block.begin + i, sizeof b);
-    std::memcpy(&c, cloud.z() + block.begin + i, sizeof c);
-    const Floats x = ((r[0][0] * a + r[0][1] * b) + r[0][2] * c) + T.t[0];
-    const Floats y = ((r[1][0] * a + r[1][1] * b) + r[1][2] * c) + T.t[1];
-    const Floats z = ((r[2][0] * a + r[2][1] * b) + r[2][2] * c) + T.t[2];
-    const Floats u = ((camera.fx * x) / z + camera.cx) + 0.5f;
-    const Floats v = ((camera.fy * y) / z + camera.cy) + 0.5f;
-    const Ints seen =
-        (z > kNear) & (u >= 0.0f) & (u < camera.width) & (v >= 0.0f) & (v < camera.height);
-    // Where it is seen nothing is negative, so cutting off is rounding down.
-    const Ints column = __builtin_convertvector(u, Ints) & seen;
-    const Ints row = __builtin_convertvector(v, Ints) & seen;
-    const Ints pixel = (row * camera.stride + column) | ~seen;
-    const Floats squared = (x * x + y * y) + z * z;
-    std::memcpy(out.pixel + i, &pixel, sizeof pixel);
-    std::memcpy(out.depth + i, &z, sizeof z);
-    std::memcpy(out.squared + i, &squared, sizeof squared);
+// Written in lanes, since compilers do not vectorise this loop on their own.
+struct ProjectBlock {
+  DOCDEPTH_KERNEL static void run(const Cloud& cloud, const Cloud::Block& block,
+                                  const RigidTransform& T, const Projection& camera,
+                                  Projected& out) {
+    const auto& r = T.r;
+    for (std::uint32_t i = 0; i < block.end - block.begin; i += kLanes) {
+      Floats a, b, c;
+      std::memcpy(&a, cloud.x() + block.begin + i, sizeof a);
+      std::memcpy(&b, cloud.y() + block.begin + i, sizeof b);
+      std::memcpy(&c, cloud.z() + block.begin + i, sizeof c);
+      const Floats x = ((r[0][0] * a + r[0][1] * b) + r[0][2] * c) + T.t[0];
+      const Floats y = ((r[1][0] * a + r[1][1] * b) + r[1][2] * c) + T.t[1];
+      const Floats z = ((r[2][0] * a + r[2][1] * b) + r[2][2] * c) + T.t[2];
+      const Floats u = ((camera.fx * x) / z + camera.cx) + 0.5f;
+      const Floats v = ((camera.fy * y) / z + camera.cy) + 0.5f;
+      const Ints seen =
+          (z > kNear) & (u >= 0.0f) & (u < camera.width) & (v >= 0.0f) & (v < camera.height);
+      // Visible coordinates are not negative, so truncating is rounding down.
+      const Ints column = __builtin_convertvector(u, Ints) & seen;
+      const Ints row = __builtin_convertvector(v, Ints) & seen;
+      const Ints pixel = (row * camera.stride + column) | ~seen;
+      const Floats squared = (x * x + y * y) + z * z;
+      std::memcpy(out.pixel + i, &pixel, sizeof pixel);
+      std::memcpy(out.depth + i, &z, sizeof z);
+      std::memcpy(out.squared + i, &squared, sizeof squared);
+    }
   }
-}
+};
 
-DOCDEPTH_AVX2 void project_block_avx2(const Cloud& cloud, const Cloud::Block& block,
-                                      const RigidTransform& T, const Projection& camera,
-                                      Projected& out) {
-  project_block(cloud, block, T, camera, out);
-}
-
-void project_block_plain(const Cloud& cloud, const Cloud::Block& block, const RigidTransform& T,
-                         const Projection& camera, Projected& out) {
-  project_block(cloud, block, T, camera, out);
-}
-
-/// Block `block` of cloud `cloud`: what one step of the drawing loop takes.
+/// One step of the drawing loop.
 struct VisibleBlock {
   std::uint32_t cloud, block;
 };
@@ -193,24 +183,23 @@ void draw_pixels(const Camera& camera, const std::vector<PlacedCloud>& clouds, P
   const Projection projection{float(camera.fx),      float(camera.fy),    float(camera.cx),
                               float(camera.cy),      float(camera.width), float(camera.height),
                               images.tiles() * kTile};
-  const auto project = DOCDEPTH_HAS_AVX2() ? project_block_avx2 : project_block_plain;
   parallel_for(blocks.size(), 64, threads, [&](std::size_t begin, std::size_t end) {
     Projected points;
     for (std::size_t b = begin; b < end; ++b) {
       const std::uint32_t c = blocks[b].cloud;
       const Cloud& cloud = *clouds[c].cloud;
       const Cloud::Block& block = cloud.blocks()[blocks[b].block];
-      project(cloud, block, transforms[c], projection, points);
+      dispatch<ProjectBlock>(cloud, block, transforms[c], projection, points);
       const SplatHeights& height = *clouds[c].heights;
       for (std::uint32_t i = 0; i < block.end - block.begin; ++i)
         if (points.pixel[i] >= 0)
           images.at(height(points.squared[i]))
-              .put(points.pixel[i], nearness(bits_of(points.depth[i])));
+              .put(points.pixel[i], nearness_bits(bits_of(points.depth[i])));
     }
   });
 }
 
-/// The shape of all splats, by half width: which rows of which image are `half` pixels wide.
+/// A row of the splats of one height.
 struct Span {
   int size, dv;
 };
@@ -229,7 +218,7 @@ std::vector<std::vector<Span>> spans_by_half_width(const PixelImages& images) {
   return spans;
 }
 
-DOCDEPTH_INLINE void take_nearer(const std::int32_t* source, const std::uint8_t* used, int tiles,
+DOCDEPTH_KERNEL void take_nearer(const std::int32_t* source, const std::uint8_t* used, int tiles,
                                  std::int32_t* row) {
   for (int tile = 0; tile < tiles; ++tile) {
     if (!used[tile]) continue;
@@ -239,68 +228,62 @@ DOCDEPTH_INLINE void take_nearer(const std::int32_t* source, const std::uint8_t*
   }
 }
 
-/// One pixel wider to both sides. The element before and the one behind a row are always 0.
-DOCDEPTH_INLINE void widen(const std::int32_t* row, int count, std::int32_t* wider) {
+/// Widen a row by one pixel to both sides. The values before and behind a row are always 0.
+DOCDEPTH_KERNEL void widen(const std::int32_t* row, int count, std::int32_t* wider) {
   for (int i = 0; i < count; ++i) {
     const std::int32_t sides = row[i - 1] > row[i + 1] ? row[i - 1] : row[i + 1];
     wider[i] = row[i] > sides ? row[i] : sides;
   }
 }
 
-/// Rows [begin, end) of the depth map. A row of splats of half width w is one of half width w - 1
-/// made wider, so rows of all sizes are gathered from the widest down and widened together.
-DOCDEPTH_INLINE void spread_rows(const PixelImages& images,
-                                 const std::vector<std::vector<Span>>& spans, int begin, int end,
-                                 int image_height, int width, float* depth) {
-  const int count = images.tiles() * kTile;
-  std::vector<std::int32_t> first(count + 2), second(count + 2);
-  for (int v = begin; v < end; ++v) {
-    std::int32_t *row = first.data() + 1, *wider = second.data() + 1;
-    std::fill(row, row + count, 0);
-    for (std::size_t half = spans.size(); half-- > 0;) {
-      for (const Span& span : spans[half]) {
-        const int source = v - span.dv;
-        if (source < 0 || source >= image_height) continue;
-        const PixelImage* image = images.find(span.size);
-        take_nearer(image->row(source), image->used(source), images.tiles(), row);
+/// Draws rows [begin, end) of the depth map. A row of half width w is a row of half width w - 1
+/// made wider, so the rows of all heights are gathered from the widest down and widened together.
+struct SpreadRows {
+  DOCDEPTH_KERNEL static void run(const PixelImages& images,
+                                  const std::vector<std::vector<Span>>& spans, int begin, int end,
+                                  int image_height, int width, float* depth) {
+    const int count = images.tiles() * kTile;
+    std::vector<std::int32_t> first(count + 2), second(count + 2);
+    for (int v = begin; v < end; ++v) {
+      std::int32_t *row = first.data() + 1, *wider = second.data() + 1;
+      std::fill(row, row + count, 0);
+      for (std::size_t half = spans.size(); half-- > 0;) {
+        for (const Span& span : spans[half]) {
+          const int source = v - span.dv;
+          if (source < 0 || source >= image_height) continue;
+          const PixelImage* image = images.find(span.size);
+          take_nearer(image->row(source), image->used(source), images.tiles(), row);
+        }
+        if (half) {
+          widen(row, count, wider);
+          std::swap(row, wider);
+        }
       }
-      if (half) {
-        widen(row, count, wider);
-        std::swap(row, wider);
-      }
+      float* out = depth + std::size_t(v) * width;
+      for (int u = 0; u < width; ++u)
+        out[u] = row[u] ? float_of(kNearest - row[u]) : std::numeric_limits<float>::quiet_NaN();
     }
-    float* out = depth + std::size_t(v) * width;
-    for (int u = 0; u < width; ++u)
-      out[u] = row[u] ? float_of(kNearest - row[u]) : std::numeric_limits<float>::quiet_NaN();
   }
-}
-
-DOCDEPTH_AVX2 void spread_rows_avx2(const PixelImages& images,
-                                    const std::vector<std::vector<Span>>& spans, int begin, int end,
-                                    int image_height, int width, float* depth) {
-  spread_rows(images, spans, begin, end, image_height, width, depth);
-}
-
-void spread_rows_plain(const PixelImages& images, const std::vector<std::vector<Span>>& spans,
-                       int begin, int end, int image_height, int width, float* depth) {
-  spread_rows(images, spans, begin, end, image_height, width, depth);
-}
+};
 
 int height_of(const SplatSize& size, float squared_distance) {
   const double squared = squared_distance;
-  const double sigma =
-      squared < 1.65 * 1.65 ? size.max : std::max(size.max / std::log(squared), size.min);
+  const double sigma = squared < kLargestSplatRange * kLargestSplatRange
+                           ? size.max
+                           : std::max(size.max / std::log(squared), size.min);
   return static_cast<int>(std::floor(sigma + 0.5));
 }
 
 }  // namespace
 
 SplatHeights::SplatHeights(const SplatSize& size) {
-  const int largest = std::max(height_of(size, 0), height_of(size, 1.65f * 1.65f + 1e-3f));
+  const int largest =
+      std::max(height_of(size, 0),
+               height_of(size, float(kLargestSplatRange) * float(kLargestSplatRange) + 1e-3f));
   constexpr std::uint32_t infinity = 0x7f800000;
   limit_.resize(largest + 1);
   for (int h = 0; h <= largest; ++h) {
-    std::uint32_t reached = 0, missed = infinity;  // patterns of floats, ordered like the floats
+    std::uint32_t reached = 0, missed = infinity;  // bits of floats, ordered like the floats
     while (missed - reached > 1) {
       const std::uint32_t middle = reached + (missed - reached) / 2;
       (height_of(size, float_of(middle)) >= h ? reached : missed) = middle;
@@ -329,11 +312,10 @@ std::vector<float> render_splats(const Camera& camera, const std::vector<PlacedC
   draw_pixels(camera, clouds, images, threads);
 
   const auto spans = spans_by_half_width(images);
-  const auto spread = DOCDEPTH_HAS_AVX2() ? spread_rows_avx2 : spread_rows_plain;
   std::vector<float> depth(std::size_t(camera.width) * camera.height);
   parallel_for(camera.height, 16, threads, [&](std::size_t begin, std::size_t end) {
-    spread(images, spans, static_cast<int>(begin), static_cast<int>(end), camera.height,
-           camera.width, depth.data());
+    dispatch<SpreadRows>(images, spans, static_cast<int>(begin), static_cast<int>(end),
+                         camera.height, camera.width, depth.data());
   });
   return depth;
 }

@@ -1,40 +1,40 @@
-// Surfaces drawn into a depth map: triangles with perspective-correct depth.
+// Meshes drawn into a depth map: triangles with perspective-correct depth.
 #pragma once
 
 #include <vector>
 
 #include "docdepth/render/camera.hpp"
-#include "docdepth/render/mesh.hpp"
+#include "docdepth/render/patch_mesh.hpp"
 #include "docdepth/render/rays.hpp"
 
 namespace docdepth {
 
-/// A mesh where it stood relative to the camera at the image's time.
+/// A mesh in the frame of the camera at the time of the image.
 struct PlacedMesh {
-  const Mesh* mesh;
+  const PatchMesh* mesh;
   Pose T_camera_mesh;
-  int sweep = 0;       ///< that it comes from, as a number of the caller's
-  bool split = false;  ///< not measured, it only goes on over a depth jump
+  int sweep = 0;       ///< number of its sweep, chosen by the caller
+  bool split = false;  ///< not measured: it continues a surface over a discontinuity
 };
 
-/// A moving object where it was when the image was taken, as one or more sweeps saw it.
-struct PlacedMover {
-  std::vector<PlacedMesh> trusted;  ///< is drawn unquestioned
-  std::vector<PlacedMesh> others;   ///< fill what it left empty, where rays met them
+/// A dynamic object at the time of the image, as one or more sweeps saw it.
+struct PlacedDynamicObject {
+  std::vector<PlacedMesh> trusted;  ///< drawn as they are
+  std::vector<PlacedMesh> others;   ///< fill what is left empty, where rays confirm them
   std::vector<PlacedRays> rays;     ///< placed so that the object stands still among them
 };
 
 /// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all
-/// surfaces is not the best: it is the one with the most noise and the widest silhouette.
-struct Drawing {
-  std::vector<PlacedMesh> trusted;  ///< goes on unquestioned where it has no edge
-  std::vector<PlacedMesh> others;   ///< fill what it left empty, and are offered at its edges
-  std::vector<PlacedRays> rays;     ///< are asked where offers differ
-  std::vector<PlacedMover> movers;  ///< hide what is farther
+/// surfaces would be the one with the most noise and the widest silhouette.
+struct MeshScene {
+  std::vector<PlacedMesh> trusted;  ///< drawn as they are, except at their edges
+  std::vector<PlacedMesh> others;   ///< fill what is left empty, and are hypotheses at edges
+  std::vector<PlacedRays> rays;     ///< decide between hypotheses
+  std::vector<PlacedDynamicObject> dynamic_objects;  ///< hide what is farther
 };
 
-/// Depth of the surface at each pixel, row after row; NaN where there is none. Triangles with a
+/// Depth of the surface at each pixel, row after row [m]; NaN if there is none. Triangles with a
 /// corner nearer than kNear are left out. The result does not depend on the number of threads.
-std::vector<float> render_triangles(const Camera& camera, const Drawing& drawing, int threads);
+std::vector<float> render_triangles(const Camera& camera, const MeshScene& scene, int threads);
 
 }  // namespace docdepth

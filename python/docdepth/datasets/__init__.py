@@ -1,4 +1,4 @@
-"""Recordings on disk, one class a format, behind one protocol (:class:`~.base.Dataset`)."""
+"""Recordings on disk: one class for each format, all with the interface :class:`~.base.Dataset`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["CameraStream", "Dataset", "Sweep", "open_dataset", "usable_points"]
 
 @dataclass(frozen=True)
 class _Format:
-    marker: str  # what a folder of this format holds
+    marker: str  # a folder that every recording of this format holds
     expected: str
     open: Callable[[Path, tuple[int, int] | None], Dataset]
 
@@ -58,15 +58,15 @@ def open_dataset(
     path : Path
         The folder of one drive or sequence.
     name : str, optional
-        Its format; guessed from what the folder holds when left out.
+        Its format; detected from the files of the folder if left out.
     image_size : (int, int), optional
-        Width and height in pixels, for recordings whose files do not tell them.
+        Width and height of the images in pixels, if no file tells them.
 
     Raises
     ------
     DatasetError
-        There is no such folder or format, the folder looks like none of the formats, or a file
-        of it is missing or broken.
+        There is no such folder or format, the folder is of no known format, or a file is missing or
+        broken.
     CalibrationError
         The calibration is missing or contradicts the images.
     """
@@ -75,16 +75,16 @@ def open_dataset(
         raise DatasetError(f"unknown dataset {name!r}; there are {', '.join(_FORMATS)}")
     if not path.is_dir():
         raise DatasetError(f"{path} is {'not a folder' if path.exists() else 'not there'}")
-    name = name or _guess(path)
+    name = name or _detect_format(path)
     if name is not None and (path / _FORMATS[name].marker).is_dir():
         return _FORMATS[name].open(path, image_size)
-    inside = [child for child in sorted(path.iterdir()) if child.is_dir() and _guess(child)]
+    inside = [child for child in sorted(path.iterdir()) if child.is_dir() and _detect_format(child)]
     hint = f"; did you mean {inside[0]}?" if inside else ""
     known = [f"{n}: {f.expected}" for n, f in _FORMATS.items() if name in (None, n)]
     raise DatasetError(f"{path} is no recording that docdepth reads{hint} ({'; '.join(known)})")
 
 
-def _guess(path: Path) -> str | None:
+def _detect_format(path: Path) -> str | None:
     if (path / "frames").is_dir() and (path / "traj_odometry.ply").is_file():
         return "run"
     if (path / "velodyne").is_dir():

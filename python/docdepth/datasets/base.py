@@ -1,7 +1,7 @@
-"""What every recording looks like to the pipeline.
+"""The interface of a recording: :class:`Dataset` with its sweeps and cameras.
 
-A dataset gives sweeps and cameras one at a time and keeps none of them. Arrays come as they are
-on disk: checking for points that cannot be used is the job of :func:`usable_points`.
+Sweeps are read one at a time and not kept. They hold all rows of the file, unusable points too;
+:func:`usable_points` tells these.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from docdepth.geometry.sensor_rig import SensorRig
 
 @dataclass(frozen=True)
 class Sweep:
-    """One turn of the LiDAR.
+    """One sweep of the LiDAR: a revolution, or the frame of a sensor that does not turn.
 
     Attributes
     ----------
@@ -33,13 +33,14 @@ class Sweep:
         Nanoseconds; the pose of the sweep holds at this time.
     intensity : ndarray of float32, shape (N,), optional
     relative_time : ndarray of float32, shape (N,), optional
-        When each point was measured, as a share of the sweep's duration before (negative) or
-        after (positive) ``time``. None where nobody knows.
+        When each point was measured, as a share of the sweep's duration after ``time`` (negative:
+        before it). None if unknown.
+    sensor_rig : SensorRig, optional
+        Which LiDAR or laser measured each point, and where it sits. None if all rays begin at the
+        origin.
     motion_compensated : bool
-        The motion of the LiDAR is removed already: points are where they were seen from its place
-        at ``time``. What moves is where it was when it was measured.
-    sensor_rig : Sensors, optional
-        Where the sweep was measured from; None where its LiDAR looks from the origin.
+        Points are in the LiDAR frame at ``time``. Otherwise each point is in the LiDAR frame at
+        its own time. Moving objects are where they were when they were measured either way.
     """
 
     points: NDArray[np.float32]
@@ -130,14 +131,14 @@ class CameraStream:
 
 @runtime_checkable
 class Dataset(Protocol):
-    """A recorded drive. Frames are read when asked for, never all at once."""
+    """A recorded drive. Sweeps are read when they are asked for."""
 
     name: str
     path: Path
     times: NDArray[np.int64]
     """Nanoseconds of each sweep, shape (n,), strictly increasing."""
     poses: NDArray[np.float64] | None
-    """``T_world_lidar`` (n, 4, 4) that came with the recording, else None."""
+    """``T_world_lidar`` (n, 4, 4) from the recording, or None."""
     cameras: dict[str, CameraStream]
 
     def __len__(self) -> int: ...

@@ -1,4 +1,4 @@
-"""The files that KITTI's raw and odometry recordings share: sweeps, labels, calibration, images."""
+"""Files that KITTI's raw and odometry recordings share: sweeps, labels, calibration, images."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ _POINT_BYTES = 16  # x y z reflectance, float32
 
 
 def sweep_files(folder: Path) -> list[Path]:
-    """The ``*.bin`` sweeps of a folder in order, each known to be whole.
+    """The ``*.bin`` sweeps of a folder in order of their names.
 
     Raises
     ------
     DatasetError
-        There is none, or one is empty or truncated: better now than an hour into the run.
+        There are none, or one is empty or truncated: an error now is better than one an hour into
+        the run.
     """
     files = sorted(folder.glob("*.bin"))
     if not files:
@@ -31,7 +32,7 @@ def sweep_files(folder: Path) -> list[Path]:
 
 
 def read_sweep(file: Path, frame: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Points (N, 3) and intensities (N,) of one sweep, float32, every row of the file."""
+    """Read all rows of a sweep: points (N, 3) in metres and intensities (N,), float32."""
     try:
         values = np.fromfile(file, dtype="<f4")
         _check_sweep_size(file, frame, file.stat().st_size)
@@ -52,7 +53,7 @@ def _check_sweep_size(file: Path, frame: int, size: int) -> None:
 
 
 def read_labels(file: Path, sweeps: Sequence[Path], frame: int) -> NDArray[np.uint32] | None:
-    """SemanticKITTI labels of every point of a sweep of one LiDAR or more, or None."""
+    """SemanticKITTI labels, uint32 (N,), of a sweep of one or more LiDARs; None without a file."""
     if not file.is_file():
         return None
     size = file.stat().st_size
@@ -65,11 +66,11 @@ def read_labels(file: Path, sweeps: Sequence[Path], frame: int) -> NDArray[np.ui
     return np.fromfile(file, dtype="<u4").astype(np.uint32, copy=False)
 
 
-def rows_of(files: Sequence[Path], count: int, table: Path, what: str) -> NDArray[np.int64]:
-    """Which row of a table belongs to each file.
+def match_rows(files: Sequence[Path], count: int, table: Path, what: str) -> NDArray[np.int64]:
+    """Find the row of a table that belongs to each file.
 
-    One row a file, in order; or, when files are missing (KITTI's own drives lack a few sweeps),
-    the row of the number that the file is named after.
+    A table with as many rows as there are files is in their order. Otherwise files are missing, as
+    in some of KITTI's drives, and the number in a file's name is its row.
 
     Raises
     ------
@@ -94,7 +95,7 @@ def rows_of(files: Sequence[Path], count: int, table: Path, what: str) -> NDArra
 
 
 def check_increasing(times: NDArray[np.int64], files: Sequence[str], table: Path) -> None:
-    """Refuse times that do not increase, naming the two frames."""
+    """Refuse times that do not increase; the error names the two frames."""
     backwards = np.flatnonzero(np.diff(times) <= 0)
     if len(backwards):
         k = int(backwards[0])
@@ -104,13 +105,13 @@ def check_increasing(times: NDArray[np.int64], files: Sequence[str], table: Path
         )
 
 
-def lines_of(file: Path, remedy: str) -> list[str]:
-    """The lines of a text file, blank ones at its end dropped.
+def read_lines(file: Path, remedy: str) -> list[str]:
+    """The lines of a text file without blank ones at its end.
 
     Raises
     ------
     DatasetError
-        The file is missing or no text.
+        The file is missing or not a text file.
     """
     try:
         return file.read_text(encoding="utf-8").rstrip().splitlines()
@@ -121,12 +122,18 @@ def lines_of(file: Path, remedy: str) -> list[str]:
 
 
 class Calibration:
-    """A KITTI calibration file: ``NAME: numbers``, a line each."""
+    """A KITTI calibration file with lines ``NAME: numbers``.
+
+    Raises
+    ------
+    CalibrationError
+        The file is missing or not a text file.
+    """
 
     def __init__(self, file: Path, remedy: str) -> None:
         self.file = file
         try:
-            lines = lines_of(file, remedy)
+            lines = read_lines(file, remedy)
         except DatasetError as error:
             raise CalibrationError(str(error)) from None
         self._values: dict[str, str] = {}
@@ -139,12 +146,12 @@ class Calibration:
         return name in self._values
 
     def matrix(self, name: str, *shape: int) -> NDArray[np.float64]:
-        """The numbers of one line, in the given shape.
+        """The numbers of one line as an array of the given shape.
 
         Raises
         ------
         CalibrationError
-            The line is missing, or not of that many finite numbers.
+            The line is missing, or does not have that many finite numbers.
         """
         if name not in self._values:
             raise CalibrationError(f"{self.file} has no line '{name}:'; restore the file")
@@ -168,10 +175,10 @@ def rigid_transform(
 
 
 def camera_offset(P: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Transform from the rectified reference camera to the camera of a 3x4 projection K [I | b].
+    """Transform (4, 4) from the reference camera to the camera of a 3x4 projection P = K [I | b].
 
-    The fourth column of P is K b: KITTI's cameras sit beside the reference camera, and b has a
-    z too, so that depth changes with it.
+    The fourth column of P is K b. KITTI's cameras sit beside the reference camera, and b has a
+    small z too.
     """
     result = np.eye(4)
     result[:3, 3] = np.linalg.solve(P[:, :3], P[:, 3])
@@ -179,7 +186,7 @@ def camera_offset(P: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def image_files(folder: Path) -> list[Path]:
-    """Images of a folder in order; empty when there is no such folder."""
+    """Images of a folder in order of their names; none if there is no such folder."""
     return sorted(f for f in folder.glob("*") if f.suffix.lower() in (".png", ".jpg", ".jpeg"))
 
 

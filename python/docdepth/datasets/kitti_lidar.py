@@ -1,9 +1,8 @@
-"""KITTI's LiDAR, a Velodyne HDL-64E S2: where its 64 lasers sit and look.
+"""KITTI's LiDAR, a Velodyne HDL-64E S2: the places and directions of its 64 lasers.
 
-The points of its sweeps are given about a place below the lasers, so lines of sight do not begin at
-the origin. On every real sweep the points of one laser lie on a cone, z = height + slope * distance
-from the axis, to a quarter of a millimetre; these are the slopes and heights of those cones, fitted
-to recorded sweeps.
+KITTI's point origin lies 12 to 21 cm below the lasers, so rays do not begin at the origin. In every
+recorded sweep the points of one laser lie on a cone, z = height + slope * distance from the axis,
+to a quarter of a millimetre. The slopes and heights here are fitted to recorded sweeps.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from docdepth.geometry.sensor_rig import SensorRig
 
 # fmt: off
-SLOPES = np.array([  # tangent of elevation; the first 32 lasers are the upper block's
+SLOPES = np.array([  # tangent of the elevation; the first 32 lasers are the upper block
     0.03381, 0.02748, 0.02278, 0.01521, 0.01010, 0.00315, -0.00155, -0.00789,
     -0.01402, -0.02097, -0.02608, -0.03201, -0.03855, -0.04448, -0.05020, -0.05654,
     -0.06185, -0.06880, -0.07371, -0.08025, -0.08597, -0.09190, -0.09824, -0.10437,
@@ -27,43 +26,55 @@ SLOPES = np.array([  # tangent of elevation; the first 32 lasers are the upper b
     -0.39023, -0.40272, -0.41294, -0.42152, -0.43113, -0.44460, -0.45586, -0.46628,
 ])
 # fmt: on
-HEIGHTS = np.where(np.arange(64) < 32, 0.2065 + 0.0603 * SLOPES, 0.1303 + 0.0316 * SLOPES)
-"""Metres above the origin."""
-ASIDE = np.where(np.arange(64) % 2, 0.026, -0.026)
-"""Metres to the left of the axis, seen in the direction in which a laser looks."""
+# The lasers of a block meet in one point each: its height and its distance behind the axis, metres.
+_UPPER_HEIGHT, _UPPER_BEHIND = 0.2065, 0.0603
+_LOWER_HEIGHT, _LOWER_BEHIND = 0.1303, 0.0316
+HEIGHTS = np.where(
+    np.arange(64) < 32,
+    _UPPER_HEIGHT + _UPPER_BEHIND * SLOPES,
+    _LOWER_HEIGHT + _LOWER_BEHIND * SLOPES,
+)
+"""Height of each laser above the origin on the axis, metres."""
+LATERAL_OFFSETS = np.where(np.arange(64) % 2, 0.026, -0.026)
+"""Distance of each laser to the left of the axis, seen in the direction of its ray, metres."""
 
-_PLACES = np.repeat(np.eye(4)[None], 64, axis=0)
-_PLACES[:, 2, 3] = HEIGHTS
+_T_LIDAR_LASER = np.repeat(np.eye(4)[None], 64, axis=0)
+_T_LIDAR_LASER[:, 2, 3] = HEIGHTS
 _BETWEEN = (SLOPES[1:] + SLOPES[:-1]) / 2
-_TOLERANCE = 3e-4  # of a slope; between two lasers it changes by twenty times that
-_FEWEST = 100
+_TOLERANCE = 3e-4  # of a slope; neighbouring lasers differ by twenty times that
+_FEWEST_POINTS = 100  # straight ahead, to tell the LiDAR by
+_SHARE = 0.6  # of these points that have to lie on a cone; of other LiDARs' few do
+_LEAST_AHEAD = 2.0  # metres; nearer points may be of the vehicle
+_AHEAD = 0.1  # |y| / x of points straight ahead
 
 
 def is_kitti_lidar(sweeps: Iterable[NDArray[np.float32]]) -> bool:
     """Whether a drive was recorded by KITTI's LiDAR: its points lie on these 64 cones.
 
-    Asked are points straight ahead, which removing the motion of the sweep leaves in their place,
-    of the first sweep with enough of them.
+    The test takes points straight ahead, which motion compensation does not move, of the first
+    sweep with enough of them.
 
     Parameters
     ----------
     sweeps : iterable of ndarray of float32, shape (N, 3)
     """
     for points in sweeps:
-        ahead = points[(points[:, 0] > 2) & (np.abs(points[:, 1]) < 0.1 * points[:, 0])]
-        if len(ahead) >= _FEWEST:
+        ahead = points[
+            (points[:, 0] > _LEAST_AHEAD) & (np.abs(points[:, 1]) < _AHEAD * points[:, 0])
+        ]
+        if len(ahead) >= _FEWEST_POINTS:
             laser, slope = _lasers(ahead)
-            return float((np.abs(slope - SLOPES[laser]) < _TOLERANCE).mean()) > 0.6
+            return float((np.abs(slope - SLOPES[laser]) < _TOLERANCE).mean()) > _SHARE
     return False
 
 
 def sensor_rig(points: NDArray[np.float32]) -> SensorRig:
-    """Which laser measured each point (N, 3) of a sweep of KITTI's, and where all of them sit."""
-    return SensorRig(_lasers(points)[0], _PLACES, ASIDE, np.zeros(64, np.uint8))
+    """The laser of each point (N, 3) of a sweep of KITTI's LiDAR, and the places of all lasers."""
+    return SensorRig(_lasers(points)[0], _T_LIDAR_LASER, LATERAL_OFFSETS, np.zeros(64, np.uint8))
 
 
 def azimuth_relative_time(points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """When a clockwise LiDAR that faces forward at its stamp saw each point (method section 2).
+    """When each point was measured by a LiDAR that turns clockwise and faces forward at its stamp.
 
     Parameters
     ----------
@@ -72,15 +83,16 @@ def azimuth_relative_time(points: NDArray[np.float32]) -> NDArray[np.float32]:
     Returns
     -------
     ndarray of float32, shape (N,)
-        Share of a turn after the stamp, -0.5 to 0.5.
+        Share of a revolution after the stamp, -0.5 to 0.5.
     """
     return np.arctan2(points[:, 1], points[:, 0]) * np.float32(-0.5 / np.pi)
 
 
 def _lasers(points: NDArray[np.float32]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """The laser whose cone is nearest to each point, and the slope at which it saw the point."""
+    """The laser whose cone is nearest to each point, and the slope of the ray to the point."""
     distance, z = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
     with np.errstate(invalid="ignore", divide="ignore"):
-        upper, lower = (z - 0.2065) / (distance + 0.0603), (z - 0.1303) / (distance + 0.0316)
+        upper = (z - _UPPER_HEIGHT) / (distance + _UPPER_BEHIND)
+        lower = (z - _LOWER_HEIGHT) / (distance + _LOWER_BEHIND)
     slope = np.where(upper > _BETWEEN[31], upper, lower).astype(np.float32)
     return np.searchsorted(-_BETWEEN.astype("f4"), -slope).clip(0, 63).astype(np.uint8), slope

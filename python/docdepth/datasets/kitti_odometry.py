@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,50 +11,51 @@ import yaml
 from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_files, kitti_lidar
-from docdepth.datasets.base import CameraStream, Sweep
+from docdepth.datasets.base import Sweep
 from docdepth.datasets.kitti_files import Calibration
-from docdepth.datasets.times import nanoseconds
-from docdepth.errors import CalibrationError, DatasetError
-from docdepth.geometry.camera import Camera
+from docdepth.datasets.kitti_odometry_cameras import REMEDY, read_cameras
+from docdepth.datasets.times import read_times_of
+from docdepth.errors import DatasetError
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.io.poses import read_kitti
 
-log = logging.getLogger(__name__)
-
-_REMEDY = "unpack the 'calibration files' of the odometry benchmark over the sequence"
+_MOST_METRES = 100  # of a LiDAR from the origin of its points; more is a mistake of units
 
 
 class KittiOdometry:
     """A sequence ``sequences/NN`` of KITTI odometry or SemanticKITTI.
 
-    Read are ``velodyne/*.bin``, ``calib.txt`` (P0 to P3, Tr), ``times.txt`` and, where they are,
-    ``labels/*.label``, ``image_0`` to ``image_3``, and poses from ``poses.txt`` (SemanticKITTI)
-    or ``../../poses/NN.txt`` (KITTI). Their poses are those of the rectified reference camera;
-    here they become the LiDAR's, Tr^-1 T Tr. Sweeps of these sequences are motion compensated.
+    Needed are ``velodyne/*.bin``, ``calib.txt`` (P0 to P3, Tr) and ``times.txt``. Optional are
+    ``labels/*.label``, ``image_0`` to ``image_3``, and poses: ``poses.txt`` (SemanticKITTI) or
+    ``../../poses/NN.txt`` (KITTI). Files hold poses T of the rectified reference camera; they are
+    converted to poses of the LiDAR, Tr^-1 T Tr. Sweeps are motion compensated.
 
-    Beyond KITTI, written by :mod:`docdepth.synthetic` and of use to others:
+    More than KITTI has, written by :mod:`docdepth.synthetic` and useful for other recordings:
 
-    - ``image_N/times.txt``: the camera's own times in seconds, else it fires with the sweeps;
-    - ``image_N/size.txt``: ``WIDTH HEIGHT`` where there are no images to tell it;
-    - ``image_N/distortion.txt``: ``k1 k2 p1 p2 [k3 ...]`` of OpenCV where the images are not
-      rectified; the K of P0 to P3 is theirs, and depth maps are of the camera with that K;
+    - ``image_N/times.txt``: the camera's own times in seconds, if it does not fire with the sweeps;
+    - ``image_N/size.txt``: ``WIDTH HEIGHT``, if there are no images;
+    - ``image_N/distortion.txt``: ``k1 k2 p1 p2 [k3 ...]`` of OpenCV, if images are not rectified.
+      P0 to P3 hold their K, and depth maps are of the rectified camera with the same K;
     - ``docdepth.yaml`` with ``motion_compensated: false``: raw sweeps;
-    - ``point_times/NAME.bin``: each point's time, float32, as :attr:`Sweep.relative_time`. Raw
-      sweeps need it; of others it tells when what moves was seen, as azimuth does of KITTI's own;
-    - ``docdepth.yaml`` with ``looks_from: [x, y, z]``: where the LiDAR looks from, metres in the
-      frame of its points, when that is not the origin; known of KITTI's own LiDAR without;
-    - ``velodyne_2/NAME.bin`` and further ones: sweeps of more LiDARs at the same time, and a row
-      ``Tr_2`` in ``calib.txt`` that takes their points to camera 0 as Tr does. Their points, labels
-      and times come after those of the first LiDAR in one sweep.
+    - ``point_times/NAME.bin``: the time of each point, float32, as :attr:`Sweep.relative_time`. Raw
+      sweeps need it. For compensated ones it tells when moving objects were measured; for KITTI's
+      own LiDAR that is computed from the azimuth;
+    - ``docdepth.yaml`` with ``looks_from: [x, y, z]``: where the rays of the LiDAR begin, metres in
+      the frame of its points, if not at the origin. KITTI's own LiDAR is detected without it;
+    - ``velodyne_2/NAME.bin`` and so on: sweeps of more LiDARs at the same times, with a row
+      ``Tr_2`` in ``calib.txt`` that takes their points to camera 0 as Tr does. All LiDARs form one
+      sweep; points, labels and times of the first come first.
 
     Parameters
     ----------
     path : Path
         The sequence.
     image_size : (int, int), optional
-        Width and height in pixels where neither images nor ``size.txt`` tell. Without any of
-        them it is guessed from the principal point, with a warning.
+        Width and height in pixels, if there are neither images nor ``size.txt``. Without any of
+        them the size is guessed from the principal point, with a warning.
+    name : str
+        Name of the format: ``kitti_odometry`` or ``semantic_kitti``.
 
     Raises
     ------
@@ -72,16 +72,18 @@ class KittiOdometry:
         self.name = name
         self.path = Path(path)
         self.sweeps = kitti_files.sweep_files(self.path / "velodyne")
-        self.times = _times(self.path / "times.txt", self.sweeps)
-        calibration = Calibration(self.path / "calib.txt", _REMEDY)
+        self.times = read_times_of(self.sweeps, self.path / "times.txt", "times", REMEDY)
+        calibration = Calibration(self.path / "calib.txt", REMEDY)
         Tr = calibration.matrix("Tr", 3, 4)
         T_camera_lidar = kitti_files.rigid_transform(Tr[:, :3], Tr[:, 3])
         self.poses = _poses(self.path, self.sweeps, T_camera_lidar)
         settings = _settings(self.path / "docdepth.yaml")
         self.motion_compensated: bool = settings["motion_compensated"]
         self._looks_from: list[float] | None = settings["looks_from"]
-        self.cameras = _cameras(self, calibration, T_camera_lidar, image_size)
-        self._others = _other_lidars(self.path, calibration, T_camera_lidar, self.sweeps)
+        self.cameras = read_cameras(
+            self.path, self.sweeps, self.times, calibration, T_camera_lidar, image_size
+        )
+        self._more_lidars = _find_more_lidars(self.path, calibration, T_camera_lidar, self.sweeps)
 
     def __len__(self) -> int:
         return len(self.sweeps)
@@ -95,33 +97,35 @@ class KittiOdometry:
             sensor_rig = SensorRig.single(self._looks_from, len(points))
         elif self._is_kitti_lidar:
             sensor_rig = kitti_lidar.sensor_rig(points)
-        if self._others:
-            sensor_rig = sensor_rig or SensorRig.single((0, 0, 0), len(points))
-            points, intensity, sensor_rig = self._join(
-                points, intensity, sensor_rig, file.name, index
-            )
-        relative_time = self._fraction(file.stem, index, points)
-        time, motion_compensated = int(self.times[index]), self.motion_compensated
+        if self._more_lidars:
+            first = sensor_rig or SensorRig.single((0, 0, 0), len(points))
+            points, intensity, sensor_rig = self._merge_lidars(points, intensity, first, index)
         return Sweep(
-            points, file.stem, time, intensity, relative_time, sensor_rig, motion_compensated
+            points,
+            file.stem,
+            int(self.times[index]),
+            intensity,
+            self._relative_time(index, points),
+            sensor_rig,
+            self.motion_compensated,
         )
 
-    def _join(
+    def _merge_lidars(
         self,
         points: NDArray[np.float32],
         intensity: NDArray[np.float32],
         sensor_rig: SensorRig,
-        name: str,
         frame: int,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], SensorRig]:
-        """A sweep of the first LiDAR and those of the others, in the frame of the first."""
-        parts, brightness = [points], [intensity]
-        for folder, T_lidar_sensor in self._others:
-            own, bright = kitti_files.read_sweep(folder / name, frame)
-            parts.append((own @ T_lidar_sensor[:3, :3].T + T_lidar_sensor[:3, 3]).astype("f4"))
-            brightness.append(bright)
+        """A sweep of the first LiDAR with those of the others, in the frame of the first."""
+        all_points, all_intensities = [points], [intensity]
+        for folder, T_lidar_sensor in self._more_lidars:
+            own, bright = kitti_files.read_sweep(folder / self.sweeps[frame].name, frame)
+            moved = own @ T_lidar_sensor[:3, :3].T + T_lidar_sensor[:3, 3]
+            all_points.append(moved.astype("f4"))
+            all_intensities.append(bright)
             sensor_rig = sensor_rig.with_lidar(T_lidar_sensor, len(own))
-        return np.concatenate(parts), np.concatenate(brightness), sensor_rig
+        return np.concatenate(all_points), np.concatenate(all_intensities), sensor_rig
 
     @cached_property
     def _is_kitti_lidar(self) -> bool:
@@ -130,18 +134,16 @@ class KittiOdometry:
         )
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
-        """Labels of every point of sweep ``index``, None when there are none."""
+        """Labels of every point of sweep ``index``; None without a file."""
         sweep = self.sweeps[index]
-        all_lidars = [sweep, *(folder / sweep.name for folder, _ in self._others)]
+        all_lidars = [sweep, *(folder / sweep.name for folder, _ in self._more_lidars)]
         file = self.path / "labels" / f"{sweep.stem}.label"
         return kitti_files.read_labels(file, all_lidars, index)
 
-    def _fraction(
-        self, stem: str, frame: int, points: NDArray[np.float32]
-    ) -> NDArray[np.float32] | None:
-        file = self.path / "point_times" / f"{stem}.bin"
+    def _relative_time(self, frame: int, points: NDArray[np.float32]) -> NDArray[np.float32] | None:
+        file = self.path / "point_times" / f"{self.sweeps[frame].stem}.bin"
         if not file.is_file() and self.motion_compensated:
-            # Azimuth tells the time to a hundredth of a turn, though the motion is removed.
+            # The azimuth gives the time to a hundredth of a sweep, though the motion is removed.
             return kitti_lidar.azimuth_relative_time(points) if self._is_kitti_lidar else None
         if not file.is_file():
             raise DatasetError(
@@ -156,37 +158,28 @@ class KittiOdometry:
         return np.fromfile(file, dtype="<f4").astype(np.float32, copy=False)
 
 
-def _times(file: Path, files: list[Path]) -> NDArray[np.int64]:
-    """Nanoseconds of each file from lines of seconds, exact to the last digit."""
-    lines = kitti_files.lines_of(file, _REMEDY)
-    seconds = np.array([nanoseconds(line, n, file) for n, line in enumerate(lines, 1)], np.int64)
-    times: NDArray[np.int64] = seconds[kitti_files.rows_of(files, len(lines), file, "times")]
-    kitti_files.check_increasing(times, [f.name for f in files], file)
-    return times
-
-
 def _poses(
     sequence: Path, sweeps: list[Path], T_camera_lidar: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """``T_world_lidar`` of each sweep in the world of the first LiDAR pose, None without a file."""
+    """``T_world_lidar`` (n, 4, 4) in the frame of the first LiDAR pose; None without a file."""
     for file in (
         sequence / "poses.txt",
         sequence.parent.parent / "poses" / f"{sequence.name}.txt",
     ):
         if file.is_file():
             poses = read_kitti(file)
-            rows = kitti_files.rows_of(sweeps, len(poses), file, "poses")
+            rows = kitti_files.match_rows(sweeps, len(poses), file, "poses")
             return inverse(T_camera_lidar) @ poses[rows] @ T_camera_lidar
     return None
 
 
-def _other_lidars(
+def _find_more_lidars(
     sequence: Path,
     calibration: Calibration,
     T_camera_lidar: NDArray[np.float64],
     sweeps: list[Path],
 ) -> list[tuple[Path, NDArray[np.float64]]]:
-    """Folder and ``T_lidar_sensor`` of each LiDAR but the first."""
+    """Folder and ``T_lidar_sensor`` (4, 4) of each LiDAR but the first."""
     found = []
     for folder in sorted(sequence.glob("velodyne_[2-9]")):
         Tr = calibration.matrix(f"Tr_{folder.name[-1]}", 3, 4)
@@ -204,7 +197,7 @@ def _other_lidars(
 
 
 def _settings(file: Path) -> dict[str, Any]:
-    """What ``docdepth.yaml`` says of the sweeps; KITTI's own are motion compensated."""
+    """The entries of ``docdepth.yaml``, or their defaults."""
     known: dict[str, Any] = {"motion_compensated": True, "looks_from": None}
     if not file.is_file():
         return known
@@ -219,85 +212,7 @@ def _settings(file: Path) -> dict[str, Any]:
     if place is not None and (
         not isinstance(place, list)
         or len(place) != 3
-        or not all(isinstance(x, (int, float)) and abs(x) < 100 for x in place)
+        or not all(isinstance(x, (int, float)) and abs(x) < _MOST_METRES for x in place)
     ):
         raise DatasetError(f"{file}: looks_from must be [x, y, z] in metres, got {place}")
     return known
-
-
-def _cameras(
-    dataset: KittiOdometry,
-    calibration: Calibration,
-    T_camera0_lidar: NDArray[np.float64],
-    asked: tuple[int, int] | None,
-) -> dict[str, CameraStream]:
-    streams: dict[str, CameraStream] = {}
-    guessed: list[str] = []
-    folders = {n: dataset.path / f"image_{n}" for n in range(4) if f"P{n}" in calibration}
-    files_of = {n: kitti_files.image_files(folder) for n, folder in folders.items()}
-    sizes = {n: _size(folders[n], files_of[n], asked) for n in folders}
-    # Rectified together, the images of all cameras have one size.
-    common = None if asked else next((size for size in sizes.values() if size), None)
-    for n, folder in folders.items():
-        P = calibration.matrix(f"P{n}", 3, 4)
-        images = files_of[n]
-        size = sizes[n] or common
-        if size is None:
-            size = (round(2 * P[0, 2]), round(2 * P[1, 2]))
-            guessed.append(f"{folder.name} {size[0]}x{size[1]}")
-        times, names = dataset.times, [file.stem for file in dataset.sweeps]
-        if (folder / "times.txt").is_file():
-            count = len(kitti_files.lines_of(folder / "times.txt", _REMEDY))
-            files = images or [Path(f"{k:06d}") for k in range(count)]
-            times, names = _times(folder / "times.txt", files), [file.stem for file in files]
-        elif images:
-            times, names = _times(dataset.path / "times.txt", images), [i.stem for i in images]
-        streams[folder.name] = CameraStream(
-            name=folder.name,
-            camera=Camera(P[:, :3], *size),
-            T_camera_lidar=kitti_files.camera_offset(P) @ T_camera0_lidar,
-            times=times,
-            names=names,
-            images=images,
-            distortion=_distortion(folder / "distortion.txt"),
-        )
-    if not streams:
-        raise CalibrationError(f"{calibration.file} has no camera (P0 to P3); {_REMEDY}")
-    if guessed:
-        log.warning(
-            "%s: image sizes guessed from the principal points (%s); "
-            "give the size (--image-size 1242x375) or put the images there",
-            dataset.path,
-            ", ".join(guessed),
-        )
-    return streams
-
-
-def _distortion(file: Path) -> NDArray[np.float64] | None:
-    if not file.is_file():
-        return None
-    try:
-        return np.array(file.read_text(encoding="utf-8").split(), dtype=np.float64)
-    except ValueError as error:
-        raise CalibrationError(f"{file} must be numbers, k1 k2 p1 p2 [k3 ...]: {error}") from None
-
-
-def _size(
-    folder: Path, images: list[Path], asked: tuple[int, int] | None
-) -> tuple[int, int] | None:
-    """Size of the images as they, ``size.txt`` or the caller say, None when nobody does."""
-    known: tuple[int, int] | None = None
-    source = folder / "size.txt"
-    if images:
-        source, known = images[0], kitti_files.image_size(images[0])
-    elif source.is_file():
-        words = source.read_text(encoding="utf-8").split()
-        if len(words) != 2 or not all(word.isdigit() for word in words):
-            raise DatasetError(f"{source} must be two numbers, width and height in pixels")
-        known = (int(words[0]), int(words[1]))
-    if known and asked and known != asked:
-        raise CalibrationError(
-            f"{source} is {known[0]} x {known[1]} pixels, the image size asked for is "
-            f"{asked[0]} x {asked[1]}; leave it out"
-        )
-    return known or asked

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import kitti_files, kitti_lidar
 from docdepth.datasets.base import CameraStream, Sweep
 from docdepth.datasets.kitti_files import Calibration
-from docdepth.datasets.times import nanoseconds
+from docdepth.datasets.times import read_times_of
 from docdepth.errors import CalibrationError
 from docdepth.geometry.camera import Camera
 
@@ -22,17 +22,17 @@ _CALIBRATION = "unpack the 'calibration' archive of that date beside its drives"
 class KittiRaw:
     """A drive ``DATE/DATE_drive_NNNN_sync`` with the calibration in ``DATE``.
 
-    Sweeps are as the spinning LiDAR measured them, one turn each: seen from above clockwise, from
-    azimuth 180 degrees over forward, at half time, when KITTI takes the stamp. Points come ring
-    by ring and carry no time, so it is read from their azimuth. Poses come with a file of the
-    user's or from odometry. SemanticKITTI labels are read from ``labels/NAME.label``.
+    A sweep is one revolution of the LiDAR, clockwise seen from above. It starts backwards and faces
+    forward after half its duration, when KITTI takes the stamp. Points come laser by laser and
+    carry no time, so their time is computed from the azimuth. Poses come from a file of the user's
+    or from odometry. SemanticKITTI labels are read from ``labels/NAME.label``.
 
     Parameters
     ----------
     path : Path
         The drive.
     image_size : (int, int), optional
-        Width and height in pixels, for a calibration that does not say (``S_rect``).
+        Width and height in pixels, for a calibration without ``S_rect``.
 
     Raises
     ------
@@ -47,7 +47,7 @@ class KittiRaw:
         self.path = Path(path)
         velodyne = self.path / "velodyne_points"
         self._sweeps = kitti_files.sweep_files(velodyne / "data")
-        self.times = _times(velodyne / "timestamps.txt", self._sweeps)
+        self.times = _read_times(velodyne / "timestamps.txt", self._sweeps)
         self.cameras = _cameras(self.path, self._sweeps, self.times, image_size)
 
     def __len__(self) -> int:
@@ -70,18 +70,14 @@ class KittiRaw:
         )
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
-        """Labels of every point of sweep ``index``, None when there are none."""
+        """Labels of every point of sweep ``index``; None without a file."""
         sweep = self._sweeps[index]
         return kitti_files.read_labels(self.path / "labels" / f"{sweep.stem}.label", [sweep], index)
 
 
-def _times(file: Path, files: list[Path]) -> NDArray[np.int64]:
+def _read_times(table: Path, files: list[Path]) -> NDArray[np.int64]:
     """Nanoseconds since 1970 of each file, from lines like ``2011-09-26 13:02:25.951199337``."""
-    lines = kitti_files.lines_of(file, _EXPORT)
-    stamps = np.array([nanoseconds(line, n, file) for n, line in enumerate(lines, 1)], np.int64)
-    times: NDArray[np.int64] = stamps[kitti_files.rows_of(files, len(lines), file, "stamps")]
-    kitti_files.check_increasing(times, [f.name for f in files], file)
-    return times
+    return read_times_of(files, table, "stamps", _EXPORT)
 
 
 def _cameras(
@@ -90,30 +86,30 @@ def _cameras(
     sweep_times: NDArray[np.int64],
     image_size: tuple[int, int] | None,
 ) -> dict[str, CameraStream]:
-    cameras = Calibration(drive.parent / "calib_cam_to_cam.txt", _CALIBRATION)
-    velodyne = Calibration(drive.parent / "calib_velo_to_cam.txt", _CALIBRATION)
+    camera_file = Calibration(drive.parent / "calib_cam_to_cam.txt", _CALIBRATION)
+    lidar_file = Calibration(drive.parent / "calib_velo_to_cam.txt", _CALIBRATION)
     T_camera0_lidar = kitti_files.rigid_transform(
-        velodyne.matrix("R", 3, 3), velodyne.matrix("T", 3)
+        lidar_file.matrix("R", 3, 3), lidar_file.matrix("T", 3)
     )
     T_rectified_camera0 = kitti_files.rigid_transform(
-        cameras.matrix("R_rect_00", 3, 3), np.zeros(3)
+        camera_file.matrix("R_rect_00", 3, 3), np.zeros(3)
     )
 
     streams: dict[str, CameraStream] = {}
     for number in ("00", "01", "02", "03"):
-        if f"P_rect_{number}" not in cameras:
+        if f"P_rect_{number}" not in camera_file:
             continue
-        P = cameras.matrix(f"P_rect_{number}", 3, 4)
+        P = camera_file.matrix(f"P_rect_{number}", 3, 4)
         folder = drive / f"image_{number}"
         images = kitti_files.image_files(folder / "data")
-        width, height = _size(cameras, number, images, image_size)
+        width, height = _image_size(camera_file, number, images, image_size)
         times, names = sweep_times, [sweep.stem for sweep in sweeps]
         if images:
-            times, names = _times(folder / "timestamps.txt", images), [i.stem for i in images]
+            times, names = _read_times(folder / "timestamps.txt", images), [i.stem for i in images]
         elif (folder / "timestamps.txt").is_file():
-            lines = kitti_files.lines_of(folder / "timestamps.txt", _EXPORT)
+            lines = kitti_files.read_lines(folder / "timestamps.txt", _EXPORT)
             names = [f"{k:010d}" for k in range(len(lines))]
-            times = _times(folder / "timestamps.txt", [Path(name) for name in names])
+            times = _read_times(folder / "timestamps.txt", [Path(name) for name in names])
         streams[folder.name] = CameraStream(
             name=folder.name,
             camera=Camera(P[:, :3], width, height),
@@ -123,14 +119,14 @@ def _cameras(
             images=images,
         )
     if not streams:
-        raise CalibrationError(f"{cameras.file} calibrates no camera (P_rect_NN); {_CALIBRATION}")
+        raise CalibrationError(f"{camera_file.file} has no camera (P_rect_NN); {_CALIBRATION}")
     return streams
 
 
-def _size(
+def _image_size(
     calibration: Calibration, number: str, images: list[Path], asked: tuple[int, int] | None
 ) -> tuple[int, int]:
-    """Size of the rectified images; what is known of it must agree."""
+    """Size of the rectified images from all that tell it, which must agree."""
     known: list[tuple[str, tuple[int, int]]] = []
     if images:
         known.append((str(images[0]), kitti_files.image_size(images[0])))

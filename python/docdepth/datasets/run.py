@@ -1,4 +1,4 @@
-"""A run folder as a recording: its frames, poses and camera, ready for any stage."""
+"""A run folder as a recording: its frames are the sweeps."""
 
 from __future__ import annotations
 
@@ -8,12 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, Sweep
+from docdepth.geometry.points import DYNAMIC
 from docdepth.io.frames import read_trajectory
 from docdepth.io.run_folder import RunFolder
 
+_MOVING, _STATIC = 251, 9  # SemanticKITTI's labels of both
+
 
 class RunDataset:
-    """Deskewed sweeps and poses of a run folder, ours or the official release's."""
+    """Deskewed sweeps and poses of a run folder, of docdepth or of the official release.
+
+    Parameters
+    ----------
+    path : Path
+        The run folder.
+
+    Raises
+    ------
+    RunError
+        It holds no run, or a file is damaged.
+    """
 
     name = "run"
 
@@ -44,14 +58,20 @@ class RunDataset:
         return len(self.times)
 
     def sweep(self, index: int) -> Sweep:
-        """Frame ``index``; the usable returns of the original sweep, deskewed."""
+        """Frame ``index``: the usable returns of the original sweep, deskewed."""
         record = self._run.frame(index)
         sensor_rig = self._run.sensor_rig(record)
-        return Sweep(record.points, record.name, int(self.times[index]), sensor_rig=sensor_rig)
+        return Sweep(
+            record.points,
+            record.name,
+            int(self.times[index]),
+            sensor_rig=sensor_rig,
+            motion_compensated=True,
+        )
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
-        """251 for dynamic, 9 for other points, None when the frame has no classes."""
+        """SemanticKITTI labels: 251 for dynamic points, 9 for others; None without classes."""
         classid = self._run.frame(index).classid
         if classid is None:
             return None
-        return np.where(classid >= 100, 251, 9).astype(np.uint32)
+        return np.where(classid >= DYNAMIC, _MOVING, _STATIC).astype(np.uint32)

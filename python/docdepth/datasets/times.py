@@ -1,24 +1,26 @@
-"""Times of images or sweeps from a text file."""
+"""Times of images or sweeps from text files, exact to the nanosecond."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.kitti_files import lines_of
+from docdepth.datasets.kitti_files import check_increasing, match_rows, read_lines
 from docdepth.errors import DatasetError
 
 
 def read_times(path: Path) -> NDArray[np.int64]:
-    """Times in nanoseconds, one a line: seconds, or dates as KITTI writes them.
+    """Read times in nanoseconds, one a line.
 
     Parameters
     ----------
     path : Path
-        Lines like ``1317000000.123456789`` or ``2011-09-26 13:02:25.951199337``.
+        Lines of seconds like ``1317000000.123456789``, or dates like
+        ``2011-09-26 13:02:25.951199337``.
 
     Returns
     -------
@@ -27,14 +29,47 @@ def read_times(path: Path) -> NDArray[np.int64]:
     Raises
     ------
     DatasetError
-        The file is missing, or a line is no time.
+        The file is missing, or a line is not a time.
     """
-    lines = lines_of(path, "write one time a line, in seconds")
-    return np.array([nanoseconds(line, n, path) for n, line in enumerate(lines, 1)], np.int64)
+    return _parse(read_lines(path, "write one time a line, in seconds"), path)
 
 
-def nanoseconds(text: str, line: int, path: Path) -> int:
-    """One time, exact: it never passes through a float."""
+def read_times_of(files: Sequence[Path], table: Path, what: str, remedy: str) -> NDArray[np.int64]:
+    """Read the time of each of these files from a table.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Sweeps or images, in order.
+    table : Path
+        A line for each file, or for each number that may be in a file's name.
+    what : str
+        What the table holds, for errors: "times" or "stamps".
+    remedy : str
+        What to do if the table is missing.
+
+    Returns
+    -------
+    ndarray of int64, shape (len(files),)
+        Nanoseconds, strictly increasing.
+
+    Raises
+    ------
+    DatasetError
+        The table is missing, a line is not a time, a file has no line, or times do not increase.
+    """
+    stamps = _parse(read_lines(table, remedy), table)
+    times: NDArray[np.int64] = stamps[match_rows(files, len(stamps), table, what)]
+    check_increasing(times, [file.name for file in files], table)
+    return times
+
+
+def _parse(lines: list[str], path: Path) -> NDArray[np.int64]:
+    return np.array([_nanoseconds(line, n, path) for n, line in enumerate(lines, 1)], np.int64)
+
+
+def _nanoseconds(text: str, line: int, path: Path) -> int:
+    """One time; it never passes through a float, which would lose digits."""
     text = text.strip()
     try:
         if ":" in text:

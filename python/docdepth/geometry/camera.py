@@ -1,4 +1,4 @@
-"""The pinhole camera that depth maps are drawn for."""
+"""The pinhole camera of a depth map."""
 
 from __future__ import annotations
 
@@ -17,9 +17,14 @@ class Camera:
     Attributes
     ----------
     K : ndarray of float64, shape (3, 3)
-        Pixels; integer pixel coordinates are pixel centres.
+        Intrinsic matrix in pixels; integer pixel coordinates are pixel centres.
     width, height : int
-        Pixels.
+        Size of the image in pixels.
+
+    Raises
+    ------
+    CalibrationError
+        K is not a pinhole matrix without skew, or does not fit the size.
     """
 
     K: NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Where a sweep was measured from: the place of its LiDAR, or of each of several."""
+"""Where the rays of a sweep begin: the LiDARs that measured it, or their lasers."""
 
 from __future__ import annotations
 
@@ -12,29 +12,33 @@ from numpy.typing import ArrayLike, NDArray
 from docdepth.errors import InputError
 from docdepth.geometry.se3 import check_rigid, inverse
 
+_AXIS_RANGE = 1e-3  # metres from the axis; nearer points have no direction
+
 
 @dataclass(frozen=True)
 class SensorRig:
-    """Where the points of a sweep were seen from, when that is not the origin of their frame.
+    """The LiDARs of a sweep, or the lasers of one, and which of them measured each point.
 
-    A LiDAR may give its points about its foot, and a vehicle may carry several. Points of all are
-    given in one frame, the LiDAR frame of the sweep; but what a point was seen through, and which
-    returns are neighbours, only the place tells from which it was seen (paper III-C2). Twenty
-    centimetres aside, what lies beside an edge five metres away seems to lie two degrees off.
+    The points of a sweep are given in one frame, whose origin need not be where the rays begin.
+    KITTI's point origin lies 12 to 21 cm below the lasers; docdepth detects this and corrects each
+    laser's ray origin. A vehicle may carry several LiDARs. Voting and rendering ask which free
+    space a ray crossed, so they need its true origin: seen from 20 cm beside it, a point behind an
+    edge at 5 m shifts by two degrees.
 
     Attributes
     ----------
     index : ndarray of uint8, shape (N,)
-        Which LiDAR, or which laser of one, measured each point.
+        Which of the k sensors, LiDARs or lasers, measured each point.
     T_lidar_sensor : ndarray of float64, shape (k, 4, 4)
-        Takes points in the frame of each to that of the sweep.
+        Takes points from the frame of each sensor to the LiDAR frame of the sweep.
     lateral_offset : ndarray of float64, shape (k,), optional
-        Metres by which a laser sits to the left of the axis on which it turns; 0 if left out.
+        Distance of a laser to the left of the axis about which it turns, metres; 0 if left out.
     lidar_id : ndarray of uint8, shape (k,), optional
-        The LiDAR that each is a laser of, counted from 0; all are LiDARs of their own if left out.
+        The LiDAR to which each laser belongs, counted from 0. If left out, each sensor is a LiDAR
+        of its own.
     ego_displacement : ndarray of float32, shape (N, 3), optional
-        How far it had come since the sweep's stamp when it measured each point, of a deskewed
-        sweep; nowhere if left out.
+        Of a deskewed sweep: how far the vehicle has moved from the sweep's stamp to the measurement
+        of each point, LiDAR frame, metres; 0 if left out.
 
     Raises
     ------
@@ -57,7 +61,7 @@ class SensorRig:
             )
         if index.max(initial=0) >= len(T):
             raise InputError(
-                f"a point is of LiDAR {index.max()}, but there are {len(T)} poses of LiDARs"
+                f"a point is of sensor {index.max()}, but there are poses of {len(T)} sensors"
             )
         check_rigid(T)
         lateral_offset, lidar_id = (
@@ -83,24 +87,32 @@ class SensorRig:
 
     @classmethod
     def single(cls, place: ArrayLike, points: int) -> SensorRig:
-        """One LiDAR that saw all points from ``place``, (3,) in metres in their frame."""
+        """One LiDAR at ``place``, (3,) in metres in the frame of its points."""
         T_lidar_sensor = np.eye(4)
         T_lidar_sensor[:3, 3] = place
         return cls(np.zeros(points, np.uint8), T_lidar_sensor[None])
 
     def with_ego_motion(self, velocity: ArrayLike, time_offset: NDArray[np.float32]) -> SensorRig:
-        """The same at a velocity, (3,) in m/s; ``time_offset`` are seconds after the stamp."""
+        """The rig of a vehicle that drives during the sweep.
+
+        Parameters
+        ----------
+        velocity : array_like, shape (3,)
+            LiDAR frame, metres a second.
+        time_offset : ndarray of float32, shape (N,)
+            Seconds from the sweep's stamp to the measurement of each point.
+        """
         return replace(
             self, ego_displacement=time_offset[:, None] * np.asarray(velocity, np.float32)
         )
 
     def select(self, rows: NDArray[np.bool_] | slice) -> SensorRig:
-        """The same for some of the points."""
+        """The rig of some of the points."""
         ego_displacement = None if self.ego_displacement is None else self.ego_displacement[rows]
         return replace(self, index=self.index[rows], ego_displacement=ego_displacement)
 
     def with_lidar(self, T_lidar_sensor: NDArray[np.float64], points: int) -> SensorRig:
-        """With the points of one more LiDAR after the others."""
+        """The rig with one more LiDAR, whose points come after the others."""
         return SensorRig(
             np.append(self.index, np.full(points, len(self.T_lidar_sensor), np.uint8)),
             np.append(self.T_lidar_sensor, T_lidar_sensor[None], axis=0),
@@ -110,16 +122,17 @@ class SensorRig:
 
 
 class LidarView(NamedTuple):
-    """What one LiDAR saw.
+    """The points that one LiDAR measured, in its own frame.
 
     Attributes
     ----------
     points : ndarray of float32, shape (N, 3)
-        All points in its frame, in the middle of its lasers; NaN for those of other LiDARs.
+        LiDAR's own frame, whose origin is the centre of its lasers, metres. Rows of points of other
+        LiDARs are NaN.
     T_lidar_sensor : ndarray of float64, shape (4, 4)
-    lasers : Sensors or None
-        Where its lasers sit, and how it moved on; None where all lines of sight begin at the
-        origin.
+        Takes points from its own frame to the LiDAR frame of the sweep.
+    lasers : SensorRig or None
+        Places of its lasers and displacement of the vehicle. None if all rays begin at the origin.
     """
 
     points: NDArray[np.float32]
@@ -127,22 +140,22 @@ class LidarView(NamedTuple):
     lasers: SensorRig | None
 
     def ray_origins(self) -> NDArray[np.float32] | None:
-        """Where each line of sight begins, (N, 3) in its frame, if not at the origin."""
+        """Origin of each ray, (N, 3) in its own frame, metres; None if at the frame's origin."""
         if self.lasers is None:
             return None
         places = inverse(self.T_lidar_sensor) @ self.lasers.T_lidar_sensor
         ray_origins = np.take(places[:, :3, 3].astype(np.float32), self.lasers.index, axis=0)
-        # A laser beside the axis turns with the direction in which it looks.
+        # A laser beside the axis turns with its ray.
         x, y = self.points[:, 0], self.points[:, 1]
         lateral_offset = np.take(self.lasers.lateral_offset.astype(np.float32), self.lasers.index)
-        lateral_offset /= np.maximum(np.hypot(x, y), np.float32(1e-3))
+        lateral_offset /= np.maximum(np.hypot(x, y), np.float32(_AXIS_RANGE))
         ray_origins[:, 0] -= lateral_offset * y
         ray_origins[:, 1] += lateral_offset * x
         ego_displacement = self._displacement()
         return ray_origins if ego_displacement is None else ray_origins + ego_displacement
 
     def motion_corrected(self) -> NDArray[np.float32]:
-        """The points as if it had not moved on between them, (N, 3) in its frame."""
+        """The points without the motion of the vehicle during the sweep, (N, 3) in its frame."""
         ego_displacement = self._displacement()
         return self.points if ego_displacement is None else self.points - ego_displacement
 
@@ -152,18 +165,35 @@ class LidarView(NamedTuple):
         R = self.T_lidar_sensor[:3, :3].astype(np.float32)
         if np.array_equal(R, np.eye(3)):
             return self.lasers.ego_displacement
-        # Not by BLAS, which would keep every core busy, waiting for the next product.
+        # Not by BLAS, whose threads would keep every core busy waiting.
         return np.einsum("ij,jk->ik", self.lasers.ego_displacement, R)
 
 
 def lidar_views(points: NDArray[np.float32], sensor_rig: SensorRig | None) -> Iterator[LidarView]:
-    """What each LiDAR saw."""
+    """Split a sweep into the views of its LiDARs.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        LiDAR frame of the sweep, metres.
+    sensor_rig : SensorRig, optional
+
+    Yields
+    ------
+    LidarView
+        One for each LiDAR, in order of ``lidar_id``.
+
+    Raises
+    ------
+    InputError
+        The rig is of another number of points.
+    """
     if sensor_rig is None:
         yield LidarView(points, np.eye(4), None)
         return
     if sensor_rig.index.shape != points.shape[:1]:
         raise InputError(
-            f"sensor_rig.index {sensor_rig.index.shape} must tell the LiDAR of each of "
+            f"sensor_rig.index {sensor_rig.index.shape} must name the sensor of each of "
             f"{len(points)} points"
         )
     for lidar_id in sorted(set(sensor_rig.lidar_id.tolist())):

@@ -1,4 +1,4 @@
-"""Files that are whole or not there."""
+"""Atomic writes: a file is whole or not there."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from docdepth.errors import RunError
 
 
 def write_atomically(path: Path, write: Callable[[BinaryIO], object], *, sync: bool = True) -> None:
-    """Write a file under its final name only when it is whole.
+    """Write a file so that it has its final name only when it is whole.
 
-    The content goes beside it first, is synced to disk and then renamed, so that a killed run or
-    a full disk leaves the old file or none.
+    The content is written to a temporary file beside it, synced to disk and renamed. A killed run
+    or a full disk leaves the old file or none.
 
     Parameters
     ----------
     path : Path
     write : callable
-        Called with the open binary file.
+        Called with a binary file that is open for writing.
     sync : bool
-        False for what the same stage reads again and deletes: the disk then need not see it. It is
-        whole after a killed run all the same, but perhaps not after the power went.
+        False for intermediate files that the same stage reads again and deletes. They are whole
+        after a killed run, but perhaps not after a power failure.
 
     Raises
     ------
     RunError
-        The disk is full or the folder cannot be written; everything written before is intact.
+        The disk is full or the folder cannot be written; earlier files are intact.
     """
     part = path.with_name(f".{path.name}.part")
     try:
@@ -42,7 +42,7 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object], *, sync: b
         part.unlink(missing_ok=True)
         raise RunError(
             f"cannot write {path}: {error.strerror}; make room or choose another folder and run "
-            "the same command again, it goes on where it stopped"
+            "the same command again; it continues where it stopped"
         ) from error
     except BaseException:
         part.unlink(missing_ok=True)

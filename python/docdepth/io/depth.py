@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import json
-import tempfile
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import DatasetError, InputError, MissingExtraError, RunError
+from docdepth.errors import DatasetError, InputError
 from docdepth.io.atomic import write_atomically
+from docdepth.io.exr import encode_exr, import_exr, read_exr
 
-FORMATS = {  # the more exact, the later
+FORMATS = {  # from the least to the most exact
     "png": ".png",  # uint16, metres times a scale, 0 = none
     "exr-half": ".exr",  # float16 metres, NaN = none; steps of 31 mm at 50 m, 62 mm at 100 m
     "exr": ".exr",  # float32, channel Y, ZIP compressed
@@ -30,17 +30,18 @@ FORMATS = {  # the more exact, the later
 """Suffix of each format."""
 
 PNG_SCALE = 256.0
-"""Steps of a PNG a metre, if nothing else is said (KITTI)."""
+"""Default scale of a PNG, steps a metre (KITTI's)."""
 
 DESCRIPTION = "depth.json"
-"""What says of the maps in its folder how they are scaled, and more."""
+"""File that describes the depth maps of its folder: their scale and more."""
 
+_PNG_MOST = 65535  # steps; the largest uint16
 _READ = (*dict.fromkeys(FORMATS.values()), ".tif")
 
 
 def png_range(scale: float = PNG_SCALE) -> float:
-    """The deepest that a PNG can hold [m]."""
-    return 65535 / scale
+    """Largest depth that a PNG can hold, metres; ``scale`` in steps a metre."""
+    return _PNG_MOST / scale
 
 
 def encode_depth(
@@ -55,13 +56,13 @@ def encode_depth(
     format : str
         One of :data:`FORMATS`.
     scale : float
-        Steps of a PNG a metre; it is of use to PNG only.
+        Steps of a PNG a metre; other formats ignore it.
 
     Raises
     ------
     InputError
-        The format is unknown, or a depth is not positive or too large for the format: nothing is
-        wrapped or cut.
+        The format is unknown, or a depth is not positive or too large for the format. No value
+        overflows or is clipped.
     MissingExtraError
         The format needs a package that is not installed.
     """
@@ -69,7 +70,7 @@ def encode_depth(
     if format == "png":
         return _encode_png(depth, scale)
     if format in ("exr", "exr-half"):
-        return _encode_exr(depth, np.dtype(np.float16 if format == "exr-half" else np.float32))
+        return encode_exr(depth, np.dtype(np.float16 if format == "exr-half" else np.float32))
     if format == "tiff":
         return bytes(cv2.imencode(".tiff", depth)[1].tobytes())
     stream = io.BytesIO()
@@ -93,7 +94,7 @@ def write_depth(
     depth : ndarray of float32, shape (h, w)
         Metres, NaN = none.
     format : str, optional
-        One of :data:`FORMATS`; what the name ends in if absent.
+        One of :data:`FORMATS`; by default that of the suffix.
     scale : float
         Steps of a PNG a metre.
 
@@ -115,7 +116,7 @@ def write_depth(
 
 
 def check_format(format: str, scale: float, max_depth: float) -> None:
-    """Refuse what could not be written hours later.
+    """Check before rendering whether depth maps can be written.
 
     Parameters
     ----------
@@ -124,17 +125,17 @@ def check_format(format: str, scale: float, max_depth: float) -> None:
     scale : float
         Steps of a PNG a metre.
     max_depth : float
-        The deepest that will be drawn [m].
+        Largest depth that will be rendered, metres.
 
     Raises
     ------
     InputError
-        The format cannot hold such depth.
+        The format cannot hold this depth.
     MissingExtraError
         The format needs a package that is not installed.
     """
     if format == "png" and max_depth > png_range(scale):
-        most = 2.0 ** np.floor(np.log2(65535 / max_depth))
+        most = 2.0 ** np.floor(np.log2(_PNG_MOST / max_depth))
         remedy = f"take --scale {most:g}, "
         raise InputError(
             f"render.max_depth is {max_depth:g} m, a PNG of metres x {scale:g} holds no more than "
@@ -142,18 +143,18 @@ def check_format(format: str, scale: float, max_depth: float) -> None:
             "render.max_depth"
         )
     if format in ("exr", "exr-half"):
-        _open_exr()
+        import_exr()
 
 
 def read_depth(path: Path, scale: float | None = None) -> NDArray[np.float32]:
-    """Read a depth map written by :func:`write_depth` or by others in these formats.
+    """Read a depth map of docdepth or of other software.
 
     Parameters
     ----------
     path : Path
         A PNG of uint16 (0 = none), or NPY, NPZ, TIFF or EXR of float metres (NaN or 0 = none).
     scale : float, optional
-        Steps of a PNG a metre; if absent what :data:`DESCRIPTION` beside it says, else 256.
+        Steps of a PNG a metre; by default as :data:`DESCRIPTION` beside it says, else 256.
 
     Returns
     -------
@@ -176,7 +177,7 @@ def read_depth(path: Path, scale: float | None = None) -> NDArray[np.float32]:
     if suffix not in _READ:
         raise DatasetError(f"{path}: depth is read from {', '.join(_READ)}, not {suffix!r}")
     if suffix == ".exr":
-        depth = _read_exr(path)
+        depth = read_exr(path)
     else:
         depth = _decoded(path) if suffix in (".tiff", ".tif") else _load(path)
     if depth.ndim != 2 or depth.dtype.kind != "f":
@@ -187,7 +188,7 @@ def read_depth(path: Path, scale: float | None = None) -> NDArray[np.float32]:
 
 
 def maps_in(folder: Path) -> dict[str, Path]:
-    """The depth maps of a folder by name, of several formats the most exact.
+    """Depth maps of a folder by name; if a map has several formats, the most exact one.
 
     Parameters
     ----------
@@ -218,7 +219,7 @@ def _scale_beside(path: Path) -> float:
 
 def _encode_png(depth: NDArray[np.float32], scale: float) -> bytes:
     with np.errstate(invalid="ignore"):
-        deep = depth * scale >= 65535.5
+        deep = depth * scale >= _PNG_MOST + 0.5
     if deep.any():
         row, column = np.argwhere(deep)[0]
         raise InputError(
@@ -226,52 +227,14 @@ def _encode_png(depth: NDArray[np.float32], scale: float) -> bytes:
             f"PNG of metres x {scale:g} can hold, the first is {depth[row, column]:.2f} m in row "
             f"{row}, column {column}; take another format, a smaller scale or render.max_depth"
         )
-    # A depth that would round to 0 would be lost; one step is as near as the format gets.
+    # A depth that rounds to 0 would mean none; one step is the nearest that the format has.
     steps = np.maximum(np.rint(depth * scale), 1)
     pixels = np.where(np.isnan(depth), 0, steps).astype(np.uint16)
     return bytes(cv2.imencode(".png", pixels)[1].tobytes())
 
 
-def _open_exr() -> Any:
-    # OpenCV's wheels can read EXR only if a variable was set before the import, or not at all.
-    try:
-        import OpenEXR
-    except ImportError:
-        raise MissingExtraError('EXR needs a package: pip install "docdepth[exr]"') from None
-    return OpenEXR
-
-
-def _encode_exr(depth: NDArray[np.float32], dtype: np.dtype[Any]) -> bytes:
-    OpenEXR = _open_exr()
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    # One channel Y is what OpenCV writes, and all that it reads.
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "depth.exr"
-            OpenEXR.File(header, {"Y": depth.astype(dtype)}).write(str(path))
-            return path.read_bytes()
-    except (OSError, RuntimeError) as error:  # OpenEXR writes to files only
-        raise RunError(
-            f"cannot write an EXR to {tempfile.gettempdir()}: {error}; make room there or set "
-            "TMPDIR"
-        ) from None
-
-
-def _read_exr(path: Path) -> NDArray[Any]:
-    OpenEXR = _open_exr()
-    try:
-        with OpenEXR.File(str(path)) as image:
-            channels = {name: c.pixels.copy() for name, c in image.channels().items()}
-    except (RuntimeError, ValueError) as error:
-        raise DatasetError(f"{path} is damaged: {error}; delete it and render again") from None
-    for name in ("Y", "Z", *(channels if len(channels) == 1 else ())):
-        if name in channels:
-            return np.asarray(channels[name])
-    raise DatasetError(f"{path} has the channels {', '.join(channels)}; depth is one, Y or Z")
-
-
 def _decoded(path: Path) -> NDArray[Any]:
-    # Read in Python and decoded from memory: OpenCV complains on its own channels otherwise.
+    # Decoded from memory: of a missing file OpenCV would complain on stderr.
     content = np.frombuffer(path.read_bytes(), np.uint8)
     try:
         pixels = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if len(content) else None

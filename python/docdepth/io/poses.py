@@ -1,7 +1,7 @@
-"""Trajectories as text: TUM (``t x y z qx qy qz qw``) and KITTI (3x4 matrices, a line each).
+"""Trajectories as text: TUM (``t x y z qx qy qz qw``) and KITTI (a 3x4 matrix in each line).
 
-Both are the formats that other SLAM systems write and that evo reads. Poses are ``T_world_lidar``
-unless the file's owner says otherwise.
+Other SLAM systems write these formats, and evo reads them. Poses are ``T_world_lidar``, but for the
+pose files of KITTI itself, which are of the camera.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from docdepth.geometry.trajectory import Trajectory
 
 
 def read_poses(path: Path | str, count: int) -> NDArray[np.float64]:
-    """Poses of ``count`` sweeps, one a line, in a file of either format.
+    """Read the poses of ``count`` sweeps, one a line, from a file of either format.
 
     Parameters
     ----------
     path : Path
-        A line of 8 numbers is TUM, of 12 KITTI. Lines are taken in order, whatever their times.
+        Lines of 8 numbers are TUM, of 12 KITTI. Line k is the pose of sweep k; times are ignored.
     count : int
-        How many sweeps there are.
+        Number of sweeps.
 
     Returns
     -------
@@ -40,7 +40,8 @@ def read_poses(path: Path | str, count: int) -> NDArray[np.float64]:
     Raises
     ------
     OdometryError
-        The file is missing, is neither format, has an impossible pose, or not ``count`` of them.
+        The file is missing, of neither format, has a pose that is not rigid, or another number of
+        poses.
     """
     rows = _read(Path(path))
     if rows.shape[1] not in (8, 12):

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from docdepth import __version__
 from docdepth.config import Parameters
-from docdepth.errors import CalibrationError, ConfigError, RunError
+from docdepth.errors import ConfigError, RunError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
+from docdepth.io.calibration import EXTRINSICS, INTRINSICS, read_calibration, write_calibration
 from docdepth.io.frames import (
     FrameRecord,
     read_frame,
@@ -79,6 +80,8 @@ class RunFolder:
         run = cls(path)
         wanted = {"source": source, "parameters": parameters.model_dump(mode="json")}
         if run.manifest:
+            # In today's names: a release before this one may have started the run.
+            run.manifest["parameters"] = run.parameters.model_dump(mode="json")
             for part, value in wanted.items():
                 if run.manifest.get(part) != value:
                     difference = _difference(run.manifest.get(part), value)
@@ -219,63 +222,27 @@ class RunFolder:
         distortion: Sequence[float] = (0.0,) * 5,
         name: str = "",
     ) -> None:
-        """Write calib.json and calib_lidar_ref_cam.txt of a camera.
-
-        Parameters
-        ----------
-        distortion : sequence of float
-            Of the images before they are rectified, in OpenCV's order.
-        name : str
-            The camera, if there are several.
-        """
-        folder = self.calibration_folder(name)
-        calibration = {
-            "mtx": camera.K.tolist(),
-            "dist": list(distortion),
-            "size": [camera.width, camera.height],
-        }
-        rows = "\n".join(" ".join(repr(float(v)) for v in row) for row in T_camera_lidar) + "\n"
-        write_atomically(
-            folder / "calib.json",
-            lambda stream: stream.write(json.dumps(calibration, indent=1).encode()),
-        )
-        write_atomically(
-            folder / "calib_lidar_ref_cam.txt", lambda stream: stream.write(rows.encode())
-        )
+        """Write the calibration of a camera; ``name`` it if there are several."""
+        write_calibration(self.calibration_folder(name), camera, T_camera_lidar, distortion)
 
     def forget_calibration(self, name: str) -> None:
         """Delete what :meth:`write_calibration` wrote, and the camera's trajectory."""
         folder = self.calibration_folder(name)
-        for file in ("calib.json", "calib_lidar_ref_cam.txt", "traj_camera.ply"):
+        for file in (INTRINSICS, EXTRINSICS, "traj_camera.ply"):
             (folder / file).unlink(missing_ok=True)
         if name:
             self.clear(f"cameras/{name}")
 
     def calibration(self, name: str = "") -> tuple[Camera, NDArray[np.float64], list[float]]:
-        """Camera, ``T_camera_lidar`` and distortion of the images.
+        """Camera, ``T_camera_lidar`` (4, 4) and distortion of the images.
 
         Raises
         ------
         CalibrationError
             A calibration file is missing or damaged.
         """
-        folder = self.calibration_folder(name)
-        intrinsic, extrinsic = folder / "calib.json", folder / "calib_lidar_ref_cam.txt"
-        try:
-            calibration = json.loads(intrinsic.read_text())
-            K = np.array(calibration["mtx"], dtype=np.float64)
-            width, height = calibration.get("size") or np.round(2 * K[:2, 2]).astype(int).tolist()
-            distortion = np.ravel(calibration.get("dist") or []).astype(float).tolist()
-            T_camera_lidar = np.loadtxt(extrinsic)
-        except FileNotFoundError as error:
-            raise CalibrationError(
-                f"{error.filename} is missing; it is written by: docdepth render {self.path}"
-            ) from None
-        except (KeyError, ValueError) as error:
-            raise CalibrationError(f"{intrinsic} or {extrinsic.name} is damaged: {error}") from None
-        if T_camera_lidar.shape != (4, 4):
-            raise CalibrationError(f"{extrinsic} must hold a 4x4 matrix")
-        return Camera(K, int(width), int(height)), T_camera_lidar, distortion
+        remedy = f"it is written by: docdepth render {self.path}"
+        return read_calibration(self.calibration_folder(name), remedy)
 
     def depth_folder(self, camera: str | None = None) -> str:
         """The folder of a camera inside ``depth/``; empty if the run has only one camera.

@@ -12,7 +12,6 @@ environment and ends the process on odd timestamps.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,23 +22,16 @@ from numpy.typing import ArrayLike, NDArray
 from docdepth.concurrency import thread_count
 from docdepth.config import OdometryParameters, Parameters
 from docdepth.datasets.base import Dataset
-from docdepth.errors import InputError, OdometryError
-from docdepth.geometry.se3 import check_rigid, inverse
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.parallel_passes import run_parallel
-from docdepth.odometry.registration import first_motion
+from docdepth.odometry.pose_checks import check_given_poses, warn_of_jumps
 from docdepth.odometry.registration_pass import RegistrationPass
 from docdepth.odometry.sweeps import DeskewedSweeps
-
-log = logging.getLogger(__name__)
 
 Progress = Callable[[int, int, str], None]
 """Called with the sweeps done, all sweeps of all passes, and a description."""
 
-_MOVING = 0.15  # metres from sweep to sweep; smaller steps may be errors of registration
-_SAME_POSE = 1e-3  # metres, and entries of rotations; poses that differ less are one pose
-_JUMP = 1.0  # metres by which the step from sweep to sweep changes; a vehicle cannot do that
 _FEWEST_PARALLEL = 20  # sweeps; fewer are registered before another process has started
 
 
@@ -98,11 +90,11 @@ def register_drive(
     """
     settings = (parameters or Parameters()).odometry
     if poses is not None:
-        known = _check_given_poses(dataset, poses, settings)
+        known = check_given_poses(dataset, poses, settings)
     else:
         known = estimate_poses(dataset, settings, progress, checkpoint, threads)
     trajectory = Trajectory(dataset.times, known)
-    _warn_of_jumps(trajectory)
+    warn_of_jumps(trajectory)
     motions = centred_motion(known, dataset.times)
     return Odometry(trajectory, DeskewedSweeps(dataset, motions.__getitem__))
 
@@ -171,57 +163,3 @@ def _parallel_passes(threads: int, count: int) -> int:
         cores = thread_count(0)
         threads = cores + 1 if cores > 1 else 1
     return threads if count >= _FEWEST_PARALLEL else 1
-
-
-def _check_given_poses(
-    dataset: Dataset, poses: ArrayLike, parameters: OdometryParameters
-) -> NDArray[np.float64]:
-    """Refuse poses that cannot be right, and warn of those that hardly are."""
-    given = np.ascontiguousarray(poses, dtype=np.float64)
-    if given.ndim != 3 or given.shape[1:] != (4, 4):
-        raise OdometryError(f"poses must be (n, 4, 4) matrices T_world_lidar, got {given.shape}")
-    if len(given) != len(dataset):
-        raise OdometryError(
-            f"there are {len(given)} poses for {len(dataset)} sweeps; bring one pose a sweep"
-        )
-    try:
-        check_rigid(given)
-    except InputError as error:
-        raise OdometryError(str(error)) from None
-    if len(given) > 1 and np.ptp(given, axis=0).max() < _SAME_POSE:
-        _warn_of_motion(dataset, parameters)
-    steps = np.abs((inverse(given[:-1]) @ given[1:])[:, :3, 3])
-    steps = steps[np.linalg.norm(steps, axis=1) > _MOVING]
-    if len(steps) and np.median(steps[:, 2]) > 2 * np.median(steps[:, 0]):
-        log.warning(
-            "along the poses the LiDAR moves upwards (z), not forwards (x): if they are poses of "
-            "a camera, convert them by Tr^-1 T Tr"
-        )
-    return given
-
-
-def _warn_of_motion(dataset: Dataset, parameters: OdometryParameters) -> None:
-    """The given poses stand still: warn if the sweeps do not."""
-    sweeps, n = DeskewedSweeps(dataset, None), len(dataset)
-    for frames in (range(n), range(n // 2, n)):
-        step = np.linalg.norm(first_motion(sweeps, frames, parameters)[:3, 3])
-        if step > _MOVING:
-            log.warning(
-                "all poses are the same, yet near frame %d the LiDAR moves by %.2f m a sweep; "
-                "give T_world_lidar of each sweep, or no poses", frames[0], step,
-            )  # fmt: skip
-
-
-def _warn_of_jumps(trajectory: Trajectory) -> None:
-    """Warn where the step from one sweep to the next changes by metres."""
-    if len(trajectory) < 3:
-        return
-    seconds = np.diff(trajectory.times) * 1e-9
-    velocity = np.diff(trajectory.poses[:, :3, 3], axis=0) / seconds[:, None]
-    change = np.linalg.norm(np.diff(velocity, axis=0), axis=1) * float(np.median(seconds))
-    worst = int(np.argmax(change))
-    if change[worst] > _JUMP:
-        log.warning(
-            "the trajectory jumps: at frame %d the way from sweep to sweep changes by %.1f m; "
-            "look at its poses, or at its time", worst + 1, change[worst],
-        )  # fmt: skip

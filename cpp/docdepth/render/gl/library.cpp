@@ -31,7 +31,7 @@ void* SharedLibrary::address(const char* name) const {
 #else
 
 SharedLibrary::SharedLibrary(const std::vector<std::string>&) : handle_(nullptr) {
-  throw GlError("drawing by OpenGL without a window is implemented for Linux only");
+  throw GlError("scene by OpenGL without a window is implemented for Linux only");
 }
 
 void* SharedLibrary::address(const char*) const {

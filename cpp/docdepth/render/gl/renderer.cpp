@@ -6,7 +6,7 @@
 #include <string>
 
 #include "docdepth/geometry/rigid.hpp"
-#include "docdepth/render/candidates.hpp"
+#include "docdepth/render/depth_hypotheses.hpp"
 #include "docdepth/render/gl/program.hpp"
 #include "docdepth/render/gl/shaders.hpp"
 
@@ -21,7 +21,7 @@ void check(const GlContext::Current& gl, const std::string& renderer) {
   if (error) throw GlError(renderer + " failed with OpenGL error " + std::to_string(error));
 }
 
-/// The image with rows of `stride` numbers, zeros behind each.
+/// The image with rows of `stride` values, padded with zeros.
 std::vector<float> widened(const std::vector<float>& image, std::size_t width, std::size_t stride) {
   std::vector<float> wide(image.size() / width * stride, 0.0f);
   for (std::size_t from = 0, to = 0; from < image.size(); from += width, to += stride)
@@ -58,7 +58,7 @@ GlRenderer::GlRenderer(const Choice& choice) : context_(choice) {
   check(gl, context_.renderer());
 }
 
-/// Clears the image to `none`; of all that is drawn on a pixel the least (kMin) or most (kMax)
+/// Clear the image to `none`. Of all values drawn on a pixel the least (kMin) or greatest (kMax)
 /// stays.
 void GlRenderer::begin(const Gl& gl, const Camera& camera, unsigned program, unsigned keeps,
                        float none) {
@@ -152,7 +152,7 @@ std::vector<float> GlRenderer::render_splats(const Camera& camera,
     begin(gl, camera, splats_, kMin, none);
     for (const auto& placed : clouds) {
       draw_cloud(gl, camera, placed);
-      gl->Finish();  // else Mesa queues all of them, in gigabytes
+      gl->Finish();  // else Mesa queues all clouds, which takes gigabytes
     }
     auto depth = read(gl, camera);
     std::replace(depth.begin(), depth.end(), none, kNone);
@@ -161,7 +161,7 @@ std::vector<float> GlRenderer::render_splats(const Camera& camera,
 }
 
 void GlRenderer::draw_mesh(const Gl& gl, const Camera& camera, const PlacedMesh& placed) {
-  const Mesh& mesh = *placed.mesh;
+  const PatchMesh& mesh = *placed.mesh;
   const Frustum frustum(camera, placed.T_camera_mesh);
   if (!mesh.size() || !frustum.touches(mesh.box())) return;
   std::vector<int> count, base;
@@ -170,7 +170,7 @@ void GlRenderer::draw_mesh(const Gl& gl, const Camera& camera, const PlacedMesh&
     if (!frustum.touches(patch.box)) continue;
     count.push_back(static_cast<int>(3 * patch.triangles));
     base.push_back(static_cast<int>(patch.vertex));
-    corners.push_back(reinterpret_cast<const void*>(patch.triangle * sizeof(Mesh::Corners)));
+    corners.push_back(reinterpret_cast<const void*>(patch.triangle * sizeof(PatchMesh::Corners)));
   }
   if (count.empty()) return;
   place(gl, triangles_, placed.T_camera_mesh);
@@ -179,36 +179,37 @@ void GlRenderer::draw_mesh(const Gl& gl, const Camera& camera, const PlacedMesh&
   if (!known) gl->GenBuffers(1, &copy.corners);
   gl->BindBuffer(kElementArrayBuffer, copy.corners);
   if (!known)
-    gl->BufferData(kElementArrayBuffer, std::ptrdiff_t(mesh.size() * sizeof(Mesh::Corners)),
+    gl->BufferData(kElementArrayBuffer, std::ptrdiff_t(mesh.size() * sizeof(PatchMesh::Corners)),
                    mesh.corners(), kStaticDraw);
   gl->MultiDrawElementsBaseVertex(kTriangles, count.data(), kUnsignedByte, corners.data(),
                                   static_cast<int>(count.size()), base.data());
 }
 
-/// 1 / depth of the nearest triangle, 0 where there is none.
-std::vector<float> GlRenderer::nearness(const Gl& gl, const Camera& camera,
-                                        const std::vector<PlacedMesh>& meshes) {
+/// Inverse depth of the nearest triangle; 0 if there is none.
+std::vector<float> GlRenderer::inverse_depth(const Gl& gl, const Camera& camera,
+                                             const std::vector<PlacedMesh>& meshes) {
   begin(gl, camera, triangles_, kMax, 0);
   for (const auto& placed : meshes) draw_mesh(gl, camera, placed);
   return read(gl, camera);
 }
 
-std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Drawing& drawing) {
+std::vector<float> GlRenderer::render_triangles(const Camera& camera, const MeshScene& scene) {
   return render([&](const Gl& gl) {
-    const int stride =
-        (camera.width + Candidates::kTile - 1) / Candidates::kTile * Candidates::kTile;
+    const int stride = (camera.width + DepthHypotheses::kTile - 1) / DepthHypotheses::kTile *
+                       DepthHypotheses::kTile;
     const auto drawn = [&](const std::vector<PlacedMesh>& meshes) {
-      return widened(nearness(gl, camera, meshes), camera.width, stride);
+      return widened(inverse_depth(gl, camera, meshes), camera.width, stride);
     };
     const Columns columns{0, camera.width, camera.height, stride};
-    Candidates candidates(columns, drawn(drawing.trusted));
-    for (const auto& mesh : drawing.others) candidates.take(drawn({mesh}).data());
-    auto world = candidates.settle(camera, drawing.rays);
-    for (const auto& mover : drawing.movers)
-      add_mover(columns, camera, drawn(mover.trusted), drawn(mover.others), mover.rays, world);
+    DepthHypotheses hypotheses(columns, drawn(scene.trusted));
+    for (const auto& mesh : scene.others) hypotheses.add(drawn({mesh}).data());
+    auto static_depth = hypotheses.resolve(camera, scene.rays);
+    for (const auto& object : scene.dynamic_objects)
+      add_dynamic_object(columns, camera, drawn(object.trusted), drawn(object.others), object.rays,
+                         static_depth);
     std::vector<float> depth(std::size_t(camera.width) * camera.height);
     for (std::size_t i = 0; i < depth.size(); ++i) {
-      const float w = world[i / camera.width * stride + i % camera.width];
+      const float w = static_depth[i / camera.width * stride + i % camera.width];
       depth[i] = w > 0 ? 1.0f / w : kNone;
     }
     return depth;
@@ -222,7 +223,7 @@ std::vector<float> GlRenderer::render(const std::function<std::vector<float>(con
     forget_unused(gl);
     return depth;
   } catch (...) {
-    for (auto& copy : uploaded_) copy.second.used = false;  // it may not have arrived
+    for (auto& copy : uploaded_) copy.second.used = false;  // its upload may have failed
     forget_unused(gl);
     throw;
   }

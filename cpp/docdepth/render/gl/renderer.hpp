@@ -1,4 +1,4 @@
-// Depth maps by OpenGL: the same as render_splats() and render_triangles().
+// Depth maps by OpenGL, equal to those of render_splats() and render_triangles().
 #pragma once
 
 #include <cstdint>
@@ -12,23 +12,24 @@
 
 namespace docdepth::gl {
 
-/// Draws into a float image in which the smallest depth, or the largest nearness, stays (blending
-/// by minimum or maximum), so that nothing is rounded to a depth buffer's scale. Clouds and meshes
-/// stay on the device until a depth map does without them. For one thread and one process, as
-/// GlContext.
+/// Draws into a float image that keeps the smallest depth or the largest inverse depth (blending by
+/// minimum or maximum), so that no depth buffer rounds the values. Clouds and meshes stay on the
+/// device until a depth map does not need them. For one thread and one process, like GlContext.
 class GlRenderer {
  public:
   /// @throws GlError saying why the back end cannot be used here
   explicit GlRenderer(const Choice& choice);
 
   const GlContext& context() const { return context_; }
-  int point_limit() const { return point_limit_; }  ///< pixels; larger splats are drawn as squares
+  int point_limit() const {
+    return point_limit_;
+  }  ///< largest size of points [pixel]; larger splats are drawn as squares
 
   /// As docdepth::render_splats().
   std::vector<float> render_splats(const Camera& camera, const std::vector<PlacedCloud>& clouds);
 
   /// As docdepth::render_triangles().
-  std::vector<float> render_triangles(const Camera& camera, const Drawing& drawing);
+  std::vector<float> render_triangles(const Camera& camera, const MeshScene& scene);
 
  private:
   using Gl = GlContext::Current;
@@ -44,8 +45,8 @@ class GlRenderer {
   void draw_mesh(const Gl& gl, const Camera& camera, const PlacedMesh& placed);
   template <class Shape>
   Uploaded& bind(const Gl& gl, const Shape& shape, std::size_t size, unsigned divisor);
-  std::vector<float> nearness(const Gl& gl, const Camera& camera,
-                              const std::vector<PlacedMesh>& meshes);
+  std::vector<float> inverse_depth(const Gl& gl, const Camera& camera,
+                                   const std::vector<PlacedMesh>& meshes);
   std::vector<float> read(const Gl& gl, const Camera& camera);
   void forget_unused(const Gl& gl);
 

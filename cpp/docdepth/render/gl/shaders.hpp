@@ -96,7 +96,7 @@ constexpr const char* kTriangleVertex = R"(
 layout(location = 0) in float x;
 layout(location = 1) in float y;
 layout(location = 2) in float z;
-out vec3 corner;  // column, row, nearness (1 / depth), which is 0 where nothing is drawn
+out vec3 corner;  // column, row, inverse_depth (1 / depth), which is 0 where nothing is drawn
 void main() {
   vec3 p = move(vec3(x, y, z));
   float w = divide(1.0, p.z);
@@ -113,8 +113,8 @@ layout(triangles) in;
 layout(triangle_strip, max_vertices = 4) out;
 in vec3 corner[];
 flat out vec4 edges[3];  // column and row of its start; where it goes, the inside on one side
-flat out vec3 plane;     // nearness at the first corner; its slopes along columns and rows
-flat out vec2 range;     // of nearness
+flat out vec3 plane;     // inverse_depth at the first corner; its slopes along columns and rows
+flat out vec2 range;     // of inverse_depth
 
 void main() {
   vec3 a = corner[0], b = corner[1], c = corner[2];
@@ -143,7 +143,7 @@ constexpr const char* kTriangleFragment = R"(
 flat in vec4 edges[3];
 flat in vec3 plane;
 flat in vec2 range;
-out float nearness;
+out float inverse_depth;
 
 void main() {
   vec2 at = floor(gl_FragCoord.xy);
@@ -155,7 +155,7 @@ void main() {
   }
   EXACT float w =
       (at.y - edges[0].y) * plane.z + ((at.x - edges[0].x) * plane.y + plane.x);
-  nearness = clamp(w, range.x, range.y);
+  inverse_depth = clamp(w, range.x, range.y);
 }
 )";
 

@@ -1,0 +1,165 @@
+"""Cells of the synthetic suite: a scene seen by a sensor, with exact poses, classes and depth."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar, overload
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from docdepth.config import Parameters
+from docdepth.datasets import CameraStream, Sweep, open_dataset
+from docdepth.errors import RunError
+from docdepth.evaluation import moving
+from docdepth.geometry.points import DYNAMIC, GROUND, STATIC
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline import run_odometry
+from docdepth.render.scene import Scene
+from docdepth.synthetic import Drive, scene, sensor, sensors, write_drive
+
+# Sweeps of a whole drive: as long as something happens.
+FRAMES = {"crossing": 100, "city": 125, "hills": 80, "residential": 90, "highway": 70}
+# SemanticKITTI: road, parking, pavement, other ground, lane marking, terrain.
+GROUND_LABELS = (40, 44, 48, 49, 60, 72)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A scene seen by a sensor, and the folder of its drive."""
+
+    scene: str
+    sensor: str
+    frames: int
+    seed: int
+    drives: Path
+
+    @property
+    def name(self) -> str:
+        return f"{self.scene}_{self.sensor}"
+
+    @property
+    def folder(self) -> Path:
+        return self.drives / f"seed{self.seed}" / self.name
+
+    def sequence(self) -> Path:
+        """Folder of the drive; makes the drive if it is missing."""
+        about = self.folder / "sequences" / "00" / "docdepth.yaml"
+        wanted = {"scene": self.scene, "sensor": self.sensor, "seed": self.seed}
+        wanted |= {"frames": self.frames, "motion_compensated": True}
+        if not about.is_file():
+            write_drive(self.folder, self.scene, self.sensor, self.frames, self.seed, images=False)
+        elif yaml.safe_load(about.read_text()) != wanted:
+            raise RunError(f"{about.parent} holds another drive than {wanted}; delete it")
+        return about.parent
+
+    def run(self) -> RunFolder:
+        """Run folder of the drive with exact poses, ready for the classification."""
+        sequence = self.sequence()
+        path = self.folder / "run"
+        run = RunFolder(path)
+        if run.manifest:
+            # Trials fill up their parameters from those of the run: these must be today's.
+            run.manifest["parameters"] = Parameters().model_dump()
+            run.save()
+        else:
+            source = {"dataset": str(sequence.resolve()), "poses": "exact"}
+            run = RunFolder.create(path, source, Parameters())
+        dataset = open_dataset(sequence)
+        run_odometry(run, dataset, dataset.poses)
+        return run
+
+
+Item = TypeVar("Item")
+
+
+class Lazy(Sequence[Item]):
+    """A sequence whose items are computed on request."""
+
+    def __init__(self, count: int, item: Callable[[int], Item]) -> None:
+        self._count, self._item = count, item
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> Item: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Item]: ...
+    def __getitem__(self, index: int | slice) -> Any:
+        if isinstance(index, slice):
+            return [self._item(k) for k in range(self._count)[index]]
+        return self._item(range(self._count)[index])
+
+
+class ExactDrive:
+    """The drive of a cell with its exact poses, classes and depth."""
+
+    def __init__(self, cell: Cell) -> None:
+        self.dataset = open_dataset(cell.sequence())
+        world = scene(cell.scene, cell.seed)
+        self.drive = Drive(world, sensor(cell.sensor), cell.frames, cell.seed)
+        self.trajectory = Trajectory(self.drive.times, self.drive.poses)
+        rig, times = self.drive.rig, self.drive.camera_times
+        names = [f"{k:06d}" for k in range(len(times))]
+        self.camera = CameraStream("image_2", rig.camera, rig.T_camera_lidar, times, names)
+
+    def scene(self, parameters: Parameters) -> Scene:
+        """The drive with exact classes, ready for rendering."""
+        count = len(self.dataset)
+        sweeps, classes = Lazy(count, self._sweep), Lazy(count, self._classes)
+        return Scene(sweeps, self.trajectory, classes, parameters)
+
+    def images(self, count: int, ends: bool = True) -> list[int]:
+        """Indices of ``count`` images spread evenly over the drive, with or without its ends."""
+        last = len(self.drive.camera_times) - 1
+        spread = np.linspace(0, last, count) if ends else np.linspace(0, last, count + 2)[1:-1]
+        return [int(k) for k in dict.fromkeys(spread.round().astype(int).tolist())]
+
+    def _classes(self, index: int) -> NDArray[np.uint16]:
+        """Ground, static and dynamic; dynamic is what moves at any time of the drive."""
+        labels = self.dataset.labels(index)
+        assert labels is not None
+        classid = np.where(np.isin(labels & 0xFFFF, GROUND_LABELS), GROUND, STATIC)
+        classid[moving(labels)] = DYNAMIC
+        return classid.astype(np.uint16)
+
+    def _sweep(self, index: int) -> Sweep:
+        """A sweep with the time of each point: moving objects are where they were at that time."""
+        sweep = self.dataset.sweep(index)
+        if self.drive.sensor.name == "Avia":  # does not spin
+            return sweep
+        x, y = sweep.points[:, 0], sweep.points[:, 1]
+        relative_time = (-np.arctan2(y, x) / (2 * np.pi)).astype(np.float32)
+        return Sweep(
+            sweep.points,
+            sweep.name,
+            sweep.time,
+            relative_time=relative_time,
+            sensor_rig=sweep.sensor_rig,
+            motion_compensated=True,
+        )
+
+
+def add_cell_arguments(parser: argparse.ArgumentParser, images: int) -> None:
+    """Arguments that choose cells: scenes, sensors, seed, length and images."""
+    parser.add_argument("drives", type=Path, help="folder of the drives; missing ones are made")
+    parser.add_argument("--scenes", nargs="+", default=list(FRAMES), choices=list(FRAMES))
+    parser.add_argument("--sensors", nargs="+", choices=list(sensors()))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--frames", type=int, help="sweeps per drive instead of the usual number")
+    parser.add_argument("--images", type=int, default=images, help="images per drive")
+    parser.add_argument("--preset", default="default", choices=["default", "paper"])
+    parser.add_argument("--threads", type=int, default=0, help="0 uses all cores")
+
+
+def cells_of(args: argparse.Namespace) -> Iterator[Cell]:
+    """Chosen cells; all scenes of the first sensor come first, since they tell most."""
+    for name in args.sensors:
+        for street in args.scenes:
+            yield Cell(street, name, args.frames or FRAMES[street], args.seed, args.drives)

@@ -1,0 +1,138 @@
+#include "docdepth/geometry/sampled_points.hpp"
+
+#include <cmath>
+#include <utility>
+
+namespace docdepth {
+namespace {
+
+using Vector = Eigen::Vector3f;
+
+/// Numbers keys in the order in which they come. Far faster here than std::unordered_map.
+class KeyNumbers {
+ public:
+  explicit KeyNumbers(std::size_t most) {
+    while (slots_.size() < 2 * most) slots_.resize(2 * slots_.size(), kEmpty);
+    keys_.reserve(most);
+  }
+  std::size_t operator[](std::uint64_t key) {
+    const std::size_t mask = slots_.size() - 1;
+    std::size_t slot = (key * 0x9E3779B97F4A7C15u) >> 32 & mask;
+    while (slots_[slot] != kEmpty && keys_[slots_[slot]] != key) slot = (slot + 1) & mask;
+    if (slots_[slot] == kEmpty) {
+      slots_[slot] = static_cast<std::uint32_t>(keys_.size());
+      keys_.push_back(key);
+    }
+    return slots_[slot];
+  }
+
+ private:
+  static constexpr std::uint32_t kEmpty = ~0u;
+  std::vector<std::uint32_t> slots_ = std::vector<std::uint32_t>(8, kEmpty);
+  std::vector<std::uint64_t> keys_;
+};
+
+/// Squared distance from p to the nearest point, and its index.
+std::pair<float, std::size_t> nearest(const SampledPoints& points, const Vector& p) {
+  std::pair<float, std::size_t> found{INFINITY, 0};
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const float squared = (points[i] - p).squaredNorm();
+    if (squared < found.first) found = {squared, i};
+  }
+  return found;
+}
+
+}  // namespace
+
+Extent extent_of(const SampledPoints& points) {
+  Extent box{points.front(), points.front()};
+  for (const Vector& p : points) box.add({p, p});
+  return box;
+}
+
+std::uint64_t voxel_key(std::int64_t x, std::int64_t y, std::int64_t z) {
+  constexpr std::int64_t middle = 1 << 20, mask = (1 << 21) - 1;
+  return std::uint64_t((x + middle) & mask) << 42 | std::uint64_t((y + middle) & mask) << 21 |
+         std::uint64_t((z + middle) & mask);
+}
+
+std::int64_t voxel_coordinate(float value, float size) {
+  const float steps = value / size;  // floor, without the call that old processors need
+  const auto whole = static_cast<std::int64_t>(steps);
+  return whole - (static_cast<float>(whole) > steps);
+}
+
+SampledPoints downsample(const SampledPoints& points, float size) {
+  KeyNumbers number_of(points.size());
+  SampledPoints sums;
+  std::vector<float> counts;
+  for (const Vector& p : points) {
+    const auto number =
+        number_of[voxel_key(voxel_coordinate(p.x(), size), voxel_coordinate(p.y(), size),
+                            voxel_coordinate(p.z(), size))];
+    if (number == sums.size()) {
+      sums.push_back(Vector::Zero());
+      counts.push_back(0);
+    }
+    sums[number] += p;
+    ++counts[number];
+  }
+  for (std::size_t i = 0; i < sums.size(); ++i) sums[i] /= counts[i];
+  return sums;
+}
+
+SampledPoints downsample(const SampledPoints& points, float size, std::size_t most) {
+  SampledPoints samples = downsample(points, size);
+  while (samples.size() > most) samples = downsample(points, size *= kSampleSpacingGrowth);
+  return samples;
+}
+
+Vector most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach) {
+  const int side =
+      2 * static_cast<int>(std::ceil(reach / kShiftBin)) + 3;  // a border of empty bins
+  std::vector<int> counts(side * side, 0);
+  for (const Vector& p : a)
+    for (const Vector& q : b) {
+      const Vector d = q - p;
+      if (std::fabs(d.z()) > kMaxHeightDifference || std::fabs(d.x()) > reach ||
+          std::fabs(d.y()) > reach)
+        continue;
+      const int u = side / 2 + static_cast<int>(std::lround(d.x() / kShiftBin));
+      const int v = side / 2 + static_cast<int>(std::lround(d.y() / kShiftBin));
+      ++counts[u * side + v];
+    }
+  int most = -1, best = 0;
+  for (int u = 1; u + 1 < side; ++u)
+    for (int v = 1; v + 1 < side; ++v) {
+      int sum = 0;
+      for (int du = -1; du <= 1; ++du)
+        for (int dv = -1; dv <= 1; ++dv) sum += counts[(u + du) * side + v + dv];
+      if (sum > most) most = sum, best = u * side + v;
+    }
+  return {float(best / side - side / 2) * kShiftBin, float(best % side - side / 2) * kShiftBin, 0};
+}
+
+bool refine_shift(const SampledPoints& a, const SampledPoints& b, Vector& shift) {
+  for (const float radius : kRefineRadii) {
+    Vector sum = Vector::Zero();
+    std::size_t count = 0;
+    for (const Vector& p : a) {
+      const auto [squared, i] = nearest(b, p + shift);
+      if (squared > radius * radius) continue;
+      sum += b[i] - (p + shift);
+      ++count;
+    }
+    if (!count) return false;
+    shift += Vector(sum.x() / float(count), sum.y() / float(count), 0);
+  }
+  return true;
+}
+
+float matched_share(const SampledPoints& points, const Vector& shift, const SampledPoints& others,
+                    float distance) {
+  std::size_t found = 0;
+  for (const Vector& p : points) found += nearest(others, p + shift).first < distance * distance;
+  return float(found) / float(points.size());
+}
+
+}  // namespace docdepth

@@ -1,0 +1,57 @@
+// An object as a few evenly spread points, and the shift between two sightings of it.
+#pragma once
+
+#include <Eigen/Core>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "docdepth/geometry/constants.hpp"
+
+namespace docdepth {
+
+using SampledPoints = std::vector<Eigen::Vector3f>;
+
+/// An axis-aligned box by its corners.
+struct Extent {
+  Eigen::Vector3f low, high;
+
+  Eigen::Vector3f size() const { return high - low; }
+  float width() const { return size().head<2>().norm(); }  ///< horizontal diagonal
+  void add(const Extent& other) {
+    low = low.cwiseMin(other.low);
+    high = high.cwiseMax(other.high);
+  }
+  bool overlaps(const Extent& other, float margin) const {
+    return ((low.array() <= other.high.array() + margin) &&
+            (other.low.array() <= high.array() + margin))
+        .all();
+  }
+};
+
+/// Bounding box of at least one point.
+Extent extent_of(const SampledPoints& points);
+
+/// Index of the voxel of edge `size` that holds a coordinate.
+std::int64_t voxel_coordinate(float value, float size);
+/// One key of three voxel indices.
+std::uint64_t voxel_key(std::int64_t x, std::int64_t y, std::int64_t z = 0);
+
+/// Mean of the points in each voxel of edge `size`, in the order of the first point of each.
+SampledPoints downsample(const SampledPoints& points, float size);
+
+/// The same with voxels that grow until there are at most `most` means.
+SampledPoints downsample(const SampledPoints& points, float size, std::size_t most);
+
+/// The horizontal shift up to `reach` that explains most of the differences b - a.
+Eigen::Vector3f most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach);
+
+/// Refine a shift so that the points of a fall onto the nearest points of b (horizontal ICP).
+/// @return false if no point of b is near
+bool refine_shift(const SampledPoints& a, const SampledPoints& b, Eigen::Vector3f& shift);
+
+/// Share of the shifted points that have one of `others` within `distance`.
+float matched_share(const SampledPoints& points, const Eigen::Vector3f& shift,
+                    const SampledPoints& others, float distance = kMatchDistance);
+
+}  // namespace docdepth

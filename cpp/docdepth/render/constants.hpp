@@ -1,0 +1,109 @@
+// Constants of the renderer. The sizes of memory layouts (tiles, strips, blocks, patches) stand in
+// the classes that they lay out.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace docdepth {
+
+// --- Camera ---
+
+/// Points nearer to the image plane are not drawn [m]: the own vehicle and rounding.
+constexpr float kNear = 0.1f;
+/// Class of a pixel or vertex that is no return.
+constexpr std::uint8_t kNoClass = 255;
+
+// --- Splats ---
+
+/// Nearer to the sensor a splat has its largest size [m]: below sqrt(e) the logarithm of the
+/// paper's formula is less than 1.
+constexpr double kLargestSplatRange = 1.65;
+
+// --- Rasterising triangles ---
+
+/// Triangles are drawn this much larger, so that rounding leaves no cracks [pixel].
+constexpr float kSlack = 0.01f;
+
+// --- Rays of a sweep, which tell free space from surfaces ---
+
+/// A point within this distance of a ray's end is on the surface [m], and its growth with range
+/// [m/m]: range noise and the error of poses.
+constexpr float kSurfaceMargin = 0.1f;
+constexpr float kSurfaceMarginGrowth = 0.03f;
+/// How exactly the position of a ray is known [m].
+constexpr float kRayBlur = 0.02f;
+/// The same for a dynamic object that was moved to the time of the image [m].
+constexpr float kMovedRayBlur = 0.05f;
+/// Edge of a cell of rays, in mean distances between returns. The search reads the nine cells
+/// around a point, which then reach both of two rings ten times farther apart than their returns.
+constexpr double kRayCellSize = 1.6;
+
+// --- Depth hypotheses ---
+
+/// Depths that differ by a smaller share are one surface.
+constexpr float kSameDepth = 0.04f;
+/// An edge is a second difference of inverse depth (0 on every plane) above this share of it.
+constexpr float kEdgeBend = 0.05f;
+
+// A ray that passes at distance d scores 1 / (d + blur)^2 [1/m^2], positive where it ended on a
+// surface and negative where it passed through.
+
+/// One ray within a centimetre, or many farther off, prove free space.
+constexpr float kSureScore = 1000.0f;
+/// The same for a surface. It takes more, since a ray also ends beside a gap.
+constexpr float kSureSurfaceScore = 1350.0f;
+/// One ray whose distance and blur add up to 10 cm, or many farther off. With a higher score a
+/// surface is continued over an edge, and a part of an object is drawn that only other sweeps saw.
+constexpr float kCloseScore = 100.0f;
+/// Pixels at edges with a lower score are left empty: no ray within 25 cm, blur included.
+constexpr float kMinEdgeScore = 15.0f;
+/// Rays that pass through such a part count this many times, since the part is a guess.
+constexpr float kObjectFreeWeight = 1.5f;
+
+// --- Dynamic objects of a sweep ---
+
+/// Returns in neighbouring cells of this edge are one object [m].
+constexpr float kObjectCell = 0.5f;
+/// An object has at most so many samples.
+constexpr std::size_t kMaxObjectSamples = 300;
+/// So many samples tell whether an object is where its velocity takes it.
+constexpr std::size_t kReassociationSamples = 75;
+/// Farther from where its velocity takes it an object is not found again [m].
+constexpr float kMaxReassociationError = 0.3f;
+/// A match is dropped if more than this share of its place belongs to another object.
+constexpr float kMaxOccupiedShare = 0.5f;
+/// Velocities are matched with this many sweeps.
+constexpr std::size_t kMatchedSweeps = 2;
+/// An object may reach this far beyond its returns [m].
+constexpr float kObjectReach = 2.0f;
+
+// --- Verification of velocities by rays ---
+
+/// So many samples of an object are verified.
+constexpr std::size_t kVerifiedSamples = 50;
+/// A ray tells about a sample with a score above this: within 23 cm.
+constexpr float kVerifyingScore = 16;
+/// A velocity with this mean score of -1 to 1 is verified.
+constexpr float kVerifiedScore = 0.9f;
+/// A proposal has to be better by this much.
+constexpr float kScoreGain = 0.05f;
+/// Score that a proposal has to beat for an object that was not found again.
+constexpr float kMinScore = 0.3f;
+/// Velocities that differ less are the same [m/s].
+constexpr float kSameVelocity = 0.3f;
+/// Objects this near may be parts of one [m].
+constexpr float kPartDistance = 3;
+
+// --- Partition of a mesh into static surface and objects ---
+
+/// Beyond its last return an object goes on for this share of the way to the next return: a little
+/// past the middle, since the rays of other sweeps tell where it ends.
+constexpr float kContinuedShare = 0.6f;
+
+// --- Layers ---
+
+/// A measurement agrees with the depth map if it differs by at most this share.
+constexpr float kAgree = 0.02f;
+
+}  // namespace docdepth

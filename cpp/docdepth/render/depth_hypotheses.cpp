@@ -1,0 +1,316 @@
+#include "docdepth/render/depth_hypotheses.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <functional>
+#include <utility>
+
+#include "docdepth/geometry/rigid.hpp"
+#include "docdepth/geometry/simd.hpp"
+
+namespace docdepth {
+namespace {
+
+static_assert(kLanes == DepthHypotheses::kTile, "a row of a tile is one vector");
+static_assert(DepthHypotheses::kStrip % DepthHypotheses::kTile == 0, "strips are of whole tiles");
+
+/// Add the depths of eight pixels to their hypotheses, where they differ from those.
+template <class Each>
+DOCDEPTH_KERNEL void add_row(float* inverse_depth, const Each& hypotheses) {
+  constexpr float more = 1 + kSameDepth, less = 1 / (1 + kSameDepth);
+  Floats w;
+  std::memcpy(&w, inverse_depth, sizeof w);
+  const Floats none{};
+  std::memcpy(inverse_depth, &none, sizeof none);
+  Ints left = w > 0.0f;
+  for (int k = 0; k < DepthHypotheses::kMost && any(left); ++k) {
+    Floats known;
+    std::memcpy(&known, hypotheses(k), sizeof known);
+    const Ints empty = left & (known == 0.0f);
+    known = empty ? w : known;
+    std::memcpy(hypotheses(k), &known, sizeof known);
+    left &= ~((w < known * more) & (w > known * less));
+  }
+}
+
+struct AddRows {
+  DOCDEPTH_KERNEL static void run(float* inverse_depth,
+                                  const std::array<float*, DepthHypotheses::kMost>& hypotheses,
+                                  int stride, int rows) {
+    for (int v = 0; v < rows; ++v) {
+      const std::size_t at = std::size_t(v) * stride;
+      add_row(inverse_depth + at, [&](int k) { return hypotheses[k] + at; });
+    }
+  }
+};
+
+/// A pixel with several depths, the nearest first; 0 if there is none.
+struct PixelHypotheses {
+  int u, v;
+  float hypotheses[DepthHypotheses::kMost];
+};
+
+/// Pixels [begin_u, end_u) x [begin_v, end_v).
+struct Tile {
+  int begin_u, end_u, begin_v, end_v;
+
+  Tile(const Columns& columns, int u, int v)
+      : begin_u(u * DepthHypotheses::kTile),
+        end_u(std::min(begin_u + DepthHypotheses::kTile, columns.width)),
+        begin_v(v * DepthHypotheses::kTile),
+        end_v(std::min(begin_v + DepthHypotheses::kTile, columns.height)) {}
+};
+
+int tiles_along(int pixels) {
+  return (pixels + DepthHypotheses::kTile - 1) / DepthHypotheses::kTile;
+}
+
+/// Whether a tile has an empty pixel or an edge, also one to the next tile of its strip.
+bool has_edge(const Columns& columns, const std::vector<float>& inverse_depth, const Tile& tile) {
+  const auto bent = [](float before, float here, float after) {
+    return !(std::fabs((before - here) - (here - after)) <= kEdgeBend * here);
+  };
+  const auto ends_at = [&](int u) {
+    return u % DepthHypotheses::kStrip == 0 || u == columns.width;
+  };
+  const int left = tile.begin_u + ends_at(tile.begin_u), right = tile.end_u - ends_at(tile.end_u);
+  for (int v = tile.begin_v; v < tile.end_v; ++v)
+    for (int u = tile.begin_u; u < tile.end_u; ++u) {
+      const float* at = &inverse_depth[columns.at(u, v)];
+      if (!(*at > 0)) return true;
+      if (u >= left && u < right && bent(at[-1], at[0], at[1])) return true;
+      if (v > 0 && v + 1 < columns.height && bent(at[-columns.stride], at[0], at[columns.stride]))
+        return true;
+    }
+  return false;
+}
+
+/// 1 for each tile, row after row, with an edge or an empty pixel.
+std::vector<std::uint8_t> edge_tiles(const Columns& columns,
+                                     const std::vector<float>& inverse_depth) {
+  std::vector<std::uint8_t> edges;
+  for (int v = 0; v < tiles_along(columns.height); ++v)
+    for (int u = 0; u < tiles_along(columns.width); ++u)
+      edges.push_back(has_edge(columns, inverse_depth, Tile(columns, u, v)));
+  return edges;
+}
+
+/// Which of eight pixels of a tile lie beside another surface or an empty pixel of the tile.
+DOCDEPTH_KERNEL Ints edges_of_row(const float* inverse_depth, int stride, bool above, bool below) {
+  constexpr float more = 1 + kSameDepth;
+  const float none[kLanes] = {};
+  float wide[kLanes + 2] = {};
+  std::memcpy(wide + 1, inverse_depth, sizeof(Floats));
+  const Floats here = load(inverse_depth);
+  const Floats around[] = {load(wide), load(wide + 2), load(above ? inverse_depth - stride : none),
+                           load(below ? inverse_depth + stride : none)};
+  Ints edges{};
+  for (const Floats& beside : around)
+    edges |= (beside > here * more) | ((beside > 0.0f) & (beside * more < here));
+  return edges;
+}
+
+/// Scores hypothesis k of pixels by the rays of one sweep after the other, until the score is sure.
+class VisibilityQueries {
+ public:
+  VisibilityQueries(const Columns& columns, const Camera& camera,
+                    const std::vector<PlacedRays>& rays)
+      : focal_(camera.fx, camera.fy),
+        centre_(float(camera.cx) - float(columns.begin), camera.cy),
+        rays_(rays) {
+    for (const auto& placed : rays) to_rays_.emplace_back(placed.T_camera_rays.inverse());
+  }
+
+  /// @param free    score below which free space is sure, without its sign
+  /// @param weight  of rays that pass through
+  std::vector<float> score(const std::vector<PixelHypotheses>& pixels, int k,
+                           float free = kSureScore, float weight = 1) const {
+    std::vector<float> result(pixels.size(), 0.0f);
+    for (std::size_t first = 0; first < pixels.size(); first += PointBatch::kMax)
+      score_batch(&pixels[first], std::min(pixels.size() - first, PointBatch::kMax), k, free,
+                  weight, &result[first]);
+    return result;
+  }
+
+ private:
+  void score_batch(const PixelHypotheses* pixels, std::size_t count, int k, float free,
+                   float weight, float* result) const {
+    Eigen::Vector3f targets[PointBatch::kMax];
+    for (std::size_t i = 0; i < count; ++i) {
+      const float depth = 1 / pixels[i].hypotheses[k];
+      targets[i] = {(float(pixels[i].u) - centre_.x()) / focal_.x() * depth,
+                    (float(pixels[i].v) - centre_.y()) / focal_.y() * depth, depth};
+    }
+    std::uint32_t open[PointBatch::kMax];  // targets whose score is not sure yet
+    for (std::uint32_t i = 0; i < count; ++i) open[i] = i;
+    float scores[PointBatch::kMax] = {};
+    PointBatch seen;
+    seen.size = count;
+    for (std::size_t j = 0; j < rays_.size() && seen.size > 0; ++j) {
+      for (std::size_t n = 0; n < seen.size; ++n) {
+        const Eigen::Vector3f p = to_rays_[j] * targets[open[n]];
+        seen.x[n] = p.x(), seen.y[n] = p.y(), seen.z[n] = p.z();
+      }
+      rays_[j].rays->query_visibility(seen, rays_[j].blur, scores);
+      std::size_t left = 0;
+      for (std::size_t n = 0; n < seen.size; ++n) {
+        float& known = result[open[n]];
+        if (scores[n] < known) scores[n] += (weight - 1) * (scores[n] - known);
+        known = scores[n];
+        if (scores[n] >= kSureSurfaceScore || scores[n] <= -free) continue;
+        open[left] = open[n], scores[left++] = scores[n];
+      }
+      seen.size = left;
+    }
+  }
+
+  Eigen::Vector2f focal_, centre_;
+  const std::vector<PlacedRays>& rays_;
+  std::vector<RigidTransform> to_rays_;
+};
+
+/// Pixels at an edge between two pixels of a tile, with their depth.
+std::vector<PixelHypotheses> find_edges(const Columns& columns, const std::vector<Tile>& tiles,
+                                        const std::vector<float>& inverse_depth) {
+  std::vector<PixelHypotheses> found;
+  for (const Tile& tile : tiles)
+    for (int v = tile.begin_v; v < tile.end_v; ++v) {
+      const std::size_t row = columns.at(tile.begin_u, v);
+      const Ints edges =
+          edges_of_row(&inverse_depth[row], columns.stride, v > tile.begin_v, v + 1 < tile.end_v);
+      if (!any(edges)) continue;
+      for (int lane = 0; lane < tile.end_u - tile.begin_u; ++lane)
+        if (edges[lane]) found.push_back({tile.begin_u + lane, v, {inverse_depth[row + lane]}});
+    }
+  return found;
+}
+
+/// Move edges to where rays confirm them, and empty what no ray confirms.
+///
+/// A surface ends at its last return, but the object goes on for up to a pixel. A pixel beside a
+/// nearer surface takes its depth if rays confirm that, with a higher score than the pixel's own.
+void move_edges(const Columns& columns, const std::vector<Tile>& tiles,
+                const VisibilityQueries& queries, std::vector<float>& inverse_depth,
+                std::vector<float>& scores) {
+  const auto at = [&](const PixelHypotheses& pixel) { return columns.at(pixel.u, pixel.v); };
+  const std::vector<PixelHypotheses> edges = find_edges(columns, tiles, inverse_depth);
+  std::vector<PixelHypotheses> queried;
+  for (const PixelHypotheses& edge : edges)
+    if (edge.hypotheses[0] == 0)
+      scores[at(edge)] = 0;
+    else if (std::isinf(scores[at(edge)]))
+      queried.push_back(edge);
+  std::vector<float> found = queries.score(queried, 0, kCloseScore);
+  for (std::size_t i = 0; i < queried.size(); ++i) scores[at(queried[i])] = found[i];
+
+  queried.clear();
+  for (const PixelHypotheses& edge : edges) {
+    const auto [u, v] = std::pair(edge.u, edge.v);
+    float nearest = 0;
+    const auto look = [&](std::size_t i) {
+      if (scores[i] >= kMinEdgeScore) nearest = std::max(nearest, inverse_depth[i]);
+    };
+    if (u % DepthHypotheses::kTile > 0) look(columns.at(u - 1, v));
+    if (u % DepthHypotheses::kTile + 1 < DepthHypotheses::kTile) look(columns.at(u + 1, v));
+    if (v % DepthHypotheses::kTile > 0) look(columns.at(u, v - 1));
+    if (v % DepthHypotheses::kTile + 1 < DepthHypotheses::kTile && v + 1 < columns.height)
+      look(columns.at(u, v + 1));
+    if (nearest > edge.hypotheses[0] * (1 + kSameDepth) && scores[at(edge)] < kSureSurfaceScore)
+      queried.push_back({u, v, {nearest}});
+  }
+  found = queries.score(queried, 0, kCloseScore);
+  for (std::size_t i = 0; i < queried.size(); ++i)
+    if (found[i] > std::max(kCloseScore, scores[at(queried[i])]))
+      inverse_depth[at(queried[i])] = queried[i].hypotheses[0], scores[at(queried[i])] = found[i];
+  for (std::size_t i = 0; i < scores.size(); ++i)
+    if (scores[i] < kMinEdgeScore) inverse_depth[i] = 0;
+}
+
+}  // namespace
+
+DepthHypotheses::DepthHypotheses(const Columns& columns, std::vector<float> trusted)
+    : columns_(columns), tiles_(tiles_along(columns.width)), open_(edge_tiles(columns, trusted)) {
+  for (int k = 1; k < kMost; ++k) hypotheses_[k].assign(trusted.size(), 0.0f);
+  hypotheses_[0] = std::move(trusted);
+}
+
+void DepthHypotheses::add(float* inverse_depth) {
+  for (std::size_t tile = 0; tile < open_.size(); ++tile) {
+    if (!open_[tile]) continue;
+    const int u = int(tile) % tiles_ * kTile, v = int(tile) / tiles_ * kTile;
+    const std::size_t at = columns_.at(u, v);
+    std::array<float*, kMost> rows;
+    for (int k = 0; k < kMost; ++k) rows[k] = hypotheses_[k].data() + at;
+    dispatch<AddRows>(inverse_depth + at, rows, columns_.stride,
+                      std::min(kTile, columns_.height - v));
+  }
+}
+
+std::vector<float> DepthHypotheses::resolve(const Camera& camera,
+                                            const std::vector<PlacedRays>& rays) const {
+  std::vector<float> result = hypotheses_[0];
+  if (rays.empty()) return result;
+  std::vector<Tile> tiles;
+  for (int i = 0; i < int(open_.size()); ++i)
+    if (open_[i]) tiles.emplace_back(columns_, i % tiles_, i / tiles_);
+  std::vector<PixelHypotheses> pixels;
+  for (const Tile& tile : tiles)
+    for (int v = tile.begin_v; v < tile.end_v; ++v)
+      for (int u = tile.begin_u; u < tile.end_u; ++u) {
+        const std::size_t at = columns_.at(u, v);
+        if (!(hypotheses_[1][at] > 0)) continue;
+        PixelHypotheses pixel{u, v, {}};
+        for (int k = 0; k < kMost; ++k) pixel.hypotheses[k] = hypotheses_[k][at];
+        result[at] = 0;
+        std::sort(pixel.hypotheses, pixel.hypotheses + kMost, std::greater<float>());
+        pixels.push_back(pixel);
+      }
+  const VisibilityQueries queries(columns_, camera, rays);
+  std::vector<float> scores(result.size(),
+                            INFINITY);  // of the result; infinite while it was not queried
+  for (int k = 0; k < kMost && !pixels.empty(); ++k) {
+    const std::vector<float> found = queries.score(pixels, k);
+    std::size_t left = 0;
+    for (std::size_t i = 0; i < pixels.size(); ++i) {
+      const PixelHypotheses pixel = pixels[i];
+      const std::size_t at = columns_.at(pixel.u, pixel.v);
+      if (found[i] > 0 || (found[i] == 0 && result[at] == 0))
+        result[at] = pixel.hypotheses[k], scores[at] = found[i];
+      if (!(found[i] > 0) && k + 1 < kMost && pixel.hypotheses[k + 1] > 0) pixels[left++] = pixel;
+    }
+    pixels.resize(left);
+  }
+  if (rays.size() == 1) return result;  // one sweep only confirms itself
+  move_edges(columns_, tiles, queries, result, scores);
+  return result;
+}
+
+void add_dynamic_object(const Columns& columns, const Camera& camera,
+                        const std::vector<float>& trusted, const std::vector<float>& others,
+                        const std::vector<PlacedRays>& rays, std::vector<float>& inverse_depth) {
+  std::vector<PixelHypotheses> pixels;
+  for (int v = 0; v < columns.height; ++v)
+    for (int u = 0; u < columns.width; ++u) {
+      const std::size_t at = columns.at(u, v);
+      const bool sure = trusted[at] > 0 || rays.empty();
+      const float object = trusted[at] > 0 ? trusted[at] : others[at];
+      if (!(object > inverse_depth[at])) continue;
+      if (sure)
+        inverse_depth[at] = object;
+      else
+        pixels.push_back({u, v, {object}});
+    }
+  const auto found =
+      VisibilityQueries(columns, camera, rays).score(pixels, 0, kSureScore, kObjectFreeWeight);
+  for (std::size_t i = 0; i < pixels.size(); ++i) {
+    float& here = inverse_depth[columns.at(pixels[i].u, pixels[i].v)];
+    if (found[i] > kCloseScore)
+      here = pixels[i].hypotheses[0];
+    else if (found[i] > -kSureScore)
+      here = 0;
+  }
+}
+
+}  // namespace docdepth

@@ -1,0 +1,63 @@
+// The depths that several sweeps measured at a pixel, and which of them is true.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "docdepth/render/camera.hpp"
+#include "docdepth/render/rays.hpp"
+
+namespace docdepth {
+
+/// Columns of an image of inverse depth, row after row; 0 where it is empty.
+struct Columns {
+  int begin, width, height, stride;
+
+  std::size_t at(int u, int v) const { return std::size_t(v) * stride + u; }
+};
+
+/// Chooses between the depths of several sweeps.
+///
+/// The nearest sweep is trusted, except at its edges: near a depth jump and where it measured
+/// nothing, every sweep adds its depth as a hypothesis. The nearest hypothesis that rays confirm
+/// wins, else the nearest one that no ray tells about. At the edges of the result rays also test
+/// whether a nearer surface covers the next pixel; what no ray confirms closely is left empty.
+class DepthHypotheses {
+ public:
+  static constexpr int kTile = 8;     ///< edge of the square tiles that are open or closed [pixel]
+  static constexpr int kStrip = 104;  ///< columns whose edges are found without their neighbours
+  static constexpr int kMost = 3;     ///< hypotheses kept for a pixel
+
+  /// @param trusted  inverse depth of the nearest sweep
+  DepthHypotheses(const Columns& columns, std::vector<float> trusted);
+
+  /// 1 for each tile, row after row, in which further sweeps are drawn.
+  const std::vector<std::uint8_t>& open_tiles() const { return open_; }
+  int tiles() const { return tiles_; }  ///< tiles in a row
+
+  /// Add another sweep and clear its image in open tiles. Sweeps come in the order of trust.
+  void add(float* inverse_depth);
+
+  /// Inverse depth as far as rays confirm it; without rays that of the first sweep that has any.
+  std::vector<float> resolve(const Camera& camera, const std::vector<PlacedRays>& rays) const;
+
+ private:
+  Columns columns_;
+  int tiles_;
+  std::vector<std::uint8_t> open_;
+  std::vector<float> hypotheses_[kMost];  // each differs from those before it; 0 if there is none
+};
+
+/// Draw a dynamic object over what is farther.
+///
+/// What only `others` saw of it is drawn where rays confirm it, and the background where rays
+/// confirm free space. Between these the pixels stay empty: objects are not rigid.
+/// @param trusted  inverse depth of the object as the nearest sweep saw it
+/// @param others   as other sweeps saw it
+/// @param rays     placed so that the object stands still among them
+void add_dynamic_object(const Columns& columns, const Camera& camera,
+                        const std::vector<float>& trusted, const std::vector<float>& others,
+                        const std::vector<PlacedRays>& rays, std::vector<float>& inverse_depth);
+
+}  // namespace docdepth

@@ -1,0 +1,131 @@
+#include "docdepth/render/partitioned_mesh.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "docdepth/render/constants.hpp"
+
+namespace docdepth {
+namespace {
+
+using Vector = Eigen::Vector3f;
+
+/// Splits triangles between one corner and the other two.
+class Splitter {
+ public:
+  Splitter(PartitionedMesh& mesh, const std::vector<Vector>& normals)
+      : mesh_(mesh), normals_(normals) {}
+
+  /// @param i         the corner on its own side; j and k follow it around the triangle
+  /// @param alone     receives the side of i; null drops it
+  /// @param together  receives the side of j and k; null drops it
+  void split(std::uint32_t i, std::uint32_t j, std::uint32_t k, Triangles* alone,
+             Triangles* together) {
+    const Border to_j = border(i, j), to_k = border(i, k);
+    if (alone) alone->push_back({i, add(to_j.first), add(to_k.first)});
+    if (!together) return;
+    const std::uint32_t beside_j = add(to_j.second), beside_k = add(to_k.second);
+    together->push_back({beside_j, j, k});
+    together->push_back({beside_j, k, beside_k});
+  }
+
+ private:
+  /// The end of the surface on each side of an edge.
+  struct Border {
+    Vector first, second;
+  };
+
+  /// Inverse range, in direction `toward`, of the plane at point a.
+  float plane_inverse_range(std::uint32_t a, const Vector& toward) const {
+    const Vector& normal = normals_[a];
+    const float distance = normal.dot(mesh_.vertices[a]);
+    return distance != 0 ? normal.dot(toward) / distance : 1 / mesh_.vertices[a].norm();
+  }
+
+  Border border(std::uint32_t a, std::uint32_t b) const {
+    const auto& vertices = mesh_.vertices;
+    const float range_a = vertices[a].norm(), range_b = vertices[b].norm();
+    const Vector toward_a = vertices[a] / range_a, toward_b = vertices[b] / range_b;
+    // Planes are linear in inverse range. If each is the nearer one at its own end they meet in
+    // between, as the road and a wall do.
+    const float lead_a = 1 / range_a - plane_inverse_range(b, toward_a);
+    const float lead_b = 1 / range_b - plane_inverse_range(a, toward_b);
+    if (lead_a > 0 && lead_b > 0) {
+      const float share = lead_a / (lead_a + lead_b);
+      const Vector toward = toward_a * (1 - share) + toward_b * share;
+      const float inverse_range = plane_inverse_range(a, toward);
+      if (inverse_range > 0) return {toward / inverse_range, toward / inverse_range};
+    }
+    const float least = std::min(1 / range_a, 1 / range_b);
+    const float most = std::max(1 / range_a, 1 / range_b);
+    const auto last = [&](std::uint32_t from, const Vector& here, const Vector& there) -> Vector {
+      const Vector toward = (here * (1 - kContinuedShare) + there * kContinuedShare).normalized();
+      return toward / std::clamp(plane_inverse_range(from, toward), least, most);
+    };
+    return {last(a, toward_a, toward_b), last(b, toward_b, toward_a)};
+  }
+
+  std::uint32_t add(const Vector& vertex) {
+    mesh_.vertices.push_back(vertex);
+    return static_cast<std::uint32_t>(mesh_.vertices.size() - 1);
+  }
+
+  PartitionedMesh& mesh_;
+  const std::vector<Vector>& normals_;
+};
+
+/// The corner on its own side of the discontinuity: the one of another owner, else the nearest or
+/// the farthest, whichever differs more from the middle one.
+int corner_alone(const std::vector<Vector>& vertices, const std::uint32_t corner[3],
+                 const std::vector<std::uint32_t>& owner) {
+  for (int i = 0; i < 3; ++i)
+    if (owner[corner[i]] != owner[corner[(i + 1) % 3]] &&
+        owner[corner[(i + 1) % 3]] == owner[corner[(i + 2) % 3]])
+      return i;
+  float range[3];
+  for (int i = 0; i < 3; ++i) range[i] = vertices[corner[i]].norm();
+  int order[3] = {0, 1, 2};
+  std::sort(order, order + 3, [&](int a, int b) { return range[a] < range[b]; });
+  const bool nearest = range[order[1]] - range[order[0]] > range[order[2]] - range[order[1]];
+  return order[nearest ? 0 : 2];
+}
+
+}  // namespace
+
+PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*triangles)[3],
+                               const std::uint8_t* discontinuity, std::size_t count,
+                               const std::vector<std::uint32_t>& owner, std::size_t owners) {
+  PartitionedMesh mesh;
+  mesh.vertices.reserve(points.rows() + points.rows() / 2);
+  for (Eigen::Index i = 0; i < points.rows(); ++i) mesh.vertices.push_back(points.row(i));
+  mesh.normals.assign(points.rows(), Vector::Zero());
+  mesh.parts.resize(owners);
+  mesh.parts[0].whole.reserve(count);
+  std::vector<std::size_t> jumps;
+  for (std::size_t t = 0; t < count; ++t) {
+    const auto [i, j, k] = triangles[t];
+    if (discontinuity[t] || owner[i] != owner[j] || owner[j] != owner[k]) {
+      if (owner[i] || owner[j] || owner[k]) jumps.push_back(t);
+      continue;
+    }
+    mesh.parts[owner[i]].whole.push_back({i, j, k});
+    const Vector &p = mesh.vertices[i], &q = mesh.vertices[j], &r = mesh.vertices[k];
+    const Vector normal = (q - p).cross(r - p);
+    for (const auto corner : {i, j, k}) mesh.normals[corner] += normal;
+  }
+  Splitter splitter(mesh, mesh.normals);
+  for (const std::size_t t : jumps) {
+    const auto* corner = triangles[t];
+    const int alone = corner_alone(mesh.vertices, corner, owner);
+    const std::uint32_t i = corner[alone], j = corner[(alone + 1) % 3], k = corner[(alone + 2) % 3];
+    const bool own = owner[i] == owner[j] && owner[j] == owner[k];
+    const auto part = [&](std::uint32_t of) -> Triangles* {
+      if (!of) return nullptr;
+      return own ? &mesh.parts[of].inner : &mesh.parts[of].outer;
+    };
+    splitter.split(i, j, k, part(owner[i]), part(owner[j]));
+  }
+  return mesh;
+}
+
+}  // namespace docdepth

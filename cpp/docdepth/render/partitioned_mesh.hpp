@@ -1,0 +1,40 @@
+// A scan mesh partitioned into the static surface and dynamic objects.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "docdepth/geometry/types.hpp"
+
+namespace docdepth {
+
+/// Triangles of one kind, as rows of PartitionedMesh::vertices.
+using Triangles = std::vector<std::array<std::uint32_t, 3>>;
+
+/// The mesh of a sweep by owner: the static surface, and each dynamic object.
+///
+/// A triangle across a discontinuity or between two owners is no measured surface: an edge crosses
+/// it somewhere. For static surface other sweeps tell where, so the triangle is dropped. Objects
+/// have moved meanwhile, so their triangles are split. Each side continues the plane at its own
+/// corners until it meets the other plane, or a little past the middle if it never does.
+struct PartitionedMesh {
+  struct Parts {
+    Triangles whole;  ///< measured surface
+    Triangles inner;  ///< continues an object over its own discontinuities
+    Triangles outer;  ///< continues an object towards other owners
+  };
+  std::vector<Eigen::Vector3f> vertices;  ///< the points, then the vertices of split triangles
+  std::vector<Parts> parts;               ///< by owner
+  std::vector<Eigen::Vector3f> normals;   ///< at each point, of any length; zero if unknown
+};
+
+/// @param triangles      corners as rows of points
+/// @param discontinuity  1 for each triangle across a depth jump
+/// @param owner          of every point: 0 the static surface, 1, 2, ... objects
+/// @param owners         number of objects plus one
+PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*triangles)[3],
+                               const std::uint8_t* discontinuity, std::size_t count,
+                               const std::vector<std::uint32_t>& owner, std::size_t owners);
+
+}  // namespace docdepth

@@ -1,0 +1,28 @@
+#include <doctest/doctest.h>
+
+#include <vector>
+
+#include "docdepth/objects/dynamic_voxels.hpp"
+
+using namespace docdepth;
+
+TEST_CASE("the window says which sweeps feed the dynamic voxels") {
+  // Five sweeps at 5 Hz. Only the last one, 0.4 s after the middle one, saw a dynamic object.
+  const SampledPoints samples(4, Eigen::Vector3f(0.5f, 0.5f, 0.5f));
+  const Detections none, object{{0, 10, 10, extent_of(samples), samples}};
+  const std::vector<const Detections*> detections{&none, &none, &none, &none, &object};
+  const std::vector<double> times{0, 0.2, 0.4, 0.6, 0.8};
+  const std::vector<TrackingResult> tracked(5);
+  const auto voxels = [&](double window) {
+    std::vector<std::size_t> counts;
+    for (const auto& sweep : dynamic_voxels(detections, times, tracked, window, 1))
+      counts.push_back(sweep.size());
+    return counts;
+  };
+  CHECK(voxels(0.3) == std::vector<std::size_t>{0, 0, 0, 1, 0});
+  CHECK(voxels(0.6) == std::vector<std::size_t>{0, 1, 1, 1, 0});
+  CHECK(voxels(0) == std::vector<std::size_t>{0, 0, 0, 0, 0});
+  TrackParameters parameters;
+  parameters.window = 0.6;
+  CHECK(track_objects(detections, times, parameters, 1)[1].voxels.size() == 1);
+}

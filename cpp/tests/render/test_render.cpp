@@ -1,0 +1,319 @@
+#include <doctest/doctest.h>
+
+#include <cmath>
+#include <random>
+
+#include "docdepth/render/cloud.hpp"
+#include "docdepth/render/partitioned_mesh.hpp"
+#include "docdepth/render/splats.hpp"
+#include "docdepth/render/triangles.hpp"
+
+using namespace docdepth;
+
+namespace {
+
+using Matrix = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
+
+Matrix random_points(int count, unsigned seed) {
+  std::mt19937 random(seed);
+  std::normal_distribution<float> side(0.0f, 20.0f);
+  Matrix points(count, 3);
+  for (int i = 0; i < count; ++i)
+    for (int k = 0; k < 3; ++k) points(i, k) = side(random);
+  return points;
+}
+
+Cloud cloud_of(const Matrix& points) {
+  return Cloud(points, std::vector<std::uint8_t>(points.rows(), 1));
+}
+
+/// A square across the optical axis, on which the camera sits.
+PatchMesh square(float z, float from = -5, float to = 5) {
+  return PatchMesh({{from, -5, z}, {to, -5, z}, {to, 5, z}, {from, 5, z}}, {{0, 1, 2}, {0, 2, 3}});
+}
+
+/// Rays `spacing` apart at 5 m that end at `range`, of which one passes `aside` of the middle of
+/// the image.
+Rays sweep(float range, float spacing, float aside) {
+  Matrix points(41 * 41, 3);
+  for (int i = 0; i < 41; ++i)
+    for (int j = 0; j < 41; ++j)
+      points.row(41 * i + j) =
+          Eigen::Vector3f(5, spacing * float(i - 20) + aside, spacing * float(j - 20)) *
+          (range / 5);
+  return Rays(points, std::vector<Eigen::Vector3f>(points.rows(), Eigen::Vector3f::Zero()));
+}
+
+/// Of a sensor at the camera, x ahead.
+Pose looking_ahead() {
+  Pose T_camera_sensor = Pose::Identity();
+  T_camera_sensor.linear() << 0, -1, 0, 0, 0, -1, 1, 0, 0;
+  return T_camera_sensor;
+}
+
+}  // namespace
+
+TEST_CASE("splat heights follow the formula, at its borders too") {
+  const SplatSize size{50, 3};
+  const SplatHeights heights(size);
+  std::mt19937 random(1);
+  std::uniform_real_distribution<double> logarithm(-8, 14);
+  for (int i = 0; i < 200000; ++i) {
+    const auto squared = static_cast<float>(std::exp(logarithm(random)));
+    const double sigma =
+        squared < 1.65 * 1.65 ? 50.0 : std::max(50.0 / std::log(double(squared)), 3.0);
+    REQUIRE(heights(squared) == static_cast<int>(std::floor(sigma + 0.5)));
+  }
+  CHECK(heights(0.0f) == 50);
+  CHECK(heights(INFINITY) == 3);
+  CHECK(heights.largest() == 50);
+}
+
+TEST_CASE("a cloud keeps every wanted point in exactly one block, inside its box") {
+  const Matrix points = random_points(5000, 2);
+  std::vector<std::uint8_t> keep(points.rows());
+  for (std::size_t i = 0; i < keep.size(); ++i) keep[i] = i % 3 != 0;
+  const Cloud cloud(points, keep);
+  CHECK(cloud.size() == 3333);
+  std::uint32_t next = 0;
+  for (const auto& block : cloud.blocks()) {
+    REQUIRE(block.begin == next);
+    REQUIRE(block.end - block.begin <= Cloud::kBlock);
+    for (std::uint32_t i = block.begin; i < block.end; ++i) {
+      const Eigen::Vector3f p(cloud.x()[i], cloud.y()[i], cloud.z()[i]);
+      REQUIRE(((p - block.box.center).array().abs() <= block.box.extent.array()).all());
+    }
+    next = block.end;
+  }
+  CHECK(next == cloud.size());
+}
+
+TEST_CASE("a frustum never hides a box that holds a visible point") {
+  const Camera camera{100, 110, 60, 20, 130, 50};
+  Pose T = Pose::Identity();
+  T.rotate(Eigen::AngleAxisd(0.7, Eigen::Vector3d(1, 2, 3).normalized()));
+  T.translation() << 1, -2, 0.5;
+  const Frustum frustum(camera, T);
+  const Matrix points = random_points(20000, 3);
+  int hidden = 0;
+  for (Eigen::Index i = 0; i < points.rows(); ++i) {
+    const Eigen::Vector3f point = points.row(i);
+    const Eigen::Vector3d p = T * point.cast<double>();
+    const double u = 100 * p.x() / p.z() + 60, v = 110 * p.y() / p.z() + 20;
+    const bool seen = p.z() > kNear && u > -0.5 && u < 129.5 && v > -0.5 && v < 49.5;
+    const bool touches = frustum.touches({point, Eigen::Vector3f::Zero()});
+    if (seen) REQUIRE(touches);
+    hidden += !touches;
+  }
+  CHECK(hidden > 15000);
+}
+
+TEST_CASE("rendering does not depend on threads, and nothing gives no depth") {
+  const Camera camera{100, 100, 60, 20, 130, 50};
+  const Cloud cloud = cloud_of(random_points(20000, 4)), none;
+  const SplatHeights heights({50, 3});
+  const Pose T = Pose::Identity();
+  const auto one = render_splats(camera, {{&cloud, T, &heights}}, 1);
+  const auto three = render_splats(camera, {{&cloud, T, &heights}, {&none, T, &heights}}, 3);
+  for (std::size_t i = 0; i < one.size(); ++i)
+    REQUIRE((one[i] == three[i] || (std::isnan(one[i]) && std::isnan(three[i]))));
+  for (const float depth : render_splats(camera, {{&none, T, &heights}}, 2))
+    REQUIRE(std::isnan(depth));
+  for (const float depth : render_splats(camera, {}, 2)) REQUIRE(std::isnan(depth));
+}
+
+TEST_CASE("the first to offer something stays, movers hide, where no ray is asked") {
+  const Camera camera{100, 100, 10, 10, 21, 21};
+  const PatchMesh far = square(10), near = square(5), half = square(12, 0.01f);
+  const Pose T = Pose::Identity();
+  const auto depth = [&](const std::vector<const PatchMesh*>& trusted,
+                         const std::vector<const PatchMesh*>& others,
+                         const std::vector<const PatchMesh*>& movers, int pixel) {
+    MeshScene scene;
+    for (const PatchMesh* mesh : trusted) scene.trusted.push_back({mesh, T});
+    for (const PatchMesh* mesh : others) scene.others.push_back({mesh, T});
+    for (const PatchMesh* mesh : movers) scene.dynamic_objects.push_back({{{mesh, T}}, {}, {}});
+    return doctest::Approx(render_triangles(camera, scene, 1)[pixel]);
+  };
+  for (int i = 0; i < 21 * 21; ++i) {
+    CHECK(depth({&far, &near}, {}, {}, i) == 5);
+    CHECK(depth({&far}, {&near}, {}, i) == 10);
+    CHECK(depth({}, {&far, &near, &near}, {}, i) == 10);
+    CHECK(depth({}, {&near, &far}, {}, i) == 5);
+    CHECK(depth({&far}, {}, {&near}, i) == 5);
+    CHECK(depth({&near}, {}, {&far}, i) == 5);
+    CHECK(depth({&half}, {&far, &near}, {}, i) == (i % 21 > 10 ? 12 : 10));
+  }
+}
+
+TEST_CASE(
+    "rays tell a surface from what was looked through, at edges and where nothing is trusted") {
+  const Camera camera{100, 100, 10, 10, 21, 21};
+  const PatchMesh far = square(10), near = square(5), nearer = square(2.5f),
+                  half = square(10, 0.05f);
+  const PatchMesh beyond({{-5, -5, 5},
+                          {0.275f, -5, 5},
+                          {0.275f, 5, 5},
+                          {-5, 5, 5},
+                          {0.55f, -5, 10},
+                          {5, -5, 10},
+                          {5, 5, 10},
+                          {0.55f, 5, 10}},
+                         {{0, 1, 2}, {0, 2, 3}, {4, 5, 6}, {4, 6, 7}});
+  // A sensor at the camera, x ahead: its rays end at 5 m in the right half of the image (y < 0),
+  // at 10 m in the left one.
+  Matrix points(200 * 200, 3);
+  for (int i = 0; i < 200; ++i)
+    for (int j = 0; j < 200; ++j) {
+      const float left = 0.002f * float(i - 100) + 1e-4f, up = 0.002f * float(j - 100);
+      points.row(200 * i + j) = Eigen::Vector3f(1, left, up) * (left < 0 ? 5.0f : 10.0f);
+    }
+  const Rays rays(points, std::vector<Eigen::Vector3f>(points.rows(), Eigen::Vector3f::Zero()));
+  const Pose T_camera_sensor = looking_ahead();
+  const auto draw = [&](const PatchMesh* trusted, const std::vector<const PatchMesh*>& others) {
+    MeshScene scene;
+    if (trusted) scene.trusted.push_back({trusted, Pose::Identity()});
+    for (const PatchMesh* mesh : others) scene.others.push_back({mesh, Pose::Identity()});
+    scene.rays.push_back({&rays, T_camera_sensor});
+    return render_triangles(camera, scene, 1);
+  };
+  for (int i = 0; i < 21 * 21; ++i) {
+    if (i % 21 == 10) continue;  // on the edge
+    const bool right = i % 21 > 10;
+    const auto truth = doctest::Approx(right ? 5 : 10);
+    CHECK(draw(nullptr, {&near, &far})[i] == truth);
+    CHECK(draw(nullptr, {&far, &near})[i] == truth);
+    CHECK(draw(nullptr, {&nearer, &far, &near})[i] == truth);
+    CHECK(draw(nullptr, {&far, &nearer})[i] == doctest::Approx(10));  // neither is there
+    CHECK(draw(&far, {&near})[i] == doctest::Approx(10));             // no edge, nobody is asked
+    // The tiles in which the trusted one has its edge are open: the columns 8 to 15.
+    const bool open = i % 21 < 16;
+    CHECK(draw(&half, {&near, &far})[i] == (open ? truth : doctest::Approx(10)));
+    // So are those on both sides of an edge: this one lies between the columns 15 and 16.
+    CHECK(draw(&beyond, {&near, &far})[i] == (i % 21 < 8 ? doctest::Approx(5) : truth));
+  }
+}
+
+TEST_CASE("rays are asked by falling trust until they are sure") {
+  const Camera camera{100, 100, 3, 3, 7, 7};
+  const PatchMesh far = square(10), near = square(5);
+  const float spacing = 0.05f;
+  const Rays met = sweep(5, spacing, 0), met_aside = sweep(5, spacing, 0.018f),
+             passed = sweep(10, spacing, 0);
+  const Pose T_camera_sensor = looking_ahead();
+  const auto middle = [&](const std::vector<const Rays*>& rays) {
+    MeshScene scene;
+    for (const PatchMesh* mesh : {&far, &near}) scene.others.push_back({mesh, Pose::Identity()});
+    for (const Rays* some : rays) scene.rays.push_back({some, T_camera_sensor});
+    return doctest::Approx(render_triangles(camera, scene, 1)[3 * 7 + 3]);
+  };
+  CHECK(middle({&met, &passed, &passed}) == 5);
+  CHECK(middle({&passed, &met, &met}) == 10);
+  // Two centimetres beside it none is sure, two are, and what none is sure of goes to the others.
+  CHECK(middle({&met_aside}) == 5);
+  CHECK(middle({&met_aside, &passed}) == 10);
+  CHECK(middle({&met_aside, &met_aside, &passed}) == 5);
+  // A centimetre beside it one is sure to have passed, and two to have met it.
+  const Rays met_close = sweep(5, spacing, 0.0085f), passed_close = sweep(10, spacing, 0.0085f);
+  CHECK(middle({&passed_close, &met, &met}) == 10);
+  CHECK(middle({&met_close, &passed}) == 10);
+  CHECK(middle({&met_close, &met_close, &passed}) == 5);
+}
+
+TEST_CASE("what moves is drawn where rays met it close by, unless it is trusted there") {
+  const Camera camera{100, 100, 3, 3, 7, 7};
+  const PatchMesh wall = square(10), mover = square(5);
+  const float spacing = 0.5f;
+  const Rays close = sweep(5, spacing, 0.06f), far = sweep(5, spacing, 0.15f),
+             passed = sweep(10, spacing, 0.005f), aside = sweep(10, spacing, 0.04f);
+  const Pose T = looking_ahead();
+  const auto middle = [&](const std::vector<PlacedRays>& rays, bool trusted) {
+    MeshScene scene;
+    scene.trusted.push_back({&wall, Pose::Identity()});
+    const std::vector<PlacedMesh> meshes{{&mover, Pose::Identity()}}, none;
+    scene.dynamic_objects.push_back({trusted ? meshes : none, trusted ? none : meshes, rays});
+    return render_triangles(camera, scene, 1)[3 * 7 + 3];
+  };
+  const float shaky = 0.05f;
+  CHECK(middle({{&close, T}}, false) == doctest::Approx(5));
+  CHECK(std::isnan(middle({{&close, T, shaky}}, false)));  // it may have passed farther off
+  CHECK(middle({{&close, T, shaky}, {&close, T, shaky}}, false) == doctest::Approx(5));
+  CHECK(std::isnan(middle({{&far, T}}, false)));
+  CHECK(middle({{&passed, T}}, false) == doctest::Approx(10));
+  CHECK(std::isnan(middle({{&passed, T, shaky}}, false)));
+  CHECK(std::isnan(middle({{&aside, T}}, false)));
+  CHECK(std::isnan(middle({{&close, T}, {&aside, T}}, false)));
+  // One that passed four centimetres aside outweighs three that met six aside, not four.
+  const PlacedRays met{&close, T}, missed{&aside, T};
+  CHECK(std::isnan(middle({met, met, met, missed}, false)));
+  CHECK(middle({met, met, met, met, missed}, false) == doctest::Approx(5));
+  for (const Rays* rays : {&close, &far, &passed}) CHECK(middle({{rays, T}}, true) == 5);
+  CHECK(middle({}, false) == 5);  // nobody can be asked
+}
+
+TEST_CASE("what others saw of a mover only fills what its trusted surface left empty") {
+  const Camera camera{100, 100, 3, 3, 7, 7};
+  // The trusted surface ends within the only tile, in the middle of the image.
+  const PatchMesh wall = square(10), half = square(5, -5, 0.01f), nearer = square(4);
+  const Rays met = sweep(4, 0.01f, 0), passed = sweep(10, 0.01f, 0);
+  const Pose T = looking_ahead();
+  for (const Rays* rays : {&met, &passed}) {
+    MeshScene scene;
+    scene.trusted.push_back({&wall, Pose::Identity()});
+    scene.dynamic_objects.push_back(
+        {{{&half, Pose::Identity()}}, {{&nearer, Pose::Identity()}}, {{rays, T}}});
+    const auto depth = render_triangles(camera, scene, 1);
+    for (std::size_t i = 0; i < depth.size(); ++i)
+      CHECK(depth[i] == doctest::Approx(i % 7 <= 3 ? 5 : rays == &met ? 4 : 10));
+  }
+}
+
+TEST_CASE("a cut triangle of a mover is split about the middle, each part at its corners' range") {
+  Matrix points(3, 3);
+  points << 10, 0, 0, 20, 1, 0, 20, 0, 1;
+  const std::uint32_t triangle[1][3] = {{0, 1, 2}};
+  const std::uint8_t whole = 0, cut = 1;
+  CHECK(partition_mesh(points, triangle, &whole, 1, {0, 0, 0}, 1).parts[0].whole.size() == 1);
+
+  // Of the world nothing goes on where nobody measured.
+  const auto world = partition_mesh(points, triangle, &cut, 1, {0, 0, 0}, 1);
+  CHECK(world.parts[0].whole.empty());
+  CHECK(world.parts[0].outer.empty());
+  CHECK(world.vertices.size() == 3);
+
+  const auto split = partition_mesh(points, triangle, &cut, 1, {1, 1, 1}, 2);
+  CHECK(split.parts[1].whole.empty());
+  CHECK(split.parts[1].outer.empty());
+  REQUIRE(split.parts[1].inner.size() == 3);
+  for (const auto corner : split.parts[1].inner[0])
+    CHECK(split.vertices[corner].norm() == doctest::Approx(10));
+  for (const auto part : {1, 2})
+    for (const auto corner : split.parts[1].inner[part])
+      CHECK(split.vertices[corner].norm() > 19.9);
+
+  // Two owners are never joined, with or without a jump.
+  const auto border = partition_mesh(points, triangle, &whole, 1, {0, 1, 0}, 2);
+  CHECK(border.parts[0].whole.empty());
+  CHECK(border.parts[1].whole.empty());
+  CHECK(border.parts[1].inner.empty());
+  CHECK(border.parts[1].outer.size() == 1);
+  CHECK(border.parts[0].outer.empty());
+}
+
+TEST_CASE("where two planes meet between their last returns, each goes on to the other") {
+  // Seen from the origin: a floor 2 below, and a wall at x = 10 that stands on it.
+  Matrix points(6, 3);
+  points << 4, -1, -2, 4, 1, -2, 6, 0, -2, 10, -1, 0, 10, 1, 0, 10, 0, 1;
+  const std::uint32_t triangles[4][3] = {{0, 1, 2}, {3, 4, 5}, {2, 3, 4}, {1, 2, 4}};
+  const std::uint8_t cut[4] = {0, 0, 1, 1};
+  const auto surface =
+      partition_mesh(points, triangles, cut, 4, std::vector<std::uint32_t>(6, 1), 2);
+  CHECK(surface.parts[1].whole.size() == 2);
+  REQUIRE(surface.parts[1].inner.size() == 6);
+  for (const auto& part : surface.parts[1].inner)
+    for (const auto corner : part) {
+      const Eigen::Vector3f p = surface.vertices[corner];
+      const bool on_floor = p.z() == doctest::Approx(-2), on_wall = p.x() == doctest::Approx(10);
+      CHECK((on_floor || on_wall));
+    }
+}

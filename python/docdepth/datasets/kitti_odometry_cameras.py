@@ -1,0 +1,125 @@
+"""Cameras of KITTI odometry sequences: calibration, image sizes, times, distortion."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets import kitti_files
+from docdepth.datasets.base import CameraStream
+from docdepth.datasets.kitti_files import Calibration
+from docdepth.datasets.times import read_times_of
+from docdepth.errors import CalibrationError, DatasetError
+from docdepth.geometry.camera import Camera
+
+log = logging.getLogger(__name__)
+
+REMEDY = "unpack the 'calibration files' of the odometry benchmark over the sequence"
+"""What to do where ``calib.txt`` or ``times.txt`` is missing or incomplete."""
+
+
+def read_cameras(
+    sequence: Path,
+    sweeps: list[Path],
+    sweep_times: NDArray[np.int64],
+    calibration: Calibration,
+    T_camera0_lidar: NDArray[np.float64],
+    image_size: tuple[int, int] | None,
+) -> dict[str, CameraStream]:
+    """The cameras ``image_0`` to ``image_3`` that ``calib.txt`` has a projection of.
+
+    Parameters
+    ----------
+    sequence : Path
+    sweeps : list of Path
+    sweep_times : ndarray of int64, shape (n,)
+        Nanoseconds; cameras without times of their own fire with the sweeps.
+    calibration : Calibration
+    T_camera0_lidar : ndarray of float64, shape (4, 4)
+        Takes LiDAR points to the rectified reference camera.
+    image_size : (int, int), optional
+        Width and height in pixels that the caller gives.
+
+    Raises
+    ------
+    DatasetError, CalibrationError
+        A file is broken or contradicts another one, or there is no camera.
+    """
+    folders = {n: sequence / f"image_{n}" for n in range(4) if f"P{n}" in calibration}
+    if not folders:
+        raise CalibrationError(f"{calibration.file} has no camera (P0 to P3); {REMEDY}")
+    images = {n: kitti_files.image_files(folder) for n, folder in folders.items()}
+    sizes = {n: _image_size(folders[n], images[n], image_size) for n in folders}
+    # Rectified together, the images of all cameras have one size.
+    common = None if image_size else next((size for size in sizes.values() if size), None)
+    streams: dict[str, CameraStream] = {}
+    guessed: list[str] = []
+    for n, folder in folders.items():
+        P = calibration.matrix(f"P{n}", 3, 4)
+        size = sizes[n] or common
+        if size is None:
+            size = (round(2 * P[0, 2]), round(2 * P[1, 2]))
+            guessed.append(f"{folder.name} {size[0]}x{size[1]}")
+        times, names = sweep_times, [file.stem for file in sweeps]
+        if (folder / "times.txt").is_file() or images[n]:
+            times, names = _image_times(folder, images[n])
+        streams[folder.name] = CameraStream(
+            name=folder.name,
+            camera=Camera(P[:, :3], *size),
+            T_camera_lidar=kitti_files.camera_offset(P) @ T_camera0_lidar,
+            times=times,
+            names=names,
+            images=images[n],
+            distortion=_distortion(folder / "distortion.txt"),
+        )
+    if guessed:
+        log.warning(
+            "%s: image sizes guessed from the principal points (%s); "
+            "give the size (--image-size 1242x375) or put the images there",
+            sequence, ", ".join(guessed),
+        )  # fmt: skip
+    return streams
+
+
+def _image_times(folder: Path, images: list[Path]) -> tuple[NDArray[np.int64], list[str]]:
+    """Times and names of the images: from the camera's own table, else from the sweeps'."""
+    table = folder / "times.txt"
+    if not table.is_file():
+        table = folder.parent / "times.txt"
+    elif not images:
+        images = [Path(f"{k:06d}") for k in range(len(kitti_files.read_lines(table, REMEDY)))]
+    return read_times_of(images, table, "times", REMEDY), [image.stem for image in images]
+
+
+def _distortion(file: Path) -> NDArray[np.float64] | None:
+    """Coefficients in OpenCV's order; None without a file."""
+    if not file.is_file():
+        return None
+    try:
+        return np.array(file.read_text(encoding="utf-8").split(), dtype=np.float64)
+    except ValueError as error:
+        raise CalibrationError(f"{file} must be numbers, k1 k2 p1 p2 [k3 ...]: {error}") from None
+
+
+def _image_size(
+    folder: Path, images: list[Path], asked: tuple[int, int] | None
+) -> tuple[int, int] | None:
+    """Size of the images from themselves, ``size.txt`` or the caller; None if unknown."""
+    known: tuple[int, int] | None = None
+    source = folder / "size.txt"
+    if images:
+        source, known = images[0], kitti_files.image_size(images[0])
+    elif source.is_file():
+        words = source.read_text(encoding="utf-8").split()
+        if len(words) != 2 or not all(word.isdigit() for word in words):
+            raise DatasetError(f"{source} must be two numbers, width and height in pixels")
+        known = (int(words[0]), int(words[1]))
+    if known and asked and known != asked:
+        raise CalibrationError(
+            f"{source} is {known[0]} x {known[1]} pixels, the image size asked for is "
+            f"{asked[0]} x {asked[1]}; leave it out"
+        )
+    return known or asked

@@ -1,0 +1,107 @@
+"""Classes of points from the votes on them, and how sure they are (paper IV-C)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.config import DynamicsParameters
+from docdepth.dynamics.clustering import classify_objects, cluster_objects
+from docdepth.dynamics.voting import Votes
+from docdepth.errors import InputError
+from docdepth.geometry.points import DYNAMIC, GROUND, STATIC, check_sweep
+from docdepth.geometry.scan_mesh import ScanMesh
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Class and votes of every point of one sweep.
+
+    Attributes
+    ----------
+    classid : ndarray of uint16, shape (N,)
+        0 ground, 50 static, 100 dynamic.
+    votes : Votes
+    """
+
+    classid: NDArray[np.uint16]
+    votes: Votes
+
+
+def classify(
+    ground: NDArray[np.bool_],
+    votes: Votes,
+    parameters: DynamicsParameters | None = None,
+    points: NDArray[np.float32] | None = None,
+    mesh: ScanMesh | None = None,
+    objects: NDArray[np.uint32] | None = None,
+) -> NDArray[np.uint16]:
+    """Turn votes into classes: dynamic where more key frames vote dynamic than static.
+
+    Ties and points without a vote are static. With ``points``, and unless ``evidence`` is
+    ``"points"``, votes are shared within objects
+    (:func:`docdepth.dynamics.clustering.classify_objects`).
+
+    Parameters
+    ----------
+    ground : ndarray of bool, shape (N,)
+    votes : Votes
+    parameters : DynamicsParameters, optional
+    points : ndarray of float32, shape (N, 3), optional
+        The deskewed sweep, LiDAR frame, metres.
+    mesh : ScanMesh, optional
+        Of these points; made here when needed and not given.
+    objects : ndarray of uint32, shape (N,), optional
+        From :func:`docdepth.dynamics.clustering.cluster_objects`; made here when needed and not
+        given.
+
+    Returns
+    -------
+    ndarray of uint16, shape (N,)
+        0 ground, 50 static, 100 dynamic. Where surfaces vote, ground points can be dynamic, too.
+
+    Raises
+    ------
+    InputError
+        A shape or dtype is wrong.
+    """
+    p = parameters or DynamicsParameters()
+    if p.evidence != "points" and points is not None:
+        points, ground = check_sweep(points, ground)
+        mesh = mesh or ScanMesh(points)
+        if objects is None:
+            objects = cluster_objects(points, ground, mesh)
+        dynamic = classify_objects(points, ground, objects, votes.static, votes.dynamic, mesh)
+    else:
+        dynamic = votes.dynamic > votes.static
+    if p.vote_model == "range_image":
+        dynamic &= ~ground
+    return np.where(dynamic, DYNAMIC, np.where(ground, GROUND, STATIC)).astype(np.uint16)
+
+
+def confidence(votes: Votes) -> NDArray[np.float32]:
+    """How sure the votes on each point are, 0 to 1.
+
+    With d dynamic and s static votes, Laplace's rule estimates the share of dynamic votes as
+    (d + 1) / (d + s + 2). Its distance from one half, doubled, is |d - s| / (d + s + 2): 0 without
+    votes or on a tie, 1/3 after one vote, 1/2 after two that agree, 1 in the limit.
+
+    Parameters
+    ----------
+    votes : Votes
+        As a frame keeps them (``votes_static``, ``votes_dynamic``), so a threshold on the
+        confidence needs no new votes.
+
+    Returns
+    -------
+    ndarray of float32, shape (N,)
+    """
+    static, dynamic = votes.static.astype(np.float32), votes.dynamic.astype(np.float32)
+    if static.shape != dynamic.shape:
+        raise InputError(
+            f"votes.static {static.shape} and votes.dynamic {dynamic.shape} differ in shape; "
+            "give both counts of the same points"
+        )
+    return np.asarray(np.abs(dynamic - static) / (dynamic + static + 2), np.float32)
