@@ -1,10 +1,15 @@
-"""Every parameter of the method: name, default, range, unit and the paper's symbol.
+"""Every public parameter: name, default, range, unit and the paper's symbol.
 
-``preset("default")`` is what measured best, ``preset("paper")`` the paper's text to the letter.
+The preset ``default`` is what measured best, ``paper`` follows the paper's text; where it cannot,
+the class of the stage lists the difference. Everything else is a constant: of Python at the top of
+the module that uses it, of C++ the default of its parameter structure.
 """
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Literal
 
 import yaml
@@ -15,9 +20,12 @@ from pydantic import (
     PositiveFloat,
     ValidationError,
     field_validator,
+    model_validator,
 )
 
 from docdepth.errors import ConfigError
+
+logger = logging.getLogger(__name__)
 
 Layer = Literal["class", "time", "range", "support", "std", "normal", "confidence"]
 DepthFormat = Literal["png", "exr-half", "exr", "tiff", "npz", "npy"]
@@ -52,82 +60,97 @@ class OdometryParameters(_Stage):
 
 
 class GroundParameters(_Stage):
-    """Ground growing (paper III-C1)."""
+    """Ground growing (paper IV-A).
 
-    chunk_length: float = Field(500.0, gt=0, description="path length of a chunk, l [m]")
-    chunk_overlap: float = Field(
-        100.0, ge=0, description="path before and after a chunk that is merged with it [m]"
+    Notes
+    -----
+    Differences from the paper's text, in both presets:
+
+    - "Up" is the z axis of the world, which is the first sweep's; the paper takes the sensor's.
+    - ``neighbors`` counts the front point itself, so it has ``k_nn - 1`` others.
+    - The paper is silent where no point lies within ``seed_radius`` of a pose: the radius doubles
+      until one does.
+    - A seed's plane goes through the mean of its neighbours, not through the seed: the lowest point
+      is often a ghost return below the road.
+    - Chunks overlap by 100 m of path; the paper is silent on their borders.
+    - Path length leaves out steps shorter than 5 cm, which a standing sensor's jitter makes.
+
+    The paper seeds with the lowest point and has no steps: ``seed_quantile=0``, ``step_height=0``.
+    """
+
+    chunk_length: float = Field(
+        500.0, gt=0, description="path length of a chunk that grows as a whole, l [m]"
     )
     voxel_size: float = Field(0.03, gt=0, description="edge of a voxel, s [m]")
-    seed_radius: float = Field(2.0, gt=0, description="seeds lie this near a pose, r_seed [m]")
-    seed_quantile: float = Field(
-        0.1, ge=0, lt=1, description="share of the voxels there that lie below the seed [-]"
+    seed_radius: float = Field(
+        2.0, gt=0, description="horizontal distance of seeds from a pose, r_seed [m]"
     )
-    least_share: float = Field(
-        0.01,
+    seed_quantile: float = Field(
+        0.1,
         ge=0,
-        le=1,
-        description="with less ground than this seeds are sought twice as far away, to 16 m [-]",
+        lt=1,
+        description="height quantile of the voxels there that is the seed; 0: the lowest [-]",
     )
     step_height: float = Field(
-        0.25, ge=0, description="ground goes on behind kerbs up to this high; 0: it does not [m]"
+        0.25, ge=0, description="highest kerb that ground continues behind; 0: none [m]"
     )
-    neighbors: int = Field(30, ge=3, le=200, description="neighbours of a front point, k_nn")
-    plane_distance: float = Field(0.04, gt=0, description="distance to the plane, delta [m]")
-    max_slope_deg: float = Field(15.0, gt=0, lt=90, description="lean of a normal, alpha [deg]")
-
-
-class SurfaceParameters(_Stage):
-    """A sweep as triangles between neighbouring returns; voting and rendering share them."""
-
-    max_gap_deg: float = Field(
-        4.0, gt=0, lt=90, description="longest side of a triangle, seen from the sensor [deg]"
+    neighbors: int = Field(
+        30, ge=3, le=200, description="nearest voxels that define a plane, k_nn [-]"
     )
-    jump_ratio: float = Field(
-        4.0, gt=0, description="range difference over distance across, of a depth jump [-]"
+    plane_distance: float = Field(
+        0.04, gt=0, description="largest distance of ground from that plane, delta [m]"
     )
-    noise: float = Field(0.1, ge=0, description="smaller range differences are no jump [m]")
-    flatness: float = Field(
-        0.1, ge=0, description="returns that continue a plane this well are one surface [m]"
+    max_slope_deg: float = Field(
+        15.0, gt=0, lt=90, description="largest slope of that plane, alpha [deg]"
     )
 
 
-class VotingParameters(_Stage):
-    """Key frames, and how they vote (paper III-C2, Algorithm 1)."""
+class DynamicsParameters(_Stage):
+    """Key frames (paper IV-B), their votes (IV-C, Algorithm 1), and classes from votes.
 
-    against: Literal["pixels", "surface"] = Field(
-        "surface", description="what points are held against: a key frame's pixels or its surface"
+    Notes
+    -----
+    Differences from the paper's text, in both presets:
+
+    - Path length leaves out steps shorter than 5 cm, so a standing sensor adds no key frames.
+    - The last pose of the path is a key frame, too.
+    - A key frame never votes on its own sweep.
+
+    The paper votes with range images, chooses key frames along the path alone, and classifies each
+    point by its own votes: ``vote_model="range_image"``, ``time_spacing=0``, ``evidence="points"``.
+    """
+
+    vote_model: Literal["range_image", "surface"] = Field(
+        "surface",
+        description="key frames vote by the pixels of a range image (the paper), or by the surface "
+        "that their returns span",
     )
     fine_spacing: float = Field(2.0, gt=0, description="spacing of fine key frames, d_fine [m]")
-    coarse_spacing: float = Field(5.0, gt=0, description="of coarse key frames, d_coarse [m]")
-    fine_radius: float = Field(20.0, gt=0, description="arc length to fine ones, R_fine [m]")
-    coarse_radius: float = Field(80.0, gt=0, description="arc length to coarse, R_coarse [m]")
+    fine_radius: float = Field(
+        20.0, gt=0, description="fine key frames vote within this path length, R_fine [m]"
+    )
+    coarse_spacing: float = Field(
+        5.0, gt=0, description="spacing of coarse key frames, d_coarse [m]"
+    )
+    coarse_radius: float = Field(
+        80.0, gt=0, description="coarse key frames vote within this path length, R_coarse [m]"
+    )
     time_spacing: float = Field(
-        0.5, ge=0, description="and a key frame as often, where the ego crawls; 0 for none [s]"
+        0.5,
+        ge=0,
+        description="spacing of key frames in time where the ego is slow or stands; 0: none [s]",
     )
-    time_radius: float = Field(10.0, ge=0, description="time to these [s]")
-    end_spacing: float = Field(
-        0.4, ge=0, description="of key frames between a sweep and an end that is near [s]"
+    resolution_deg: float = Field(
+        0.2, gt=0, le=5, description="pixel of a key frame, d_theta = d_phi [deg]"
     )
-    end_radius: float = Field(
-        3.0, ge=0, description="that near an end of the drive; 0 adds no key frames [s]"
+    window: int = Field(5, ge=1, le=15, description="edge of the compared window, w [pixel]")
+    tolerance: float = Field(
+        0.2, gt=0, description="range difference up to which returns are the same, tau [m]"
     )
-    resolution_deg: float = Field(0.2, gt=0, le=5, description="pixel, d_theta = d_phi [deg]")
-    window: int = Field(5, ge=1, le=15, description="edge of the compared window, w [pixels]")
-    tolerance: float = Field(0.2, gt=0, description="range tolerance, tau [m]")
-    across: float = Field(0.2, gt=0, description="nearer to a plane is on it [m]")
-    along: float = Field(0.3, gt=0, description="the same, along the line of sight [m]")
-    along_growth: float = Field(0.01, ge=0, description="growth of that with range [m/m]")
-    level_across: float = Field(0.08, gt=0, description="`across` of planes that lie flat [m]")
-    level_along: float = Field(0.1, gt=0, description="`along` of planes that lie flat [m]")
-    ground_across: float = Field(
-        0.03, gt=0, description="`across` of these if the point or plane is called ground [m]"
-    )
-    level_lean_deg: float = Field(
-        25.0, ge=0, lt=90, description="a plane leaning no more lies flat, as ground does [deg]"
-    )
-    beam: float = Field(
-        0.15, gt=0, description="what lies farther from a measured line of sight is not seen [m]"
+    evidence: Literal["points", "objects", "tracks"] = Field(
+        "tracks",
+        description="points: each point by its own votes (the paper); objects: votes are shared "
+        "within an object; tracks: and carried over time along tracked objects",
     )
 
     @field_validator("window")
@@ -137,73 +160,9 @@ class VotingParameters(_Stage):
             raise ValueError("the window has a centre pixel, so its edge is odd")
         return window
 
-
-class DynamicsParameters(VotingParameters):
-    """Key frames, votes, and what makes classes of votes (paper III-C2)."""
-
-    objects: bool = Field(True, description="share evidence within connected objects")
-    link: float = Field(
-        0.3, gt=0, description="neighbours farther apart belong to different objects [m]"
-    )
-    link_growth: float = Field(
-        0.05, ge=0, description="or, where beams are wider apart, than so much of their range [-]"
-    )
-    companions: int = Field(
-        6, ge=1, description="connected dynamic points that need no other evidence"
-    )
-    company: float = Field(
-        1.0, gt=0, description="single points are dynamic this near to those [m]"
-    )
-    clear_votes: int = Field(2, ge=1, description="or with as many dynamic votes")
-    clear_ratio: float = Field(4.0, ge=1, description="and so many times more than static ones")
-    object_points: int = Field(10, ge=1, description="points of an object, at least")
-    object_share: float = Field(
-        0.5, gt=0, le=1, description="share of its points with votes that, dynamic, makes all so"
-    )
-    object_least: float = Field(
-        0.1, gt=0, le=1, description="and share of all its points, votes or not"
-    )
-    object_width: float = Field(
-        1.5, ge=0, description="extent of what may stand a while and move, from above [m]"
-    )
-    object_height: float = Field(0.3, ge=0, description="and its height [m]")
-    freed_share: float = Field(
-        0.6, gt=0, le=1, description="share of its points whose place was free at another time"
-    )
-    freed_votes: int = Field(2, ge=1, description="dynamic votes that show a place was free")
-    freed_ratio: float = Field(
-        8.0,
-        ge=1,
-        description="most static votes that go with each of them; with more a point stays"
-        " though its object moves",
-    )
-    loose_votes: int = Field(
-        2, description="a loose point inside a moving object has so many more static votes at most"
-    )
-    tracks: bool = Field(True, description="carry evidence over time along objects (of `objects`)")
-    track_sightings: int = Field(
-        3, ge=2, description="sweeps whose votes say that an object moves, at least"
-    )
-    track_distance: float = Field(1.0, ge=0, description="and its way, from above, at least [m]")
-    track_speed: float = Field(40.0, gt=0, description="nothing is faster [m/s]")
-    track_gap: float = Field(1.0, ge=0, description="an object unseen for longer is lost [s]")
-    track_hold: float = Field(5.0, ge=0, description="the same of one that stands [s]")
-    track_stood: float = Field(
-        0.8,
-        ge=0,
-        le=1,
-        description="share of what is left of an object that moves in part, always seen taken"
-        " (`freed_ratio` static votes, no dynamic one), above which it is another thing",
-    )
-    track_window: float = Field(
-        0.3,
-        ge=0,
-        description="sightings that near tell the box in which points move; 0: none [s]",
-    )
-
     def voting(self) -> dict[str, Any]:
-        """The values that votes depend on; all others make classes of votes."""
-        return self.model_dump(include=set(VotingParameters.model_fields))
+        """The values that votes depend on: all but those that make classes of votes."""
+        return self.model_dump(exclude={"evidence"})
 
 
 class RenderParameters(_Stage):
@@ -283,37 +242,154 @@ class OutputParameters(_Stage):
 
 
 class Parameters(_Stage):
-    """All stages of a run. Unknown keys are errors."""
+    """Parameters of all stages of a run. Unknown names are errors, those of earlier versions are
+    translated with a warning.
+    """
 
     preset: Preset = "default"
     odometry: OdometryParameters = OdometryParameters()
     ground: GroundParameters = GroundParameters()
-    surface: SurfaceParameters = SurfaceParameters()
     dynamics: DynamicsParameters = DynamicsParameters()
     render: RenderParameters = RenderParameters()
     output: OutputParameters = OutputParameters()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_earlier_versions(cls, tree: Any) -> Any:
+        return _translate(tree) if isinstance(tree, dict) else tree
 
 
 _STAGES: dict[str, type[_Stage]] = {
     "odometry": OdometryParameters,
     "ground": GroundParameters,
-    "surface": SurfaceParameters,
     "dynamics": DynamicsParameters,
     "render": RenderParameters,
     "output": OutputParameters,
 }
 
-# Where the paper's text differs from what measured best, a stage at a time.
+_Convert = Callable[[Any, Any], Any]
+"""The value of the new name, given that of the old one and the new one's present value."""
+
+
+def _objects_to_evidence(shared: bool, now: str) -> str:
+    return ("objects" if now == "points" else now) if shared else "points"
+
+
+def _tracks_to_evidence(tracked: bool, now: str) -> str:
+    return now if now == "points" else "tracks" if tracked else "objects"
+
+
+# Names of the last release, which this one still understands.
+_RENAMED: dict[str, tuple[str, _Convert]] = {
+    "dynamics.against": (
+        "dynamics.vote_model",
+        lambda value, _: "range_image" if value == "pixels" else value,
+    ),
+    "dynamics.objects": ("dynamics.evidence", _objects_to_evidence),
+    "dynamics.tracks": ("dynamics.evidence", _tracks_to_evidence),
+    "odometry.bloom_deg": ("odometry.blooming_deg", lambda value, _: value),
+    "render.surface": ("render.primitive", lambda value, _: value),
+    "render.witnesses": ("render.visibility_sweeps", lambda value, _: value),
+    "render.static_size_max": ("render.static_size", lambda value, now: (value, now[1])),
+    "render.static_size_min": ("render.static_size", lambda value, now: (now[0], value)),
+    "render.dynamic_size_max": ("render.dynamic_size", lambda value, now: (value, now[1])),
+    "render.dynamic_size_min": ("render.dynamic_size", lambda value, now: (now[0], value)),
+}
+
+# Parameters of the last release that are constants now, and what its presets set them to: a
+# run.yaml with these values still opens.
+_REMOVED: dict[str, tuple[float, ...]] = {
+    "odometry.refine_voxel_size": (0.5,),
+    "ground.chunk_overlap": (100.0, 0),
+    "ground.least_share": (0.01, 0),
+    "surface.max_gap_deg": (4.0,),
+    "surface.jump_ratio": (4.0,),
+    "surface.noise": (0.1,),
+    "surface.flatness": (0.1,),
+    "dynamics.time_radius": (10.0,),
+    "dynamics.end_spacing": (0.4,),
+    "dynamics.end_radius": (3.0, 0),
+    "dynamics.across": (0.2,),
+    "dynamics.along": (0.3,),
+    "dynamics.along_growth": (0.01,),
+    "dynamics.level_across": (0.08,),
+    "dynamics.level_along": (0.1,),
+    "dynamics.ground_across": (0.03,),
+    "dynamics.level_lean_deg": (25.0,),
+    "dynamics.beam": (0.15,),
+    "dynamics.link": (0.3,),
+    "dynamics.link_growth": (0.05,),
+    "dynamics.companions": (6,),
+    "dynamics.company": (1.0,),
+    "dynamics.clear_votes": (2,),
+    "dynamics.clear_ratio": (4.0,),
+    "dynamics.object_points": (10,),
+    "dynamics.object_share": (0.5,),
+    "dynamics.object_least": (0.1,),
+    "dynamics.object_width": (1.5,),
+    "dynamics.object_height": (0.3,),
+    "dynamics.freed_share": (0.6,),
+    "dynamics.freed_votes": (2,),
+    "dynamics.freed_ratio": (8.0,),
+    "dynamics.loose_votes": (2,),
+    "dynamics.track_sightings": (3,),
+    "dynamics.track_distance": (1.0,),
+    "dynamics.track_speed": (40.0,),
+    "dynamics.track_gap": (1.0,),
+    "dynamics.track_hold": (5.0,),
+    "dynamics.track_stood": (0.8,),
+    "dynamics.track_window": (0.3,),
+    "render.step_growth": (0.22,),
+    "render.max_speed": (50.0,),
+    "render.loose_deg": (0.1,),
+}
+
+
+def _translate(tree: dict[str, Any]) -> dict[str, Any]:
+    """A tree of parameters in today's names.
+
+    Raises
+    ------
+    ValueError
+        A parameter that is a constant now has another value than it used to.
+    """
+    tree = {stage: dict(v) if isinstance(v, dict) else v for stage, v in tree.items()}
+    for name, values in _REMOVED.items():
+        stage, _, key = name.partition(".")
+        if isinstance(tree.get(stage), dict) and key in tree[stage]:
+            value = tree[stage].pop(key)
+            if value not in values:
+                raise ValueError(f"{_is_constant(name)} (here it is {value!r})")
+            if stage not in _STAGES and not tree[stage]:
+                del tree[stage]
+    for name, (new, convert) in _RENAMED.items():
+        stage, _, key = name.partition(".")
+        if isinstance(tree.get(stage), dict) and key in tree[stage]:
+            _warn_of_rename(name, new)
+            value, new_key = tree[stage].pop(key), new.partition(".")[2]
+            default = _STAGES[stage].model_fields[new_key].default
+            tree[stage][new_key] = convert(value, tree[stage].get(new_key, default))
+    return tree
+
+
+def _is_constant(name: str) -> str:
+    return f"{name} is no parameter any more but the constant {_REMOVED[name][0]:g}; leave it out"
+
+
+@lru_cache  # a run reads its parameters often
+def _warn_of_rename(old: str, new: str) -> None:
+    logger.warning("%s is called %s now; the next release will not know the old name", old, new)
+
+
+# What `paper` sets apart from `default`, stage by stage.
 _PAPER: dict[str, dict[str, Any]] = {
-    "ground": {"chunk_overlap": 0, "seed_quantile": 0, "least_share": 0, "step_height": 0},
+    "ground": {"seed_quantile": 0, "step_height": 0},
     "dynamics": {
-        "against": "pixels",
+        "vote_model": "range_image",
         "coarse_spacing": 10,
         "coarse_radius": 50,
         "time_spacing": 0,
-        "end_radius": 0,
-        "objects": False,
-        "tracks": False,
+        "evidence": "points",
     },
     "render": {"primitive": "splats", "behind": 0.5, "ahead": 100, "step": 0.2},
 }
@@ -325,14 +401,20 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
     Parameters
     ----------
     preset : {"default", "paper"}
-        ``paper`` is the paper's text to the letter, ``default`` what measured best.
+        ``default`` is what measured best, ``paper`` follows the paper's text.
     settings : dict, optional
-        Values by dotted name, ``{"dynamics.tolerance": 0.3}``.
+        Values by dotted name, ``{"dynamics.tolerance": 0.3}``. Names of the last release are
+        understood, with a warning.
+
+    Returns
+    -------
+    Parameters
 
     Raises
     ------
     ConfigError
-        The preset or a name is unknown, or a value is outside its range.
+        The preset or a name is unknown, names what is a constant now, or a value is outside its
+        range.
     """
     if preset not in ("default", "paper"):
         raise ConfigError(f"unknown preset {preset!r}; there are 'default' and 'paper'")
@@ -340,6 +422,8 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
     if preset == "paper":
         tree |= {stage: dict(values) for stage, values in _PAPER.items()}
     for name, value in (settings or {}).items():
+        if name in _REMOVED:
+            raise ConfigError(_is_constant(name))
         stage, _, key = name.partition(".")
         if not key or stage not in _STAGES:
             raise ConfigError(
@@ -373,7 +457,9 @@ def _explain(error: ValidationError) -> str:
     lines = []
     for problem in error.errors():
         name = ".".join(str(part) for part in problem["loc"])
-        if problem["type"] == "extra_forbidden":
+        if not name:
+            lines.append(str(problem["ctx"]["error"]))
+        elif problem["type"] == "extra_forbidden" and len(problem["loc"]) > 1:
             known = ", ".join(_STAGES[str(problem["loc"][0])].model_fields)
             lines.append(f"unknown parameter {name!r}; that stage knows {known}")
         else:

@@ -1,7 +1,9 @@
 """Voting written from its description and nothing else, in plain numpy.
 
-Algorithm 1 against the pixels of a range image, and the vote against the surface of a key frame.
+Algorithm 1 with a range image, and the vote of a key frame's surface.
 """
+
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -10,6 +12,14 @@ from scipy.sparse.csgraph import connected_components
 from docdepth.geometry.scan_mesh import ScanMesh
 
 EMPTY = np.float32(np.inf)
+
+OBJECTS = {
+    "cluster_distance": 0.3, "cluster_distance_growth": 0.05, "min_cluster_size": 6,
+    "neighbor_radius": 1.0, "clear_votes": 2, "clear_ratio": 4, "min_object_points": 10,
+    "dynamic_share": 0.5, "min_dynamic_share": 0.1, "min_object_width": 1.5,
+    "min_object_height": 0.3, "observed_free_share": 0.6, "observed_free_votes": 2,
+    "max_static_ratio": 8, "isolated_votes": 2,
+}  # fmt: skip
 
 
 def reference_move(points, T_world_query, T_world_key):
@@ -57,11 +67,11 @@ def reference_image(points, ground, columns):
 def reference_vote(points, ground, T_query, key_sweeps, key_grounds, key_poses, p):
     static, dynamic = np.zeros((2, len(points)), np.uint16)
     voted_on = points.any(axis=1)
-    if p.against == "pixels":
+    if p.vote_model == "range_image":
         voted_on &= ~ground
     for sweep, sweep_ground, T_key in zip(key_sweeps, key_grounds, key_poses, strict=True):
         moved = reference_move(points, T_query, T_key)
-        if p.against == "pixels":
+        if p.vote_model == "range_image":
             outcome = ask_pixels(moved, sweep, sweep_ground, p)
         else:
             outcome = ask_surface(moved, ground, sweep, sweep_ground, p)
@@ -97,7 +107,7 @@ def ask_pixels(query, sweep, sweep_ground, p):
 def ask_surface(query, query_ground, sweep, sweep_ground, p):
     columns = round(360 / p.resolution_deg)
     half = p.window // 2
-    surface = ScanMesh(sweep)
+    mesh = ScanMesh(sweep)
     image, _ = reference_image(sweep, np.zeros(len(sweep), bool), columns)
     image = np.pad(image, ((half, half), (0, 0)), constant_values=EMPTY)
     rho, row, column = reference_pixels(*query, columns)
@@ -108,11 +118,11 @@ def ask_surface(query, query_ground, sweep, sweep_ground, p):
     near_return = (np.abs(rho - window) < np.float32(p.tolerance)).any(axis=0)
 
     f = np.float32
-    seen = triangle_image(sweep, surface, columns)[row, column]
-    corners = sweep[surface.triangles]
+    seen = triangle_image(sweep, mesh, columns)[row, column]
+    corners = sweep[mesh.triangles]
     normal, flat = planes(corners)
-    in_sight = rho * nearest_corner(sweep, surface, columns, seen, row, column) < f(p.beam)
-    jump = (surface.cut | flat)[seen] & (seen >= 0)
+    in_sight = rho * nearest_corner(sweep, mesh, columns, seen, row, column) < f(0.15)
+    jump = (mesh.discontinuity | flat)[seen] & (seen >= 0)
     plane = ~jump & (seen >= 0)
 
     a, b, c = normal[seen].T
@@ -121,11 +131,11 @@ def ask_surface(query, query_ground, sweep, sweep_ground, p):
         depth = (a * x + b * y) + c * z
         distance = f(1) / np.sqrt((a * a + b * b) + c * c)
         before = f(1) - depth
-        level = plane & (np.abs(c) * distance > f(np.cos(np.radians(p.level_lean_deg))))
-        of_ground = query_ground | sweep_ground[surface.triangles].all(axis=1)[seen]
-        level_across = np.where(of_ground, f(p.ground_across), f(p.level_across))
-        across = np.where(level, level_across, f(p.across))
-        along = np.where(level, f(p.level_along), f(p.along) + f(p.along_growth) * rho)
+        level = plane & (np.abs(c) * distance > f(np.cos(np.radians(25))))
+        of_ground = query_ground | sweep_ground[mesh.triangles].all(axis=1)[seen]
+        level_across = np.where(of_ground, f(0.03), f(0.08))
+        across = np.where(level, level_across, f(0.2))
+        along = np.where(level, f(0.1), f(0.3) + f(0.01) * rho)
         on_plane = (np.abs(before) * distance < across) | (rho * np.abs(before) < along * depth)
 
     x, y, z = np.moveaxis(corners, -1, 0)
@@ -159,15 +169,15 @@ def planes(corners):
     return (n / np.where(edge_on, 1, offset)[:, None]).astype(np.float32), edge_on
 
 
-def triangle_image(sweep, surface, columns):
+def triangle_image(sweep, mesh, columns):
     """For every pixel the first triangle that its centre lies in, -1 where there is none.
 
     Corners are counted in ``columns`` x 65536ths of a turn, exactly.
     """
     turn = 65536
     azimuth, elevation = directions(sweep)
-    x = ((turn // 2 - azimuth) * columns)[surface.triangles]
-    y = ((turn // 4 - elevation) * columns)[surface.triangles]
+    x = ((turn // 2 - azimuth) * columns)[mesh.triangles]
+    y = ((turn // 4 - elevation) * columns)[mesh.triangles]
     x += np.where(x[:, :1] - x > turn // 2 * columns, turn * columns, 0)
     x -= np.where(x - x[:, :1] > turn // 2 * columns, turn * columns, 0)
     # Pixel k has its centre at (2 k + 1) turn / 2. Try all pixels of each bounding box.
@@ -189,10 +199,10 @@ def triangle_image(sweep, surface, columns):
     return np.where(image == len(x), -1, image)
 
 
-def nearest_corner(sweep, surface, columns, triangle, row, column):
+def nearest_corner(sweep, mesh, columns, triangle, row, column):
     """Angle from the centre of a pixel to its triangle's nearest corner, in steps of 1/8 pixel."""
     turn = 65536
-    azimuth, elevation = (angle[surface.triangles[triangle]] for angle in directions(sweep))
+    azimuth, elevation = (angle[mesh.triangles[triangle]] for angle in directions(sweep))
     x = (turn // 2 - azimuth) * columns - (column * turn + turn // 2)[:, None]
     y = (turn // 4 - elevation) * columns - (row * turn + turn // 2)[:, None]
     x = (x + turn * columns // 2) % (turn * columns) - turn * columns // 2
@@ -228,66 +238,69 @@ def atan2_fixed(y, x):
     return np.where(y < 0, -angle, angle)
 
 
-def reference_moving(points, ground, static, dynamic, p):
+def reference_moving(points, ground, static, dynamic, **others):
     """Evidence shared within connected objects, with scipy's graphs and all distances."""
+    p = SimpleNamespace(**OBJECTS | others)
     static, dynamic = static.astype(int), dynamic.astype(int)
-    surface = ScanMesh(points)
-    edges = short_edges(points, surface.triangles[~surface.cut], p.link, p.link_growth)
+    mesh = ScanMesh(points)
+    edges = short_edges(
+        points, mesh.triangles[~mesh.discontinuity], p.cluster_distance, p.cluster_distance_growth
+    )
     candidate = dynamic > static
     label, size = connected(len(points), edges[candidate[edges].all(axis=1)])
     low, high = np.full(len(size), np.inf, np.float32), np.full(len(size), -np.inf, np.float32)
     np.minimum.at(low, label, points[:, 2])
     np.maximum.at(high, label, points[:, 2])
-    rises = high - low >= np.float32(p.object_height)
+    rises = high - low >= np.float32(p.min_object_height)
     count = np.where(rises, size, np.bincount(label, ~ground))
-    moving = candidate & (count[label] >= p.companions)
+    moving = candidate & (count[label] >= p.min_cluster_size)
 
     edges = edges[~ground[edges].any(axis=1)]
     label, size = connected(len(points), edges)
-    jumps = short_edges(points, surface.triangles[surface.cut], p.link, 0.03)
+    jumps = short_edges(points, mesh.triangles[mesh.discontinuity], p.cluster_distance, 0.03)
     pieces = ~ground & (size[label] < 5)
     label, size = connected(len(points), np.concatenate([edges, jumps[pieces[jumps].all(axis=1)]]))
-    in_pieces = np.bincount(label[surface.loose], minlength=len(size)) > 0
-    freed = (dynamic >= p.freed_votes) & (p.freed_ratio * dynamic > static)
+    in_pieces = np.bincount(label[mesh.isolated], minlength=len(size)) > 0
+    free = (dynamic >= p.observed_free_votes) & (p.max_static_ratio * dynamic > static)
     found, voted = np.bincount(label, candidate), np.bincount(label, static + dynamic > 0)
-    goes = found >= np.float32(p.object_share) * voted
-    goes &= found >= np.float32(p.object_least) * size
-    left = np.bincount(label, freed) >= (np.float32(p.freed_share) * size.astype(np.float32))
-    for k in np.flatnonzero((goes | left) & (size >= p.object_points)):
+    goes = found >= np.float32(p.dynamic_share) * voted
+    goes &= found >= np.float32(p.min_dynamic_share) * size
+    left = np.bincount(label, free) >= (np.float32(p.observed_free_share) * size.astype(np.float32))
+    for k in np.flatnonzero((goes | left) & (size >= p.min_object_points)):
         members = np.flatnonzero((label == k) & ~ground)
         x, y, z = np.ptp(points[members], axis=0) if len(members) else (0, 0, 0)
-        wide = x * x + y * y >= np.float32(p.object_width) ** 2
+        wide = x * x + y * y >= np.float32(p.min_object_width) ** 2
         if goes[k]:
-            most = p.freed_ratio * np.maximum(dynamic[members], 1)
+            most = p.max_static_ratio * np.maximum(dynamic[members], 1)
             moving[members[static[members] < most]] = True
-        elif wide and z >= np.float32(p.object_height) and not in_pieces[k]:
+        elif wide and z >= np.float32(p.min_object_height) and not in_pieces[k]:
             moving[members] = True
 
     sure = points[moving]
     for i in np.flatnonzero(candidate & ~moving):
         clear = dynamic[i] >= p.clear_votes and dynamic[i] > p.clear_ratio * static[i]
-        near = squared(sure - points[i]) < np.float32(p.company) ** 2
+        near = squared(sure - points[i]) < np.float32(p.neighbor_radius) ** 2
         moving[i] = (clear and not ground[i]) or near.any()
 
     share = np.bincount(label, moving) / size
-    loose = ~moving & ~ground & (size[label] < 5) & (static <= dynamic + p.loose_votes)
-    for k in np.flatnonzero((share >= 0.5) & (size >= p.object_points)):
+    isolated = ~moving & ~ground & (size[label] < 5) & (static <= dynamic + p.isolated_votes)
+    for k in np.flatnonzero((share >= 0.5) & (size >= p.min_object_points)):
         members = points[(label == k) & ~ground]
         low, high = members.min(0), members.max(0)
         x, y = high[:2] - low[:2]
         margin = np.float32(0.2)
         if x * x + y * y <= 25**2:
             inside = (points <= high + margin).all(1) & (low <= points + margin).all(1)
-            moving |= loose & inside
+            moving |= isolated & inside
     return moving
 
 
-def short_edges(points, triangles, link, growth):
-    """Sides of triangles whose corners are linked."""
+def short_edges(points, triangles, distance, growth):
+    """Sides of triangles that connect their corners."""
     corners = triangles.astype(int)
     edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     range_ = np.sqrt(squared(points))[edges].min(axis=1)
-    most = np.maximum(np.float32(link), np.float32(growth) * range_)
+    most = np.maximum(np.float32(distance), np.float32(growth) * range_)
     return edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < most * most]
 
 

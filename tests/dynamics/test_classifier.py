@@ -4,13 +4,17 @@ import numpy as np
 import pytest
 from dynamics_reference import reference_moving
 
-from docdepth.config import DynamicsParameters, parameters
-from docdepth.dynamics.classifier import classify, classify_drive, confidence
+from docdepth.config import parameters
+from docdepth.dynamics import key_frames, voting
+from docdepth.dynamics.classifier import classify_drive
+from docdepth.dynamics.clustering import OBJECT_PARAMETERS
+from docdepth.dynamics.sweep_classifier import classify, confidence
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.geometry.trajectory import Trajectory
 
-PAPER, DEFAULT = parameters("paper").dynamics, parameters("default").dynamics
+PAPER, DEFAULT = parameters("paper"), parameters("default")
+BY_POINTS = parameters(settings={"dynamics.evidence": "points"}).dynamics
 
 
 def test_moving_box_is_dynamic_and_the_yard_static_without_ground(yard):
@@ -27,13 +31,20 @@ def test_moving_box_is_dynamic_and_the_yard_static_without_ground(yard):
             ).all()
 
 
-def test_feet_called_ground_move_with_what_stands_on_them(yard):
+def test_feet_called_ground_move_with_what_stands_on_them(yard, monkeypatch):
     trajectory, sweeps, what = yard
     above = [sweep[:, 2] + 1.7 for sweep in sweeps]
     ground = [(w == 0) | ((w == 2) & (z < 0.1)) for z, w in zip(above, what, strict=True)]
+    constants = voting._surface_parameters
     for margin in (0.03, 0.08):
-        p = DEFAULT.model_copy(update={"ground_across": margin})
-        labels = classify_drive(sweeps, trajectory, p, ground=ground)
+
+        def changed(p, margin=margin):
+            core = constants(p)
+            core.ground_across = margin
+            return core
+
+        monkeypatch.setattr(voting, "_surface_parameters", changed)
+        labels = classify_drive(sweeps, trajectory, DEFAULT, ground=ground)
         for label, z, w in zip(labels, above, what, strict=True):
             feet = (w == 2) & (z < 0.1)
             assert ((label.classid == 100) == (z > margin))[feet].all()
@@ -69,7 +80,7 @@ def test_moving_box_is_dynamic_and_the_yard_static_to_the_letter(yard):
 def test_one_and_two_threads_agree(yard, p):
     trajectory, sweeps, what = yard
     ground = [w == 0 for w in what]
-    one, two = (classify_drive(sweeps, trajectory, p, t, ground) for t in (1, 2))
+    one, two = (classify_drive(sweeps, trajectory, p, ground, threads=t) for t in (1, 2))
     for a, b in zip(one, two, strict=True):
         np.testing.assert_array_equal(a.votes.static, b.votes.static)
         np.testing.assert_array_equal(a.votes.dynamic, b.votes.dynamic)
@@ -87,16 +98,20 @@ def random_votes(points, seed, patches=40):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_shared_evidence_equals_the_reference(yard, seed):
+def test_shared_evidence_equals_the_reference(yard, seed, monkeypatch):
     _, sweeps, what = yard
     rng = np.random.default_rng(seed)
     rows = np.sort(rng.permutation(len(sweeps[seed]))[:15_000])
     points, ground = sweeps[seed][rows], what[seed][rows] == 0
     votes = random_votes(points, seed)
-    p = DynamicsParameters(link=0.4, company=0.4)
-    expected = reference_moving(points, ground, votes.static, votes.dynamic, p)
+    monkeypatch.setattr(OBJECT_PARAMETERS, "link", 0.4)
+    monkeypatch.setattr(OBJECT_PARAMETERS, "company", 0.4)
+    expected = reference_moving(
+        points, ground, votes.static, votes.dynamic, cluster_distance=0.4, neighbor_radius=0.4
+    )
     assert 0.05 < expected.mean() < 0.95
-    np.testing.assert_array_equal(classify(ground, votes, p, points) == 100, expected)
+    found = classify(ground, votes, DEFAULT.dynamics, points)
+    np.testing.assert_array_equal(found == 100, expected)
 
 
 def test_an_object_moves_as_a_whole_and_single_points_alone_do_not(yard):
@@ -109,38 +124,39 @@ def test_an_object_moves_as_a_whole_and_single_points_alone_do_not(yard):
     votes.static[box[::4]] = 20
     votes.dynamic[box] = 12
     votes.dynamic[wall[::100]] = 11
-    classid = classify(ground, votes, DEFAULT, points)
+    classid = classify(ground, votes, DEFAULT.dynamics, points)
     assert (classid[box] == 100).all()
     assert (classid[wall] == 50).all()
     # It stands for most of the drive, and two thirds of its place were seen free by two key frames.
     votes.static[box], votes.dynamic[box] = 7, 2
     votes.dynamic[box[::3]] = 0
-    assert (classify(ground, votes, DEFAULT, points)[box] == 100).all()
-    off = DEFAULT.model_copy(update={"objects": False})
-    assert (classify(ground, votes, off, points)[box] == 50).all()
+    assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).all()
+    assert (classify(ground, votes, BY_POINTS, points)[box] == 50).all()
 
 
-def test_points_without_votes_do_not_speak_against_their_object(yard):
+def test_points_without_votes_do_not_count_against_their_object(yard, monkeypatch):
     _, sweeps, what = yard
     points, ground = sweeps[6], what[6] == 0
     box = np.flatnonzero(what[6] == 2)
     votes = Votes(*np.zeros((2, len(points)), np.uint16))
     seen = box[np.argsort(points[box, 2])[-(len(box) // 3) :]]  # the rest stands before the sky
     votes.dynamic[seen] = 3
-    assert (classify(ground, votes, DEFAULT, points)[box] == 100).all()
-    off = DEFAULT.model_copy(update={"object_least": 0.5})
-    assert (classify(ground, votes, off, points)[box] == 100).mean() < 0.9
+    assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).all()
+    with monkeypatch.context() as patch:
+        patch.setattr(OBJECT_PARAMETERS, "least", 0.5)
+        assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).mean() < 0.9
     # But where most of those who looked saw it stand, or hardly anybody looked, it does not move.
     votes.static[np.setdiff1d(box, seen)] = 3
-    assert (classify(ground, votes, DEFAULT, points)[box] == 100).mean() < 0.9
+    assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).mean() < 0.9
     votes.static[:], votes.dynamic[:] = 0, 0
     votes.dynamic[seen[-len(box) // 8 :]] = 3
-    more = DEFAULT.model_copy(update={"object_least": 0.2})
-    assert (classify(ground, votes, more, points)[box] == 100).mean() < 0.9
-    assert (classify(ground, votes, DEFAULT, points)[box] == 100).all()
+    with monkeypatch.context() as patch:
+        patch.setattr(OBJECT_PARAMETERS, "least", 0.2)
+        assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).mean() < 0.9
+    assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).all()
     votes.dynamic[:] = 0
     votes.dynamic[seen[-len(box) // 16 :]] = 3
-    assert (classify(ground, votes, DEFAULT, points)[box] == 100).mean() < 0.9
+    assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).mean() < 0.9
 
 
 def test_what_always_stood_beside_a_mover_and_is_connected_to_it_stays(yard):
@@ -150,13 +166,13 @@ def test_what_always_stood_beside_a_mover_and_is_connected_to_it_stays(yard):
     mover, beside = box[len(box) // 3 :], box[: len(box) // 3]
     votes = Votes(*np.zeros((2, len(points)), np.uint16))
     votes.dynamic[mover], votes.static[beside] = 9, 8
-    classid = classify(ground, votes, DEFAULT, points)
+    classid = classify(ground, votes, DEFAULT.dynamics, points)
     assert (classid[mover] == 100).all()
     assert (classid[beside] == 50).all()
     votes.static[beside] = 7  # not enough looked
-    assert (classify(ground, votes, DEFAULT, points)[box] == 100).all()
+    assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).all()
     votes.static[beside], votes.dynamic[beside] = 15, 2  # its place was free at times
-    assert (classify(ground, votes, DEFAULT, points)[box] == 100).all()
+    assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).all()
 
 
 def test_what_lies_flat_and_was_seen_free_at_times_does_not_move():
@@ -166,18 +182,19 @@ def test_what_lies_flat_and_was_seen_free_at_times_does_not_move():
         points = np.stack([np.full(y.shape, 10), y, z], -1).reshape(-1, 3).astype(np.float32)
         votes = Votes(*np.full((2, len(points)), 3, np.uint16))
         votes.static[:] = 9
-        assert set(classify(np.zeros(len(points), bool), votes, DEFAULT, points)) == {classid}
+        ground = np.zeros(len(points), bool)
+        assert set(classify(ground, votes, DEFAULT.dynamics, points)) == {classid}
 
 
 def test_ties_and_unseen_points_are_static():
     votes = Votes(np.array([0, 1, 1, 0, 0], np.uint16), np.array([0, 1, 2, 1, 9], np.uint16))
     ground = np.array([False, False, False, False, True])
-    assert list(classify(ground, votes, PAPER)) == [50, 50, 100, 100, 0]
+    assert list(classify(ground, votes, PAPER.dynamics)) == [50, 50, 100, 100, 0]
 
 
 def test_wheels_called_ground_are_dynamic_where_the_surface_votes():
     votes = Votes(np.array([0, 3], np.uint16), np.array([9, 1], np.uint16))
-    assert list(classify(np.ones(2, bool), votes, DEFAULT)) == [100, 0]
+    assert list(classify(np.ones(2, bool), votes, DEFAULT.dynamics)) == [100, 0]
 
 
 def test_confidence_of_points_grows_with_agreement():
@@ -191,7 +208,7 @@ def test_confidence_of_points_grows_with_agreement():
         confidence(Votes(static, dynamic[:-1]))
 
 
-def test_sure_points_are_wrong_less_often():
+def test_sure_points_are_wrong_less_often(monkeypatch):
     """A crossing seen by few beams: the surer the votes of points are, the fewer are misjudged."""
     pytest.importorskip("embreex")
     from docdepth.synthetic import Drive, scene, sensor
@@ -199,8 +216,9 @@ def test_sure_points_are_wrong_less_often():
     drive = Drive(scene("crossing", 3), sensor("VLP-16"), 14, 3)
     truth = [drive.sweep(k) for k in range(len(drive))]
     trajectory = Trajectory(drive.times, drive.poses)
-    ends = {"end_spacing": 0.2, "end_radius": 1.0, "time_spacing": 1.0}  # few sweeps, many votes
-    often = DEFAULT.model_copy(update=ends)
+    monkeypatch.setattr(key_frames, "END_SPACING", 0.2)  # few sweeps, many votes
+    monkeypatch.setattr(key_frames, "END_RADIUS", 1.0)
+    often = parameters(settings={"dynamics.time_spacing": 1.0})
     labels = classify_drive([s.points for s in truth], trajectory, often)
     sure = np.concatenate([confidence(one.votes) for one in labels])
     moving = np.concatenate([s.speed > 0.5 for s in truth])

@@ -1,14 +1,20 @@
-"""Objects of a sweep, and whole drives with and without following; runs that stop and go on."""
+"""Objects of a sweep, and whole drives with and without tracks; runs that stop and go on."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from docdepth.config import Parameters, parameters
-from docdepth.dynamics.classifier import classify, classify_drive
-from docdepth.dynamics.clustering import cluster_objects
+from docdepth.config import parameters
+from docdepth.datasets.base import Sweep
+from docdepth.dynamics import key_frames
+from docdepth.dynamics.classifier import classify_drive
+from docdepth.dynamics.clustering import OBJECT_PARAMETERS, cluster_objects
+from docdepth.dynamics.sweep_classifier import classify
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import RunError
-from docdepth.geometry.trajectory import Trajectory
+from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.ground.growing import grow_ground
 from docdepth.io.frames import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import classify as stage
@@ -17,8 +23,14 @@ from walled_yard import scan, straight
 
 DEFAULT = parameters("default").dynamics
 
-# So that votes do not tell already what is to be told by following.
-FEW_VOTES = {"freed_share": 1.0, "time_spacing": 1, "end_spacing": 0.2, "end_radius": 1}
+
+@pytest.fixture
+def few_votes(monkeypatch):
+    """Votes alone do not find what tracks shall find."""
+    monkeypatch.setattr(OBJECT_PARAMETERS, "freed_share", 1.0)
+    monkeypatch.setattr(key_frames, "END_SPACING", 0.2)
+    monkeypatch.setattr(key_frames, "END_RADIUS", 1)
+    return {"ground.seed_radius": 3.0, "dynamics.time_spacing": 1}
 
 
 @pytest.fixture(scope="module")
@@ -30,13 +42,12 @@ def street():
     return trajectory, [p for p, _ in scans], [w for _, w in scans]
 
 
-def test_a_box_that_waits_is_dynamic_in_the_whole_drive(street):
+def test_a_box_that_waits_is_dynamic_in_the_whole_drive(street, few_votes):
     trajectory, sweeps, what = street
     ground = [w == 0 for w in what]
-    alone = DEFAULT.model_copy(update={"tracks": False, **FEW_VOTES})
-    together = alone.model_copy(update={"tracks": True})
     shares = []
-    for p in (alone, together):
+    for evidence in ("objects", "tracks"):
+        p = parameters("default", {**few_votes, "dynamics.evidence": evidence})
         labels = classify_drive(sweeps, trajectory, p, ground=ground)
         box = [(label.classid[w == 2] == 100).mean() for label, w in zip(labels, what, strict=True)]
         rest = [(label.classid[w != 2] < 100).mean() for label, w in zip(labels, what, strict=True)]
@@ -46,10 +57,9 @@ def test_a_box_that_waits_is_dynamic_in_the_whole_drive(street):
     assert shares[1] > 0.9
 
 
-def folder_of(path, trajectory, sweeps):
+def folder_of(path, trajectory, sweeps, p):
     """A run whose odometry is done."""
-    settings = {"ground.seed_radius": 3.0, **{f"dynamics.{k}": v for k, v in FEW_VOTES.items()}}
-    run = RunFolder.create(path, {}, Parameters.model_validate(parameters("default", settings)))
+    run = RunFolder.create(path, {}, p)
     for i, points in enumerate(sweeps):
         record = FrameRecord(points, np.arange(len(points), dtype=np.uint32), f"{i:06d}",
                              len(points), {"odometry": "exact"})  # fmt: skip
@@ -59,18 +69,68 @@ def folder_of(path, trajectory, sweeps):
     return run
 
 
-def test_a_run_gives_the_labels_of_the_drive_in_memory_and_goes_on(street, tmp_path, monkeypatch):
-    trajectory, sweeps, _ = street
-    run = folder_of(tmp_path / "run", trajectory, sweeps)
-    run_classify(run, threads=1)
-    labels = classify_drive(sweeps, Trajectory(trajectory.times, run.trajectory().poses),
-                            run.parameters.dynamics)  # fmt: skip
+def assert_same_labels(run, labels):
     for i, label in enumerate(labels):
-        np.testing.assert_array_equal(run.frame(i).classid, label.classid)
+        frame = run.frame(i)
+        np.testing.assert_array_equal(frame.classid, label.classid)
+        np.testing.assert_array_equal(frame.votes_static, label.votes.static)
+        np.testing.assert_array_equal(frame.votes_dynamic, label.votes.dynamic)
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_a_run_gives_the_labels_of_the_drive_in_memory(yard, preset, tmp_path):
+    """With the parameters that were given, those of the ground included."""
+    trajectory, sweeps, what = yard
+    p = parameters(preset, {"ground.seed_radius": 3.0, "ground.plane_distance": 0.06})
+    run = folder_of(tmp_path / "run", trajectory, sweeps, p)
+    run_classify(run)
+    drive = sweeps, run.trajectory()
+    labels = classify_drive(*drive, p)
+    assert_same_labels(run, labels)
+    assert sum((label.classid == 0)[w == 0].sum() for label, w in zip(labels, what, strict=True))
+    assert not list(run.path.glob(".*"))
+    given = classify_drive(*drive, p, ground=grow_ground(*drive, p))
+    assert_same_labels(run, given)
+    steps = []
+    other = parameters(preset, {"ground.seed_radius": 3.0, "ground.plane_distance": 0.01})
+    changed = classify_drive(*drive, other, progress=lambda *step: steps.append(step), threads=1)
+    assert any((a.classid != b.classid).any() for a, b in zip(labels, changed, strict=True))
+    assert {step for step, _, _ in steps} == {"ground", "classify"}
+    for step in ("ground", "classify"):
+        done = [done for name, done, total in steps if name == step and total == len(sweeps)]
+        assert done == sorted(done)
+        assert done[-1] == len(sweeps)
+
+
+def test_the_rig_of_a_sweep_is_used(yard):
+    trajectory, sweeps, what = yard
+    shifted = [
+        Sweep(points, f"{i}", int(trajectory.times[i]), sensor_rig=SensorRig.single((1, 0, 0), n))
+        for i, (points, n) in enumerate((sweep, len(sweep)) for sweep in sweeps)
+    ]
+    ground = [w == 0 for w in what]
+    labels, plain = (classify_drive(s, trajectory, ground=ground) for s in (shifted, sweeps))
+    assert any((a.votes.static != b.votes.static).any() for a, b in zip(labels, plain, strict=True))
+    # Ego motion within a sweep is the business of rendering.
+    moving = [
+        replace(s, sensor_rig=s.sensor_rig.with_ego_motion((9, 0, 0), np.full(len(s.points), 0.1)))
+        for s in shifted
+    ]
+    for a, b in zip(labels, classify_drive(moving, trajectory, ground=ground), strict=True):
+        np.testing.assert_array_equal(a.votes.static, b.votes.static)
+        np.testing.assert_array_equal(a.classid, b.classid)
+
+
+def test_an_interrupted_run_goes_on_and_ends_the_same(street, few_votes, tmp_path, monkeypatch):
+    trajectory, sweeps, _ = street
+    p = parameters("default", few_votes)
+    run = folder_of(tmp_path / "run", trajectory, sweeps, p)
+    run_classify(run, threads=1)
+    assert_same_labels(run, classify_drive(sweeps, run.trajectory(), p))
     assert not (run.path / ".objects").exists()
 
-    again = folder_of(tmp_path / "again", trajectory, sweeps)
-    # One file of ground comes first; then while it votes, and while evidence is carried.
+    again = folder_of(tmp_path / "again", trajectory, sweeps, p)
+    # One file of ground comes first; then while it votes, and while it adds tracks.
     for name, times in (("_write_arrays", 8), ("_write_arrays", 3), ("_write_classified", 7)):
         whole, left = getattr(stage, name), iter(range(times))
 

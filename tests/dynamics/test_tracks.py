@@ -3,13 +3,18 @@
 import numpy as np
 import pytest
 from tracks_reference import moving_cubes as reference_cubes
-from tracks_reference import track_objects as reference_follow
+from tracks_reference import track_objects as reference_tracks
 
-from docdepth.config import DynamicsParameters, parameters
-from docdepth.dynamics.tracking import Detections, TrackingResult, apply_tracks, track_objects
+from docdepth.dynamics.tracking import (
+    TRACK_PARAMETERS,
+    Detections,
+    TrackingResult,
+    apply_tracks,
+    track_objects,
+)
+from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 
-DEFAULT = parameters("default").dynamics
 CAR, PERSON, POLE, WALL = (4.2, 1.8, 1.5), (0.6, 0.6, 1.7), (0.3, 0.3, 2.0), (12.0, 0.3, 2.5)
 
 
@@ -65,10 +70,10 @@ def sightings_of(things, count, seed=0, joined=None):
     return detections, rows
 
 
-def carried(things, count, p=DEFAULT, **more):
+def carried(things, count, **more):
     """For each thing the sweeps in which it is dynamic only because of other times."""
     detections, rows = sightings_of(things, count, **more)
-    found = track_objects(detections, np.arange(count) * 100_000_000, p)
+    found = track_objects(detections, np.arange(count) * 100_000_000)
     return [
         [i for i in range(count) if k in rows[i] and rows[i][k] in found[i].objects]
         for k in range(len(things))
@@ -162,24 +167,24 @@ def test_two_dynamic_sweeps_are_no_track():
     assert carried([Thing(CAR, passes(4), range(10, 12))], 20) == [[]]
 
 
-def test_what_is_lost_on_its_way_is_where_its_way_leads():
+def test_an_object_that_is_lost_is_where_its_motion_predicts_it(monkeypatch):
     """Too few points, or a wall taken for a part of it: no object of those sweeps is the car."""
     at, lost = passes(4), {0, 1, 7, 8, 9, 27}
     car = Thing(CAR, lambda i: None if i in lost else at(i), set(range(28)) - lost)
-    found = track_objects(sightings_of([car], 28)[0], np.arange(28) * 100_000_000, DEFAULT)
+    found = track_objects(sightings_of([car], 28)[0], np.arange(28) * 100_000_000)
     for i in lost:
         for box in found[i].boxes:
             np.testing.assert_allclose(0.5 * (box[:2] + box[3:5]), at(i), atol=0.05)
             np.testing.assert_allclose(box[3:] - box[:3], CAR, atol=0.2)
         assert len(found[i].boxes) == 2  # forward and backward
-    off = DEFAULT.model_copy(update={"track_window": 0})
-    found = track_objects(sightings_of([car], 28)[0], np.arange(28) * 100_000_000, off)
+    monkeypatch.setattr(TRACK_PARAMETERS, "window", 0)
+    found = track_objects(sightings_of([car], 28)[0], np.arange(28) * 100_000_000)
     assert not any(len(sweep.boxes) for sweep in found)
 
 
 def test_what_stands_is_on_no_way():
     car = Thing(CAR, waits((15, 3), 20), range(50))
-    found = track_objects(sightings_of([car], 50)[0], np.arange(50) * 100_000_000, DEFAULT)
+    found = track_objects(sightings_of([car], 50)[0], np.arange(50) * 100_000_000)
     assert not any(len(sweep.boxes) for sweep in found[:18])
     assert all(len(sweep.boxes) for sweep in found[26:])
 
@@ -188,9 +193,7 @@ def test_who_is_taken_for_somebody_else_has_no_box_around_both():
     at = passes(3, 1.2, 5)
     first = Thing(PERSON, lambda i: at(i) if i < 3 else None, range(3), 0.1)
     second = Thing(PERSON, lambda i: (at(i)[0], 8) if i > 5 else None, range(6, 20), 0.1)
-    found = track_objects(
-        sightings_of([first, second], 20)[0], np.arange(20) * 100_000_000, DEFAULT
-    )
+    found = track_objects(sightings_of([first, second], 20)[0], np.arange(20) * 100_000_000)
     boxes = np.concatenate([sweep.boxes for sweep in found])
     assert len(boxes) >= 20
     assert (boxes[:, 3:] - boxes[:, :3] < 1.5 * np.array(PERSON) + 0.5).all()
@@ -205,7 +208,7 @@ def test_points_on_the_way_move_unless_votes_or_ground_speak_against_it():
     classid = np.array([50, 50, 50, 0, 50], np.uint16)
     alone = np.arange(5, dtype=np.uint32)
     found = TrackingResult(np.zeros(0, np.uint32), box)
-    classid = apply_tracks(points, alone, found, static, dynamic, classid, T, DEFAULT)
+    classid = apply_tracks(points, alone, Votes(static, dynamic), classid, found, T)
     assert list(classid) == [100, 100, 50, 0, 50]
 
 
@@ -219,12 +222,11 @@ def test_what_is_left_of_a_followed_object_stays_where_it_was_always_seen(always
     classid = np.where(rows < 40, 100, 50).astype(np.uint16)  # these move by their votes
     found = TrackingResult(np.array([0], np.uint32), np.zeros((0, 6), np.float32))
     whole = np.zeros(100, np.uint32)
-    carried = apply_tracks(points, whole, found, static, dynamic, classid, np.eye(4), DEFAULT)
+    votes = Votes(static, dynamic)
+    carried = apply_tracks(points, whole, votes, classid, found, np.eye(4))
     assert (carried[:40] == 100).all()
     assert (carried[40:] == (100 if moves else 50)).all()
-    waits = apply_tracks(
-        points, whole, found, static, dynamic, (whole + 50).astype(np.uint16), np.eye(4), DEFAULT
-    )
+    waits = apply_tracks(points, whole, votes, (whole + 50).astype(np.uint16), found, np.eye(4))
     assert (waits == 100).all()  # none of it moves now: it is known from another time
 
 
@@ -312,21 +314,22 @@ def random_things(rng, count):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_followed_objects_equal_the_reference(seed):
+def test_tracked_objects_equal_the_reference(seed, monkeypatch):
     rng = np.random.default_rng(seed)
     pairs = [pair for pair in np.sort(rng.integers(0, 12, (3, 2)), 1).tolist() if pair[0] < pair[1]]
     joined = {tuple(pair): range(rng.integers(0, 20), 25) for pair in pairs}
     detections, _ = sightings_of(random_things(rng, 30), 30, seed, joined)
-    p = DynamicsParameters(track_gap=0.3, track_hold=1.0)
+    monkeypatch.setattr(TRACK_PARAMETERS, "gap", 0.3)
+    monkeypatch.setattr(TRACK_PARAMETERS, "hold", 1.0)
     times = np.arange(30) * 100_000_000
-    found = [track_objects(detections, times, p, threads) for threads in (1, 2)]
+    found = [track_objects(detections, times, threads) for threads in (1, 2)]
     again = [Detections.of(seen.arrays) for seen in detections]
-    expected = reference_follow([seen.arrays for seen in detections], times * 1e-9, p)
+    expected = reference_tracks(
+        [seen.arrays for seen in detections], times * 1e-9, max_gap=0.3, max_gap_standing=1.0
+    )
     assert sum(len(rows) for rows, _ in expected) > 10
     assert sum(len(boxes) for _, boxes in expected) > 50
-    for one, two, three, right in zip(
-        *found, track_objects(again, times, p), expected, strict=True
-    ):
+    for one, two, three, right in zip(*found, track_objects(again, times), expected, strict=True):
         for result in (one, two, three):
             np.testing.assert_array_equal(result.objects, right[0])
             np.testing.assert_allclose(result.boxes, right[1], atol=1e-4)
@@ -346,12 +349,12 @@ def test_a_few_points_where_sweeps_near_in_time_saw_somebody_walk_are_of_him():
     hedge = Thing((1.6, 0.6, 1.7), motion_corrected(9.5, 3.4), step=0.1)
     for things, moves in (((walker,), True), ((walker, hedge), False)):
         detections, _ = sightings_of(things, 30)
-        found = track_objects(detections, np.arange(30) * 100_000_000, DEFAULT)[15]
+        found = track_objects(detections, np.arange(30) * 100_000_000)[15]
         few = np.float32([(9.5, 3.0, 0.5), (9.5, 3.0, 1.4), (14.0, 3.0, 0.5)])
         place = TrackingResult(np.zeros(0, np.uint32), np.zeros((0, 6), np.float32), found.cubes)
         none, alone = np.zeros(3, np.uint16), np.arange(3, dtype=np.uint32)
         static = np.uint16([0, 3, 0])  # many more say that it stands
-        classid = apply_tracks(few, alone, place, static, none, none + 50, np.eye(4), DEFAULT)
+        classid = apply_tracks(few, alone, Votes(static, none), none + 50, place, np.eye(4))
         assert list(classid) == [100 if moves else 50, 50, 50]
 
 

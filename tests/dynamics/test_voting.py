@@ -8,7 +8,8 @@ import pytest
 from dynamics_reference import reference_vote
 
 from docdepth import _core
-from docdepth.config import DynamicsParameters, SurfaceParameters, parameters
+from docdepth.config import DynamicsParameters, parameters
+from docdepth.dynamics import key_frames as key_frame_module
 from docdepth.dynamics.classifier import classify_drive
 from docdepth.dynamics.key_frames import key_frames
 from docdepth.dynamics.voting import KeyFrame, vote
@@ -29,9 +30,11 @@ def test_key_frames_are_near_along_the_path_and_never_the_sweep_itself():
     assert all(i not in frames and (np.diff(frames) > 0).all() for i, frames in enumerate(chosen))
 
 
-def test_a_crawling_ego_has_a_key_frame_a_second_and_the_ends_more():
-    p = DynamicsParameters(time_spacing=1, time_radius=4, end_spacing=0.2, end_radius=0.5)
-    chosen = key_frames(straight(101, 0.01), p)
+def test_a_crawling_ego_has_a_key_frame_a_second_and_the_ends_more(monkeypatch):
+    monkeypatch.setattr(key_frame_module, "TIME_RADIUS", 4)
+    monkeypatch.setattr(key_frame_module, "END_SPACING", 0.2)
+    monkeypatch.setattr(key_frame_module, "END_RADIUS", 0.5)
+    chosen = key_frames(straight(101, 0.01), DynamicsParameters(time_spacing=1))
     assert list(chosen[50]) == [0, 10, 20, 30, 40, 60, 70, 80, 90, 100]
     assert list(chosen[55]) == [0, 20, 30, 40, 50, 60, 70, 80, 90, 100]
     assert {96, 98, 100} < set(chosen[95])
@@ -49,14 +52,14 @@ def test_standing_adds_one_key_frame_to_the_letter():
 
 @pytest.mark.parametrize("window", [1, 3, 5, 7, 11])
 @pytest.mark.parametrize("resolution_deg", [0.2, 0.35, 1.0])
-@pytest.mark.parametrize("against", ["pixels", "surface"])
-def test_votes_equal_the_reference_in_the_yard(yard, against, window, resolution_deg):
+@pytest.mark.parametrize("vote_model", ["range_image", "surface"])
+def test_votes_equal_the_reference_in_the_yard(yard, vote_model, window, resolution_deg):
     trajectory, sweeps, what = yard
-    p = DynamicsParameters(against=against, window=window, resolution_deg=resolution_deg)
+    p = DynamicsParameters(vote_model=vote_model, window=window, resolution_deg=resolution_deg)
     ground = [w == 0 for w in what]
     keys = [0, 3, 7, 11]
     frames = [KeyFrame(sweeps[k], ground[k], p) for k in keys]
-    votes = vote(sweeps[5], ground[5], trajectory.poses[5], frames, trajectory.poses[keys], p)
+    votes = vote(sweeps[5], ground[5], trajectory.poses[5], frames, trajectory.poses[keys])
     expected = reference_vote(
         sweeps[5], ground[5], trajectory.poses[5], [sweeps[k] for k in keys],
         [ground[k] for k in keys], trajectory.poses[keys], p,
@@ -67,8 +70,8 @@ def test_votes_equal_the_reference_in_the_yard(yard, against, window, resolution
     assert votes.dynamic.any()
 
 
-@pytest.mark.parametrize("against", ["pixels", "surface"])
-def test_votes_equal_the_reference_on_noise(against):
+@pytest.mark.parametrize("vote_model", ["range_image", "surface"])
+def test_votes_equal_the_reference_on_noise(vote_model):
     """Returns in all directions at ranges near the tolerance: every branch of the algorithm."""
     rng = np.random.default_rng(1)
     T_query, T_key = pose(0.3, -0.2, 0.1), pose(-0.1, 0.4, -2.0)
@@ -77,9 +80,9 @@ def test_votes_equal_the_reference_on_noise(against):
         for cloud in (sweep, query):
             cloud *= rng.uniform(2, 3.2, (n, 1)) / np.linalg.norm(cloud, axis=1, keepdims=True)
         ground, query_ground = rng.random((2, n)) < 0.3
-        p = DynamicsParameters(against=against, resolution_deg=1.0)
+        p = DynamicsParameters(vote_model=vote_model, resolution_deg=1.0)
         votes = vote(
-            query, query_ground, T_query, [KeyFrame(sweep, ground, p)], T_key[None], p, threads=2
+            query, query_ground, T_query, [KeyFrame(sweep, ground, p)], T_key[None], threads=2
         )
         expected = reference_vote(query, query_ground, T_query, [sweep], [ground], T_key[None], p)
         np.testing.assert_array_equal(votes.static, expected[0])
@@ -93,11 +96,11 @@ def test_rows_that_are_no_returns_get_no_vote(yard, p):
     bad[::7], bad[1::7], bad[2::7] = np.nan, 0, np.inf
     bad[3::7] = 3e19  # whose range overflows
     key = KeyFrame(bad, what[0] == 0, p)
-    assert vote(bad, what[0] == 0, np.eye(4), [key], np.eye(4)[None], p).static[::7].max() == 0
+    assert vote(bad, what[0] == 0, np.eye(4), [key], np.eye(4)[None]).static[::7].max() == 0
     keep = np.isin(np.arange(len(bad)) % 7, [4, 5, 6])
     clean = KeyFrame(bad[keep], (what[0] == 0)[keep], p)
     votes, expected = (
-        vote(sweeps[1], what[1] == 0, trajectory.poses[1], [k], trajectory.poses[:1], p)
+        vote(sweeps[1], what[1] == 0, trajectory.poses[1], [k], trajectory.poses[:1])
         for k in (key, clean)
     )
     np.testing.assert_array_equal(votes.static, expected.static)
@@ -112,15 +115,17 @@ def test_nothing_to_ask_and_nobody_to_ask():
     assert vote(point, flag, np.eye(4), [], np.zeros((0, 4, 4))).dynamic == [0]
 
 
-def test_the_surface_of_a_run_is_the_one_that_votes() -> None:
-    """A surface of tiny triangles only has no plane to look through."""
+def test_a_key_frame_votes_with_the_mesh_that_it_is_given() -> None:
+    """A mesh of tiny triangles only has no plane to look through."""
     sweep = np.array([[10, y, z] for y in np.arange(-2, 2, 0.2) for z in np.arange(-1, 1, 0.2)])
     wall = np.ascontiguousarray(sweep, np.float32)
     query = np.ascontiguousarray(0.5 * (wall + [0, 0.1, 0.1]), np.float32)
     none = np.zeros(len(wall), bool)
+    tiny = _core.MeshParameters()
+    tiny.max_gap = float(np.radians(0.1))
     votes = [
-        vote(query, none, np.eye(4), [KeyFrame(wall, none, None, surface)], np.eye(4)[None])
-        for surface in (None, ScanMesh(wall, SurfaceParameters(max_gap_deg=0.1)))
+        vote(query, none, np.eye(4), [KeyFrame(wall, none, None, mesh)], np.eye(4)[None])
+        for mesh in (None, ScanMesh(wall, parameters=tiny))
     ]
     assert votes[0].dynamic.mean() > 0.5
     assert votes[1].dynamic.sum() == 0
@@ -149,7 +154,7 @@ def test_votes_equal_the_reference_on_real_sweeps(p):
     sweeps, poses = zip(*(real_sweep(k) for k in (30, 20, 34, 60)), strict=True)
     ground = [sweep[:, 2] < -1.5 for sweep in sweeps]
     frames = [KeyFrame(s, g, p) for s, g in zip(sweeps[1:], ground[1:], strict=True)]
-    votes = vote(sweeps[0], ground[0], poses[0], frames, np.stack(poses[1:]), p)
+    votes = vote(sweeps[0], ground[0], poses[0], frames, np.stack(poses[1:]))
     expected = reference_vote(sweeps[0], ground[0], poses[0], sweeps[1:], ground[1:], poses[1:], p)
     np.testing.assert_array_equal(votes.static, expected[0])
     np.testing.assert_array_equal(votes.dynamic, expected[1])

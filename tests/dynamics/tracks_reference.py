@@ -1,18 +1,25 @@
 """Objects followed over time in plain numpy, float32, each operation as the core does it."""
 
 from itertools import compress
+from types import SimpleNamespace
 
 import numpy as np
 
 F = np.float32
 ZERO = np.zeros(3, F)
 
+TRACKS = {
+    "min_detections": 3, "min_distance": 1.0, "max_speed": 40.0, "max_gap": 1.0,
+    "max_gap_standing": 5.0, "window": 0.3,
+}  # fmt: skip
 
-def track_objects(detections, times, p):
-    """For each sweep the first rows of what moves at another time, and boxes on their way.
 
-    Sightings are given as arrays.
+def track_objects(detections, times, **others):
+    """For each sweep the first rows of what moves at another time, and boxes where it is predicted.
+
+    Detections are given as arrays.
     """
+    p = SimpleNamespace(**TRACKS | others)
     detections = [objects_of(*arrays) for arrays in detections]
     found, boxes = [set() for _ in detections], [[] for _ in detections]
     for order in (range(len(detections)), range(len(detections) - 1, -1, -1)):
@@ -66,7 +73,7 @@ def tracks_of(detections, times, order, p):
         alive.sort(key=lambda track: -len(track["members"]))
         for track in alive:
             dt = times[sweep] - track["time"]
-            reach = F(p.track_speed) * F(abs(dt))
+            reach = F(p.max_speed) * F(abs(dt))
             best = (0, None)
             for shape in (track["places"], track["last"]):
                 if best[0]:
@@ -90,8 +97,8 @@ def tracks_of(detections, times, order, p):
 
 def patience(track, p):
     stands = len(track["members"]) > 1 and norm(track["velocity"]) < F(0.5)
-    known = sum(member[2] for member in track["members"]) >= p.track_sightings
-    return (p.track_hold if stands and known else p.track_gap) + 1e-3
+    known = sum(member[2] for member in track["members"]) >= p.min_detections
+    return (p.max_gap_standing if stands and known else p.max_gap) + 1e-3
 
 
 def ray_origins(track, shape, seen, free, dt, reach):
@@ -167,9 +174,9 @@ def moved(track, p):
     first, last, last_moving = (
         F(0.5) * (m[3] + m[4]) for m in (members[0], members[-1], moving[-1])
     )
-    far = norm(last - first, 2) >= F(p.track_distance)
-    by_votes = norm(last_moving - first, 2) >= F(0.3) * F(p.track_distance)
-    return far and by_votes and len(moving) >= p.track_sightings
+    far = norm(last - first, 2) >= F(p.min_distance)
+    by_votes = norm(last_moving - first, 2) >= F(0.3) * F(p.min_distance)
+    return far and by_votes and len(moving) >= p.min_detections
 
 
 def way_of(track, detections, times, p):
@@ -191,7 +198,7 @@ def way_of(track, detections, times, p):
         v, stands = velocity(t), norm(velocity(t), 2) < F(0.5)
         far = abs(seen - t)
         first = far.argmin()
-        near = far <= p.track_window * (3 if stands else 1) + 1e-3
+        near = far <= p.window * (3 if stands else 1) + 1e-3
         near[first] = True
         shift = [v * F(0 if stands else t - other) for other in seen]
         low = np.array([m[3] + s for m, s in zip(members, shift, strict=True)])
@@ -222,7 +229,7 @@ def way_of(track, detections, times, p):
     for sweep, t in enumerate(times):
         nearest = min(max(t, seen[0]), seen[-1])
         holds = norm(velocity(nearest), 2) < F(0.5)
-        if abs(t - nearest) > (p.track_hold if holds else p.track_gap) + 1e-3:
+        if abs(t - nearest) > (p.max_gap_standing if holds else p.max_gap) + 1e-3:
             continue
         speed, (low, high) = norm(velocity(t), 2), box(t)
         own = [k for m in members if m[0] == sweep for k in m[1]]

@@ -1,4 +1,4 @@
-"""Surfaces of sweeps against scipy's Delaunay, exact scenes and a real drive."""
+"""Meshes of sweeps against scipy's Delaunay, exact scenes and a real drive."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
-from docdepth.config import SurfaceParameters
+from docdepth import _core
 from docdepth.errors import InputError
 from docdepth.geometry.scan_mesh import ScanMesh
 
@@ -50,13 +50,14 @@ def signed_area(a: NDArray, b: NDArray, c: NDArray) -> NDArray:
     return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
 
 
-ALL_GAPS = SurfaceParameters(max_gap_deg=89.0)
+ALL_GAPS = _core.MeshParameters()
+ALL_GAPS.max_gap = float(np.radians(89.0))
 
 
 @pytest.mark.parametrize("make", [ring_rays, rosette_rays, scatter_rays])
 def test_it_is_the_delaunay_triangulation(make: Callable[[], NDArray]) -> None:
     points = (make() * 10).astype(np.float32)
-    surface = ScanMesh(points, ALL_GAPS)
+    mesh = ScanMesh(points, parameters=ALL_GAPS)
     q = units(points)
     # Repeat the cylinder on both sides, triangulate the plane, keep one copy of every triangle.
     copies = np.concatenate([q, q - np.array([65536, 0]), q + np.array([65536, 0])])
@@ -90,8 +91,8 @@ def test_it_is_the_delaunay_triangulation(make: Callable[[], NDArray]) -> None:
     low, high = copies.min(axis=0), copies.max(axis=0)
     inner &= ((center - radius[:, None] > low) & (center + radius[:, None] < high)).all(axis=1)
     theirs = set(map(tuple, np.sort(number[reference.simplices[inner]], 1).tolist()))
-    ours = set(map(tuple, np.sort(surface.triangles, 1).tolist()))
-    assert len(ours) == len(surface.triangles)
+    ours = set(map(tuple, np.sort(mesh.triangles, 1).tolist()))
+    assert len(ours) == len(mesh.triangles)
     missing = theirs - ours
     # A missing triangle has a fourth return on its circle, exactly.
     for triangle in list(missing)[:200]:
@@ -122,7 +123,7 @@ def has_fourth_on_circle(q: NDArray, triangle: tuple[int, int, int]) -> bool:
 @pytest.mark.parametrize("make", [ring_rays, rosette_rays, scatter_rays])
 def test_triangles_tile_what_was_seen(make: Callable[[], NDArray]) -> None:
     points = (make() * 10).astype(np.float32)
-    triangles = ScanMesh(points, ALL_GAPS).triangles
+    triangles = ScanMesh(points, parameters=ALL_GAPS).triangles
     q = units(points)
     corners = q[triangles]
     for i in (1, 2):  # unroll at the seam
@@ -168,14 +169,14 @@ def test_box_before_a_wall_is_cut_out(rings: int) -> None:
     seen = ranges < 80.0
     points = (directions * ranges[:, None])[seen].astype(np.float32)
     what = what[seen]
-    surface = ScanMesh(points)
-    kinds = what[surface.triangles]
+    mesh = ScanMesh(points)
+    kinds = what[mesh.triangles]
     one = (kinds == kinds[:, :1]).all(axis=1)
     box_and_behind = (kinds == 2).any(axis=1) & (kinds != 2).any(axis=1)
-    change = np.ptp(np.linalg.norm(points[surface.triangles], axis=2), axis=1)
-    assert surface.cut[box_and_behind & (change > 2.0)].all()
-    assert surface.cut[one].mean() < 0.002, "planes stay whole, however grazing"
-    assert not surface.cut[one & (kinds[:, 0] == 2)].any()
+    change = np.ptp(np.linalg.norm(points[mesh.triangles], axis=2), axis=1)
+    assert mesh.discontinuity[box_and_behind & (change > 2.0)].all()
+    assert mesh.discontinuity[one].mean() < 0.002, "planes stay whole, however grazing"
+    assert not mesh.discontinuity[one & (kinds[:, 0] == 2)].any()
 
 
 @pytest.mark.parametrize("rings", [32, 64])
@@ -187,11 +188,11 @@ def test_nothing_joins_thin_posts_to_the_wall_behind(rings: int) -> None:
     for width in (0.2, 0.38):
         post = (np.abs((azimuth + 5) % 10 - 5) < width / 2) & (np.abs(azimuth) < 40)
         ranges = np.where(post, 4.0, 9.0) + noise
-        surface = ScanMesh((directions * ranges[:, None]).astype(np.float32))
-        kinds = post[surface.triangles]
+        mesh = ScanMesh((directions * ranges[:, None]).astype(np.float32))
+        kinds = post[mesh.triangles]
         joined = kinds.any(axis=1) & ~kinds.all(axis=1)
         assert joined.sum() > 500
-        assert surface.cut[joined].all()
+        assert mesh.discontinuity[joined].all()
 
 
 def test_exact_range_between_returns() -> None:
@@ -199,9 +200,9 @@ def test_exact_range_between_returns() -> None:
     directions = ring_rays(16, 720, low=-20, high=-4)
     ground = np.array([0.05, -0.03, 1.0]) / np.linalg.norm([0.05, -0.03, 1.0])
     points = (directions * (-1.7 / (directions @ ground))[:, None]).astype(np.float32)
-    surface = ScanMesh(points)
-    assert surface.cut.mean() < 0.002
-    a, b, c = (points[surface.triangles[:, i]].astype(np.float64) for i in range(3))
+    mesh = ScanMesh(points)
+    assert mesh.discontinuity.mean() < 0.002
+    a, b, c = (points[mesh.triangles[:, i]].astype(np.float64) for i in range(3))
     normal = np.cross(b - a, c - a)
     middle = (a / np.linalg.norm(a, axis=1)[:, None] + b / np.linalg.norm(b, axis=1)[:, None]) / 2
     middle /= np.linalg.norm(middle, axis=1)[:, None]
@@ -215,11 +216,11 @@ def test_sphere_is_whole_and_its_rim_is_cut() -> None:
     along = directions @ center
     inside = along**2 - (center @ center - radius**2)
     ranges = np.where(inside > 0, along - np.sqrt(np.maximum(inside, 0)), 30.0)
-    surface = ScanMesh((directions * ranges[:, None]).astype(np.float32))
-    on = (inside > 0)[surface.triangles]
-    steep = (inside < 0.8)[surface.triangles].any(axis=1)  # within a few degrees of tangent
-    assert not surface.cut[on.all(axis=1) & ~steep].any()
-    assert surface.cut[on.any(axis=1) & ~on.all(axis=1)].all()
+    mesh = ScanMesh((directions * ranges[:, None]).astype(np.float32))
+    on = (inside > 0)[mesh.triangles]
+    steep = (inside < 0.8)[mesh.triangles].any(axis=1)  # within a few degrees of tangent
+    assert not mesh.discontinuity[on.all(axis=1) & ~steep].any()
+    assert mesh.discontinuity[on.any(axis=1) & ~on.all(axis=1)].all()
 
 
 def test_wide_gaps_are_not_bridged() -> None:
@@ -234,25 +235,25 @@ def test_wide_gaps_are_not_bridged() -> None:
 def test_loose_returns_are_those_without_an_uncut_triangle() -> None:
     random = np.random.default_rng(5)
     points = (scatter_rays() * random.uniform(3, 60, 5000)[:, None]).astype(np.float32)
-    surface = ScanMesh(points)
-    used = np.unique(surface.triangles[~surface.cut])
-    np.testing.assert_array_equal(surface.loose, np.setdiff1d(np.arange(len(points)), used))
+    mesh = ScanMesh(points)
+    used = np.unique(mesh.triangles[~mesh.discontinuity])
+    np.testing.assert_array_equal(mesh.isolated, np.setdiff1d(np.arange(len(points)), used))
 
 
 def test_returns_in_one_direction() -> None:
     points = np.repeat((ring_rays(8, 60) * 10).astype(np.float32), 3, axis=0)
     points[1::3] *= 2
-    surface = ScanMesh(points, ALL_GAPS)
-    assert (surface.triangles % 3 == 0).all(), "the first of equal directions takes part"
-    assert len(surface.loose) == 2 * 480
+    mesh = ScanMesh(points, parameters=ALL_GAPS)
+    assert (mesh.triangles % 3 == 0).all(), "the first of equal directions takes part"
+    assert len(mesh.isolated) == 2 * 480
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3])
 def test_few_points(count: int) -> None:
     points = np.array([[5, 0, 0], [5, 0.1, 0], [5, 0, 0.1]], dtype=np.float32)[:count]
-    surface = ScanMesh(points)
-    assert len(surface.triangles) == (count == 3)
-    assert len(surface.loose) == (0 if count == 3 else count)
+    mesh = ScanMesh(points)
+    assert len(mesh.triangles) == (count == 3)
+    assert len(mesh.isolated) == (0 if count == 3 else count)
 
 
 def test_points_at_the_origin_and_straight_up_take_no_harm() -> None:
@@ -260,9 +261,9 @@ def test_points_at_the_origin_and_straight_up_take_no_harm() -> None:
     points[::7] = 0
     points[1] = (0, 0, 5)
     points[2] = (0, 0, -5)
-    surface = ScanMesh(points, ALL_GAPS)
-    assert not np.isin(np.arange(0, len(points), 7), surface.triangles).any()
-    assert not np.isin(surface.loose, np.arange(0, len(points), 7)).any()
+    mesh = ScanMesh(points, parameters=ALL_GAPS)
+    assert not np.isin(np.arange(0, len(points), 7), mesh.triangles).any()
+    assert not np.isin(mesh.isolated, np.arange(0, len(points), 7)).any()
 
 
 @pytest.mark.parametrize(
@@ -283,7 +284,7 @@ def test_real_sweep_is_covered() -> None:
         pytest.skip("DOCDEPTH_KITTI_RAW is not set")
     drive = Path(root, "2011_09_26", "2011_09_26_drive_0005_sync", "velodyne_points", "data")
     points = np.fromfile(drive / "0000000050.bin", dtype=np.float32).reshape(-1, 4)[:, :3].copy()
-    surface = ScanMesh(points)
-    assert len(surface.triangles) > 1.9 * len(points)
-    assert len(surface.loose) < 0.04 * len(points)
-    assert surface.cut.mean() < 0.2
+    mesh = ScanMesh(points)
+    assert len(mesh.triangles) > 1.9 * len(points)
+    assert len(mesh.isolated) < 0.04 * len(points)
+    assert mesh.discontinuity.mean() < 0.2

@@ -181,10 +181,10 @@ def grid(x, width, height):
     return np.stack([np.full(y.size, x), y.ravel(), z.ravel()], axis=1).astype(np.float32)
 
 
-@pytest.mark.parametrize("against", ["pixels", "surface"])
-def test_each_answers_for_itself(against):
+@pytest.mark.parametrize("vote_model", ["range_image", "surface"])
+def test_each_votes_for_itself(vote_model):
     """The second LiDAR stands behind the wall that the first one sees, and looks farther on."""
-    p = parameters(settings={"dynamics.against": against}).dynamics
+    p = parameters(settings={"dynamics.vote_model": vote_model}).dynamics
     ahead = pose(6, 0, 0)
     near, far = grid(5, 2, 1), grid(12, 3, 1.5)
     points = np.concatenate([near, far])
@@ -194,11 +194,11 @@ def test_each_answers_for_itself(against):
     asked = np.float32([[4, 0.1, 0.1], [5, 0.3, 0], [9, 0.1, 0.1], [12, 0.4, 0.2], [14, 0, 0.1]])
     frame = voting.KeyFrame(points, np.zeros(len(points), bool), p, None, sensor_rig)
     ground = np.zeros(len(asked), bool)
-    votes = voting.vote(asked, ground, np.eye(4), [frame], np.eye(4)[None], p)
+    votes = voting.vote(asked, ground, np.eye(4), [frame], np.eye(4)[None])
     assert votes.dynamic.tolist() == [1, 0, 1, 0, 0]
     assert votes.static.tolist() == [0, 1, 0, 1, 0]
     as_one = voting.KeyFrame(points, np.zeros(len(points), bool), p)
-    votes = voting.vote(asked, ground, np.eye(4), [as_one], np.eye(4)[None], p)
+    votes = voting.vote(asked, ground, np.eye(4), [as_one], np.eye(4)[None])
     assert votes.dynamic[2] == 0  # hidden by the wall
 
 

@@ -98,7 +98,8 @@ def label_sweeps(sweeps, poses, p):
     while True:
         seeds = [seed(points, T[:3, 3] - origin, radius, p.seed_quantile) for T in poses]
         ground = grow(points, seeds, p.neighbors, p.plane_distance, p.max_slope_deg)
-        if ground.sum() >= p.least_share * len(points) or radius >= 16:
+        widens = p.seed_quantile > 0 and ground.sum() < 0.01 * len(points)
+        if not widens or radius >= 16:
             break
         radius *= 2
     while p.step_height and (seeds := behind_steps(points, ground, p)):

@@ -99,7 +99,7 @@ def test_phantoms_of_a_sensor_are_found():
 
 def test_phantoms_take_no_part_in_a_run(tmp_path):
     folder = write_drive(tmp_path, frames=3, seed=3, blooming_deg=BLOOM, images=False)
-    settings = {"odometry.blooming_deg": BLOOM, "dynamics.end_radius": 0}
+    settings = {"odometry.blooming_deg": BLOOM, "dynamics.time_spacing": 0}
     dataset = open_dataset(folder)
     run = RunFolder.create(tmp_path / "run", {}, parameters("default", settings))
     run_odometry(run, dataset, dataset.poses)

@@ -12,6 +12,7 @@ import pytest
 
 from command_line import cli
 from docdepth.datasets import open_dataset
+from docdepth.dynamics import voting
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import classify as classes
@@ -81,20 +82,20 @@ def test_interrupted_run_goes_on_and_ends_the_same(drive, finished, tmp_path, mo
 def test_votes_are_kept_when_only_their_use_changes(finished, tmp_path, monkeypatch):
     kept, again = tmp_path / "kept", tmp_path / "again"
     asked = []
-    vote = classes.voting.vote
+    vote = voting.vote
 
     def counted(*arguments, **named):
         asked.append(1)
         return vote(*arguments, **named)
 
-    monkeypatch.setattr(classes.voting, "vote", counted)
+    monkeypatch.setattr(voting, "vote", counted)
     for run in (kept, again):
         shutil.copytree(finished[0], run)
-    assert cli("classify", kept, "--set", "dynamics.object_share=0.05").exit_code == 0
+    assert cli("classify", kept, "--set", "dynamics.evidence=objects").exit_code == 0
     assert not asked
     # The same from votes that are cast anew: a change there and back.
     assert cli("classify", again, "--set", "dynamics.tolerance=0.3").exit_code == 0
-    settings = ("--set", "dynamics.object_share=0.05", "--set", "dynamics.tolerance=0.2")
+    settings = ("--set", "dynamics.evidence=objects", "--set", "dynamics.tolerance=0.2")
     assert cli("classify", again, *settings).exit_code == 0
     assert len(asked) == 2 * FRAMES
     for path in sorted((kept / "frames").iterdir()):

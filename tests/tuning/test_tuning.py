@@ -13,13 +13,13 @@ from typer.testing import CliRunner
 from docdepth import pipeline
 from docdepth.cli import app
 from docdepth.config import Parameters, parameters
+from docdepth.datasets.base import Sweep
 from docdepth.dynamics import voting
 from docdepth.dynamics.classifier import classify_drive
 from docdepth.errors import ConfigError
 from docdepth.evaluation import LabelEvaluation
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.ground.growing import grow_ground
 from docdepth.io.frames import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.tuning import Outcome, Trial, grid, parse_axes, plot, read_trials, tune
@@ -89,11 +89,8 @@ def test_figures_are_those_of_the_stages_in_memory(drive, run, tmp_path) -> None
         parameters("paper", {"ground.voxel_size": 0.1}),
     ]
     for outcome, p in zip(outcomes, chosen, strict=True):
-        ground = grow_ground(points, truth.poses, p.ground)
-        sensor_rig = [seen_from(sweep) for sweep in points]
-        labels = classify_drive(
-            points, trajectory, p.dynamics, ground=ground, sensor_rig=sensor_rig
-        )
+        of_run = [Sweep(one, "", 0, sensor_rig=seen_from(one)) for one in points]
+        labels = classify_drive(of_run, trajectory, p)
         evaluation = LabelEvaluation()
         for one, label in zip(sweeps, labels, strict=True):
             evaluation.add(one.labels, label.classid >= 100, np.linalg.norm(one.points, axis=1))

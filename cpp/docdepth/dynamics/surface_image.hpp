@@ -25,7 +25,7 @@ struct MeshImageParameters {
   Margins upright{0.2f, 0.3f, 0.01f};
   Margins level{0.08f, 0.1f, 0.0f};  ///< of planes that lie flat, as ground does
   float ground_tolerance = 0.03f;    ///< `across` of these if point or plane is called ground [m]
-  float level_cosine = 0.9f;         ///< these are planes whose normal leans no more than that
+  float level_cosine = 0.906307787f;  ///< planes whose normal leans no more are level: 25 deg
   float max_ray_distance = 0.15f;    ///< what lies farther from a line of sight is not seen [m]
 };
 

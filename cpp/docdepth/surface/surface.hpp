@@ -10,7 +10,7 @@
 namespace docdepth {
 
 struct MeshParameters {
-  float max_gap = 0.07f;    ///< longest side of a triangle, seen from the sensor [rad]
+  float max_gap = 0.069813170f;  ///< longest side of a triangle, 4 deg from the sensor [rad]
   float jump_ratio = 4.0f;  ///< range difference over distance across the line of sight, of a jump
   float noise = 0.1f;       ///< smaller range differences are no jump [m]
   float flatness = 0.1f;    ///< returns that continue a plane this well are one surface [m]

@@ -113,7 +113,7 @@ def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
     """Repeat ground growing, voting and classification, with other parameters."""
     from docdepth.pipeline import run_classify
 
-    folder = reopen(run, changes_of(settings), "ground", "surface", "dynamics")
+    folder = reopen(run, changes_of(settings), "ground", "dynamics")
     with progress_bars() as progress:
         run_classify(folder, threads, progress)
     show_summary(folder)

@@ -1,223 +1,243 @@
-"""Which points move: classes from votes, of a sweep and of a drive (paper III-C2)."""
+"""Classify a drive: votes and classes of every sweep, then tracks (paper IV-B and IV-C)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.config import DynamicsParameters, SurfaceParameters
-from docdepth.dynamics.clustering import classify_objects, cluster_objects
-from docdepth.dynamics.key_frames import key_frames
-from docdepth.dynamics.tracking import (
-    Detections,
-    apply_tracks,
-    local_poses,
-    track_objects,
-    uses_tracking,
+from docdepth.concurrency import Watch, prefetch, thread_count, unwatched
+from docdepth.config import DynamicsParameters, Parameters
+from docdepth.dynamics.look_ahead import LookAhead
+from docdepth.dynamics.sweep_classifier import (
+    Evidence,
+    InputSweep,
+    Labels,
+    PreparedSweep,
+    SweepClassifier,
 )
-from docdepth.dynamics.voting import KeyFrame, Votes, vote
+from docdepth.dynamics.tracking import Detections
+from docdepth.dynamics.voting import KeyFrame
 from docdepth.errors import InputError
-from docdepth.geometry.points import DYNAMIC, GROUND, STATIC, check_sweep
-from docdepth.geometry.scan_mesh import ScanMesh
-from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.points import DeskewedSweep, points_of, rig_of
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.ground.growing import grow_ground
+
+_FILE_THREADS = 5
+"""Threads that read and write while they add tracks: most of them wait for the disk."""
 
 
-@dataclass(frozen=True)
-class Labels:
-    """Class and votes of every point of one sweep.
+class SweepStore(Protocol):
+    """Where a drive's sweeps come from and its labels go to: memory, or a run folder.
 
-    Attributes
-    ----------
-    classid : ndarray of uint16, shape (N,)
-        0 ground, 50 static, 100 dynamic.
-    votes : Votes
+    All methods but the first two are called from several threads.
     """
 
-    classid: NDArray[np.uint16]
-    votes: Votes
+    def is_classified(self, index: int) -> bool:
+        """Whether an earlier run left the evidence of this sweep, or its labels without tracks."""
+        ...
 
+    def has_votes(self, index: int) -> bool:
+        """Whether the sweep comes with votes."""
+        ...
 
-def classify(
-    ground: NDArray[np.bool_],
-    votes: Votes,
-    parameters: DynamicsParameters | None = None,
-    points: NDArray[np.float32] | None = None,
-    surface: ScanMesh | None = None,
-    objects: NDArray[np.uint32] | None = None,
-) -> NDArray[np.uint16]:
-    """Turn votes into classes: dynamic where more key frames say so than say static.
+    def read(self, index: int) -> InputSweep: ...
 
-    Ties and points without a vote are static. With ``points``, and unless the parameters say
-    otherwise, evidence is shared within connected objects: dynamic points that stand alone are
-    withdrawn, the other points of an object follow most of them, and an object that stands for a
-    while is dynamic when enough of its place was seen free at another time.
+    def keep(self, index: int, evidence: Evidence, detections: Detections) -> None:
+        """Keep what is needed of a sweep when tracks are known."""
+        ...
 
-    Parameters
-    ----------
-    ground : ndarray of bool, shape (N,)
-    votes : Votes
-    parameters : DynamicsParameters, optional
-    points : ndarray of float32, shape (N, 3), optional
-        The deskewed sweep, LiDAR frame, metres.
-    surface : Surface, optional
-        Of these points, which connects those of an object; made here when needed and left out.
-    objects : ndarray of uint32, shape (N,), optional
-        Of these points, from :func:`docdepth.dynamics.clustering.cluster_objects`; made here when
-        needed and left out.
+    def evidence(self, index: int) -> Evidence: ...
 
-    Returns
-    -------
-    ndarray of uint16, shape (N,)
-        0 ground, 50 static, 100 dynamic. Points of the ground are dynamic, too, where key frames
-        that vote by their surface say so.
+    def detections(self, index: int) -> Detections: ...
 
-    Raises
-    ------
-    InputError
-        A shape or dtype is wrong.
-    """
-    p = parameters or DynamicsParameters()
-    if p.objects and points is not None:
-        points, ground = check_sweep(points, ground)
-        surface = surface or ScanMesh(points)
-        if objects is None:
-            objects = cluster_objects(points, ground, surface, p)
-        dynamic = classify_objects(points, ground, objects, votes.static, votes.dynamic, surface, p)
-    else:
-        dynamic = votes.dynamic > votes.static
-    if p.against == "pixels":
-        dynamic &= ~ground
-    return np.where(dynamic, DYNAMIC, np.where(ground, GROUND, STATIC)).astype(np.uint16)
-
-
-def confidence(votes: Votes) -> NDArray[np.float32]:
-    """How sure the votes of each point are of its being static or dynamic, 0..1.
-
-    The share of dynamic votes by Laplace's rule is (d + 1) / (d + s + 2); its distance from one
-    half, doubled, is |d - s| / (d + s + 2). So it is 0 where nobody voted or votes are even, 1/3
-    after a single vote, 1/2 after two that agree, and 1 in the limit.
-
-    Parameters
-    ----------
-    votes : Votes
-        As a frame keeps them (``votes_static``, ``votes_dynamic``): thresholds on this need no
-        voting again. Points of the ground that nobody was asked about have no votes, thus 0.
-
-    Returns
-    -------
-    ndarray of float32, shape (N,)
-    """
-    static, dynamic = votes.static.astype(np.float32), votes.dynamic.astype(np.float32)
-    if static.shape != dynamic.shape:
-        raise InputError(
-            f"votes.static {static.shape} and votes.dynamic {dynamic.shape} differ in shape; "
-            "give both counts of the same points"
-        )
-    return np.asarray(np.abs(dynamic - static) / (dynamic + static + 2), np.float32)
+    def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
+        """Take the labels of a sweep."""
+        ...
 
 
 def classify_drive(
-    sweeps: Sequence[NDArray[np.float32]],
+    sweeps: Sequence[DeskewedSweep | NDArray[np.float32]],
     trajectory: Trajectory,
-    parameters: DynamicsParameters | None = None,
-    threads: int = 0,
+    parameters: Parameters | None = None,
     ground: Sequence[NDArray[np.bool_]] | None = None,
-    surface: SurfaceParameters | None = None,
-    sensor_rig: Sequence[SensorRig] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+    threads: int = 0,
 ) -> list[Labels]:
-    """Classify a drive that fits into memory.
+    """Classify the points of a drive: ground, static or dynamic.
 
     Parameters
     ----------
-    sweeps : sequence of ndarray of float32, shape (N, 3)
-        Deskewed sweeps, LiDAR frame, metres.
+    sweeps : sequence of Sweep, or of ndarray of float32, shape (N_i, 3)
+        Deskewed, LiDAR frame, metres. Items are taken from several threads, and several times.
     trajectory : Trajectory
         One pose a sweep.
-    parameters : DynamicsParameters, optional
+    parameters : Parameters, optional
+        Its ``ground`` and ``dynamics`` are used.
+    ground : sequence of ndarray of bool, shape (N_i,), optional
+        Ground labels of each sweep; grown when not given.
+    progress : callable, optional
+        Called with the step (``ground``, ``classify``), the sweeps done and their number.
     threads : int
-        0 for all cores.
-    ground : sequence of ndarray of bool, optional
-        Ground labels of each sweep; grown when left out.
-    surface : SurfaceParameters, optional
-        Of the surfaces of key frames and objects.
-    sensor_rig : sequence of Sensors, optional
-        Where each sweep was measured from, if not from the origin.
+        0 for all cores. The labels do not depend on it.
 
     Returns
     -------
     list of Labels
-        One a sweep.
+        One for each sweep.
 
     Raises
     ------
     InputError
         The numbers of sweeps, poses and ground labels differ, or an array is wrong.
     """
+    p = parameters or Parameters()
     if ground is None:
-        from docdepth.ground.growing import grow_ground
-
-        ground = grow_ground(sweeps, trajectory.poses, threads=threads)
-    seen_by = [None] * len(sweeps) if sensor_rig is None else list(sensor_rig)
-    if not len(sweeps) == len(trajectory) == len(ground) == len(seen_by):
+        ground = grow_ground(sweeps, trajectory, p, threads, progress)
+    if not len(sweeps) == len(trajectory) == len(ground):
         raise InputError(
             f"{len(sweeps)} sweeps, {len(trajectory)} poses and {len(ground)} ground labels do not "
             "belong to the same drive; give one of each a sweep"
         )
-    surfaces = [
-        surface_for(sweep, parameters, surface, seen)
-        for sweep, seen in zip(sweeps, seen_by, strict=True)
-    ]
-    chosen = key_frames(trajectory, parameters)
-    frames = {
-        int(j): KeyFrame(sweeps[j], ground[j], parameters, surfaces[j], seen_by[j])
-        for j in np.unique(np.concatenate(chosen))
-    }
-    local = local_poses(trajectory)
-    labels: list[Labels] = []
-    objects: list[NDArray[np.uint32]] = []
-    detections: list[Detections] = []
-    for i, sweep in enumerate(sweeps):
-        asked = [frames[int(j)] for j in chosen[i]]
-        votes = vote(
-            sweep,
-            ground[i],
-            trajectory.poses[i],
-            asked,
-            trajectory.poses[chosen[i]],
-            parameters,
-            threads,
+    store = _Memory(sweeps, ground)
+    told = None if progress is None else partial(progress, "classify")
+    classify_sweeps(store, trajectory, p.dynamics, told, threads)
+    return [store.labels[i] for i in range(len(sweeps))]
+
+
+class _Memory:
+    """A drive in memory."""
+
+    def __init__(
+        self,
+        sweeps: Sequence[DeskewedSweep | NDArray[np.float32]],
+        ground: Sequence[NDArray[np.bool_]],
+    ) -> None:
+        self._sweeps, self._ground = sweeps, ground
+        self._kept: dict[int, tuple[Evidence, Detections]] = {}
+        self.labels: dict[int, Labels] = {}
+
+    def is_classified(self, index: int) -> bool:
+        return False
+
+    def has_votes(self, index: int) -> bool:
+        return False
+
+    def read(self, index: int) -> InputSweep:
+        sweep = self._sweeps[index]
+        return InputSweep(points_of(sweep), self._ground[index], rig_of(sweep))
+
+    def keep(self, index: int, evidence: Evidence, detections: Detections) -> None:
+        self._kept[index] = evidence, detections
+
+    def evidence(self, index: int) -> Evidence:
+        return self._kept[index][0]
+
+    def detections(self, index: int) -> Detections:
+        return self._kept[index][1]
+
+    def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
+        self.labels[index] = labels
+
+
+def classify_sweeps(
+    store: SweepStore,
+    trajectory: Trajectory,
+    parameters: DynamicsParameters,
+    progress: Callable[[int, int], None] | None = None,
+    threads: int = 0,
+    watch: Watch = unwatched,
+) -> int:
+    """Classify the sweeps of a store that are not classified yet.
+
+    Parameters
+    ----------
+    store : SweepStore
+    trajectory : Trajectory
+        One pose a sweep.
+    parameters : DynamicsParameters
+    progress : callable, optional
+        Called with the sweeps done and their number.
+    threads : int
+        0 for all cores.
+    watch : callable, optional
+        Takes the times of the steps.
+
+    Returns
+    -------
+    int
+        How many sweeps were not classified yet.
+    """
+    steps = SweepClassifier(trajectory, parameters, watch)
+    left = [i for i in range(len(trajectory)) if not store.is_classified(i)]
+    _vote(steps, store, left, len(trajectory), progress or (lambda done, total: None), threads)
+    if steps.uses_tracks:
+        _add_tracks(steps, store, len(trajectory), threads)
+    return len(left)
+
+
+def _vote(
+    steps: SweepClassifier,
+    store: SweepStore,
+    left: list[int],
+    total: int,
+    progress: Callable[[int, int], None],
+    threads: int,
+) -> None:
+    """Classify sweeps by their own votes."""
+    with_votes = {index for index in left if store.has_votes(index)}
+
+    def voters(index: int) -> list[int]:
+        return [] if index in with_votes else steps.key_frames[index].tolist()
+
+    def classify(
+        index: int, made: Future[PreparedSweep], key_frames: list[Future[KeyFrame]]
+    ) -> Future[None]:
+        prepared = made.result()
+        sweep = prepared.sweep
+        votes = sweep.votes if index in with_votes else None
+        if votes is None:
+            votes = steps.vote(index, sweep, [frame.result() for frame in key_frames])
+        if not steps.uses_tracks:
+            labels = steps.classify(prepared, votes)
+            return writers.submit(store.write, index, sweep, labels)
+        return writers.submit(store.keep, index, *steps.detect(index, prepared, votes))
+
+    progress(total - len(left), total)
+    # A job takes one thread, since a sweep alone has too little to do for many. Others write, so
+    # that workers do not wait for the disk.
+    workers = thread_count(threads)
+    with ThreadPoolExecutor(2) as writers, ThreadPoolExecutor(workers) as pool:
+        ahead = LookAhead(
+            pool, workers, left, voters, lambda k: steps.prepare(store.read(k)), steps.key_frame
         )
-        if not uses_tracking(parameters):
-            labels.append(Labels(classify(ground[i], votes, parameters, sweep, surfaces[i]), votes))
-            continue
-        surface_i = surfaces[i] or ScanMesh(sweep)
-        objects.append(cluster_objects(sweep, ground[i], surface_i, parameters))
-        classid = classify(ground[i], votes, parameters, sweep, surface_i, objects[i])
-        detections.append(Detections(sweep, ground[i], objects[i], classid >= DYNAMIC, local[i]))
-        labels.append(Labels(classid, votes))
-    if detections:
-        carried = track_objects(detections, trajectory.times, parameters, threads)
-        p = parameters or DynamicsParameters()
-        for i, found in enumerate(carried):
-            if found:
-                votes, old = labels[i].votes, labels[i].classid
-                classid = apply_tracks(
-                    sweeps[i], objects[i], found, votes.static, votes.dynamic, old, local[i], p
-                )
-                labels[i] = Labels(classid, votes)
-    return labels
+        working: deque[Future[Future[None]]] = deque()
+        for step, index in enumerate(left):
+            working.append(pool.submit(classify, index, *ahead.take(step)))
+            if len(working) > workers:
+                working.popleft().result().result()
+            progress(total - len(left) + step + 1 - len(working), total)
+        while working:
+            working.popleft().result().result()
+            progress(total - len(working), total)
 
 
-def surface_for(
-    points: NDArray[np.float32],
-    parameters: DynamicsParameters | None = None,
-    surface: SurfaceParameters | None = None,
-    sensor_rig: SensorRig | None = None,
-) -> ScanMesh | None:
-    """The surface of a sweep, where key frames or objects need one: to be handed to both."""
-    p = parameters or DynamicsParameters()
-    return ScanMesh(points, surface, sensor_rig) if p.objects or p.against == "surface" else None
+def _add_tracks(steps: SweepClassifier, store: SweepStore, total: int, threads: int) -> None:
+    """Classify objects that move at another time of the drive."""
+
+    def add(index: int) -> None:
+        # The sweep is read once more, since tracks are known when all sweeps have voted and a drive
+        # may not fit into memory.
+        sweep = store.read(index)
+        labels = steps.add_tracks(index, sweep, store.evidence(index), results[index])
+        store.write(index, sweep, labels)
+
+    with ThreadPoolExecutor(_FILE_THREADS) as pool:
+        results = steps.track(list(pool.map(store.detections, range(total))), threads)
+        for _ in prefetch(pool, add, range(total), _FILE_THREADS):
+            pass

@@ -1,4 +1,4 @@
-"""Objects of a sweep, and evidence shared within them and carried along them over time."""
+"""Objects of a sweep, and evidence shared within them (ours, beyond the paper)."""
 
 from __future__ import annotations
 
@@ -6,32 +6,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth import _core
-from docdepth.config import DynamicsParameters
 from docdepth.geometry.points import check_sweep
 from docdepth.geometry.scan_mesh import ScanMesh
 
+OBJECT_PARAMETERS = _core.ObjectParameters()
+"""Constants of this module and of tracking: the defaults of the C++ structure."""
+
 
 def cluster_objects(
-    points: NDArray[np.float32],
-    ground: NDArray[np.bool_],
-    surface: ScanMesh | None = None,
-    parameters: DynamicsParameters | None = None,
+    points: NDArray[np.float32], ground: NDArray[np.bool_], mesh: ScanMesh | None = None
 ) -> NDArray[np.uint32]:
-    """Find the objects of a sweep: points off the ground that its surface connects.
+    """Cluster the points above the ground into objects, along the edges of the sweep's mesh.
 
     Parameters
     ----------
     points : ndarray of float32, shape (N, 3)
         The deskewed sweep, LiDAR frame, metres.
     ground : ndarray of bool, shape (N,)
-    surface : Surface, optional
-        Of these points; made here when left out.
-    parameters : DynamicsParameters, optional
+    mesh : ScanMesh, optional
+        Of these points; made here when not given.
 
     Returns
     -------
     ndarray of uint32, shape (N,)
-        Row of the first point of each point's object; a point of the ground is alone.
+        For each point the first row of its object; a ground point is an object of its own.
 
     Raises
     ------
@@ -39,8 +37,7 @@ def cluster_objects(
         A shape or dtype is wrong.
     """
     points, ground = check_sweep(points, ground)
-    p = _object_parameters(parameters or DynamicsParameters())
-    return _core.cluster_objects(points, ground, (surface or ScanMesh(points)).core, p)
+    return _core.cluster_objects(points, ground, (mesh or ScanMesh(points)).core, OBJECT_PARAMETERS)
 
 
 def classify_objects(
@@ -49,27 +46,31 @@ def classify_objects(
     objects: NDArray[np.uint32],
     static: NDArray[np.uint16],
     dynamic: NDArray[np.uint16],
-    surface: ScanMesh,
-    parameters: DynamicsParameters,
+    mesh: ScanMesh,
 ) -> NDArray[np.bool_]:
-    """Which points are dynamic when evidence is shared within objects; all arrays a value a point.
+    """Decide by objects which points are dynamic.
 
-    Dynamic points that stand alone are withdrawn, the other points of an object follow most of
-    them, and an object that stands for a while moves when enough of its place was seen free.
+    Dynamic points without dynamic neighbours become static. An object is dynamic as a whole when
+    most of its points are; also when it stood for a while, and enough of its points were observed
+    free at another time.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+    ground : ndarray of bool, shape (N,)
+    objects : ndarray of uint32, shape (N,)
+        From :func:`cluster_objects`.
+    static, dynamic : ndarray of uint16, shape (N,)
+        Votes.
+    mesh : ScanMesh
+        Of these points.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        True for dynamic.
     """
-    p = _object_parameters(parameters)
-    moving = _core.classify_objects(points, ground, objects, static, dynamic, surface.core, p)
+    moving = _core.classify_objects(
+        points, ground, objects, static, dynamic, mesh.core, OBJECT_PARAMETERS
+    )
     return moving.view(np.bool_)
-
-
-def _object_parameters(p: DynamicsParameters) -> _core.ObjectParameters:
-    objects = _core.ObjectParameters()
-    objects.cluster_distance, objects.cluster_distance_growth = p.link, p.link_growth
-    objects.min_cluster_size, objects.neighbor_radius = p.companions, p.company
-    objects.clear_votes, objects.clear_ratio = p.clear_votes, p.clear_ratio
-    objects.min_object_points, objects.dynamic_share = p.object_points, p.object_share
-    objects.min_dynamic_share = p.object_least
-    objects.min_object_width, objects.min_object_height = p.object_width, p.object_height
-    objects.observed_free_share, objects.observed_free_votes = p.freed_share, p.freed_votes
-    objects.max_static_ratio, objects.isolated_votes = p.freed_ratio, p.loose_votes
-    return objects

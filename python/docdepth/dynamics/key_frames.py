@@ -2,11 +2,65 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.config import DynamicsParameters
 from docdepth.geometry.trajectory import Trajectory
+
+# Key frames that the paper does not have, used with a `time_spacing` above 0.
+TIME_RADIUS = 10.0
+"""Key frames in time vote this long before and after: what crosses the road has passed then [s]."""
+
+END_RADIUS = 3.0
+"""Sweeps this near an end of the drive get more key frames: theirs lie on one side only [s]."""
+
+END_SPACING = 0.4
+"""Spacing of these: every fourth sweep of a LiDAR that turns ten times a second [s]."""
+
+
+class _Family(NamedTuple):
+    """Key frames of one spacing.
+
+    Attributes
+    ----------
+    frames : ndarray of int64, shape (k,)
+        Ascending.
+    arc, time : ndarray of float64, shape (k,)
+        Path length [m] and time [s] of each, ascending.
+    radius, duration : float
+        They vote on sweeps within this path length [m] and time [s].
+    """
+
+    frames: NDArray[np.int64]
+    arc: NDArray[np.float64]
+    time: NDArray[np.float64]
+    radius: float
+    duration: float
+
+    def near(self, arc: float, time: float) -> NDArray[np.int64]:
+        """Those that vote on a sweep at this path length and time."""
+        begin = max(_first(self.arc, arc - self.radius), _first(self.time, time - self.duration))
+        end = min(_end(self.arc, arc + self.radius), _end(self.time, time + self.duration))
+        window = slice(begin, end)
+        within = np.abs(self.arc[window] - arc) <= self.radius
+        within &= np.abs(self.time[window] - time) <= self.duration
+        return self.frames[window][within]
+
+
+# The rounding of `arc - radius` differs from that of `arc[frames] - arc`; the window is a little
+# wider, and the exact condition decides.
+_ROUNDING = 1e-6
+
+
+def _first(ascending: NDArray[np.float64], value: float) -> int:
+    return int(np.searchsorted(ascending, value - _ROUNDING, "left"))
+
+
+def _end(ascending: NDArray[np.float64], value: float) -> int:
+    return int(np.searchsorted(ascending, value + _ROUNDING, "right"))
 
 
 def key_frames(
@@ -14,10 +68,10 @@ def key_frames(
 ) -> list[NDArray[np.int64]]:
     """Choose the key frames that vote on each sweep.
 
-    The trajectory is subsampled twice, finely and coarsely; fine key frames vote on near sweeps,
-    coarse ones also on far sweeps. Where the ego crawls or stands, and near the ends of the drive,
-    some more are chosen by time: what crosses a standing ego's way is seen to come and go, and the
-    last sweeps have no others ahead of them. A key frame votes once, and never on itself.
+    The trajectory is subsampled twice: fine key frames vote on sweeps nearby, coarse ones also on
+    sweeps farther away. With ``time_spacing``, key frames are also chosen by time where the vehicle
+    crawls or stands, to see cross traffic come and go, and near the ends of the drive, where a
+    sweep has key frames on one side only. A key frame votes once, and never on its own sweep.
 
     Parameters
     ----------
@@ -27,28 +81,31 @@ def key_frames(
     Returns
     -------
     list of ndarray of int64
-        For each sweep the indices of its key frames, increasing.
+        For each sweep the indices of its key frames, ascending.
     """
     p = parameters or DynamicsParameters()
     arc, time = trajectory.arc_length, (trajectory.times - trajectory.times[0]) * 1e-9
-    kinds = [
-        (trajectory.subsample(p.fine_spacing), p.fine_radius, np.inf),
-        (trajectory.subsample(p.coarse_spacing), p.coarse_radius, np.inf),
+    last = len(trajectory) - 1
+
+    def family(frames: NDArray[np.int64], radius: float, duration: float) -> _Family:
+        return _Family(frames, arc[frames], time[frames], radius, duration)
+
+    families = [
+        family(trajectory.subsample(p.fine_spacing), p.fine_radius, np.inf),
+        family(trajectory.subsample(p.coarse_spacing), p.coarse_radius, np.inf),
     ]
+    ends = np.zeros(0, np.int64)
     if p.time_spacing:
         often = trajectory.subsample(p.fine_spacing, p.time_spacing)
-        kinds.append((often, p.fine_radius, p.time_radius))
-    last = len(trajectory) - 1
-    ends = np.append(trajectory.subsample(np.inf, p.end_spacing), last)
+        families.append(family(often, p.fine_radius, TIME_RADIUS))
+        ends = np.append(trajectory.subsample(np.inf, END_SPACING), last)
     chosen = []
     for i in range(len(trajectory)):
-        near = [
-            frames[(np.abs(arc[frames] - arc[i]) <= radius) & (np.abs(time[frames] - time[i]) <= t)]
-            for frames, radius, t in kinds
-        ]
-        if p.end_radius and time[last] - time[i] <= p.end_radius:
-            near.append(ends[ends > i])
-        if p.end_radius and time[i] <= p.end_radius:
-            near.append(ends[ends < i])
-        chosen.append(np.array(sorted(set(np.concatenate(near).tolist()) - {i}), np.int64))
+        near = [of.near(arc[i], time[i]) for of in families]
+        if time[last] - time[i] <= END_RADIUS:
+            near.append(ends[np.searchsorted(ends, i, "right") :])
+        if time[i] <= END_RADIUS:
+            near.append(ends[: np.searchsorted(ends, i, "left")])
+        every = np.unique(np.concatenate(near))
+        chosen.append(every[every != i].astype(np.int64, copy=False))
     return chosen

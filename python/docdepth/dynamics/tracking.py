@@ -1,4 +1,4 @@
-"""Objects followed over time, and the evidence that they carry (ours, beyond the paper)."""
+"""Objects tracked over time, and the evidence that tracks carry (ours, beyond the paper)."""
 
 from __future__ import annotations
 
@@ -9,62 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth import _core
-from docdepth.config import DynamicsParameters
-from docdepth.dynamics.clustering import _object_parameters
+from docdepth.dynamics.clustering import OBJECT_PARAMETERS
+from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
-from docdepth.geometry.points import check_sweep
+from docdepth.geometry.points import DYNAMIC, STATIC, check_sweep
 from docdepth.geometry.trajectory import Trajectory
 
+TRACK_PARAMETERS = _core.TrackParameters()
+"""Constants of :func:`track_objects`: the defaults of the C++ structure."""
 
-def apply_tracks(
-    points: NDArray[np.float32],
-    objects: NDArray[np.uint32],
-    found: TrackingResult,
-    static: NDArray[np.uint16],
-    dynamic: NDArray[np.uint16],
-    classid: NDArray[np.uint16],
-    T_world_lidar: NDArray[np.float64],
-    parameters: DynamicsParameters,
-) -> NDArray[np.uint16]:
-    """Classes with what :func:`track_objects` found in this sweep.
-
-    The other arrays are those of :func:`classify_objects`, and the pose that of the sighting.
-    """
-    p = _object_parameters(parameters)
-    moving, ground = classid >= 100, classid < 50
-    moving[_carried_points(objects, found.objects, static, dynamic, moving, parameters)] = True
-    inside = _core.add_points_inside(
-        points, ground, static, dynamic, T_world_lidar, found.boxes, found.cubes, moving, p
-    ).view(np.bool_)
-    all_moving = _core.add_isolated_points(points, ground, objects, static, dynamic, inside, p)
-    return np.where(all_moving, np.uint16(100), classid)
-
-
-def _carried_points(
-    objects: NDArray[np.uint32],
-    followed: NDArray[np.uint32],
-    static: NDArray[np.uint16],
-    dynamic: NDArray[np.uint16],
-    moving: NDArray[np.bool_],
-    p: DynamicsParameters,
-) -> NDArray[np.intp]:
-    """Rows that move with what is followed: of each object all that are left, or none.
-
-    What is left of an object that moves only in part stays where nearly all of it was always seen
-    taken: something else stands there and is connected to it.
-    """
-    rows = np.flatnonzero(_rows_of(followed, objects) & ~moving)
-    of, count = objects[rows], len(objects)
-    stood = (static[rows] >= p.freed_ratio) & (dynamic[rows] == 0)
-    stays = np.bincount(of, stood, count) > p.track_stood * np.bincount(of, minlength=count)
-    return rows[~(stays[of] & _rows_of(objects[moving], objects)[rows])]
-
-
-def _rows_of(some: NDArray[np.uint32], objects: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """Whether each row is of some of the objects."""
-    among = np.zeros(len(objects), bool)
-    among[some] = True
-    return among[objects]
+MAX_OCCUPIED_SHARE = 0.8
+"""The rest of an object that moves in part stays static above this share of points that were always
+observed occupied: it is another object that touches the first [-]."""
 
 
 class TrackingResult(NamedTuple):
@@ -72,14 +28,14 @@ class TrackingResult(NamedTuple):
 
     Attributes
     ----------
-    objects : ndarray of uint32
-        First rows, as :func:`cluster_objects` names them, of those that are dynamic, too.
+    objects : ndarray of uint32, shape (n,)
+        Objects that are dynamic, too: their first rows, as :func:`cluster_objects` gives them.
     boxes : ndarray of float32, shape (K, 6)
-        Low and high corners, in the world of the sightings, of where something is on its way:
-        points off the ground there are of it, unless votes call them clearly static.
-    cubes : ndarray of uint64
-        Numbers of the cubes in which sweeps near in time saw little but what moves; the
-        same holds there.
+        Low and high corners of tracked objects in the frame of :func:`local_poses`. Points above
+        the ground inside are dynamic unless their votes are clearly static.
+    cubes : ndarray of uint64, shape (m,)
+        Numbers of the cubes in which nearly everything moved in sweeps just before and after; the
+        same holds inside.
     """
 
     objects: NDArray[np.uint32]
@@ -91,7 +47,7 @@ class TrackingResult(NamedTuple):
 
 
 class Detections:
-    """What a sweep saw above the ground, object by object: little enough to keep a whole drive.
+    """The objects of a sweep, small enough to keep those of a whole drive in memory.
 
     Parameters
     ----------
@@ -101,9 +57,9 @@ class Detections:
     objects : ndarray of uint32, shape (N,)
         From :func:`cluster_objects`.
     moving : ndarray of bool, shape (N,)
-        Points that :func:`docdepth.dynamics.classifier.classify` calls dynamic.
+        Points that the votes on this sweep make dynamic.
     T_world_lidar : ndarray of float64, shape (4, 4)
-        With an origin so near that float32 tells centimetres, see :func:`local_poses`.
+        From :func:`local_poses`.
 
     Raises
     ------
@@ -124,76 +80,137 @@ class Detections:
 
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
-        """All of it as arrays, to be written."""
+        """All of it as arrays, to be written to a file."""
         return self._core.arrays
 
     @classmethod
     def of(cls, arrays: Sequence[NDArray[Any]]) -> Detections:
-        """The one that gave these arrays."""
+        """The detections whose :attr:`arrays` these are."""
         self = cls.__new__(cls)
         self._core = _core.Detections.of(*arrays)
         return self
 
 
-def uses_tracking(parameters: DynamicsParameters | None = None) -> bool:
-    """Whether objects are followed over time, which needs every sweep's votes first."""
-    p = parameters or DynamicsParameters()
-    return p.objects and p.tracks
-
-
 def local_poses(trajectory: Trajectory) -> NDArray[np.float64]:
-    """The poses with the first one's place as origin, for sightings."""
+    """Poses (n, 4, 4) with the first position as origin, where float32 resolves centimetres."""
     poses = trajectory.poses.copy()
     poses[:, :3, 3] -= trajectory.poses[0, :3, 3]
     return poses
 
 
 def track_objects(
-    detections: Sequence[Detections],
-    times: NDArray[np.int64],
-    parameters: DynamicsParameters | None = None,
-    threads: int = 0,
+    detections: Sequence[Detections], times: NDArray[np.int64], threads: int = 0
 ) -> list[TrackingResult]:
-    """Carry evidence over time: find objects that move at another time of the drive.
+    """Track dynamic objects through the drive, to find them also where votes do not.
 
-    What the votes call dynamic is followed forward and backward. Objects of the next sweep that
-    fall onto its places, those of its last two sightings, are the same one, unless together they
-    are larger than it looks whole; so it is followed to where it waits or parks, and to where no
-    key frame looked. What is carried along must have been free while the object was elsewhere, or
-    else it is another thing: a parked car that was passed, a pole, a wall; and as many points must
-    have been seen to move at once, or eight times as many in all. Between its sightings
-    an object is where its way leads, though its points may be too few, too scattered or too little
-    seen by key frames to be found without knowing it. So may points be that lie where the sweeps
-    near in time saw little but what moves.
+    Tracks start at objects that the votes make dynamic and go forward and backward in time. An
+    object of the next sweep continues a track when it overlaps the predicted points of the last two
+    detections and is not larger than the whole object. So a track reaches sweeps in which the
+    object waits or parks, or no key frame looked.
+
+    An object that a track adds must have been observed free while the tracked object was elsewhere;
+    otherwise it is another one: a parked car that was passed, a pole, a wall. It may also not have
+    more points than were seen to move at once, or an eighth of all that were.
+
+    Between its detections a tracked object is where its motion predicts it, even where its points
+    are too few to be an object. The cubes of a result hold such points, too.
 
     Parameters
     ----------
-    detections : sequence of Sighting
+    detections : sequence of Detections
         Of every sweep, in order.
-    times : ndarray of int64
+    times : ndarray of int64, shape (n,)
         Stamps of the sweeps, nanoseconds.
-    parameters : DynamicsParameters, optional
     threads : int
         0 for all cores. The result does not depend on it.
 
     Returns
     -------
-    list of Followed
-        For each sweep.
+    list of TrackingResult
+        One for each sweep.
 
     Raises
     ------
     InputError
-        There is not one time a sighting.
+        The numbers of detections and times differ.
     """
-    p = parameters or DynamicsParameters()
     if len(detections) != len(times):
         raise InputError(f"{len(detections)} detections and {len(times)} times; give one of each")
-    tracks = _core.TrackParameters()
-    tracks.min_detections, tracks.min_distance = p.track_sightings, p.track_distance
-    tracks.max_speed = p.track_speed
-    tracks.max_gap, tracks.max_gap_standing = p.track_gap, p.track_hold
-    tracks.window = p.track_window
     seconds = (np.asarray(times) - times[0]) * 1e-9 if len(times) else np.zeros(0)
-    found = _core.track_objects([seen._core for seen in detections], seconds, tracks, threads)
+    found = _core.track_objects([of._core for of in detections], seconds, TRACK_PARAMETERS, threads)
     return [TrackingResult(*sweep) for sweep in found]
+
+
+def apply_tracks(
+    points: NDArray[np.float32],
+    objects: NDArray[np.uint32],
+    votes: Votes,
+    classid: NDArray[np.uint16],
+    result: TrackingResult,
+    T_world_lidar: NDArray[np.float64],
+) -> NDArray[np.uint16]:
+    """Add to the classes of a sweep what tracks found in it.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        The deskewed sweep, LiDAR frame, metres.
+    objects : ndarray of uint32, shape (N,)
+        From :func:`cluster_objects`.
+    votes : Votes
+    classid : ndarray of uint16, shape (N,)
+        By the votes on this sweep.
+    result : TrackingResult
+        Of this sweep.
+    T_world_lidar : ndarray of float64, shape (4, 4)
+        From :func:`local_poses`.
+
+    Returns
+    -------
+    ndarray of uint16, shape (N,)
+    """
+    moving, ground = classid >= DYNAMIC, classid < STATIC
+    moving[_tracked_rows(objects, result.objects, votes, moving)] = True
+    static, dynamic = votes.static, votes.dynamic
+    inside = _core.add_points_inside(
+        points,
+        ground,
+        static,
+        dynamic,
+        T_world_lidar,
+        result.boxes,
+        result.cubes,
+        moving,
+        OBJECT_PARAMETERS,
+    ).view(np.bool_)
+    every = _core.add_isolated_points(
+        points, ground, objects, static, dynamic, inside, OBJECT_PARAMETERS
+    )
+    return np.where(every, np.uint16(DYNAMIC), classid)
+
+
+def _tracked_rows(
+    objects: NDArray[np.uint32],
+    tracked: NDArray[np.uint32],
+    votes: Votes,
+    moving: NDArray[np.bool_],
+) -> NDArray[np.intp]:
+    """Rows of tracked objects that become dynamic: all that are not yet, or none of an object.
+
+    Where a part of an object moves by votes, the rest stays static if nearly all of it was always
+    observed occupied.
+    """
+    rows = np.flatnonzero(_rows_of(tracked, objects) & ~moving)
+    of, count = objects[rows], len(objects)
+    occupied = votes.static[rows] >= OBJECT_PARAMETERS.max_static_ratio
+    occupied &= votes.dynamic[rows] == 0
+    of_object = np.bincount(of, minlength=count)
+    stays = np.bincount(of, occupied, count) > MAX_OCCUPIED_SHARE * of_object
+    return rows[~(stays[of] & _rows_of(objects[moving], objects)[rows])]
+
+
+def _rows_of(some: NDArray[np.uint32], objects: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """Whether each row belongs to one of some objects."""
+    among = np.zeros(len(objects), bool)
+    among[some] = True
+    return among[objects]

@@ -1,4 +1,4 @@
-"""Key frames, and how they vote on the points of a sweep (paper III-C2, Algorithm 1)."""
+"""Key frames, and how they vote on the points of a sweep (paper IV-C, Algorithm 1)."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 
 @dataclass(frozen=True)
 class Votes:
-    """What the key frames said about the points of one sweep.
+    """Votes of the key frames on the points of one sweep.
 
     Attributes
     ----------
     static : ndarray of uint16, shape (N,)
-        Key frames that saw a surface at the place of the point.
+        Key frames that measured a surface at the point.
     dynamic : ndarray of uint16, shape (N,)
-        Key frames that looked through it.
+        Key frames that looked through the point.
     """
 
     static: NDArray[np.uint16]
@@ -34,9 +34,10 @@ class Votes:
 
 
 class KeyFrame:
-    """A sweep made ready to be asked about the places of other points.
+    """A sweep prepared to vote on the points of other sweeps.
 
-    It is the paper's range image, or one whose pixels know the triangles of the sweep's surface.
+    With ``vote_model="range_image"`` it is the paper's range image; with ``"surface"`` its pixels
+    also hold the triangles of the sweep's mesh, so that it votes between its returns, too.
 
     Parameters
     ----------
@@ -45,11 +46,10 @@ class KeyFrame:
         no returns and are left out.
     ground : ndarray of bool, shape (N,)
     parameters : DynamicsParameters, optional
-        Its ``against`` says whether pixels or the sweep's surface answer.
-    surface : Surface, optional
-        Of these points; made here when needed and left out.
-    sensor_rig : Sensors, optional
-        Where the sweep was measured from; each of several LiDARs answers from its own place.
+    mesh : ScanMesh, optional
+        Of these points; made here when needed and not given.
+    sensor_rig : SensorRig, optional
+        Where the sweep was measured from; each of several LiDARs votes from its own place.
 
     Raises
     ------
@@ -62,19 +62,19 @@ class KeyFrame:
         points: NDArray[np.float32],
         ground: NDArray[np.bool_],
         parameters: DynamicsParameters | None = None,
-        surface: ScanMesh | None = None,
+        mesh: ScanMesh | None = None,
         sensor_rig: SensorRig | None = None,
     ) -> None:
         p = parameters or DynamicsParameters()
         points, ground = check_sweep(points, ground)
         self._views: list[tuple[_core.KeyFrame, NDArray[np.float64]]]
-        if p.against == "pixels":
+        if p.vote_model == "range_image":
             self._views = [
                 (_range_image(view.points, ground, p), view.T_lidar_sensor)
                 for view in lidar_views(points, sensor_rig)
             ]
         else:
-            parts = (surface or ScanMesh(points, None, sensor_rig)).parts
+            parts = (mesh or ScanMesh(points, sensor_rig)).parts
             self._views = [
                 (_surface_image(part, ground, p), part.view.T_lidar_sensor) for part in parts
             ]
@@ -86,14 +86,13 @@ def vote(
     T_world_lidar: NDArray[np.float64],
     key_frames: Sequence[KeyFrame],
     poses: NDArray[np.float64],
-    parameters: DynamicsParameters | None = None,
     threads: int = 0,
 ) -> Votes:
-    """Ask key frames about every point of a sweep (Algorithm 1).
+    """Let key frames vote on every point of a sweep (Algorithm 1).
 
-    Against pixels, ground points are static without a vote; against surfaces every point is voted
-    on, with the narrower margin ``ground_across`` where it, or the plane it is held against, is
-    called ground. Rows that are not finite get no votes.
+    Range images do not vote on ground points. Surfaces vote on every point, with a smaller
+    tolerance where the point, or the triangle it is compared with, is ground. Rows that are not
+    finite get no votes.
 
     Parameters
     ----------
@@ -105,7 +104,6 @@ def vote(
     key_frames : sequence of KeyFrame, length k
     poses : ndarray of float64, shape (k, 4, 4)
         ``T_world_lidar`` of each key frame.
-    parameters : DynamicsParameters, optional
     threads : int
         0 for all cores. The votes do not depend on it.
 
@@ -129,17 +127,17 @@ def vote(
             f"frames; got {pose.shape} and {poses.shape}"
         )
     check_rigid(np.concatenate([pose[None], poses]))
-    answering = [
-        (core, T_world_lidar @ T_lidar_sensor)
-        for frame, T_world_lidar in zip(key_frames, poses, strict=True)
+    voters = [
+        (core, T_world_key @ T_lidar_sensor)
+        for frame, T_world_key in zip(key_frames, poses, strict=True)
         for core, T_lidar_sensor in frame._views
     ]
     static, dynamic = _core.vote(
         points,
         ground,
         pose,
-        [core for core, _ in answering],
-        np.array([T for _, T in answering]).reshape(-1, 4, 4),
+        [core for core, _ in voters],
+        np.array([T for _, T in voters]).reshape(-1, 4, 4),
         threads,
     )
     return Votes(static, dynamic)
@@ -154,12 +152,12 @@ def _range_image(
 def _surface_image(
     part: LidarMesh, ground: NDArray[np.bool_], p: DynamicsParameters
 ) -> _core.KeyFrame:
-    image = _core.MeshImageParameters()
-    image.resolution = float(np.radians(p.resolution_deg))
-    image.window, image.tolerance = p.window, p.tolerance
-    image.upright = _core.Margins(p.across, p.along, p.along_growth)
-    image.level = _core.Margins(p.level_across, p.level_along, 0.0)
-    image.ground_tolerance = p.ground_across
-    image.level_cosine = float(np.cos(np.radians(p.level_lean_deg)))
-    image.max_ray_distance = p.beam
-    return _core.MeshImage(part.view.points, ground, part.core, image)
+    return _core.MeshImage(part.view.points, ground, part.core, _surface_parameters(p))
+
+
+def _surface_parameters(p: DynamicsParameters) -> _core.MeshImageParameters:
+    """The public values; all others are constants, the defaults of the C++ structure."""
+    core = _core.MeshImageParameters()
+    core.resolution = float(np.radians(p.resolution_deg))
+    core.window, core.tolerance = p.window, p.tolerance
+    return core

@@ -1,19 +1,50 @@
-"""Points of a sweep: checks, usable returns and class ids."""
+"""Points of a sweep: class ids, labels, checks and usable returns."""
 
 from __future__ import annotations
+
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
+from docdepth.geometry.sensor_rig import SensorRig
+
+GROUND, STATIC, DYNAMIC = 0, 50, 100
+"""Values of ``classid`` as ``frames/*.ply`` stores it; below 50 is ground, from 100 on dynamic."""
+
+OUTLIER_LABEL, STATIC_LABEL, MOVING_LABEL = 1, 9, 251
+"""Values of ``labels/*.label``, of SemanticKITTI's moving object segmentation."""
+
+
+class DeskewedSweep(Protocol):
+    """What ground and dynamics use of a sweep; ``docdepth.datasets.Sweep`` is one."""
+
+    @property
+    def points(self) -> NDArray[np.float32]: ...
+    @property
+    def sensor_rig(self) -> SensorRig | None: ...
+
+
+def points_of(sweep: DeskewedSweep | NDArray[np.float32]) -> NDArray[np.float32]:
+    """The points of a sweep that may be given as its array of points alone."""
+    return sweep if isinstance(sweep, np.ndarray) else sweep.points
+
+
+def rig_of(sweep: DeskewedSweep | NDArray[np.float32]) -> SensorRig | None:
+    """The sensor rig of a sweep; None for an array, which was measured from its origin."""
+    return None if isinstance(sweep, np.ndarray) else sweep.sensor_rig
 
 
 def usable_points(points: NDArray[np.float32], min_range: float = 0.5) -> NDArray[np.bool_]:
-    """Which rows are returns: finite, and not at the origin (``min_range`` in metres).
+    """Which rows are returns: finite, and not at the origin.
 
     Parameters
     ----------
     points : ndarray of float32, shape (N, 3)
+        Metres.
+    min_range : float
+        Nearer rows count as at the origin [m].
 
     Returns
     -------
@@ -26,23 +57,37 @@ def usable_points(points: NDArray[np.float32], min_range: float = 0.5) -> NDArra
     return usable
 
 
-def check_sweep(
-    points: NDArray[np.float32], ground: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Contiguous points and ground flags, or an error that says what to change."""
-    points, ground = np.asarray(points), np.asarray(ground)
+def check_points(points: NDArray[Any]) -> NDArray[np.float32]:
+    """Points as a contiguous array.
+
+    Raises
+    ------
+    InputError
+        They are not float32 of shape (N, 3).
+    """
+    points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
         raise InputError(
             f"points must be float32 of shape (N, 3), got {points.dtype} {points.shape}; "
             "convert them once where they are read"
         )
+    return np.ascontiguousarray(points)
+
+
+def check_sweep(
+    points: NDArray[np.float32], ground: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Points and their ground flags as contiguous arrays.
+
+    Raises
+    ------
+    InputError
+        As for :func:`check_points`, or ground is not bool of shape (N,).
+    """
+    points, ground = check_points(points), np.asarray(ground)
     if ground.dtype != np.bool_ or ground.shape != points.shape[:1]:
         raise InputError(
             f"ground must be bool of shape ({len(points)},), one flag a point, "
             f"got {ground.dtype} {ground.shape}"
         )
-    return np.ascontiguousarray(points), np.ascontiguousarray(ground)
-
-
-GROUND, STATIC, DYNAMIC = 0, 50, 100
-"""Values of ``classid``, as ``frames/*.ply`` stores it."""
+    return points, np.ascontiguousarray(ground)

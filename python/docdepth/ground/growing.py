@@ -1,42 +1,50 @@
-"""Which points are ground: voxels, seeds and a growing front (paper III-C1)."""
+"""Ground growing: voxels, seeds below the poses and a front that spreads (paper IV-A)."""
 
 from __future__ import annotations
 
+import itertools
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth import _core
-from docdepth.config import GroundParameters
+from docdepth.concurrency import Watch, prefetch, thread_count, unwatched
+from docdepth.config import GroundParameters, Parameters
 from docdepth.errors import InputError
+from docdepth.geometry.points import DeskewedSweep, points_of
 from docdepth.geometry.se3 import check_rigid
 from docdepth.geometry.trajectory import Trajectory
 
 logger = logging.getLogger(__name__)
 
-# A drive has a few parts in a hundred of ground at the very least; below this share of the voxels
-# the seeds died.
-_NEXT_TO_NONE = 0.01
+CHUNK_OVERLAP = 100.0
+"""Path before and after a chunk that is merged with it: about the range of a LiDAR [m]."""
+
+MIN_GROUND_SHARE = 0.01
+"""Even a narrow street has several times this share of ground; with less the seeds failed [-]."""
 
 
 class GroundMap:
     """The merged sweeps of a chunk of the drive, and the ground that grows in them.
 
-    Sweeps are merged into voxels as they come and not kept, so memory follows the surface seen and
-    not the number of sweeps.
+    Sweeps are merged into voxels and not kept, so memory grows with the area seen and not with the
+    number of sweeps.
 
     Parameters
     ----------
     parameters : GroundParameters, optional
     threads : int
-        0 takes every core. The labels do not depend on it.
+        0 for all cores. The labels do not depend on it.
 
     Examples
     --------
     >>> ground_map = GroundMap()
-    >>> for points, pose in zip(sweeps, poses):        # doctest: +SKIP
+    >>> for points, pose in zip(sweeps, poses):         # doctest: +SKIP
     ...     ground_map.insert(points, pose)
     >>> ground_map.grow()                              # doctest: +SKIP
     >>> ground = ground_map.label(sweeps[0], poses[0])  # doctest: +SKIP
@@ -58,7 +66,7 @@ class GroundMap:
         points : ndarray of float32, shape (N, 3)
             LiDAR frame, metres.
         T_world_lidar : ndarray of float64, shape (4, 4)
-            The ground is sought below this pose.
+            A seed of the ground is chosen below this pose.
 
         Raises
         ------
@@ -70,31 +78,31 @@ class GroundMap:
             self._map.insert(points, pose)
         except IndexError as error:
             raise InputError(
-                f"{error}: a million voxels is the reach of a map; start a new one for each "
-                "chunk of the drive and drop wild returns"
+                f"{error}: a map reaches a million voxels in each direction; start a new one for "
+                "each chunk of the drive and leave out stray returns"
             ) from None
         self._grown = False
 
     def grow(self) -> int:
-        """Seed below every pose and grow over all that was inserted.
+        """Choose seeds below every pose and grow over all that was inserted.
 
-        Near a pose there may be nothing but the ego's own body: while less than ``least_share`` of
-        the voxels are ground, seeds are sought farther away. Nothing flat leads on behind a kerb:
-        there ground goes on from low places that are no more than ``step_height`` higher or lower
-        than that beside them.
+        The nearest returns may be the vehicle's own body. So with ``seed_quantile`` above 0, while
+        less than one voxel in a hundred is ground, seeds are chosen twice as far away, up to 16 m.
+        No plane leads over a kerb. So ground also continues in a square metre without ground whose
+        lowest voxels lie within ``step_height`` of the ground beside it.
 
         Returns
         -------
         int
-            Number of ground voxels. A warning is logged when there is next to none.
+            Number of ground voxels. A warning is logged when there is almost none.
         """
         count: int = self._map.grow()
         self._grown = True
         logger.info("ground: %d of %d voxels", count, len(self))
-        if count < _NEXT_TO_NONE * len(self):
+        if count < MIN_GROUND_SHARE * len(self):
             logger.warning(
-                "next to no ground was found (%d of %d voxels): the seeds may be outliers below "
-                "the road, or z of the LiDAR does not point up",
+                "almost no ground was found (%d of %d voxels): the seeds may be outliers below "
+                "the road, or the LiDAR's z axis does not point up",
                 count,
                 len(self),
             )
@@ -103,7 +111,7 @@ class GroundMap:
     def label(
         self, points: NDArray[np.float32], T_world_lidar: NDArray[np.float64]
     ) -> NDArray[np.bool_]:
-        """Carry the labels back to points through their voxels.
+        """Label points by their voxels.
 
         Parameters
         ----------
@@ -128,23 +136,109 @@ class GroundMap:
         return ground
 
 
-def grow_ground(
-    sweeps: Sequence[NDArray[np.float32]],
-    poses: NDArray[np.float64],
-    parameters: GroundParameters | None = None,
+class Chunk(NamedTuple):
+    """A part of the drive whose ground grows as a whole.
+
+    Attributes
+    ----------
+    frames : list of int
+        Frames that are labelled.
+    merged : list of int
+        Frames that are merged for it: also those on ``CHUNK_OVERLAP`` of path before and after,
+        which see the ground of the first and the last frames from nearby.
+    """
+
+    frames: list[int]
+    merged: list[int]
+
+
+def chunks(trajectory: Trajectory, parameters: GroundParameters | None = None) -> list[Chunk]:
+    """Cut a drive into chunks of path length, in order (paper IV-A, l)."""
+    p, arc = parameters or GroundParameters(), trajectory.arc_length
+    number = arc // p.chunk_length
+    starts = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(arc)]
+    found = []
+    for begin, end in itertools.pairwise(starts):
+        first = np.searchsorted(arc, arc[begin] - CHUNK_OVERLAP, "left")
+        last = np.searchsorted(arc, arc[end - 1] + CHUNK_OVERLAP, "right")
+        found.append(Chunk(list(range(begin, end)), list(range(int(first), int(last)))))
+    return found
+
+
+def label_chunk(
+    chunk: Chunk,
+    read: Callable[[int], NDArray[np.float32]],
+    trajectory: Trajectory,
+    parameters: GroundParameters,
     threads: int = 0,
-) -> list[NDArray[np.bool_]]:
-    """Ground labels of a whole drive in memory, chunk by chunk (paper III-C1).
+    progress: Callable[[float], None] | None = None,
+    watch: Watch = unwatched,
+) -> Iterator[NDArray[np.bool_]]:
+    """Ground labels of one chunk, frame by frame.
 
     Parameters
     ----------
-    sweeps : sequence of ndarray of float32, shape (N_i, 3)
-        LiDAR frame, metres.
-    poses : ndarray of float64, shape (n, 4, 4)
-        ``T_world_lidar`` of each sweep.
-    parameters : GroundParameters, optional
+    chunk : Chunk
+    read : callable
+        Gives the points of a frame, float32 (N, 3), LiDAR frame, metres. It is called from several
+        threads, and twice for frames that are labelled: labels are known when all sweeps have been
+        merged, and a chunk's sweeps together are too large to be kept.
+    trajectory : Trajectory
+        Of the whole drive.
+    parameters : GroundParameters
     threads : int
-        0 takes every core.
+        0 for all cores.
+    progress : callable, optional
+        Called with the share of the chunk that is done.
+    watch : callable, optional
+        Takes the times of its steps.
+
+    Yields
+    ------
+    ndarray of bool, shape (N,)
+        True for ground.
+    """
+    ground_map = GroundMap(parameters, threads)
+
+    def label(index: int) -> NDArray[np.bool_]:
+        points = read(index)
+        with watch("ground: label"):
+            return ground_map.label(points, trajectory.poses[index])
+
+    progress = progress or (lambda share: None)
+    with ThreadPoolExecutor(thread_count(threads) + 1) as pool:
+        for step, points in enumerate(prefetch(pool, read, chunk.merged)):
+            with watch("ground: insert"):
+                ground_map.insert(points, trajectory.poses[chunk.merged[step]])
+            progress(step / (2 * len(chunk.merged)))
+        with watch("ground: grow"):
+            ground_map.grow()
+        for step, ground in enumerate(prefetch(pool, label, chunk.frames)):
+            progress(0.5 + step / (2 * len(chunk.frames)))
+            yield ground
+
+
+def grow_ground(
+    sweeps: Sequence[DeskewedSweep | NDArray[np.float32]],
+    trajectory: Trajectory,
+    parameters: Parameters | None = None,
+    threads: int = 0,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> list[NDArray[np.bool_]]:
+    """Ground labels of a whole drive, chunk by chunk (paper IV-A).
+
+    Parameters
+    ----------
+    sweeps : sequence of Sweep, or of ndarray of float32, shape (N_i, 3)
+        Deskewed, LiDAR frame, metres.
+    trajectory : Trajectory
+        One pose a sweep.
+    parameters : Parameters, optional
+        Its ``ground`` is used.
+    threads : int
+        0 for all cores. The labels do not depend on it.
+    progress : callable, optional
+        Called with ``"ground"``, the sweeps done and their number.
 
     Returns
     -------
@@ -156,46 +250,30 @@ def grow_ground(
     InputError
         There are not as many poses as sweeps, or as for :meth:`GroundMap.insert`.
     """
-    parameters = parameters or GroundParameters()
-    poses = np.ascontiguousarray(poses, dtype=np.float64)
-    if poses.shape != (len(sweeps), 4, 4):
+    p = (parameters or Parameters()).ground
+    if len(sweeps) != len(trajectory):
         raise InputError(
-            f"{len(sweeps)} sweeps need poses of shape ({len(sweeps)}, 4, 4); got {poses.shape}"
+            f"{len(sweeps)} sweeps need as many poses; the trajectory has {len(trajectory)}"
         )
+
+    def read(index: int) -> NDArray[np.float32]:
+        return points_of(sweeps[index])
+
     labels: list[NDArray[np.bool_]] = []
-    if not len(sweeps):
-        return labels
-    for frames, merged in chunks(Trajectory(np.arange(len(poses)), poses), parameters):
-        ground_map = GroundMap(parameters, threads)
-        for i in merged:
-            ground_map.insert(sweeps[i], poses[i])
-        ground_map.grow()
-        labels += [ground_map.label(sweeps[i], poses[i]) for i in frames]
+    for chunk in chunks(trajectory, p):
+        done = partial(chunk_progress, progress, chunk, len(trajectory))
+        labels += label_chunk(chunk, read, trajectory, p, threads, done)
+    if progress:
+        progress("ground", len(trajectory), len(trajectory))
     return labels
 
 
-def chunks(
-    trajectory: Trajectory, parameters: GroundParameters | None = None
-) -> list[tuple[list[int], list[int]]]:
-    """Cut a drive into chunks of path length, in order (paper III-C1, l).
-
-    Returns
-    -------
-    list of (list of int, list of int)
-        Frames of each chunk, which are labelled, and the frames that are merged for it: also those
-        on ``chunk_overlap`` of path before and after, since they see the ground of the first and
-        the last frames from nearby.
-    """
-    p, arc = parameters or GroundParameters(), trajectory.arc_length
-    number = (arc // p.chunk_length).astype(np.int64)
-    found = []
-    for c in sorted(set(number.tolist())):
-        frames = np.flatnonzero(number == c)
-        near = (arc >= arc[frames[0]] - p.chunk_overlap) & (
-            arc <= arc[frames[-1]] + p.chunk_overlap
-        )
-        found.append((frames.tolist(), np.flatnonzero(near).tolist()))
-    return found
+def chunk_progress(
+    progress: Callable[[str, int, int], None] | None, chunk: Chunk, total: int, share: float
+) -> None:
+    """Report a share of a chunk as sweeps done of a drive of ``total`` sweeps."""
+    if progress:
+        progress("ground", chunk.frames[0] + int(share * len(chunk.frames)), total)
 
 
 def _core_parameters(parameters: GroundParameters) -> _core.GroundParameters:
@@ -203,7 +281,8 @@ def _core_parameters(parameters: GroundParameters) -> _core.GroundParameters:
     core.voxel_size = parameters.voxel_size
     core.seed_radius = parameters.seed_radius
     core.seed_quantile = parameters.seed_quantile
-    core.least_share = parameters.least_share
+    if not parameters.seed_quantile:
+        core.least_share = 0  # the paper does not widen the search for seeds
     core.step_height = parameters.step_height
     core.neighbors = parameters.neighbors
     core.plane_distance = parameters.plane_distance
@@ -225,6 +304,6 @@ def _checked(
         row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
         raise InputError(
             f"point {row} is {points[row].tolist()}; leave out what is no return "
-            "(docdepth.datasets.base.usable_points tells)"
+            "(see docdepth.geometry.points.usable_points)"
         )
     return points, pose

@@ -1,28 +1,22 @@
-"""What the stages of a run share: what is done already, how far one is, where its time goes."""
+"""What the stages of a run share: their state, their progress and their profile."""
 
 from __future__ import annotations
 
 import resource
 import sys
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Lock
-from typing import TypeVar
 
 from docdepth.io.run_folder import RunFolder
-
-_Item = TypeVar("_Item")
-_Result = TypeVar("_Result")
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how many frames are done and how many there are."""
 
 
 class Stopwatch:
-    """Seconds spent by name, for the profile in run.yaml; names may run side by side."""
+    """Seconds spent by name, for the profile in run.yaml; threads may share one."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -45,13 +39,21 @@ class Stopwatch:
 
 
 def stage_is_done(run: RunFolder, stage: str, key: str) -> bool:
-    """Has the stage been finished with these parameters?"""
+    """Whether the stage was finished with these parameters."""
     state = run.stage(stage)
     return bool(state.get("state") == "done" and state.get("key") == key)
 
 
 def finish_stage(run: RunFolder, stage: str, watch: Stopwatch, frames: int, **more: object) -> None:
-    """Mark a stage as done; ``frames`` were worked on in these seconds, others before."""
+    """Mark a stage as done, with its profile.
+
+    Parameters
+    ----------
+    frames : int
+        Frames that this run of the stage worked on; an earlier one may have done the others.
+    more
+        Further entries of the stage in run.yaml.
+    """
     before = run.stage(stage)
     kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     peak = kilobytes // 1024 if sys.platform != "darwin" else kilobytes // 1024**2
@@ -67,23 +69,10 @@ def finish_stage(run: RunFolder, stage: str, watch: Stopwatch, frames: int, **mo
 
 
 def progress_callback(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
-    """``progress`` for one stage."""
+    """``progress`` of one stage, called with the frames done and their number."""
 
-    def tell(done: int, total: int) -> None:
+    def call(done: int, total: int) -> None:
         if progress:
             progress(stage, done, total)
 
-    return tell
-
-
-def prefetch(
-    pool: Executor, make: Callable[[_Item], _Result], items: Iterable[_Item], count: int = 2
-) -> Iterator[_Result]:
-    """``map`` that makes no more than ``count`` results before they are asked for."""
-    waiting: deque[Future[_Result]] = deque()
-    for item in items:
-        waiting.append(pool.submit(make, item))
-        if len(waiting) > count:
-            yield waiting.popleft().result()
-    while waiting:
-        yield waiting.popleft().result()
+    return call
