@@ -99,9 +99,7 @@ def beautymap(drive: Drive, clone: Path) -> tuple[list[np.ndarray], float]:
     counts = [len(drive.points(index)) for index in range(len(drive))]
     first = np.concatenate([[0], np.cumsum(counts)])
     if first[-1] >= 1 << 24:
-        raise SystemExit(
-            "BeautyMap's floats number at most 16.8 million points; give a shorter drive"
-        )
+        raise SystemExit("BeautyMap numbers at most 16.8 million points; give a shorter drive")
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder)
         (data / "pcd").mkdir()
