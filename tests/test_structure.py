@@ -1,5 +1,6 @@
 """The house stays one that a newcomer can walk through: bounds on what `structure.py` counts."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -49,3 +50,12 @@ def test_the_counts_see_what_they_count(tmp_path: Path):
     (package / "one" / "c.py").write_text("import docdepth.two.b\n")
     with pytest.raises(ValueError, match=r"one -> two -> one|two -> one -> two"):
         House(tmp_path).floors()
+
+
+def test_rooms_import_only_rooms_above_them_on_the_map_of_contributors():
+    text = (HOUSE.root / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = [line for line in text.splitlines() if line.startswith("| `")]
+    order = [name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[1])]
+    assert set(order) == HOUSE.rooms()
+    for room, imported in HOUSE.arrows():
+        assert order.index(imported) < order.index(room), f"{room} imports {imported}"

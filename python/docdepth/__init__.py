@@ -19,8 +19,8 @@ import logging
 from docdepth._core import __version__  # before the rooms, which write it into their files
 from docdepth.config import Parameters, parameters
 from docdepth.datasets import CameraStream, Dataset, Sweep, open_dataset
-from docdepth.dynamics.classifier import classify_drive
 from docdepth.dynamics.classes import Labels
+from docdepth.dynamics.classifier import classify_drive
 from docdepth.errors import DocDepthError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.sensor_rig import SensorRig
