@@ -79,10 +79,10 @@ def main() -> None:
 
     renderers = {}
     for backend in backends.available():
-        if backend.well:
+        if backend.usable:
             renderers[backend.name] = backends.choose(backend.name)
         else:
-            print(f"{backend.name:<12} not available: {backend.finding}")
+            print(f"{backend.name:<12} not available: {backend.detail}")
     jobs = {name: lambda r=renderer: draw(r) for name, renderer in renderers.items()}
     first = {name: seconds(job) for name, job in jobs.items()}
     medians = interleaved(jobs, arguments.repeat)

@@ -1,9 +1,9 @@
-"""IP-Basic: depth completed by image filters on one projected sweep, the peer of our renderer.
+"""IP-Basic: depth completion by image filters on one sweep, a baseline for the renderer.
 
 Written from the description in Ku, Harakeh and Waslander, "In Defense of Classical Image
 Processing: Fast Depth Completion on the CPU" (CRV 2018), with the filters that they found best: a
-diamond for the first dilation, median and Gaussian blur at the end, small holes filled by 7 x 7 and
-large ones by 31 x 31 pixels.
+diamond for the first dilation, 7 x 7 pixels for small holes, 31 x 31 for large ones, and median and
+Gaussian blur at the end.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _DIAMOND = np.array(
     ],
     np.uint8,
 )
-# Between inverted depth of the farthest pixel and that of empty ones, 0 [m].
+# Gap between the inverted depth of the farthest pixel and that of empty pixels, 0 [m].
 _BUFFER = 20.0
 
 
@@ -32,16 +32,16 @@ def ip_basic(sparse: NDArray[np.float32], max_depth: float = 80.0) -> NDArray[np
     Parameters
     ----------
     sparse : ndarray of float32, shape (h, w)
-        Metres, NaN = none.
+        Metres; NaN = none.
     max_depth : float
-        Farther pixels are taken as empty [m]; in the paper KITTI's 80 m.
+        Farther pixels count as empty [m]; KITTI's 80 m in their paper.
 
     Returns
     -------
     ndarray of float32, shape (h, w)
-        Metres; NaN only in what no filter reached.
+        Metres; NaN only where no filter reaches.
     """
-    # Inverted, so that dilation lets the nearer of two win; 0 is empty.
+    # Inverted, so that dilation keeps the smaller depth; 0 is empty.
     with np.errstate(invalid="ignore"):
         known = sparse <= max_depth
     depth = np.where(known, max_depth + _BUFFER - sparse, 0).astype(np.float32)
@@ -57,13 +57,13 @@ def ip_basic(sparse: NDArray[np.float32], max_depth: float = 80.0) -> NDArray[np
 
 
 def _fill(depth: NDArray[np.float32], size: int) -> NDArray[np.float32]:
-    """Empty pixels take the nearest depth of a square window."""
+    """Fill empty pixels with the smallest depth of a square window."""
     dilated = cv2.dilate(depth, np.ones((size, size), np.uint8))
     return np.where(depth > 0, depth, dilated)
 
 
 def _extend_to_top(depth: NDArray[np.float32]) -> None:
-    """Carry the highest depth of each column to the top of the image: trees, poles, houses."""
+    """Extend the topmost depth of each column to the top of the image: trees, poles, houses."""
     known = depth > 0
     top = np.where(known.any(axis=0), known.argmax(axis=0), 0)
     above = np.arange(len(depth))[:, None] < top

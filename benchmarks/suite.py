@@ -37,7 +37,8 @@ from numpy.typing import NDArray
 from docdepth import __version__
 from docdepth.config import Parameters, parameters, parse_settings
 from docdepth.errors import DocDepthError
-from docdepth.evaluation import DepthEvaluation, Table, moving
+from docdepth.evaluation import DepthEvaluation, Table, label_counts, moving
+from docdepth.evaluation import depth as depth_evaluation
 from docdepth.evaluation.pixels import project
 from docdepth.evaluation.tables import number
 from docdepth.geometry.se3 import inverse
@@ -188,7 +189,9 @@ DEPTH_COLUMNS = [
 ]
 
 
-def table(title: str, columns: list[Column], cells: dict[str, dict[str, Row]]) -> Table:
+def table(
+    title: str, columns: list[Column], cells: dict[str, dict[str, Row]], note: str = ""
+) -> Table:
     """Mean and worst of each trial for each metric, then all cells."""
     trials = list(dict.fromkeys(name for rows in cells.values() for name in rows))
     lines = []
@@ -208,7 +211,7 @@ def table(title: str, columns: list[Column], cells: dict[str, dict[str, Row]]) -
     for name, rows in cells.items():
         for trial, row in rows.items():
             add(name, trial, row)
-    return Table(title, ("cell", "trial", *(c.heading for c in columns)), tuple(lines))
+    return Table(title, ("cell", "trial", *(c.heading for c in columns)), tuple(lines), note)
 
 
 def _arguments(arguments: list[str] | None) -> argparse.Namespace:
@@ -234,13 +237,14 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, Row]]:
     kind = "depth" if args.depth else "labels"
     out = args.out / kind / f"seed{args.seed}"
     columns = DEPTH_COLUMNS if args.depth else LABEL_COLUMNS
+    note = depth_evaluation.NOTE if args.depth else label_counts.NOTE
     cells: dict[str, dict[str, Row]] = {}
     for cell in cells_of(args):
         if args.depth:
             cells[cell.name] = depth_rows(cell, trials, out, args.images, args.threads)
         else:
             cells[cell.name] = label_rows(cell, trials, out, args.jobs, args.threads)
-        whole = table(f"{kind}, seed {args.seed}, exact poses", columns, cells)
+        whole = table(f"{kind}, seed {args.seed}, exact poses", columns, cells, note)
         text = whole.markdown().encode()
         write_atomically(out / "table.md", lambda stream, t=text: stream.write(t))
         for line in whole.rows[-len(cells[cell.name]) :]:
