@@ -210,9 +210,7 @@ def test_points_in_a_predicted_box_are_dynamic_unless_votes_or_ground_say_otherw
 
 
 @pytest.mark.parametrize(("always", "share", "moves"), [(8, 0.9, 0), (8, 0.7, 1), (7, 0.9, 1)])
-def test_an_always_occupied_rest_of_a_tracked_object_stays_static(
-    always, share, moves
-):
+def test_an_always_occupied_rest_of_a_tracked_object_stays_static(always, share, moves):
     """Beyond that share it was observed free at times, or occupied not often enough."""
     rows = np.arange(100)
     occupied = rows >= 40 + 60 * (1 - share)
