@@ -1,4 +1,4 @@
-"""Voting written from its description and nothing else, in plain numpy.
+"""Voting and objects in plain numpy, written from their description alone.
 
 Algorithm 1 with a range image, and the vote of a key frame's surface.
 """
@@ -72,15 +72,15 @@ def reference_vote(points, ground, T_query, key_sweeps, key_grounds, key_poses, 
     for sweep, sweep_ground, T_key in zip(key_sweeps, key_grounds, key_poses, strict=True):
         moved = reference_move(points, T_query, T_key)
         if p.vote_model == "range_image":
-            outcome = ask_pixels(moved, sweep, sweep_ground, p)
+            outcome = vote_by_range_image(moved, sweep, sweep_ground, p)
         else:
-            outcome = ask_surface(moved, ground, sweep, sweep_ground, p)
+            outcome = vote_by_surface(moved, ground, sweep, sweep_ground, p)
         static += (outcome == "static") & voted_on
         dynamic += (outcome == "dynamic") & voted_on
     return static, dynamic
 
 
-def ask_pixels(query, sweep, sweep_ground, p):
+def vote_by_range_image(query, sweep, sweep_ground, p):
     columns = round(360 / p.resolution_deg)
     half = p.window // 2
     image, image_ground = reference_image(sweep, sweep_ground, columns)
@@ -104,7 +104,7 @@ def ask_pixels(query, sweep, sweep_ground, p):
     return outcome
 
 
-def ask_surface(query, query_ground, sweep, sweep_ground, p):
+def vote_by_surface(query, query_ground, sweep, sweep_ground, p):
     columns = round(360 / p.resolution_deg)
     half = p.window // 2
     mesh = ScanMesh(sweep)
@@ -211,7 +211,7 @@ def nearest_corner(sweep, mesh, columns, triangle, row, column):
 
 
 def directions(points):
-    """Azimuth and elevation in 65536ths of a turn, as the surface counts them."""
+    """Azimuth and elevation in 65536ths of a turn, as the mesh counts them."""
     x, y, z = points.T
     azimuth, elevation = (
         np.floor(angle * (np.float32(1) / np.float32(2 * np.pi / 65536)) + np.float32(0.5))

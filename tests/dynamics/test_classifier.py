@@ -31,7 +31,7 @@ def test_moving_box_is_dynamic_and_the_yard_static_without_ground(yard):
             ).all()
 
 
-def test_feet_called_ground_move_with_what_stands_on_them(yard, monkeypatch):
+def test_feet_labelled_ground_are_dynamic_with_their_object(yard, monkeypatch):
     trajectory, sweeps, what = yard
     above = [sweep[:, 2] + 1.7 for sweep in sweeps]
     ground = [(w == 0) | ((w == 2) & (z < 0.1)) for z, w in zip(above, what, strict=True)]
@@ -51,8 +51,8 @@ def test_feet_called_ground_move_with_what_stands_on_them(yard, monkeypatch):
             assert (label.classid[w == 0] == 0).all()
 
 
-def test_feet_above_what_is_called_ground_move_with_what_stands_on_them(yard):
-    """They are not called ground, but what key frames saw below them was."""
+def test_feet_just_above_labelled_ground_are_dynamic_with_their_object(yard):
+    """Their own label is not ground, but that of the returns below them in key frames is."""
     trajectory, sweeps, what = yard
     feet = [(w == 2) & (sweep[:, 2] + 1.7 < 0.08) for sweep, w in zip(sweeps, what, strict=True)]
     assert sum(f.sum() for f in feet) > 400
@@ -64,12 +64,12 @@ def test_feet_above_what_is_called_ground_move_with_what_stands_on_them(yard):
             assert (label.classid[w == 0] != 100).all()
 
 
-def test_moving_box_is_dynamic_and_the_yard_static_to_the_letter(yard):
+def test_moving_box_is_dynamic_and_the_yard_static_with_the_paper_preset(yard):
     trajectory, sweeps, what = yard
     labels = classify_drive(sweeps, trajectory, PAPER, ground=[w == 0 for w in what])
     for label, sweep, w in zip(labels, sweeps, what, strict=True):
         assert (label.classid[w == 0] == 0).all()
-        # The foot of a wall suffers from tau = 0 around ground pixels, to the letter.
+        # Around ground pixels the paper's tau is 0, which costs the foot of a wall.
         above = sweep[:, 2] > -1.2
         assert (label.classid[(w == 1) & above] == 50).all()
         assert (label.classid[w == 1] == 50).mean() > 0.99
@@ -114,7 +114,7 @@ def test_shared_evidence_equals_the_reference(yard, seed, monkeypatch):
     np.testing.assert_array_equal(found == 100, expected)
 
 
-def test_an_object_moves_as_a_whole_and_single_points_alone_do_not(yard):
+def test_an_object_is_dynamic_as_a_whole_and_isolated_points_are_not(yard):
     _, sweeps, what = yard
     points, ground = sweeps[6], what[6] == 0
     box = np.flatnonzero(what[6] == 2)
@@ -159,7 +159,7 @@ def test_points_without_votes_do_not_count_against_their_object(yard, monkeypatc
     assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).mean() < 0.9
 
 
-def test_what_always_stood_beside_a_mover_and_is_connected_to_it_stays(yard):
+def test_an_always_occupied_part_of_a_moving_object_stays_static(yard):
     _, sweeps, what = yard
     points, ground = sweeps[6], what[6] == 0
     box = np.flatnonzero(what[6] == 2)
@@ -175,7 +175,7 @@ def test_what_always_stood_beside_a_mover_and_is_connected_to_it_stays(yard):
     assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).all()
 
 
-def test_what_lies_flat_and_was_seen_free_at_times_does_not_move():
+def test_a_flat_object_that_was_observed_free_at_times_is_static():
     """Boughs and signs that key frames look past; as wide as a car, two rows of returns high."""
     for height, classid in ((0.1, 50), (0.5, 100)):
         y, z = np.meshgrid(np.arange(-1, 1, 0.05), np.arange(1, 1 + height, 0.05))
@@ -192,7 +192,7 @@ def test_ties_and_unseen_points_are_static():
     assert list(classify(ground, votes, PAPER.dynamics)) == [50, 50, 100, 100, 0]
 
 
-def test_wheels_called_ground_are_dynamic_where_the_surface_votes():
+def test_wheels_labelled_ground_are_dynamic_where_surfaces_vote():
     votes = Votes(np.array([0, 3], np.uint16), np.array([9, 1], np.uint16))
     assert list(classify(np.ones(2, bool), votes, DEFAULT.dynamics)) == [100, 0]
 
@@ -209,7 +209,7 @@ def test_confidence_of_points_grows_with_agreement():
 
 
 def test_sure_points_are_wrong_less_often(monkeypatch):
-    """A crossing seen by few beams: the surer the votes of points are, the fewer are misjudged."""
+    """A crossing seen by few beams: the higher the confidence, the fewer points are wrong."""
     pytest.importorskip("embreex")
     from docdepth.synthetic import Drive, scene, sensor
 

@@ -1,4 +1,4 @@
-"""Objects of a sweep, and whole drives with and without tracks; runs that stop and go on."""
+"""Objects of a sweep; whole drives with and without tracks, in memory and in run folders."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ DEFAULT = parameters("default").dynamics
 
 @pytest.fixture
 def few_votes(monkeypatch):
-    """Votes alone do not find what tracks shall find."""
+    """Settings with which votes alone do not find what tracks should find."""
     monkeypatch.setattr(OBJECT_PARAMETERS, "observed_free_share", 1.0)
     monkeypatch.setattr(key_frames, "END_SPACING", 0.2)
     monkeypatch.setattr(key_frames, "END_RADIUS", 1)
@@ -79,7 +79,7 @@ def assert_same_labels(run, labels):
 
 @pytest.mark.parametrize("preset", ["default", "paper"])
 def test_a_run_gives_the_labels_of_the_drive_in_memory(yard, preset, tmp_path):
-    """With the parameters that were given, those of the ground included."""
+    """Bit for bit, and with the given parameters, those of the ground included."""
     trajectory, sweeps, what = yard
     p = parameters(preset, {"ground.seed_radius": 3.0, "ground.plane_distance": 0.06})
     run = folder_of(tmp_path / "run", trajectory, sweeps, p)
@@ -121,7 +121,7 @@ def test_the_rig_of_a_sweep_is_used(yard):
         np.testing.assert_array_equal(a.classid, b.classid)
 
 
-def test_an_interrupted_run_goes_on_and_ends_the_same(street, few_votes, tmp_path, monkeypatch):
+def test_an_interrupted_run_continues_and_ends_the_same(street, few_votes, tmp_path, monkeypatch):
     trajectory, sweeps, _ = street
     p = parameters("default", few_votes)
     run = folder_of(tmp_path / "run", trajectory, sweeps, p)
@@ -156,7 +156,7 @@ def test_an_interrupted_run_goes_on_and_ends_the_same(street, few_votes, tmp_pat
         assert run.frame_path(i).read_bytes() == again.frame_path(i).read_bytes()
 
 
-def test_objects_are_connected_points_off_the_ground(street):
+def test_objects_are_connected_points_above_the_ground(street):
     _, sweeps, what = street
     objects = cluster_objects(sweeps[0], what[0] == 0)
     assert (objects[what[0] == 0] == np.flatnonzero(what[0] == 0)).all()
@@ -177,7 +177,7 @@ def _before_a_wall(met):
     return points.reshape(-1, 3).astype(np.float32), np.zeros(met.size, bool)
 
 
-def test_whom_each_ring_meets_once_is_one_object_and_not_the_wall_behind():
+def test_a_pole_with_one_return_a_ring_is_one_object_apart_from_the_wall_behind():
     met = np.zeros((16, 60), bool)
     met[3:13, 30] = True
     points, ground = _before_a_wall(met)
@@ -189,7 +189,7 @@ def test_whom_each_ring_meets_once_is_one_object_and_not_the_wall_behind():
     assert ((classify(ground, votes, DEFAULT, points) == 100) == met.ravel()).all()
 
 
-def test_what_is_in_pieces_was_not_free_though_key_frames_look_past_it():
+def test_a_fence_was_not_free_though_key_frames_look_through_it():
     board = np.zeros((16, 60), bool)
     board[3:13, 10:40] = True
     fence = np.zeros_like(board)  # one wire, up and down

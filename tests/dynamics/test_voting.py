@@ -85,7 +85,7 @@ def test_key_frames_of_a_long_drive_are_those_of_the_plain_comparison(seed, p):
         np.testing.assert_array_equal(one, plain)
 
 
-def test_standing_adds_one_key_frame_to_the_letter():
+def test_a_standing_vehicle_adds_one_key_frame_with_the_paper_preset():
     rng = np.random.default_rng(0)
     poses = np.stack([pose(*rng.normal(0, 0.005, 2)) for _ in range(50)])
     chosen = key_frames(Trajectory(np.arange(50) * 100_000_000, poses), PAPER)
@@ -133,7 +133,7 @@ def test_votes_equal_the_reference_on_noise(vote_model):
 
 
 @pytest.mark.parametrize("p", [PAPER, DEFAULT], ids=["paper", "default"])
-def test_rows_that_are_no_returns_get_no_vote(yard, p):
+def test_rows_that_are_not_returns_get_no_votes(yard, p):
     trajectory, sweeps, what = yard
     bad = sweeps[0].copy()
     bad[::7], bad[1::7], bad[2::7] = np.nan, 0, np.inf
@@ -150,7 +150,7 @@ def test_rows_that_are_no_returns_get_no_vote(yard, p):
     np.testing.assert_array_equal(votes.dynamic, expected.dynamic)
 
 
-def test_nothing_to_ask_and_nobody_to_ask():
+def test_no_points_and_no_key_frames():
     nothing, none = np.zeros((0, 3), np.float32), np.zeros(0, bool)
     point, flag = np.ones((1, 3), np.float32), np.zeros(1, bool)
     assert vote(nothing, none, np.eye(4), [KeyFrame(point, flag)], np.eye(4)[None]).static.size == 0

@@ -1,4 +1,4 @@
-"""Objects followed over time in plain numpy, float32, each operation as the core does it."""
+"""Tracking in plain numpy, float32, each operation as the core does it."""
 
 from itertools import compress
 from types import SimpleNamespace
@@ -24,10 +24,10 @@ def track_objects(detections, times, **others):
     found, boxes = [set() for _ in detections], [[] for _ in detections]
     for order in (range(len(detections)), range(len(detections) - 1, -1, -1)):
         for track in tracks_of(detections, times, order, p):
-            objects, ways = way_of(track, detections, times, p)
+            objects, predicted = motion_of(track, detections, times, p)
             for sweep, first in objects:
                 found[sweep].add(first)
-            for sweep, box in ways:
+            for sweep, box in predicted:
                 boxes[sweep].append(box)
     return [
         (np.array(sorted(rows), np.uint32), np.array(of, F).reshape(-1, 6))
@@ -35,18 +35,18 @@ def track_objects(detections, times, **others):
     ]
 
 
-def moving_cubes(detections, followed, times):
-    """For each sweep the cubes of 1 m in which those up to 0.3 s away saw what moves, by key."""
+def dynamic_voxels(detections, tracked, times):
+    """For each sweep the voxels of 1 m that hold dynamic objects up to 0.3 s away, by key."""
     detections = [objects_of(*arrays) for arrays in detections]
     result = []
     for t in times:
-        cubes, moves = [], []
-        for seen, first, time in zip(detections, followed, times, strict=True):
+        voxels, moves = [], []
+        for seen, first, time in zip(detections, tracked, times, strict=True):
             for o in seen if 0 < abs(time - t) <= 0.3 + 1e-3 else ():
-                cubes.append(np.floor(o["places"]).astype(np.int64) + (1 << 20))
+                voxels.append(np.floor(o["places"]).astype(np.int64) + (1 << 20))
                 moves += [o["moves"] or o["first"] in first] * len(o["places"])
-        cubes = np.concatenate(cubes) if cubes else np.zeros((0, 3), np.int64)
-        keys, which = np.unique(cubes @ [1 << 42, 1 << 21, 1], return_inverse=True)
+        voxels = np.concatenate(voxels) if voxels else np.zeros((0, 3), np.int64)
+        keys, which = np.unique(voxels @ [1 << 42, 1 << 21, 1], return_inverse=True)
         moving = np.bincount(which, moves, len(keys)).astype(F)
         enough = moving > F(0.6) * np.bincount(which, minlength=len(keys)).astype(F)
         result.append(keys[(moving >= 3) & enough])
@@ -78,7 +78,7 @@ def tracks_of(detections, times, order, p):
             for shape in (track["places"], track["last"]):
                 if best[0]:
                     break
-                for start in ray_origins(track, shape, seen, free, dt, reach):
+                for start in starts_of(track, shape, seen, free, dt, reach):
                     match = match_from(track, shape, seen, free, start, reach)
                     best = match if match[0] > best[0] else best
             if best[0]:
@@ -101,7 +101,7 @@ def patience(track, p):
     return (p.max_gap_standing if stands and known else p.max_gap) + 1e-3
 
 
-def ray_origins(track, shape, seen, free, dt, reach):
+def starts_of(track, shape, seen, free, dt, reach):
     if len(track["members"]) > 1:
         return [track["velocity"] * F(dt), ZERO]
     low, high = shape.min(0), shape.max(0)
@@ -179,7 +179,7 @@ def moved(track, p):
     return far and by_votes and len(moving) >= p.min_detections
 
 
-def way_of(track, detections, times, p):
+def motion_of(track, detections, times, p):
     """Objects (sweep, first row) and boxes (sweep, low and high) of a track that moved."""
     if not moved(track, p):
         return [], []
@@ -191,8 +191,8 @@ def way_of(track, detections, times, p):
     def velocity(t):
         few = min(3, count // 2)
         k = min(max(np.searchsorted(seen, t), few), count - few)
-        way = (middle[k : k + few] - middle[k - few : k]).sum(0)
-        return way / F((seen[k : k + few] - seen[k - few : k]).sum())
+        moved = (middle[k : k + few] - middle[k - few : k]).sum(0)
+        return moved / F((seen[k : k + few] - seen[k - few : k]).sum())
 
     def box(t):
         v, stands = velocity(t), norm(velocity(t), 2) < F(0.5)
@@ -209,10 +209,8 @@ def way_of(track, detections, times, p):
             return whole
         return low[first], high[first]
 
-    motion_corrected = [norm(velocity(t), 2) < F(0.5) for t in seen]
-    boxes = [
-        box(t) if s else m[3:5] for t, s, m in zip(seen, motion_corrected, members, strict=True)
-    ]
+    standing = [norm(velocity(t), 2) < F(0.5) for t in seen]
+    boxes = [box(t) if s else m[3:5] for t, s, m in zip(seen, standing, members, strict=True)]
 
     def free(places, sweep):
         from_above = places[:, :2]
@@ -225,7 +223,7 @@ def way_of(track, detections, times, p):
         taken = [share_taken(left[k], detections[members[k][0]]) * F(len(left[k])) for k in asked]
         return len(away) > 0 and max(taken) < F(0.4) * F(len(places))
 
-    objects, ways = [], []
+    objects, predicted = [], []
     for sweep, t in enumerate(times):
         nearest = min(max(t, seen[0]), seen[-1])
         holds = norm(velocity(nearest), 2) < F(0.5)
@@ -243,8 +241,8 @@ def way_of(track, detections, times, p):
             if (there or k in own) and free(o["places"], sweep):
                 objects.append((sweep, o["first"]))
         if speed >= F(0.5):
-            ways.append((sweep, [*low, *high]))
-    return objects, ways
+            predicted.append((sweep, [*low, *high]))
+    return objects, predicted
 
 
 def share_taken(places, seen):
@@ -302,8 +300,8 @@ def most_frequent_shift(a, b, reach):
 
 
 def thinned(points, size):
-    cubes = np.floor(points / size).astype(int)
-    _, first, cube = np.unique(cubes, axis=0, return_index=True, return_inverse=True)
+    voxels = np.floor(points / size).astype(int)
+    _, first, cube = np.unique(voxels, axis=0, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(first))[cube.ravel()]
     sums, counts = np.zeros((len(first), 3), F), np.zeros(len(first), F)
     np.add.at(sums, rank, points)

@@ -163,7 +163,7 @@ def scene(directions: NDArray) -> tuple[NDArray, NDArray]:
 
 
 @pytest.mark.parametrize("rings", [32, 64])
-def test_box_before_a_wall_is_cut_out(rings: int) -> None:
+def test_a_box_before_a_wall_has_discontinuities_around_it(rings: int) -> None:
     directions = ring_rays(rings, 1800)
     ranges, what = scene(directions)
     seen = ranges < 80.0
@@ -210,7 +210,7 @@ def test_exact_range_between_returns() -> None:
     assert np.abs(asked - -1.7 / (middle @ ground)).max() < 1e-3
 
 
-def test_sphere_is_whole_and_its_rim_is_cut() -> None:
+def test_a_sphere_is_continuous_and_its_rim_is_not() -> None:
     directions = scatter_rays(20000)
     center, radius = np.array([12.0, 0.0, 0.0]), 2.0
     along = directions @ center
@@ -232,7 +232,7 @@ def test_wide_gaps_are_not_bridged() -> None:
     assert np.minimum(spans, 2 * np.pi - spans).max() < np.radians(4.1)
 
 
-def test_loose_returns_are_those_without_an_uncut_triangle() -> None:
+def test_isolated_returns_are_in_no_continuous_triangle() -> None:
     random = np.random.default_rng(5)
     points = (scatter_rays() * random.uniform(3, 60, 5000)[:, None]).astype(np.float32)
     mesh = ScanMesh(points)
@@ -256,7 +256,7 @@ def test_few_points(count: int) -> None:
     assert len(mesh.isolated) == (0 if count == 3 else count)
 
 
-def test_points_at_the_origin_and_straight_up_take_no_harm() -> None:
+def test_points_at_the_origin_and_straight_up_change_nothing() -> None:
     points = (ring_rays(8, 60) * 10).astype(np.float32)
     points[::7] = 0
     points[1] = (0, 0, 5)

@@ -1,4 +1,4 @@
-"""Ground growing in plain numpy and scipy, round by round, to hold the core against."""
+"""Ground growing in plain numpy and scipy, round by round, to compare the core with."""
 
 import numpy as np
 from scipy.spatial import cKDTree

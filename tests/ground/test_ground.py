@@ -88,7 +88,7 @@ def test_labels_equal_plain_growing(noise):
     assert 0.3 < ground.mean() < 0.9
 
 
-def test_equal_distances_are_settled_alike():
+def test_ties_of_distance_are_resolved_alike():
     """A perfect lattice is nothing but ties."""
     x, y = np.meshgrid(np.arange(-15, 15), np.arange(-15, 15))
     lattice = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * 0.25
@@ -142,7 +142,7 @@ def test_road_is_ground_and_the_rest_is_not():
 
 
 @pytest.mark.parametrize(("height", "climbed"), [(0.0, False), (0.1, False), (0.25, True)])
-def test_ground_goes_on_behind_a_kerb_that_is_no_higher_than_a_step(height, climbed):
+def test_ground_continues_behind_a_kerb_no_higher_than_a_step(height, climbed):
     """A road, a pavement 15 cm higher, and behind it a wall 50 cm high with a lawn on top."""
     x, y = (c.ravel() for c in np.meshgrid(np.arange(-8, 8, 0.08), np.arange(-4, 8, 0.08)))
     z = np.where(y > 5, 0.65, np.where(y > 2, 0.15, 0.0))
@@ -176,7 +176,7 @@ def test_chunks_are_grown_one_by_one():
         np.testing.assert_array_equal(labels[i], alone[0])
 
 
-def test_chunks_share_what_lies_between_them(monkeypatch):
+def test_chunks_overlap(monkeypatch):
     path = np.tile(np.eye(4), (9, 1, 1))
     path[:, 0, 3] = 10 * np.arange(9)
     drive = Trajectory(np.arange(9), path)
@@ -201,7 +201,7 @@ def test_seed_radius_widens_until_something_is_found():
     assert ground_map.grow() > 100
 
 
-def test_warns_when_there_is_next_to_no_ground(caplog):
+def test_warns_when_there_is_almost_no_ground(caplog):
     sweeps, poses = street_drive(sweeps=1)
     hole = np.array([[0.2, 0.1, -9.0]], dtype=np.float32)
     ground_map = GroundMap(COARSE)
@@ -211,12 +211,10 @@ def test_warns_when_there_is_next_to_no_ground(caplog):
     assert "almost no ground" in caplog.text
 
 
-def test_phantoms_below_the_road_do_not_take_its_ground():
+def test_ghost_returns_below_the_road_do_not_take_its_seeds():
     sweeps, poses = street_drive()
-    phantoms = (
-        np.random.default_rng(1).uniform([-1, -1, -9], [1, 1, -4], (20, 3)).astype(np.float32)
-    )
-    mirrored = [np.concatenate([s, phantoms]) for s in sweeps]
+    ghosts = np.random.default_rng(1).uniform([-1, -1, -9], [1, 1, -4], (20, 3)).astype(np.float32)
+    mirrored = [np.concatenate([s, ghosts]) for s in sweeps]
     robust = COARSE.model_copy(update={"seed_quantile": GroundParameters().seed_quantile})
     expected = np.concatenate(ground_of(sweeps, poses, robust))
     found = np.concatenate([g[:-20] for g in ground_of(mirrored, poses, robust)])
@@ -225,7 +223,7 @@ def test_phantoms_below_the_road_do_not_take_its_ground():
     assert np.concatenate(ground_of(mirrored, poses, COARSE)).mean() < 0.01
 
 
-def test_the_body_of_the_ego_alone_is_no_ground():
+def test_the_vehicle_body_is_not_ground():
     sweeps, poses = street_drive(sweeps=1)
     x, down = np.random.default_rng(2).uniform([[-1], [0]], [[1], [0.4]], (2, 60))
     body = np.column_stack([x, np.sign(x) * (1.2 + down / 2), -0.4 - down]).astype(np.float32)

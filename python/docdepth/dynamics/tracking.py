@@ -33,14 +33,14 @@ class TrackingResult(NamedTuple):
     boxes : ndarray of float32, shape (K, 6)
         Low and high corners of tracked objects in the frame of :func:`local_poses`. Points above
         the ground inside are dynamic unless their votes are clearly static.
-    cubes : ndarray of uint64, shape (m,)
-        Numbers of the cubes in which nearly everything moved in sweeps just before and after; the
-        same holds inside.
+    voxels : ndarray of uint64, shape (m,)
+        Numbers of the voxels in which nearly everything moved in the sweeps just before and after;
+        the same holds inside.
     """
 
     objects: NDArray[np.uint32]
     boxes: NDArray[np.float32]
-    cubes: NDArray[np.uint64] = np.zeros(0, np.uint64)
+    voxels: NDArray[np.uint64] = np.zeros(0, np.uint64)
 
     def __bool__(self) -> bool:
         return any(len(found) > 0 for found in self)
@@ -113,7 +113,7 @@ def track_objects(
     more points than were seen to move at once, or an eighth of all that were.
 
     Between its detections a tracked object is where its motion predicts it, even where its points
-    are too few to be an object. The cubes of a result hold such points, too.
+    are too few to be an object. The voxels of a result hold such points, too.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def apply_tracks(
         dynamic,
         T_world_lidar,
         result.boxes,
-        result.cubes,
+        result.voxels,
         moving,
         OBJECT_PARAMETERS,
     ).view(np.bool_)
