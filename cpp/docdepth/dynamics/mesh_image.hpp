@@ -22,9 +22,9 @@ struct MeshImageParameters {
   /// Pixel size [rad].
   double resolution = kImageResolution;
   /// Edge of the window of returns [pixel], odd.
-  int window = 5;
+  int window = kWindow;
   /// Range tolerance of a single return, tau of the paper [m].
-  float tolerance = 0.2f;
+  float tolerance = kRangeTolerance;
   /// Margins of planes that are not level.
   Margins upright{0.2f, 0.3f, 0.01f};
   /// Margins of level planes, narrower since the feet of objects are just above them.
@@ -32,8 +32,8 @@ struct MeshImageParameters {
   /// normal_tolerance of a level plane if the point or the plane is labelled ground [m]: its height
   /// is exact to millimetres.
   float ground_tolerance = 0.03f;
-  /// A plane is level if the z component of its unit normal is above this.
-  float level_cosine = 0.9f;
+  /// A plane is level if the z component of its unit normal is above this: a lean of 25 degrees.
+  float level_cosine = 0.9063078f;
   /// A triangle does not vote on points farther from the rays to its corners [m].
   float max_ray_distance = 0.15f;
 };

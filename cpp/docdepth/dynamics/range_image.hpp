@@ -14,8 +14,8 @@ namespace docdepth {
 /// Parameters of Algorithm 1.
 struct RangeImageParameters {
   double resolution = kImageResolution;  ///< pixel size [rad]
-  int window = 5;                        ///< edge of the window, w of the paper [pixel]; odd
-  float tolerance = 0.2f;                ///< range tolerance, tau of the paper [m]
+  int window = kWindow;                  ///< edge of the window, w of the paper [pixel]; odd
+  float tolerance = kRangeTolerance;     ///< range tolerance, tau of the paper [m]
   bool plain = false;                    ///< vote by the plain loop, the reference for the fast one
 };
 

@@ -10,6 +10,10 @@ namespace docdepth {
 constexpr double kMaxSeedRadius = 16.0;
 /// Behind a step, ground is sought in cells of this edge on the plan [m].
 constexpr double kStepCell = 1.0;
+/// Voxels on either side of the origin of a map: 2^20, which is 31 km at 3 cm.
+constexpr std::int64_t kMapReach = std::int64_t{1} << 20;
+/// Points whose hash slots are fetched ahead of use.
+constexpr std::size_t kPrefetchAhead = 8;
 /// A thread takes at most so many leaves of the front at once.
 constexpr std::size_t kLeavesAtOnce = 8;
 /// Larger nodes of the octree are split [points].
