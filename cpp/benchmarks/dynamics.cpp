@@ -1,5 +1,5 @@
-// Votes a second on a synthetic street, beside the plain loop of Algorithm 1: medians of several
-// runs of processor time that take turns.
+// Votes per second on a synthetic street, compared with the plain loop of Algorithm 1: medians of
+// the processor time of several runs that take turns.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -64,8 +64,8 @@ double median(std::vector<double> values) {
 
 }  // namespace
 
-/// Votes against surfaces, ground included, as the default preset asks for.
-void vote_on_surfaces(const Sweep& query) {
+/// Votes against meshes, ground included, as in the default preset.
+void vote_on_meshes(const Sweep& query) {
   std::vector<std::unique_ptr<MeshImage>> owned;
   std::vector<const KeyFrame*> frames;
   std::vector<Pose> poses;
@@ -86,7 +86,7 @@ void vote_on_surfaces(const Sweep& query) {
     times.push_back(seconds([&] { vote(query.points, ground, query.pose, frames, poses, 1); }));
   const double votes = static_cast<double>(query.points.rows()) * poses.size();
   std::printf(
-      "surfaces: %.2f M votes of %zu key frames: %.1f M votes/s, %.1f ms; making one: %.1f ms\n",
+      "meshes: %.2f M votes of %zu key frames: %.1f M votes/s, %.1f ms; making one: %.1f ms\n",
       1e-6 * votes, poses.size(), 1e-6 * votes / median(times), 1e3 * median(times),
       1e3 * median(builds));
 }
@@ -129,6 +129,6 @@ int main() {
       1e-6 * votes, poses.size(), 1e-6 * fast, 1e-6 * plain, fast / plain,
       equal ? "equal votes" : "VOTES DIFFER");
   std::printf("making a key frame: %.2f ms\n", 1e3 * median(builds));
-  vote_on_surfaces(query);
+  vote_on_meshes(query);
   return equal ? 0 : 1;
 }

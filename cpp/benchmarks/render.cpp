@@ -108,7 +108,7 @@ std::vector<float> plain(const Camera& c, const std::vector<Matrix>& sweeps,
   return depth;
 }
 
-/// The default: sweeps as surfaces, at the places where static_frames() takes them.
+/// The default: sweeps as meshes, at the distances at which static_frames() takes them.
 void measure_surfaces(const Camera& camera, const std::vector<Matrix>& sweeps,
                       const Pose& T_camera_lidar) {
   const std::vector<std::uint16_t> classid(sweeps[0].rows(), 50);

@@ -1,5 +1,5 @@
-// numpy arrays in and out of the core. Shapes are checked here once more, so that a direct caller
-// of _core gets a sentence and never a crash.
+// numpy arrays in and out of the core. Shapes are checked here as well, so that a direct caller of
+// _core gets an error message and never a crash.
 #pragma once
 
 #include <pybind11/numpy.h>
@@ -23,9 +23,9 @@ using Array = py::array_t<T, py::array::c_style>;  // no forcecast: a wrong dtyp
 using PointMap = Eigen::Map<const Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>>;
 
 /// View of an (N, 3) float32 array, without a copy.
-inline PointMap as_points(const Array<float>& array) {
+inline PointMap as_points(const Array<float>& array, const char* name = "points") {
   if (array.ndim() != 2 || array.shape(1) != 3)
-    throw std::invalid_argument("points must be a float32 array of shape (N, 3)");
+    throw std::invalid_argument(std::string(name) + " must be a float32 array of shape (N, 3)");
   return PointMap(array.data(), array.shape(0), 3);
 }
 
@@ -50,7 +50,7 @@ inline std::vector<Pose> as_poses(const Array<double>& array) {
   return poses;
 }
 
-/// A one-dimensional array of `size` elements, or an error that names it.
+/// View of a one-dimensional array of `size` elements, or an error that names it.
 template <class T>
 const T* as_column(const Array<T>& array, py::ssize_t size, const char* name) {
   if (array.ndim() != 1 || array.shape(0) != size)
@@ -59,13 +59,13 @@ const T* as_column(const Array<T>& array, py::ssize_t size, const char* name) {
   return array.data();
 }
 
-/// Refuse a mesh of other points, which would be read beyond their end.
+/// Refuse a mesh of other points, which would read beyond their end.
 inline void check_mesh(const ScanMesh& mesh, py::ssize_t rows) {
   if (mesh.points != static_cast<std::size_t>(rows))
     throw std::invalid_argument("the mesh was made of another number of points");
 }
 
-/// Hand a vector to numpy without copying its elements.
+/// Hand a vector over to numpy, without a copy.
 template <class T>
 py::array_t<T> to_numpy(std::vector<T>&& values, std::vector<py::ssize_t> shape) {
   auto* owner = new std::vector<T>(std::move(values));

@@ -21,7 +21,7 @@ std::unique_ptr<GlRenderer> open(const std::string& backend, int device,
   return std::make_unique<GlRenderer>(choice);
 }
 
-// The number of threads is the driver's own; the argument makes this a stand-in for the cpu.
+// The driver has its own threads. The argument makes this a drop-in for the processor's renderer.
 py::array_t<float> draw_splats(GlRenderer& renderer, const Array<double>& K, int width, int height,
                                const std::vector<Placed>& static_frames,
                                const std::vector<Placed>& dynamic_frames, const Size& static_size,

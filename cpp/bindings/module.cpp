@@ -1,6 +1,7 @@
 #include <pybind11/pybind11.h>
 
 namespace docdepth::bindings {
+void bind_geometry(pybind11::module_& m);
 void bind_ground(pybind11::module_& m);
 void bind_mesh(pybind11::module_& m);
 void bind_voting(pybind11::module_& m);
@@ -12,6 +13,7 @@ void bind_gl(pybind11::module_& m);
 PYBIND11_MODULE(_core, m) {
   m.doc() = "C++ core of docdepth; use the documented functions of docdepth.* instead.";
   m.attr("__version__") = DOCDEPTH_VERSION;
+  docdepth::bindings::bind_geometry(m);
   docdepth::bindings::bind_ground(m);
   docdepth::bindings::bind_mesh(m);
   docdepth::bindings::bind_voting(m);

@@ -31,9 +31,9 @@ py::array_t<float> draw_splats(const Array<double>& K, int width, int height,
   return to_numpy(std::move(depth), {height, width});
 }
 
-/// Of as many lines of sight as points; the points where none are given.
+/// Ray origins, one per point; the points themselves if there are none.
 PointMap origins_of(const std::optional<Array<float>>& ray_origins, const PointMap& points) {
-  const PointMap map = ray_origins ? as_points(*ray_origins) : points;
+  const PointMap map = ray_origins ? as_points(*ray_origins, "ray_origins") : points;
   if (map.rows() != points.rows())
     throw std::invalid_argument("ray_origins must be as many as the points");
   return map;
@@ -78,7 +78,7 @@ py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
 
 std::unique_ptr<Rays> make_rays(const Array<float>& points, const Array<float>& normals,
                                 const std::optional<Array<float>>& ray_origins) {
-  const PointMap map = as_points(points), directions = as_points(normals);
+  const PointMap map = as_points(points), directions = as_points(normals, "normals");
   const Points from = origins_of(ray_origins, map);
   if (directions.rows() != map.rows())
     throw std::invalid_argument("normals must be as many as the points");

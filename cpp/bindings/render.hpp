@@ -1,4 +1,4 @@
-// What the renderers' bindings share.
+// Arguments of the renderers.
 #pragma once
 
 #include <pybind11/stl.h>
@@ -22,7 +22,7 @@ inline Camera as_camera(const Array<double>& K, int width, int height) {
 using Placed = std::pair<const Frame*, Array<double>>;
 using Size = std::pair<double, double>;  // sigma_max, sigma_min
 
-/// Static and moving points of their frames, with their sizes, as the renderers take them.
+/// The static and the dynamic points of frames, with the sizes of their splats.
 struct PlacedClouds {
   SplatHeights static_heights, dynamic_heights;
   std::vector<PlacedCloud> clouds;
@@ -53,7 +53,7 @@ inline std::vector<PlacedMeshFrame> as_mesh_frames(const std::vector<PlacedFrame
   return result;
 }
 
-/// Its pose, and seconds from its stamp to the image.
+/// A frame, its pose, and the time from its stamp to the image [s].
 using DynamicFrame = std::tuple<const MeshFrame*, Array<double>, float>;
 
 inline DynamicSweeps as_motion(const std::vector<DynamicFrame>& dynamic_frames, float max_speed) {

@@ -1,4 +1,4 @@
-// Votes of key frames on the points of a sweep (paper III-C2).
+// Votes of key frames on the points of a sweep (paper IV-C).
 #pragma once
 
 #include <cstddef>
@@ -9,8 +9,8 @@
 
 namespace docdepth {
 
-/// Points of another sweep in the LiDAR frame of the key frame that is asked, a column each. Few
-/// enough for their scratch to stay in the first level cache.
+/// Points of a sweep in the LiDAR frame of a key frame, one column per coordinate. Few enough for
+/// their scratch memory to stay in the first level cache.
 struct QueryPoints {
   static constexpr std::size_t kMax = 256;
 
@@ -18,38 +18,37 @@ struct QueryPoints {
   const float* x;
   const float* y;
   const float* z;
-  const float* range;  ///< range_of(x, y, z); finite and above zero
-  bool ground;         ///< whether they are called ground
+  const float* range;  ///< range_of(x, y, z), finite and positive [m]
+  bool ground;         ///< whether they are labelled ground
 };
 
-/// A sweep made ready to be asked what it knows about the places of other points.
+/// A sweep made ready to vote on the points of other sweeps.
 class KeyFrame {
  public:
   virtual ~KeyFrame() = default;
 
-  /// Whether it is asked about points that are called ground, too.
-  virtual bool asks_ground() const = 0;
+  /// Whether it votes on ground points.
+  virtual bool votes_on_ground() const = 0;
 
-  /// Find the pixel of each point, and have the memory fetch what it holds: the images of all key
-  /// frames together fit into no cache, and while it comes others are voted on.
+  /// Find the pixel of each point and prefetch it: the images of all key frames fit into no cache.
+  /// While the memory answers, other points are voted on.
   virtual void find(const QueryPoints& points, std::int32_t* pixels) const = 0;
 
-  /// Add this key frame's vote on each point: one to statics, one to dynamics, or none.
+  /// Add one vote on each point to static_votes or dynamic_votes, or none.
   /// @param pixels  from find()
-  virtual void vote(const QueryPoints& points, const std::int32_t* pixels, std::uint16_t* statics,
-                    std::uint16_t* dynamics) const = 0;
+  virtual void vote(const QueryPoints& points, const std::int32_t* pixels,
+                    std::uint16_t* static_votes, std::uint16_t* dynamic_votes) const = 0;
 };
 
-/// How many key frames saw a surface at the place of each point (statics), how many looked through
-/// it (dynamics).
+/// How many key frames saw a surface at each point (statics) or through it (dynamics).
 struct Votes {
   std::vector<std::uint16_t> statics, dynamics;
 };
 
-/// Ask every key frame about every point. Rows that are no returns (not finite, or at the origin)
-/// get no votes, and ground points none of key frames that do not ask about them.
-/// @param ground  one flag a point.
-/// @param T_world_key  pose of each key frame.
+/// Let every key frame vote on every point. Points that are no returns (not finite or at the
+/// origin) get no votes; ground points only from key frames that vote on ground.
+/// @param ground       one flag per point
+/// @param T_world_key  pose of each key frame
 Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
            const std::vector<const KeyFrame*>& key_frames, const std::vector<Pose>& T_world_key,
            int threads);

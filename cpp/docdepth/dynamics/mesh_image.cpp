@@ -14,13 +14,10 @@
 namespace docdepth {
 namespace {
 
-constexpr float kEmpty = std::numeric_limits<float>::infinity();
-constexpr double kNearestPlane = 0.01;  // to the sensor [m]
-
-// What a pixel keeps in 32 bits, from the highest one: whether its triangle is a jump (1); between
-// what ranges the returns of its window lie (12 and 12, the highest of two floats after the sign,
-// rounded outwards); whether its triangle lies on the ground (1); how far from its centre the
-// nearest corner lies (6, in kSteps a pixel).
+// Pixel::bits, from the highest bit: whether its triangle is a discontinuity (1); the nearest and
+// the farthest return of its window (12 and 12, the upper bits of floats after the sign, rounded
+// outwards); whether its triangle is ground (1); distance from its centre to the nearest corner (6,
+// in kSteps to a pixel).
 constexpr std::uint32_t kJump = 0x80000000, kRange = 0x7ff80000, kOnGround = 0x40,
                         kMostSteps = 0x3f;
 constexpr int kSteps = 8;
@@ -37,9 +34,9 @@ std::uint32_t as_bits(float value) {
   return bits;
 }
 
-/// What the triangle says, and whether a return nearby may still object: negative where it may.
-/// @param seen  what the pixels keep, one after the other
-struct AskTriangles {
+/// Votes by the triangles of pixels. `open` is negative where a return of the window may overrule.
+/// @param seen  the pixels, four values each
+struct VoteByTriangles {
   DOCDEPTH_KERNEL static void run(std::size_t count, const float* x, const float* y, const float* z,
                                   const float* range, const float* seen, float step,
                                   MeshImageParameters p, std::uint16_t* __restrict statics,
@@ -53,18 +50,18 @@ struct AskTriangles {
       const int jump = static_cast<int>(bits >> 31);
 
       const float r = range[i];
-      const float depth = (a * x[i] + b * y[i]) + c * z[i];  // 1 on the plane
+      const float depth = (a * x[i] + b * y[i]) + c * z[i];  // 1 on the plane, less before it
       const float distance = 1.0f / std::sqrt((a * a + b * b) + c * c);
       const float before = 1.0f - depth;
-      // Choices between numbers, since compilers do not vectorise those between truth values.
+      // Choices between integers, since compilers do not vectorise those between booleans.
       const int level = std::fabs(c) * distance > p.level_cosine ? 1 : 0;
-      const float level_across = bits & kOnGround ? p.ground_tolerance : p.level.normal_tolerance;
-      const float across = level ? level_across : p.upright.normal_tolerance;
-      const float level_along = p.level.radial_tolerance + p.level.radial_growth * r;
-      const float upright_along = p.upright.radial_tolerance + p.upright.radial_growth * r;
-      const float along = level ? level_along : upright_along;
-      const int on_plane = (std::fabs(before) * distance < across ? 1 : 0) |
-                           (r * std::fabs(before) < along * depth ? 1 : 0);
+      const float level_normal = bits & kOnGround ? p.ground_tolerance : p.level.normal_tolerance;
+      const float normal = level ? level_normal : p.upright.normal_tolerance;
+      const float level_radial = p.level.radial_tolerance + p.level.radial_growth * r;
+      const float upright_radial = p.upright.radial_tolerance + p.upright.radial_growth * r;
+      const float radial = level ? level_radial : upright_radial;
+      const int on_plane = (std::fabs(before) * distance < normal ? 1 : 0) |
+                           (r * std::fabs(before) < radial * depth ? 1 : 0);
       const int before_plane = (before > 0.0f ? 1 : 0) & (depth > 0.0f ? 1 : 0);
 
       const float to_a = r - a, to_b = r - b, to_c = r - c;
@@ -84,14 +81,14 @@ struct AskTriangles {
       const int is_dynamic = in_sight & (1 - on_it) & before_it;
       statics[i] = static_cast<std::uint16_t>(statics[i] + is_static);
       dynamics[i] = static_cast<std::uint16_t>(dynamics[i] + is_dynamic);
-      // Which of the two the window may overrule.
+      // -2: the window may overrule a dynamic vote; -1: no vote.
       open[i] = ((1 - is_static) & (1 - flat) & returns) ? -1 - is_dynamic : 0;
     }
   }
 };
 
-/// Make open points static that have a return within the tolerance in their window.
-struct AskWindows {
+/// Makes open points static that have a return within the tolerance in their window.
+struct VoteByWindows {
   DOCDEPTH_KERNEL static void run(std::size_t count, const std::int32_t* points, const float* range,
                                   const std::int32_t* pixel, const std::int32_t* open,
                                   const float* corner, std::size_t stride, int window,
@@ -124,14 +121,14 @@ struct AskWindows {
 
 using Corner = std::array<std::int64_t, 2>;
 
-/// First pixel whose centre, (2 k + 1) kTurn / 2, is not below a coordinate.
+/// First pixel k whose centre, (2 k + 1) kTurn / 2, is not below a coordinate.
 std::int64_t first_pixel(std::int64_t coordinate) {
   static_assert(kTurn == 1 << 16);
   return (coordinate + kTurn / 2 - 1) >> 16;
 }
 
-/// Call body(column, row) for the pixels whose centres lie in a triangle, its border included.
-/// Coordinates are exact: pixels times kTurn.
+/// Call body(column, row) for the pixels whose centres lie in a triangle or on its border.
+/// Coordinates are exact integers: pixels times kTurn.
 template <class Body>
 void for_each_pixel(const std::array<Corner, 3>& corners, const Body& body) {
   const auto span = [&](int axis) {
@@ -140,7 +137,7 @@ void for_each_pixel(const std::array<Corner, 3>& corners, const Body& body) {
   };
   const auto columns = span(0), rows = span(1);
   if (columns[0] == columns[1] || rows[0] == rows[1]) return;
-  // Twice the areas of the first centre with each side, and how they grow from pixel to pixel.
+  // Twice the signed areas of the first centre with each side, and their steps from pixel to pixel.
   std::int64_t area[3], right[3], down[3];
   for (int i = 0; i < 3; ++i) {
     const Corner &a = corners[i], &b = corners[(i + 1) % 3];
@@ -160,7 +157,7 @@ void for_each_pixel(const std::array<Corner, 3>& corners, const Body& body) {
   }
 }
 
-/// From the centre of a pixel to the nearest corner, in kSteps a pixel.
+/// Distance from the centre of a pixel to the nearest corner, in kSteps to a pixel.
 std::uint32_t steps_to_nearest(const std::array<Corner, 3>& corners, std::int64_t column,
                                std::int64_t row) {
   std::int64_t least = std::numeric_limits<std::int64_t>::max();
@@ -184,7 +181,7 @@ MeshImage::MeshImage(const Points& points, const bool* ground, const ScanMesh& m
   range_ = padded_.nearest_ranges(returns, padded_.fit(returns));
   draw(points, ground, mesh);
   summarize_windows();
-  range_.resize(padded_.size() + kLanes, kEmpty);  // may be read, never looked at
+  range_.resize(padded_.size() + kLanes, kEmpty);  // read by vectors, never used
 }
 
 void MeshImage::summarize_windows() {
@@ -192,15 +189,16 @@ void MeshImage::summarize_windows() {
   for (float& range : seen) range = range == kEmpty ? 0.0f : range;
   const auto nearest = window_minimum(range_, padded_.stride(), padded_.half());
   const auto farthest = window_maximum(seen, padded_.stride(), padded_.half());
-  for (std::size_t i = 0; i < seen_.size(); ++i)
-    seen_[i].bits |=
+  for (std::size_t i = 0; i < pixels_.size(); ++i)
+    pixels_[i].bits |=
         (as_bits(nearest[i]) & kRange) | ((as_bits(farthest[i]) + 0x7ffff) & kRange) >> 12;
 }
 
-/// The plane through three returns, in double precision and a fixed order of operations. Corners
-/// in line, with each other or the sensor, have no plane that it could see and count as a jump.
-MeshImage::Seen MeshImage::triangle(const Points& points, const bool* ground,
-                                    const std::array<std::uint32_t, 3>& corners, bool cut) const {
+/// The plane through three returns, in double precision and a fixed order of operations. Corners in
+/// line with each other, or a plane through the sensor, count as a discontinuity.
+MeshImage::Pixel MeshImage::make_pixel(const Points& points, const bool* ground,
+                                       const std::array<std::uint32_t, 3>& corners,
+                                       bool discontinuity) const {
   double p[3][3], u[3], v[3];
   for (int i = 0; i < 3; ++i)
     for (int k = 0; k < 3; ++k) p[i][k] = points(corners[i], k);
@@ -211,8 +209,8 @@ MeshImage::Seen MeshImage::triangle(const Points& points, const bool* ground,
   double n[3] = {u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
   const double offset = (n[0] * p[0][0] + n[1] * p[0][1]) + n[2] * p[0][2];
   const double length = std::sqrt((n[0] * n[0] + n[1] * n[1]) + n[2] * n[2]);
-  if (cut || !(std::fabs(offset) > kNearestPlane * length)) {
-    Seen jump{{}, kJump};
+  if (discontinuity || !(std::fabs(offset) > kMinPlaneDistance * length)) {
+    Pixel jump{{}, kJump};
     for (int i = 0; i < 3; ++i)
       jump.values[i] =
           range_of(points(corners[i], 0), points(corners[i], 1), points(corners[i], 2));
@@ -225,7 +223,7 @@ MeshImage::Seen MeshImage::triangle(const Points& points, const bool* ground,
 }
 
 void MeshImage::draw(const Points& points, const bool* ground, const ScanMesh& mesh) {
-  seen_.assign(padded_.size(), Seen{});
+  pixels_.assign(padded_.size(), Pixel{});
   std::vector<std::uint8_t> drawn(padded_.size());
   const std::int64_t columns = padded_.grid().columns(), turn = kTurn * columns;
   const std::vector<Direction> directions = directions_of(points);
@@ -234,11 +232,11 @@ void MeshImage::draw(const Points& points, const bool* ground, const ScanMesh& m
     for (int i = 0; i < 3; ++i) {
       const Direction d = directions[mesh.triangles[t][i]];
       corners[i] = {(kTurn / 2 - d.azimuth) * columns, (kTurn / 4 - d.elevation) * columns};
-      // The shorter way around from the first corner.
+      // The shorter way around the cylinder from the first corner.
       if (corners[i][0] - corners[0][0] > turn / 2) corners[i][0] -= turn;
       if (corners[0][0] - corners[i][0] > turn / 2) corners[i][0] += turn;
     }
-    Seen seen;
+    Pixel seen;
     bool is_seen = false;
     for_each_pixel(corners, [&](std::int64_t column, std::int64_t row) {
       const std::int64_t wrapped = column + (column < 0          ? columns
@@ -247,32 +245,32 @@ void MeshImage::draw(const Points& points, const bool* ground, const ScanMesh& m
       const std::size_t pixel = (row - padded_.top()) * padded_.stride() + wrapped + padded_.half();
       if (drawn[pixel]) return;
       drawn[pixel] = 1;
-      if (!is_seen) seen = triangle(points, ground, mesh.triangles[t], mesh.discontinuity[t]);
+      if (!is_seen) seen = make_pixel(points, ground, mesh.triangles[t], mesh.discontinuity[t]);
       is_seen = true;
-      seen_[pixel] = seen;
-      seen_[pixel].bits |= steps_to_nearest(corners, column, row);
+      pixels_[pixel] = seen;
+      pixels_[pixel].bits |= steps_to_nearest(corners, column, row);
     });
   }
 }
 
 void MeshImage::find(const QueryPoints& points, std::int32_t* pixels) const {
   padded_.find(points, pixels);
-  for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&seen_[pixels[i]]);
+  for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&pixels_[pixels[i]]);
 }
 
 void MeshImage::vote(const QueryPoints& points, const std::int32_t* pixels, std::uint16_t* statics,
                      std::uint16_t* dynamics) const {
   constexpr std::size_t kMax = QueryPoints::kMax;
-  static_assert(sizeof(Seen) == 4 * sizeof(float));
+  static_assert(sizeof(Pixel) == 4 * sizeof(float));
   float seen[4 * kMax];
   for (std::size_t i = 0; i < points.size; ++i)
-    std::memcpy(&seen[4 * i], &seen_[pixels[i]], sizeof(Seen));
+    std::memcpy(&seen[4 * i], &pixels_[pixels[i]], sizeof(Pixel));
   const auto step = static_cast<float>(padded_.grid().pixel() / kSteps);
   MeshImageParameters margins = parameters_;
   if (points.ground) margins.level.normal_tolerance = margins.ground_tolerance;
   std::int32_t open[kMax], left[kMax];
-  dispatch<AskTriangles>(points.size, points.x, points.y, points.z, points.range, seen, step,
-                         margins, statics, dynamics, open);
+  dispatch<VoteByTriangles>(points.size, points.x, points.y, points.z, points.range, seen, step,
+                            margins, statics, dynamics, open);
   std::size_t count = 0;
   for (std::size_t i = 0; i < points.size; ++i) {
     left[count] = static_cast<std::int32_t>(i);
@@ -281,8 +279,8 @@ void MeshImage::vote(const QueryPoints& points, const std::int32_t* pixels, std:
   const int window = 2 * padded_.half() + 1;
   const float* corner = padded_.corner(range_);
   fetch_windows(corner, padded_.stride(), window, left, count, pixels);
-  dispatch<AskWindows>(count, left, points.range, pixels, open, corner, padded_.stride(), window,
-                       parameters_.tolerance, statics, dynamics);
+  dispatch<VoteByWindows>(count, left, points.range, pixels, open, corner, padded_.stride(), window,
+                          parameters_.tolerance, statics, dynamics);
 }
 
 }  // namespace docdepth

@@ -3,12 +3,11 @@
 #include <algorithm>
 #include <limits>
 
+#include "docdepth/dynamics/constants.hpp"
 #include "docdepth/geometry/simd.hpp"
 
 namespace docdepth {
 namespace {
-
-constexpr float kEmpty = std::numeric_limits<float>::infinity();
 
 struct FindPixels {
   DOCDEPTH_KERNEL static void run(std::size_t count, const std::int32_t* row,
@@ -51,8 +50,8 @@ std::vector<std::int32_t> PaddedRangeImage::fit(const Returns& returns) {
   grid_.pixels(returns.size(), returns.x.data(), returns.y.data(), returns.z.data(),
                returns.range.data(), row.data(), column.data());
   const auto [first, last] = std::minmax_element(row.begin(), row.end());
-  // Windows reach half_ rows, and are asked for half_ rows beyond the occupied ones; farther rows
-  // are taken to the first or the last one, where nothing is known.
+  // Windows reach half_ rows, and are needed up to half_ rows beyond the occupied ones. Farther
+  // rows are clamped to the first or last one, whose window is empty.
   const int rim = 2 * half_ + 1;
   const int occupied = returns.size() ? *last - *first + 1 : 0;
   top_ = returns.size() ? *first - rim : 0;

@@ -1,4 +1,4 @@
-// The pixels of a key frame's images.
+// The pixel layout of a key frame's images.
 #pragma once
 
 #include <cstddef>
@@ -11,7 +11,8 @@
 
 namespace docdepth {
 
-/// The returns of a sweep, a column each: rows that are not finite or lie at the origin left out.
+/// The returns of a sweep, one column per coordinate. Points that are not finite or lie at the
+/// origin are left out.
 struct Returns {
   std::vector<float> x, y, z, range;
   std::vector<std::uint32_t> number;  ///< row of the sweep
@@ -20,26 +21,26 @@ struct Returns {
   std::size_t size() const { return range.size(); }
 };
 
-/// The rows of the spherical grid that a sweep occupies, and as many empty ones around them as
-/// windows there can reach. Images of that size repeat some columns of either end beyond the other
-/// one, so that windows need not wrap around.
+/// The occupied rows of a spherical grid, padded so that windows need no bounds.
+///
+/// Empty rows above and below are as many as windows reach. Some columns of either end are repeated
+/// beyond the other end, so that windows need not wrap around.
 class PaddedRangeImage {
  public:
   /// @param half  pixels of a window on either side of its centre
   PaddedRangeImage(double resolution, int half);
 
   /// Fit the rows to the returns. Call it once.
-  /// @return the pixel of each return
+  /// @return pixel of each return
   std::vector<std::int32_t> fit(const Returns& returns);
 
-  /// Pixels of points anywhere. What lies far above or below the returns goes to a row whose
-  /// windows are empty.
+  /// Pixels of any points. Far above or below the returns they are in rows with empty windows.
   void find(const QueryPoints& points, std::int32_t* pixels) const;
 
-  /// The same of one point, plainly; -1 where windows are empty.
+  /// The same for one point without vector instructions; -1 where windows are empty.
   std::ptrdiff_t pixel(float x, float y, float z, float range) const;
 
-  /// Copy the columns of either end of an image beyond the other one.
+  /// Copy the columns of either end of an image beyond the other end.
   template <class Value>
   void wrap(std::vector<Value>& image) const {
     for (std::size_t row = 0; row < image.size(); row += stride_) {
@@ -50,21 +51,21 @@ class PaddedRangeImage {
     }
   }
 
-  /// The nearest return of each pixel, infinite where there is none, wrapped.
-  /// @param nearest  its place among the returns where asked for, else kept as it is
+  /// Range of the nearest return of each pixel, or kEmpty; wrapped.
+  /// @param nearest  receives its index in `returns`, if not null
   std::vector<float> nearest_ranges(const Returns& returns, const std::vector<std::int32_t>& pixels,
                                     std::vector<std::uint32_t>* nearest = nullptr) const;
 
-  /// The window of pixel p has its first corner there + p.
+  /// The first corner of the window of pixel p is at this address + p.
   const float* corner(const std::vector<float>& image) const {
     return image.data() - half_ * (stride_ + 1);
   }
 
   const SphericalGrid& grid() const { return grid_; }
   int half() const { return half_; }
-  int top() const { return top_; }    ///< row of the grid that is the first of the images
-  int rows() const { return rows_; }  ///< rows of the images
-  std::size_t stride() const { return stride_; }  ///< columns, the repeated ones included
+  int top() const { return top_; }                ///< row of the grid that is the first row here
+  int rows() const { return rows_; }              ///< with padding
+  std::size_t stride() const { return stride_; }  ///< columns, with padding
   std::size_t size() const { return rows_ * stride_; }
 
  private:

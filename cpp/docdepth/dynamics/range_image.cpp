@@ -12,11 +12,10 @@
 namespace docdepth {
 namespace {
 
-constexpr float kEmpty = std::numeric_limits<float>::infinity();
-constexpr std::uint32_t kNobody = 0xffffffff;
+constexpr std::uint32_t kNoReturn = 0xffffffff;
 
-/// Power of two from which on floats are too coarse for two of them to differ by exactly `value`:
-/// their spacing does not divide it.
+/// The power of two from which on no two floats differ by exactly `value`, since their spacing does
+/// not divide it.
 float tie_free_range(float value) {
   int exponent;
   const auto mantissa = static_cast<unsigned>(std::ldexp(std::frexp(value, &exponent), 24));
@@ -24,12 +23,12 @@ float tie_free_range(float value) {
   return std::ldexp(1.0f, std::min(lowest_bit + 24, 127));
 }
 
-// The ranges where the answer of a window changes are kept as cells, the upper bits of floats from
-// 1 m on: another cell than that of such a range is surely nearer or farther.
+// The ranges at which the vote of a window changes are kept as cells, the upper bits of floats from
+// 1 m on. A range in another cell is certainly nearer or farther.
 constexpr int kSpans = 4;
-constexpr int kCellBits = 10;                                 // of a float that a cell leaves away
-constexpr std::int32_t kFirstCell = 0x3f800000 >> kCellBits;  // and all nearer
-constexpr std::int32_t kLastCell = 0xffff;                    // and all farther: from 256 m on
+constexpr int kCellBits = 10;  // lower bits of a float that a cell drops
+constexpr std::int32_t kFirstCell = 0x3f800000 >> kCellBits;  // holds all nearer ranges
+constexpr std::int32_t kLastCell = 0xffff;  // holds all farther ranges: from 256 m on
 
 DOCDEPTH_KERNEL std::int32_t cell_of(float range) {
   std::int32_t bits;
@@ -44,12 +43,13 @@ DOCDEPTH_KERNEL Ints cells_of(const Floats& ranges) {
   return above < kLastCell ? above : kLastCell + Ints{};
 }
 
-/// The spans of pixels off the ground.
+/// Finds the spans of pixels that are not ground.
 ///
-/// The loop ends at the first return that the point is not before: it lies nearer than all before
-/// it. So only such descending returns matter, and points within the tolerance of one, or between
-/// two that are near each other, are static: a span. The nearest spans are kept; where there were
-/// more, the farthest of these is turned around and open for all behind it.
+/// The loop of Algorithm 1 ends at the first return that the point is not in front of, which is
+/// nearer than all returns before it. So only such descending returns matter. Points within the
+/// tolerance of one, or between two that are near each other, are static: a span. The nearest spans
+/// are kept. If there are more, the farthest kept one is reversed: it is undecided for all ranges
+/// behind it.
 struct FindSpans {
   DOCDEPTH_KERNEL static void run(std::size_t count, const float* corner, std::size_t stride,
                                   int window, float tolerance, float tie_free,
@@ -63,7 +63,8 @@ struct FindSpans {
       for (int row = 0; row < window; ++row) {
         for (int column = 0; column < window; ++column) {
           const Floats next = load(corner + i + row * stride + column);
-          // At a tie the loop ends with no answer, so no return where one may be is kept inside.
+          // At a tie the loop ends without a vote, so a return with possible ties starts a new
+          // span.
           const Ints apart = (nearest - next > 1.999f * tolerance) | (next < tie_free + tolerance);
           const Ints begins = (next < nearest) & apart;
           for (int k = kSpans - 1; k > 0; --k) {
@@ -75,11 +76,12 @@ struct FindSpans {
           found -= begins;
         }
       }
-      const Ints rounded = nearest < 3.0f * tolerance;  // differences of ranges that small are
+      // Differences of ranges this small are rounded.
+      const Ints rounded = nearest < 3.0f * tolerance;
       for (int k = 0; k < kSpans; ++k) {
         const Ints far = cells_of(top[k] + tolerance), near = cells_of(bottom[k] - tolerance);
-        const Ints turned = k + 1 == kSpans ? found > kSpans : Ints{};
-        const Ints known = turned ? near << 16 | kLastCell : far << 16 | near;
+        const Ints reversed = k + 1 == kSpans ? found > kSpans : Ints{};
+        const Ints known = reversed ? near << 16 | kLastCell : far << 16 | near;
         const Ints span = (found == 0) | rounded ? rounded & kLastCell : known;
         for (int lane = 0; lane < kLanes; ++lane)
           spans[(i + lane) * kSpans + k] = static_cast<std::uint32_t>(span[lane]);
@@ -88,9 +90,9 @@ struct FindSpans {
   }
 };
 
-/// Algorithm 1 for all points but those in the cells of a span's ends or in one turned around;
-/// those stay open (negative).
-struct SettleVotes {
+/// Algorithm 1 for all points except those in the end cells of a span or in a reversed span; these
+/// stay open (negative).
+struct DecideVotes {
   DOCDEPTH_KERNEL static void run(std::size_t count, const float* range,
                                   const std::uint32_t* __restrict spans,
                                   std::uint16_t* __restrict statics,
@@ -98,7 +100,7 @@ struct SettleVotes {
                                   std::int32_t* __restrict open) {
     for (std::size_t i = 0; i < count; ++i) {
       const std::int32_t cell = cell_of(range[i]);
-      // Signs of numbers, since compilers do not vectorise truth values.
+      // Signs of integers, since compilers do not vectorise booleans.
       std::int32_t inside = 0, before = -1, unsure = 0;
       for (int k = 0; k < kSpans; ++k) {
         const std::uint32_t span = spans[k * QueryPoints::kMax + i];
@@ -108,9 +110,9 @@ struct SettleVotes {
         before &= to_near;
         unsure |= (to_near & ~to_far) | ~((to_far | -to_far) & (to_near | -to_near));
       }
-      const std::int32_t settled = ~unsure >> 31;
-      statics[i] += settled & (inside >> 31) & 1;
-      dynamics[i] += settled & (before >> 31) & 1;
+      const std::int32_t decided = ~unsure >> 31;
+      statics[i] += decided & (inside >> 31) & 1;
+      dynamics[i] += decided & (before >> 31) & 1;
       open[i] = unsure;
     }
   }
@@ -125,8 +127,8 @@ RangeImage::RangeImage(const Points& points, const bool* ground,
       plain_(parameters.plain) {
   if (parameters.window < 1 || parameters.window % 2 == 0)
     throw std::invalid_argument("the window must be an odd number of pixels");
-  if (!(tolerance_ > 0.0f && tolerance_ < 1e6f))
-    throw std::invalid_argument("the range tolerance must be above zero");
+  if (!(tolerance_ > 0.0f && tolerance_ < kMaxTolerance))
+    throw std::invalid_argument("the range tolerance must be positive");
   draw(points, ground);
   if (!plain_) summarize_windows();
 }
@@ -134,12 +136,12 @@ RangeImage::RangeImage(const Points& points, const bool* ground,
 void RangeImage::draw(const Points& points, const bool* ground) {
   const Returns returns(points);
   const std::vector<std::int32_t> pixels = padded_.fit(returns);
-  std::vector<std::uint32_t> nearest(padded_.size(), kNobody);
+  std::vector<std::uint32_t> nearest(padded_.size(), kNoReturn);
   range_ = padded_.nearest_ranges(returns, pixels, &nearest);
-  range_.resize(padded_.size() + kLanes, kEmpty);  // may be read, never looked at
+  range_.resize(padded_.size() + kLanes, kEmpty);  // read by vectors, never used
   ground_.assign(range_.size(), 0);
   for (std::size_t i = 0; i < nearest.size(); ++i)
-    ground_[i] = nearest[i] != kNobody && ground[returns.number[nearest[i]]];
+    ground_[i] = nearest[i] != kNoReturn && ground[returns.number[nearest[i]]];
 }
 
 void RangeImage::summarize_windows() {
@@ -149,8 +151,8 @@ void RangeImage::summarize_windows() {
   spans_.resize(range_.size());
   dispatch<FindSpans>(padded_.size() - 2 * rim, corner + rim, stride, 2 * padded_.half() + 1,
                       tolerance_, tie_free, spans_[rim].data());
-  // Around a ground pixel the loop has no end but the window's, and one return behind the point
-  // makes it dynamic: the farthest one tells.
+  // At a ground pixel the loop runs over the whole window, and one return behind the point makes it
+  // dynamic: the farthest one decides.
   std::vector<float> seen(range_);
   for (float& range : seen) range = range == kEmpty ? 0.0f : range;
   const std::vector<float> farthest = window_maximum(seen, stride, padded_.half());
@@ -159,7 +161,7 @@ void RangeImage::summarize_windows() {
 }
 
 void RangeImage::find(const QueryPoints& points, std::int32_t* pixels) const {
-  if (plain_) return;  // the plain loop finds them itself
+  if (plain_) return;  // the plain loop finds pixels on its own
   padded_.find(points, pixels);
   for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&spans_[pixels[i]]);
 }
@@ -172,9 +174,9 @@ void RangeImage::vote(const QueryPoints& points, const std::int32_t* pixel, std:
   for (std::size_t i = 0; i < points.size; ++i)
     for (int k = 0; k < kSpans; ++k) spans[k * QueryPoints::kMax + i] = spans_[pixel[i]][k];
   std::int32_t open[QueryPoints::kMax];
-  dispatch<SettleVotes>(points.size, points.range, spans, statics, dynamics, open);
+  dispatch<DecideVotes>(points.size, points.range, spans, statics, dynamics, open);
   for_each_flagged(points.size, open, [&](std::size_t i) {
-    const Vote vote = ask(points.range[i], pixel[i]);
+    const Vote vote = vote_at(points.range[i], pixel[i]);
     statics[i] += vote == Vote::kStatic;
     dynamics[i] += vote == Vote::kDynamic;
   });
@@ -186,15 +188,15 @@ void RangeImage::vote_plainly(const QueryPoints& points, std::uint16_t* statics,
     const std::ptrdiff_t pixel =
         padded_.pixel(points.x[i], points.y[i], points.z[i], points.range[i]);
     if (pixel < 0) continue;
-    const Vote vote = ask(points.range[i], pixel);
+    const Vote vote = vote_at(points.range[i], pixel);
     statics[i] += vote == Vote::kStatic;
     dynamics[i] += vote == Vote::kDynamic;
   }
 }
 
-/// Algorithm 1 to the letter. The comparison rho < I - tau reads rho - I < -tau here, so that both
+/// Algorithm 1 as in the paper. The comparison rho < I - tau is rho - I < -tau here, so that both
 /// tests round alike.
-RangeImage::Vote RangeImage::ask(float range, std::size_t pixel) const {
+RangeImage::Vote RangeImage::vote_at(float range, std::size_t pixel) const {
   const bool centre_ground = ground_[pixel];
   const float tolerance = centre_ground ? 0.0f : tolerance_;
   Vote vote = Vote::kNone;

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include "docdepth/dynamics/constants.hpp"
 #include "docdepth/dynamics/key_frame.hpp"
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/geometry/rigid.hpp"
@@ -10,28 +11,21 @@
 namespace docdepth {
 namespace {
 
-// Small enough for the points of a block to stay in the second level cache while all key frames are
-// asked, large enough to read much of each key frame's image before going to the next.
-constexpr std::size_t kBlock = 8192;
-
-/// The points of one block that are voted on, a column each, and their rows in the sweep.
-struct Columns {
+/// The points of a block that get votes, one column per coordinate, and their rows in the sweep.
+struct BlockPoints {
   std::vector<float> x, y, z;
   std::vector<std::size_t> index;
 
   std::size_t size() const { return index.size(); }
 };
 
-// Farther than any sensor measures, and still far from overflow.
-constexpr float kNowhere = 1e18f;
-
 /// Neither at the origin nor NaN nor infinite.
 inline bool usable(float range) {
-  return (range > 0.0f) & (range < kNowhere);
+  return (range > 0.0f) & (range < kUnmeasured);
 }
 
-/// Take points to another frame. Those that lie at its origin are moved to where no sensor
-/// measures, so that key frames need not look out for points without a direction.
+/// Moves points to another frame. Points at its origin are moved to kUnmeasured, so that key frames
+/// need not handle points without a direction.
 struct MovePoints {
   DOCDEPTH_KERNEL static void run(std::size_t count, const float* x, const float* y, const float* z,
                                   RigidTransform t, float* __restrict x_to, float* __restrict y_to,
@@ -44,16 +38,16 @@ struct MovePoints {
       const bool ok = usable(rho);
       x_to[i] = ok ? px : 0.0f;
       y_to[i] = ok ? py : 0.0f;
-      z_to[i] = ok ? pz : kNowhere;
-      range[i] = ok ? rho : kNowhere;
+      z_to[i] = ok ? pz : kUnmeasured;
+      range[i] = ok ? rho : kUnmeasured;
     }
   }
 };
 
-/// The usable points of rows [begin, end) that are ground, or those that are not.
-Columns select(const Points& points, const bool* ground, bool of_ground, std::size_t begin,
-               std::size_t end) {
-  Columns columns;
+/// The usable points of rows [begin, end) that are ground, or that are not.
+BlockPoints select(const Points& points, const bool* ground, bool of_ground, std::size_t begin,
+                   std::size_t end) {
+  BlockPoints columns;
   for (auto* values : {&columns.x, &columns.y, &columns.z}) values->resize(end - begin);
   columns.index.resize(end - begin);
   std::size_t count = 0;
@@ -70,11 +64,11 @@ Columns select(const Points& points, const bool* ground, bool of_ground, std::si
   return columns;
 }
 
-/// Points of a block on their way through a key frame.
-class Group {
+/// A batch of points in the frame of a key frame.
+class Batch {
  public:
-  /// Move the points from `begin` on to the key frame and find their pixels.
-  void find(const Columns& query, std::size_t begin, const KeyFrame& key_frame,
+  /// Move the points from `begin` on to the key frame and find their pixels there.
+  void find(const BlockPoints& query, std::size_t begin, const KeyFrame& key_frame,
             const RigidTransform& T_key_query, bool ground) {
     key_frame_ = &key_frame;
     begin_ = begin;
@@ -105,22 +99,22 @@ Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
            const std::vector<const KeyFrame*>& key_frames, const std::vector<Pose>& T_world_key,
            int threads) {
   if (key_frames.size() != T_world_key.size())
-    throw std::invalid_argument("each key frame needs one pose");
+    throw std::invalid_argument("vote needs one pose for each key frame");
   const auto count = static_cast<std::size_t>(points.rows());
   Votes votes{std::vector<std::uint16_t>(count), std::vector<std::uint16_t>(count)};
   std::vector<RigidTransform> T_key_query;
   for (const Pose& pose : T_world_key) T_key_query.emplace_back(between(pose, T_world_lidar));
 
-  const auto vote_on = [&](const Columns& query, bool of_ground) {
+  const auto vote_on = [&](const BlockPoints& query, bool of_ground) {
     std::vector<std::uint16_t> statics(query.size()), dynamics(query.size());
-    const std::size_t groups = (query.size() + QueryPoints::kMax - 1) / QueryPoints::kMax;
-    Group found[2];
-    for (std::size_t n = 0; n <= groups * key_frames.size(); ++n) {
-      Group& next = found[n % 2];
-      const Group& last = found[1 - n % 2];
-      if (n < groups * key_frames.size())
-        next.find(query, n % groups * QueryPoints::kMax, *key_frames[n / groups],
-                  T_key_query[n / groups], of_ground);
+    const std::size_t batch_count = (query.size() + QueryPoints::kMax - 1) / QueryPoints::kMax;
+    Batch batches[2];
+    for (std::size_t n = 0; n <= batch_count * key_frames.size(); ++n) {
+      Batch& next = batches[n % 2];
+      const Batch& last = batches[1 - n % 2];
+      if (n < batch_count * key_frames.size())
+        next.find(query, n % batch_count * QueryPoints::kMax, *key_frames[n / batch_count],
+                  T_key_query[n / batch_count], of_ground);
       if (n > 0) last.vote(statics.data(), dynamics.data());
     }
     for (std::size_t i = 0; i < query.size(); ++i) {
@@ -128,8 +122,8 @@ Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
       votes.dynamics[query.index[i]] = dynamics[i];
     }
   };
-  const bool with_ground = !key_frames.empty() && key_frames.front()->asks_ground();
-  parallel_for(count, kBlock, threads, [&](std::size_t begin, std::size_t end) {
+  const bool with_ground = !key_frames.empty() && key_frames.front()->votes_on_ground();
+  parallel_for(count, kVoteBlock, threads, [&](std::size_t begin, std::size_t end) {
     vote_on(select(points, ground, false, begin, end), false);
     if (with_ground) vote_on(select(points, ground, true, begin, end), true);
   });

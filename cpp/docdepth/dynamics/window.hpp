@@ -1,4 +1,4 @@
-// What the window around each pixel holds.
+// Minimum and maximum in the window around each pixel.
 #pragma once
 
 #include <cstddef>
@@ -7,13 +7,13 @@
 
 namespace docdepth {
 
-/// An image whose rows follow each other, `stride` values each; windows reach `half` pixels to
-/// either side. The pixels nearer than that to the first and the last row become 0; the columns
-/// nearer than that to either end of a row mean nothing.
+/// Windows reach `half` pixels to either side. Pixels nearer than that to the first and the last
+/// row become 0; columns nearer than that to the ends of a row are not valid.
+/// @param stride  values in a row
 std::vector<float> window_minimum(const std::vector<float>& image, std::size_t stride, int half);
 std::vector<float> window_maximum(const std::vector<float>& image, std::size_t stride, int half);
 
-/// Have the memory fetch the windows of those points, before the first one is looked at.
+/// Prefetch the windows of these points.
 inline void fetch_windows(const float* corner, std::size_t stride, int window,
                           const std::int32_t* points, std::size_t count,
                           const std::int32_t* pixel) {

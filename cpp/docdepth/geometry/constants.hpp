@@ -1,5 +1,5 @@
-// Constants of sampled objects, shared by objects/ (which classifies them) and render/ (which draws
-// them where they were at the time of an image).
+// Constants of geometry: of sampled objects, which objects/ classifies and render/ draws, and of
+// the nearest neighbour search.
 #pragma once
 
 #include <cstddef>
@@ -27,5 +27,16 @@ constexpr float kMatchDistance = 0.3f;
 constexpr float kRefineRadii[] = {0.6f, 0.4f, 0.3f, 0.3f, 0.3f};
 /// Two objects match if the product of their matched shares is at least this.
 constexpr float kMinMatchedShare = 0.4f;
+
+// --- Nearest neighbours ---
+
+/// Points in a leaf of the tree: fewer make the tree deeper, more are compared in vain.
+constexpr std::size_t kTreeLeafSize = 16;
+/// Branches whose bound exceeds the least squared distance by less are searched, too.
+constexpr float kBoundMargin = 1.00001f;
+/// Queries that a thread takes at once.
+constexpr std::size_t kQueryBlock = 1024;
+/// Squares of larger coordinates overflow a float [m].
+constexpr float kMaxCoordinate = 1e18f;
 
 }  // namespace docdepth

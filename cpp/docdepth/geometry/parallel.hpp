@@ -1,4 +1,4 @@
-// Sharing a loop between threads.
+// A parallel loop.
 #pragma once
 
 #include <algorithm>
@@ -11,15 +11,15 @@
 
 namespace docdepth {
 
-/// `threads` itself, or the number of cores when it is 0.
+/// Number of threads: `threads`, or the number of cores if that is 0.
 inline int thread_count(int threads) {
   return threads > 0 ? threads : std::max(1u, std::thread::hardware_concurrency());
 }
 
 /// Call body(begin, end) on blocks that cover [0, count). Blocks do not depend on the number of
-/// threads, so a body that writes only what belongs to its block gives the same result for any.
-/// Plain threads and no OpenMP: a forked child (multiprocessing, Dask) may use them again.
-/// @throws whatever a body threw first.
+/// threads, so a body that only writes into its own block gives the same result for any number.
+/// Plain threads instead of OpenMP, which does not survive a fork (multiprocessing, Dask).
+/// @throws the first exception of a body
 template <class Body>
 void parallel_for(std::size_t count, std::size_t block, int threads, const Body& body) {
   const std::size_t blocks = (count + block - 1) / block;

@@ -1,13 +1,13 @@
-// Moving points between frames with the same rounding everywhere.
+// Rigid transforms with the same rounding on every processor.
 #pragma once
 
 #include "docdepth/geometry/types.hpp"
 
 namespace docdepth {
 
-/// T_a_b as single precision rows, applied in one fixed order of operations:
-/// ((r0 x + r1 y) + r2 z) + t. With contraction off (CMakeLists.txt) every processor, every vector
-/// width and numpy give the same bits, which is what lets fast paths be tested for equality.
+/// T_a_b in single precision, applied in a fixed order of operations: ((r0 x + r1 y) + r2 z) + t.
+/// Without fused operations (CMakeLists.txt) every processor, vector width and numpy give the same
+/// bits, so fast paths can be tested for equality.
 struct RigidTransform {
   float r[3][3];
   float t[3];
@@ -29,7 +29,7 @@ struct RigidTransform {
   }
 };
 
-/// T_a_b of two poses in the same world, in double and in one fixed order of operations.
+/// T_a_b of two poses in the same world, in double precision and a fixed order of operations.
 inline Pose between(const Pose& T_world_a, const Pose& T_world_b) {
   const auto a = T_world_a.linear();
   const auto dot = [&](int i, const Eigen::Vector3d& v) {

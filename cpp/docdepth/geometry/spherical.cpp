@@ -7,7 +7,7 @@ namespace {
 
 constexpr float kPi = 3.14159265358979323846f;
 
-// Single precision polynomials of the Cephes library (S. Moshier), good to a few units in the last
+// Single precision polynomials of the Cephes library (S. Moshier), exact to a few units in the last
 // place.
 
 /// asin(v), |v| <= 1.
@@ -40,13 +40,13 @@ DOCDEPTH_KERNEL float approximate_atan2(float y, float x) {
   return x < 0.0f ? kPi - p : p;
 }
 
-// The approximate angles are off by less than this [rad] while |z / rho| stays below kSteep: half
-// of it is the rounding of angles up to 2 pi, the rest the polynomials and the quotients.
+// Bound of the error of approximate angles [rad] while |z / rho| is below kSteep: half of it is the
+// rounding of angles up to 2 pi, the rest comes from the polynomials and the quotients.
 constexpr float kAngleError = 1.5e-6f;
 constexpr float kSteep = 0.95f;
 constexpr std::int32_t kUnsure = -1;
 
-/// Pixels by approximate angles; columns are kUnsure where the error bound reaches a border.
+/// Pixels by approximate angles. Columns are kUnsure where the error bound reaches a border.
 struct ApproximatePixels {
   DOCDEPTH_KERNEL static void run(std::size_t count, const float* x, const float* y, const float* z,
                                   const float* range, float pixels_per_radian, float margin,

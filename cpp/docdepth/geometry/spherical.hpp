@@ -1,4 +1,4 @@
-// Pixels of a spherical image around a sensor (paper III-C2).
+// Pixels of a spherical image around a sensor (paper IV-C).
 #pragma once
 
 #include <algorithm>
@@ -9,17 +9,17 @@
 
 namespace docdepth {
 
-/// Distance from the origin, rounded in one fixed order of operations.
+/// Distance from the origin, in a fixed order of operations.
 inline float range_of(float x, float y, float z) {
   return std::sqrt((x * x + y * y) + z * z);
 }
 
 /// Square pixels over all directions. Rows are phi = acos(z / rho), from straight up to straight
-/// down; columns are theta = -atan2(y, x), clockwise seen from above, with column 0 beginning
-/// straight behind, and wrap around.
+/// down. Columns are theta = -atan2(y, x), clockwise seen from above; column 0 begins straight
+/// behind and columns wrap around.
 class SphericalGrid {
  public:
-  /// @param resolution  edge of a pixel [rad]; taken to the nearest value that divides the circle.
+  /// @param resolution  pixel size [rad]; rounded to the nearest value that divides the circle
   explicit SphericalGrid(double resolution) {
     if (!(resolution > 1e-4 && resolution < 1.0))
       throw std::invalid_argument("the resolution of a spherical image must be 1e-4 to 1 rad");
@@ -44,8 +44,7 @@ class SphericalGrid {
     return column < columns_ ? column : 0;
   }
 
-  /// row() and column() of many points, range_of each being above zero; many times faster, the same
-  /// result.
+  /// row() and column() of many points with positive ranges: the same result, many times faster.
   void pixels(std::size_t count, const float* x, const float* y, const float* z, const float* range,
               std::int32_t* rows, std::int32_t* columns) const;
 

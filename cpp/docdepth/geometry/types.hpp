@@ -1,4 +1,4 @@
-// Points, poses and labels as every room passes them. Metres, radians, right-handed frames.
+// Points, poses and classes. Metres, radians, right-handed frames.
 #pragma once
 
 #include <Eigen/Core>
@@ -7,13 +7,13 @@
 
 namespace docdepth {
 
-/// N points of one sweep, float32, row after row: numpy's (N, 3), taken without a copy.
+/// N points of a sweep, float32, row after row: a numpy array of shape (N, 3) without a copy.
 using Points = Eigen::Ref<const Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>>;
 
-/// T_a_b takes points in frame b to frame a.
+/// T_a_b takes points from frame b to frame a.
 using Pose = Eigen::Isometry3d;
 
-/// Class of a point, as frames/*.ply stores it (`classid`).
+/// Class of a point, as frames/*.ply store it (`classid`).
 enum ClassId : std::uint16_t { kGround = 0, kStatic = 50, kDynamic = 100 };
 
 /// The class of a `classid` as a byte: below 50 ground, below 100 static, else dynamic.

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "docdepth/geometry/parallel.hpp"
+#include "docdepth/ground/constants.hpp"
 #include "docdepth/ground/neighborhood.hpp"
 #include "docdepth/ground/normal.hpp"
 #include "docdepth/ground/octree.hpp"
@@ -20,14 +21,9 @@ namespace {
 
 using Eigen::Vector3d;
 
-/// Seeds are not sought farther from a pose than this, unless nothing is nearer [m].
-constexpr double kFarthestSeeds = 16.0;
-/// Behind a step, ground is sought in cells of the plan of this size [m].
-constexpr double kCell = 1.0;
-
-/// The front: which points are labelled, which of them have carried it on, and the leaves that hold
-/// the others. What it reaches in the end does not depend on the order, so leaves are shared by
-/// threads freely.
+/// The front: the points that it has reached, which of them have passed it on, and the leaves that
+/// hold the others. What it reaches in the end does not depend on the order, so threads take leaves
+/// freely.
 class Front {
  public:
   Front(const Octree& tree, const GroundParameters& parameters, int threads)
@@ -59,26 +55,25 @@ class Front {
   }
   double first_reach(std::uint32_t leaf) const;
   void visit(std::uint32_t leaf, Neighborhood& hood, Leaves& reached);
-  void carry_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood,
-                std::vector<std::uint32_t>& pending, Leaves& reached);
+  void pass_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood,
+               std::vector<std::uint32_t>& pending, Leaves& reached);
 
   const Octree& tree_;
   const GroundParameters& parameters_;
   int threads_;
   double cos_max_slope_;
   std::vector<std::atomic<std::uint8_t>> labels_;
-  std::vector<std::atomic<std::uint8_t>> queued_;  // leaves that wait for the next round
-  std::vector<float> reach_;                       // that the last visit of a leaf needed
+  std::vector<std::atomic<std::uint8_t>> queued_;  // leaves that wait for a thread
+  std::vector<float> reach_;                       // reach that the last visit of a leaf needed
   std::vector<std::uint32_t> seeds_;               // ascending
   Leaves next_;
 };
 
-/// Threads take leaves from the common list until it is empty and none of them works any more.
+/// Threads take leaves from a common list until it is empty and no thread works any more.
 void Front::grow() {
-  constexpr std::size_t kMost = 8;  // leaves that a thread takes at once
   std::mutex mutex;
   std::condition_variable changed;
-  std::size_t first = 0, working = 0;  // of next_ that nobody has taken; threads
+  std::size_t first = 0, working = 0;  // first leaf that is not taken; busy threads
   const auto work = [&](std::size_t, std::size_t) {
     const auto k = std::min<std::size_t>(parameters_.neighbors, labels_.size());
     Neighborhood hood(tree_, labels_, k);
@@ -88,7 +83,7 @@ void Front::grow() {
       changed.wait(lock, [&] { return first < next_.size() || !working; });
       if (first == next_.size()) break;
       const std::size_t fair = (next_.size() - first) / (2 * threads_) + 1;
-      taken.assign(next_.begin() + first, next_.begin() + first + std::min(kMost, fair));
+      taken.assign(next_.begin() + first, next_.begin() + first + std::min(kLeavesAtOnce, fair));
       first += taken.size();
       ++working;
       lock.unlock();
@@ -97,7 +92,7 @@ void Front::grow() {
         for (const std::uint32_t leaf : taken) visit(leaf, hood, reached);
       } catch (...) {
         lock.lock();
-        --working;  // or else the others would wait for this one
+        --working;  // else the others would wait for this one
         changed.notify_all();
         throw;
       }
@@ -111,17 +106,17 @@ void Front::grow() {
   next_.clear();
 }
 
-/// A guess of the distance to the k-th neighbour, as if the leaf's points covered its box.
+/// Expected distance to the k-th neighbour, as if the points covered the box of the leaf evenly.
 double Front::first_reach(std::uint32_t leaf) const {
   if (reach_[leaf] > 0.f) return reach_[leaf];
   const auto& node = tree_.nodes()[leaf];
   const double points = node.end - node.begin, side = node.box.sizes().maxCoeff();
-  const double reach =
-      0.7 * std::max(side, parameters_.voxel_size) * std::sqrt(parameters_.neighbors / points);
+  const double reach = kFirstReach * std::max(side, parameters_.voxel_size) *
+                       std::sqrt(parameters_.neighbors / points);
   return std::max(reach, parameters_.voxel_size);
 }
 
-/// Let every point of the leaf that the front has reached carry it on.
+/// Let every point of the leaf that the front has reached pass it on.
 void Front::visit(std::uint32_t leaf, Neighborhood& hood, Leaves& reached) {
   queued_[leaf].store(0);
   const auto& node = tree_.nodes()[leaf];
@@ -135,23 +130,22 @@ void Front::visit(std::uint32_t leaf, Neighborhood& hood, Leaves& reached) {
     const std::uint32_t point = pending.back();
     const auto outcome = hood.search(point);
     if (outcome == Neighborhood::Outcome::kReachTooShort) {
-      // A little more than this point needs, for the leaf's others.
-      reach = 1.2 * std::max(hood.needed_reach(), parameters_.voxel_size);
+      reach = kReachMargin * std::max(hood.needed_reach(), parameters_.voxel_size);
       hood.gather(leaf, reach);
       continue;
     }
     pending.pop_back();
     labels_[point].store(kDone);
-    if (outcome == Neighborhood::Outcome::kFound) carry_on(point, leaf, hood, pending, reached);
+    if (outcome == Neighborhood::Outcome::kFound) pass_on(point, leaf, hood, pending, reached);
   }
   reach_[leaf] = static_cast<float>(reach);
 }
 
-/// Label the neighbours on the plane of a front point unless that leans too much. A seed's plane
-/// goes through the neighbours' mean and not through the seed: the lowest point near a pose is
-/// often a phantom below the road, and would find nothing on its own height.
-void Front::carry_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood,
-                     std::vector<std::uint32_t>& pending, Leaves& reached) {
+/// Label the neighbours on the plane of a front point, unless that is too steep. The plane of a
+/// seed passes through the mean of the neighbours instead of the seed: the lowest point near a pose
+/// is often a ghost return below the road, with no neighbour at its height.
+void Front::pass_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood,
+                    std::vector<std::uint32_t>& pending, Leaves& reached) {
   const auto& nearest = hood.nearest();
   if (nearest.size() < 3) return;
   const Vector3d mean = hood.mean();
@@ -175,32 +169,33 @@ void Front::carry_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood
   }
 }
 
-/// Where ground is in the plan, to go on behind steps: nothing flat leads on behind a kerb. So
-/// where a cell has ground and the one beside it has none, that one's low place is a seed if it
-/// lies no more than a step higher or lower.
+/// Continues the ground behind steps, which the front cannot climb. If a cell of the plan has
+/// ground and its neighbour has none, the low point of the neighbour becomes a seed, provided that
+/// it is higher or lower by at most a step.
 class Plan {
  public:
   Plan(const Octree& tree, const GroundParameters& parameters, int threads)
       : tree_(tree), parameters_(parameters), threads_(threads), counted_(tree.points().size()) {}
 
-  /// @return whether there are seeds that were not ground.
+  /// @return whether there are new seeds
   bool seed(Front& front) {
     count(front);
     using Low = Lows::value_type;
-    std::vector<std::pair<double, Low*>> steps;  // with the height of the ground before each
-    std::vector<Low*> unsought;
+    std::vector<std::pair<double, Low*>> steps;  // height of the ground before each
+    std::vector<Low*> unsearched;
     for (const auto& [cell, ground] : cells_) {
       if (!has_ground(cell)) continue;
       for (int n = 0; n < 9; ++n) {
-        const Cell beside{cell[0] + n / 3 - 1, cell[1] + n % 3 - 1};
-        if (has_ground(beside)) continue;
-        const auto [low, is_new] = lows_.try_emplace(beside);
-        if (is_new) unsought.push_back(&*low);
+        const Cell neighbor{cell[0] + n / 3 - 1, cell[1] + n % 3 - 1};
+        if (has_ground(neighbor)) continue;
+        const auto [low, is_new] = lows_.try_emplace(neighbor);
+        if (is_new) unsearched.push_back(&*low);
         steps.emplace_back(ground.heights / double(ground.points), &*low);
       }
     }
-    parallel_for(unsought.size(), 16, threads_, [&](std::size_t begin, std::size_t end) {
-      for (std::size_t i = begin; i < end; ++i) unsought[i]->second = low_place(unsought[i]->first);
+    parallel_for(unsearched.size(), 16, threads_, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i)
+        unsearched[i]->second = low_point(unsearched[i]->first);
     });
     bool any = false;
     for (const auto& [height, place] : steps) {
@@ -225,7 +220,7 @@ class Plan {
     const auto found = cells_.find(cell);
     return found != cells_.end() && found->second.points >= std::size_t(parameters_.neighbors);
   }
-  /// Add what the front has reached since.
+  /// Count the points that the front has reached since.
   void count(const Front& front) {
     Ground* ground = nullptr;
     Cell last{};
@@ -233,17 +228,17 @@ class Plan {
       if (counted_[i] || !front.labelled(i)) continue;
       counted_[i] = 1;
       const Vector3d& p = tree_.points()[i];
-      const Cell cell{std::int64_t(std::floor(p.x() / kCell)),
-                      std::int64_t(std::floor(p.y() / kCell))};
-      if (!ground || cell != last) ground = &cells_[cell];  // points lie along a curve
+      const Cell cell{std::int64_t(std::floor(p.x() / kStepCell)),
+                      std::int64_t(std::floor(p.y() / kStepCell))};
+      if (!ground || cell != last) ground = &cells_[cell];  // points are sorted along a curve
       last = cell;
       ++ground->points;
       ground->heights += p.z();
     }
   }
-  std::uint32_t low_place(const Cell& cell) const {
-    const double x = (double(cell[0]) + 0.5) * kCell, y = (double(cell[1]) + 0.5) * kCell;
-    return tree_.quantile(x, y, 0.5 * kCell, parameters_.seed_quantile);
+  std::uint32_t low_point(const Cell& cell) const {
+    const double x = (double(cell[0]) + 0.5) * kStepCell, y = (double(cell[1]) + 0.5) * kStepCell;
+    return tree_.quantile(x, y, 0.5 * kStepCell, parameters_.seed_quantile);
   }
 
   const Octree& tree_;
@@ -251,7 +246,7 @@ class Plan {
   int threads_;
   std::vector<std::uint8_t> counted_;
   std::map<Cell, Ground> cells_;
-  Lows lows_;  ///< as far as they were sought
+  Lows lows_;  ///< low point of each cell searched so far
 };
 
 }  // namespace
@@ -290,12 +285,12 @@ std::size_t GroundMap::grow() {
   if (!size()) return 0;
   const Octree tree(state.map, state.threads);
   const auto points = static_cast<std::uint32_t>(tree.points().size());
-  for (double around = state.parameters.seed_radius;; around *= 2.0) {
+  for (double first_radius = state.parameters.seed_radius;; first_radius *= 2.0) {
     Front front(tree, state.parameters, state.threads);
     std::vector<std::uint32_t> seeds(state.positions.size());
     parallel_for(seeds.size(), 1, state.threads, [&](std::size_t i, std::size_t) {
       const Vector3d& position = state.positions[i];
-      double radius = around;
+      double radius = first_radius;
       while ((seeds[i] = tree.quantile(position.x(), position.y(), radius,
                                        state.parameters.seed_quantile)) == points)
         radius *= 2.0;
@@ -307,7 +302,7 @@ std::size_t GroundMap::grow() {
       for (std::uint32_t i = 0; i < points; ++i) count += front.labelled(i);
       return count;
     };
-    if (double(ground()) < state.parameters.least_share * points && around < kFarthestSeeds)
+    if (double(ground()) < state.parameters.least_share * points && first_radius < kMaxSeedRadius)
       continue;
     Plan plan(tree, state.parameters, state.threads);
     while (state.parameters.step_height > 0 && plan.seed(front)) front.grow();

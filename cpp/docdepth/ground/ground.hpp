@@ -1,5 +1,5 @@
-// Ground growing (paper III-C1): sweeps merged into voxels, seeds below the poses, a front that
-// walks over flat neighbourhoods.
+// Ground growing (paper IV-A): sweeps are merged into voxels, seeds lie below the poses, and a
+// front grows over flat neighbourhoods.
 #pragma once
 
 #include <cstddef>
@@ -11,36 +11,36 @@
 namespace docdepth {
 
 struct GroundParameters {
-  double voxel_size = 0.03;      ///< s, metres
-  double seed_radius = 2.0;      ///< r_seed, metres
-  double seed_quantile = 0.1;    ///< share of the points there that lie below the seed
-  double least_share = 0.01;     ///< with less ground than this seeds are sought twice as far away
-  int neighbors = 30;            ///< k_nn, the front point itself among them
-  double plane_distance = 0.04;  ///< delta, metres
-  double max_slope = 0.2617993877991494;  ///< alpha, radians
-  double step_height = 0.25;  ///< ground goes on behind kerbs up to this high, metres; 0: not
+  double voxel_size = 0.03;  ///< s of the paper [m]
+  double seed_radius = 2.0;  ///< r_seed: seeds lie within this distance of a pose [m]
+  double seed_quantile =
+      0.1;  ///< share of the points within seed_radius that are lower than the seed
+  double least_share = 0.01;     ///< with a smaller share of ground, seed_radius is doubled
+  int neighbors = 30;            ///< k_nn, including the point itself
+  double plane_distance = 0.04;  ///< delta: ground lies within this distance of the plane [m]
+  double max_slope = 0.2617993877991494;  ///< alpha [rad]: 15 degrees
+  double step_height = 0.25;  ///< ground continues behind steps up to this height [m]; 0: never
 };
 
-/// The merged sweeps of one chunk and their ground.
+/// The merged sweeps of a chunk and their ground.
 ///
-/// Everything is a function of the inserted points and poses in their order: which voxels are
-/// ground is what the front can reach, whatever way it takes, so threads change nothing.
+/// The ground is everything that the front can reach, in any order of work, so the result does not
+/// depend on the number of threads.
 class GroundMap {
  public:
   explicit GroundMap(const GroundParameters& parameters, int threads = 0);
   ~GroundMap();
 
-  /// Merge one sweep. Coordinates are kept relative to the position of the first pose.
-  /// @throws std::out_of_range a point is not finite or too far from the first pose.
+  /// Merge a sweep. Coordinates are kept relative to the position of the first pose.
+  /// @throws std::out_of_range a point is not finite or too far from the first pose
   void insert(const Points& points, const Pose& T_world_lidar);
 
-  /// Seed and grow over everything inserted so far. Near a pose there may be nothing but the ego's
-  /// own body: while there is next to no ground, seeds are sought farther away. Then it goes on
-  /// behind steps.
-  /// @return number of ground voxels.
+  /// Grow ground over all sweeps inserted so far, then behind steps. Near a pose there may be only
+  /// the ego vehicle: as long as there is hardly any ground, seeds are searched farther away.
+  /// @return number of ground voxels
   std::size_t grow();
 
-  /// For each point whether its voxel is ground; false where nothing was inserted.
+  /// Whether the voxel of each point is ground; false where nothing was inserted.
   void label(const Points& points, const Pose& T_world_lidar, bool* ground) const;
 
   /// Number of voxels.

@@ -110,7 +110,7 @@ void Neighborhood::gather(std::uint32_t leaf, double reach) {
     }
     stop = n;
   }
-  // Coordinates are rounded to 2^-24 of the largest, differences and squares as often again.
+  // Bound of the rounding of coordinates (2^-24 of the largest), differences and squares.
   error_ = 1e-5f * half.maxCoeff() * half.maxCoeff();
   size_ = n;
   padded_ = (size_ + kLanes - 1) / kLanes * kLanes;
@@ -119,7 +119,7 @@ void Neighborhood::gather(std::uint32_t leaf, double reach) {
 }
 
 void Neighborhood::reserve(std::size_t size) {
-  size += kLanes;  // for the padding, and for the candidate that is written and not kept
+  size += kLanes;  // padding, and a candidate that is written but not kept
   if (index_.size() >= size) return;
   index_.resize(size);
   nearest_.reserve(size);
@@ -161,7 +161,7 @@ float Neighborhood::radius_of_k() {
 }
 
 Neighborhood::Outcome Neighborhood::select(std::uint32_t candidate, float radius) {
-  // The k-th distance is at most radius + error, and who is nearer looks at most error farther.
+  // The k-th distance is at most radius + error, and nearer points look at most error farther.
   const float limit = radius + 2.f * error_;
   nearest_.resize(size_ + 1);
   std::size_t count = 0;
@@ -188,7 +188,8 @@ Neighborhood::Outcome Neighborhood::select(std::uint32_t candidate, float radius
   return any_open ? Outcome::kFound : Outcome::kNothingNew;
 }
 
-/// Of those in nearest_ the k up to the distance `last`; of several there the first by coordinates.
+/// Keep the k points up to the distance `last`; of several at that distance the first by
+/// coordinates.
 void Neighborhood::keep_nearest(double last) {
   std::vector<std::uint32_t> equal;
   const auto within = std::count_if(exact_.begin(), exact_.begin() + nearest_.size(),

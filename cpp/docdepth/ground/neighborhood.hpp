@@ -1,4 +1,4 @@
-// Exact nearest neighbours for the points of one leaf.
+// Exact nearest neighbours of the points of a leaf.
 #pragma once
 
 #include <Eigen/Geometry>
@@ -11,8 +11,8 @@
 
 namespace docdepth {
 
-/// All points within a reach of a leaf, laid out for fast distances. Single precision, relative to
-/// the leaf, narrows the choice; double precision decides, so the neighbours are the exact ones.
+/// All points within a reach of a leaf, laid out for fast distances. Single precision narrows the
+/// candidates, double precision decides, so the neighbours are exact.
 class Neighborhood {
  public:
   using Labels = std::vector<std::atomic<std::uint8_t>>;
@@ -20,25 +20,25 @@ class Neighborhood {
   Neighborhood(const Octree& tree, const Labels& labels, std::size_t k)
       : tree_(tree), labels_(labels), k_(k) {}
 
-  /// Take the points within `reach` of the leaf's box.
+  /// Take the points within `reach` of the box of the leaf.
   void gather(std::uint32_t leaf, double reach);
 
   enum class Outcome {
-    kNothingNew,     ///< all neighbours are labelled; cheaper to tell than who they are
+    kNothingNew,     ///< all neighbours are labelled; the test is cheaper than the search
     kFound,          ///< they are in nearest()
     kReachTooShort,  ///< gather again with needed_reach()
   };
-  /// Look for the k nearest points, itself the first, of a point of the leaf.
+  /// Find the k nearest points of a point of the leaf, including itself.
   Outcome search(std::uint32_t point);
 
   /// DepthHypotheses in the order of their points.
   const std::vector<std::uint32_t>& nearest() const { return nearest_; }
-  /// From the point that was searched for to its n-th neighbour, all neighbours' mean, and their
-  /// covariance (times their number) around that mean.
+  /// From the point of the last search to its n-th neighbour; the mean of all neighbours; their
+  /// covariance around that mean, times their number.
   Eigen::Vector3d offset(std::size_t n) const { return {dx_[n], dy_[n], dz_[n]}; }
   Eigen::Vector3d mean() const;
   Eigen::Matrix3d covariance(const Eigen::Vector3d& mean);
-  /// Reach that the last search asks for, or would have been content with.
+  /// Reach that the last search needs, or would have needed.
   double needed_reach() const { return needed_reach_; }
 
   std::uint32_t index(std::uint32_t candidate) const { return index_[candidate]; }
@@ -46,7 +46,7 @@ class Neighborhood {
     return tree_.points()[index_[candidate]];
   }
   std::uint32_t leaf(std::uint32_t candidate) const;
-  /// Whether the candidate had no label when it was gathered, nor was closed since.
+  /// Whether the candidate had no label when it was gathered and was not closed since.
   bool open(std::uint32_t candidate) const { return closed_[candidate] == 0.f; }
   void close(std::uint32_t candidate);
 
@@ -61,8 +61,8 @@ class Neighborhood {
   std::size_t k_;
   std::uint32_t offset_ = 0;  ///< first point of the leaf less its candidate
   double reach_ = 0, needed_reach_ = 0;
-  float error_ = 0;                    ///< of a squared distance in single precision
-  float guess_ = 0;                    ///< squared radius that held about k points the last time
+  float error_ = 0;  ///< of a squared distance in single precision
+  float guess_ = 0;  ///< squared radius that held about k points in the last search
   std::size_t size_ = 0, padded_ = 0;  ///< candidates, and the same in whole vectors
   std::vector<std::uint32_t> index_;
   std::vector<std::pair<std::uint32_t, std::uint32_t>> leaves_;  ///< end of its candidates, leaf

@@ -1,4 +1,4 @@
-// Normal of a neighbourhood.
+// The normal of a neighbourhood.
 #pragma once
 
 #include <Eigen/Core>
@@ -6,8 +6,8 @@
 
 namespace docdepth {
 
-/// Eigenvector of a symmetric matrix for its eigenvalue `value`: the longest cross product of two
-/// rows of (matrix - value), zero where that is not unique.
+/// Eigenvector of a symmetric matrix for the eigenvalue `value`: the longest cross product of two
+/// rows of (matrix - value); zero if it is not unique.
 inline Eigen::Vector3d eigenvector(const Eigen::Matrix3d& matrix, double value) {
   Eigen::Matrix3d rows = matrix;
   rows.diagonal().array() -= value;
@@ -22,7 +22,7 @@ inline Eigen::Vector3d eigenvector(const Eigen::Matrix3d& matrix, double value) 
 /// Unit eigenvector of the smallest eigenvalue of a covariance matrix, zero for points on a line.
 ///
 /// Newton's method climbs from 0 to the smallest root of the characteristic polynomial, which is
-/// concave up to there; the Rayleigh quotient then takes the rounding out of it.
+/// concave up to there; the Rayleigh quotient then removes the rounding.
 inline Eigen::Vector3d smallest_eigenvector(const Eigen::Matrix3d& covariance) {
   const double trace = covariance.trace();
   if (!(trace > 0.0)) return Eigen::Vector3d::Zero();

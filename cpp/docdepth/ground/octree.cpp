@@ -2,10 +2,11 @@
 
 #include <algorithm>
 
+#include "docdepth/ground/constants.hpp"
+
 namespace docdepth {
 namespace {
 
-constexpr std::uint32_t kLeafSize = 32;
 constexpr int kLevels = 19;  // bits of a block's coordinate
 
 /// Every third bit of a block's coordinate.
@@ -69,8 +70,8 @@ void Octree::take_points(int threads) {
   });
 }
 
-/// Nodes level by level, so that the children of each lie side by side; a node with all its points
-/// in one child is that child.
+/// Make nodes level by level, so that the children of each are consecutive. A node with all its
+/// points in one child is that child.
 void Octree::split(int threads) {
   struct Range {
     std::uint32_t begin, end;  // blocks

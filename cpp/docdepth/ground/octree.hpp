@@ -1,4 +1,4 @@
-// The voxels' points along a Morton curve, and the octree that this order is.
+// The points of the voxels along a Morton curve, and the octree that this order makes.
 #pragma once
 
 #include <Eigen/Geometry>
@@ -19,17 +19,17 @@ class Octree {
     std::uint32_t child, children;  ///< its nodes; none in a leaf
   };
 
-  /// Takes the points out of `map`, which must outlive the tree unchanged.
+  /// @param map  must outlive the tree unchanged
   Octree(VoxelMap& map, int threads);
 
-  /// Centroids of the voxels; the points of a node lie side by side.
+  /// Centroids of the voxels. The points of a node are consecutive.
   const std::vector<Eigen::Vector3d>& points() const { return points_; }
-  /// The root is the first.
+  /// The first one is the root.
   const std::vector<Node>& nodes() const { return nodes_; }
   /// Index of the leaf that holds a point.
   std::uint32_t leaf_of(std::uint32_t point) const;
-  /// Of the points within `radius` of (x, y) the one that this share of the others lies below, the
-  /// smallest x, y among equals; none: number of all points.
+  /// Of the points within `radius` of (x, y), the one with this share of the others below it; of
+  /// equal heights the smallest x, then y. The number of all points if there is none.
   std::uint32_t quantile(double x, double y, double radius, double share) const;
 
   /// Call visit(leaf) for each leaf whose box meets `box`, in the order of the points.

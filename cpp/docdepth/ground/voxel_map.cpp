@@ -5,22 +5,20 @@
 
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/geometry/simd.hpp"
+#include "docdepth/ground/constants.hpp"
 
 namespace docdepth {
 namespace {
 
-constexpr std::int64_t kReach = std::int64_t{1} << 20;  // voxels on either side of the origin
-constexpr std::size_t kPart = Addressed::kMost;         // points a thread takes at once
-constexpr double kLast = kReach - 0x1p-33;              // the last number below
+constexpr double kLast = kMapReach - 0x1p-33;  // the last number below kMapReach
 constexpr const char* kTooFar = "a point is not finite or too far from the first pose";
-constexpr std::size_t kAhead = 8;  // points whose memory is fetched early
 
 DOCDEPTH_KERNEL std::uint64_t hash(std::uint64_t key) {
   key *= 0x9e3779b97f4a7c15u;
   return key ^ (key >> 32);
 }
 
-/// The next of the capacities of a block.
+/// The next capacity of a block.
 std::uint32_t wider(std::uint32_t capacity) {
   static constexpr std::uint32_t kCapacities[] = {1, 2, 4, 6, 8, 12, 16, 24, 32, 48, 64};
   return *std::upper_bound(std::begin(kCapacities), std::end(kCapacities), capacity);
@@ -30,7 +28,7 @@ int rank(const VoxelBlock& block, std::uint32_t bit) {
   return count_bits(block.occupied & ((std::uint64_t{1} << bit) - 1));
 }
 
-/// VoxelGrid's operator* and address() of many points.
+/// VoxelGrid::operator* and VoxelGrid::address() of many points.
 struct FindVoxels {
   DOCDEPTH_KERNEL static void run(std::size_t count, const float* points, const double (*r)[3],
                                   const double* t, double voxel_size, Addressed* __restrict found,
@@ -43,13 +41,13 @@ struct FindVoxels {
                            ((r[2][0] * x + r[2][1] * y) + r[2][2] * z) + t[2]};
       std::uint64_t key = 0, bit = 0;
       for (int axis = 0; axis < 3; ++axis) {
-        const double asked = p[axis] / voxel_size;
-        double cell = asked > -kReach ? asked : -kReach;  // also for NaN
+        const double voxel = p[axis] / voxel_size;
+        double cell = voxel > -kMapReach ? voxel : -kMapReach;  // also for NaN
         cell = cell < kLast ? cell : kLast;
-        outside |= cell == asked ? 0 : 1;
+        outside |= cell == voxel ? 0 : 1;
         const auto whole = static_cast<std::int32_t>(cell);
         const std::int32_t below = static_cast<double>(whole) > cell ? 1 : 0;
-        const auto index = static_cast<std::uint64_t>(whole + (std::int32_t{kReach} - below));
+        const auto index = static_cast<std::uint64_t>(whole + (std::int32_t{kMapReach} - below));
         key = key << 19 | index >> 2;
         bit = bit << 2 | (index & 3);
       }
@@ -79,9 +77,9 @@ VoxelAddress VoxelGrid::address(const Eigen::Vector3d& p) const {
   std::uint32_t bit = 0;
   for (int i = 0; i < 3; ++i) {
     const double cell = p[i] / voxel_size_;
-    if (!(cell >= -kReach && cell < kReach)) throw std::out_of_range(kTooFar);
+    if (!(cell >= -kMapReach && cell < kMapReach)) throw std::out_of_range(kTooFar);
     auto index = static_cast<std::int64_t>(cell);
-    index += kReach - (static_cast<double>(index) > cell);  // floor
+    index += kMapReach - (static_cast<double>(index) > cell);  // floor
     key = key << 19 | static_cast<std::uint64_t>(index >> 2);
     bit = bit << 2 | static_cast<std::uint32_t>(index & 3);
   }
@@ -169,14 +167,14 @@ void VoxelMap::Shard::add(std::uint64_t key, std::uint32_t bit, const Eigen::Vec
 
 void VoxelMap::insert(const Points& points, const VoxelGrid& grid, int threads) {
   const auto count = static_cast<std::size_t>(points.rows());
-  const std::size_t parts = (count + kPart - 1) / kPart;
+  const std::size_t parts = (count + Addressed::kMost - 1) / Addressed::kMost;
   sorted_.resize(count);
-  // Each part sorts its points by shard and keeps their order within one.
+  // Each block of points is sorted by shard and keeps its order within a shard.
   std::vector<std::array<std::uint32_t, kShards + 1>> starts(parts);
-  parallel_for(count, kPart, threads, [&](std::size_t begin, std::size_t end) {
+  parallel_for(count, Addressed::kMost, threads, [&](std::size_t begin, std::size_t end) {
     Addressed found;
     grid.find(points.data() + 3 * begin, end - begin, found);
-    auto& start = starts[begin / kPart];
+    auto& start = starts[begin / Addressed::kMost];
     start.fill(0);
     for (std::size_t i = 0; i < end - begin; ++i) ++start[found.shard[i] + 1];
     start[0] = static_cast<std::uint32_t>(begin);
@@ -189,7 +187,7 @@ void VoxelMap::insert(const Points& points, const VoxelGrid& grid, int threads) 
     Shard& shard = shards[s];
     for (const auto& start : starts)
       for (std::uint32_t k = start[s]; k < start[s + 1]; ++k) {
-        if (k + kAhead < start[s + 1]) shard.fetch(sorted_[k + kAhead].voxel >> 6);
+        if (k + kPrefetchAhead < start[s + 1]) shard.fetch(sorted_[k + kPrefetchAhead].voxel >> 6);
         const Inserted& inserted = sorted_[k];
         shard.add(inserted.voxel >> 6, inserted.voxel & 63, inserted.point);
       }
@@ -197,11 +195,12 @@ void VoxelMap::insert(const Points& points, const VoxelGrid& grid, int threads) 
 }
 
 void VoxelMap::label(const Points& points, const VoxelGrid& grid, int threads, bool* ground) const {
-  parallel_for(points.rows(), kPart, threads, [&](std::size_t begin, std::size_t end) {
+  parallel_for(points.rows(), Addressed::kMost, threads, [&](std::size_t begin, std::size_t end) {
     Addressed found;
     grid.find(points.data() + 3 * begin, end - begin, found);
     for (std::size_t i = 0; i < end - begin; ++i) {
-      if (i + kAhead < end - begin) shards[found.shard[i + kAhead]].fetch(found.key[i + kAhead]);
+      if (i + kPrefetchAhead < end - begin)
+        shards[found.shard[i + kPrefetchAhead]].fetch(found.key[i + kPrefetchAhead]);
       const VoxelBlock* block = shards[found.shard[i]].find(found.key[i]);
       ground[begin + i] = block && (block->ground >> found.bit[i] & 1);
     }

@@ -10,7 +10,7 @@
 
 namespace docdepth {
 
-/// A voxel's points, added up in the order in which they came.
+/// The sum of the points of a voxel, in the order in which they came.
 struct Voxel {
   Eigen::Vector3d sum;
   double count;
@@ -25,24 +25,24 @@ inline int count_bits(std::uint64_t bits) {
   return static_cast<int>((bits * 0x0101010101010101u) >> 56);
 }
 
-/// 4 x 4 x 4 voxels. Neighbouring returns fall into the same block, so most of them find it in the
-/// cache, and 32 bytes answer for 64 voxels what is occupied and what is ground.
+/// 4 x 4 x 4 voxels. Neighbouring returns fall into the same block, which is then in the cache, and
+/// 32 bytes tell for 64 voxels what is occupied and what is ground.
 struct VoxelBlock {
   std::uint64_t key = 0;       ///< packed coordinates of the block
-  std::uint64_t occupied = 0;  ///< a bit a voxel; no bit at all: a free slot of the table
-  std::uint64_t ground = 0;    ///< a bit a voxel
-  std::uint32_t first = 0;     ///< its voxels lie there, in the order of their bits
+  std::uint64_t occupied = 0;  ///< one bit per voxel; 0: a free slot of the table
+  std::uint64_t ground = 0;    ///< one bit per voxel
+  std::uint32_t first = 0;     ///< its first voxel; they follow in the order of their bits
   std::uint32_t capacity = 0;
 };
 
-/// Where a point lies: the block, and the voxel's bit within it.
+/// The block of a point, and the bit of its voxel within that.
 struct VoxelAddress {
   std::uint64_t key;
   std::uint32_t shard;
   std::uint32_t bit;
 };
 
-/// As many points as a thread takes at once: relative to the origin, and the voxel of each.
+/// The points that a thread takes at once, relative to the origin, and their voxels.
 struct Addressed {
   static constexpr std::size_t kMost = 2048;
 
@@ -54,8 +54,8 @@ struct Addressed {
   VoxelAddress address(std::size_t i) const { return {key[i], shard[i], bit[i]}; }
 };
 
-/// World coordinates relative to an origin, in double precision rows added in the order of
-/// RigidTransform, and the voxel of each.
+/// Takes points to world coordinates relative to an origin, in double precision and in the order of
+/// operations of RigidTransform, and finds their voxels.
 class VoxelGrid {
  public:
   VoxelGrid(const Pose& T_world_lidar, const Eigen::Vector3d& origin, double voxel_size);
@@ -63,7 +63,7 @@ class VoxelGrid {
   Eigen::Vector3d operator*(const float* p) const { return {row(0, p), row(1, p), row(2, p)}; }
   /// @throws std::out_of_range a point is not finite or too far from the origin.
   VoxelAddress address(const Eigen::Vector3d& p) const;
-  /// Both for up to Addressed::kMost points; many times faster, the same result.
+  /// Both for up to Addressed::kMost points: the same result, many times faster.
   void find(const float* points, std::size_t count, Addressed& found) const;
 
  private:
@@ -76,8 +76,8 @@ class VoxelGrid {
   double voxel_size_;
 };
 
-/// Hash table of blocks, cut into shards by the hash. A shard is filled by one thread in the order
-/// of the points, so the sums do not depend on the number of threads.
+/// A hash table of blocks in shards. One thread fills a shard in the order of the points, so the
+/// sums do not depend on the number of threads.
 class VoxelMap {
  public:
   static constexpr std::size_t kShards = 16;
@@ -93,10 +93,10 @@ class VoxelMap {
     std::size_t blocks = 0;
     std::size_t size = 0;
     std::vector<Voxel> voxels;
-    std::array<std::vector<std::uint32_t>, 65> unused;  ///< given back, by capacity
+    std::array<std::vector<std::uint32_t>, 65> unused;  ///< free ranges of voxels, by capacity
 
     const VoxelBlock* find(std::uint64_t key) const;
-    /// Have the memory fetch where find() and add() begin to look.
+    /// Prefetch the slot where find() and add() start.
     void fetch(std::uint64_t key) const;
     void add(std::uint64_t key, std::uint32_t bit, const Eigen::Vector3d& p);
 

@@ -10,8 +10,8 @@
 namespace docdepth {
 
 struct MeshParameters {
-  /// Longest side of a triangle as seen from the sensor [rad].
-  float max_gap = 0.069813170f;
+  /// Longest side of a triangle as seen from the sensor [rad]: 4 degrees.
+  float max_gap = 0.06981317f;
   /// A side is a discontinuity if the range changes by this many times the distance across the ray.
   float jump_ratio = 4.0f;
   /// Smaller changes of range are never a discontinuity [m]: noise and rough surfaces.

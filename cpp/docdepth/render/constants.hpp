@@ -9,7 +9,7 @@ namespace docdepth {
 
 // --- Camera ---
 
-/// Points nearer to the image plane are not drawn [m]: the own vehicle and rounding.
+/// Points nearer to the image plane are not drawn [m].
 constexpr float kNear = 0.1f;
 /// Class of a pixel or vertex that is no return.
 constexpr std::uint8_t kNoClass = 255;
@@ -28,7 +28,7 @@ constexpr float kSlack = 0.01f;
 // --- Rays of a sweep, which tell free space from surfaces ---
 
 /// A point within this distance of a ray's end is on the surface [m], and its growth with range
-/// [m/m]: range noise and the error of poses.
+/// [m/m].
 constexpr float kSurfaceMargin = 0.1f;
 constexpr float kSurfaceMarginGrowth = 0.03f;
 /// How exactly the position of a ray is known [m].

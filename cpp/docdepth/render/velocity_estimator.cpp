@@ -29,7 +29,7 @@ VelocityEstimator::VelocityEstimator(const DynamicObjects& objects,
 float VelocityEstimator::score_of(std::size_t object, const Vector& velocity) const {
   const auto& samples = objects_.samples[object];
   const std::size_t step = 1 + (samples.size() - 1) / kVerifiedSamples;
-  float sum = 0, asked = 0;
+  float sum = 0, count = 0;
   for (const VisibilitySweep& sweep : sweeps_) {
     const RigidTransform T(sweep.motion.T_from_to.inverse());
     const Vector shift = velocity * sweep.motion.duration;
@@ -43,9 +43,9 @@ float VelocityEstimator::score_of(std::size_t object, const Vector& velocity) co
     sweep.rays->query_visibility(there, kRayBlur, scores);
     for (std::size_t i = 0; i < there.size; ++i)
       sum += float(scores[i] > kVerifyingScore) - float(scores[i] < -kVerifyingScore);
-    asked += float(there.size);
+    count += float(there.size);
   }
-  return asked > 0 ? sum / asked : 1;  // without rays nothing speaks against it
+  return count > 0 ? sum / count : 1;  // without rays nothing speaks against it
 }
 
 void VelocityEstimator::propose_one(std::size_t object, const Vector& velocity) {

@@ -18,7 +18,7 @@ struct VisibilitySweep {
 /// Chooses among the velocities that are proposed for each object.
 ///
 /// Matching goes wrong where an occluder hides the ends of an object: what is visible past a post
-/// seems to stand still. Rays tell the truth: no ray passes through the place where a car is.
+/// seems to stand still. Rays correct it: none passes through a car.
 class VelocityEstimator {
  public:
   /// The arguments must outlive the estimator.

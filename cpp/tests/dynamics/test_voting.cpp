@@ -26,7 +26,7 @@ Cloud wall(float distance) {
 }
 
 /// The votes of a key frame on one point straight ahead.
-std::array<int, 2> ask_surface(const Cloud& sweep, float distance) {
+std::array<int, 2> votes_of_mesh(const Cloud& sweep, float distance) {
   const auto flags = std::make_unique<bool[]>(sweep.rows());
   const MeshImage image(sweep, flags.get(), build_scan_mesh(sweep, {}), {});
   Cloud point(1, 3);
@@ -37,7 +37,7 @@ std::array<int, 2> ask_surface(const Cloud& sweep, float distance) {
 }
 
 /// The votes of a wall at 10 m on one point straight ahead.
-std::array<int, 2> ask_wall(float distance, bool wall_is_ground) {
+std::array<int, 2> votes_of_wall(float distance, bool wall_is_ground) {
   const Cloud cloud = wall(10.0f);
   const auto flags = std::make_unique<bool[]>(cloud.rows());
   std::fill_n(flags.get(), cloud.rows(), wall_is_ground);
@@ -51,16 +51,16 @@ std::array<int, 2> ask_wall(float distance, bool wall_is_ground) {
 
 }  // namespace
 
-TEST_CASE("a wall says static on it, dynamic before it and nothing behind it") {
-  CHECK(ask_wall(10.0f, false) == std::array<int, 2>{1, 0});
-  CHECK(ask_wall(10.1f, false) == std::array<int, 2>{1, 0});
-  CHECK(ask_wall(9.5f, false) == std::array<int, 2>{0, 1});
-  CHECK(ask_wall(12.0f, false) == std::array<int, 2>{0, 0});
+TEST_CASE("a wall votes static on it, dynamic before it and not at all behind it") {
+  CHECK(votes_of_wall(10.0f, false) == std::array<int, 2>{1, 0});
+  CHECK(votes_of_wall(10.1f, false) == std::array<int, 2>{1, 0});
+  CHECK(votes_of_wall(9.5f, false) == std::array<int, 2>{0, 1});
+  CHECK(votes_of_wall(12.0f, false) == std::array<int, 2>{0, 0});
 }
 
-TEST_CASE("before ground the tolerance is zero and ground never says static") {
-  CHECK(ask_wall(9.99f, true) == std::array<int, 2>{0, 1});
-  CHECK(ask_wall(10.1f, true) == std::array<int, 2>{0, 0});
+TEST_CASE("before ground the tolerance is zero, and ground never votes static") {
+  CHECK(votes_of_wall(9.99f, true) == std::array<int, 2>{0, 1});
+  CHECK(votes_of_wall(10.1f, true) == std::array<int, 2>{0, 0});
 }
 
 TEST_CASE("votes are those of the plain loop, also at ties and very near or far") {
@@ -108,24 +108,24 @@ Cloud sparse_wall(float spacing) {
   return cloud;
 }
 
-TEST_CASE("the surface of a wall answers between its returns, not far from every line of sight") {
+TEST_CASE("the mesh of a wall votes between its returns, but not far from every ray") {
   const Cloud sparse = sparse_wall(0.16f);
   for (const float distance : {9.0f, 10.1f, 12.0f})
-    CHECK(ask_surface(sparse_wall(0.4f), distance) == std::array<int, 2>{0, 0});
-  CHECK(ask_surface(sparse, 10.1f) == std::array<int, 2>{1, 0});
-  CHECK(ask_surface(sparse, 9.0f) == std::array<int, 2>{0, 1});
-  CHECK(ask_surface(sparse, 12.0f) == std::array<int, 2>{0, 0});
+    CHECK(votes_of_mesh(sparse_wall(0.4f), distance) == std::array<int, 2>{0, 0});
+  CHECK(votes_of_mesh(sparse, 10.1f) == std::array<int, 2>{1, 0});
+  CHECK(votes_of_mesh(sparse, 9.0f) == std::array<int, 2>{0, 1});
+  CHECK(votes_of_mesh(sparse, 12.0f) == std::array<int, 2>{0, 0});
 }
 
-TEST_CASE("across a depth jump only what lies nearer than both sides was looked through") {
+TEST_CASE("across a discontinuity only points nearer than both sides are dynamic") {
   Cloud jump(2 * 40, 3);
   for (int i = 0; i < 40; ++i) {
     const float z = 0.1f * (i - 20), x = 10.0f;
     jump.row(2 * i) << x, 0.1f, z;
     jump.row(2 * i + 1) << 2 * x, -0.2f, 2 * z;
   }
-  CHECK(ask_surface(jump, 9.0f) == std::array<int, 2>{0, 1});
-  CHECK(ask_surface(jump, 10.1f) == std::array<int, 2>{1, 0});
-  CHECK(ask_surface(jump, 15.0f) == std::array<int, 2>{0, 0});
-  CHECK(ask_surface(jump, 30.0f) == std::array<int, 2>{0, 0});
+  CHECK(votes_of_mesh(jump, 9.0f) == std::array<int, 2>{0, 1});
+  CHECK(votes_of_mesh(jump, 10.1f) == std::array<int, 2>{1, 0});
+  CHECK(votes_of_mesh(jump, 15.0f) == std::array<int, 2>{0, 0});
+  CHECK(votes_of_mesh(jump, 30.0f) == std::array<int, 2>{0, 0});
 }

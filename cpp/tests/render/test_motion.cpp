@@ -14,8 +14,8 @@ using Matrix = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
 
 }  // namespace
 
-TEST_CASE("objects are told apart and found again, none in another") {
-  // The corner of a car, and a pedestrian beside it; each goes its own way.
+TEST_CASE("objects are separated and matched, none with another one") {
+  // The corner of a car and a pedestrian next to it, with different velocities.
   std::mt19937 random(6);
   std::uniform_real_distribution<float> along(0, 4), across(0, 1.7f), up(-1.5f, 0), person(0, 0.4f);
   const auto scene = [&](Eigen::Vector3f car, Eigen::Vector3f walker) {
@@ -56,8 +56,8 @@ TEST_CASE("objects are told apart and found again, none in another") {
     CHECK(velocity.isZero());
 }
 
-TEST_CASE("parts of a car on both sides of a post go the way that rays bear out") {
-  // Its flank 10 m ahead goes 8 m/s to the left; the post hides what lies straight ahead.
+TEST_CASE("two parts of a car behind a post get the velocity that rays verify") {
+  // The side of the car, 10 m ahead, moves 8 m/s to the left. The post hides its middle.
   const auto sweep = [](float from_middle, std::vector<std::uint16_t>& classid) {
     Matrix points(0, 3);
     classid.clear();
@@ -90,17 +90,17 @@ TEST_CASE("parts of a car on both sides of a post go the way that rays bear out"
   estimator.propose({slow, exact});
   CHECK(estimator.unverified()[0] == 1);
   CHECK((estimator.velocities() == std::vector<Eigen::Vector3f>{slow, exact}));
-  SUBCASE("another sweep tells better") {
+  SUBCASE("another sweep matches better") {
     estimator.propose({exact, slow});
     CHECK((estimator.velocities() == std::vector<Eigen::Vector3f>{exact, exact}));
     estimator.propose({slow, still});
     CHECK((estimator.velocities() == std::vector<Eigen::Vector3f>{exact, exact}));
   }
-  SUBCASE("or the other part does") {
+  SUBCASE("the other part has the right velocity") {
     estimator.propose_neighbors();
     CHECK((estimator.velocities() == std::vector<Eigen::Vector3f>{exact, exact}));
   }
-  SUBCASE("nobody is asked about what is not wanted, nor doubts without rays") {
+  SUBCASE("unwanted objects are not verified, and without rays every velocity is") {
     const std::vector<VisibilitySweep> nobody;
     VelocityEstimator none(objects, visibility_sweeps, {0, 0}, 1),
         blind(objects, nobody, {1, 1}, 1);
@@ -110,7 +110,7 @@ TEST_CASE("parts of a car on both sides of a post go the way that rays bear out"
   }
 }
 
-TEST_CASE("who is hidden in the other sweep is nobody else there, but parts are of one whole") {
+TEST_CASE("a hidden object is matched with no other one, but parts of one object are") {
   std::mt19937 random(7);
   std::uniform_real_distribution<float> share(0, 1);
   const auto add = [&](Matrix& points, int count, Eigen::Vector3f low, Eigen::Vector3f size) {
@@ -125,7 +125,7 @@ TEST_CASE("who is hidden in the other sweep is nobody else there, but parts are 
   };
   const RelativeMotion motion{Pose::Identity(), 0.1f, 50};
   const Eigen::Vector3f person(0.4f, 0.4f, 1.5f);
-  SUBCASE("two walk, one goes behind a post") {
+  SUBCASE("two pedestrians, one of them hidden in the other sweep") {
     Matrix before(0, 3), after(0, 3);
     add(before, 100, {12, 1, -1.5f}, person), add(before, 100, {12, 3.4f, -1.5f}, person);
     add(after, 100, {12, 3.5f, -1.5f}, person);
@@ -137,7 +137,7 @@ TEST_CASE("who is hidden in the other sweep is nobody else there, but parts are 
          match_velocities(found(after), found(before), {motion.T_from_to, -0.1f, 50}, 1))
       CHECK((back - velocity[1]).norm() < 0.8f);
   }
-  SUBCASE("a car behind a post is in two parts") {
+  SUBCASE("a car behind a post has two parts") {
     Matrix before(0, 3), after(0, 3);
     const Eigen::Vector3f end(0, 1.7f, 1.4f);
     add(before, 300, {10, 3, -1.5f}, {2.2f, 0, 1.4f});

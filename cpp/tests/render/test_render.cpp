@@ -122,7 +122,7 @@ TEST_CASE("rendering does not depend on threads, and nothing gives no depth") {
   for (const float depth : render_splats(camera, {}, 2)) REQUIRE(std::isnan(depth));
 }
 
-TEST_CASE("the first to offer something stays, movers hide, where no ray is asked") {
+TEST_CASE("without rays the first sweep with a depth wins, and dynamic objects hide it") {
   const Camera camera{100, 100, 10, 10, 21, 21};
   const PatchMesh far = square(10), near = square(5), half = square(12, 0.01f);
   const Pose T = Pose::Identity();
@@ -185,7 +185,7 @@ TEST_CASE(
     CHECK(draw(nullptr, {&far, &near})[i] == truth);
     CHECK(draw(nullptr, {&nearer, &far, &near})[i] == truth);
     CHECK(draw(nullptr, {&far, &nearer})[i] == doctest::Approx(10));  // neither is there
-    CHECK(draw(&far, {&near})[i] == doctest::Approx(10));             // no edge, nobody is asked
+    CHECK(draw(&far, {&near})[i] == doctest::Approx(10));             // no edge, so no ray decides
     // The tiles in which the trusted one has its edge are open: the columns 8 to 15.
     const bool open = i % 21 < 16;
     CHECK(draw(&half, {&near, &far})[i] == (open ? truth : doctest::Approx(10)));
@@ -194,7 +194,7 @@ TEST_CASE(
   }
 }
 
-TEST_CASE("rays are asked by falling trust until they are sure") {
+TEST_CASE("rays are queried in the order of trust until the score is sure") {
   const Camera camera{100, 100, 3, 3, 7, 7};
   const PatchMesh far = square(10), near = square(5);
   const float spacing = 0.05f;
@@ -209,11 +209,11 @@ TEST_CASE("rays are asked by falling trust until they are sure") {
   };
   CHECK(middle({&met, &passed, &passed}) == 5);
   CHECK(middle({&passed, &met, &met}) == 10);
-  // Two centimetres beside it none is sure, two are, and what none is sure of goes to the others.
+  // At two centimetres one ray is not sure but two are. Else the next rays are queried.
   CHECK(middle({&met_aside}) == 5);
   CHECK(middle({&met_aside, &passed}) == 10);
   CHECK(middle({&met_aside, &met_aside, &passed}) == 5);
-  // A centimetre beside it one is sure to have passed, and two to have met it.
+  // At one centimetre one ray is sure of free space, and two are sure of a surface.
   const Rays met_close = sweep(5, spacing, 0.0085f), passed_close = sweep(10, spacing, 0.0085f);
   CHECK(middle({&passed_close, &met, &met}) == 10);
   CHECK(middle({&met_close, &passed}) == 10);
@@ -248,10 +248,10 @@ TEST_CASE("what moves is drawn where rays met it close by, unless it is trusted 
   CHECK(std::isnan(middle({met, met, met, missed}, false)));
   CHECK(middle({met, met, met, met, missed}, false) == doctest::Approx(5));
   for (const Rays* rays : {&close, &far, &passed}) CHECK(middle({{rays, T}}, true) == 5);
-  CHECK(middle({}, false) == 5);  // nobody can be asked
+  CHECK(middle({}, false) == 5);  // no rays
 }
 
-TEST_CASE("what others saw of a mover only fills what its trusted surface left empty") {
+TEST_CASE("other sweeps only fill what the trusted mesh of an object left empty") {
   const Camera camera{100, 100, 3, 3, 7, 7};
   // The trusted surface ends within the only tile, in the middle of the image.
   const PatchMesh wall = square(10), half = square(5, -5, 0.01f), nearer = square(4);
@@ -268,14 +268,16 @@ TEST_CASE("what others saw of a mover only fills what its trusted surface left e
   }
 }
 
-TEST_CASE("a cut triangle of a mover is split about the middle, each part at its corners' range") {
+TEST_CASE(
+    "a discontinuity of an object is split near the middle, each side at the range of its "
+    "corners") {
   Matrix points(3, 3);
   points << 10, 0, 0, 20, 1, 0, 20, 0, 1;
   const std::uint32_t triangle[1][3] = {{0, 1, 2}};
   const std::uint8_t whole = 0, cut = 1;
   CHECK(partition_mesh(points, triangle, &whole, 1, {0, 0, 0}, 1).parts[0].whole.size() == 1);
 
-  // Of the world nothing goes on where nobody measured.
+  // Static surface is not continued where nothing was measured.
   const auto world = partition_mesh(points, triangle, &cut, 1, {0, 0, 0}, 1);
   CHECK(world.parts[0].whole.empty());
   CHECK(world.parts[0].outer.empty());

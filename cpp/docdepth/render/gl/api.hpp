@@ -1,5 +1,5 @@
-// What the renderer needs of OpenGL 3.3 core, EGL and OSMesa: written out here, so that building
-// needs no headers of theirs and running no library of theirs.
+// The parts of OpenGL 3.3 core, EGL and OSMesa that the renderer uses. They are declared here, so
+// that no headers are needed to build and no library to run.
 #pragma once
 
 #include <cstddef>
@@ -8,7 +8,7 @@
 
 namespace docdepth::gl {
 
-/// A back end cannot be used; the message says why.
+/// A backend cannot be used; the message says why.
 class GlError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
@@ -138,7 +138,7 @@ enum : int {
   kPlatformSurfaceless = 0x31DD,
 };
 
-/// Entry points by dlsym of libEGL; the last three are extensions, through GetProcAddress.
+/// Entry points of libEGL by dlsym. The last three are extensions, found by GetProcAddress.
 struct Functions {
   Loader GetProcAddress;
   int (*GetError)();
@@ -168,7 +168,7 @@ enum : int {
   kMinorVersion = 0x37,
 };
 
-/// Entry points by dlsym of libOSMesa.
+/// Entry points of libOSMesa by dlsym.
 struct Functions {
   Loader GetProcAddress;
   void* (*CreateContextAttribs)(const int* attributes, void* share);

@@ -1,4 +1,4 @@
-// An OpenGL 3.3 core context without a window: EGL or OSMesa, loaded when it is asked for.
+// An OpenGL 3.3 core context without a window, by EGL or OSMesa, loaded at run time.
 #pragma once
 
 #include <memory>
@@ -24,8 +24,8 @@ struct Choice {
 
 class Platform;
 
-/// A context belongs to the thread and the process that opened it: drivers keep their own threads
-/// and locks, which a forked child gets in whatever state they were. Any other user gets an error.
+/// A context belongs to the thread and the process that opened it; in any other its use is an
+/// error. Drivers keep threads and locks, which a forked child inherits in an undefined state.
 class GlContext {
  public:
   /// @throws GlError saying why the back end cannot be used here
@@ -38,8 +38,8 @@ class GlContext {
   const std::string& version() const { return version_; }    ///< GL_VERSION
   bool software() const;                                     ///< drawn by the processor
 
-  /// The context is current while this lives, so that other users of OpenGL in the same thread
-  /// are not in its way.
+  /// Makes the context current as long as this lives. Afterwards the thread is free for other users
+  /// of OpenGL.
   class Current {
    public:
     /// @throws GlError in another thread or process than the one that opened the context
@@ -61,8 +61,8 @@ class GlContext {
   std::string renderer_, version_;
 };
 
-/// For each device that EGL knows, whether it is more than a software one; starts no driver.
-/// @throws GlError if there is no EGL or it cannot tell
+/// Whether each EGL device is hardware. Starts no driver.
+/// @throws GlError if there is no EGL, or none that lists devices
 std::vector<bool> egl_devices(const std::string& library = "");
 
 }  // namespace docdepth::gl

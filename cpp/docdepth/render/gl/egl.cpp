@@ -22,7 +22,7 @@ std::string code(int error) {
   return text;
 }
 
-/// libEGL with its entry points, and what it offers before any display is open.
+/// libEGL, its entry points and its client extensions.
 class Egl {
  public:
   explicit Egl(const std::string& library)

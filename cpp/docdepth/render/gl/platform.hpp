@@ -10,7 +10,8 @@
 
 namespace docdepth::gl {
 
-/// A shared library that stays loaded until the process ends: drivers do not survive unloading.
+/// A shared library. It stays loaded until the process ends, since drivers do not survive
+/// unloading.
 class SharedLibrary {
  public:
   /// The first of `names` that loads. @throws GlError with the loader's words for each
@@ -29,7 +30,7 @@ class SharedLibrary {
   std::string name_;
 };
 
-/// What every back end can do, whatever the library.
+/// A library that can make a context current.
 class Platform {
  public:
   virtual ~Platform() = default;
@@ -41,7 +42,7 @@ class Platform {
 std::unique_ptr<Platform> open_egl(const Choice& choice);
 std::unique_ptr<Platform> open_osmesa(const Choice& choice);
 
-/// @throws GlError if this process was forked from one that had started a driver already
+/// @throws GlError if this process was forked after its parent had started a driver
 void refuse_after_fork();
 
 }  // namespace docdepth::gl

@@ -1,4 +1,4 @@
-// Shaders to programs.
+// Compiling shaders.
 #pragma once
 
 #include <vector>
@@ -7,13 +7,13 @@
 
 namespace docdepth::gl {
 
-/// A shader of each kind and its source, which comes behind kExact.
+/// The kind of a shader, and its source without kExact.
 struct Shader {
   unsigned kind;
   const char* source;
 };
 
-/// @throws GlError with the driver's words
+/// @throws GlError with the message of the driver
 unsigned link(const GlContext::Current& gl, const std::vector<Shader>& shaders);
 
 }  // namespace docdepth::gl

@@ -1,12 +1,12 @@
-// The programs of GlRenderer. They round like the processor's: see splats.cpp and triangles.cpp.
+// The shaders of GlRenderer. They round like splats.cpp and raster.hpp.
 #pragma once
 
 namespace docdepth::gl {
 
-/// Most pixels that a splat may be high: the length of `limits`.
+/// Largest height of a splat [pixel]: `limits` has one more entry.
 constexpr int kLargestSplat = 511;
 
-/// What every shader starts with. `precise` keeps compilers from fusing.
+/// The start of every shader. `precise` forbids fused operations.
 constexpr const char* kExact = R"(#version 330 core
 #extension GL_ARB_gpu_shader5 : enable
 #ifdef GL_ARB_gpu_shader5
@@ -20,8 +20,8 @@ uniform vec2 size;     // of the image
 
 float high_bits(float a) { return intBitsToFloat(floatBitsToInt(a) & ~0xfff); }
 
-// a / b as IEEE rounds it. GLSL's own quotient may be a few units off; its exact remainder, from
-// products of halves (Dekker 1971), corrects it.
+// a / b rounded as IEEE 754 says. GLSL's quotient may be off by a few units in the last place. Its
+// exact remainder, from products of halves (Dekker 1971), corrects it.
 float divide(float a, float b) {
   EXACT float q = a / b;
   EXACT float q1 = high_bits(q), b1 = high_bits(b);
@@ -31,7 +31,7 @@ float divide(float a, float b) {
   return rounded;
 }
 
-// As RigidTransform rounds.
+// Rounds like RigidTransform.
 float row(vec4 r, vec3 p) {
   EXACT float moved = ((r.x * p.x + r.y * p.y) + r.z * p.z) + r.w;
   return moved;
@@ -39,8 +39,8 @@ float row(vec4 r, vec3 p) {
 vec3 move(vec3 p) { return vec3(row(rows[0], p), row(rows[1], p), row(rows[2], p)); }
 )";
 
-/// A splat as a point, or as one of the four corners of a square where points cannot be so large.
-/// Its centre is snapped to a pixel and its edge is odd, so it covers the same pixels everywhere.
+/// A splat as a point, or as one of the four corners of a square if points cannot be that large.
+/// Its centre is snapped to a pixel and its edge is odd, so every driver covers the same pixels.
 constexpr const char* kSplatVertex = R"(
 layout(location = 0) in float x;
 layout(location = 1) in float y;
@@ -106,8 +106,8 @@ void main() {
 }
 )";
 
-/// A triangle becomes the rectangle of pixels around it, in which the fragments look for its edges:
-/// a rasteriser of its own would first snap the corners, to 1/256 pixel or whatever it likes.
+/// A triangle becomes the rectangle of pixels around it, and the fragments test its edges. The
+/// driver's rasteriser would first snap the corners to some fraction of a pixel.
 constexpr const char* kTriangleGeometry = R"(
 layout(triangles) in;
 layout(triangle_strip, max_vertices = 4) out;

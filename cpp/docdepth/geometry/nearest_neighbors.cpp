@@ -1,0 +1,97 @@
+#include "docdepth/geometry/nearest_neighbors.hpp"
+
+#include <cmath>
+#include <limits>
+#include <nanoflann.hpp>
+#include <stdexcept>
+#include <string>
+
+#include "docdepth/geometry/constants.hpp"
+#include "docdepth/geometry/parallel.hpp"
+
+namespace docdepth {
+namespace {
+
+/// Lets nanoflann read points where they are.
+struct PointsAdaptor {
+  const Points& points;
+
+  std::size_t kdtree_get_point_count() const { return static_cast<std::size_t>(points.rows()); }
+  float kdtree_get_pt(std::size_t i, std::size_t axis) const {
+    return points(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(axis));
+  }
+  template <class Box>
+  bool kdtree_get_bbox(Box&) const {
+    return false;  // nanoflann computes it
+  }
+};
+
+using Distance = nanoflann::L2_Simple_Adaptor<float, PointsAdaptor, float, std::uint32_t>;
+using Tree = nanoflann::KDTreeSingleIndexAdaptor<Distance, PointsAdaptor, 3, std::uint32_t>;
+
+/// Keeps the nearest point, of equally near ones the first: branches that may hold an equal
+/// distance are searched, too.
+class FirstNearest {
+ public:
+  using DistanceType = float;
+  using IndexType = std::uint32_t;
+
+  std::uint32_t index() const { return index_; }
+  float squared() const { return squared_; }
+
+  // The interface of nanoflann's result sets.
+  bool full() const { return found_; }
+  bool empty() const { return !found_; }
+  std::size_t size() const { return found_; }
+  void sort() {}
+  float worstDist() const {
+    return std::nextafter(squared_ * kBoundMargin, std::numeric_limits<float>::infinity());
+  }
+  bool addPoint(float squared, std::uint32_t index) {
+    if (!found_ || squared < squared_ || (squared == squared_ && index < index_)) {
+      squared_ = squared;
+      index_ = index;
+    }
+    found_ = true;
+    return true;
+  }
+
+ private:
+  bool found_ = false;
+  std::uint32_t index_ = 0;
+  float squared_ = std::numeric_limits<float>::max();
+};
+
+void check(const Points& points, const char* name) {
+  for (Eigen::Index i = 0; i < points.rows(); ++i)
+    for (int axis = 0; axis < 3; ++axis)
+      if (!(std::fabs(points(i, axis)) < kMaxCoordinate))
+        throw std::invalid_argument(std::string(name) + " must be finite, but row " +
+                                    std::to_string(i) + " is not");
+}
+
+}  // namespace
+
+NearestNeighbors nearest_neighbors(const Points& points, const Points& queries, int threads) {
+  check(points, "points");
+  check(queries, "queries");
+  const auto count = static_cast<std::size_t>(queries.rows());
+  NearestNeighbors found{std::vector<std::uint32_t>(count), std::vector<float>(count)};
+  if (!count) return found;
+  if (!points.rows()) throw std::invalid_argument("there are no points to search in");
+  const PointsAdaptor adaptor{points};
+  const Tree tree(3, adaptor, {kTreeLeafSize});
+  parallel_for(count, kQueryBlock, threads, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const auto row = static_cast<Eigen::Index>(i);
+      const float query[3] = {queries(row, 0), queries(row, 1), queries(row, 2)};
+      FirstNearest nearest;
+      tree.findNeighbors(nearest, query, {});
+      found.index[i] = nearest.index();
+      found.distance[i] = std::sqrt(nearest.squared());
+    }
+  });
+  return found;
+}
+
+}  // namespace docdepth
