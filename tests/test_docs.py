@@ -88,14 +88,23 @@ def test_commands_and_options_exist(page: Path) -> None:
     for program, *words in _command_lines(page):
         line = shlex.join([program, *words])
         if program == "python":
-            source = (ROOT / words[0]).read_text(encoding="utf-8")
-            known = set(re.findall(r'"(--[\w-]+)"', source))
+            known = _options_of_script(ROOT / words[0])
         else:
             command = _command(root, words)
             assert command is not None, f"{page.name}: no such verb in {line!r}"
             known = {name for parameter in command.params for name in parameter.opts}
         options = {word.partition("=")[0] for word in words if re.match("--[a-z]", word)}
         assert options <= known, f"{page.name}: {options - known} in {line!r}"
+
+
+def _options_of_script(path: Path) -> set[str]:
+    """Options in the source of a script and of the modules beside it that it imports."""
+    source = path.read_text(encoding="utf-8")
+    options = set(re.findall(r'"(--[\w-]+)"', source))
+    for module in re.findall(r"^from (\w+) import", source, re.MULTILINE):
+        if (beside := path.with_name(f"{module}.py")).is_file():
+            options |= _options_of_script(beside)
+    return options
 
 
 def _command(group: Any, words: list[str]) -> Any:

@@ -200,3 +200,23 @@ def video(
     with progress_bars() as progress:
         path = write_video(folder, name, recorded_camera(folder, name), fps, progress)
     out.print(f"{path}", soft_wrap=True, markup=False)
+
+
+@app.command()
+def view(
+    run: RunPath,
+    frame: Annotated[
+        int | None, typer.Option(min=0, help="Index of the sweep; the middle one if absent.")
+    ] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="Camera; needed where there are several.")
+    ] = None,
+    around: Annotated[int, typer.Option(min=0, help="Sweeps before and after to add.")] = 0,
+    image: Annotated[
+        Path | None, typer.Option(help="Write a PNG instead of opening a window.")
+    ] = None,
+) -> None:
+    """Look at a sweep's labels, the trajectory and a depth map in 3-D (Open3D)."""
+    from docdepth.visualization.viewer import view_run
+
+    view_run(run, frame, camera, around, image=image)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from functools import wraps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -63,43 +64,48 @@ def demo(
 
 
 @app.command()
-def sweep(
+def tune(
     run: RunPath,
     truth: Annotated[Path, typer.Option("--labels", help="Folder of SemanticKITTI labels.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="Results.")],
     vary: Annotated[
         list[str] | None,
-        typer.Option(metavar="STAGE.NAME=A,B,C", help="Values to combine with all others."),
+        typer.Option(metavar="STAGE.NAME=A,B,C", help="Values; several options are combined."),
     ] = None,
     trials: Annotated[
-        Path | None, typer.Option(help="YAML, a line a trial: NAME: {stage.name: value}.")
+        Path | None, typer.Option(help="YAML, one trial a line: NAME: {stage.name: value}.")
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Trials at a time.")] = 1,
     threads: Threads = 0,
 ) -> None:
-    """Classify a run with many parameter sets: a table, CSV and a plot.
+    """Classify a run with many parameter sets and write a table, CSV and a plot.
 
-    The same command goes on where an interrupted sweep stopped.
+    The same command continues a search that was interrupted.
 
-      docdepth sweep RUN --labels DRIVE -o out --vary dynamics.tolerance=0.1,0.2,0.4
+      docdepth tune RUN --labels DRIVE -o out --vary dynamics.tolerance=0.1,0.2,0.4
     """
+    from docdepth import tuning
     from docdepth.errors import ConfigError, MissingExtraError
-    from docdepth.tuning import grid, parse_axes, plot, read_trials, table
-    from docdepth.tuning import tune as work
 
     if bool(vary) == bool(trials):
         raise ConfigError("say what to vary: --vary STAGE.NAME=A,B or --trials FILE")
-    sets = read_trials(trials) if trials else grid(parse_axes(vary or []))
+    sets = tuning.read_trials(trials) if trials else tuning.grid(tuning.parse_axes(vary or []))
     with progress_bars() as progress:
-        outcomes = work(
+        outcomes = tuning.tune(
             run, truth, sets, output, jobs, threads,
             lambda done, total: progress("trials", done, total),
         )  # fmt: skip
-    out.print(str(table(outcomes)), soft_wrap=True, markup=False)
+    out.print(str(tuning.table(outcomes)), soft_wrap=True, markup=False)
     try:
-        plot(outcomes, output / "tune.png")
+        tuning.plot(outcomes, output / "tune.png")
     except MissingExtraError as error:
         out.print(f"no plot: {error}", markup=False)
+
+
+@app.command("sweep", hidden=True, deprecated=True)
+@wraps(tune)
+def sweep(*args: Any, **options: Any) -> None:
+    tune(*args, **options)
 
 
 @app.command()

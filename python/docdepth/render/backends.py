@@ -64,7 +64,7 @@ class Renderer:
 
     @property
     def core(self) -> Any:
-        """The object with ``render_splats`` and ``render_surfaces`` for this thread.
+        """The object with ``render_splats`` and ``render_meshes`` for this thread.
 
         Raises
         ------
