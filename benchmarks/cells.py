@@ -159,7 +159,7 @@ def add_cell_arguments(parser: argparse.ArgumentParser, images: int) -> None:
 
 
 def cells_of(args: argparse.Namespace) -> Iterator[Cell]:
-    """Chosen cells; all scenes of the first sensor come first, since they tell most."""
+    """Chosen cells, sensor by sensor."""
     for name in args.sensors:
         for street in args.scenes:
             yield Cell(street, name, args.frames or FRAMES[street], args.seed, args.drives)

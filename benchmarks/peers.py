@@ -103,7 +103,7 @@ class Row:
         return {"method": self.name, "seconds_per_sweep": self.seconds, **parts}
 
 
-def judge(name: str, drive: Drive, dynamic: Callable[[int], np.ndarray], seconds: float) -> Row:
+def evaluate(name: str, drive: Drive, dynamic: Callable[[int], np.ndarray], seconds: float) -> Row:
     """Metrics of a method by all protocols."""
     by_point, maps = LabelEvaluation(drive.source), MapEvaluation(drive.source)
     for index in range(len(drive)):
@@ -158,13 +158,13 @@ def main(arguments: list[str] | None = None) -> list[Row]:
         drive = drive_of_recording(args.recording, args.poses, args.raw)
     rows = []
     if drive.dynamic:
-        rows.append(judge("docdepth", drive, drive.dynamic, drive.seconds))
+        rows.append(evaluate("docdepth", drive, drive.dynamic, drive.seconds))
     for d_p in args.d_p:
         found, seconds = dufomap(drive, d_p, args.d_s, args.resolution, args.threads)
-        rows.append(judge(f"DUFOMap d_p={d_p}", drive, found.__getitem__, seconds))
+        rows.append(evaluate(f"DUFOMap d_p={d_p}", drive, found.__getitem__, seconds))
     if args.beautymap:
         found, seconds = beautymap(drive, args.beautymap)
-        rows.append(judge("BeautyMap", drive, found.__getitem__, seconds))
+        rows.append(evaluate("BeautyMap", drive, found.__getitem__, seconds))
     print(json.dumps([row.as_dict() for row in rows], indent=1) if args.json else table(rows))
     return rows
 

@@ -79,9 +79,9 @@ def label_rows(
     outcomes = tune(run.path, sequence, trials, out / cell.name, jobs, threads)
     rows = {}
     for outcome in outcomes:
-        row = {name: outcome.figure(name) for name in ("sa", "da", "f1", "precision", "iou")}
+        row = {name: outcome.metric(name) for name in ("sa", "da", "f1", "precision", "iou")}
         for name in ("temporarily_static", "seen_to_move"):
-            points, da = outcome.figures[name]["points"], outcome.figures[name]["da"]
+            points, da = outcome.metrics[name]["points"], outcome.metrics[name]["da"]
             row |= {name: math.nan if da is None else da, f"{name}_points": points or math.nan}
         rows[outcome.name] = row
     return rows
@@ -100,10 +100,10 @@ def depth_rows(
         exact = ExactDrive(cell)
         methods = {name: _completion(exact) for name in (IP_BASIC,) if name not in rows}
         methods |= {n: _renderer(exact, p, threads) for n, p in chosen.items() if n not in rows}
-        for name, figures in _compare(exact, methods, images).items():
-            content = json.dumps({"key": keys[name], "figures": figures}, indent=1).encode()
+        for name, metrics in _compare(exact, methods, images).items():
+            content = json.dumps({"key": keys[name], "metrics": metrics}, indent=1).encode()
             write_atomically(paths[name], lambda stream, c=content: stream.write(c))
-            rows[name] = _depth_row(figures)
+            rows[name] = _depth_row(metrics)
     return {name: rows[name] for name in settings}
 
 
@@ -143,12 +143,12 @@ def _parameters(trial: Trial) -> Parameters:
 
 def _stored(path: Path, key: str) -> Row | None:
     found = json.loads(path.read_text()) if path.is_file() else {}
-    return _depth_row(found["figures"]) if found.get("key") == key else None
+    return _depth_row(found["metrics"]) if found.get("key") == key else None
 
 
-def _depth_row(figures: dict[str, Any]) -> Row:
-    everywhere, interior, dynamic = (figures[region] for region in ("all", "interior", "dynamic"))
-    row = {"density": figures["density_on_surfaces"], "mae": everywhere["mae"]}
+def _depth_row(metrics: dict[str, Any]) -> Row:
+    everywhere, interior, dynamic = (metrics[region] for region in ("all", "interior", "dynamic"))
+    row = {"density": metrics["density_on_surfaces"], "mae": everywhere["mae"]}
     row |= {name: everywhere[name] for name in ("shifts", "too_near", "too_far")}
     row |= {"interior_mae": interior["mae"], "interior_rmse": interior["rmse"]}
     row |= {"moving_density": dynamic["density"], "moving_shifts": dynamic["shifts"]}

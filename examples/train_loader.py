@@ -29,10 +29,10 @@ class Sample(NamedTuple):
     mask: NDArray[np.bool_]  # (h, w), where there is depth
 
 
-def samples(drive: Path, run: Path, camera: str | None = None) -> Iterator[Sample]:
-    """Images of a drive that have a depth map in a run folder."""
-    cameras = docdepth.open_dataset(drive).cameras
-    stream = cameras[camera or next(iter(cameras))]
+def samples(drive: Path, run: Path) -> Iterator[Sample]:
+    """Images of a drive that have a depth map in a run folder of one camera."""
+    (camera,) = docdepth.RunFolder.open(run).stage("render")["cameras"]
+    stream = docdepth.open_dataset(drive).cameras[camera]
     for index, name in enumerate(stream.names):
         file = run / "depth" / f"{name}.png"
         image = stream.rectified_image(index)
@@ -45,9 +45,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("drive", type=Path)
     parser.add_argument("run", type=Path)
-    parser.add_argument("--camera", help="the first camera by default")
     args = parser.parse_args(arguments)
-    for sample in samples(args.drive, args.run, args.camera):
+    for sample in samples(args.drive, args.run):
         median = np.median(sample.depth[sample.mask])
         print(f"{sample.name}: {sample.mask.mean():.0%} with depth, median {median:.1f} m")
 

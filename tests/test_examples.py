@@ -47,7 +47,9 @@ def test_every_example_is_short_and_tested() -> None:
 
 def test_drive_to_depth(drive: Path, tmp_path: Path) -> None:
     output = tmp_path / "depth.npy"
-    example("drive_to_depth").main([str(drive), "--image", "1", "-o", str(output)])
+    example("drive_to_depth").main(
+        [str(drive), "--camera", "image_2", "--image", "1", "-o", str(output)]
+    )
     depth = np.load(output)
     assert (depth.shape, depth.dtype) == ((375, 1242), np.float32)
     truth = np.load(drive / "depth_2" / "000001.npy")
@@ -65,7 +67,7 @@ def test_arrays_to_labels(drive: Path, arrays: Path, tmp_path: Path) -> None:
         assert len(classid) == len(np.load(arrays / "sweeps" / file.name))
         assert set(np.unique(classid)) <= {0, 50, 100}
         truth = np.fromfile(drive / "labels" / f"{k:06d}.label", np.uint32) & 0xFFFF
-        assert (classid[truth == 40] == 0).mean() > 0.8  # road
+        assert (classid[truth == 40] == 0).mean() > 0.7  # road
 
 
 def test_own_dataset(arrays: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -99,6 +99,6 @@ def test_suite_of_two_tiny_cells(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(cells, "write_drive", None)
     assert suite.main([*tiny, "--depth", "--images", "1"]) == depth
     stored = tmp_path / "out/depth/seed0/city_VLP-16/paper.json"
-    assert json.loads(stored.read_text())["figures"]["poses"] == "exact"
+    assert json.loads(stored.read_text())["metrics"]["poses"] == "exact"
     with pytest.raises(cells.RunError, match="another drive"):
         suite.main([*tiny, "--frames", "5"])

@@ -1,4 +1,4 @@
-"""Figures of depth against numbers worked out by hand and against plain loops."""
+"""Metrics of depth maps against values worked out by hand and against plain loops."""
 
 import math
 
@@ -71,7 +71,7 @@ def test_filling_equals_the_kit(density: float) -> None:
 
 
 def plane(normal: tuple[float, float, float], distance: float) -> np.ndarray:
-    """Exact depth of a plane seen by a small camera."""
+    """Exact depth of a plane in a small camera."""
     y, x = np.mgrid[0:60, 0:80]
     inverse = (normal[0] * (x - 40) / 50 + normal[1] * (y - 30) / 50 + normal[2]) / distance
     with np.errstate(divide="ignore"):

@@ -23,7 +23,7 @@ def test_moving_classes_are_251_to_259_whatever_the_instance() -> None:
     assert ignored(labels).tolist() == [True, True] + [False] * 7
 
 
-def test_figures_worked_out_by_hand() -> None:
+def test_metrics_worked_out_by_hand() -> None:
     # 90 of 100 static kept, 30 of 40 dynamic found.
     counts = LabelCounts(static_kept=90, static_lost=10, dynamic_found=30, dynamic_missed=10)
     assert counts.sa == pytest.approx(90.0)

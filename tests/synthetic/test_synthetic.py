@@ -35,7 +35,7 @@ def moving_box(speed, departure=-np.inf):
 
 
 def box_range(origin, direction, low, high):
-    """Range at which rays enter a box (slabs), inf where they miss it."""
+    """Range at which rays enter a box (slab method); inf = no hit."""
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (low - origin) / direction, (high - origin) / direction
     enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)

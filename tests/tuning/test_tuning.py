@@ -44,7 +44,7 @@ def drive():
 
 @pytest.fixture(scope="module")
 def run(drive, tmp_path_factory) -> Path:
-    """A run folder up to odometry, and labels beside it."""
+    """A run folder with finished odometry, and a folder of labels."""
     path = tmp_path_factory.mktemp("tuning")
     labels = path / "labels"
     labels.mkdir()
@@ -56,7 +56,7 @@ def run(drive, tmp_path_factory) -> Path:
     for k, one in enumerate(sweeps):
         one.labels.tofile(labels / f"{k:06d}.label")
         rows = np.arange(len(one.points), dtype=np.uint32)
-        seen = seen_from(one.points)
+        seen = rig_beside_origin(one.points)
         record = FrameRecord(
             one.points, rows, f"{k:06d}", len(rows), {"odometry": "x"}, sensor=seen.index
         )
@@ -66,8 +66,8 @@ def run(drive, tmp_path_factory) -> Path:
     return folder.path
 
 
-def seen_from(points) -> SensorRig:
-    """As if the LiDAR had looked from beside the origin, which changes votes."""
+def rig_beside_origin(points) -> SensorRig:
+    """The LiDAR is not at the origin, which changes votes."""
     return SensorRig.single((0.5, 0.2, 0.3), len(points))
 
 
@@ -76,7 +76,7 @@ def contents(path: Path) -> dict[str, str]:
     return {str(file): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
-def test_figures_are_those_of_the_stages_in_memory(drive, run, tmp_path) -> None:
+def test_metrics_are_those_of_the_stages_in_memory(drive, run, tmp_path) -> None:
     before = contents(run)
     outcomes = tune(run, run.parent / "labels", TRIALS, tmp_path / "out", threads=1)
     assert contents(run) == before
@@ -89,21 +89,21 @@ def test_figures_are_those_of_the_stages_in_memory(drive, run, tmp_path) -> None
         parameters("paper", {"ground.voxel_size": 0.1}),
     ]
     for outcome, p in zip(outcomes, chosen, strict=True):
-        of_run = [Sweep(one, "", 0, sensor_rig=seen_from(one)) for one in points]
+        of_run = [Sweep(one, "", 0, sensor_rig=rig_beside_origin(one)) for one in points]
         labels = classify_drive(of_run, trajectory, p)
         evaluation = LabelEvaluation()
         for one, label in zip(sweeps, labels, strict=True):
             evaluation.add(one.labels, label.classid >= 100, np.linalg.norm(one.points, axis=1))
         expected = evaluation.result().as_dict()
         for name in ("static_kept", "static_lost", "dynamic_found", "dynamic_missed", "by_range"):
-            assert outcome.figures[name] == expected[name], (outcome.name, name)
-    assert outcomes[0].figures["static_kept"] != outcomes[1].figures["static_kept"]
+            assert outcome.metrics[name] == expected[name], (outcome.name, name)
+    assert outcomes[0].metrics["static_kept"] != outcomes[1].metrics["static_kept"]
     assert outcomes[0].vote_seconds > 0
     with (tmp_path / "out" / "tune.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [row["trial"] for row in rows] == [trial.name for trial in TRIALS]
     assert rows[1]["dynamics.window"] == "1"
-    assert float(rows[1]["sa"]) == pytest.approx(outcomes[1].figures["sa"])
+    assert float(rows[1]["sa"]) == pytest.approx(outcomes[1].metrics["sa"])
     assert "| narrow |" in (tmp_path / "out" / "tune.md").read_text()
     assert sorted(file.suffix for file in (tmp_path / "out").iterdir()) == sorted(
         [".json"] * 3 + [".csv", ".md"]
@@ -144,20 +144,20 @@ def test_an_interrupted_search_resumes(run, tmp_path, monkeypatch) -> None:
     assert len(counted) == 1
     # The last of the three may still have been on its way to the disk.
     assert FRAMES - 3 <= len(voted) <= FRAMES - 2
-    assert [o.figures for o in again] == [o.figures for o in whole]
+    assert [o.metrics for o in again] == [o.metrics for o in whole]
     # Another value under the same name is another trial.
     tune(run, labels, [Trial("narrow", {"dynamics.window": 3})], out, threads=1)
     assert len(counted) == 2
 
 
 @pytest.mark.slow
-def test_processes_find_the_same(run, tmp_path) -> None:
+def test_parallel_processes_give_the_same_results(run, tmp_path) -> None:
     labels, told = run.parent / "labels", []
     alone = tune(run, labels, TRIALS, tmp_path / "alone", threads=1)
     beside = tune(
         run, labels, TRIALS, tmp_path / "beside", 2, 1, lambda done, total: told.append(done)
     )
-    assert [o.figures for o in alone] == [o.figures for o in beside]
+    assert [o.metrics for o in alone] == [o.metrics for o in beside]
     assert told == [0, 1, 2, 3]
 
 
@@ -183,7 +183,7 @@ def test_grids_and_files(tmp_path) -> None:
         (Trial("..", {}), "cannot name"),
     ],
 )
-def test_trials_that_cannot_be_are_refused(run, tmp_path, trial, message) -> None:
+def test_impossible_trials_are_refused(run, tmp_path, trial, message) -> None:
     with pytest.raises(ConfigError, match=message):
         tune(run, run.parent / "labels", [trial], tmp_path)
 
@@ -195,10 +195,10 @@ def test_two_trials_of_one_name_are_refused(run, tmp_path) -> None:
 
 def test_plots_are_drawn(tmp_path) -> None:
     pytest.importorskip("matplotlib")
-    figures = {"sa": 99.0, "da": 90.0, "precision": 0.8, "iou": None, "sweeps": 5}
+    metrics = {"sa": 99.0, "da": 90.0, "precision": 0.8, "iou": None, "sweeps": 5}
     trials = grid({"dynamics.window": [1, 3]})
     for some in (trials, TRIALS):
-        outcomes = [Outcome(t.name, t.settings, figures, {"vote": 1.0}) for t in some]
+        outcomes = [Outcome(t.name, t.settings, metrics, {"vote": 1.0}) for t in some]
         plot(outcomes, tmp_path / "tune.png")
         assert (tmp_path / "tune.png").read_bytes()[:4] == b"\x89PNG"
         (tmp_path / "tune.png").unlink()

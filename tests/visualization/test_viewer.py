@@ -60,6 +60,12 @@ def test_geometries_are_in_the_world_frame(open3d) -> None:
     np.testing.assert_allclose(np.asarray(found["trajectory"].points)[:, 0], (0, 2, 4))
     assert np.asarray(found["trajectory"].lines).tolist() == [[0, 1], [1, 2]]
     np.testing.assert_allclose(np.asarray(found["depth 0"].points), [(1, 1, 11)])
+    image = np.full((30, 40, 3), (10, 20, 30), np.uint8)
+    coloured = viewer.scene_geometries(
+        points, classid, views=[CameraView(CAMERA, T_world_camera, depth, image)]
+    )
+    rgb = np.asarray(coloured["depth 0"].colors)
+    np.testing.assert_allclose(rgb, [(30 / 255, 20 / 255, 10 / 255)])
     centre = np.asarray(found["camera 0"].points)[0]
     np.testing.assert_allclose(centre, (1, 1, 1), atol=1e-12)
     with pytest.raises(InputError, match="classes"):

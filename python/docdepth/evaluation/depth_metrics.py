@@ -162,8 +162,8 @@ class PixelSums:
         self, error: Values, truth: Values, shift: Values, interior: Mask, dynamic: Mask
     ) -> None:
         """Add pixels of one image, shape (k,) each; ``error`` and ``shift`` may be NaN [m]."""
-        place = np.searchsorted(self._bins, truth, side="left") - 1
-        cell = (2 * np.maximum(place, 0) + interior) * 2 + dynamic
+        range_bin = np.searchsorted(self._bins, truth, side="left") - 1
+        cell = (2 * np.maximum(range_bin, 0) + interior) * 2 + dynamic
         compared = ~np.isnan(error)
         size = np.abs(np.where(compared, error, 0))
         both = compared & ~np.isnan(shift)

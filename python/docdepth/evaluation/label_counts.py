@@ -115,8 +115,8 @@ class LabelCounts:
 
     def as_dict(self) -> dict[str, float]:
         """Counts and metrics by name."""
-        figures = {name: getattr(self, name) for name in _FIGURES}
-        return {"static": self.static, "dynamic": self.dynamic, **figures, **asdict(self)}
+        metrics = {name: getattr(self, name) for name in _METRICS}
+        return {"static": self.static, "dynamic": self.dynamic, **metrics, **asdict(self)}
 
     def cells(self) -> list[str]:
         """Cells of a table row: numbers of points, then metrics."""
@@ -130,7 +130,7 @@ class LabelCounts:
         ]
 
 
-_FIGURES = ("sa", "da", "aa", "f1", "precision", "iou")
+_METRICS = ("sa", "da", "aa", "f1", "precision", "iou")
 HEADER = ("static points", "dynamic points", "SA %", "DA %", "AA %", "F1", "precision", "IoU")
 NOTE = (
     "static accuracy SA, dynamic accuracy DA: share of static (dynamic) points labelled so; "

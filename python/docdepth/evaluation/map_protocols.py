@@ -55,8 +55,8 @@ class PreservationRejection:
 
     def as_dict(self) -> dict[str, float]:
         """Metrics and counts by name."""
-        figures = {"pr": self.pr, "rr": self.rr, "f1": self.f1}
-        return {**figures, "static": self.static, "dynamic": self.dynamic}
+        metrics = {"pr": self.pr, "rr": self.rr, "f1": self.f1}
+        return {**metrics, "static": self.static, "dynamic": self.dynamic}
 
 
 def nearest_neighbor_protocol(

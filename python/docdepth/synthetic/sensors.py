@@ -169,8 +169,8 @@ def _hdl64() -> Callable[[int], Pattern]:
     offsets = np.radians(np.random.default_rng(64).uniform(-0.4, 0.4, 64))
     pattern = _spinning(np.arctan(kitti_lidar.SLOPES), 2083, offsets)(0)
     along = pattern.directions[:, :2] / np.hypot(*pattern.directions.T[:2])[:, None]
-    aside, up = kitti_lidar.LATERAL_OFFSETS[pattern.rings], kitti_lidar.HEIGHTS[pattern.rings]
-    ray_origins = np.column_stack([-aside * along[:, 1], aside * along[:, 0], up])
+    lateral, up = kitti_lidar.LATERAL_OFFSETS[pattern.rings], kitti_lidar.HEIGHTS[pattern.rings]
+    ray_origins = np.column_stack([-lateral * along[:, 1], lateral * along[:, 0], up])
     pattern = replace(pattern, ray_origins=ray_origins)
     return lambda index: pattern
 

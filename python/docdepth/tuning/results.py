@@ -21,7 +21,7 @@ _NAMES = {
     "precision": "precision",
     "iou": "IoU",
 }
-FIGURES = ("sa", "da", "f1", "precision", "iou")
+METRICS = ("sa", "da", "f1", "precision", "iou")
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Outcome:
     name : str
     settings : dict
         Parameter values of the trial by dotted name.
-    figures : dict
+    metrics : dict
         Metrics, from :meth:`docdepth.evaluation.LabelResult.as_dict`.
     seconds : dict
         Seconds of each step of the classification, summed over all sweeps.
@@ -41,7 +41,7 @@ class Outcome:
 
     name: str
     settings: dict[str, Any]
-    figures: dict[str, Any]
+    metrics: dict[str, Any]
     seconds: dict[str, float]
 
     @property
@@ -54,14 +54,14 @@ class Outcome:
         """Seconds per sweep to build key frames and to vote (summed over threads)."""
         return self._per_sweep(lambda step: step in ("key frames", "vote"))
 
-    def figure(self, name: str) -> float:
+    def metric(self, name: str) -> float:
         """A metric by name; NaN where it is undefined."""
-        value = self.figures.get(name)
+        value = self.metrics.get(name)
         return math.nan if value is None else float(value)
 
     def _per_sweep(self, counts: Callable[[str], bool]) -> float:
         total = sum(seconds for step, seconds in self.seconds.items() if counts(step))
-        return total / max(int(self.figures["sweeps"]), 1)
+        return total / max(int(self.metrics["sweeps"]), 1)
 
 
 def table(outcomes: Sequence[Outcome]) -> Table:
@@ -69,10 +69,10 @@ def table(outcomes: Sequence[Outcome]) -> Table:
     header = ("trial", "SA %", "DA %", "F1", "precision", "IoU", "ground ms", "voting ms")
     rows = []
     for outcome in outcomes:
-        cells = [number(outcome.figure(name), 2 if name in ("sa", "da") else 4) for name in FIGURES]
+        cells = [number(outcome.metric(name), 2 if name in ("sa", "da") else 4) for name in METRICS]
         times = [f"{1e3 * s:.1f}" for s in (outcome.ground_seconds, outcome.vote_seconds)]
         rows.append((outcome.name, *cells, *times))
-    first = outcomes[0].figures if outcomes else {}
+    first = outcomes[0].metrics if outcomes else {}
     title = f"{first.get('protocol')}; poses: {first.get('poses')}; {first.get('sweeps')} sweeps"
     return Table(title, header, tuple(rows), NOTE)
 
@@ -82,12 +82,12 @@ def as_csv(outcomes: Sequence[Outcome]) -> str:
     names = list(dict.fromkeys(name for outcome in outcomes for name in outcome.settings))
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["trial", *names, *FIGURES, "ground_seconds", "vote_seconds"])
+    writer.writerow(["trial", *names, *METRICS, "ground_seconds", "vote_seconds"])
     for outcome in outcomes:
         settings = [outcome.settings.get(name, "") for name in names]
-        figures = [outcome.figure(name) for name in FIGURES]
+        metrics = [outcome.metric(name) for name in METRICS]
         times = [outcome.ground_seconds, outcome.vote_seconds]
-        writer.writerow([outcome.name, *settings, *figures, *times])
+        writer.writerow([outcome.name, *settings, *metrics, *times])
     return stream.getvalue()
 
 
@@ -120,18 +120,18 @@ def plot(outcomes: Sequence[Outcome], path: Path) -> None:
     if axis is not None:
         values = [outcome.settings[axis] for outcome in outcomes]
         for name, scale in (("sa", 0.01), ("da", 0.01), ("precision", 1.0), ("iou", 1.0)):
-            heights = [scale * outcome.figure(name) for outcome in outcomes]
+            heights = [scale * outcome.metric(name) for outcome in outcomes]
             left.plot(values, heights, "o-", label=_NAMES[name])
         left.set(xlabel=axis, ylabel="metric, 0..1")
         left.legend()
     else:
         for outcome in outcomes:
-            position = outcome.figure("da"), outcome.figure("precision")
+            position = outcome.metric("da"), outcome.metric("precision")
             left.plot(*position, "o")
             left.annotate(outcome.name, position, textcoords="offset points", xytext=(4, 4), size=8)
         left.set(xlabel="dynamic accuracy DA [%]", ylabel="precision")
     for outcome in outcomes:
-        position = 1e3 * outcome.vote_seconds, outcome.figure("iou")
+        position = 1e3 * outcome.vote_seconds, outcome.metric("iou")
         right.plot(*position, "o")
         right.annotate(outcome.name, position, textcoords="offset points", xytext=(4, 4), size=8)
     right.set(xlabel="key frames and voting [ms per sweep]", ylabel="IoU of the dynamic class")

@@ -96,12 +96,12 @@ def parameters_of(base: Parameters, trial: Trial) -> Parameters:
             )
     if preset is not None:
         return parameters(preset, settings)
-    # Names are resolved before they meet those of the run: a setting may be given by an old name.
+    # Old names of settings are resolved before they replace the values of the run.
     return parameters(base.preset, _by_name(base) | _by_name(parameters(settings=settings), True))
 
 
 def _by_name(p: Parameters, set_only: bool = False) -> dict[str, Any]:
-    """Parameter values by dotted name; only those that were given, where asked."""
+    """Parameter values by dotted name; with ``set_only`` only those that were given."""
     stages = p.model_dump(exclude_unset=set_only)
     return {
         f"{stage}.{name}": value

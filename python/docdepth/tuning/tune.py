@@ -104,7 +104,7 @@ class _Task:
             return None
         if found.get("key") != self.key:
             return None
-        return Outcome(self.trial.name, self.trial.settings, found["figures"], found["seconds"])
+        return Outcome(self.trial.name, self.trial.settings, found["metrics"], found["seconds"])
 
     def __call__(self) -> None:
         """Classify, evaluate, write the result and delete the classes."""
@@ -112,9 +112,9 @@ class _Task:
 
         folder = TrialFolder(self.out / f".{self.trial.name}", self.run, self.parameters, self.key)
         run_classify(folder, self.threads)
-        figures = evaluate_labels(folder, self.labels).as_dict()
+        metrics = evaluate_labels(folder, self.labels).as_dict()
         seconds = folder.stage("classify").get("seconds", {})
-        content = json.dumps({"key": self.key, "figures": figures, "seconds": seconds}, indent=1)
+        content = json.dumps({"key": self.key, "metrics": metrics, "seconds": seconds}, indent=1)
         write_atomically(self.file, lambda stream: stream.write(content.encode()))
         shutil.rmtree(folder.path, ignore_errors=True)
 

@@ -48,11 +48,14 @@ class CameraView:
     T_world_camera : ndarray of float64, shape (4, 4)
     depth : ndarray of float32, shape (h, w), optional
         Metres along the optical axis; NaN = none.
+    image : ndarray of uint8, shape (h, w, 3), optional
+        Rectified, BGR; colours the points of the depth map.
     """
 
     camera: Camera
     T_world_camera: NDArray[np.float64]
     depth: NDArray[np.float32] | None = None
+    image: NDArray[np.uint8] | None = None
 
 
 def back_project(camera: Camera, depth: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -102,7 +105,8 @@ def scene_geometries(
     poses : ndarray of float64, shape (n, 4, 4), optional
         ``T_world_lidar``, drawn as a line.
     views : sequence of CameraView
-        Drawn as frusta; their depth maps are back-projected and coloured by depth.
+        Drawn as frusta; their depth maps are back-projected, in the colours of the image or else
+        of the depth.
 
     Returns
     -------
@@ -141,7 +145,8 @@ def scene_geometries(
         geometries[f"camera {k}"] = frustum
         if view.depth is not None:
             T, local = view.T_world_camera, back_project(view.camera, view.depth)
-            colors = colorize(view.depth, bar=False)[np.isfinite(view.depth)][:, ::-1] / 255.0
+            picture = colorize(view.depth, bar=False) if view.image is None else view.image
+            colors = picture[np.isfinite(view.depth)][:, ::-1] / 255.0
             geometries[f"depth {k}"] = _cloud(o3d, local @ T[:3, :3].T + T[:3, 3], colors)
     return geometries
 
