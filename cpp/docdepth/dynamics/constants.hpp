@@ -1,5 +1,5 @@
 // Constants of voting. What a caller may vary is in RangeImageParameters and MeshImageParameters;
-// bit layouts stand beside the code that reads them.
+// bit layouts stand with the code that reads them.
 #pragma once
 
 #include <cstddef>

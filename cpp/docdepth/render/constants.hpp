@@ -51,7 +51,7 @@ constexpr float kEdgeBend = 0.05f;
 
 /// One ray within a centimetre, or many farther off, prove free space.
 constexpr float kSureScore = 1000.0f;
-/// The same for a surface. It takes more, since a ray also ends beside a gap.
+/// The same for a surface. It takes more, since a ray may end next to a gap.
 constexpr float kSureSurfaceScore = 1350.0f;
 /// One ray whose distance and blur add up to 10 cm, or many farther off. With a higher score a
 /// surface is continued over an edge, and a part of an object is drawn that only other sweeps saw.

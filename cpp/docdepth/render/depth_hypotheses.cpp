@@ -97,7 +97,7 @@ std::vector<std::uint8_t> edge_tiles(const Columns& columns,
   return edges;
 }
 
-/// Which of eight pixels of a tile lie beside another surface or an empty pixel of the tile.
+/// Which of eight pixels of a tile border on another surface or an empty pixel of the tile.
 DOCDEPTH_KERNEL Ints edges_of_row(const float* inverse_depth, int stride, bool above, bool below) {
   constexpr float more = 1 + kSameDepth;
   const float none[kLanes] = {};
@@ -107,8 +107,8 @@ DOCDEPTH_KERNEL Ints edges_of_row(const float* inverse_depth, int stride, bool a
   const Floats around[] = {load(wide), load(wide + 2), load(above ? inverse_depth - stride : none),
                            load(below ? inverse_depth + stride : none)};
   Ints edges{};
-  for (const Floats& beside : around)
-    edges |= (beside > here * more) | ((beside > 0.0f) & (beside * more < here));
+  for (const Floats& other : around)
+    edges |= (other > here * more) | ((other > 0.0f) & (other * more < here));
   return edges;
 }
 
@@ -189,7 +189,7 @@ std::vector<PixelHypotheses> find_edges(const Columns& columns, const std::vecto
 
 /// Move edges to where rays confirm them, and empty what no ray confirms.
 ///
-/// A surface ends at its last return, but the object goes on for up to a pixel. A pixel beside a
+/// A surface ends at its last return, but the object goes on for up to a pixel. A pixel next to a
 /// nearer surface takes its depth if rays confirm that, with a higher score than the pixel's own.
 void move_edges(const Columns& columns, const std::vector<Tile>& tiles,
                 const VisibilityQueries& queries, std::vector<float>& inverse_depth,

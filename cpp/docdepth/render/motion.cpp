@@ -22,10 +22,10 @@ struct Match {
 Match match(const SampledPoints& a, const SampledPoints& b, float reach) {
   Vector shift = most_frequent_shift(a, b, reach);
   if (!refine_shift(a, b, shift)) return {};
-  const float explained = matched_share(a, shift, b) * matched_share(b, -shift, a);
-  if (explained < kMinMatchedShare) return {};
+  const float share = matched_share(a, shift, b) * matched_share(b, -shift, a);
+  if (share < kMinMatchedShare) return {};
   // Of two equal matches the nearer one is more likely.
-  return {shift, explained * std::exp(-shift.norm() / (2 * reach))};
+  return {shift, share * std::exp(-shift.norm() / (2 * reach))};
 }
 
 /// The objects of another sweep in the frame of this one.
@@ -131,16 +131,17 @@ std::vector<Vector> match_velocities(const DynamicObjects& objects, const Dynami
   for (std::size_t k = 0; k < count; ++k) {
     auto own = matches[k];
     for (std::size_t c = 0; c < candidates.size(); ++c) {
-      const Vector apart = own[c].shift - matches[best[c]][c].shift;
+      const Vector difference = own[c].shift - matches[best[c]][c].shift;
       if (own[c].score > 0 && best[c] != k &&
-          matched_share(objects.samples[k], apart, objects.samples[best[c]]) > kMaxOccupiedShare)
+          matched_share(objects.samples[k], difference, objects.samples[best[c]]) >
+              kMaxOccupiedShare)
         own[c].score = 0;
     }
     const auto found = std::max_element(own.begin(), own.end(), worse);
     if (found == own.end() || !(found->score > 0)) continue;
     // The time offsets change the duration a little. If they change it much they are wrong.
-    const float time_offset = other.time_offset[found - own.begin()] - objects.time_offset[k];
-    const float between = motion.duration + time_offset;
+    const float later = other.time_offset[found - own.begin()] - objects.time_offset[k];
+    const float between = motion.duration + later;
     result[k] = found->shift / (between / motion.duration > 0.5f ? between : motion.duration);
   }
   return result;
@@ -152,15 +153,15 @@ std::vector<Reassociation> reassociate(const DynamicObjects& objects,
   const std::vector<SampledPoints> candidates = transformed(other, motion.T_from_to);
   std::vector<Reassociation> result;
   std::vector<Extent> extents;
-  std::vector<SampledPoints> few;
+  std::vector<SampledPoints> subsets;
   for (std::size_t k = 0; k < velocities.size(); ++k) {
     result.push_back({velocities[k] * motion.duration, {}});
     extents.push_back(extent_of(objects.samples[k]));
-    few.push_back(subset(objects.samples[k]));
+    subsets.push_back(subset(objects.samples[k]));
   }
   for (std::size_t c = 0; c < candidates.size(); ++c) {
     const Extent there = extent_of(candidates[c]);
-    const SampledPoints few_there = subset(candidates[c]);
+    const SampledPoints subset_there = subset(candidates[c]);
     float most = kMinMatchedShare;
     std::size_t found = velocities.size();
     for (std::size_t k = 0; k < velocities.size(); ++k) {
@@ -168,21 +169,21 @@ std::vector<Reassociation> reassociate(const DynamicObjects& objects,
           velocities[k] * (motion.duration + other.time_offset[c] - objects.time_offset[k]);
       const Extent here{extents[k].low + shift, extents[k].high + shift};
       if (velocities[k].isZero(0) || !here.overlaps(there, 0)) continue;
-      const float explained = matched_share(few[k], shift, candidates[c]) *
-                              matched_share(few_there, -shift, objects.samples[k]);
-      if (explained > most) most = explained, found = k;
+      const float share = matched_share(subsets[k], shift, candidates[c]) *
+                          matched_share(subset_there, -shift, objects.samples[k]);
+      if (share > most) most = share, found = k;
     }
     if (found < velocities.size()) result[found].objects.push_back(std::uint32_t(c));
   }
   for (std::size_t k = 0; k < velocities.size(); ++k) {
     SampledPoints there;
     for (const auto c : result[k].objects) {
-      const float time_offset = other.time_offset[c] - objects.time_offset[k];
-      if (there.empty()) result[k].shift += velocities[k] * time_offset;
+      const float later = other.time_offset[c] - objects.time_offset[k];
+      if (there.empty()) result[k].shift += velocities[k] * later;
       there.insert(there.end(), candidates[c].begin(), candidates[c].end());
     }
     Vector shift = result[k].shift;
-    if (refine_shift(few[k], there, shift) &&
+    if (refine_shift(subsets[k], there, shift) &&
         (shift - result[k].shift).norm() < kMaxReassociationError)
       result[k].shift = shift;
   }

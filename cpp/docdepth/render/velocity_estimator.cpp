@@ -8,7 +8,7 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
-bool beside(const Box& a, const Box& b) {
+bool are_close(const Box& a, const Box& b) {
   return ((a.center - b.center).array().abs() <= (a.extent + b.extent).array() + kPartDistance)
       .all();
 }
@@ -72,7 +72,7 @@ void VelocityEstimator::propose_neighbors() {
   const std::vector<Box> boxes = objects_.boxes();
   parallel_for(known.size(), 1, threads_, [&](std::size_t k, std::size_t) {
     for (std::size_t j = 0; unverified_[k] && j < known.size(); ++j)
-      if (beside(boxes[j], boxes[k])) propose_one(k, known[j]);
+      if (are_close(boxes[j], boxes[k])) propose_one(k, known[j]);
   });
 }
 
