@@ -6,7 +6,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 SYSTEM := g++ make python3-venv python3-dev libeigen3-dev libnanoflann-dev doctest-dev \
-          libosmesa6 libegl1 libgl1-mesa-dri
+          libosmesa6 libegl1 libgl1-mesa-dri libgl1 libgomp1 libusb-1.0-0
 
 .PHONY: demo test install dev lint cpp-test pytest stubs format wheel clean system
 
