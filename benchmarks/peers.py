@@ -3,7 +3,7 @@
     docdepth run DRIVE -o RUN
     python benchmarks/peers.py DRIVE --run RUN
 
-compares the classes of RUN with DUFOMap (Duberg et al., RA-L 2024; pip install dufomap scipy) on
+compares the classes of RUN with DUFOMap (Duberg et al., RA-L 2024; pip install dufomap) on
 the deskewed points and the poses of RUN. Without --run only the peers run, on the sweeps of DRIVE
 with poses from --poses, deskewed with the motion of these poses unless --raw is given.
 

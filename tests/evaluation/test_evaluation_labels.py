@@ -106,7 +106,6 @@ def test_labels_of_other_points_are_refused() -> None:
 
 
 def test_nearest_neighbor_protocol_equals_brute_force() -> None:
-    pytest.importorskip("scipy")
     random = np.random.default_rng(2)
     points = random.uniform(0, 2, (400, 3)).astype(np.float32)
     dynamic = random.random(400) < 0.4
@@ -138,7 +137,6 @@ def voxels_by_hand(points: np.ndarray, dynamic: np.ndarray, size: float) -> list
 
 
 def test_voxel_protocol_equals_brute_force() -> None:
-    pytest.importorskip("scipy")
     random = np.random.default_rng(3)
     points = random.uniform(-2, 2, (3000, 3)).astype(np.float32)
     dynamic = points[:, 0] + random.normal(0, 0.3, 3000) > 0.5
@@ -160,7 +158,6 @@ def test_voxel_protocol_equals_brute_force() -> None:
 
 
 def test_an_untouched_map_preserves_everything_and_rejects_nothing() -> None:
-    pytest.importorskip("scipy")
     random = np.random.default_rng(4)
     evaluation = MapEvaluation()
     for _ in range(3):
@@ -173,7 +170,6 @@ def test_an_untouched_map_preserves_everything_and_rejects_nothing() -> None:
 
 
 def test_a_removed_point_beside_a_kept_one_counts_as_kept() -> None:
-    pytest.importorskip("scipy")
     evaluation = MapEvaluation()
     points = np.array([[0, 0, 0], [0.04, 0, 0], [5, 0, 0]], np.float32)
     labels = np.array([9, 251, 251], np.uint32)

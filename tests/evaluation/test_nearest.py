@@ -7,14 +7,14 @@ import pytest
 
 from docdepth.evaluation.nearest import nearest_neighbors
 
-pytest.importorskip("scipy")
-
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_nearest_neighbors_equal_brute_force(dtype) -> None:
+@pytest.mark.parametrize("away", [0.0, 700.0])
+def test_nearest_neighbors_equal_brute_force(dtype, away) -> None:
     random = np.random.default_rng(6)
-    points = random.uniform(-20, 20, (700, 3)).astype(dtype)
-    queries = np.vstack([points[::7], random.uniform(-20, 20, (300, 3))]).astype(dtype)
+    points = (away + random.uniform(-20, 20, (700, 3))).astype(dtype)
+    others = away + random.uniform(-20, 20, (300, 3))
+    queries = np.vstack([points[::7], others]).astype(dtype)
     index, distance = nearest_neighbors(points, queries, 3.0)
     pairs = np.linalg.norm(queries[:, None].astype(float) - points[None].astype(float), axis=2)
     near = pairs.min(axis=1) <= 3.0

@@ -23,6 +23,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.frames import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.tuning import Outcome, Trial, grid, parse_axes, plot, read_trials, tune
+from docdepth.tuning.trials import parameters_of
 
 pytest.importorskip("embreex")
 
@@ -193,6 +194,16 @@ def test_two_trials_of_one_name_are_refused(run, tmp_path) -> None:
         tune(run, run.parent / "labels", [TRIALS[0], TRIALS[0]], tmp_path)
 
 
+def test_settings_replace_those_of_the_run_by_old_names_too() -> None:
+    base = parameters("paper", {"dynamics.window": 3, "render.step": 1.0})
+    assert parameters_of(base, Trial("a", {})) == base
+    found = parameters_of(base, Trial("b", {"dynamics.tolerance": 0.5}))
+    assert (found.dynamics.window, found.dynamics.tolerance, found.render.step) == (3, 0.5, 1.0)
+    old = parameters_of(base, Trial("c", {"dynamics.against": "surface"}))
+    assert (old.dynamics.vote_model, old.dynamics.window) == ("surface", 3)
+    assert parameters_of(base, Trial("d", {"preset": "default"})) == parameters()
+
+
 def test_plots_are_drawn(tmp_path) -> None:
     pytest.importorskip("matplotlib")
     metrics = {"sa": 99.0, "da": 90.0, "precision": 0.8, "iou": None, "sweeps": 5}
@@ -206,7 +217,7 @@ def test_plots_are_drawn(tmp_path) -> None:
 
 def test_on_the_command_line(run: Path, tmp_path: Path) -> None:
     def cli(*arguments: object):
-        given = [str(a) for a in ("sweep", run, "--labels", run.parent / "labels", *arguments)]
+        given = [str(a) for a in ("tune", run, "--labels", run.parent / "labels", *arguments)]
         return CliRunner().invoke(app, ["-v", *given])
 
     out = tmp_path / "out"

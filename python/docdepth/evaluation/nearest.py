@@ -7,16 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import MissingExtraError
+from docdepth import _core
 
-# Queries per call of the search: bounds its temporary memory to some tens of megabytes.
-_BATCH = 2_000_000
+# Queries per piece, so that temporary arrays stay below a hundred megabytes.
+_BATCH = 1_000_000
 
 
 def nearest_neighbors(
-    points: NDArray[np.floating[Any]], queries: NDArray[np.floating[Any]], max_distance: float
+    points: NDArray[np.floating[Any]],
+    queries: NDArray[np.floating[Any]],
+    max_distance: float,
+    threads: int = 0,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The nearest point of each query.
+    """The nearest point of each query, found with a k-d tree in single precision.
 
     Parameters
     ----------
@@ -26,42 +29,30 @@ def nearest_neighbors(
         In the same frame [m], finite.
     max_distance : float
         Farther points are no neighbours [m].
+    threads : int
+        0 uses all cores. The result does not depend on it.
 
     Returns
     -------
     index : ndarray of int64, shape (M,)
         Row of ``points``; meaningless where there is no neighbour.
     distance : ndarray of float64, shape (M,)
-        Metres; infinite where there is no neighbour.
-
-    Raises
-    ------
-    MissingExtraError
-        scipy is not installed.
+        Metres, in double precision; infinite where there is no neighbour.
     """
-    index = np.zeros(len(queries), dtype=np.int64)
     distance = np.full(len(queries), np.inf)
-    if len(points) and len(queries):
-        index, distance = _search(points, queries, max_distance)
-        distance[distance > max_distance] = np.inf
+    if not len(points) or not len(queries):
+        return np.zeros(len(queries), dtype=np.int64), distance
+    # Single precision suffices near the origin; float32 points are searched as they are.
+    origin = points.mean(axis=0) if points.dtype == np.float64 else np.zeros(3, points.dtype)
+    found, _ = _core.nearest_neighbors(
+        np.ascontiguousarray(points - origin, np.float32),
+        np.ascontiguousarray(queries - origin, np.float32),
+        threads,
+    )
+    index = found.astype(np.int64)
+    for start in range(0, len(queries), _BATCH):
+        batch = slice(start, start + _BATCH)
+        offset = points[index[batch]].astype(np.float64) - queries[batch]
+        distance[batch] = np.sqrt(np.einsum("ij,ij->i", offset, offset))
+    distance[distance > max_distance] = np.inf
     return index, distance
-
-
-def _search(
-    points: NDArray[np.floating[Any]], queries: NDArray[np.floating[Any]], max_distance: float
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Index and distance of the nearest point; farther ones may be left out."""
-    try:
-        from scipy.spatial import cKDTree
-    except ImportError:
-        raise MissingExtraError(
-            'map protocols search neighbours with scipy: pip install "docdepth[eval]"'
-        ) from None
-    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-    limit = np.nextafter(max_distance, np.inf)  # the bound of the tree is exclusive
-    batches = [
-        tree.query(queries[k : k + _BATCH], distance_upper_bound=limit)
-        for k in range(0, len(queries), _BATCH)
-    ]
-    distance, index = (np.concatenate(arrays) for arrays in zip(*batches, strict=True))
-    return index.astype(np.int64, copy=False), distance
