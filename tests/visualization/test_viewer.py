@@ -13,7 +13,13 @@ from docdepth.errors import BackendError, InputError, MissingExtraError
 from docdepth.geometry.camera import Camera
 from docdepth.io.run_folder import RunFolder
 from docdepth.visualization import viewer
-from docdepth.visualization.viewer import CameraView, back_project, class_colors
+from docdepth.visualization.geometries import (
+    CameraView,
+    back_project,
+    class_colors,
+    run_geometries,
+    scene_geometries,
+)
 
 CAMERA = Camera(np.array([(100.0, 0, 20), (0, 110, 15), (0, 0, 1)]), 40, 30)
 
@@ -53,7 +59,7 @@ def test_geometries_are_in_the_world_frame(open3d) -> None:
     T_world_camera = np.eye(4)
     T_world_camera[:3, 3] = 1, 1, 1
     views = [CameraView(CAMERA, T_world_camera, depth), CameraView(CAMERA, np.eye(4))]
-    found = viewer.scene_geometries(points, classid, poses, views)
+    found = scene_geometries(points, classid, poses, views)
     assert list(found) == ["points", "trajectory", "camera 0", "depth 0", "camera 1"]
     np.testing.assert_allclose(np.asarray(found["points"].points), points[[0, 2]])
     np.testing.assert_allclose(np.asarray(found["points"].colors), class_colors(classid[[0, 2]]))
@@ -61,7 +67,7 @@ def test_geometries_are_in_the_world_frame(open3d) -> None:
     assert np.asarray(found["trajectory"].lines).tolist() == [[0, 1], [1, 2]]
     np.testing.assert_allclose(np.asarray(found["depth 0"].points), [(1, 1, 11)])
     image = np.full((30, 40, 3), (10, 20, 30), np.uint8)
-    coloured = viewer.scene_geometries(
+    coloured = scene_geometries(
         points, classid, views=[CameraView(CAMERA, T_world_camera, depth, image)]
     )
     rgb = np.asarray(coloured["depth 0"].colors)
@@ -69,12 +75,12 @@ def test_geometries_are_in_the_world_frame(open3d) -> None:
     centre = np.asarray(found["camera 0"].points)[0]
     np.testing.assert_allclose(centre, (1, 1, 1), atol=1e-12)
     with pytest.raises(InputError, match="classes"):
-        viewer.scene_geometries(points, classid[:2])
+        scene_geometries(points, classid[:2])
 
 
 def test_geometries_of_a_run(open3d, finished: tuple[Path, str]) -> None:
     run = RunFolder.open(finished[0])
-    found = viewer.run_geometries(run, frame=2)
+    found = run_geometries(run, frame=2)
     assert len(found["points"].points) == len(run.points(2))
     assert len(found["trajectory"].points) == 5
     assert sum(name.startswith("camera") for name in found) == 4
@@ -84,11 +90,11 @@ def test_geometries_of_a_run(open3d, finished: tuple[Path, str]) -> None:
     # The depth map lies on the sweep's points, not somewhere else in the world.
     away = depths[0].voxel_down_sample(1.0).compute_point_cloud_distance(found["points"])
     assert np.median(np.asarray(away)) < 1.0
-    more = viewer.run_geometries(run, frame=2, around=1, depth=False)
+    more = run_geometries(run, frame=2, around=1, depth=False)
     assert list(more) == ["points", "trajectory"]
     assert len(more["points"].points) > 2 * len(found["points"].points)
     with pytest.raises(InputError, match="sweeps 0 to 4, not 5"):
-        viewer.run_geometries(run, frame=5)
+        run_geometries(run, frame=5)
 
 
 def test_an_image_needs_no_display(open3d, finished: tuple[Path, str], tmp_path: Path) -> None:
@@ -109,4 +115,4 @@ def test_without_a_display_the_error_says_so(open3d, monkeypatch) -> None:
 def test_without_open3d_the_error_names_the_package(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(MissingExtraError, match=r"docdepth\[viz\].*libusb"):
-        viewer.scene_geometries(np.zeros((1, 3), np.float32), np.zeros(1, np.uint16))
+        scene_geometries(np.zeros((1, 3), np.float32), np.zeros(1, np.uint16))
