@@ -40,7 +40,8 @@ define install
 	@$(BIN)/pip install --verbose '.[$(1)]' 2>&1 | tee $(VENV)/install.log | sed -unE \
 	  -e 's/^ *Collecting ([A-Za-z0-9_.-]+).*/  package \1/p' \
 	  -e 's,^ *(\[[0-9]+/[0-9]+\]) Building CXX object .*\.dir/(.*)\.o$$,  \1 \2,p' \
-	  -e 's/^ *(Successfully installed|ERROR|error:)/\1/p' \
+	  -e 's/^ *Successfully installed .*(docdepth-[0-9.]+).*/installed \1/p' \
+	  -e 's/^ *(ERROR|error:)/\1/p' \
 	  || { tail -n 40 $(VENV)/install.log; exit 1; }
 endef
 
@@ -71,8 +72,9 @@ cpp-test: dev
 	$(BIN)/cmake --build build/sanitize
 	build/sanitize/docdepth_tests
 
+# A process a core; a file's tests share their drives, so they stay together.
 pytest: dev
-	$(BIN)/python -m pytest -m "slow or not slow"
+	$(BIN)/python -m pytest -m "slow or not slow" -n auto --dist loadfile --durations 10
 
 # Type stubs of the compiled module, kept in git; a test says when they are out of date.
 stubs: dev

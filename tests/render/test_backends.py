@@ -240,7 +240,7 @@ for name, backend in found.items():
     else:
         raise AssertionError(name)
 """
-    environment = {**os.environ, "LD_LIBRARY_PATH": str(tmp_path)}
+    environment = {**os.environ, "LD_LIBRARY_PATH": str(tmp_path), "COLUMNS": "40"}
     subprocess.run([sys.executable, "-c", script], env=environment, check=True)
     command = [sys.executable, "-c", "from docdepth.cli import main; main()"]
     asked = [*command, "render", str(tmp_path), "--renderer", "osmesa"]

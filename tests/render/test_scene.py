@@ -63,10 +63,10 @@ def test_a_scene_gives_what_a_run_writes(drive, finished, preset, tmp_path):
             render_depth(scene, camera, time=int(camera.times[k]), threads=1), depth
         )
         layers = render_layers(scene, camera, LAYERS, k, depth=depth)
-        kept = np.load(run / "layers" / f"{path.stem}.npz")
         assert list(layers) == list(LAYERS)
-        for name in LAYERS:
-            np.testing.assert_array_equal(layers[name], kept[name])
+        with np.load(run / "layers" / f"{path.stem}.npz") as kept:
+            for name in LAYERS:
+                np.testing.assert_array_equal(layers[name], kept[name])
     again = render_layers(scene, camera, ("class",), k)
     np.testing.assert_array_equal(again["class"], layers["class"])
 

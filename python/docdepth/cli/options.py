@@ -163,4 +163,4 @@ def show_summary(folder: RunFolder) -> None:
         names = ", ".join(rendered["left_out"])
         out.print(f"{len(rendered['left_out'])} images outside the sweeps left out: {names}")
     peak = max((s.get("peak_memory_mb", 0) for s in folder.manifest["stages"].values()), default=0)
-    out.print(f"peak memory {peak} MB; results in {folder.path}")
+    out.print(f"peak memory {peak} MB; results in {folder.path}", soft_wrap=True, markup=False)

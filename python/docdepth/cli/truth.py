@@ -39,7 +39,7 @@ def synth(
             blooming_deg=bloom,
             progress=lambda done, total: progress("synth", done, total),
         )  # fmt: skip
-    out.print(f"{frames} sweeps in {output}")
+    out.print(f"{frames} sweeps in {output}", soft_wrap=True, markup=False)
 
 
 @app.command()
@@ -60,7 +60,7 @@ def demo(
     show_summary(RunFolder(folder))
     labels(folder, sequence)
     depth(folder, sequence)
-    out.print(f"look at the pictures in {folder / 'report'}")
+    out.print(f"look at the pictures in {folder / 'report'}", soft_wrap=True, markup=False)
 
 
 @app.command()
@@ -114,7 +114,7 @@ def doctor() -> None:
     from docdepth.cli.doctor import doctor as examine
 
     for name, finding, well in examine():
-        out.print(f"{'ok' if well else '--'}  {name:<24} {finding}", markup=False)
+        out.print(f"{'ok' if well else '--'}  {name:<24} {finding}", soft_wrap=True, markup=False)
 
 
 @evaluate.command()
