@@ -33,6 +33,14 @@ def test_mistakes_with_virtual_cameras(finished, arguments, message):
     assert message in str(result.exception)
 
 
+@pytest.mark.parametrize("what", ["labels", "depth"])
+def test_a_folder_of_truth_that_is_not_there_is_named(finished, tmp_path, what):
+    folder = tmp_path / "nowhere"
+    result = cli("evaluate", what, finished[0], f"--{what}", folder)
+    assert result.exit_code == 2
+    assert str(result.exception) == f"{folder} is not there"
+
+
 def test_truncated_sweep_keeps_what_was_computed(drive, tmp_path):
     broken = tmp_path / "drive"
     shutil.copytree(drive, broken)

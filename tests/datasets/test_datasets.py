@@ -318,6 +318,31 @@ def test_broken_calibration(raw: Path, sequence: Path) -> None:
         open_dataset(sequence)
 
 
+BAD_EXTRINSICS = {
+    "a first number of 5": lambda T: T * (np.arange(12).reshape(3, 4) != 0) + np.eye(3, 4) * 5,
+    "swapped rows": lambda T: T[[1, 0, 2]],
+    "all zeros": lambda T: 0 * T,
+    "millimetres": lambda T: T * (1, 1, 1, 1000),
+}
+
+
+@pytest.mark.parametrize("change", BAD_EXTRINSICS.values(), ids=BAD_EXTRINSICS)
+def test_extrinsics_that_cannot_be_are_refused(raw: Path, sequence: Path, change) -> None:
+    wrong = change(np.hstack([R_VELO, T_VELO[:, None]]))
+    file = sequence / "calib.txt"
+    file.write_text(file.read_text().rpartition("Tr:")[0] + f"Tr: {numbers(wrong)}\n")
+    with pytest.raises(CalibrationError, match=r"calib\.txt: 'Tr:' (holds no rotation|puts)"):
+        open_dataset(sequence)
+    file = raw.parent / "calib_velo_to_cam.txt"
+    file.write_text(f"R: {numbers(wrong[:, :3])}\nT: {numbers(wrong[:, 3])}\n")
+    with pytest.raises(CalibrationError, match=r"'R: and T:' (holds no rotation|puts)"):
+        open_dataset(raw)
+
+
+def test_layouts_are_named_with_hyphens_too(sequence: Path) -> None:
+    assert open_dataset(sequence, "kitti-odometry").name == "kitti_odometry"
+
+
 def test_image_size_that_does_not_fit(raw: Path) -> None:
     file = raw.parent / "calib_cam_to_cam.txt"
     text = file.read_text()

@@ -71,6 +71,7 @@ def open_dataset(
         The calibration is missing or contradicts the images.
     """
     path = Path(path)
+    name = name.replace("-", "_") if name else None
     if name is not None and name not in _FORMATS:
         raise DatasetError(f"unknown dataset {name!r}; there are {', '.join(_FORMATS)}")
     if not path.is_dir():

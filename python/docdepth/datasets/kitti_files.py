@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import CalibrationError, DatasetError
-from docdepth.geometry.se3 import nearest_rotation, poses_from
+from docdepth.geometry.se3 import are_rotations, nearest_rotation, poses_from
 
 _POINT_BYTES = 16  # x y z reflectance, float32
+_LEVER_ARM = 10.0  # metres between LiDAR and camera; on a lorry it is five
 
 
 def sweep_files(folder: Path) -> list[Path]:
@@ -166,12 +167,44 @@ class Calibration:
             )
         return values.reshape(shape)
 
+    def transform(self, name: str) -> NDArray[np.float64]:
+        """The rigid transform (4, 4) of a line with the upper 3x4 of its matrix.
 
-def rigid_transform(
-    rotation: NDArray[np.float64], translation: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """4x4 transform; a rotation that is printed with few digits becomes an exact one."""
-    return poses_from([nearest_rotation(rotation)], [translation])[0]
+        Raises
+        ------
+        CalibrationError
+            The line is missing, holds no rotation, or a lever arm that no vehicle has.
+        """
+        matrix = self.matrix(name, 3, 4)
+        return self._rigid(name, matrix[:, :3], matrix[:, 3])
+
+    def transform_of(self, rotation: str, translation: str | None = None) -> NDArray[np.float64]:
+        """The rigid transform (4, 4) of a line with a rotation and one with a translation.
+
+        Raises
+        ------
+        CalibrationError
+            As for :meth:`transform`.
+        """
+        offset = np.zeros(3) if translation is None else self.matrix(translation, 3)
+        names = rotation if translation is None else f"{rotation}: and {translation}"
+        return self._rigid(names, self.matrix(rotation, 3, 3), offset)
+
+    def _rigid(
+        self, names: str, rotation: NDArray[np.float64], translation: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        if not are_rotations(rotation[None])[0]:
+            raise CalibrationError(
+                f"{self.file}: '{names}:' holds no rotation: its rows must have length 1 and be "
+                "orthogonal and right-handed; restore the file"
+            )
+        if (distance := float(np.linalg.norm(translation))) > _LEVER_ARM:
+            raise CalibrationError(
+                f"{self.file}: '{names}:' puts camera and LiDAR {distance:.1f} m apart, more than "
+                f"{_LEVER_ARM:g} m; translations are in metres"
+            )
+        # Printed with few digits a matrix is a rotation only nearly.
+        return poses_from([nearest_rotation(rotation)], [translation])[0]
 
 
 def camera_offset(P: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -74,8 +74,7 @@ class KittiOdometry:
         self.sweeps = kitti_files.sweep_files(self.path / "velodyne")
         self.times = read_times_of(self.sweeps, self.path / "times.txt", "times", REMEDY)
         calibration = Calibration(self.path / "calib.txt", REMEDY)
-        Tr = calibration.matrix("Tr", 3, 4)
-        T_camera_lidar = kitti_files.rigid_transform(Tr[:, :3], Tr[:, 3])
+        T_camera_lidar = calibration.transform("Tr")
         self.poses = _poses(self.path, self.sweeps, T_camera_lidar)
         settings = _settings(self.path / "docdepth.yaml")
         self.motion_compensated: bool = settings["motion_compensated"]
@@ -182,7 +181,7 @@ def _find_more_lidars(
     """Folder and ``T_lidar_sensor`` (4, 4) of each LiDAR but the first."""
     found = []
     for folder in sorted(sequence.glob("velodyne_[2-9]")):
-        Tr = calibration.matrix(f"Tr_{folder.name[-1]}", 3, 4)
+        T_camera_other = calibration.transform(f"Tr_{folder.name[-1]}")
         names = [file.name for file in kitti_files.sweep_files(folder)]
         lacking = sorted({file.name for file in sweeps}.symmetric_difference(names))
         if lacking:
@@ -190,9 +189,7 @@ def _find_more_lidars(
                 f"{lacking[0]} is in one of {sequence / 'velodyne'} and {folder} only; "
                 "the LiDARs of a sequence measure each sweep together"
             )
-        found.append(
-            (folder, inverse(T_camera_lidar) @ kitti_files.rigid_transform(Tr[:, :3], Tr[:, 3]))
-        )
+        found.append((folder, inverse(T_camera_lidar) @ T_camera_other))
     return found
 
 

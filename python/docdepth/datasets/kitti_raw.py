@@ -88,12 +88,8 @@ def _cameras(
 ) -> dict[str, CameraStream]:
     camera_file = Calibration(drive.parent / "calib_cam_to_cam.txt", _CALIBRATION)
     lidar_file = Calibration(drive.parent / "calib_velo_to_cam.txt", _CALIBRATION)
-    T_camera0_lidar = kitti_files.rigid_transform(
-        lidar_file.matrix("R", 3, 3), lidar_file.matrix("T", 3)
-    )
-    T_rectified_camera0 = kitti_files.rigid_transform(
-        camera_file.matrix("R_rect_00", 3, 3), np.zeros(3)
-    )
+    T_camera0_lidar = lidar_file.transform_of("R", "T")
+    T_rectified_camera0 = camera_file.transform_of("R_rect_00")
 
     streams: dict[str, CameraStream] = {}
     for number in ("00", "01", "02", "03"):

@@ -33,13 +33,12 @@ def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
     Raises
     ------
     DatasetError
-        A label file is missing or has another number of points.
+        The folder or a label file is missing, or a file has another number of points.
     RunError
         A sweep is not classified.
     """
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
-    if (labels / "labels").is_dir():
-        labels = labels / "labels"
+    labels = _truth_folder(labels, "labels")
     speeds = labels.parent / "speeds"
     evaluation = LabelEvaluation(poses=_poses(folder))
     times = folder.trajectory().times
@@ -83,11 +82,10 @@ def evaluate_depth(
     Raises
     ------
     DatasetError
-        A true depth map is missing, or the run has no depth maps.
+        The folder or a true depth map is missing, or the run has no depth maps.
     """
     folder = RunFolder.open(run)
-    if (depth / "depth_2").is_dir():
-        depth = depth / "depth_2"
+    depth = _truth_folder(depth, "depth_2")
     classes = depth.parent / depth.name.replace("depth", "class")
     camera = folder.depth_folder(camera)
     K = folder.calibration(camera)[0].K
@@ -105,6 +103,13 @@ def evaluate_depth(
             dynamic = moving(classes_of_image.ravel()).reshape(classes_of_image.shape)
         evaluation.add(read_depth(path), read_depth(truths[name]), dynamic, K)
     return evaluation.result()
+
+
+def _truth_folder(path: Path, inside: str) -> Path:
+    """The folder itself, or the one in it that holds the truth."""
+    if not path.is_dir():
+        raise DatasetError(f"{path} is {'not a folder' if path.exists() else 'not there'}")
+    return path / inside if (path / inside).is_dir() else path
 
 
 def _read(path: Path, points: int) -> NDArray[np.uint32]:

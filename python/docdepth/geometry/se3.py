@@ -24,21 +24,23 @@ def check_rigid(poses: NDArray[np.float64]) -> None:
     InputError
         Names the first such frame.
     """
-    rotation = poses[:, :3, :3]
     finite = np.isfinite(poses).all(axis=(1, 2))
-    with np.errstate(invalid="ignore"):
-        orthogonal = (
-            np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-            < _ORTHOGONAL
-        )
-        right_handed = np.linalg.det(np.where(np.isfinite(rotation), rotation, 0)) > 0
-        affine = (poses[:, 3] == (0, 0, 0, 1)).all(axis=1)
-    bad = np.flatnonzero(~(finite & orthogonal & right_handed & affine))
+    affine = (poses[:, 3] == (0, 0, 0, 1)).all(axis=1)
+    bad = np.flatnonzero(~(finite & affine & are_rotations(poses[:, :3, :3])))
     if len(bad):
         raise InputError(
             f"the pose of frame {bad[0]} is not a rotation and a translation; "
             "poses are 4x4 matrices T_world_lidar with finite entries"
         )
+
+
+def are_rotations(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which 3x3 matrices, shape (n, 3, 3), are right-handed rotations, to a thousandth."""
+    with np.errstate(invalid="ignore"):
+        gram = matrices @ matrices.transpose(0, 2, 1)
+        orthogonal = np.abs(gram - np.eye(3)).max(axis=(1, 2)) < _ORTHOGONAL
+        right_handed = np.linalg.det(np.where(np.isfinite(matrices), matrices, 0)) > 0
+    return np.asarray(orthogonal & right_handed)
 
 
 def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:

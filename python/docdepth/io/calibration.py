@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import CalibrationError
+from docdepth.errors import CalibrationError, InputError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import check_rigid
 from docdepth.io.atomic import write_atomically
 
 INTRINSICS = "calib.json"
@@ -77,4 +78,10 @@ def read_calibration(folder: Path, remedy: str) -> tuple[Camera, NDArray[np.floa
         raise CalibrationError(f"{intrinsic} or {extrinsic.name} is damaged: {error}") from None
     if T_camera_lidar.shape != (4, 4):
         raise CalibrationError(f"{extrinsic} must hold a 4x4 matrix")
+    try:
+        check_rigid(T_camera_lidar[None])
+    except InputError:
+        raise CalibrationError(
+            f"{extrinsic} must hold a rotation and a translation in metres; {remedy}"
+        ) from None
     return Camera(K, int(width), int(height)), T_camera_lidar, distortion
