@@ -33,6 +33,25 @@ def test_mistakes_with_virtual_cameras(finished, arguments, message):
     assert message in str(result.exception)
 
 
+@pytest.mark.parametrize(
+    ("verb", "setting"),
+    [("render", "render.max_depth=700"), ("render", "render.ahead=-1"), ("odometry", "x.y=1")],
+)
+def test_a_refused_setting_is_not_kept(finished, verb, setting):
+    manifest = finished[0] / "run.yaml"
+    before = manifest.read_text()
+    assert cli(verb, finished[0], "--set", setting).exit_code == 2
+    assert manifest.read_text() == before
+    assert cli("render", finished[0]).exit_code == 0
+
+
+def test_progress_in_a_log_file_is_lines(finished):
+    result = cli("evaluate", "held-out", finished[0], "--every", "2")
+    lines = [line for line in result.stderr.splitlines() if line.startswith("held out ")]
+    assert len(lines) > 1
+    assert lines[-1].split()[-1].split("/")[0] == lines[-1].split("/")[-1]
+
+
 @pytest.mark.parametrize("what", ["labels", "depth"])
 def test_a_folder_of_truth_that_is_not_there_is_named(finished, tmp_path, what):
     folder = tmp_path / "nowhere"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -74,7 +74,10 @@ def show(result: Any, as_json: bool) -> None:
 
 @contextmanager
 def progress_bars() -> Iterator[Any]:
-    """One progress bar per stage, with the time left."""
+    """One progress bar per stage, with the time left; lines where nobody sees bars move."""
+    if not err.is_terminal:
+        yield _progress_lines()
+        return
     columns = (
         TextColumn("{task.description:<12}"),
         BarColumn(),
@@ -90,6 +93,19 @@ def progress_bars() -> Iterator[Any]:
             bars.update(tasks[stage], completed=done, total=total)
 
         yield tell
+
+
+def _progress_lines() -> Callable[[str, int, int], None]:
+    """For log files: a line whenever another tenth of a stage is done."""
+    told: dict[str, int] = {}
+
+    def tell(stage: str, done: int, total: int) -> None:
+        tenths = 10 * done // max(total, 1)
+        if told.get(stage) != tenths:
+            told[stage] = tenths
+            err.print(f"{stage} {done}/{total}", soft_wrap=True, markup=False)
+
+    return tell
 
 
 def listed(names: list[str] | None) -> str | list[str] | None:
@@ -119,13 +135,12 @@ def output_of(
 
 
 def reopen(path: Path, changes: dict[str, Any], *stages: str) -> RunFolder:
-    """A run with some parameters of one stage replaced."""
+    """A run with some parameters of one stage replaced; kept in run.yaml once a stage uses them."""
     from docdepth.io.run_folder import RunFolder
 
     folder = RunFolder.open(path)
     values = replaced(folder, changes, *stages)
     folder.manifest["parameters"] = values.model_dump(mode="json")
-    folder.save()
     return folder
 
 

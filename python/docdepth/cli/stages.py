@@ -172,7 +172,6 @@ def render(
         if camera:
             source["camera"] = listed(camera)
         _, streams = open_inputs(source)
-        folder.save()
     else:
         streams = list(RunDataset(run).cameras.values())
     with progress_bars() as progress:
