@@ -1,0 +1,29 @@
+"""Runs are compared bit for bit, from benchmarks/."""
+
+import shutil
+
+import pytest
+from compare_runs import main
+
+from docdepth.io.frames import read_frame, write_frame
+
+
+def test_every_result_is_compared(finished, tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
+    run, other = finished[0], tmp_path / "other"
+    shutil.copytree(run, other)
+    assert main([str(run), str(other)]) == 0
+    assert "0 differ" in capsys.readouterr().out
+    frame = other / "frames" / "frame_000001.ply"
+    record = read_frame(frame)
+    record.classid[0] += 1
+    write_frame(frame, record)
+    label = sorted((other / "labels").iterdir())[0]
+    label.write_bytes(label.read_bytes()[:-4] + b"\0\0\0\0")
+    depth = sorted((other / "depth").glob("*.png"))[0]
+    depth.unlink()
+    assert main([str(run), str(other)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("3 differ")
+    assert f"{depth} is missing" in lines
+    assert "frames/frame_000001.ply: classid" in lines
+    assert f"labels/{label.name}: bytes" in lines
