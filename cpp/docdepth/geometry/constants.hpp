@@ -15,7 +15,7 @@ constexpr float kSampleSpacingGrowth = 1.3f;
 /// An object with fewer samples has no shape that could be matched.
 constexpr std::size_t kMinSamples = 5;
 
-// --- Matching: the horizontal shift between two sightings of one object. ---
+// --- Matching: the horizontal shift between two observations of one object. ---
 
 /// Edge of a bin of the histogram of shifts [m].
 constexpr float kShiftBin = 0.2f;

@@ -1,4 +1,4 @@
-// An object as a few evenly spread points, and the shift between two sightings of it.
+// An object as a few evenly spread points, and the shift between two observations of it.
 #pragma once
 
 #include <Eigen/Core>

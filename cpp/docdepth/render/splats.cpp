@@ -34,7 +34,7 @@ float float_of(std::uint32_t bits) {
 // Depth as an integer that is 0 for an empty pixel and grows as depth falls: bits of positive
 // floats are ordered like the floats. Fresh pages of zeros are an empty image for free.
 constexpr std::int32_t kNearest = 0x7f800000;
-DOCDEPTH_KERNEL std::int32_t nearness_bits(std::uint32_t depth_bits) {
+DOCDEPTH_KERNEL std::int32_t inverted_bits(std::uint32_t depth_bits) {
   return kNearest - static_cast<std::int32_t>(depth_bits);
 }
 
@@ -55,12 +55,12 @@ class PixelImage {
  public:
   PixelImage(int tiles, int height)
       : tiles_(tiles),
-        nearness_(Zeros::make<std::int32_t>(std::size_t(tiles) * kTile * height)),
+        inverted_depth_(Zeros::make<std::int32_t>(std::size_t(tiles) * kTile * height)),
         used_(Zeros::make<std::uint8_t>(std::size_t(tiles) * height)) {}
 
   /// Thread-safe without a lock: the maximum does not depend on the order.
   void put(std::int32_t pixel, std::int32_t value) {
-    std::int32_t* cell = &nearness_[pixel];
+    std::int32_t* cell = &inverted_depth_[pixel];
     std::int32_t old = __atomic_load_n(cell, __ATOMIC_RELAXED);
     if (old >= value) return;
     while (old < value && !__atomic_compare_exchange_n(cell, &old, value, true, __ATOMIC_RELAXED,
@@ -69,12 +69,12 @@ class PixelImage {
     __atomic_store_n(&used_[pixel / kTile], std::uint8_t{1}, __ATOMIC_RELAXED);
   }
 
-  const std::int32_t* row(int v) const { return &nearness_[std::size_t(v) * tiles_ * kTile]; }
+  const std::int32_t* row(int v) const { return &inverted_depth_[std::size_t(v) * tiles_ * kTile]; }
   const std::uint8_t* used(int v) const { return &used_[std::size_t(v) * tiles_]; }
 
  private:
   int tiles_;
-  std::unique_ptr<std::int32_t[], Zeros> nearness_;
+  std::unique_ptr<std::int32_t[], Zeros> inverted_depth_;
   std::unique_ptr<std::uint8_t[], Zeros> used_;
 };
 
@@ -194,7 +194,7 @@ void draw_pixels(const Camera& camera, const std::vector<PlacedCloud>& clouds, P
       for (std::uint32_t i = 0; i < block.end - block.begin; ++i)
         if (points.pixel[i] >= 0)
           images.at(height(points.squared[i]))
-              .put(points.pixel[i], nearness_bits(bits_of(points.depth[i])));
+              .put(points.pixel[i], inverted_bits(bits_of(points.depth[i])));
     }
   });
 }

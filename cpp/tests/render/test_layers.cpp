@@ -20,7 +20,7 @@ PatchMesh square(float z, std::uint8_t classid) {
 TEST_CASE("layers of triangles tell which mesh is seen, and how many agree") {
   const PatchMesh wall = square(10, kStatic), again = square(10.1f, kGround),
                   near = square(5, kStatic);
-  const PatchMesh mover = square(4, kDynamic), other = square(4.02f, kDynamic);
+  const PatchMesh dynamic_mesh = square(4, kDynamic), other = square(4.02f, kDynamic);
   const Pose T = Pose::Identity();
   MeshScene scene;
   scene.trusted = {{&wall, T, 0}};
@@ -41,7 +41,7 @@ TEST_CASE("layers of triangles tell which mesh is seen, and how many agree") {
     }
   }
   // What moves is held against what moves; without depth there is nothing.
-  scene.dynamic_objects = {{{{&mover, T, 3}}, {{&other, T, 4}}, {}}};
+  scene.dynamic_objects = {{{{&dynamic_mesh, T, 3}}, {{&other, T, 4}}, {}}};
   std::vector<float> nearer(21 * 21, 4.02f);
   nearer[7] = NAN;
   const Layers layers = layers_of_triangles(kCamera, scene, nearer.data(), 2);

@@ -101,9 +101,9 @@ TEST_CASE("two parts of a car behind a post get the velocity that rays verify") 
     CHECK((estimator.velocities() == std::vector<Eigen::Vector3f>{exact, exact}));
   }
   SUBCASE("unwanted objects are not verified, and without rays every velocity is") {
-    const std::vector<VisibilitySweep> nobody;
+    const std::vector<VisibilitySweep> no_sweeps;
     VelocityEstimator none(objects, visibility_sweeps, {0, 0}, 1),
-        blind(objects, nobody, {1, 1}, 1);
+        blind(objects, no_sweeps, {1, 1}, 1);
     none.propose({exact, exact}), blind.propose({slow, exact}), blind.propose_neighbors();
     CHECK((none.velocities() == std::vector<Eigen::Vector3f>{still, still}));
     CHECK((blind.velocities() == std::vector<Eigen::Vector3f>{slow, exact}));

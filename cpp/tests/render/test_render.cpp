@@ -128,11 +128,12 @@ TEST_CASE("without rays the first sweep with a depth wins, and dynamic objects h
   const Pose T = Pose::Identity();
   const auto depth = [&](const std::vector<const PatchMesh*>& trusted,
                          const std::vector<const PatchMesh*>& others,
-                         const std::vector<const PatchMesh*>& movers, int pixel) {
+                         const std::vector<const PatchMesh*>& dynamic_meshes, int pixel) {
     MeshScene scene;
     for (const PatchMesh* mesh : trusted) scene.trusted.push_back({mesh, T});
     for (const PatchMesh* mesh : others) scene.others.push_back({mesh, T});
-    for (const PatchMesh* mesh : movers) scene.dynamic_objects.push_back({{{mesh, T}}, {}, {}});
+    for (const PatchMesh* mesh : dynamic_meshes)
+      scene.dynamic_objects.push_back({{{mesh, T}}, {}, {}});
     return doctest::Approx(render_triangles(camera, scene, 1)[pixel]);
   };
   for (int i = 0; i < 21 * 21; ++i) {
@@ -222,7 +223,7 @@ TEST_CASE("rays are queried in the order of trust until the score is sure") {
 
 TEST_CASE("what moves is drawn where rays met it close by, unless it is trusted there") {
   const Camera camera{100, 100, 3, 3, 7, 7};
-  const PatchMesh wall = square(10), mover = square(5);
+  const PatchMesh wall = square(10), dynamic_mesh = square(5);
   const float spacing = 0.5f;
   const Rays close = sweep(5, spacing, 0.06f), far = sweep(5, spacing, 0.15f),
              passed = sweep(10, spacing, 0.005f), aside = sweep(10, spacing, 0.04f);
@@ -230,7 +231,7 @@ TEST_CASE("what moves is drawn where rays met it close by, unless it is trusted 
   const auto middle = [&](const std::vector<PlacedRays>& rays, bool trusted) {
     MeshScene scene;
     scene.trusted.push_back({&wall, Pose::Identity()});
-    const std::vector<PlacedMesh> meshes{{&mover, Pose::Identity()}}, none;
+    const std::vector<PlacedMesh> meshes{{&dynamic_mesh, Pose::Identity()}}, none;
     scene.dynamic_objects.push_back({trusted ? meshes : none, trusted ? none : meshes, rays});
     return render_triangles(camera, scene, 1)[3 * 7 + 3];
   };

@@ -74,7 +74,7 @@ def show(result: Any, as_json: bool) -> None:
 
 @contextmanager
 def progress_bars() -> Iterator[Any]:
-    """One progress bar per stage, with the time left; lines where nobody sees bars move."""
+    """One progress bar per stage, with the time left; lines where output is no terminal."""
     if not err.is_terminal:
         yield _progress_lines()
         return
