@@ -145,6 +145,13 @@ class Dataset(Protocol):
 
     def sweep(self, index: int) -> Sweep: ...
 
+    def sweep_files(self, index: int) -> list[Path]:
+        """All files that ``sweep(index)`` reads: sweeps of every LiDAR, and the times of points.
+
+        They tell whether an input has changed. Empty where sweeps come from no file.
+        """
+        ...
+
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """SemanticKITTI labels of every input point (low 16 bits class, high instance), or None."""
         ...

@@ -132,15 +132,25 @@ class KittiOdometry:
             kitti_files.read_sweep(file, k)[0] for k, file in enumerate(self.sweeps)
         )
 
+    def sweep_files(self, index: int) -> list[Path]:
+        """Sweep ``index`` of each LiDAR, and the times of its points if there are any."""
+        times = self._point_times(index)
+        return self._lidar_files(index) + [times] * times.is_file()
+
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``; None without a file."""
+        file = self.path / "labels" / f"{self.sweeps[index].stem}.label"
+        return kitti_files.read_labels(file, self._lidar_files(index), index)
+
+    def _lidar_files(self, index: int) -> list[Path]:
         sweep = self.sweeps[index]
-        all_lidars = [sweep, *(folder / sweep.name for folder, _ in self._more_lidars)]
-        file = self.path / "labels" / f"{sweep.stem}.label"
-        return kitti_files.read_labels(file, all_lidars, index)
+        return [sweep, *(folder / sweep.name for folder, _ in self._more_lidars)]
+
+    def _point_times(self, index: int) -> Path:
+        return self.path / "point_times" / f"{self.sweeps[index].stem}.bin"
 
     def _relative_time(self, frame: int, points: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        file = self.path / "point_times" / f"{self.sweeps[frame].stem}.bin"
+        file = self._point_times(frame)
         if not file.is_file() and self.motion_compensated:
             # The azimuth gives the time to a hundredth of a sweep, though the motion is removed.
             return kitti_lidar.azimuth_relative_time(points) if self._is_kitti_lidar else None

@@ -63,6 +63,10 @@ class KittiRaw:
             points, file.stem, int(self.times[index]), intensity, relative_time, sensor_rig
         )
 
+    def sweep_files(self, index: int) -> list[Path]:
+        """The file of sweep ``index``."""
+        return [self._sweeps[index]]
+
     @cached_property
     def _is_kitti_lidar(self) -> bool:
         return kitti_lidar.is_kitti_lidar(
