@@ -324,6 +324,31 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
         raise ConfigError(_explain(error)) from None
 
 
+def replaced(values: Parameters, settings: dict[str, Any]) -> Parameters:
+    """Parameters with single values replaced.
+
+    Parameters
+    ----------
+    values : Parameters
+    settings : dict
+        Values by dotted name, as for :func:`parameters`.
+
+    Raises
+    ------
+    ConfigError
+        As for :func:`parameters`.
+    """
+    if not settings:
+        return values
+    known = {
+        f"{stage}.{name}": value
+        for stage, of_stage in values.model_dump().items()
+        if stage != "preset"
+        for name, value in of_stage.items()
+    }
+    return parameters(values.preset, {**known, **settings})
+
+
 def parse_settings(assignments: list[str]) -> dict[str, Any]:
     """``["dynamics.tolerance=0.3"]`` as a dict; values are read as YAML.
 

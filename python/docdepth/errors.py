@@ -1,5 +1,7 @@
 """Errors of docdepth. Each message names the file, the frame and the remedy."""
 
+from pathlib import Path
+
 
 class DocDepthError(Exception):
     """Base class of all errors that docdepth raises."""
@@ -27,6 +29,22 @@ class OdometryError(DocDepthError):
 
 class RunError(DocDepthError):
     """A run folder cannot be used as it is."""
+
+
+class DamagedFileError(RunError):
+    """A file of a run is missing or damaged.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        What is wrong with it; empty if it is missing.
+    """
+
+    def __init__(self, path: Path, what: str) -> None:
+        found = f"is damaged ({what})" if what else "is missing"
+        super().__init__(f"{path} {found}; docdepth run RUN makes it again")
+        self.path = path
 
 
 class BackendError(DocDepthError):

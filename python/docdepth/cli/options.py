@@ -14,7 +14,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from docdepth.config import Parameters
     from docdepth.io.run_folder import RunFolder
 
 app = typer.Typer(
@@ -136,46 +135,55 @@ def output_of(
 
 def reopen(path: Path, changes: dict[str, Any], *stages: str) -> RunFolder:
     """A run with some parameters of one stage replaced; kept in run.yaml once a stage uses them."""
+    from docdepth.config import replaced
     from docdepth.io.run_folder import RunFolder
 
+    check_stages(changes, *stages)
     folder = RunFolder.open(path)
-    values = replaced(folder, changes, *stages)
+    values = replaced(folder.parameters, changes)
     folder.manifest["parameters"] = values.model_dump(mode="json")
     return folder
 
 
-def replaced(folder: RunFolder, changes: dict[str, Any], *stages: str) -> Parameters:
-    """The parameters of a run with some replaced."""
-    from docdepth.config import parameters
+def check_stages(changes: dict[str, Any], *stages: str) -> None:
+    """Refuse parameters of other stages."""
     from docdepth.errors import ConfigError
 
     for name in changes:
         if name.partition(".")[0] not in stages:
             raise ConfigError(f"--set {name}: this stage knows {' and '.join(stages)} only")
-    saved = {
-        f"{stage}.{key}": value
-        for stage, values in folder.parameters.model_dump().items()
-        if stage != "preset"
-        for key, value in values.items()
-    }
-    return parameters(folder.parameters.preset, {**saved, **changes})
 
 
 def show_summary(folder: RunFolder) -> None:
-    """Print seconds per stage, density and images left out."""
+    """Print seconds per stage, density, images left out, and what is out of date."""
+    from docdepth.pipeline.run import changes_since_start, states
+
     table = Table("stage", "frames", "seconds", "ms/frame", "seconds by step", box=None)
     for name, state in folder.manifest["stages"].items():
         seconds: dict[str, float] = state.get("seconds", {})
-        total, frames = state.get("wall_seconds", 0.0), state.get("frames", 0)
+        total, frames = state.get("total_seconds", 0.0), state.get("total_frames", 0)
         parts = ", ".join(f"{k} {v:.1f}" for k, v in sorted(seconds.items(), key=lambda x: -x[1]))
         each = f"{1000 * total / frames:.0f}" if frames else ""
-        table.add_row(name, str(frames), f"{total:.1f}", each, parts)
+        table.add_row(name, str(state.get("all_frames", "")), f"{total:.1f}", each, parts)
     out.print(table)
-    rendered = folder.stage("render")
-    if "density" in rendered:
-        out.print(f"density {100 * rendered['density']:.1f} % of the pixels", style="bold")
-    if rendered.get("left_out"):
-        names = ", ".join(rendered["left_out"])
-        out.print(f"{len(rendered['left_out'])} images outside the sweeps left out: {names}")
+    for name in folder.cameras:
+        rendered = folder.stage(f"render {name}")
+        if "density" in rendered:
+            density = f"{100 * rendered['density']:.1f} % of the pixels"
+            out.print(f"density of {name} {density}", style="bold", markup=False)
+        if rendered.get("left_out"):
+            names = ", ".join(rendered["left_out"])
+            text = f"{len(rendered['left_out'])} images outside the sweeps left out: {names}"
+            out.print(text, markup=False)
     peak = max((s.get("peak_memory_mb", 0) for s in folder.manifest["stages"].values()), default=0)
     out.print(f"peak memory {peak} MB; results in {folder.path}", soft_wrap=True, markup=False)
+    for change in changes_since_start(folder):
+        out.print(change, soft_wrap=True, markup=False)
+    left = [state for state in states(folder) if state.state != "done"]
+    if left:
+        names = ", ".join(state.name for state in left)
+        out.print(
+            f"not up to date: {names}; bring it up to date: docdepth run {folder.path}",
+            soft_wrap=True,
+            markup=False,
+        )

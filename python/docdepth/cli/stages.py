@@ -18,12 +18,12 @@ from docdepth.cli.options import (
     Threads,
     app,
     changes_of,
+    check_stages,
     listed,
     out,
     output_of,
     progress_bars,
     reopen,
-    replaced,
     show_summary,
 )
 
@@ -98,11 +98,11 @@ def run(
 def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
     """Repeat odometry and deskewing, with other parameters."""
     from docdepth.pipeline import run_odometry
-    from docdepth.pipeline.run_inputs import known_poses, open_inputs
+    from docdepth.pipeline.run_inputs import known_poses, open_recording
 
     folder = reopen(run, changes_of(settings), "odometry")
     source = folder.manifest["source"]
-    recording, _ = open_inputs(source)
+    recording = open_recording(source)
     with progress_bars() as progress:
         run_odometry(folder, recording, known_poses(source, recording), progress, threads)
     show_summary(folder)
@@ -112,8 +112,10 @@ def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
 def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
     """Repeat ground growing, voting and classification, with other parameters."""
     from docdepth.pipeline import run_classify
+    from docdepth.pipeline.run import require
 
     folder = reopen(run, changes_of(settings), "ground", "dynamics")
+    require(folder, "odometry")
     with progress_bars() as progress:
         run_classify(folder, threads, progress)
     show_summary(folder)
@@ -146,36 +148,29 @@ def render(
 
     docdepth render RUN --pose 0,0,0.5 --K 700,700,640,360 --size 1280x720
     """
-    from docdepth.datasets.run import RunDataset
     from docdepth.errors import ConfigError
-    from docdepth.pipeline import run_render
-    from docdepth.pipeline.run_inputs import open_inputs
+    from docdepth.pipeline.run import render_again
+    from docdepth.pipeline.virtual_camera import virtual_camera
     from docdepth.render.backends import choose
 
     drawn_by = choose(renderer)
     changes = changes_of(settings) | output_of(format, scale, layers)
+    check_stages(changes, "render", "output")
+    described = None
     if pose or K or size:
-        from docdepth.io.run_folder import RunFolder
-        from docdepth.pipeline.virtual_camera import virtual_camera
-
         if not (pose and K and size) or camera:
             raise ConfigError("a virtual camera needs --pose, --K and --size, and no --camera")
-        folder = RunFolder.open(run)
-        values = replaced(folder, changes, "render", "output")  # the run itself keeps its own
-        stream = virtual_camera(folder, name, pose, K, size, camera_times)
-        with progress_bars() as progress:
-            run_render(folder, stream, threads, progress, drawn_by, f"render {name}", values)
-        return show_summary(folder)
-    folder = reopen(run, changes, "render", "output")
-    source = folder.manifest["source"]
-    if source:
-        if camera:
-            source["camera"] = listed(camera)
-        _, streams = open_inputs(source)
-    else:
-        streams = list(RunDataset(run).cameras.values())
+        described = virtual_camera(pose, K, size, camera_times)
     with progress_bars() as progress:
-        run_render(folder, streams, threads, progress, drawn_by)
+        folder = render_again(
+            run,
+            changes,
+            listed(camera),
+            (name, described) if described else None,
+            threads=threads,
+            renderer=drawn_by,
+            progress=progress,
+        )
     show_summary(folder)
 
 
@@ -191,11 +186,13 @@ def video(
 ) -> None:
     """Write report/video.webm: each image above its depth map."""
     from docdepth.io.run_folder import RunFolder
+    from docdepth.pipeline.run import require
     from docdepth.pipeline.run_inputs import recorded_camera
     from docdepth.visualization.video import write_video
 
     folder = RunFolder.open(run)
     name = folder.depth_folder(camera)
+    require(folder, f"render {folder.camera_in(name)}")
     with progress_bars() as progress:
         path = write_video(folder, name, recorded_camera(folder, name), fps, progress)
     out.print(f"{path}", soft_wrap=True, markup=False)

@@ -28,6 +28,7 @@ from docdepth.geometry.sensor_rig import lidar_views
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.render import load_frame
+from docdepth.pipeline.run import require
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.selection import needed_frames
@@ -122,6 +123,7 @@ def evaluate_held_out(
         A sweep is not classified.
     """
     folder = RunFolder.open(run)
+    require(folder, "classify")
     count = len(folder.trajectory())
     if every < 1 or count < 3:
         raise InputError(

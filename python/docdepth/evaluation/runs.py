@@ -15,6 +15,7 @@ from docdepth.evaluation.labels import LabelEvaluation, LabelResult
 from docdepth.geometry.points import DYNAMIC
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.run import require
 
 
 def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
@@ -38,6 +39,7 @@ def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
         A sweep is not classified.
     """
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    require(folder, "classify")
     labels = _truth_folder(labels, "labels")
     speeds = labels.parent / "speeds"
     evaluation = LabelEvaluation(poses=_poses(folder))
@@ -88,6 +90,7 @@ def evaluate_depth(
     depth = _truth_folder(depth, "depth_2")
     classes = depth.parent / depth.name.replace("depth", "class")
     camera = folder.depth_folder(camera)
+    require(folder, f"render {folder.camera_in(camera)}")
     K = folder.calibration(camera)[0].K
     evaluation = DepthEvaluation(mode=mode, max_range=max_range, poses=_poses(folder))
     maps, truths = maps_in(run / "depth" / camera), maps_in(depth)

@@ -86,8 +86,10 @@ def write_video(
             raise RunError(
                 f"cannot write {path}: OpenCV stopped early; make room on the disk and try again"
             )
-        os.replace(part, path)
-        write_index(run)
+        made_of = run.recorded_key(depths / DESCRIPTION).get("render", "")
+        with run.lock("video"):
+            run.move_into_place(part, path, {"render": made_of})
+            write_index(run)
     finally:
         part.unlink(missing_ok=True)
     return path
