@@ -418,8 +418,11 @@ class RunFolder:
         """What frame ``index`` was made of, a hash for each stage; empty if it is not whole."""
         return self.key(self.frame_path(index))
 
-    def write_frame(self, index: int, frame: FrameRecord, key: dict[str, str]) -> None:
-        write_frame(self.frame_path(index), frame, self.writer(key))
+    def write_frame(
+        self, index: int, frame: FrameRecord, key: dict[str, str] | None = None
+    ) -> None:
+        """Write frame ``index``; ``key`` tells what it is made of, a hash for each stage."""
+        write_frame(self.frame_path(index), frame, self.writer(key or {}))
 
     def trajectory(self) -> Trajectory:
         """LiDAR poses, one a frame."""

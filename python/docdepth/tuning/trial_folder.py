@@ -80,11 +80,13 @@ class TrialFolder(RunFolder):
         """Hash of the parameters that made the classes of a sweep, by stage."""
         return _key(self._stored(index))
 
-    def write_frame(self, index: int, frame: FrameRecord, key: dict[str, str]) -> None:
+    def write_frame(
+        self, index: int, frame: FrameRecord, key: dict[str, str] | None = None
+    ) -> None:
         """Store the classes and votes of a sweep; its points stay in the run."""
         arrays = {name: getattr(frame, name) for name in _STORED}
         arrays = {name: value for name, value in arrays.items() if value is not None}
-        content = npz_bytes(key=np.array(json.dumps(key)), **arrays)
+        content = npz_bytes(key=np.array(json.dumps(key or {})), **arrays)
         write_atomically(self._path(index), lambda out: out.write(content))
 
     def _path(self, index: int) -> Path:
