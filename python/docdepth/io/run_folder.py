@@ -15,8 +15,8 @@ import yaml
 from numpy.typing import NDArray
 
 from docdepth import __version__
-from docdepth.config import Parameters
-from docdepth.errors import ConfigError, RunError
+from docdepth.config import Parameters, stored_parameters
+from docdepth.errors import RunError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
@@ -126,10 +126,7 @@ class RunFolder:
     @property
     def parameters(self) -> Parameters:
         """The parameters of the run."""
-        try:
-            return Parameters.model_validate(self.manifest["parameters"])
-        except (KeyError, ValueError) as error:
-            raise ConfigError(f"{self._manifest_path}: {error}") from None
+        return stored_parameters(self.manifest.get("parameters"), self._manifest_path)
 
     def save(self) -> None:
         """Write run.yaml."""
