@@ -3,98 +3,110 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from docdepth.cli.options import (
     CameraNames,
+    CameraTimes,
+    ChosenPreset,
+    ConfigFile,
     Formats,
+    Frames,
+    ImageSize,
+    Json,
     LayerNames,
+    Layout,
+    OneCamera,
+    Output,
+    PosesFile,
     RendererName,
     RunPath,
     Scale,
     Settings,
     Threads,
-    app,
     changes_of,
     listed,
-    out,
     output_of,
-    progress_bars,
     reopen,
     replaced,
-    show_summary,
 )
+from docdepth.cli.progress import progress_bars
+from docdepth.cli.summary import show_summary
+from docdepth.cli.terminal import app, out, verb
 
 
-@app.command()
+@verb(app)
 def run(
+    output: Output,
     dataset: Annotated[
-        Path, typer.Argument(help="Folder of a recording (KITTI raw, KITTI odometry) or of a run.")
-    ],
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", metavar="RUN", help="Run folder to create or continue."),
-    ],
-    layout: Annotated[
-        str | None,
-        typer.Option(
-            "--dataset",
-            metavar="LAYOUT",
-            help="kitti_raw, kitti_odometry, semantic_kitti or run; guessed if absent.",
+        Path | None,
+        typer.Argument(
+            metavar="DATASET",
+            help="Folder of a recording (KITTI raw, KITTI odometry) or of a run; that of --config "
+            "if absent.",
+            show_default=False,
         ),
     ] = None,
+    config: ConfigFile = None,
+    layout: Layout = None,
     camera: CameraNames = None,
-    poses: Annotated[
-        Path | None, typer.Option(help="LiDAR poses of your SLAM, TUM or KITTI format.")
-    ] = None,
-    camera_times: Annotated[
-        Path | None, typer.Option(help="Image times in seconds, one a line.")
-    ] = None,
-    image_size: Annotated[
-        str | None, typer.Option(metavar="WxH", help="Image size in pixels.")
-    ] = None,
-    preset: Annotated[
-        str, typer.Option(help="default (most accurate) or paper (the paper's method).")
-    ] = "default",
+    frames: Frames = None,
+    poses: PosesFile = None,
+    camera_times: CameraTimes = None,
+    image_size: ImageSize = None,
+    preset: ChosenPreset = None,
     settings: Settings = None,
     format: Formats = None,
     scale: Scale = None,
     layers: LayerNames = None,
     threads: Threads = 0,
     renderer: RendererName = None,
+    as_json: Json = False,
 ) -> None:
     """Turn a recording into a depth map for every camera image: all stages.
 
     The same command continues a run that was interrupted.
 
       docdepth run 2011_09_26_drive_0005_sync -o run --camera image_02
+      docdepth run --config run/run.yaml -o again
     """
-    from docdepth.config import parameters, parse_settings
+    from docdepth.cli.config_file import Given, read_config
+    from docdepth.config import parameters
+    from docdepth.errors import ConfigError
     from docdepth.pipeline.run import run as run_all
     from docdepth.render.backends import choose
 
     drawn_by = choose(renderer)
-    changes = parse_settings(settings or []) | output_of(format, scale, layers)
+    given = read_config(config) if config else Given()
+    changes = given.settings | changes_of(settings) | output_of(format, scale, layers)
+    recording = dataset or given.source.get("dataset")
+    if recording is None:
+        raise ConfigError("no recording: docdepth run DATASET -o RUN, or --config RUN/run.yaml")
+    inputs: dict[str, Any] = {
+        "layout": layout or (None if dataset else given.source.get("name")),
+        "camera": listed(camera) or given.source.get("camera"),
+        "poses": poses or given.source.get("poses"),
+        "camera_times": camera_times or given.source.get("camera_times"),
+        "image_size": image_size or given.source.get("image_size"),
+        "frames": frames or given.source.get("frames"),
+    }
+    values = parameters(preset or given.preset, changes)  # type: ignore[arg-type]
     with progress_bars() as progress:
         folder = run_all(
-            dataset,
+            recording,
             output,
-            parameters(preset, changes),  # type: ignore[arg-type]
-            layout=layout,
-            camera=listed(camera),
-            poses=poses,
-            camera_times=camera_times,
-            image_size=image_size,
+            values,
+            **inputs,
             threads=threads,
             renderer=drawn_by,
             progress=progress,
         )
-    show_summary(folder)
+    show_summary(folder, as_json)
 
 
-@app.command()
+@verb(app)
 def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
     """Repeat odometry and deskewing, with other parameters."""
     from docdepth.pipeline import run_odometry
@@ -108,7 +120,7 @@ def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
     show_summary(folder)
 
 
-@app.command()
+@verb(app)
 def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
     """Repeat ground growing, voting and classification, with other parameters."""
     from docdepth.pipeline import run_classify
@@ -119,7 +131,7 @@ def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
     show_summary(folder)
 
 
-@app.command()
+@verb(app)
 def render(
     run: RunPath,
     settings: Settings = None,
@@ -129,15 +141,38 @@ def render(
     layers: LayerNames = None,
     pose: Annotated[
         str | None,
-        typer.Option(help="Virtual camera in the LiDAR frame: x,y,z[,qx,qy,qz,qw] or a 4x4 file."),
+        typer.Option(
+            metavar="POSE",
+            help="Draw for a virtual camera at this pose in the LiDAR frame (x forward, y left, "
+            "z up): x,y,z looks ahead; x,y,z,qx,qy,qz,qw; or a file with a 4x4 matrix.",
+        ),
     ] = None,
     K: Annotated[
-        str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="Its intrinsics.")
+        str | None,
+        typer.Option(
+            "--K",
+            metavar="FX,FY,CX,CY",
+            help="Intrinsics of the virtual camera: focal lengths and principal point in pixels, "
+            "for example 700,700,640,360.",
+        ),
     ] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Its image size.")] = None,
-    name: Annotated[str, typer.Option(help="Its name: maps go to depth/NAME.")] = "virtual",
+    size: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WxH", help="Image size of the virtual camera in pixels, for example 1280x720."
+        ),
+    ] = None,
+    name: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="Name of the virtual camera: maps go to depth/NAME."),
+    ] = "virtual",
     camera_times: Annotated[
-        Path | None, typer.Option(help="Its image times; the sweeps' if absent.")
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Times of the virtual camera's images in seconds, one per line; those of the "
+            "sweeps if absent.",
+        ),
     ] = None,
     threads: Threads = 0,
     renderer: RendererName = None,
@@ -179,14 +214,18 @@ def render(
     show_summary(folder)
 
 
-@app.command()
+@verb(app)
 def video(
     run: RunPath,
-    camera: Annotated[
-        str | None, typer.Option(help="Camera; needed where there are several.")
-    ] = None,
+    camera: OneCamera = None,
     fps: Annotated[
-        float | None, typer.Option(min=0.1, help="Images per second; as recorded if absent.")
+        float | None,
+        typer.Option(
+            min=1,
+            max=1000,
+            metavar="N",
+            help="Images per second, 1 to 1000; the recorded rate if absent.",
+        ),
     ] = None,
 ) -> None:
     """Write report/video.webm: each image above its depth map."""
@@ -201,18 +240,27 @@ def video(
     out.print(f"{path}", soft_wrap=True, markup=False)
 
 
-@app.command()
+@verb(app)
 def view(
     run: RunPath,
     frame: Annotated[
-        int | None, typer.Option(min=0, help="Index of the sweep; the middle one if absent.")
+        int | None,
+        typer.Option(
+            min=0, metavar="N", help="Sweep to show, counted from 0; the middle one if absent."
+        ),
     ] = None,
-    camera: Annotated[
-        str | None, typer.Option(help="Camera; needed where there are several.")
-    ] = None,
-    around: Annotated[int, typer.Option(min=0, help="Sweeps before and after to add.")] = 0,
+    camera: OneCamera = None,
+    around: Annotated[
+        int,
+        typer.Option(
+            min=0, metavar="N", help="Show the static points of N sweeps before and after as well."
+        ),
+    ] = 0,
     image: Annotated[
-        Path | None, typer.Option(help="Write a PNG instead of opening a window.")
+        Path | None,
+        typer.Option(
+            metavar="FILE.png", help="Write the view to this file instead of opening a window."
+        ),
     ] = None,
 ) -> None:
     """Look at a sweep's labels, the trajectory and a depth map in 3-D (Open3D)."""

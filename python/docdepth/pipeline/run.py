@@ -26,6 +26,7 @@ def run(
     poses: Path | str | None = None,
     camera_times: Path | str | None = None,
     image_size: str | None = None,
+    frames: str | None = None,
     threads: int = 0,
     renderer: Renderer | None = None,
     progress: Progress | None = None,
@@ -52,6 +53,8 @@ def run(
         Image times in seconds, one a line; those of the recording if absent.
     image_size : str, optional
         ``WIDTHxHEIGHT`` in pixels, for recordings that do not tell it.
+    frames : str, optional
+        ``A:B``: sweeps A to B-1 only.
     threads : int
         0 takes every core. The result does not depend on it.
     renderer : Renderer, optional
