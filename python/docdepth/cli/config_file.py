@@ -55,10 +55,10 @@ def read_config(path: Path) -> Given:
     is_run = "source" in tree or "parameters" in tree
     source = tree.get("source") if is_run else {}
     values = tree.get("parameters") if is_run else tree
-    if not isinstance(source, dict) or not isinstance(values, dict):
+    if not isinstance(values, dict) or not isinstance(source, dict) or not _is_source(source):
         raise ConfigError(
-            f"--config {path} is a damaged run.yaml: it lacks source or parameters; "
-            "name another file"
+            f"--config {path} is a damaged run.yaml: source or parameters is missing or is "
+            "something else; name another file"
         )
     preset = values.get("preset", "default")
     try:
@@ -67,6 +67,14 @@ def read_config(path: Path) -> Given:
         return Given(source, preset, departures if is_run else settings)
     except ConfigError as error:
         raise ConfigError(f"--config {path}: {error}") from None
+
+
+def _is_source(source: dict[str, Any]) -> bool:
+    """Whether all inputs are names or lists of names."""
+    every = [
+        v for value in source.values() for v in (value if isinstance(value, list) else [value])
+    ]
+    return all(value is None or isinstance(value, str) for value in every)
 
 
 def _by_name(values: dict[Any, Any]) -> dict[str, Any]:

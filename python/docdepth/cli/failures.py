@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import sys
 import tempfile
 import traceback
@@ -110,10 +111,14 @@ def _of_usage(error: BaseException) -> str:
 
 def _of_path(error: OSError) -> str:
     path = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else ""
+    # A file in the making is hidden beside its final name.
+    path = re.sub(r"(^|/)\.([^/]+)\.part$", r"\1\2", path)
     what, remedy = _WRONG.get(error.errno or 0, ("", ""))
     if error.errno == errno.ENOENT and path and (link := _dangling(Path(path))):
         what = f"cannot be opened: {link} is a link to {os.readlink(link)}, which is not there"
         remedy = "restore what it points to, or delete the link"
+    if error.errno == errno.ENOTDIR and (file := _file_on_the_way(Path(path))):
+        what, remedy = f"cannot be: {file} is a file", "name a folder"
     if not what:
         return f"{path}: {error.strerror or error}" if path else str(error.strerror or error)
     return f"{path or 'a file'} {what}; {remedy}"
@@ -123,6 +128,11 @@ def _dangling(path: Path) -> Path | None:
     """The link on the way to a path that points to nothing."""
     links = [p for p in (path, *path.parents) if p.is_symlink() and not os.path.exists(p)]
     return links[-1] if links else None
+
+
+def _file_on_the_way(path: Path) -> Path | None:
+    """The file that a path leads through as if it were a folder."""
+    return next((parent for parent in path.parents if parent.is_file()), None)
 
 
 def _of_bug(error: BaseException) -> str:

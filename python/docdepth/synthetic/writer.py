@@ -197,7 +197,8 @@ def _write_image(folder: Path, drive: Drive, index: int) -> None:
     view = drive.image(index)
     picture = np.ascontiguousarray(view.colour[..., ::-1])
     fast = [int(cv2.IMWRITE_PNG_COMPRESSION), 1]
-    cv2.imwrite(str(_file(folder, "image_2", index)), picture, fast)
+    # OpenCV opens no path that is not UTF-8, and says nothing on a full disk.
+    _file(folder, "image_2", index).write_bytes(cv2.imencode(".png", picture, fast)[1].tobytes())
     np.save(_file(folder, "depth_2", index), view.depth)
     np.save(_file(folder, "class_2", index), view.labels)
 
