@@ -11,6 +11,7 @@ import yaml
 from docdepth.config import Parameters, Preset, parameters
 from docdepth.errors import ConfigError
 
+_INPUTS = ("dataset", "name", "camera", "poses", "camera_times", "image_size", "frames")
 _STAGES = tuple(name for name in Parameters.model_fields if name != "preset")
 
 
@@ -70,10 +71,9 @@ def read_config(path: Path) -> Given:
 
 
 def _is_source(source: dict[str, Any]) -> bool:
-    """Whether all inputs are names or lists of names."""
-    every = [
-        v for value in source.values() for v in (value if isinstance(value, list) else [value])
-    ]
+    """Whether the inputs are names or lists of names."""
+    values = [source.get(key) for key in _INPUTS]
+    every = [v for value in values for v in (value if isinstance(value, list) else [value])]
     return all(value is None or isinstance(value, str) for value in every)
 
 

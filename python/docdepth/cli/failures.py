@@ -80,6 +80,8 @@ def explain(error: BaseException) -> Failure | None:
         )
     if isinstance(error, yaml.YAMLError):
         return Failure(f"this is not YAML: {' '.join(str(error).split())}")
+    if isinstance(error, UnicodeEncodeError):
+        return Failure(f"a path cannot be written as text ({error}); rename it, in letters")
     if isinstance(error, UnicodeError):
         return Failure(
             f"a text is not UTF-8 ({error}); was a binary file given where a text file is wanted?"

@@ -44,7 +44,7 @@ def write_index(run: RunFolder) -> Path:
         ),
     ]
     path = report / "index.html"
-    content = "\n".join(parts).encode()
+    content = "\n".join(parts).encode(errors="replace")  # the name of the folder may be no text
     write_atomically(path, lambda stream: stream.write(content))
     return path
 
