@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 
 import pytest
+import yaml
 
 from docdepth.errors import DatasetError
 from docdepth.synthetic import write_drive
@@ -20,12 +22,19 @@ def contents(folder):
     return {str(p.relative_to(folder)): hashlib.sha1(p.read_bytes()).hexdigest() for p in files}
 
 
-def test_synth_does_not_overwrite_a_drive(docdepth, tmp_path):
-    write_drive(tmp_path / "d", **SMALL)
+@pytest.fixture
+def copied(drive, tmp_path):
+    """A finished synthetic drive in tmp_path / "d"."""
+    folder = tmp_path / "d" / "sequences" / "00"
+    shutil.copytree(drive, folder)
+    return folder
+
+
+def test_synth_does_not_overwrite_a_drive(docdepth, copied, tmp_path):
     before = contents(tmp_path)
     ended = docdepth("synth", tmp_path / "d", *COMMAND)
     assert ended.code == 2
-    assert "holds a synthetic drive (city, VLP-16, 3 frames, seed 1)" in ended.err
+    assert "holds a synthetic drive (city, VLP-16, 5 frames, seed 1)" in ended.err
     assert contents(tmp_path) == before
 
 
@@ -41,8 +50,8 @@ def test_synth_does_not_touch_a_folder_of_the_user(docdepth, tmp_path, force):
     assert contents(tmp_path) == before
 
 
-def test_force_replaces_a_synthetic_drive_and_keeps_other_files(docdepth, tmp_path):
-    folder = write_drive(tmp_path / "d", **{**SMALL, "frames": 5})
+def test_force_replaces_a_synthetic_drive_and_keeps_other_files(docdepth, copied, tmp_path):
+    folder = copied
     (folder / "velodyne" / "mine.txt").write_text("mine")
     ended = docdepth("synth", tmp_path / "d", *COMMAND, "--force", "-q")
     assert ended == (0, "", "")
@@ -51,9 +60,8 @@ def test_force_replaces_a_synthetic_drive_and_keeps_other_files(docdepth, tmp_pa
     assert (folder / "velodyne" / "mine.txt").read_text() == "mine"
 
 
-def test_force_does_not_take_a_recording_for_a_synthetic_drive(docdepth, tmp_path):
-    folder = write_drive(tmp_path / "d", **SMALL)
-    (folder / "docdepth.yaml").write_text("motion_compensated: true\nsensor: hdl64\n")
+def test_force_does_not_take_a_recording_for_a_synthetic_drive(docdepth, copied, tmp_path):
+    (copied / "docdepth.yaml").write_text("motion_compensated: true\nsensor: hdl64\n")
     before = contents(tmp_path)
     assert docdepth("synth", tmp_path / "d", *COMMAND, "--force").code == 2
     assert contents(tmp_path) == before
@@ -81,15 +89,19 @@ def test_a_file_in_the_way_is_named(docdepth, tmp_path):
         assert f"{tmp_path / name} is no folder" in ended.err
 
 
-def test_the_demo_of_another_length_or_preset_is_not_taken(docdepth, tmp_path):
+def test_the_demo_of_another_length_or_preset_is_not_taken(docdepth, drive, tmp_path):
+    folder = tmp_path / "demo" / "drive" / "sequences" / "00"
+    shutil.copytree(drive, folder)
+    about = {"scene": "city", "sensor": "HDL-64", "seed": 0, "frames": 5}
+    (folder / "docdepth.yaml").write_text(yaml.safe_dump(about))
     command = ["demo", "-o", tmp_path / "demo"]
-    assert docdepth(*command, "--frames", "3", "-q").code == 0
+    assert docdepth(*command, "--frames", "5", "-q").code == 0
     before = contents(tmp_path)
     other = docdepth(*command, "--frames", "4")
     assert other.code == 2
-    assert "holds the demo of another drive (city, HDL-64, 3 frames, seed 0)" in other.err
-    preset = docdepth(*command, "--frames", "3", "--preset", "paper")
+    assert "holds the demo of another drive (city, HDL-64, 5 frames, seed 0)" in other.err
+    preset = docdepth(*command, "--frames", "5", "--preset", "paper")
     assert preset.code == 2
     assert "'default', not 'paper'" in preset.err
     assert contents(tmp_path) == before
-    assert docdepth(*command, "--frames", "3").code == 0
+    assert docdepth(*command, "--frames", "5").code == 0

@@ -11,7 +11,7 @@ from docdepth.pipeline.stage import Progress
 from docdepth.synthetic import write_drive
 from docdepth.synthetic.writer import described, sequence_folder, written_drive
 
-_SCENE = "city"
+_SCENE, _SENSOR = "city", "HDL-64"
 
 
 def demo(
@@ -50,7 +50,7 @@ def demo(
             "frames; choose another folder with -o, or delete this one"
         )
     if not (sequence / "docdepth.yaml").is_file():
-        write_drive(folder / "drive", scene=_SCENE, frames=frames, seed=0, progress=written)
+        write_drive(folder / "drive", _SCENE, _SENSOR, frames, seed=0, progress=written)
     values = parameters(preset)
     made = run(
         sequence, folder / "run", values, camera="image_2", threads=threads, progress=progress

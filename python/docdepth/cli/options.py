@@ -152,6 +152,47 @@ LayerNames = Annotated[
         **some_of(LAYERS),
     ),
 ]
+VirtualPose = Annotated[
+    str | None,
+    typer.Option(
+        "--pose",
+        metavar="POSE",
+        help="Draw for a virtual camera at this pose in the LiDAR frame (x forward, y left, "
+        "z up): x,y,z looks ahead; x,y,z,qx,qy,qz,qw; or a file with a 4x4 matrix.",
+    ),
+]
+VirtualIntrinsics = Annotated[
+    str | None,
+    typer.Option(
+        "--K",
+        metavar="FX,FY,CX,CY",
+        help="Intrinsics of the virtual camera: focal lengths and principal point in pixels, "
+        "for example 700,700,640,360.",
+    ),
+]
+VirtualSize = Annotated[
+    str | None,
+    typer.Option(
+        "--size",
+        metavar="WxH",
+        help="Image size of the virtual camera in pixels, for example 1280x720.",
+    ),
+]
+VirtualName = Annotated[
+    str,
+    typer.Option(
+        "--name", metavar="NAME", help="Name of the virtual camera: maps go to depth/NAME."
+    ),
+]
+VirtualTimes = Annotated[
+    Path | None,
+    typer.Option(
+        "--camera-times",
+        metavar="FILE",
+        help="Times of the virtual camera's images in seconds, one per line; those of the "
+        "sweeps if absent.",
+    ),
+]
 Json = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON; messages go to standard error.")
 ]

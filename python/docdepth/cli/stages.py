@@ -26,6 +26,11 @@ from docdepth.cli.options import (
     Scale,
     Settings,
     Threads,
+    VirtualIntrinsics,
+    VirtualName,
+    VirtualPose,
+    VirtualSize,
+    VirtualTimes,
     changes_of,
     listed,
     output_of,
@@ -139,41 +144,11 @@ def render(
     format: Formats = None,
     scale: Scale = None,
     layers: LayerNames = None,
-    pose: Annotated[
-        str | None,
-        typer.Option(
-            metavar="POSE",
-            help="Draw for a virtual camera at this pose in the LiDAR frame (x forward, y left, "
-            "z up): x,y,z looks ahead; x,y,z,qx,qy,qz,qw; or a file with a 4x4 matrix.",
-        ),
-    ] = None,
-    K: Annotated[
-        str | None,
-        typer.Option(
-            "--K",
-            metavar="FX,FY,CX,CY",
-            help="Intrinsics of the virtual camera: focal lengths and principal point in pixels, "
-            "for example 700,700,640,360.",
-        ),
-    ] = None,
-    size: Annotated[
-        str | None,
-        typer.Option(
-            metavar="WxH", help="Image size of the virtual camera in pixels, for example 1280x720."
-        ),
-    ] = None,
-    name: Annotated[
-        str,
-        typer.Option(metavar="NAME", help="Name of the virtual camera: maps go to depth/NAME."),
-    ] = "virtual",
-    camera_times: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Times of the virtual camera's images in seconds, one per line; those of the "
-            "sweeps if absent.",
-        ),
-    ] = None,
+    pose: VirtualPose = None,
+    K: VirtualIntrinsics = None,
+    size: VirtualSize = None,
+    name: VirtualName = "virtual",
+    camera_times: VirtualTimes = None,
     threads: Threads = 0,
     renderer: RendererName = None,
 ) -> None:

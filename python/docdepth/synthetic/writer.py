@@ -81,8 +81,6 @@ def write_drive(
     DatasetError
         ``out`` is a file, or not empty and not this drive, unfinished.
     """
-    lidar = replace(make_sensor(sensor), blooming=float(np.radians(blooming_deg)))
-    drive = Drive(make_scene(scene, seed), lidar, frames, seed, skew)
     about = {
         "scene": scene,
         "sensor": sensor,
@@ -94,6 +92,8 @@ def write_drive(
         about["blooming_deg"] = blooming_deg
     folder = sequence_folder(out)
     _make_room(Path(out), folder, about, force)
+    lidar = replace(make_sensor(sensor), blooming=float(np.radians(blooming_deg)))
+    drive = Drive(make_scene(scene, seed), lidar, frames, seed, skew)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / _UNFINISHED).write_text(yaml.safe_dump(about, sort_keys=False))
     _write_frame_of_reference(folder, drive)
