@@ -103,7 +103,8 @@ def translate(tree: dict[str, Any], default: Callable[[str], Any]) -> dict[str, 
     Raises
     ------
     ValueError
-        A parameter that is a constant now has another value than it used to.
+        A parameter that is a constant now has another value than it used to, or an old and a new
+        name contradict each other.
     """
     tree = {stage: dict(v) if isinstance(v, dict) else v for stage, v in tree.items()}
     for name, values in REMOVED.items():
@@ -119,7 +120,11 @@ def translate(tree: dict[str, Any], default: Callable[[str], Any]) -> dict[str, 
         if isinstance(tree.get(stage), dict) and key in tree[stage]:
             warn_of_rename(name, new)
             value, new_key = tree[stage].pop(key), new.partition(".")[2]
-            tree[stage][new_key] = convert(value, tree[stage].get(new_key, default(new)))
+            now = tree[stage].get(new_key, default(new))
+            try:
+                tree[stage][new_key] = convert(value, now)
+            except (TypeError, IndexError):
+                raise ValueError(f"{new} = {now!r} cannot be joined with {name}") from None
     return tree
 
 

@@ -7,20 +7,14 @@ the module that uses it, of C++ the default of its parameter structure.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
-import yaml
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    PositiveFloat,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from docdepth._old_names import REMOVED, is_constant, translate
+from docdepth._parameter_text import check_key_frames, described, explain
+from docdepth._parameter_text import parse_settings as parse_settings
 from docdepth.errors import ConfigError
 
 Layer = Literal["class", "time", "range", "support", "std", "normal", "confidence"]
@@ -28,19 +22,31 @@ DepthFormat = Literal["png", "exr-half", "exr", "tiff", "npz", "npy"]
 
 Preset = Literal["default", "paper"]
 
-_Size = tuple[PositiveFloat, PositiveFloat]
+_Pixels = Annotated[float, Field(ge=0.1, le=1000)]
+_Size = tuple[_Pixels, _Pixels]
 
 
 class _Stage(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_switch(cls, value: Any) -> Any:
+        if isinstance(value, bool):  # a number to pydantic, and what YAML makes of "on"
+            raise ValueError("no parameter is a switch; write a number or a word")
+        return value
 
 
 class OdometryParameters(_Stage):
     """LiDAR odometry and deskewing (paper III-B; kiss-icp, then small_gicp)."""
 
-    max_range: float = Field(100.0, gt=0, description="points beyond are not registered [m]")
-    min_range: float = Field(3.0, ge=0, description="points nearer are not registered [m]")
-    voxel_size: float = Field(1.0, gt=0, description="edge of a voxel of kiss-icp's map [m]")
+    max_range: float = Field(
+        100.0, ge=5, le=1000, description="points beyond are not registered [m]"
+    )
+    min_range: float = Field(3.0, ge=0, le=100, description="points nearer are not registered [m]")
+    voxel_size: float = Field(
+        1.0, ge=0.1, le=10, description="edge of a voxel of kiss-icp's map [m]"
+    )
     passes: int = Field(
         3,
         ge=1,
@@ -53,6 +59,15 @@ class OdometryParameters(_Stage):
         le=5,
         description="ghost returns up to this far beside retro-reflectors are removed [deg]",
     )
+
+    @model_validator(mode="after")
+    def _some_points(self) -> Self:
+        if self.min_range >= self.max_range:
+            raise ValueError(
+                f"odometry.min_range = {self.min_range:g} m must be below odometry.max_range = "
+                f"{self.max_range:g} m; no point lies between them"
+            )
+        return self
 
 
 class GroundParameters(_Stage):
@@ -75,29 +90,29 @@ class GroundParameters(_Stage):
     """
 
     chunk_length: float = Field(
-        500.0, gt=0, description="path length of a chunk that grows as a whole, l [m]"
+        500.0, ge=10, le=5000, description="path length of a chunk that grows as a whole, l [m]"
     )
-    voxel_size: float = Field(0.03, gt=0, description="edge of a voxel, s [m]")
+    voxel_size: float = Field(0.03, ge=0.01, le=1, description="edge of a voxel, s [m]")
     seed_radius: float = Field(
-        2.0, gt=0, description="horizontal distance of seeds from a pose, r_seed [m]"
+        2.0, ge=0.1, le=50, description="horizontal distance of seeds from a pose, r_seed [m]"
     )
     seed_quantile: float = Field(
         0.1,
         ge=0,
-        lt=1,
+        le=0.9,
         description="height quantile of the voxels there that is the seed; 0: the lowest [-]",
     )
     step_height: float = Field(
-        0.25, ge=0, description="highest kerb that ground continues behind; 0: none [m]"
+        0.25, ge=0, le=2, description="highest kerb that ground continues behind; 0: none [m]"
     )
     neighbors: int = Field(
         30, ge=3, le=200, description="nearest voxels that define a plane, k_nn [-]"
     )
     plane_distance: float = Field(
-        0.04, gt=0, description="largest distance of ground from that plane, delta [m]"
+        0.04, ge=0.001, le=1, description="largest distance of ground from that plane, delta [m]"
     )
     max_slope_deg: float = Field(
-        15.0, gt=0, lt=90, description="largest slope of that plane, alpha [deg]"
+        15.0, ge=1, le=80, description="largest slope of that plane, alpha [deg]"
     )
 
 
@@ -121,27 +136,36 @@ class DynamicsParameters(_Stage):
         description="key frames vote by the pixels of a range image (the paper), or by the surface "
         "that their returns span",
     )
-    fine_spacing: float = Field(2.0, gt=0, description="spacing of fine key frames, d_fine [m]")
+    fine_spacing: float = Field(
+        2.0, ge=0.1, le=1000, description="spacing of fine key frames, d_fine [m]"
+    )
     fine_radius: float = Field(
-        20.0, gt=0, description="fine key frames vote within this path length, R_fine [m]"
+        20.0,
+        ge=0.1,
+        le=1000,
+        description="fine key frames vote this far along the path, R_fine [m]",
     )
     coarse_spacing: float = Field(
-        5.0, gt=0, description="spacing of coarse key frames, d_coarse [m]"
+        5.0, ge=0.1, le=1000, description="spacing of coarse key frames, d_coarse [m]"
     )
     coarse_radius: float = Field(
-        80.0, gt=0, description="coarse key frames vote within this path length, R_coarse [m]"
+        80.0,
+        ge=0.1,
+        le=1000,
+        description="coarse key frames vote this far along the path, R_coarse [m]",
     )
     time_spacing: float = Field(
         0.5,
         ge=0,
+        le=60,
         description="spacing of key frames in time where the ego is slow or stands; 0: none [s]",
     )
     resolution_deg: float = Field(
-        0.2, gt=0, le=5, description="pixel of a key frame, d_theta = d_phi [deg]"
+        0.2, ge=0.05, le=5, description="pixel of a key frame, d_theta = d_phi [deg]"
     )
     window: int = Field(5, ge=1, le=15, description="edge of the compared window, w [pixel]")
     tolerance: float = Field(
-        0.2, gt=0, description="range difference up to which returns are the same, tau [m]"
+        0.2, ge=0.001, le=10, description="range difference of returns that are the same, tau [m]"
     )
     evidence: Literal["points", "objects", "tracks"] = Field(
         "tracks",
@@ -155,6 +179,12 @@ class DynamicsParameters(_Stage):
         if window % 2 == 0:
             raise ValueError("the window has a centre pixel, so its edge is odd")
         return window
+
+    @model_validator(mode="after")
+    def _some_key_frames(self) -> Self:
+        check_key_frames("fine", self.fine_spacing, self.fine_radius)
+        check_key_frames("coarse", self.coarse_spacing, self.coarse_radius)
+        return self
 
     def voting(self) -> dict[str, Any]:
         """The values that votes depend on: all but those that make classes of votes."""
@@ -185,16 +215,18 @@ class RenderParameters(_Stage):
         description="what a sweep is drawn as: the paper's splats, or triangles between returns",
     )
     behind: float = Field(
-        15.0, ge=0, description="path behind the camera from which static points come, d_min [m]"
+        15.0, ge=0, le=1000, description="static points come from this path behind, d_min [m]"
     )
-    ahead: float = Field(80.0, gt=0, description="the same ahead of the camera, d_max [m]")
+    ahead: float = Field(
+        80.0, ge=0.01, le=1000, description="and from this path ahead of the camera, d_max [m]"
+    )
     step: float = Field(
-        0.25, gt=0, description="path between sweeps that static points come from, d_step [m]"
+        0.25, ge=0.01, le=100, description="path between sweeps of static points, d_step [m]"
     )
     crop: float = Field(
-        300.0, gt=0, description="maximum range of static points from their LiDAR, d_crop [m]"
+        300.0, ge=1, le=2000, description="largest range of static points, d_crop [m]"
     )
-    max_depth: float = Field(250.0, gt=0, description="far plane of the depth map [m]")
+    max_depth: float = Field(250.0, ge=1, le=2000, description="far plane of the depth map [m]")
     visibility_sweeps: int = Field(
         15,
         ge=0,
@@ -213,6 +245,13 @@ class RenderParameters(_Stage):
     def _pair(cls, size: Any) -> Any:
         return size.split(",") if isinstance(size, str) else size
 
+    @field_validator("static_size", "dynamic_size")
+    @classmethod
+    def _falling(cls, size: tuple[float, float]) -> tuple[float, float]:
+        if size[0] < size[1]:
+            raise ValueError("the first number, sigma_max, must not be below the second, sigma_min")
+        return size
+
 
 class OutputParameters(_Stage):
     """The files of each depth map."""
@@ -220,14 +259,15 @@ class OutputParameters(_Stage):
     format: tuple[DepthFormat, ...] = Field(
         ("png",), min_length=1, description="file formats; PNG holds uint16, all others floats"
     )
-    scale: float = Field(256.0, gt=0, description="value of one metre in a PNG [1/m]")
+    scale: float = Field(256.0, ge=1, le=10000, description="value of one metre in a PNG [1/m]")
     layers: tuple[Layer, ...] = Field((), description="further layers, written per pixel")
 
     @field_validator("format", "layers", mode="before")
     @classmethod
     def _listed(cls, names: Any) -> Any:
         names = names.split(",") if isinstance(names, str) else names
-        return tuple(dict.fromkeys(names)) if isinstance(names, (list, tuple)) else names
+        every = isinstance(names, (list, tuple)) and all(isinstance(name, str) for name in names)
+        return tuple(dict.fromkeys(names)) if every else names
 
     @field_validator("format")
     @classmethod
@@ -318,10 +358,7 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
                 f"unknown parameter {name!r}; write stage.name with a stage of {', '.join(_STAGES)}"
             )
         tree.setdefault(stage, {})[key] = value
-    try:
-        return Parameters.model_validate(tree)
-    except ValidationError as error:
-        raise ConfigError(_explain(error)) from None
+    return stored_parameters(tree)
 
 
 def replaced(values: Parameters, settings: dict[str, Any]) -> Parameters:
@@ -349,32 +386,38 @@ def replaced(values: Parameters, settings: dict[str, Any]) -> Parameters:
     return parameters(values.preset, {**known, **settings})
 
 
-def parse_settings(assignments: list[str]) -> dict[str, Any]:
-    """``["dynamics.tolerance=0.3"]`` as a dict; values are read as YAML.
+def stored_parameters(tree: Any, file: Path | None = None) -> Parameters:
+    """Parameters from a tree ``{stage: {name: value}}``, as ``run.yaml`` keeps it.
 
     Raises
     ------
     ConfigError
-        An assignment has no equals sign.
+        It has another structure, or as for :func:`parameters`; the message names the file.
     """
-    settings: dict[str, Any] = {}
-    for assignment in assignments:
-        name, equals, value = assignment.partition("=")
-        if not equals:
-            raise ConfigError(f"--set {assignment!r}: write stage.name=value")
-        settings[name.strip()] = yaml.safe_load(value)
-    return settings
+    try:
+        return Parameters.model_validate(tree)
+    except ValidationError as error:
+        where = "" if file is None else f"{file}: "
+        raise ConfigError(where + explain(error, _STAGES)) from None
 
 
-def _explain(error: ValidationError) -> str:
-    lines = []
-    for problem in error.errors():
-        name = ".".join(str(part) for part in problem["loc"])
-        if not name:
-            lines.append(str(problem["ctx"]["error"]))
-        elif problem["type"] == "extra_forbidden" and len(problem["loc"]) > 1:
-            known = ", ".join(_STAGES[str(problem["loc"][0])].model_fields)
-            lines.append(f"unknown parameter {name!r}; that stage knows {known}")
-        else:
-            lines.append(f"{name} = {problem['input']!r}: {problem['msg']}")
-    return "; ".join(lines)
+def parameter_table() -> list[dict[str, Any]]:
+    """Every public parameter, for tables.
+
+    Returns
+    -------
+    list of dict
+        ``name`` (dotted), ``default`` and ``paper`` (its value in either preset), ``range`` and
+        ``unit`` (text), ``symbol`` (the paper's, or empty) and ``description``.
+    """
+    default, paper = Parameters(), parameters("paper")
+    return [
+        {
+            "name": f"{stage}.{key}",
+            "default": getattr(getattr(default, stage), key),
+            "paper": getattr(getattr(paper, stage), key),
+            **described(field)._asdict(),
+        }
+        for stage, model in _STAGES.items()
+        for key, field in model.model_fields.items()
+    ]

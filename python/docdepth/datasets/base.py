@@ -121,8 +121,8 @@ class CameraStream:
             raise DatasetError(f"{path} is not a readable image; replace or remove it")
         if image.shape[:2] != (camera.height, camera.width):
             raise DatasetError(
-                f"{path} is {image.shape[1]}x{image.shape[0]} pixels, the calibration is for "
-                f"{camera.width}x{camera.height}; give the right --image-size"
+                f"{path} is {image.shape[1]}x{image.shape[0]} pixels, the others are "
+                f"{camera.width}x{camera.height}; replace or remove it"
             )
         if self.distortion is not None:
             image = cv2.undistort(image, camera.K, self.distortion)

@@ -120,6 +120,6 @@ def _image_size(
     if known and asked and known != asked:
         raise CalibrationError(
             f"{source} is {known[0]} x {known[1]} pixels, the image size asked for is "
-            f"{asked[0]} x {asked[1]}; leave it out"
+            f"{asked[0]} x {asked[1]}; give no --image-size"
         )
     return known or asked

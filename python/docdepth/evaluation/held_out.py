@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.evaluation.depth import RANGE_BINS, RangeErrors
+from docdepth.evaluation.depth import ERRORS, RANGE_BINS, RangeErrors
 from docdepth.evaluation.depth_metrics import PixelSums, RegionErrors
 from docdepth.evaluation.pixels import project
 from docdepth.evaluation.tables import Table, plain
@@ -71,7 +71,8 @@ class HeldOutResult:
         header = ("returns", "number", "density %", "MAE m", "RMSE m", "too near %", "too far %")
         cells = [(name, *errors.cells()[:4], *errors.cells()[5:]) for name, errors in rows]
         title = f"depth against {self.sweeps} held-out sweeps, returns up to {self.max_range:g} m"
-        return Table(title, header, tuple(cells))
+        note = ERRORS.replace("these pixels that", "the returns whose pixels")
+        return Table(title, header, tuple(cells), note)
 
 
 class _Comparison(NamedTuple):

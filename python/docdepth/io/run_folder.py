@@ -20,8 +20,8 @@ import yaml
 from numpy.typing import NDArray
 
 from docdepth import __version__
-from docdepth.config import Parameters
-from docdepth.errors import ConfigError, DamagedFileError, RunError
+from docdepth.config import Parameters, stored_parameters
+from docdepth.errors import DamagedFileError, RunError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
@@ -71,7 +71,12 @@ class RunFolder:
 
     @classmethod
     def create(
-        cls, path: Path, source: dict[str, Any], parameters: Parameters, force: bool = False
+        cls,
+        path: Path,
+        source: dict[str, Any],
+        parameters: Parameters,
+        force: bool = False,
+        dry_run: bool = False,
     ) -> RunFolder:
         """Start a run, or continue the one in this folder if inputs and parameters are the same.
 
@@ -86,6 +91,8 @@ class RunFolder:
             these.
         force : bool
             Continue a run with other inputs or parameters, too.
+        dry_run : bool
+            Write nothing.
 
         Raises
         ------
@@ -110,6 +117,7 @@ class RunFolder:
                 "folders": [],
                 "stages": {},
             }
+        if not dry_run:
             run.save()
         return run
 
@@ -134,7 +142,6 @@ class RunFolder:
         changed = asked != first or "asked" not in self.manifest
         values = asked if changed else known
         self.manifest |= {"source": source, "parameters": values, "asked": asked}
-        self.save()
 
     def _has_foreign_files(self) -> bool:
         """Whether there is something in the folder though docdepth never wrote into it."""
@@ -322,10 +329,7 @@ class RunFolder:
     @property
     def parameters(self) -> Parameters:
         """The parameters of the run."""
-        try:
-            return Parameters.model_validate(self.manifest["parameters"])
-        except (KeyError, ValueError) as error:
-            raise ConfigError(f"{self._manifest_path}: {error}") from None
+        return stored_parameters(self.manifest.get("parameters"), self._manifest_path)
 
     def save(self) -> None:
         """Write run.yaml, and a copy that is used where the first is damaged."""

@@ -41,8 +41,10 @@ def run(
     poses: Path | str | None = None,
     camera_times: Path | str | None = None,
     image_size: str | None = None,
+    frames: str | None = None,
     hash_inputs: bool = False,
     force: bool = False,
+    dry_run: bool = False,
     threads: int = 0,
     renderer: Renderer | None = None,
     progress: Progress | None = None,
@@ -71,11 +73,15 @@ def run(
         Image times in seconds, one a line; those of the recording if absent.
     image_size : str, optional
         ``WIDTHxHEIGHT`` in pixels, for recordings that do not tell it.
+    frames : str, optional
+        ``A:B``: sweeps A to B-1 only.
     hash_inputs : bool
         Tell by their content whether inputs have changed, not by size and time.
     force : bool
         Continue a run that was started with other inputs or parameters. What they change is made
         again.
+    dry_run : bool
+        Check everything and make nothing; :func:`states` of the result tells what would be made.
     threads : int
         0 takes every core. The result does not depend on it.
     renderer : Renderer, optional
@@ -99,14 +105,18 @@ def run(
         "poses": _absolute(poses),
         "camera_times": _absolute(camera_times),
         "image_size": image_size,
+        "frames": frames,
     }
     if hash_inputs:
         inputs["hash_inputs"] = True
     recording = open_recording(inputs)
     streams = open_cameras(inputs, recording, inputs["camera"])
-    _follow_recording(Path(output), recording)
-    folder = RunFolder.create(Path(output), inputs, parameters or Parameters(), force)
+    if not dry_run:
+        _follow_recording(Path(output), recording)
+    folder = RunFolder.create(Path(output), inputs, parameters or Parameters(), force, dry_run)
     register(folder, streams)
+    if dry_run:
+        return folder
     _make(folder, recording, threads, renderer, progress)
     return folder
 

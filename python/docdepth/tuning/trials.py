@@ -53,7 +53,7 @@ def grid(axes: Mapping[str, Sequence[Any]]) -> list[Trial]:
 def parse_axes(assignments: Sequence[str]) -> dict[str, list[Any]]:
     """Turn ``["dynamics.tolerance=0.1,0.2"]`` into the axes of a :func:`grid`."""
     axes = {}
-    for name, value in parse_settings(list(assignments)).items():
+    for name, value in parse_settings(list(assignments), "--vary").items():
         values = yaml.safe_load(f"[{value}]") if isinstance(value, str) else value
         axes[name] = values if isinstance(values, list) else [values]
     return axes

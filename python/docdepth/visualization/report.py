@@ -45,7 +45,7 @@ def write_index(run: RunFolder) -> Path:
         *(_pictures(report, report / str(camera["folder"])) for camera in run.cameras.values()),
     ]
     path = report / "index.html"
-    content = "\n".join(parts).encode()
+    content = "\n".join(parts).encode(errors="replace")  # the name of the folder may be no text
     run.write(path, lambda stream: stream.write(content), {})
     return path
 

@@ -1,0 +1,165 @@
+"""Parameters as text: what users write, what tables and messages say."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple, get_args, get_origin
+
+import yaml
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from docdepth.errors import ConfigError
+
+MOST_KEY_FRAMES = 400
+"""Key frames of one spacing that may vote on a sweep: as many fill 2 GB at the default size of
+their pixels."""
+
+_SHOWN = 60  # characters of a value in a message
+
+# A description reads "meaning, symbol [unit]"; symbol and unit may be left out.
+_SYMBOL = re.compile(
+    r", ((?:l|s|w|alpha|delta|tau|k_nn|r_seed|[dR]_[a-z]+|sigma_[a-z]+|d_theta = d_phi)"
+    r"(?:(?:, | and )(?:[dR]_[a-z]+|sigma_[a-z]+))*)$"
+)
+_UNIT = re.compile(r"\s*\[([^]]*)\]$")
+
+
+class Described(NamedTuple):
+    """A parameter in words.
+
+    Attributes
+    ----------
+    description : str
+    unit, symbol : str
+        Empty for none; the symbol is the paper's.
+    range : str
+        ``"0.001 to 10"``, or the words of a choice with commas.
+    """
+
+    description: str
+    unit: str
+    symbol: str
+    range: str
+
+
+def described(field: FieldInfo) -> Described:
+    """Meaning, unit, symbol and range of a parameter."""
+    text, unit, symbol = field.description or "", "", ""
+    if found := _UNIT.search(text):
+        text, unit = text[: found.start()], found[1]
+    if found := _SYMBOL.search(text):
+        text, symbol = text[: found.start()], found[1]
+    return Described(text, "" if unit == "-" else unit, symbol, _range(field))
+
+
+def explain(error: ValidationError, stages: Mapping[str, type[BaseModel]]) -> str:
+    """All that is wrong with a tree of parameters, in plain sentences."""
+    sentences: dict[tuple[int | str, ...], str] = {}
+    for problem in error.errors():  # of the items of one tuple, the first says it for all
+        sentences.setdefault(problem["loc"][:2], _sentence(dict(problem), stages))
+    return "; ".join(sentences.values())
+
+
+def parse_settings(assignments: list[str], option: str = "--set") -> dict[str, Any]:
+    """``["dynamics.tolerance=0.3"]`` as a dict; values are read as YAML.
+
+    Raises
+    ------
+    ConfigError
+        An assignment has no equals sign, or its value is no YAML. The message names the option.
+    """
+    settings: dict[str, Any] = {}
+    for assignment in assignments:
+        name, equals, value = assignment.partition("=")
+        if not equals:
+            raise ConfigError(f"{option} {assignment!r}: write stage.name=value")
+        try:
+            settings[name.strip()] = yaml.safe_load(value)
+        except (yaml.YAMLError, ValueError, RecursionError):
+            raise ConfigError(
+                f"{option} {assignment!r}: the value {value!r} cannot be read; write a number, a "
+                "word or a list such as [50, 3]"
+            ) from None
+    return settings
+
+
+def check_key_frames(kind: str, spacing: float, radius: float) -> None:
+    """Refuse key frames that never vote, or too many of them.
+
+    Raises
+    ------
+    ValueError
+    """
+    names = f"dynamics.{kind}_radius", f"dynamics.{kind}_spacing"
+    if radius < spacing:
+        raise ValueError(
+            f"{names[0]} = {radius:g} m must not be below {names[1]} = {spacing:g} m; no key frame "
+            "would vote"
+        )
+    if 2 * radius / spacing > MOST_KEY_FRAMES:
+        raise ValueError(
+            f"{names[0]} = {radius:g} m holds {2 * radius / spacing:.0f} key frames at "
+            f"{names[1]} = {spacing:g} m; {MOST_KEY_FRAMES} are the most"
+        )
+
+
+def _sentence(problem: dict[str, Any], stages: Mapping[str, type[BaseModel]]) -> str:
+    place = [str(part) for part in problem["loc"]]
+    name, value = ".".join(place[:2]), _shown(problem["input"])
+    own = problem.get("ctx", {}).get("error") if problem["type"] == "value_error" else None
+    stage = stages.get(place[0]) if place else None
+    field = stage.model_fields.get(place[1]) if stage and len(place) > 1 else None
+    if own is not None:
+        return f"{name} = {value}: {own}" if field else str(own)
+    if field:
+        return f"{name} = {value}: it must be {_wanted(field)}"
+    if stage and len(place) > 1:
+        return f"unknown parameter {name!r}; that stage knows {', '.join(stage.model_fields)}"
+    if stage:
+        return f"{name} = {value}: write a table of parameters, name: value"
+    if place and problem["type"] == "extra_forbidden":
+        return f"unknown stage {name!r}; there are {', '.join(stages)}"
+    if place:
+        return f"{name} = {value}: it must be 'default' or 'paper'"
+    return f"parameters are a table of {', '.join(stages)}, not {value}"
+
+
+def _wanted(field: FieldInfo) -> str:
+    """``"a number from 0.001 to 10 m"``"""
+    about = described(field)
+    several = get_origin(field.annotation) is tuple
+    if _words(field.annotation):
+        return f"{'one or several of' if several else 'one of'} {about.range}"
+    number = "a whole number" if field.annotation is int else "a number"
+    number = "two numbers" if several else number
+    how = ", written [50, 3]" if several else ""
+    return f"{number} from {about.range} {about.unit}".rstrip() + how
+
+
+def _range(field: FieldInfo) -> str:
+    if words := _words(field.annotation):
+        return ", ".join(words)
+    bounds = field.metadata or _metadata(field.annotation)
+    low, high = (
+        next(getattr(bound, key) for bound in bounds if hasattr(bound, key)) for key in ("ge", "le")
+    )
+    return f"{low:g} to {high:g}"
+
+
+def _metadata(annotation: Any) -> list[Any]:
+    """Bounds of the items of a tuple."""
+    inner = [item for part in get_args(annotation) for item in getattr(part, "__metadata__", ())]
+    return [bound for item in inner for bound in getattr(item, "metadata", [item])]
+
+
+def _words(annotation: Any) -> tuple[str, ...]:
+    if get_origin(annotation) is Literal:
+        return get_args(annotation)
+    return next((words for inner in get_args(annotation) if (words := _words(inner))), ())
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
