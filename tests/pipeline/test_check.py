@@ -240,7 +240,7 @@ def test_missing_extras_and_formats_are_found_first(
 
 
 def test_images_that_cannot_be_held_are_refused(drive: Path) -> None:
-    with pytest.raises(CalibrationError, match="100000 x 100000 pixels need 600"):
+    with pytest.raises(CalibrationError, match="100000 x 100000 pixels need 450"):
         check_image_size(100_000, 100_000)
     check_image_size(1242, 375)
     found = problems(drive, image_size="1242x375")

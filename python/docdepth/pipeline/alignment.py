@@ -38,12 +38,13 @@ _CONTRAST_DEG = 4.0  # around an edge, that its strength is compared with
 _DARK = 0.02  # contrast of noise; brightness is a square root, 0 to 16
 _STEP_DEG, _FARTHEST_DEG = 0.5, 4.0  # rotations that are compared
 _WIDE_STEP_DEG, _WIDEST_DEG = 1.0, 12.0  # those where none of them fits
-_ROLLS_DEG = (-6, -4, -3, -2, 2, 3, 4, 6)
+_ROLLS_DEG = (-6, -4, -3, 3, 4, 6)
 _IMAGES_OFF = (-3, 3)  # images before and after; neighbours may fit as well
 _LEAST_DEG = 1.0  # a smaller rotation is no error worth a warning
 _SIGNIFICANT = 3.5  # standard errors that the better score lies above
-_GAIN = 1.05  # and how much above
+_GAIN = 1.08  # and how much above
 _SHARP = 1.25  # best score over that of all rotations: what a true fit reaches
+_ROLL_GAIN, _ROLL_SHARP = 1.15, 1.4  # of rolls; where all edges are level others fit by chance
 _NO_FIT = 1.15  # score over that of all rotations, below which a larger error is looked for
 _AT_ONCE = 10_000_000  # nanoseconds in which no vehicle moves far
 
@@ -100,7 +101,7 @@ def find_misalignment(recording: Dataset, stream: CameraStream) -> str | None:
     if _moved_meanwhile(recording, stream, views):
         return None
     rolls = [(0.0, 0.0, float(roll)) for roll in _ROLLS_DEG]
-    rolled = _compare(views, stream, given, rolls, turned.chance)
+    rolled = _compare(views, stream, given, rolls, turned.chance, _ROLL_GAIN, _ROLL_SHARP)
     if rolled.better:
         return f"the camera turns by {_in_words(*rolled.turn)}"
     late = _better_images(views, stream, given, turned.chance)
@@ -145,24 +146,29 @@ def _compare(
     given: NDArray[np.float64],
     turns: Sequence[tuple[float, float, float]],
     chance: float | None = None,
+    least_gain: float = _GAIN,
+    least_sharp: float = _SHARP,
 ) -> _Comparison:
     scores = np.array([_scores(views, stream, rotation_exp(np.radians(t))) for t in turns])
     mean = scores.mean(axis=1)
     best = int(mean.argmax())
     chance = float(mean.mean()) if chance is None else chance
     far_enough = float(np.linalg.norm(turns[best])) >= _LEAST_DEG
-    clear = far_enough and mean[best] > _SHARP * chance and _is_better(scores[best], given)
+    clear = far_enough and mean[best] > least_sharp * chance
+    clear = clear and _is_better(scores[best], given, least_gain)
     return _Comparison(turns[best], bool(clear), chance)
 
 
-def _is_better(scores: NDArray[np.float64], given: NDArray[np.float64]) -> bool:
+def _is_better(
+    scores: NDArray[np.float64], given: NDArray[np.float64], least_gain: float = _GAIN
+) -> bool:
     """Whether scores of the pairs, one by one, lie above the given ones beyond chance."""
     gain = scores - given
     error = gain.std(ddof=1) / np.sqrt(len(gain)) + 1e-9
     return bool(
         gain.mean() > _SIGNIFICANT * error
         and (gain > 0).sum() >= len(gain) - 1
-        and scores.mean() > _GAIN * given.mean()
+        and scores.mean() > least_gain * given.mean()
     )
 
 

@@ -15,7 +15,7 @@ from docdepth.pipeline.problems import Findings
 
 _BASE = 200_000_000  # bytes of the program
 _BYTES_PER_POINT = 5000  # of a sweep: some 60 of them are in memory to draw an image
-_BYTES_PER_PIXEL = 60  # of an image
+_BYTES_PER_PIXEL = 45  # of an image
 _FRAME_BYTES = 29  # of a point in frames/*.ply
 _PICTURE_BYTES = 0.3  # of a pixel in report/*.jpg
 _LAYER_BYTES = 4.0  # of a pixel of a layer
