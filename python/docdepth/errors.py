@@ -1,5 +1,9 @@
 """Errors of docdepth. Each message names the file, the frame and the remedy."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -53,3 +57,60 @@ class BackendError(DocDepthError):
 
 class MissingExtraError(DocDepthError, ImportError):
     """An optional dependency is not installed."""
+
+
+class SeveralProblems(DatasetError, CalibrationError):
+    """Several problems of the inputs, told together.
+
+    Attributes
+    ----------
+    problems : list of str
+    """
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        self.problems = list(problems)
+        lines = "".join(f"\n  {problem}" for problem in self.problems)
+        super().__init__(f"{len(self.problems)} problems:{lines}")
+
+
+class Collector:
+    """Goes on after an error, so that all problems of the inputs are told together.
+
+    Attributes
+    ----------
+    errors : list of DocDepthError
+        What was found so far.
+    """
+
+    def __init__(self) -> None:
+        self.errors: list[DocDepthError] = []
+
+    @contextmanager
+    def collected(self) -> Iterator[None]:
+        """Keep an error that is raised inside, and go on."""
+        try:
+            yield
+        except DocDepthError as error:
+            self.errors.append(error)
+
+    @property
+    def problems(self) -> list[str]:
+        """All messages, each once."""
+        told: dict[str, None] = {}
+        for error in self.errors:
+            for text in getattr(error, "problems", [str(error)]):
+                told.setdefault(text)
+        return list(told)
+
+    def raise_errors(self) -> None:
+        """Raise what was found: one error as it is, several as one.
+
+        Raises
+        ------
+        DocDepthError
+            Of the class of the only error, else :class:`SeveralProblems`.
+        """
+        if len(self.problems) == 1:
+            raise self.errors[0]
+        if self.errors:
+            raise SeveralProblems(self.problems)

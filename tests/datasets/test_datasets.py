@@ -359,8 +359,9 @@ def test_image_size_that_does_not_fit(raw: Path) -> None:
 def test_folders_without_a_recording(raw: Path, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="not there"):
         open_dataset(tmp_path / "nowhere")
-    with pytest.raises(DatasetError, match=r"did you mean .*drive_0001_sync.*kitti_raw: a drive"):
-        open_dataset(raw.parent)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DatasetError, match=r"no recording that docdepth reads.*kitti_raw: a drive"):
+        open_dataset(tmp_path / "empty")
     with pytest.raises(DatasetError, match="unknown dataset 'waymo'; there are kitti_raw"):
         open_dataset(raw, "waymo")
     with pytest.raises(DatasetError, match=r"no recording.*semantic_kitti: a sequence"):

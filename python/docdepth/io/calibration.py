@@ -77,6 +77,10 @@ def read_calibration(folder: Path, remedy: str) -> tuple[Camera, NDArray[np.floa
         T_camera_lidar = np.loadtxt(extrinsic)
     except FileNotFoundError as error:
         raise CalibrationError(f"{error.filename} is missing; {remedy}") from None
+    except OSError as error:
+        raise CalibrationError(
+            f"{error.filename} cannot be read ({error.strerror}); {remedy}"
+        ) from None
     except (KeyError, TypeError, ValueError) as error:
         raise CalibrationError(f"{intrinsic} or {extrinsic.name} is damaged: {error}") from None
     if T_camera_lidar.shape != (4, 4):

@@ -67,22 +67,23 @@ class RunFolder:
         self.path = Path(path)
         self._records: dict[Path, FileRecords] = {}
         self._lock_depth, self._writing = 0, Lock()
+        self._loaded: bytes | None = None
         self.manifest: dict[str, Any] = self._load()
 
     @classmethod
-    def create(
-        cls,
-        path: Path,
-        source: dict[str, Any],
-        parameters: Parameters,
-        force: bool = False,
-        dry_run: bool = False,
-    ) -> RunFolder:
+    def create(cls, path: Path, source: dict[str, Any], parameters: Parameters) -> RunFolder:
+        """The folder of a new or an existing run; see :meth:`start`."""
+        run = cls(path)
+        run.start(source, parameters)
+        return run
+
+    def start(self, source: dict[str, Any], parameters: Parameters, force: bool = False) -> None:
         """Start a run, or continue the one in this folder if inputs and parameters are the same.
+
+        Nothing is written before a stage begins.
 
         Parameters
         ----------
-        path : Path
         source : dict
             The inputs: dataset, camera, poses and more, plain YAML values; see
             :mod:`docdepth.pipeline.run_inputs`.
@@ -91,24 +92,23 @@ class RunFolder:
             these.
         force : bool
             Continue a run with other inputs or parameters, too.
-        dry_run : bool
-            Write nothing.
 
         Raises
         ------
         RunError
             The folder holds another run, or files that are not a run.
         """
-        if Path(path).exists() and not Path(path).is_dir():
-            raise RunError(f"{path} is a file; choose a folder with -o")
-        run = cls(path)
+        if self.path.exists() and not self.path.is_dir():
+            raise RunError(f"{self.path} is a file; choose a folder with -o")
         asked = parameters.model_dump(mode="json")
-        if run.manifest:
-            run._continue(source, asked, force)
-        elif run._has_foreign_files():
-            raise RunError(f"{path} is not empty and holds no run; choose another folder with -o")
+        if self.manifest:
+            self._continue(source, asked, force)
+        elif self._has_foreign_files():
+            raise RunError(
+                f"{self.path} is not empty and holds no run; choose another folder with -o"
+            )
         else:
-            run.manifest = {
+            self.manifest = {
                 "docdepth": __version__,
                 "source": source,
                 "parameters": asked,
@@ -117,9 +117,6 @@ class RunFolder:
                 "folders": [],
                 "stages": {},
             }
-        if not dry_run:
-            run.save()
-        return run
 
     def _continue(self, source: dict[str, Any], asked: dict[str, Any], force: bool) -> None:
         """Go on with a run that was started before."""
@@ -182,12 +179,19 @@ class RunFolder:
                 continue
             sections = ("source", "parameters", "stages")
             if isinstance(loaded, dict) and all(isinstance(loaded.get(s), dict) for s in sections):
+                self._loaded = self._manifest_text()
                 if path == self._copy_path:
                     log.warning("%s was missing or damaged; its copy is used", self._manifest_path)
                 if not isinstance(loaded.get("cameras"), dict):
                     loaded["cameras"] = _cameras_of_earlier_version(loaded["stages"])
                 return loaded
         return {}
+
+    def _manifest_text(self) -> bytes | None:
+        try:
+            return self._manifest_path.read_bytes()
+        except OSError:
+            return None
 
     @contextmanager
     def lock(self, what: str) -> Iterator[None]:
@@ -206,6 +210,11 @@ class RunFolder:
         with ExitStack() as stack:
             if not self._lock_depth:
                 stack.enter_context(locked(self.notes / "lock", self.path, what))
+                if self._loaded != self._manifest_text():
+                    raise RunError(
+                        f"another command has changed {self.path} meanwhile; run the same command "
+                        "again"
+                    )
             self._lock_depth += 1
             try:
                 yield
@@ -333,7 +342,7 @@ class RunFolder:
 
     def save(self) -> None:
         """Write run.yaml, and a copy that is used where the first is damaged."""
-        text = yaml.safe_dump(self.manifest, sort_keys=False).encode()
+        text = self._loaded = yaml.safe_dump(self.manifest, sort_keys=False).encode()
         for path in (self._manifest_path, self._copy_path):
             if not path.is_file() or path.read_bytes() != text:
                 write_atomically(path, lambda stream: stream.write(text))

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from docdepth.config import Parameters, replaced
-from docdepth.datasets.base import Dataset
+from docdepth.datasets.base import CameraStream, Dataset
 from docdepth.datasets.run import RunDataset
-from docdepth.errors import DamagedFileError, RunError
+from docdepth.errors import DamagedFileError, DocDepthError, RunError
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.check import check_inputs, check_opened
 from docdepth.pipeline.classify import run_classify
-from docdepth.pipeline.graph import RunGraph, StageState
+from docdepth.pipeline.graph import RunGraph, StageState, outdated
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.odometry import run_odometry
+from docdepth.pipeline.problems import raise_problems
 from docdepth.pipeline.render import run_render
 from docdepth.pipeline.run_inputs import (
     known_poses,
     open_cameras,
+    open_inputs,
     open_recording,
     register,
     run_cameras,
@@ -26,6 +30,8 @@ from docdepth.pipeline.run_inputs import (
 from docdepth.pipeline.stage import Progress
 from docdepth.pipeline.virtual_camera import check_name
 from docdepth.render.backends import Renderer
+
+log = logging.getLogger(__name__)
 
 _MOST_REPAIRS = 100
 """Damaged files that one command makes again when it comes upon them. More are a broken disk."""
@@ -109,15 +115,16 @@ def run(
     }
     if hash_inputs:
         inputs["hash_inputs"] = True
-    recording = open_recording(inputs)
-    streams = open_cameras(inputs, recording, inputs["camera"])
-    if not dry_run:
-        _follow_recording(Path(output), recording)
-    folder = RunFolder.create(Path(output), inputs, parameters or Parameters(), force, dry_run)
+    values, place = parameters or Parameters(), Path(output)
+    recording, streams = _open(inputs, values, place)
+    folder = RunFolder(place)
+    _follow_recording(folder, recording)
+    folder.start(inputs, values, force)
     register(folder, streams)
     if dry_run:
-        return folder
-    _make(folder, recording, threads, renderer, progress)
+        _check(folder, recording)
+    else:
+        _make(folder, recording, threads, renderer, progress)
     return folder
 
 
@@ -146,7 +153,8 @@ def continue_run(
     source = folder.manifest["source"]
     if not source:
         raise RunError(f"{output} was not made of a recording; there is nothing to continue")
-    _make(folder, open_recording(source), threads, renderer, progress)
+    recording, _ = _open(source, folder.parameters, folder.path)
+    _make(folder, recording, threads, renderer, progress)
     return folder
 
 
@@ -275,15 +283,35 @@ def _graph(folder: RunFolder, verify: bool = False) -> RunGraph:
     return RunGraph(folder, recording, poses, cameras, verify)
 
 
-def _follow_recording(output: Path, recording: Dataset) -> None:
+def _open(
+    source: dict[str, Any], parameters: Parameters, output: Path
+) -> tuple[Dataset, list[CameraStream]]:
+    """Open the inputs, or tell all that is wrong with them."""
+    try:
+        return open_inputs(source)
+    except DocDepthError:
+        raise_problems(check_inputs(source, parameters, output))
+        raise
+
+
+def _follow_recording(folder: RunFolder, recording: Dataset) -> None:
     """If a run's recording lies elsewhere now, and is the same, note where."""
-    folder = RunFolder(output)
     source, place = folder.manifest.get("source", {}), _absolute(recording.path)
     if source.get("dataset") not in (None, place):
         sweeps = folder.made_of("odometry").get("sweeps")
         if sweeps == InputFiles(folder).sweeps(recording):
             source["dataset"] = place
-            folder.save()
+
+
+def _check(folder: RunFolder, recording: Dataset) -> None:
+    """Check all inputs of a run that has something to do; warnings are kept in run.yaml."""
+    source, cameras = folder.manifest["source"], run_cameras(folder, recording)
+    streams = [camera.stream for camera in cameras]
+    report = check_opened(source, recording, streams, folder.parameters, folder.path)
+    raise_problems(report.problems)
+    folder.manifest["warnings"] = [problem.text for problem in report.problems]
+    for problem in report.problems:
+        log.warning("%s", problem.text)
 
 
 def _make(
@@ -294,6 +322,9 @@ def _make(
     progress: Progress | None,
 ) -> None:
     """Run each stage that has something to do."""
+    if not outdated(states(folder)):
+        return
+    _check(folder, recording)
     poses = known_poses(folder.manifest["source"], recording)
     with folder.lock("run"):
         for _ in range(_MOST_REPAIRS):

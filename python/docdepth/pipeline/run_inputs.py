@@ -1,7 +1,8 @@
 """The inputs of a run, opened as run.yaml names them: recording, cameras, poses.
 
 The entry ``source`` of run.yaml has ``dataset``, ``name``, ``camera`` (a name, a list of names or
-None), ``poses``, ``camera_times`` and ``image_size``, all plain values.
+None), ``poses``, ``camera_times`` and ``image_size``, all plain values; ``frames`` (``A:B``) may be
+left out.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.config import Parameters, replaced
-from docdepth.datasets import CameraStream, Dataset, open_dataset
+from docdepth.datasets import CameraStream, Dataset, FrameRange, open_dataset
 from docdepth.datasets.times import read_times
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
@@ -60,7 +61,7 @@ def open_inputs(source: dict[str, Any]) -> tuple[Dataset, list[CameraStream]]:
 def open_recording(source: dict[str, Any]) -> Dataset:
     """Open the recording of a run."""
     size = parse_size(source.get("image_size"))
-    return open_dataset(Path(source["dataset"]), source["name"], size)
+    return open_dataset(Path(source["dataset"]), source["name"], size, source.get("frames"))
 
 
 def open_cameras(
@@ -74,7 +75,8 @@ def open_cameras(
         There is no such camera, or its times are broken.
     """
     size = parse_size(source.get("image_size"))
-    streams = [recording.cameras[name] for name in _camera_names(wanted, recording)]
+    whole = recording.whole if isinstance(recording, FrameRange) else recording
+    streams = [whole.cameras[name] for name in _camera_names(wanted, whole)]
     if size:
         streams = [
             s
@@ -84,6 +86,8 @@ def open_cameras(
         ]
     if source.get("camera_times"):
         streams = [_with_times(stream, Path(source["camera_times"])) for stream in streams]
+    if isinstance(recording, FrameRange):
+        streams = [recording.part_of(stream) for stream in streams]
     return streams
 
 
@@ -144,6 +148,9 @@ def recorded_camera(run: RunFolder, folder: str) -> CameraStream | None:
 def known_poses(source: dict[str, Any], recording: Dataset) -> NDArray[np.float64] | None:
     """Poses ``T_world_lidar`` (n, 4, 4) from a file or another run; None: to be estimated."""
     if source.get("poses"):
+        if isinstance(recording, FrameRange):
+            every = read_poses(Path(source["poses"]), len(recording.whole))
+            return every[recording.indices.start : recording.indices.stop]
         return read_poses(Path(source["poses"]), len(recording))
     return recording.poses if recording.name == "run" else None
 
@@ -174,5 +181,8 @@ def _with_times(stream: CameraStream, path: Path) -> CameraStream:
         raise DatasetError(
             f"{path} has {len(times)} times for {len(stream.images)} images of {stream.name}"
         )
-    names = stream.names if stream.images else [f"{i:010d}" for i in range(len(times))]
+    names = stream.names
+    if not stream.images:
+        digits = len(names[0]) if names and names[0].isdigit() else 10
+        names = [f"{i:0{digits}d}" for i in range(len(times))]
     return replace(stream, times=times, names=names)
