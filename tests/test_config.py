@@ -78,7 +78,7 @@ def test_a_value_is_replaced_by_name():
         ("output.format=", r"^output\.format = None: it must be one or several of png"),
         (
             "render.static_size=[a, 3]",
-            r"size = 'a': it must be two numbers from 0.1 to 1000 pixels",
+            r"size = 'a': it must be two numbers from 0.1 to 2000 pixels",
         ),
         ("render.static_size=[3, 50]", r"^render\.static_size = .*sigma_max, must not be below"),
         ("odometry.passes=[1", r"^--set 'odometry\.passes=\[1': the value '\[1' cannot be read"),
@@ -181,7 +181,7 @@ def test_the_table_names_every_parameter():
     }
     assert table["render.behind"]["paper"] == 0.5
     assert table["dynamics.evidence"]["range"] == "points, objects, tracks"
-    assert table["render.static_size"]["range"] == "0.1 to 1000"
+    assert table["render.static_size"]["range"] == "0.1 to 2000"
     assert all(about["description"] and about["range"] for about in table.values())
 
 

@@ -10,21 +10,24 @@
 #include <utility>
 #include <vector>
 
+#include "checks.hpp"
 #include "docdepth/geometry/types.hpp"
+#include "docdepth/mesh/constants.hpp"
 #include "docdepth/mesh/scan_mesh.hpp"
 
 namespace docdepth::bindings {
 
 namespace py = pybind11;
 
+// No forcecast: a wrong dtype is an error. Vectors of the compiler need aligned values.
 template <class T>
-using Array = py::array_t<T, py::array::c_style>;  // no forcecast: a wrong dtype is an error
+using Array = py::array_t<T, py::array::c_style | py::detail::npy_api::NPY_ARRAY_ALIGNED_>;
 
 using PointMap = Eigen::Map<const Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>>;
 
 /// View of an (N, 3) float32 array, without a copy.
 inline PointMap as_points(const Array<float>& array, const char* name = "points") {
-  if (array.ndim() != 2 || array.shape(1) != 3)
+  if (array.ndim() != 2 || array.shape(1) != 3 || array.shape(0) > kMaxRows)
     throw std::invalid_argument(std::string(name) + " must be a float32 array of shape (N, 3)");
   return PointMap(array.data(), array.shape(0), 3);
 }
@@ -35,7 +38,7 @@ inline Pose as_pose(const Array<double>& array) {
     throw std::invalid_argument("a pose must be a float64 array of shape (4, 4)");
   Pose pose;
   pose.matrix() = Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(array.data());
-  return pose;
+  return checked(pose);
 }
 
 /// A (k, 4, 4) row-major float64 array as poses.
@@ -46,6 +49,7 @@ inline std::vector<Pose> as_poses(const Array<double>& array) {
   for (std::size_t k = 0; k < poses.size(); ++k) {
     using Matrix = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
     poses[k].matrix() = Eigen::Map<const Matrix>(array.data() + 16 * k);
+    checked(poses[k]);
   }
   return poses;
 }
@@ -57,6 +61,22 @@ const T* as_column(const Array<T>& array, py::ssize_t size, const char* name) {
     throw std::invalid_argument(std::string(name) + " must have shape (" + std::to_string(size) +
                                 ",)");
   return array.data();
+}
+
+/// View of rows of `count` points, or an error that names it.
+inline const std::uint32_t* as_rows(const Array<std::uint32_t>& array, py::ssize_t count,
+                                    const char* name) {
+  for (py::ssize_t i = 0; i < array.size(); ++i)
+    if (array.data()[i] >= count)
+      throw std::invalid_argument(std::string(name) + " name a point that is not there");
+  return array.data();
+}
+
+/// Refuse coordinates that are not finite or too large for any map in single precision.
+inline void check_coordinates(const Array<float>& array, const char* name) {
+  for (py::ssize_t i = 0; i < array.size(); ++i)
+    if (!(std::fabs(array.data()[i]) < kMaxRange))
+      throw std::invalid_argument(std::string(name) + " must be finite and below 1e6 m");
 }
 
 /// Refuse a mesh of other points, which would read beyond their end.

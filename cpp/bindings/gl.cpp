@@ -43,6 +43,8 @@ py::array_t<float> draw_meshes(GlRenderer& renderer, const Array<double>& K, int
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
   const DynamicSweeps motion = as_motion(dynamic_frames, max_speed);
+  in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
+  threads = checked_threads(threads);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;

@@ -1,5 +1,7 @@
 #include "docdepth/ground/ground.hpp"
 
+#include <memory>
+
 #include "arrays.hpp"
 
 namespace docdepth::bindings {
@@ -17,7 +19,10 @@ void bind_ground(py::module_& m) {
       .def_readwrite("max_slope", &GroundParameters::max_slope);
 
   py::class_<GroundMap>(m, "GroundMap")
-      .def(py::init<const GroundParameters&, int>(), py::arg("parameters"), py::arg("threads") = 0)
+      .def(py::init([](const GroundParameters& parameters, int threads) {
+             return std::make_unique<GroundMap>(checked(parameters), checked_threads(threads));
+           }),
+           py::arg("parameters"), py::arg("threads") = 0)
       .def("__len__", &GroundMap::size)
       .def(
           "insert",

@@ -12,8 +12,9 @@ namespace {
 
 std::unique_ptr<ScanMesh> make_mesh(const Array<float>& points, const MeshParameters& parameters) {
   const PointMap map = as_points(points);
+  const MeshParameters used = checked(parameters);
   const py::gil_scoped_release release;
-  return std::make_unique<ScanMesh>(build_scan_mesh(map, parameters));
+  return std::make_unique<ScanMesh>(build_scan_mesh(map, used));
 }
 
 /// Join the meshes of several LiDARs into one. Each uses its own rows of the same points.
@@ -23,6 +24,8 @@ std::unique_ptr<ScanMesh> join_meshes(const std::vector<ScanMesh*>& meshes) {
     to.insert(to.end(), from.begin(), from.end());
   };
   for (const ScanMesh* mesh : meshes) {
+    if (!mesh || mesh->points != meshes.front()->points)
+      throw std::invalid_argument("only meshes of the same points can be joined");
     joined->points = mesh->points;
     append(joined->triangles, mesh->triangles);
     append(joined->discontinuity, mesh->discontinuity);

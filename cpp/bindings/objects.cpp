@@ -31,6 +31,7 @@ std::vector<Extent> as_boxes(const Array<float>& array) {
     boxes[k].low = Eigen::Map<const Eigen::Vector3f>(array.data() + 6 * k);
     boxes[k].high = Eigen::Map<const Eigen::Vector3f>(array.data() + 6 * k + 3);
   }
+  check_coordinates(array, "boxes");
   return boxes;
 }
 
@@ -63,10 +64,11 @@ py::array_t<std::uint32_t> objects_of(const Array<float>& points, const Array<bo
   const PointMap map = as_points(points);
   check_mesh(mesh, map.rows());
   const bool* flags = as_column(ground, map.rows(), "ground");
+  const ObjectParameters used = checked(parameters);
   std::vector<std::uint32_t> objects;
   {
     const py::gil_scoped_release release;
-    objects = cluster_objects(map, flags, mesh, parameters);
+    objects = cluster_objects(map, flags, mesh, used);
   }
   return to_numpy(std::move(objects), {static_cast<py::ssize_t>(map.rows())});
 }
@@ -79,11 +81,12 @@ py::array_t<std::uint8_t> classified(const Array<float>& points, const Array<boo
   const VotedSweep sweep(points, ground, static_votes, dynamic_votes);
   check_mesh(mesh, sweep.points.rows());
   const std::uint32_t* first = as_objects(objects, sweep.points.rows());
+  const ObjectParameters used = checked(parameters);
   std::vector<std::uint8_t> dynamic;
   {
     const py::gil_scoped_release release;
     dynamic = classify_objects(sweep.points, sweep.ground, first, sweep.static_votes,
-                               sweep.dynamic_votes, mesh, parameters);
+                               sweep.dynamic_votes, mesh, used);
   }
   return to_numpy(std::move(dynamic), {static_cast<py::ssize_t>(sweep.points.rows())});
 }
@@ -96,11 +99,12 @@ py::array_t<std::uint8_t> with_isolated(const Array<float>& points, const Array<
                                         const ObjectParameters& parameters) {
   const VotedSweep sweep(points, ground, static_votes, dynamic_votes);
   const std::uint32_t* first = as_objects(objects, sweep.points.rows());
+  const ObjectParameters used = checked(parameters);
   std::vector<std::uint8_t> result = copy_flags(dynamic, sweep.points.rows(), "dynamic");
   {
     const py::gil_scoped_release release;
     add_isolated_points(sweep.points, sweep.ground, first, sweep.static_votes, sweep.dynamic_votes,
-                        parameters, result);
+                        used, result);
   }
   return to_numpy(std::move(result), {static_cast<py::ssize_t>(sweep.points.rows())});
 }
@@ -116,11 +120,12 @@ py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bo
   const Pose T_world_lidar = as_pose(pose);
   const std::vector<Extent> extents = as_boxes(boxes);
   const std::vector<std::uint64_t> sorted(voxels.data(), voxels.data() + voxels.size());
+  const ObjectParameters used = checked(parameters);
   std::vector<std::uint8_t> result = copy_flags(dynamic, sweep.points.rows(), "dynamic");
   {
     const py::gil_scoped_release release;
     add_points_inside(sweep.points, sweep.ground, sweep.static_votes, sweep.dynamic_votes,
-                      T_world_lidar, extents, sorted, parameters, result);
+                      T_world_lidar, extents, sorted, used, result);
   }
   return to_numpy(std::move(result), {static_cast<py::ssize_t>(sweep.points.rows())});
 }
@@ -132,6 +137,7 @@ std::unique_ptr<Detections> make_detections(const Array<float>& points, const Ar
   const bool* flags = as_column(ground, map.rows(), "ground");
   const std::uint32_t* first = as_objects(objects, map.rows());
   const bool* moves = as_column(dynamic, map.rows(), "dynamic");
+  check_coordinates(points, "points of objects");
   const Pose T_world_lidar = as_pose(pose);
   const py::gil_scoped_release release;
   return std::make_unique<Detections>(detect_objects(map, flags, first, moves, T_world_lidar));
@@ -159,6 +165,7 @@ py::tuple arrays_of(const Detections& detections) {
 std::unique_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
                                           const Array<float>& boxes, const Array<float>& samples) {
   const PointMap all = as_points(samples);
+  check_coordinates(samples, "samples");
   if (numbers.ndim() != 2 || numbers.shape(1) != 4 || boxes.ndim() != 2 || boxes.shape(1) != 6 ||
       boxes.shape(0) != numbers.shape(0))
     throw std::invalid_argument(
@@ -186,10 +193,13 @@ py::list track(const std::vector<const Detections*>& detections, const Array<dou
   const double* t = as_column(times, count, "times");
   for (const Detections* sweep : detections)
     if (!sweep) throw std::invalid_argument("tracking needs the detections of each sweep");
+  for (py::ssize_t i = 0; i < count; ++i) in_range(t[i], -1e12, 1e12, "a time in seconds");
+  const TrackParameters used = checked(parameters);
+  threads = checked_threads(threads);
   std::vector<TrackingResult> tracked;
   {
     const py::gil_scoped_release release;
-    tracked = track_objects(detections, {t, t + count}, parameters, threads);
+    tracked = track_objects(detections, {t, t + count}, used, threads);
   }
   py::list result;
   for (TrackingResult& sweep : tracked) {

@@ -1,6 +1,7 @@
 #include "render.hpp"
 
 #include <algorithm>
+#include <limits>
 #include <memory>
 #include <optional>
 
@@ -13,6 +14,7 @@ std::unique_ptr<Frame> make_frame(const Array<float>& points, const Array<std::u
                                   double crop) {
   const PointMap map = as_points(points);
   const std::uint16_t* classes = as_column(classid, map.rows(), "classid");
+  in_range(crop, 0, std::numeric_limits<double>::infinity(), "crop");
   const py::gil_scoped_release release;
   return std::make_unique<Frame>(map, classes, crop);
 }
@@ -23,6 +25,11 @@ py::array_t<float> draw_splats(const Array<double>& K, int width, int height,
                                const Size& dynamic_size, int threads) {
   const Camera camera = as_camera(K, width, height);
   const PlacedClouds placed(static_frames, dynamic_frames, static_size, dynamic_size);
+  threads = checked_threads(threads);
+  // The renderer keeps an image for each height of splats.
+  const int largest = std::max(placed.static_heights.largest(), placed.dynamic_heights.largest());
+  in_range(double(width) * height * largest, 0, kMaxSplatPixels,
+           "the pixels of the image times the height of the largest splat");
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
@@ -55,9 +62,12 @@ std::unique_ptr<MeshFrame> make_mesh_frame(const Array<float>& points,
   const py::ssize_t count = triangles.shape(0);
   const std::uint8_t* jumps = as_column(discontinuity, count, "discontinuity");
   const float* times = time_offset ? as_column(*time_offset, map.rows(), "time_offset") : nullptr;
-  const auto* corners = reinterpret_cast<const std::uint32_t (*)[3]>(triangles.data());
+  const auto* corners =
+      reinterpret_cast<const std::uint32_t (*)[3]>(as_rows(triangles, map.rows(), "triangles"));
+  const std::uint32_t* alone = as_rows(isolated, map.rows(), "isolated");
+  in_range(isolated_angle, 0, 1, "isolated_angle");
   const py::gil_scoped_release release;
-  return std::make_unique<MeshFrame>(map, corners, jumps, count, isolated.data(), isolated.size(),
+  return std::make_unique<MeshFrame>(map, corners, jumps, count, alone, isolated.size(),
                                      isolated_angle, classes, times, ray_origins ? &from : nullptr);
 }
 
@@ -68,6 +78,8 @@ py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
   const DynamicSweeps motion = as_motion(dynamic_frames, max_speed);
+  in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
+  threads = checked_threads(threads);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
@@ -132,6 +144,7 @@ py::dict splat_layers(const Array<double>& K, int width, int height,
                       const Size& dynamic_size, const Array<float>& depth, int threads) {
   const Camera camera = as_camera(K, width, height);
   const PlacedClouds placed(static_frames, dynamic_frames, static_size, dynamic_size);
+  threads = checked_threads(threads);
   const float* z = as_depth(depth, width, height);
   std::optional<Layers> layers;
   {
@@ -148,6 +161,8 @@ py::dict mesh_layers(const Array<double>& K, int width, int height,
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
   const DynamicSweeps motion = as_motion(dynamic_frames, max_speed);
+  in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
+  threads = checked_threads(threads);
   const float* z = as_depth(depth, width, height);
   std::optional<Layers> layers;
   {

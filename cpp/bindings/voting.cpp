@@ -15,6 +15,7 @@ std::unique_ptr<RangeImage> make_range_image(const Array<float>& points, const A
                                              bool plain) {
   const PointMap map = as_points(points);
   const bool* flags = as_column(ground, map.rows(), "ground");
+  check_key_frame(resolution, window, tolerance);
   const py::gil_scoped_release release;
   return std::make_unique<RangeImage>(map, flags,
                                       RangeImageParameters{resolution, window, tolerance, plain});
@@ -26,8 +27,9 @@ std::unique_ptr<MeshImage> make_mesh_image(const Array<float>& points, const Arr
   const PointMap map = as_points(points);
   const bool* flags = as_column(ground, map.rows(), "ground");
   check_mesh(mesh, map.rows());
+  const MeshImageParameters used = checked(parameters);
   const py::gil_scoped_release release;
-  return std::make_unique<MeshImage>(map, flags, mesh, parameters);
+  return std::make_unique<MeshImage>(map, flags, mesh, used);
 }
 
 py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
@@ -38,6 +40,9 @@ py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
   const bool* flags = as_column(ground, map.rows(), "ground");
   const Pose pose = as_pose(T_world_lidar);
   const std::vector<Pose> T_world_key = as_poses(poses);
+  for (const KeyFrame* key_frame : key_frames)
+    if (!key_frame) throw std::invalid_argument("a key frame is None");
+  threads = checked_threads(threads);
   Votes votes;
   {
     const py::gil_scoped_release release;

@@ -22,7 +22,7 @@ DepthFormat = Literal["png", "exr-half", "exr", "tiff", "npz", "npy"]
 
 Preset = Literal["default", "paper"]
 
-_Pixels = Annotated[float, Field(ge=0.1, le=1000)]
+_Pixels = Annotated[float, Field(ge=0.1, le=2000)]
 _Size = tuple[_Pixels, _Pixels]
 
 

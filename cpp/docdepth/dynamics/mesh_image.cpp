@@ -243,7 +243,8 @@ void MeshImage::draw(const Points& points, const bool* ground, const ScanMesh& m
                                              : column >= columns ? -columns
                                                                  : 0);
       const std::size_t pixel = (row - padded_.top()) * padded_.stride() + wrapped + padded_.half();
-      if (drawn[pixel]) return;
+      // Outside only with a mesh of other points.
+      if (pixel >= drawn.size() || drawn[pixel]) return;
       drawn[pixel] = 1;
       if (!is_seen) seen = make_pixel(points, ground, mesh.triangles[t], mesh.discontinuity[t]);
       is_seen = true;

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 
 namespace docdepth {
 
@@ -12,6 +13,8 @@ namespace docdepth {
 constexpr float kSampleSpacing = 0.15f;
 /// Larger objects get voxels this many times larger until their samples are few enough.
 constexpr float kSampleSpacingGrowth = 1.3f;
+/// Farther voxels share one index: beyond it integers would overflow.
+constexpr std::int64_t kMaxVoxel = std::int64_t{1} << 40;
 /// An object with fewer samples has no shape that could be matched.
 constexpr std::size_t kMinSamples = 5;
 
@@ -19,6 +22,9 @@ constexpr std::size_t kMinSamples = 5;
 
 /// Edge of a bin of the histogram of shifts [m].
 constexpr float kShiftBin = 0.2f;
+/// Larger shifts are not looked for [m]: after a pause of the recording the histogram would fill
+/// the memory.
+constexpr float kMaxShift = 400.0f;
 /// Samples whose heights differ more are not the same place [m]: objects move on the ground.
 constexpr float kMaxHeightDifference = 0.2f;
 /// A sample is matched by another one within this distance [m].

@@ -58,6 +58,7 @@ std::uint64_t voxel_key(std::int64_t x, std::int64_t y, std::int64_t z) {
 
 std::int64_t voxel_coordinate(float value, float size) {
   const float steps = value / size;  // floor, without the call that old processors need
+  if (!(std::fabs(steps) < kMaxVoxel)) return steps > 0 ? kMaxVoxel : -kMaxVoxel;  // also for NaN
   const auto whole = static_cast<std::int64_t>(steps);
   return whole - (static_cast<float>(whole) > steps);
 }
@@ -88,14 +89,16 @@ SampledPoints downsample(const SampledPoints& points, float size, std::size_t mo
 }
 
 Vector most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach) {
+  if (!(reach < kMaxShift)) reach = kMaxShift;
   const int side =
       2 * static_cast<int>(std::ceil(reach / kShiftBin)) + 3;  // a border of empty bins
   std::vector<int> counts(side * side, 0);
   for (const Vector& p : a)
     for (const Vector& q : b) {
       const Vector d = q - p;
-      if (std::fabs(d.z()) > kMaxHeightDifference || std::fabs(d.x()) > reach ||
-          std::fabs(d.y()) > reach)
+      // Written so that differences that are not finite are left out, too.
+      if (!(std::fabs(d.z()) <= kMaxHeightDifference && std::fabs(d.x()) <= reach &&
+            std::fabs(d.y()) <= reach))
         continue;
       const int u = side / 2 + static_cast<int>(std::lround(d.x() / kShiftBin));
       const int v = side / 2 + static_cast<int>(std::lround(d.y() / kShiftBin));

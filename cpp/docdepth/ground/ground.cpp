@@ -7,6 +7,7 @@
 #include <condition_variable>
 #include <map>
 #include <mutex>
+#include <shared_mutex>
 #include <vector>
 
 #include "docdepth/geometry/parallel.hpp"
@@ -257,6 +258,7 @@ struct GroundMap::State {
   Vector3d origin = Vector3d::Zero();
   std::vector<Vector3d> positions;  // of the poses, relative to origin
   VoxelMap map;
+  mutable std::shared_mutex mutex;  // several threads may call one map
 
   VoxelGrid grid(const Pose& T_world_lidar) const {
     return VoxelGrid(T_world_lidar, origin, parameters.voxel_size);
@@ -270,11 +272,13 @@ GroundMap::GroundMap(const GroundParameters& parameters, int threads) : state_(n
 GroundMap::~GroundMap() = default;
 
 std::size_t GroundMap::size() const {
+  const std::shared_lock<std::shared_mutex> lock(state_->mutex);
   return state_->map.size();
 }
 
 void GroundMap::insert(const Points& points, const Pose& T_world_lidar) {
   State& state = *state_;
+  const std::unique_lock<std::shared_mutex> lock(state.mutex);
   if (state.positions.empty()) state.origin = T_world_lidar.translation();
   state.map.insert(points, state.grid(T_world_lidar), state.threads);
   state.positions.push_back(T_world_lidar.translation() - state.origin);
@@ -282,7 +286,8 @@ void GroundMap::insert(const Points& points, const Pose& T_world_lidar) {
 
 std::size_t GroundMap::grow() {
   State& state = *state_;
-  if (!size()) return 0;
+  const std::unique_lock<std::shared_mutex> lock(state.mutex);
+  if (!state.map.size()) return 0;
   const Octree tree(state.map, state.threads);
   const auto points = static_cast<std::uint32_t>(tree.points().size());
   for (double first_radius = state.parameters.seed_radius;; first_radius *= 2.0) {
@@ -312,6 +317,7 @@ std::size_t GroundMap::grow() {
 }
 
 void GroundMap::label(const Points& points, const Pose& T_world_lidar, bool* ground) const {
+  const std::shared_lock<std::shared_mutex> lock(state_->mutex);
   state_->map.label(points, state_->grid(T_world_lidar), state_->threads, ground);
 }
 

@@ -21,7 +21,8 @@ SampledPoints sample(const SampledPoints& points, const Extent& box) {
 Detections detect_objects(const Points& points, const bool* ground, const std::uint32_t* objects,
                           const bool* dynamic, const Pose& T_world_lidar) {
   const auto count = static_cast<std::uint32_t>(points.rows());
-  std::vector<std::uint32_t> size(count, 0), number(count, 0);
+  constexpr std::uint32_t kUnseen = 0xffffffff;
+  std::vector<std::uint32_t> size(count, 0), number(count, kUnseen);
   for (std::uint32_t i = 0; i < count; ++i)
     if (!ground[i]) ++size[objects[i]];
   Detections detections;
@@ -31,7 +32,7 @@ Detections detect_objects(const Points& points, const bool* ground, const std::u
     const std::uint32_t first = objects[i];
     if (ground[i] || size[first] < kMinDetectionPoints) continue;
     const Eigen::Vector3f p = T * Eigen::Vector3f(points(i, 0), points(i, 1), points(i, 2));
-    if (first == i) {
+    if (number[first] == kUnseen) {
       number[first] = static_cast<std::uint32_t>(detections.size());
       detections.push_back({first, 0, 0, {p, p}, {}});
       members.emplace_back().reserve(size[first]);

@@ -30,9 +30,11 @@ struct FindCells {
       const auto column = static_cast<std::int32_t>(turn * (kColumns / 4.0f));
       const auto row = static_cast<std::int32_t>((rise + 1.0f) * (kRows / 2.0f));
       const std::int32_t last_column = kColumns - 1, last_row = kRows - 1;
-      cells[i] = static_cast<std::uint16_t>((column < last_column ? column : last_column) *
+      // Below 0 only for what is not finite.
+      const std::int32_t in_column = column > 0 ? column : 0, in_row = row > 0 ? row : 0;
+      cells[i] = static_cast<std::uint16_t>((in_column < last_column ? in_column : last_column) *
                                                 std::int32_t{kRows} +
-                                            (row < last_row ? row : last_row));
+                                            (in_row < last_row ? in_row : last_row));
     }
   }
 };

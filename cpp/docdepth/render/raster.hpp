@@ -64,6 +64,10 @@ struct Projected {
 /// beyond one side, or one lies behind the camera.
 constexpr std::int32_t kLeft = 1, kRight = 2, kAbove = 4, kBelow = 8, kBehind = 16;
 
+/// Vertices this deep are left out [m]: they are not measurements, and infinity times the inverse
+/// of infinity would be a pixel that is no number.
+constexpr float kBeyond = 1e18f;
+
 /// Project a patch. @return false if nothing of it falls on open tiles.
 DOCDEPTH_KERNEL bool project_patch(const PatchMesh& mesh, const PatchMesh::Patch& patch,
                                    const RigidTransform& T, const Camera& camera,
@@ -82,7 +86,7 @@ DOCDEPTH_KERNEL bool project_patch(const PatchMesh& mesh, const PatchMesh::Patch
     const Floats x = ((r[0][0] * a + r[0][1] * b) + r[0][2] * c) + T.t[0];
     const Floats y = ((r[1][0] * a + r[1][1] * b) + r[1][2] * c) + T.t[1];
     const Floats z = ((r[2][0] * a + r[2][1] * b) + r[2][2] * c) + T.t[2];
-    const Ints seen = z > kNear;
+    const Ints seen = (z > kNear) & (z < kBeyond);
     const Floats w = 1.0f / z;
     const Floats u = (fx * x) * w + cx, v = (fy * y) * w + cy;
     const Floats shown = seen ? w : Floats{};

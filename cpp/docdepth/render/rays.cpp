@@ -28,11 +28,14 @@ DOCDEPTH_KERNEL void directions_to(const Rays::Cells& cells, const PointBatch& p
                                    Toward& toward) {
   const std::int32_t low = cells.low, side = cells.side, columns = cells.columns;
   for (std::size_t i = 0; i < points.size; ++i) {
-    const float x = points.x[i], y = points.y[i], z = points.z[i];
+    const float far = std::sqrt((points.x[i] * points.x[i] + points.y[i] * points.y[i]) +
+                                points.z[i] * points.z[i]);
+    const bool ok = far < kMaxRange;  // else, also for NaN, the point counts as the origin
+    const float x = ok ? points.x[i] : 0.0f, y = ok ? points.y[i] : 0.0f,
+                z = ok ? points.z[i] : 0.0f, range = ok ? far : 0.0f;
     const Direction direction = direction_of(x, y, z);
     toward.azimuth[i] = float(direction.azimuth);
     toward.elevation[i] = float(direction.elevation);
-    const float range = std::sqrt((x * x + y * y) + z * z);
     toward.range[i] = range;
     toward.cosine[i] = std::sqrt(x * x + y * y) / range;
     // Angles times columns need more than 32 bits, their sixteenths do not.
