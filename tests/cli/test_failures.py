@@ -90,9 +90,17 @@ def test_a_broken_run_file_is_a_sentence(docdepth, finished, tmp_path, text, ver
     run = tmp_path / "run"
     shutil.copytree(finished[0], run)
     (run / "run.yaml").write_text(text)
+    copy = run / ".docdepth" / "run.yaml"
+    kept = copy.read_bytes()
+    copy.write_text(text)
     ended = docdepth(verb, run)
     assert ended.code == 2
-    assert ended.err.startswith("error: ")
+    assert ended.err.startswith(f"error: {run / 'run.yaml'} is missing or damaged")
+    # One of the two is enough.
+    copy.write_bytes(kept)
+    ended = docdepth(verb, run)
+    assert ended.code == 0, ended.err
+    assert "its copy is used" in ended.err
 
 
 def test_a_path_of_any_bytes_is_printed(docdepth, finished, tmp_path):

@@ -143,7 +143,7 @@ def test_a_run_is_told_in_json(docdepth, drive, tmp_path):
     told = json.loads(ended.out)
     assert set(told["stages"]) >= {"odometry", "classify"}
     assert told["run"] == str(tmp_path / "run")
-    assert 0.5 < told["density"] < 1
+    assert 0.5 < told["cameras"]["image_2"]["density"] < 1
     assert "odometry" in ended.err  # progress
 
 

@@ -142,9 +142,9 @@ def test_a_partial_sweep_is_told_though_it_is_not_opened(
 
 
 def test_parameters_that_leave_no_point(drive: Path) -> None:
-    settings = {"odometry.max_range": 0.001}
+    settings = {"odometry.min_range": 4.99, "odometry.max_range": 5.0}
     found = check_inputs(source(drive), parameters("default", settings))
-    assert "max_range=0.001 leave 0 % of the points" in texts(found, "error")
+    assert "max_range=5 leave 0 % of the points" in texts(found, "error")
 
 
 def test_point_times_in_seconds_of_the_day(copy: Path) -> None:
@@ -230,10 +230,10 @@ def test_missing_extras_and_formats_are_found_first(
     drive: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
-    values = parameters("default", {"output.format": "exr,png", "output.scale": 60000})
+    values = parameters("default", {"output.format": "exr,png", "output.scale": 10000})
     errors = texts(check_inputs(source(drive), values), "error")
     assert 'pip install "docdepth[exr]"' in errors
-    assert "a PNG of metres x 60000 holds no more" in errors
+    assert "a PNG of metres x 10000 holds no more" in errors
 
 
 # ---- memory, disk, output

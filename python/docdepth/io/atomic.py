@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import io
 import os
 import zlib
@@ -16,6 +18,9 @@ from docdepth.errors import RunError
 
 WriteFile = Callable[[Path, Callable[[BinaryIO], object]], None]
 """A function like :func:`write_atomically`."""
+
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @dataclass(frozen=True)
@@ -78,10 +83,12 @@ def write_atomically(
                 before_rename(Written(known.st_size, known.st_mtime_ns, summed.checksum))
         os.replace(part, path)
     except OSError as error:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            part.unlink()
+        remedy = "make room" if error.errno in _FULL else "choose a folder that can be written"
         raise RunError(
-            f"cannot write {path}: {error.strerror}; make room or choose another folder and run "
-            "the same command again; it continues where it stopped"
+            f"cannot write {path}: {error.strerror}; {remedy} and run the same command again; it "
+            "continues where it stopped"
         ) from error
     except BaseException:
         part.unlink(missing_ok=True)

@@ -103,6 +103,8 @@ class RunFolder:
         asked = parameters.model_dump(mode="json")
         if self.manifest:
             self._continue(source, asked, force)
+        elif self._manifest_path.exists() and not self._records_file(self.path).is_file():
+            raise RunError(f"{self._manifest_path} is damaged; choose another folder with -o")
         elif self._has_foreign_files():
             raise RunError(
                 f"{self.path} is not empty and holds no run; choose another folder with -o"
@@ -124,7 +126,8 @@ class RunFolder:
         known = self.parameters.model_dump(mode="json")
         first = self.manifest.get("asked", known)
         # Another camera is added to those that the run has.
-        source = {**source, "camera": self.manifest["source"].get("camera")}
+        if "camera" in source:
+            source = {**source, "camera": self.manifest["source"].get("camera")}
         before = {"source": self.manifest["source"], "parameters": first}
         wanted = {"source": source, "parameters": asked}
         for part in wanted:
@@ -157,7 +160,7 @@ class RunFolder:
         """
         run = cls(path)
         if not run.manifest:
-            if run._records_file(run.path).is_file():
+            if run._manifest_path.exists() or run._records_file(run.path).is_file():
                 raise RunError(
                     f"{run._manifest_path} is missing or damaged; give the first command again: "
                     f"docdepth run DATASET -o {path}"
@@ -172,20 +175,15 @@ class RunFolder:
 
     def _load(self) -> dict[str, Any]:
         """The content of run.yaml, or of its copy; empty where both are missing or damaged."""
-        for path in (self._manifest_path, self._copy_path):
-            try:
-                loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
-            except (OSError, UnicodeDecodeError, yaml.YAMLError):
-                continue
-            sections = ("source", "parameters", "stages")
-            if isinstance(loaded, dict) and all(isinstance(loaded.get(s), dict) for s in sections):
-                self._loaded = self._manifest_text()
-                if path == self._copy_path:
-                    log.warning("%s was missing or damaged; its copy is used", self._manifest_path)
-                if not isinstance(loaded.get("cameras"), dict):
-                    loaded["cameras"] = _cameras_of_earlier_version(loaded["stages"])
-                return loaded
-        return {}
+        self._loaded = self._manifest_text()
+        found = _read_manifest(self._manifest_path)
+        if found is None:
+            found = _read_manifest(self._copy_path)
+            if found is not None:
+                log.warning("%s was missing or damaged; its copy is used", self._manifest_path)
+        if found is not None and not isinstance(found.get("cameras"), dict):
+            found["cameras"] = _cameras_of_earlier_version(found["stages"])
+        return found or {}
 
     def _manifest_text(self) -> bytes | None:
         try:
@@ -533,6 +531,20 @@ def _move_aside(path: Path) -> None:
     with contextlib.suppress(FileNotFoundError):
         path.rename(aside)
         log.warning("%s was not written by docdepth and is %s now", path, aside.name)
+
+
+def _read_manifest(path: Path) -> dict[str, Any] | None:
+    """The content of run.yaml; None if it is missing or damaged."""
+    try:
+        found = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return None
+    if not isinstance(found, dict) or "parameters" not in found:
+        return None
+    source, stages = found.get("source"), found.get("stages")
+    if not isinstance(source, dict) or not isinstance(stages, dict):
+        return None
+    return found if all(isinstance(stage, dict) for stage in stages.values()) else None
 
 
 def _cameras_of_earlier_version(stages: dict[str, Any]) -> dict[str, Any]:
