@@ -10,11 +10,11 @@ from typing import Annotated
 import typer
 from rich.logging import RichHandler
 
-from docdepth.cli import stages, truth
+from docdepth.cli import check, stages, truth
 from docdepth.cli.options import app, err, out
 from docdepth.errors import DocDepthError
 
-__all__ = ["app", "main", "stages", "truth"]
+__all__ = ["app", "check", "main", "stages", "truth"]
 
 
 @app.callback(invoke_without_command=True)
