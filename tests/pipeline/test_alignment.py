@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from docdepth.datasets import CameraStream, Dataset, open_dataset
 from docdepth.geometry.se3 import rotation_exp
@@ -120,3 +122,27 @@ def test_thin_evidence_says_nothing(recording: Dataset, drive: Path) -> None:
     few = replace(stream, images=stream.images[:4], times=stream.times[:4], names=stream.names[:4])
     assert find_misalignment(recording, turned(few, pan=3)) is None
     assert find_misalignment(open_dataset(drive), open_dataset(drive).cameras["image_2"]) is None
+
+
+def test_sweeps_in_the_frame_of_the_vehicle_say_nothing(crossing: Path, tmp_path: Path) -> None:
+    # Seen from the ground, returns have no neighbours, and jumps between them mean nothing.
+    copy = Path(shutil.copytree(crossing, tmp_path / "00"))
+    place = np.array([1.2, 0, 1.7])
+    for file in (copy / "velodyne").iterdir():
+        rows = np.fromfile(file, "<f4").reshape(-1, 4)
+        rows[:, :3] += place
+        rows.tofile(file)
+    recording = open_dataset(copy)
+    T = np.eye(4)
+    T[:3, 3] = -place
+    stream = recording.cameras["image_2"]
+    shifted = replace(stream, T_camera_lidar=stream.T_camera_lidar @ T)
+    assert find_misalignment(recording, turned(shifted, pan=3)) is None
+    # Told where the LiDAR is, they do.
+    about = yaml.safe_load((copy / "docdepth.yaml").read_text()) | {"looks_from": place.tolist()}
+    (copy / "docdepth.yaml").write_text(yaml.safe_dump(about))
+    recording = open_dataset(copy)
+    recording.poses = None
+    assert find_misalignment(recording, shifted) is None
+    found = find_misalignment(recording, turned(shifted, pan=3))
+    assert found == f"{BETTER} the camera turns 3 degrees to the right"

@@ -16,6 +16,7 @@ from docdepth.datasets.base import CameraStream, Dataset
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import inverse
+from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 
 PAIRS = 8
@@ -24,6 +25,7 @@ PAIRS = 8
 _FEWEST_EDGES = 30  # depth edges in an image, weighted
 _MOST_EDGES = 1500  # of a sweep that are used; more take time and tell no more
 _JUMP = (0.5, 0.15)  # metres, and share of the range, that the farther surface lies behind
+_MOST_JUMPS = 0.3  # share of the triangles of a sweep; seen from a wrong place more have one
 _RANGES = (3.0, 60.0)  # metres; nearer is the vehicle, farther edges are rare
 _WIDEST_GAP_DEG = 1.0  # between two returns; the edge lies somewhere between
 _SHARPEST_GAP_DEG = 0.4  # from here on an edge weighs less the wider its gap
@@ -81,29 +83,43 @@ def _depth_edges(
     recording: Dataset, index: int, stream: CameraStream
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Depth edges of a sweep around the image, as :class:`View` has them."""
-    points = recording.sweep(index).points
-    points = points[usable_points(points)]
-    points = np.ascontiguousarray(points[_around_image(points, stream)])
-    mesh = ScanMesh(points)
+    sweep = recording.sweep(index)
+    kept = usable_points(sweep.points)
+    kept[kept] = _around_image(sweep.points[kept], stream)
+    points = np.ascontiguousarray(sweep.points[kept])
+    rig = None if sweep.sensor_rig is None else sweep.sensor_rig.select(kept)
+    mesh = ScanMesh(points, rig)
+    if not len(mesh.triangles) or mesh.discontinuity.mean() > _MOST_JUMPS:
+        return np.zeros((3, 0, 3)), np.zeros(0)
     corners = mesh.triangles[mesh.discontinuity].astype(np.int64)
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    ranges = np.linalg.norm(points.astype(np.float64), axis=1)
+    origins = _origins(rig, len(points))
+    seen = points - origins
+    ranges = np.linalg.norm(seen, axis=1)
     first_is_near = ranges[sides[:, 0]] < ranges[sides[:, 1]]
     near = np.where(first_is_near, sides[:, 0], sides[:, 1])
     far = np.where(first_is_near, sides[:, 1], sides[:, 0])
     near, far = np.unique(np.stack([near, far]), axis=1)
-    rays = points / ranges[:, None]
+    rays = seen / ranges[:, None]
     gap = np.degrees(np.arccos(np.clip((rays[near] * rays[far]).sum(axis=1), -1, 1)))
     distance = ranges[near]
-    kept = (ranges[far] - distance > np.maximum(_JUMP[0], _JUMP[1] * distance)) & (
-        gap < _WIDEST_GAP_DEG
-    )
-    kept &= (distance > _RANGES[0]) & (distance < _RANGES[1])
-    rows = np.flatnonzero(kept)
+    edge = ranges[far] - distance > np.maximum(_JUMP[0], _JUMP[1] * distance)
+    edge &= (gap < _WIDEST_GAP_DEG) & (distance > _RANGES[0]) & (distance < _RANGES[1])
+    rows = np.flatnonzero(edge)
     rows = rows[:: max(1, -(-len(rows) // _MOST_EDGES))]
     near, far, distance = near[rows], far[rows], distance[rows, None]
     ends = np.stack([rays[near], (rays[near] + rays[far]) / 2, rays[far]]) * distance
+    ends += origins[near]
     return ends, np.minimum(1.0, _SHARPEST_GAP_DEG / np.maximum(gap[rows], 0.1))
+
+
+def _origins(rig: SensorRig | None, count: int) -> NDArray[np.float64]:
+    """Place of the LiDAR that measured each point, (N, 3)."""
+    if rig is None:
+        return np.zeros((count, 3))
+    places = rig.T_lidar_sensor[:, :3, 3]
+    of_lidar = np.array([places[rig.lidar_id == lidar].mean(axis=0) for lidar in rig.lidar_id])
+    return of_lidar[rig.index]
 
 
 def _around_image(points: NDArray[np.float32], stream: CameraStream) -> NDArray[np.bool_]:
