@@ -2,8 +2,8 @@
 
 Where a sweep jumps from one surface to another farther away, an image mostly has an edge, too. With
 the right calibration more depth edges lie on image edges than with any other. The score of the
-given one is compared with those of a camera that is turned a little, and of images of other times.
-Nothing is said where the evidence is thin.
+given one is compared with those of a camera that is turned or moved a little, and of images of
+other times. Nothing is said where the evidence is thin.
 """
 
 from __future__ import annotations
@@ -11,64 +11,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, Dataset
-from docdepth.geometry.points import usable_points
-from docdepth.geometry.scan_mesh import ScanMesh
-from docdepth.geometry.se3 import inverse, rotation_exp
-from docdepth.geometry.trajectory import Trajectory
+from docdepth.geometry.se3 import rotation_exp
+from docdepth.pipeline.alignment_views import View, edge_strength, scores_of, views_of
 
-PAIRS = 8
-"""Pairs of a sweep and an image that are compared."""
+Scores = NDArray[np.float64]
+Change = tuple[float, float, float, float, float, float]
+"""Turn of points about the camera's axes x, y, z [deg], then their shift along these [m]."""
 
 _FEWEST_PAIRS = 5  # with less the difference of two scores says nothing
-_FEWEST_EDGES = 30  # depth edges in an image, weighted
-_MOST_EDGES = 1500  # of a sweep that are used; more take time and tell no more
-_JUMP = (0.5, 0.15)  # metres, and share of the range, that the farther surface lies behind
-_RANGES = (3.0, 60.0)  # metres; nearer is the vehicle, farther edges are rare
-_WIDEST_GAP_DEG = 1.0  # between two returns; the edge lies somewhere between
-_SHARPEST_GAP_DEG = 0.4  # from here on an edge weighs less the wider its gap
-_MARGIN = 1.5  # sizes of the image within which edges are looked for
-_PIXEL_DEG = 0.12  # images are reduced to this
-_EDGE_DEG = 0.35  # how far from an image edge a depth edge still counts
-_CONTRAST_DEG = 4.0  # around an edge, that its strength is compared with
-_DARK = 0.02  # contrast of noise; brightness is a square root, 0 to 16
-_STEP_DEG, _FARTHEST_DEG = 0.5, 4.0  # rotations that are compared
+_STEP_DEG, _FARTHEST_DEG = 0.5, 4.0  # turns that are compared
 _WIDE_STEP_DEG, _WIDEST_DEG = 1.0, 12.0  # those where none of them fits
-_ROLLS_DEG = (-6, -4, -3, 3, 4, 6)
+_ROLLS_DEG = (-6.0, -4.0, -3.0, 3.0, 4.0, 6.0)
+_SHIFTS = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)  # metres along each axis
 _IMAGES_OFF = (-3, 3)  # images before and after; neighbours may fit as well
-_LEAST_DEG = 1.0  # a smaller rotation is no error worth a warning
+_LEAST_DEG = 1.0  # a smaller turn is no error worth a warning
 _SIGNIFICANT = 3.5  # standard errors that the better score lies above
 _GAIN = 1.08  # and how much above
-_SHARP = 1.25  # best score over that of all rotations: what a true fit reaches
+_SHARP = 1.25  # best score over that of all turns: what a true fit reaches
 _ROLL_GAIN, _ROLL_SHARP = 1.15, 1.4  # of rolls; where all edges are level others fit by chance
-_NO_FIT = 1.15  # score over that of all rotations, below which a larger error is looked for
+_MOVED_GAIN = 1.4  # where the vehicle moved between sweep and image, nobody knows how far
+_NO_FIT = 1.15  # score over that of all turns, below which a larger error is looked for
+_CHANCE, _CHANCE_ERRORS = 1.08, 2.0  # below it, also in standard errors, there is no fit at all
 _AT_ONCE = 10_000_000  # nanoseconds in which no vehicle moves far
-
-
-@dataclass(frozen=True)
-class _View:
-    """Depth edges of a sweep and edges of the image that was taken then.
-
-    Attributes
-    ----------
-    ends : ndarray of float64, shape (3, n, 3)
-        LiDAR frame at the time of the image, metres: the near return of each edge, the place
-        halfway to the far one, and the far one's direction at the near one's range.
-    weight : ndarray of float64, shape (n,)
-    image : int
-        Index of the image.
-    strength : ndarray of float32, shape (h, w, 3)
-        Edges of the image, see :func:`_edge_strength`.
-    """
-
-    ends: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    image: int
-    strength: NDArray[np.float32]
 
 
 def find_misalignment(recording: Dataset, stream: CameraStream) -> str | None:
@@ -83,37 +51,43 @@ def find_misalignment(recording: Dataset, stream: CameraStream) -> str | None:
     Returns
     -------
     str or None
-        For example ``the camera turns by 1.5 degrees to the right``; None where the given
-        calibration fits best, and where the evidence is thin.
+        For example ``depth edges fit the images better when the camera turns 1.5 degrees to the
+        right``; None where the given calibration fits best, and where the evidence is thin.
 
     Raises
     ------
     DatasetError
         A sweep or an image is damaged.
     """
-    views = _views(recording, stream)
+    views = views_of(recording, stream)
     if len(views) < _FEWEST_PAIRS:
         return None
-    given = _scores(views, stream, np.eye(3))
-    turned = _compare(views, stream, given, _turns(_STEP_DEG, _FARTHEST_DEG))
-    if turned.better:
-        return f"the camera turns by {_in_words(*turned.turn)}"
-    if _moved_meanwhile(recording, stream, views):
-        return None
-    rolls = [(0.0, 0.0, float(roll)) for roll in _ROLLS_DEG]
-    rolled = _compare(views, stream, given, rolls, turned.chance, _ROLL_GAIN, _ROLL_SHARP)
-    if rolled.better:
-        return f"the camera turns by {_in_words(*rolled.turn)}"
-    late = _better_images(views, stream, given, turned.chance)
+    pairs = _Pairs(views, stream)
+    moved = _moved_meanwhile(recording, stream, views)
+    better = "depth edges of the sweeps fit the images better when "
+    found = pairs.best(pairs.turns, _MOVED_GAIN if moved else _GAIN)
+    if moved:
+        return None if found is None else better + _in_words(found[0])
+    both = [found, pairs.best(_shifts(), _GAIN)]
+    known = [one for one in both if one is not None]
+    if known:
+        return better + _in_words(max(known, key=lambda one: one[1])[0])
+    found = pairs.best([(0, 0, roll, 0, 0, 0) for roll in _ROLLS_DEG], _ROLL_GAIN, _ROLL_SHARP)
+    if found:
+        return better + _in_words(found[0])
+    late = pairs.better_images()
     if late:
-        return f"images are taken about {abs(late)} frames {'later' if late > 0 else 'earlier'}"
-    if given.mean() > _NO_FIT * turned.chance:
+        when = "later" if late > 0 else "earlier"
+        return f"{better}they are taken about {abs(late)} frames {when}"
+    if pairs.given.mean() > _NO_FIT * pairs.chance.mean():
         return None
-    turned = _compare(views, stream, given, _turns(_WIDE_STEP_DEG, _WIDEST_DEG), turned.chance)
-    return f"the camera turns by {_in_words(*turned.turn)}" if turned.better else None
+    found = pairs.best(_turns(_WIDE_STEP_DEG, _WIDEST_DEG), _GAIN)
+    if found:
+        return better + _in_words(found[0])
+    return "depth edges of the sweeps fit the images by chance only" if pairs.no_fit() else None
 
 
-def _moved_meanwhile(recording: Dataset, stream: CameraStream, views: Sequence[_View]) -> bool:
+def _moved_meanwhile(recording: Dataset, stream: CameraStream, views: Sequence[View]) -> bool:
     """Whether the vehicle may have moved between sweeps and images, and no poses tell how far."""
     if recording.poses is not None:
         return False
@@ -122,46 +96,82 @@ def _moved_meanwhile(recording: Dataset, stream: CameraStream, views: Sequence[_
     return float(np.median(apart)) > _AT_ONCE
 
 
-@dataclass(frozen=True)
-class _Comparison:
-    """The best of several turns: tilt, pan, roll [deg].
+@dataclass
+class _Pairs:
+    """Scores of the pairs as given, and after changes.
 
-    ``better`` tells whether it fits clearly better than the given calibration, ``chance`` is the
-    score of all turns on average.
+    Attributes
+    ----------
+    given : ndarray of float64, shape (n,)
+        Of each pair with the given calibration.
+    chance : ndarray of float64, shape (n,)
+        Of each pair on average over all turns.
     """
 
-    turn: tuple[float, float, float]
-    better: bool
-    chance: float
+    views: Sequence[View]
+    stream: CameraStream
+
+    def __post_init__(self) -> None:
+        self.turns = _turns(_STEP_DEG, _FARTHEST_DEG)
+        self.given = self._after((0, 0, 0, 0, 0, 0))
+        self._turned = np.array([self._after(turn) for turn in self.turns])
+        self.chance: Scores = self._turned.mean(axis=0)
+
+    def best(
+        self, changes: Sequence[Change], gain: float, sharp: float = _SHARP
+    ) -> tuple[Change, float] | None:
+        """The change that fits best and its score, if it is clearly better than the given."""
+        scores = self._turned
+        if changes is not self.turns:
+            scores = np.array([self._after(change) for change in changes])
+        mean = scores.mean(axis=1)
+        k = int(mean.argmax())
+        small = 0 < np.linalg.norm(changes[k][:3]) < _LEAST_DEG or not any(changes[k])
+        if small or mean[k] < sharp * self.chance.mean():
+            return None
+        return (changes[k], float(mean[k])) if _is_better(scores[k], self.given, gain) else None
+
+    def better_images(self) -> int:
+        """How many images later those fit better; 0 if the given ones are best."""
+        best, best_score = 0, max(float(self.given.mean()), _SHARP * float(self.chance.mean()))
+        for off in _IMAGES_OFF:
+            others, inside = [], []
+            for k, view in enumerate(self.views):
+                if 0 <= view.image + off < len(self.stream.images):
+                    strength = edge_strength(self.stream, view.image + off)
+                    others.append(View(view.ends, view.weight, view.image + off, strength))
+                    inside.append(k)
+            if len(others) < _FEWEST_PAIRS:
+                continue
+            scores = scores_of(others, self.stream, np.eye(4))
+            if scores.mean() > best_score and _is_better(scores, self.given[inside], _GAIN):
+                best, best_score = off, float(scores.mean())
+        return best
+
+    def no_fit(self) -> bool:
+        """Whether the given calibration is no better than any other."""
+        share = self.given / self.chance
+        error = share.std(ddof=1) / np.sqrt(len(share))
+        return bool(share.mean() < _CHANCE and share.mean() - 1 < _CHANCE_ERRORS * error)
+
+    def _after(self, change: Change) -> Scores:
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = rotation_exp(np.radians(change[:3])), change[3:]
+        return scores_of(self.views, self.stream, T)
 
 
-def _turns(step: float, farthest: float) -> list[tuple[float, float, float]]:
+def _turns(step: float, farthest: float) -> list[Change]:
     angles = np.arange(-farthest, farthest + step / 2, step).tolist()
-    return [(tilt, pan, 0.0) for tilt in angles for pan in angles]
+    return [(tilt, pan, 0, 0, 0, 0) for tilt in angles for pan in angles]
 
 
-def _compare(
-    views: Sequence[_View],
-    stream: CameraStream,
-    given: NDArray[np.float64],
-    turns: Sequence[tuple[float, float, float]],
-    chance: float | None = None,
-    least_gain: float = _GAIN,
-    least_sharp: float = _SHARP,
-) -> _Comparison:
-    scores = np.array([_scores(views, stream, rotation_exp(np.radians(t))) for t in turns])
-    mean = scores.mean(axis=1)
-    best = int(mean.argmax())
-    chance = float(mean.mean()) if chance is None else chance
-    far_enough = float(np.linalg.norm(turns[best])) >= _LEAST_DEG
-    clear = far_enough and mean[best] > least_sharp * chance
-    clear = clear and _is_better(scores[best], given, least_gain)
-    return _Comparison(turns[best], bool(clear), chance)
+def _shifts() -> list[Change]:
+    along = [(s, 0.0, 0.0) for s in _SHIFTS]
+    every = [*along, *((0.0, s, 0.0) for s in _SHIFTS), *((0.0, 0.0, s) for s in _SHIFTS)]
+    return [(0, 0, 0, *shift) for shift in every]
 
 
-def _is_better(
-    scores: NDArray[np.float64], given: NDArray[np.float64], least_gain: float = _GAIN
-) -> bool:
+def _is_better(scores: Scores, given: Scores, least_gain: float) -> bool:
     """Whether scores of the pairs, one by one, lie above the given ones beyond chance."""
     gain = scores - given
     error = gain.std(ddof=1) / np.sqrt(len(gain)) + 1e-9
@@ -172,146 +182,10 @@ def _is_better(
     )
 
 
-def _better_images(
-    views: Sequence[_View], stream: CameraStream, given: NDArray[np.float64], chance: float
-) -> int:
-    """How many images later those fit better; 0 if the given ones are best."""
-    best, best_score = 0, max(float(given.mean()), _SHARP * chance)
-    for off in _IMAGES_OFF:
-        moved = [view.image + off for view in views]
-        inside = [k for k, image in enumerate(moved) if 0 <= image < len(stream.images)]
-        if len(inside) < _FEWEST_PAIRS:
-            continue
-        others = [
-            _View(views[k].ends, views[k].weight, moved[k], _edge_strength(stream, moved[k]))
-            for k in inside
-        ]
-        scores = _scores(others, stream, np.eye(3))
-        if scores.mean() > best_score and _is_better(scores, given[inside]):
-            best, best_score = off, float(scores.mean())
-    return best
-
-
-def _views(recording: Dataset, stream: CameraStream) -> list[_View]:
-    """Pairs of sweep and image, spread over the drive."""
-    times = recording.times
-    inside = np.flatnonzero((stream.times >= times[0]) & (stream.times <= times[-1]))
-    chosen = inside[np.unique(np.linspace(0, len(inside) - 1, PAIRS).round().astype(int))]
-    trajectory = None
-    if recording.poses is not None and len(times) > 1:
-        trajectory = Trajectory(times, recording.poses)
-    views = []
-    for image in chosen.tolist() if len(inside) else []:
-        index = int(np.abs(times - stream.times[image]).argmin())
-        ends, weight = _depth_edges(recording, index, stream)
-        if trajectory is not None:
-            T_world_image = trajectory.interpolate(stream.times[image : image + 1])[0]
-            motion = inverse(T_world_image) @ trajectory.poses[index]
-            ends = ends @ motion[:3, :3].T + motion[:3, 3]
-        if weight.sum() >= _FEWEST_EDGES:
-            views.append(_View(ends, weight, image, _edge_strength(stream, image)))
-    return views
-
-
-def _depth_edges(
-    recording: Dataset, index: int, stream: CameraStream
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Depth edges of a sweep around the image, as :class:`_View` has them."""
-    points = recording.sweep(index).points
-    points = points[usable_points(points)]
-    points = np.ascontiguousarray(points[_around_image(points, stream)])
-    mesh = ScanMesh(points)
-    corners = mesh.triangles[mesh.discontinuity].astype(np.int64)
-    sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    ranges = np.linalg.norm(points.astype(np.float64), axis=1)
-    first_is_near = ranges[sides[:, 0]] < ranges[sides[:, 1]]
-    near = np.where(first_is_near, sides[:, 0], sides[:, 1])
-    far = np.where(first_is_near, sides[:, 1], sides[:, 0])
-    near, far = np.unique(np.stack([near, far]), axis=1)
-    rays = points / ranges[:, None]
-    gap = np.degrees(np.arccos(np.clip((rays[near] * rays[far]).sum(axis=1), -1, 1)))
-    distance = ranges[near]
-    kept = (ranges[far] - distance > np.maximum(_JUMP[0], _JUMP[1] * distance)) & (
-        gap < _WIDEST_GAP_DEG
-    )
-    kept &= (distance > _RANGES[0]) & (distance < _RANGES[1])
-    rows = np.flatnonzero(kept)
-    rows = rows[:: max(1, -(-len(rows) // _MOST_EDGES))]
-    near, far, distance = near[rows], far[rows], distance[rows, None]
-    ends = np.stack([rays[near], (rays[near] + rays[far]) / 2, rays[far]]) * distance
-    return ends, np.minimum(1.0, _SHARPEST_GAP_DEG / np.maximum(gap[rows], 0.1))
-
-
-def _around_image(points: NDArray[np.float32], stream: CameraStream) -> NDArray[np.bool_]:
-    """Points in the image, or near it: also those that a camera would see that is turned a bit."""
-    camera = stream.camera
-    x, y, z = (points @ stream.T_camera_lidar[:3, :3].T + stream.T_camera_lidar[:3, 3]).T
-    half_width, half_height = camera.width / 2, camera.height / 2
-    u = camera.K[0, 0] * x + (camera.K[0, 2] - half_width) * z
-    v = camera.K[1, 1] * y + (camera.K[1, 2] - half_height) * z
-    inside: NDArray[np.bool_] = (z > 0.5) & (np.abs(u) < _MARGIN * half_width * z)
-    return inside & (np.abs(v) < _MARGIN * half_height * z)
-
-
-def _edge_strength(stream: CameraStream, image: int) -> NDArray[np.float32]:
-    """Structure tensor (xx, xy, yy) of a smaller image, over its contrast around."""
-    picture = stream.rectified_image(image)
-    assert picture is not None
-    grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-    scale = _scale(stream)
-    grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    bright = np.sqrt(grey.astype(np.float32))
-    across = cv2.Sobel(bright, cv2.CV_32F, 1, 0) / 8
-    down = cv2.Sobel(bright, cv2.CV_32F, 0, 1) / 8
-    tensor = np.stack([across * across, across * down, down * down], axis=-1)
-    pixel_deg = np.degrees(1 / stream.camera.K[0, 0]) / scale
-    smooth = cv2.GaussianBlur(tensor, (0, 0), _EDGE_DEG / pixel_deg)
-    window = 2 * round(2 * _CONTRAST_DEG / pixel_deg) + 1
-    around = cv2.blur(tensor[..., 0] + tensor[..., 2], (window, window))
-    result: NDArray[np.float32] = smooth / (around + _DARK)[..., None]
-    return result
-
-
-def _scale(stream: CameraStream) -> float:
-    return min(1.0, float(np.degrees(1 / stream.camera.K[0, 0])) / _PIXEL_DEG)
-
-
-def _scores(
-    views: Sequence[_View], stream: CameraStream, turn: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Strength of the image across each depth edge, on average over each pair."""
-    rotation = turn @ stream.T_camera_lidar[:3, :3]
-    offset = turn @ stream.T_camera_lidar[:3, 3]
-    return np.array([_score(view, stream, rotation, offset) for view in views])
-
-
-def _score(
-    view: _View,
-    stream: CameraStream,
-    rotation: NDArray[np.float64],
-    offset: NDArray[np.float64],
-) -> float:
-    K, scale = stream.camera.K, _scale(stream)
-    x, y, z = np.moveaxis(view.ends @ rotation.T + offset, -1, 0)
-    seen = (z > 0.5).all(axis=0)
-    z = np.where(seen, z, 1.0)
-    u, v = K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]
-    column = np.floor(u[1] * scale + 0.5).astype(np.int64)
-    row = np.floor(v[1] * scale + 0.5).astype(np.int64)
-    height, width = view.strength.shape[:2]
-    seen &= (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    if not seen.any():
-        return 0.0
-    du, dv = (u[2] - u[0])[seen], (v[2] - v[0])[seen]
-    xx, xy, yy = view.strength[row[seen], column[seen]].T
-    across = (du * du * xx + 2 * du * dv * xy + dv * dv * yy) / (du * du + dv * dv + 1e-12)
-    weight = view.weight[seen]
-    return float((np.sqrt(np.maximum(across, 0)) * weight).sum() / weight.sum())
-
-
-def _in_words(tilt: float, pan: float, roll: float) -> str:
-    """A turn of points about the camera's axes [deg] as one of the camera, the other way."""
-    parts = [
+def _in_words(change: Change) -> str:
+    """A change of points as one of the camera, the other way."""
+    tilt, pan, roll, x, y, z = change
+    turn = [
         f"{abs(angle):g} degrees {one if angle > 0 else other}"
         for angle, one, other in (
             (pan, "to the left", "to the right"),
@@ -320,4 +194,14 @@ def _in_words(tilt: float, pan: float, roll: float) -> str:
         )
         if angle
     ]
-    return " and ".join(parts)
+    shift = [
+        f"{abs(metres):g} m {one if metres > 0 else other}"
+        for metres, one, other in (
+            (x, "to the left", "to the right"),
+            (y, "up", "down"),
+            (z, "back", "forward"),
+        )
+        if metres
+    ]
+    times = ", or they are of other times" if z else ""
+    return f"the camera {'turns' if turn else 'moves'} {' and '.join(turn or shift)}{times}"

@@ -36,11 +36,11 @@ def check_camera(
     sound = _check_extrinsics(recording, stream, sweeps, found)
     if sound and stream.images and len(found.errors) == before:
         with found.collected():
-            better = find_misalignment(recording, stream)
-            if better:
+            misfit = find_misalignment(recording, stream)
+            if misfit:
                 found.warn(
-                    f"{stream.name}: depth edges of the sweeps fit the images better when "
-                    f"{better}; check {_extrinsics_of(recording)}, intrinsics and times"
+                    f"{stream.name}: {misfit}; check {_extrinsics_of(recording)}, the intrinsics, "
+                    "and the times of the images"
                 )
 
 
