@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -24,6 +25,13 @@ def _two_at_once(at: Path) -> subprocess.CompletedProcess:
     return subprocess.CompletedProcess(command, worst, b"", b"".join(messages))
 
 
+def _other_recording(at: Path) -> None:
+    """A recording with the same names and sizes, of another drive."""
+    shutil.copytree(at / "d", at / "d2")
+    for file in (at / "d2" / "velodyne").iterdir():
+        file.write_bytes(file.read_bytes()[::-1])
+
+
 def _killed(at: Path) -> None:
     """Kill a run in the middle; the case goes on with it in ``r``."""
     remove("r")(at)
@@ -40,22 +48,23 @@ def _killed(at: Path) -> None:
 STATES = [
     ("the same command twice", AGAIN, None, EITHER),
     ("a killed run continued", AGAIN, _killed, EITHER),
-    ("run.yaml empty", AGAIN, write("r/run.yaml", b""), REFUSED),
-    ("run.yaml broken", AGAIN, write("r/run.yaml", b"a: [1"), REFUSED),
-    ("run.yaml a list", AGAIN, write("r/run.yaml", b"- 1\n"), REFUSED),
-    ("run.yaml binary", AGAIN, write("r/run.yaml", bytes(range(256))), REFUSED),
+    ("run.yaml empty", AGAIN, write("r/run.yaml", b""), EITHER),
+    ("run.yaml broken", AGAIN, write("r/run.yaml", b"a: [1"), EITHER),
+    ("run.yaml a list", AGAIN, write("r/run.yaml", b"- 1\n"), EITHER),
+    ("run.yaml binary", AGAIN, write("r/run.yaml", bytes(range(256))), EITHER),
     ("run.yaml without stages", AGAIN, write("r/run.yaml", b"source: {}\nparameters: {}\n"),
-     REFUSED),
+     EITHER),
     ("run.yaml cut off", AGAIN, cut("r/run.yaml", 0.5), EITHER),
     ("run.yaml without stages, classify", ["classify", "r"],
-     write("r/run.yaml", b"source: {}\nparameters: {}\n"), REFUSED),
+     write("r/run.yaml", b"source: {}\nparameters: {}\n"), EITHER),
     ("run.yaml with a list of stages, video", ["video", "r"],
-     write("r/run.yaml", b"source: {}\nparameters: {}\nstages: []\n"), REFUSED),
+     write("r/run.yaml", b"source: {}\nparameters: {}\nstages: []\n"), EITHER),
     ("run.yaml without parameters, evaluate", ["evaluate", "held-out", "r"],
-     write("r/run.yaml", b"source: {}\nstages: {}\n"), REFUSED),
-    ("run.yaml is gone", AGAIN, remove("r/run.yaml"), REFUSED),
-    ("another recording in the same run", ["run", "d2", "-o", "r"],
-     lambda at: (at / "d").rename(at / "d2"), REFUSED),
+     write("r/run.yaml", b"source: {}\nstages: {}\n"), EITHER),
+    ("run.yaml is gone", AGAIN, remove("r/run.yaml"), EITHER),
+    ("the recording was moved", ["run", "d2", "-o", "r"],
+     lambda at: (at / "d").rename(at / "d2"), EITHER),
+    ("another recording in the same run", ["run", "d2", "-o", "r"], _other_recording, REFUSED),
     ("other parameters in the same run", [*AGAIN, "--set", "dynamics.tolerance=0.3"], None,
      REFUSED),
     ("a frame is missing", AGAIN, remove(FRAME), EITHER),

@@ -256,6 +256,10 @@ def view(
     ] = None,
 ) -> None:
     """Look at a sweep's labels, the trajectory and a depth map in 3-D (Open3D)."""
+    from docdepth.io.run_folder import RunFolder
+    from docdepth.pipeline.run import require
     from docdepth.visualization.viewer import view_run
 
-    view_run(run, frame, camera, around, image=image)
+    folder = RunFolder.open(run)
+    require(folder, "classify")
+    view_run(folder, frame, camera, around, image=image)

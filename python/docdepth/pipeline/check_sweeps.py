@@ -20,6 +20,8 @@ _FEWEST_POINTS = 100  # of a sweep; a LiDAR of one plane has more
 _ONE_PLACE = 1.0  # metres within which no sweep has all its points
 _FARTHEST = 250.0  # metres; half of the points of no sweep lie farther away
 _GAP = 0.2  # share of rows in one piece that are not finite
+_PAUSE = 1.8  # of the usual time between sweeps: one is missing
+_USABLE = 0.7  # of the share of usable points that sweeps of the drive usually have
 _SMALL = 0.2  # share of the usual size below which a sweep is partial
 _LATE = 1.5  # durations of a sweep after its stamp; no point is measured later
 _PERIODS = (0.005, 5.0)  # seconds between sweeps
@@ -50,13 +52,22 @@ def check_sweeps(
             _check_times(sweep, place)
             _check_parameters(sweep, place, parameters)
             opened[index] = sweep
+    _check_usable_shares(opened, recording, found)
     return opened
 
 
 def _check_period(recording: Dataset, found: Findings) -> None:
     if len(recording) < 2:
         return
-    period = float(np.median(np.diff(recording.times))) * 1e-9
+    pauses = np.diff(recording.times) * 1e-9
+    period = float(np.median(pauses))
+    longest = int(np.argmax(pauses))
+    if pauses[longest] > _PAUSE * period:
+        found.warn(
+            f"{recording.path}: {pauses[longest]:.2f} s lie between frames {longest} and "
+            f"{longest + 1}, usually {period:.2f} s; are sweeps missing? Depth near the gap rests "
+            "on fewer sweeps"
+        )
     if not _PERIODS[0] < period < _PERIODS[1]:
         found.warn(
             f"{recording.path}: sweeps are {period:.3g} s apart; a LiDAR takes 0.05 to 0.2 s. "
@@ -109,6 +120,19 @@ def _check_points(sweep: Sweep, place: str, found: Findings) -> None:
             f"{place}: {length} of {len(usable)} points in one piece, from row {begin}, are not "
             "finite; the LiDAR or its recording failed meanwhile: leave the sweep out"
         )
+
+
+def _check_usable_shares(opened: dict[int, Sweep], recording: Dataset, found: Findings) -> None:
+    """Sweeps with far fewer usable points than the others."""
+    shares = {k: float(usable_points(sweep.points).mean()) for k, sweep in opened.items()}
+    usual = float(np.median(list(shares.values()))) if shares else 0.0
+    for index, share in shares.items():
+        if share < _USABLE * usual:
+            found.warn(
+                f"{recording.path}: {100 * share:.0f} % of the points of sweep "
+                f"{opened[index].name} (frame {index}) are usable, of other sweeps "
+                f"{100 * usual:.0f} %; copy the sweep again, or leave it out of the recording"
+            )
 
 
 def _longest_run(flags: NDArray[Any]) -> tuple[int, int]:

@@ -241,7 +241,11 @@ class RunGraph:
             return "what it was made of is not known"
         name, was, value = _first_difference(before, now)
         if name in ("odometry", "classify") and not isinstance(was, dict):
-            return f"{name} has other results"
+            upstream = self._odometry if name == "odometry" else self._classify
+            made_of = self._run.made_of(name)
+            if made_of == upstream:
+                return f"{name} was made again"
+            return f"{name} is out of date: {self._why(made_of, upstream)}"
         if name == "sweeps":
             changed = self._inputs.changed()
             return f"sweeps have changed, {changed[0]} first" if changed else "sweeps have changed"

@@ -14,6 +14,7 @@ from docdepth.errors import CalibrationError, ConfigError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.check_resources import check_image_size
 
 FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from camera axes to LiDAR axes when the camera looks along the LiDAR's x axis."""
@@ -47,6 +48,7 @@ def virtual_camera(pose: str, K: str, size: str, times: Path | None = None) -> d
     pixels = parse_size(size)
     if pixels is None:
         raise ConfigError("--size is missing; write --size WIDTHxHEIGHT, for example 1280x720")
+    check_image_size(*pixels, "--size")
     fx, fy, cx, cy = _numbers("--K", K, 4, "fx,fy,cx,cy")
     return {
         "T_lidar_camera": parse_pose(pose).tolist(),
