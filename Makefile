@@ -1,5 +1,8 @@
 # make demo   install what is missing and turn a synthetic drive into depth maps
-# make test   install what is missing and run every check: what continuous integration runs
+# make test   install what is missing and run the checks of continuous integration
+#
+# The first of them builds the C++ core, which takes about two minutes. Tests on real recordings run
+# only where DOCDEPTH_KITTI_RAW names them; make test ends with a list of what it has left out.
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 PYTHON ?= python3
@@ -36,7 +39,7 @@ SOURCES := pyproject.toml CMakeLists.txt $(shell find cmake cpp python -type f \
 # pip says nothing while it compiles, which takes a minute or two: show the packages that it collects
 # and the files that the compiler is at. The whole log is kept beside the environment.
 define install
-	@echo "installing docdepth[$(1)]: packages, then the C++ core"
+	@echo "installing docdepth[$(1)]: packages, then the C++ core, about two minutes"
 	@$(BIN)/pip install --verbose '.[$(1)]' 2>&1 | tee $(VENV)/install.log | sed -unE \
 	  -e 's/^ *Collecting ([A-Za-z0-9_.-]+).*/  package \1/p' \
 	  -e 's,^ *(\[[0-9]+/[0-9]+\]) Building CXX object .*\.dir/(.*)\.o$$,  \1 \2,p' \

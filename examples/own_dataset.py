@@ -32,12 +32,12 @@ class NpyDrive:
     def sweep(self, index: int) -> docdepth.Sweep:
         """Read one sweep. Add ``relative_time`` so that raw sweeps are deskewed."""
         file = self.files[index]
-        return docdepth.Sweep(
-            points=np.load(file),
-            name=file.stem,
-            time=int(self.times[index]),
-            motion_compensated=True,
-        )
+        points, time = np.load(file), int(self.times[index])
+        return docdepth.Sweep(points, file.stem, time, motion_compensated=True)
+
+    def sweep_files(self, index: int) -> list[Path]:
+        """What ``sweep(index)`` reads, so that a run notices when it changes."""
+        return [self.files[index]]
 
     def labels(self, index: int) -> None:
         """True SemanticKITTI labels, uint32 (N,), if there are any."""

@@ -10,13 +10,29 @@ from command_line import cli
 from docdepth.geometry.trajectory import Trajectory
 from walled_yard import scan, straight
 
+_NO_RECORDINGS = "DOCDEPTH_KITTI_RAW is not set: no real recordings"
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Say which tests on real recordings were left out, and how to run them."""
+    skipped = terminalreporter.stats.get("skipped", [])
+    left_out = sorted({report.nodeid for report in skipped if "KITTI_RAW" in str(report.longrepr)})
+    if left_out:
+        terminalreporter.section("not run: tests on real recordings")
+        for name in left_out:
+            terminalreporter.line(f"  {name}")
+        terminalreporter.line(
+            f"{len(left_out)} tests were left out. They need KITTI raw drives: "
+            "DOCDEPTH_KITTI_RAW=FOLDER make test, where FOLDER holds 2011_09_26"
+        )
+
 
 @pytest.fixture(scope="session")
 def kitti() -> Path:
     """Folder 2011_09_26 of the real recordings, or skip."""
     root = os.environ.get("DOCDEPTH_KITTI_RAW")
     if not root:
-        pytest.skip("DOCDEPTH_KITTI_RAW is not set: no real recordings")
+        pytest.skip(_NO_RECORDINGS)
     return Path(root) / "2011_09_26"
 
 

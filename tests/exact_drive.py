@@ -79,6 +79,9 @@ class Drive:
     def __len__(self) -> int:
         return self.count
 
+    def sweep_files(self, index: int) -> list[Path]:
+        return []
+
     def labels(self, index: int) -> None:
         return None
 

@@ -14,8 +14,12 @@ import pytest
 import typer
 
 from docdepth.cli import app
-from docdepth.config import Parameters
+from docdepth.config import Parameters, parameters, parse_settings
 from docdepth.datasets import open_dataset
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.depth_map import compose_depth
+from docdepth.render.frame import Frame
 
 ROOT = Path(__file__).parent.parent
 README = ROOT / "README.md"
@@ -205,6 +209,48 @@ def test_snippets_of_the_readme_run(
     path = next(iter(replaced))
     exec(_with(whole_run, {path: replaced[path]}), space)
     assert len(list((tmp_path / "run" / "depth").glob("*.png"))) == 4
+
+
+def _recipe_of_far_scenes() -> tuple[dict[str, Any], float]:
+    """Settings and scale of the command in the section on far scenes."""
+    text = (ROOT / "docs" / "quickstart.md").read_text(encoding="utf-8")
+    section = text.split("## Far scenes")[1].split("\n## ")[0]
+    words = shlex.split(_FENCE.findall(section)[0][1])
+    settings = [words[k + 1] for k, word in enumerate(words) if word == "--set"]
+    return parse_settings(settings), float(words[words.index("--scale") + 1])
+
+
+@pytest.mark.parametrize("primitive", ["splats", "triangles"])
+def test_the_recipe_for_far_scenes_draws_far_sweeps(primitive: Any) -> None:
+    """Each sweep, one per 50 m, sees a board of its own 40 m ahead; none hides another."""
+    settings, scale = _recipe_of_far_scenes()
+    spacing, sweeps = 50.0, 14
+    poses = np.repeat(np.eye(4)[None], sweeps, axis=0)
+    poses[:, 0, 3] = spacing * np.arange(sweeps)
+    trajectory = Trajectory(np.arange(sweeps) * 10**9, poses)
+    right, up = np.meshgrid(np.linspace(-0.002, 0.002, 30), np.linspace(-0.002, 0.002, 30))
+    camera = Camera(np.array([[15000.0, 0, 60], [0, 15000, 50], [0, 0, 1]]), 1500, 101)
+    T_camera_lidar = np.array([[0, -1.0, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+    def drawn(values: dict[str, Any]) -> set[float]:
+        p = parameters("default", {"render.primitive": primitive, **values}).render
+
+        def board(index: int) -> Frame:
+            distance = 40.0 + spacing * index
+            side = -distance * (right + 100 * index / 15000)  # 100 pixels beside the last board
+            points = np.stack([np.full(up.shape, 40.0), side, distance * up], -1).reshape(-1, 3)
+            return Frame(points.astype(np.float32), np.full(len(points), 50, np.uint16), p)
+
+        depth = compose_depth(camera, T_camera_lidar, trajectory, 0, board, p)
+        return set(np.unique(depth[np.isfinite(depth)].round(-1)).tolist())
+
+    far = drawn(settings)
+    assert max(far) > 500, "of the farthest sweeps, some are drawn"
+    assert len(far) > 5, "and those on the way"
+    assert max(far) * scale < 2**16, "and fits into a PNG"
+    for name in ("render.ahead", "render.max_depth"):
+        less = {key: value for key, value in settings.items() if key != name}
+        assert max(drawn(less)) < 300, f"{name} is needed"
 
 
 def _with(text: str, replaced: dict[str, str]) -> str:

@@ -361,6 +361,31 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
     return stored_parameters(tree)
 
 
+def replaced(values: Parameters, settings: dict[str, Any]) -> Parameters:
+    """Parameters with single values replaced.
+
+    Parameters
+    ----------
+    values : Parameters
+    settings : dict
+        Values by dotted name, as for :func:`parameters`.
+
+    Raises
+    ------
+    ConfigError
+        As for :func:`parameters`.
+    """
+    if not settings:
+        return values
+    known = {
+        f"{stage}.{name}": value
+        for stage, of_stage in values.model_dump().items()
+        if stage != "preset"
+        for name, value in of_stage.items()
+    }
+    return parameters(values.preset, {**known, **settings})
+
+
 def stored_parameters(tree: Any, file: Path | None = None) -> Parameters:
     """Parameters from a tree ``{stage: {name: value}}``, as ``run.yaml`` keeps it.
 

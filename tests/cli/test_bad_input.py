@@ -109,9 +109,7 @@ def test_folder_with_another_run(drive, finished):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--preset", "best"], "unknown preset"),
         (["--set", "dynamics.tau=1"], "unknown parameter"),
-        (["--dataset", "kiti"], "kiti"),
         (["--camera", "image_9"], "image_9"),
         (["--image-size", "100x100"], "asked for is 100 x 100"),
         (["--image-size", "100"], "WIDTHxHEIGHT"),

@@ -359,12 +359,34 @@ def test_image_size_that_does_not_fit(raw: Path) -> None:
 def test_folders_without_a_recording(raw: Path, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="not there"):
         open_dataset(tmp_path / "nowhere")
-    with pytest.raises(DatasetError, match=r"did you mean .*drive_0001_sync.*kitti_raw: a drive"):
-        open_dataset(raw.parent)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DatasetError, match=r"no recording that docdepth reads.*kitti_raw: a drive"):
+        open_dataset(tmp_path / "empty")
     with pytest.raises(DatasetError, match="unknown dataset 'waymo'; there are kitti_raw"):
         open_dataset(raw, "waymo")
     with pytest.raises(DatasetError, match=r"no recording.*semantic_kitti: a sequence"):
         open_dataset(raw, "semantic_kitti")
+
+
+# ---- the files of a sweep
+
+
+def test_files_of_a_sweep(raw: Path, sequence: Path) -> None:
+    data = raw / "velodyne_points" / "data"
+    assert open_dataset(raw).sweep_files(2) == [data / "0000000002.bin"]
+    assert open_dataset(sequence).sweep_files(1) == [sequence / "velodyne" / "000001.bin"]
+
+
+def test_files_of_a_sweep_of_two_lidars_with_times(sequence: Path) -> None:
+    write_sweeps(sequence / "velodyne_2", 4, 6)
+    with (sequence / "calib.txt").open("a") as calibration:
+        calibration.write(f"Tr_2: {numbers(np.eye(4)[:3])}\n")
+    (sequence / "point_times").mkdir()
+    np.zeros(104, "<f4").tofile(sequence / "point_times" / "000002.bin")
+    folders = [sequence / name for name in ("velodyne", "velodyne_2", "point_times")]
+    dataset = open_dataset(sequence)
+    assert dataset.sweep_files(2) == [folder / "000002.bin" for folder in folders]
+    assert dataset.sweep_files(1) == [folder / "000001.bin" for folder in folders[:2]]
 
 
 # ---- the real drives

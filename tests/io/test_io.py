@@ -16,7 +16,6 @@ from docdepth.io.atomic import write_atomically
 from docdepth.io.frames import (
     FrameRecord,
     read_frame,
-    read_frame_key,
     read_trajectory,
     write_frame,
     write_trajectory,
@@ -32,7 +31,6 @@ def frame() -> FrameRecord:
         index=np.arange(0, 200, 2, dtype=np.uint32),
         name="sweep with a space",
         input_points=201,
-        key={"odometry": "abc", "classify": "def"},
         classid=rng.choice([0, 50, 100], 100).astype(np.uint16),
         votes_static=rng.integers(0, 60, 100, dtype=np.uint16),
         votes_dynamic=rng.integers(0, 60, 100, dtype=np.uint16),
@@ -46,8 +44,7 @@ def test_frame_is_read_back_the_same(tmp_path, frame):
     back = read_frame(path)
     for name in ("points", "index", "classid", "votes_static", "votes_dynamic", "time_offset"):
         np.testing.assert_array_equal(getattr(back, name), getattr(frame, name))
-    assert (back.name, back.input_points, back.key) == (frame.name, 201, frame.key)
-    assert read_frame_key(path) == frame.key
+    assert (back.name, back.input_points) == (frame.name, 201)
 
 
 def test_a_frame_of_the_previous_release_is_read(tmp_path, frame):

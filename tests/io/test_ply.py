@@ -180,7 +180,7 @@ def test_damage_is_described(tmp_path: Path, content: bytes, match: str) -> None
     path = tmp_path / "frame_000003.ply"
     path.write_bytes(content)
     with pytest.raises(
-        RunError, match=rf"frame_000003\.ply is damaged \(.*({match}).*\); delete it"
+        RunError, match=rf"frame_000003\.ply is damaged \(.*({match}).*\); docdepth run RUN makes"
     ):
         read_vertices(path)
 

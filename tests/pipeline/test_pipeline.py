@@ -26,7 +26,7 @@ def test_outputs_of_a_run(drive, finished):
     run, output = finished
     names = [p.stem for p in sorted((drive / "image_2").glob("*.png"))]
     inside = [p.stem for p in sorted((run / "depth").glob("*.png"))]
-    left_out = RunFolder(run).stage("render")["left_out"]
+    left_out = RunFolder(run).stage("render image_2")["left_out"]
     assert sorted(inside + left_out) == names
     assert inside
     for name in inside:
@@ -65,7 +65,7 @@ def test_interrupted_run_goes_on_and_ends_the_same(drive, finished, tmp_path, mo
 
     for module, name, count in (
         (classes, "_write_classified", 3),
-        (depth_files, "_write_image", 2),
+        (depth_files, "encode_image", 2),
     ):
         written.clear()
         with monkeypatch.context() as patch:
@@ -108,37 +108,40 @@ def test_several_cameras_in_several_formats(drive, finished, tmp_path):
     arguments = ("--camera", "image_2,image_3", "--format", "png,npz", "--format", "tiff")
     result = cli("render", run, *arguments, "--scale", 64, "--set", "render.max_depth=700")
     assert result.exit_code == 0, result.output
-    assert not list((run / "depth").glob("*.*"))
+    # The first camera keeps its folder, the second has its own.
+    folders = {"image_2": run / "depth", "image_3": run / "depth" / "image_3"}
     before = read_depth(finished[0] / "depth" / "000001.png")
     for camera in ("image_2", "image_3"):
-        text = json.loads((run / "depth" / camera / "depth.json").read_text())
+        text = json.loads((folders[camera] / "depth.json").read_text())
         assert text["scale"] == {"png": 64.0, "npz": 1, "tiff": 1}
         assert text["range"] == [0.1, 700.0]
         assert text["camera"]["name"] == camera
         assert len(text["maps"]) >= FRAMES - 1
         for name, known in text["maps"].items():
-            path = run / "depth" / camera / name
+            path = folders[camera] / name
             png, npz, tiff = (read_depth(path.with_suffix(s)) for s in (".png", ".npz", ".tiff"))
             np.testing.assert_array_equal(npz, tiff)
             np.testing.assert_allclose(png, npz, atol=0.51 / 64)
             assert known["coverage"] == pytest.approx(np.isfinite(npz).mean(), abs=1e-6)
-            assert (run / "report" / camera / f"{name}.jpg").is_file()
+            pictures = run / "report" / folders[camera].relative_to(run / "depth")
+            assert (pictures / f"{name}.jpg").is_file()
     known = RunFolder(run).calibration("image_3")
     np.testing.assert_allclose(known[1], open_dataset(drive).cameras["image_3"].T_camera_lidar)
-    left, right = (read_depth(run / "depth" / c / "000001.npz") for c in ("image_2", "image_3"))
+    left, right = (read_depth(folder / "000001.npz") for folder in folders.values())
     np.testing.assert_allclose(left, before, atol=0.51 / 256)
     assert not np.array_equal(left, right, equal_nan=True)
-    assert list(open_dataset(run).cameras) == ["image_2", "image_3"]
+    assert list(open_dataset(run).cameras) == ["camera", "image_3"]
     result = cli("evaluate", "depth", run, "--depth", drive)
     assert "image_2, image_3: say --camera" in str(result.exception)
     result = cli("evaluate", "depth", run, "--depth", drive, "--camera", "image_2", "--json")
-    assert json.loads(result.output)["all"]["mae"] < 3
+    assert json.loads(result.stdout)["all"]["mae"] < 3
 
-    # And back to one.
+    # One of them again, in another format: the other stays as it is.
+    untouched = {p: p.stat().st_mtime_ns for p in folders["image_3"].iterdir()}
     assert cli("render", run, "--camera", "image_2", "--format", "png").exit_code == 0
     assert read_depth(run / "depth" / "000001.png").shape == before.shape
-    assert not (run / "depth" / "image_2").exists()
-    assert list(open_dataset(run).cameras) == ["camera"]
+    assert not list((run / "depth").glob("*.npz"))
+    assert {p: p.stat().st_mtime_ns for p in folders["image_3"].iterdir()} == untouched
 
 
 def test_layers_beside_depth(finished, tmp_path):
@@ -157,15 +160,13 @@ def test_layers_beside_depth(finished, tmp_path):
         np.testing.assert_array_equal(np.isnan(layers["time"]), none)
     # A map whose layers are missing is not whole.
     (run / "layers" / f"{names[0]}.npz").unlink()
-    folder = RunFolder(run)
-    folder.set_stage("render", state="running")
     assert cli("render", run).exit_code == 0
     assert (run / "layers" / f"{names[0]}.npz").is_file()
     assert cli("render", run, "--set", "output.layers=[]").exit_code == 0
     assert not (run / "layers").exists()
     result = cli("render", run, "--layers", "colour")
     assert result.exit_code == 2
-    assert "output.layers" in str(result.exception)
+    assert "colour" in result.output
 
 
 def test_video_of_a_run(drive, finished, tmp_path, monkeypatch):
@@ -194,7 +195,7 @@ def test_video_of_a_run(drive, finished, tmp_path, monkeypatch):
     assert (run / "report" / "video.webm").read_bytes() == before
     assert not list(run.rglob(".video*"))
     (run / "depth" / f"{names[1]}.png").unlink()
-    assert f"lacks {names[1]}" in str(cli("video", run).exception)
+    assert f"depth/{names[1]}.png is missing" in str(cli("video", run).exception)
     assert "not of image_7" in str(cli("video", run, "--camera", "image_7").exception)
 
 

@@ -58,11 +58,9 @@ def run(drive, tmp_path_factory) -> Path:
         one.labels.tofile(labels / f"{k:06d}.label")
         rows = np.arange(len(one.points), dtype=np.uint32)
         seen = rig_beside_origin(one.points)
-        record = FrameRecord(
-            one.points, rows, f"{k:06d}", len(rows), {"odometry": "x"}, sensor=seen.index
-        )
-        folder.write_frame(k, record)
-    folder.write_sensors(seen)
+        record = FrameRecord(one.points, rows, f"{k:06d}", len(rows), sensor=seen.index)
+        folder.write_frame(k, record, {"odometry": "x"})
+    folder.write_sensors(seen, {"odometry": "x"})
     folder.set_stage("odometry", state="done", key="x")
     return folder.path
 

@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 import ctypes
-import logging
 import sys
 from typing import Annotated
 
 import typer
-from rich.logging import RichHandler
 
-from docdepth.cli import stages, truth
-from docdepth.cli.options import app, err, out
-from docdepth.errors import DocDepthError
+from docdepth.cli import check, stages, status, support, truth
+from docdepth.cli.failures import STOPPED, report
+from docdepth.cli.terminal import Quiet, Verbose, app, out, print_any_path, set_volume
 
-__all__ = ["app", "main", "stages", "truth"]
+__all__ = ["app", "check", "main", "stages", "status", "support", "truth"]
 
 
 @app.callback(invoke_without_command=True)
 def options(
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what is done.")] = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Set up what every verb shares."""
-    logging.basicConfig(
-        level=logging.INFO if verbose else logging.WARNING,
-        format="%(message)s",
-        handlers=[RichHandler(console=err, show_time=False, show_path=False)],
-    )
+    set_volume(quiet, verbose)
     if version:
         from docdepth import __version__
 
@@ -54,11 +49,13 @@ def keep_memory() -> None:
 
 
 def main() -> None:
-    """Entry point: one clear sentence and exit code 2 for a user's mistake."""
+    """Entry point: every end without a result is a sentence and an exit code, never a traceback."""
     keep_memory()
+    print_any_path()
     try:
-        app()
-    except DocDepthError as error:
-        err.print("error:", style="red", end=" ")
-        err.print(str(error), soft_wrap=True, markup=False)
-        sys.exit(2)
+        code = app(standalone_mode=False)
+        if code == STOPPED:  # typer has taken the KeyboardInterrupt
+            raise KeyboardInterrupt
+    except (Exception, KeyboardInterrupt) as error:
+        code = report(error)
+    sys.exit(code)

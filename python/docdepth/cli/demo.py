@@ -5,9 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from docdepth.config import Preset, parameters
+from docdepth.errors import DatasetError
 from docdepth.pipeline.run import run
 from docdepth.pipeline.stage import Progress
 from docdepth.synthetic import write_drive
+from docdepth.synthetic.writer import described, sequence_folder, written_drive
+
+_SCENE, _SENSOR = "city", "HDL-64"
 
 
 def demo(
@@ -23,15 +27,30 @@ def demo(
     -------
     (Path, Path)
         The sequence folder of the drive and the run folder.
+
+    Raises
+    ------
+    DatasetError
+        The folder holds another drive.
     """
 
     def written(done: int, total: int) -> None:
         if progress:
             progress("synth", done, total)
 
-    sequence = folder / "drive" / "sequences" / "00"
+    sequence = sequence_folder(folder / "drive")
+    about = written_drive(sequence)
+    if about is not None and (about["scene"], about["seed"], about["frames"]) != (
+        _SCENE,
+        0,
+        frames,
+    ):
+        raise DatasetError(
+            f"{folder} holds the demo of another drive ({described(about)}), not of {frames} "
+            "frames; choose another folder with -o, or delete this one"
+        )
     if not (sequence / "docdepth.yaml").is_file():
-        write_drive(folder / "drive", scene="city", frames=frames, seed=0, progress=written)
+        write_drive(folder / "drive", _SCENE, _SENSOR, frames, seed=0, progress=written)
     values = parameters(preset)
     made = run(
         sequence, folder / "run", values, camera="image_2", threads=threads, progress=progress

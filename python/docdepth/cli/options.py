@@ -1,111 +1,220 @@
-"""Consoles, options, progress bars and summaries that the verbs share."""
+"""Options that several verbs share, and what they mean together."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+
+from docdepth.cli.names import FORMATS, LAYERS, LAYOUTS, PRESETS, RENDERERS, one_of, some_of
 
 if TYPE_CHECKING:
-    from docdepth.config import Parameters
     from docdepth.io.run_folder import RunFolder
 
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    help="Dense, metric depth maps for camera images from LiDAR recordings (DOC-Depth).",
-)
-out = Console(highlight=False)
-err = Console(stderr=True, highlight=False)
-
-RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")]
+RunPath = Annotated[
+    Path, typer.Argument(metavar="RUN", help="Run folder, as docdepth run -o made it.")
+]
+Output = Annotated[
+    Path | None,
+    typer.Option(
+        "-o", "--output", metavar="RUN", help="Run folder: created, or continued if it is there."
+    ),
+]
+Layout = Annotated[
+    str | None,
+    typer.Option(
+        "--dataset",
+        help=f"Layout of the recording: {', '.join(LAYOUTS)}; guessed if absent.",
+        **one_of(LAYOUTS),
+    ),
+]
+PresetName = Annotated[
+    str,
+    typer.Option(
+        "--preset",
+        help="Values that all parameters start from: default (most accurate) or "
+        "paper (the paper's method).",
+        **one_of(PRESETS),
+    ),
+]
+ChosenPreset = Annotated[
+    str | None,
+    typer.Option(
+        "--preset",
+        help="Values that all parameters start from: default (most accurate, taken if absent) or "
+        "paper (the paper's method).",
+        **one_of(PRESETS),
+    ),
+]
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        help="YAML file of parameters by stage (odometry: {max_range: 80}), or the run.yaml of a "
+        "run, whose recording and camera are then taken too. Options win over the file.",
+    ),
+]
+Frames = Annotated[
+    str | None,
+    typer.Option(
+        "--frames",
+        metavar="A:B",
+        help="Take sweeps A to B-1 of the recording only, counted from 0; all if absent.",
+    ),
+]
+PosesFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--poses",
+        metavar="FILE",
+        help="Poses of the LiDAR from your own SLAM, TUM or KITTI format, one per sweep; "
+        "estimated if absent.",
+    ),
+]
+CameraTimes = Annotated[
+    Path | None,
+    typer.Option(
+        "--camera-times",
+        metavar="FILE",
+        help="Times of the images in seconds, one per line; those of the recording if absent.",
+    ),
+]
+ImageSize = Annotated[
+    str | None,
+    typer.Option(
+        "--image-size",
+        metavar="WxH",
+        help="Size of the images in pixels, for a recording without images that does not tell "
+        "it, for example 1242x375.",
+    ),
+]
+HashInputs = Annotated[
+    bool,
+    typer.Option(
+        "--hash-inputs",
+        help="Tell by their content whether sweeps and images have changed, not by size and time; "
+        "reads the whole recording once.",
+    ),
+]
+Force = Annotated[
+    bool,
+    typer.Option(
+        "--force",
+        help="Continue a run that was started with other inputs or parameters; what they change "
+        "is made again.",
+    ),
+]
+DryRun = Annotated[
+    bool,
+    typer.Option("--dry-run", help="Check all inputs and tell what would be made; make nothing."),
+]
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="STAGE.NAME=VALUE", help="Set a parameter."),
+    typer.Option(
+        "--set",
+        metavar="STAGE.NAME=VALUE",
+        help="Set one parameter, for example dynamics.tolerance=0.3; repeat it for more. "
+        "docdepth parameters lists all.",
+    ),
 ]
-Threads = Annotated[int, typer.Option(min=0, help="Number of threads; 0 uses all cores.")]
+Threads = Annotated[
+    int,
+    typer.Option(
+        min=0, max=1024, metavar="N", help="Threads to use; 0 takes every core. Same result."
+    ),
+]
 RendererName = Annotated[
     str | None,
     typer.Option(
         "--renderer",
-        metavar="NAME",
-        help="auto (GPU if present, else cpu), cpu, egl, egl:N, surfaceless or osmesa; "
-        "DOCDEPTH_RENDERER or auto if absent.",
+        help=f"What draws: {', '.join(RENDERERS)}. auto takes a graphics card if there is one, "
+        "else cpu. DOCDEPTH_RENDERER, then auto, if absent.",
+        **one_of(RENDERERS),
     ),
 ]
 CameraNames = Annotated[
     list[str] | None,
     typer.Option(
-        "--camera", metavar="NAME", help="Camera, several with commas, or all; image_02 if absent."
+        "--camera",
+        metavar="NAME[,NAME...]",
+        help="Cameras to draw, as the recording names them (image_02), or all; the left colour "
+        "camera if absent.",
     ),
+]
+OneCamera = Annotated[
+    str | None,
+    typer.Option("--camera", metavar="NAME", help="Camera; needed where the run has several."),
 ]
 Formats = Annotated[
     list[str] | None,
     typer.Option(
         "--format",
-        metavar="NAME",
-        help="png (default), exr, exr-half, tiff, npz or npy; several with commas.",
+        help=f"Files of each depth map: {', '.join(FORMATS)}; png if absent.",
+        **some_of(FORMATS),
     ),
 ]
-Scale = Annotated[float | None, typer.Option(help="PNG value per metre; 256 (KITTI) if absent.")]
+Scale = Annotated[
+    float | None,
+    typer.Option(
+        metavar="X",
+        help="PNG value of one metre: 256 as KITTI if absent, up to 255 m; 64 reaches 1023 m.",
+    ),
+]
 LayerNames = Annotated[
     list[str] | None,
     typer.Option(
         "--layers",
-        metavar="NAME",
-        help="Per-pixel layers: class, time, range, support, std, normal, confidence.",
+        help=f"Further arrays per pixel, written beside the depth: {', '.join(LAYERS)}; none if "
+        "absent.",
+        **some_of(LAYERS),
     ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-
-
-def show(result: Any, as_json: bool) -> None:
-    text = json.dumps(result.as_dict(), indent=1) if as_json else str(result.table())
-    out.print(text, soft_wrap=True, markup=False)
-
-
-@contextmanager
-def progress_bars() -> Iterator[Any]:
-    """One progress bar per stage, with the time left; lines where output is no terminal."""
-    if not err.is_terminal:
-        yield _progress_lines()
-        return
-    columns = (
-        TextColumn("{task.description:<12}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    with Progress(*columns, console=err) as bars:
-        tasks: dict[str, Any] = {}
-
-        def tell(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done, total=total)
-
-        yield tell
-
-
-def _progress_lines() -> Callable[[str, int, int], None]:
-    """For log files: a line whenever another tenth of a stage is done."""
-    told: dict[str, int] = {}
-
-    def tell(stage: str, done: int, total: int) -> None:
-        tenths = 10 * done // max(total, 1)
-        if told.get(stage) != tenths:
-            told[stage] = tenths
-            err.print(f"{stage} {done}/{total}", soft_wrap=True, markup=False)
-
-    return tell
+VirtualPose = Annotated[
+    str | None,
+    typer.Option(
+        "--pose",
+        metavar="POSE",
+        help="Draw for a virtual camera at this pose in the LiDAR frame (x forward, y left, "
+        "z up): x,y,z looks ahead; x,y,z,qx,qy,qz,qw; or a file with a 4x4 matrix.",
+    ),
+]
+VirtualIntrinsics = Annotated[
+    str | None,
+    typer.Option(
+        "--K",
+        metavar="FX,FY,CX,CY",
+        help="Intrinsics of the virtual camera: focal lengths and principal point in pixels, "
+        "for example 700,700,640,360.",
+    ),
+]
+VirtualSize = Annotated[
+    str | None,
+    typer.Option(
+        "--size",
+        metavar="WxH",
+        help="Image size of the virtual camera in pixels, for example 1280x720.",
+    ),
+]
+VirtualName = Annotated[
+    str,
+    typer.Option(
+        "--name", metavar="NAME", help="Name of the virtual camera: maps go to depth/NAME."
+    ),
+]
+VirtualTimes = Annotated[
+    Path | None,
+    typer.Option(
+        "--camera-times",
+        metavar="FILE",
+        help="Times of the virtual camera's images in seconds, one per line; those of the "
+        "sweeps if absent.",
+    ),
+]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print the result as JSON; messages go to standard error.")
+]
 
 
 def listed(names: list[str] | None) -> str | list[str] | None:
@@ -136,46 +245,20 @@ def output_of(
 
 def reopen(path: Path, changes: dict[str, Any], *stages: str) -> RunFolder:
     """A run with some parameters of one stage replaced; kept in run.yaml once a stage uses them."""
+    from docdepth.config import replaced
     from docdepth.io.run_folder import RunFolder
 
+    check_stages(changes, *stages)
     folder = RunFolder.open(path)
-    values = replaced(folder, changes, *stages)
+    values = replaced(folder.parameters, changes)
     folder.manifest["parameters"] = values.model_dump(mode="json")
     return folder
 
 
-def replaced(folder: RunFolder, changes: dict[str, Any], *stages: str) -> Parameters:
-    """The parameters of a run with some replaced."""
-    from docdepth.config import parameters
+def check_stages(changes: dict[str, Any], *stages: str) -> None:
+    """Refuse parameters of other stages."""
     from docdepth.errors import ConfigError
 
     for name in changes:
         if name.partition(".")[0] not in stages:
             raise ConfigError(f"--set {name}: this stage knows {' and '.join(stages)} only")
-    saved = {
-        f"{stage}.{key}": value
-        for stage, values in folder.parameters.model_dump().items()
-        if stage != "preset"
-        for key, value in values.items()
-    }
-    return parameters(folder.parameters.preset, {**saved, **changes})
-
-
-def show_summary(folder: RunFolder) -> None:
-    """Print seconds per stage, density and images left out."""
-    table = Table("stage", "frames", "seconds", "ms/frame", "seconds by step", box=None)
-    for name, state in folder.manifest["stages"].items():
-        seconds: dict[str, float] = state.get("seconds", {})
-        total, frames = state.get("wall_seconds", 0.0), state.get("frames", 0)
-        parts = ", ".join(f"{k} {v:.1f}" for k, v in sorted(seconds.items(), key=lambda x: -x[1]))
-        each = f"{1000 * total / frames:.0f}" if frames else ""
-        table.add_row(name, str(frames), f"{total:.1f}", each, parts)
-    out.print(table)
-    rendered = folder.stage("render")
-    if "density" in rendered:
-        out.print(f"density {100 * rendered['density']:.1f} % of the pixels", style="bold")
-    if rendered.get("left_out"):
-        names = ", ".join(rendered["left_out"])
-        out.print(f"{len(rendered['left_out'])} images outside the sweeps left out: {names}")
-    peak = max((s.get("peak_memory_mb", 0) for s in folder.manifest["stages"].values()), default=0)
-    out.print(f"peak memory {peak} MB; results in {folder.path}", soft_wrap=True, markup=False)

@@ -3,123 +3,162 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from docdepth.cli.options import (
     CameraNames,
+    CameraTimes,
+    ChosenPreset,
+    ConfigFile,
+    DryRun,
+    Force,
     Formats,
+    Frames,
+    HashInputs,
+    ImageSize,
+    Json,
     LayerNames,
+    Layout,
+    OneCamera,
+    Output,
+    PosesFile,
     RendererName,
     RunPath,
     Scale,
     Settings,
     Threads,
-    app,
+    VirtualIntrinsics,
+    VirtualName,
+    VirtualPose,
+    VirtualSize,
+    VirtualTimes,
     changes_of,
+    check_stages,
     listed,
-    out,
     output_of,
-    progress_bars,
     reopen,
-    replaced,
-    show_summary,
 )
+from docdepth.cli.progress import progress_bars
+from docdepth.cli.status import show_states
+from docdepth.cli.summary import show_summary
+from docdepth.cli.terminal import app, out, verb
 
 
-@app.command()
+@verb(app)
 def run(
     dataset: Annotated[
-        Path, typer.Argument(help="Folder of a recording (KITTI raw, KITTI odometry) or of a run.")
-    ],
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", metavar="RUN", help="Run folder to create or continue."),
-    ],
-    layout: Annotated[
-        str | None,
-        typer.Option(
-            "--dataset",
-            metavar="LAYOUT",
-            help="kitti_raw, kitti_odometry, semantic_kitti or run; guessed if absent.",
+        Path | None,
+        typer.Argument(
+            metavar="DATASET",
+            help="Folder of a recording (KITTI raw, KITTI odometry) or of a run; that of --config "
+            "if absent. A run alone, without -o, is brought up to date.",
+            show_default=False,
         ),
     ] = None,
+    output: Output = None,
+    config: ConfigFile = None,
+    layout: Layout = None,
     camera: CameraNames = None,
-    poses: Annotated[
-        Path | None, typer.Option(help="LiDAR poses of your SLAM, TUM or KITTI format.")
-    ] = None,
-    camera_times: Annotated[
-        Path | None, typer.Option(help="Image times in seconds, one a line.")
-    ] = None,
-    image_size: Annotated[
-        str | None, typer.Option(metavar="WxH", help="Image size in pixels.")
-    ] = None,
-    preset: Annotated[
-        str, typer.Option(help="default (most accurate) or paper (the paper's method).")
-    ] = "default",
+    frames: Frames = None,
+    poses: PosesFile = None,
+    camera_times: CameraTimes = None,
+    image_size: ImageSize = None,
+    preset: ChosenPreset = None,
     settings: Settings = None,
     format: Formats = None,
     scale: Scale = None,
     layers: LayerNames = None,
     threads: Threads = 0,
     renderer: RendererName = None,
+    hash_inputs: HashInputs = False,
+    force: Force = False,
+    dry_run: DryRun = False,
+    as_json: Json = False,
 ) -> None:
     """Turn a recording into a depth map for every camera image: all stages.
 
-    The same command continues a run that was interrupted.
+    The same command continues a run that was interrupted, and makes again what is missing, damaged
+    or out of date.
 
       docdepth run 2011_09_26_drive_0005_sync -o run --camera image_02
+      docdepth run --config run/run.yaml -o again
     """
-    from docdepth.config import parameters, parse_settings
+    from docdepth.cli.config_file import Given, read_config
+    from docdepth.config import parameters
+    from docdepth.errors import ConfigError
+    from docdepth.pipeline.run import continue_run
     from docdepth.pipeline.run import run as run_all
     from docdepth.render.backends import choose
 
     drawn_by = choose(renderer)
-    changes = parse_settings(settings or []) | output_of(format, scale, layers)
+    if output is None:
+        if dataset is None or not (dataset / "run.yaml").is_file():
+            raise ConfigError("no run folder: docdepth run DATASET -o RUN, or docdepth run RUN")
+        with progress_bars() as progress:
+            folder = continue_run(dataset, threads=threads, renderer=drawn_by, progress=progress)
+        return show_summary(folder, as_json)
+    given = read_config(config) if config else Given()
+    changes = given.settings | changes_of(settings) | output_of(format, scale, layers)
+    recording = dataset or given.source.get("dataset")
+    if recording is None:
+        raise ConfigError("no recording: docdepth run DATASET -o RUN, or --config RUN/run.yaml")
+    inputs: dict[str, Any] = {
+        "layout": layout or (None if dataset else given.source.get("name")),
+        "camera": listed(camera) or given.source.get("camera"),
+        "poses": poses or given.source.get("poses"),
+        "camera_times": camera_times or given.source.get("camera_times"),
+        "image_size": image_size or given.source.get("image_size"),
+        "frames": frames or given.source.get("frames"),
+    }
+    values = parameters(preset or given.preset, changes)  # type: ignore[arg-type]
     with progress_bars() as progress:
         folder = run_all(
-            dataset,
+            recording,
             output,
-            parameters(preset, changes),  # type: ignore[arg-type]
-            layout=layout,
-            camera=listed(camera),
-            poses=poses,
-            camera_times=camera_times,
-            image_size=image_size,
+            values,
+            **inputs,
+            hash_inputs=hash_inputs,
+            force=force,
+            dry_run=dry_run,
             threads=threads,
             renderer=drawn_by,
             progress=progress,
         )
-    show_summary(folder)
+    if dry_run:
+        return show_states(folder, as_json)
+    show_summary(folder, as_json)
 
 
-@app.command()
+@verb(app)
 def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
     """Repeat odometry and deskewing, with other parameters."""
     from docdepth.pipeline import run_odometry
-    from docdepth.pipeline.run_inputs import known_poses, open_inputs
+    from docdepth.pipeline.run_inputs import known_poses, open_recording
 
     folder = reopen(run, changes_of(settings), "odometry")
     source = folder.manifest["source"]
-    recording, _ = open_inputs(source)
+    recording = open_recording(source)
     with progress_bars() as progress:
         run_odometry(folder, recording, known_poses(source, recording), progress, threads)
     show_summary(folder)
 
 
-@app.command()
+@verb(app)
 def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
     """Repeat ground growing, voting and classification, with other parameters."""
     from docdepth.pipeline import run_classify
+    from docdepth.pipeline.run import require
 
     folder = reopen(run, changes_of(settings), "ground", "dynamics")
+    require(folder, "odometry")
     with progress_bars() as progress:
         run_classify(folder, threads, progress)
     show_summary(folder)
 
 
-@app.command()
+@verb(app)
 def render(
     run: RunPath,
     settings: Settings = None,
@@ -127,18 +166,11 @@ def render(
     format: Formats = None,
     scale: Scale = None,
     layers: LayerNames = None,
-    pose: Annotated[
-        str | None,
-        typer.Option(help="Virtual camera in the LiDAR frame: x,y,z[,qx,qy,qz,qw] or a 4x4 file."),
-    ] = None,
-    K: Annotated[
-        str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="Its intrinsics.")
-    ] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Its image size.")] = None,
-    name: Annotated[str, typer.Option(help="Its name: maps go to depth/NAME.")] = "virtual",
-    camera_times: Annotated[
-        Path | None, typer.Option(help="Its image times; the sweeps' if absent.")
-    ] = None,
+    pose: VirtualPose = None,
+    K: VirtualIntrinsics = None,
+    size: VirtualSize = None,
+    name: VirtualName = "virtual",
+    camera_times: VirtualTimes = None,
     threads: Threads = 0,
     renderer: RendererName = None,
 ) -> None:
@@ -146,73 +178,81 @@ def render(
 
     docdepth render RUN --pose 0,0,0.5 --K 700,700,640,360 --size 1280x720
     """
-    from docdepth.datasets.run import RunDataset
     from docdepth.errors import ConfigError
-    from docdepth.pipeline import run_render
-    from docdepth.pipeline.run_inputs import open_inputs
+    from docdepth.pipeline.run import render_again
+    from docdepth.pipeline.virtual_camera import virtual_camera
     from docdepth.render.backends import choose
 
     drawn_by = choose(renderer)
     changes = changes_of(settings) | output_of(format, scale, layers)
+    check_stages(changes, "render", "output")
+    described = None
     if pose or K or size:
-        from docdepth.io.run_folder import RunFolder
-        from docdepth.pipeline.virtual_camera import virtual_camera
-
         if not (pose and K and size) or camera:
             raise ConfigError("a virtual camera needs --pose, --K and --size, and no --camera")
-        folder = RunFolder.open(run)
-        values = replaced(folder, changes, "render", "output")  # the run itself keeps its own
-        stream = virtual_camera(folder, name, pose, K, size, camera_times)
-        with progress_bars() as progress:
-            run_render(folder, stream, threads, progress, drawn_by, f"render {name}", values)
-        return show_summary(folder)
-    folder = reopen(run, changes, "render", "output")
-    source = folder.manifest["source"]
-    if source:
-        if camera:
-            source["camera"] = listed(camera)
-        _, streams = open_inputs(source)
-    else:
-        streams = list(RunDataset(run).cameras.values())
+        described = virtual_camera(pose, K, size, camera_times)
     with progress_bars() as progress:
-        run_render(folder, streams, threads, progress, drawn_by)
+        folder = render_again(
+            run,
+            changes,
+            listed(camera),
+            (name, described) if described else None,
+            threads=threads,
+            renderer=drawn_by,
+            progress=progress,
+        )
     show_summary(folder)
 
 
-@app.command()
+@verb(app)
 def video(
     run: RunPath,
-    camera: Annotated[
-        str | None, typer.Option(help="Camera; needed where there are several.")
-    ] = None,
+    camera: OneCamera = None,
     fps: Annotated[
-        float | None, typer.Option(min=0.1, help="Images per second; as recorded if absent.")
+        float | None,
+        typer.Option(
+            min=1,
+            max=1000,
+            metavar="N",
+            help="Images per second, 1 to 1000; the recorded rate if absent.",
+        ),
     ] = None,
 ) -> None:
     """Write report/video.webm: each image above its depth map."""
     from docdepth.io.run_folder import RunFolder
+    from docdepth.pipeline.run import require
     from docdepth.pipeline.run_inputs import recorded_camera
     from docdepth.visualization.video import write_video
 
     folder = RunFolder.open(run)
     name = folder.depth_folder(camera)
+    require(folder, f"render {folder.camera_in(name)}")
     with progress_bars() as progress:
         path = write_video(folder, name, recorded_camera(folder, name), fps, progress)
     out.print(f"{path}", soft_wrap=True, markup=False)
 
 
-@app.command()
+@verb(app)
 def view(
     run: RunPath,
     frame: Annotated[
-        int | None, typer.Option(min=0, help="Index of the sweep; the middle one if absent.")
+        int | None,
+        typer.Option(
+            min=0, metavar="N", help="Sweep to show, counted from 0; the middle one if absent."
+        ),
     ] = None,
-    camera: Annotated[
-        str | None, typer.Option(help="Camera; needed where there are several.")
-    ] = None,
-    around: Annotated[int, typer.Option(min=0, help="Sweeps before and after to add.")] = 0,
+    camera: OneCamera = None,
+    around: Annotated[
+        int,
+        typer.Option(
+            min=0, metavar="N", help="Show the static points of N sweeps before and after as well."
+        ),
+    ] = 0,
     image: Annotated[
-        Path | None, typer.Option(help="Write a PNG instead of opening a window.")
+        Path | None,
+        typer.Option(
+            metavar="FILE.png", help="Write the view to this file instead of opening a window."
+        ),
     ] = None,
 ) -> None:
     """Look at a sweep's labels, the trajectory and a depth map in 3-D (Open3D)."""

@@ -2,33 +2,67 @@
 
 from __future__ import annotations
 
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from docdepth.cli.options import Json, RunPath, Threads, app, out, progress_bars, show, show_summary
+from docdepth.cli.names import MODES, SCENE_NAMES, SENSOR_NAMES, one_of
+from docdepth.cli.options import Json, OneCamera, PresetName, RunPath, Threads
+from docdepth.cli.progress import progress_bars
+from docdepth.cli.summary import show, show_summary
+from docdepth.cli.terminal import app, out, verb, volume
 
 evaluate = typer.Typer(no_args_is_help=True, help="Measure the accuracy of a run.")
 app.add_typer(evaluate, name="evaluate")
 
+LabelFolder = Annotated[
+    Path,
+    typer.Option(
+        "--labels",
+        metavar="DIR",
+        help="Folder of true labels in SemanticKITTI's format (NAME.label), or its parent.",
+    ),
+]
+MaxRange = Annotated[
+    float,
+    typer.Option(
+        min=1, max=10000, metavar="M", help="Ignore what is truly farther than this, metres."
+    ),
+]
 
-@app.command()
+
+@verb(app)
 def synth(
-    output: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the drive.")],
+    output: Annotated[
+        Path, typer.Argument(metavar="OUT", help="New folder; the drive is OUT/sequences/00.")
+    ],
     scene: Annotated[
-        str, typer.Option(help="city, crossing, highway, hills or residential.")
+        str, typer.Option(help=f"Street: {', '.join(SCENE_NAMES)}.", **one_of(SCENE_NAMES))
     ] = "city",
-    sensor: Annotated[str, typer.Option(help="HDL-64, OS1-128, XT-32, VLP-16 or Avia.")] = "HDL-64",
-    frames: Annotated[int, typer.Option(min=2, help="Number of sweeps.")] = 60,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of the scene.")] = 0,
+    sensor: Annotated[
+        str, typer.Option(help=f"LiDAR: {', '.join(SENSOR_NAMES)}.", **one_of(SENSOR_NAMES))
+    ] = "HDL-64",
+    frames: Annotated[
+        int, typer.Option(min=2, max=100000, metavar="N", help="Number of sweeps, ten a second.")
+    ] = 60,
+    seed: Annotated[
+        int,
+        typer.Option(min=0, metavar="N", help="Number that varies houses, bends and traffic."),
+    ] = 0,
     skew: Annotated[
         bool, typer.Option(help="Write raw sweeps, without motion compensation.")
     ] = False,
     bloom: Annotated[
-        float, typer.Option(min=0, help="Blooming around retro-reflectors, degrees.")
+        float,
+        typer.Option(
+            min=0, max=5, metavar="DEG", help="Ghost returns this far beside retro-reflectors."
+        ),
     ] = 0.0,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace the synthetic drive that is in OUT.")
+    ] = False,
 ) -> None:
     """Write a synthetic drive with exact labels, poses and depth (SemanticKITTI layout)."""
     from docdepth.synthetic import write_drive
@@ -36,19 +70,23 @@ def synth(
     with progress_bars() as progress:
         write_drive(
             output, scene=scene, sensor=sensor, frames=frames, seed=seed, skew=skew,
-            blooming_deg=bloom,
+            blooming_deg=bloom, force=force,
             progress=lambda done, total: progress("synth", done, total),
         )  # fmt: skip
-    out.print(f"{frames} sweeps in {output}", soft_wrap=True, markup=False)
+    if not volume.quiet:
+        sequence = output / "sequences" / "00"
+        out.print(f"{frames} sweeps in {sequence}", soft_wrap=True, markup=False)
 
 
-@app.command()
+@verb(app)
 def demo(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder.")] = Path("demo"),
-    frames: Annotated[int, typer.Option(min=3, help="Number of sweeps.")] = 40,
-    preset: Annotated[
-        str, typer.Option(help="default (most accurate) or paper (the paper's method).")
-    ] = "default",
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for drive and run.")
+    ] = Path("demo"),
+    frames: Annotated[
+        int, typer.Option(min=3, max=100000, metavar="N", help="Number of sweeps, ten a second.")
+    ] = 40,
+    preset: PresetName = "default",
     threads: Threads = 0,
 ) -> None:
     """Make a synthetic drive and its depth maps, and print their errors."""
@@ -60,22 +98,36 @@ def demo(
     show_summary(RunFolder(folder))
     labels(folder, sequence)
     depth(folder, sequence)
-    out.print(f"look at the pictures in {folder / 'report'}", soft_wrap=True, markup=False)
+    if not volume.quiet:
+        out.print(f"look at the pictures in {folder / 'report'}", soft_wrap=True, markup=False)
 
 
-@app.command()
+@verb(app)
 def tune(
     run: RunPath,
-    truth: Annotated[Path, typer.Option("--labels", help="Folder of SemanticKITTI labels.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="Results.")],
+    truth: LabelFolder,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", metavar="OUT", help="Folder for the results: table, CSV and plot."
+        ),
+    ],
     vary: Annotated[
         list[str] | None,
-        typer.Option(metavar="STAGE.NAME=A,B,C", help="Values; several options are combined."),
+        typer.Option(
+            metavar="STAGE.NAME=A,B,C",
+            help="Values to try of a parameter of ground or dynamics; repeated, all are combined.",
+        ),
     ] = None,
     trials: Annotated[
-        Path | None, typer.Option(help="YAML, one trial a line: NAME: {stage.name: value}.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="YAML of parameter sets, one a line: NAME: {stage.name: value}."
+        ),
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Trials at a time.")] = 1,
+    jobs: Annotated[
+        int, typer.Option(min=1, max=1024, metavar="N", help="Parameter sets to try at a time.")
+    ] = 1,
     threads: Threads = 0,
 ) -> None:
     """Classify a run with many parameter sets and write a table, CSV and a plot.
@@ -108,56 +160,69 @@ def sweep(*args: Any, **options: Any) -> None:
     tune(*args, **options)
 
 
-@app.command()
-def doctor() -> None:
-    """List what this installation can do, and what it lacks."""
-    from docdepth.cli.doctor import doctor as examine
-
-    for name, finding, well in examine():
-        out.print(f"{'ok' if well else '--'}  {name:<24} {finding}", soft_wrap=True, markup=False)
-
-
-@evaluate.command()
+@verb(evaluate)
 def labels(
     run: RunPath,
-    truth: Annotated[Path, typer.Option("--labels", help="Folder of SemanticKITTI labels.")],
+    truth: LabelFolder,
     as_json: Json = False,
 ) -> None:
-    """Static and dynamic accuracy (SA, DA), F1, precision and IoU per point."""
+    """Compare labels with the truth, point by point.
+
+    Static and dynamic accuracy, F1, precision and intersection over union.
+    """
     from docdepth.evaluation.runs import evaluate_labels
 
-    show(evaluate_labels(run, truth), as_json)
+    with progress_bars() as progress:
+        result = evaluate_labels(run, truth, partial(progress, "evaluate"))
+    show(result, as_json)
 
 
-@evaluate.command()
+@verb(evaluate)
 def depth(
     run: RunPath,
-    truth: Annotated[Path, typer.Option("--depth", help="Folder of true depth maps.")],
-    mode: Annotated[str, typer.Option(help="valid, or kitti (empty pixels are filled).")] = "valid",
-    max_range: Annotated[
-        float, typer.Option(help="Ignore pixels beyond this depth, metres.")
-    ] = 80.0,
-    camera: Annotated[
-        str | None, typer.Option(help="Camera; needed where there are several.")
-    ] = None,
+    truth: Annotated[
+        Path,
+        typer.Option(
+            "--depth",
+            metavar="DIR",
+            help="Folder of true depth maps of the same names, in any format that docdepth "
+            "writes, or its parent.",
+        ),
+    ],
+    mode: Annotated[
+        str,
+        typer.Option(
+            help="Pixels to compare: valid (those with depth), or kitti (all: empty ones are "
+            "filled as KITTI's development kit does).",
+            **one_of(MODES),
+        ),
+    ] = "valid",
+    max_range: MaxRange = 80.0,
+    camera: OneCamera = None,
     as_json: Json = False,
 ) -> None:
-    """Error (MAE, RMSE), density, and pixels more than 5 % too near or too far."""
+    """Compare depth maps with true ones, pixel by pixel.
+
+    Mean absolute and root mean square error, density, and pixels more than 5 % too near or too far.
+    """
     from docdepth.evaluation.runs import evaluate_depth
 
-    show(evaluate_depth(run, truth, mode, max_range, camera), as_json)  # type: ignore[arg-type]
+    with progress_bars() as progress:
+        result = evaluate_depth(
+            run, truth, mode, max_range, camera,  # type: ignore[arg-type]
+            partial(progress, "evaluate"),
+        )  # fmt: skip
+    show(result, as_json)
 
 
-@evaluate.command()
+@verb(evaluate)
 def held_out(
     run: RunPath,
-    every: Annotated[int, typer.Option(min=1, help="Leave out every N-th sweep.")] = 10,
-    max_range: Annotated[
-        float, typer.Option(help="Ignore returns beyond this depth, metres.")
-    ] = 80.0,
-    camera: Annotated[
-        str | None, typer.Option(help="Camera; needed where there are several.")
-    ] = None,
+    every: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Leave out every N-th sweep, one at a time.")
+    ] = 10,
+    max_range: MaxRange = 80.0,
+    camera: OneCamera = None,
     threads: Threads = 0,
     as_json: Json = False,
 ) -> None:

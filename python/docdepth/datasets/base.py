@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.datasets.files import read_image
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.sensor_rig import SensorRig
@@ -116,17 +117,15 @@ class CameraStream:
         if not self.images:
             return None
         path, camera = self.images[index], self.camera
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        if image is None:
-            raise DatasetError(f"{path} is not a readable image; replace or remove it")
+        image = read_image(path)
         if image.shape[:2] != (camera.height, camera.width):
             raise DatasetError(
-                f"{path} is {image.shape[1]}x{image.shape[0]} pixels, the calibration is for "
-                f"{camera.width}x{camera.height}; give the right --image-size"
+                f"{path} is {image.shape[1]}x{image.shape[0]} pixels, the others are "
+                f"{camera.width}x{camera.height}; replace or remove it"
             )
         if self.distortion is not None:
-            image = cv2.undistort(image, camera.K, self.distortion)
-        return np.asarray(image, np.uint8)
+            image = np.asarray(cv2.undistort(image, camera.K, self.distortion), np.uint8)
+        return image
 
 
 @runtime_checkable
@@ -144,6 +143,13 @@ class Dataset(Protocol):
     def __len__(self) -> int: ...
 
     def sweep(self, index: int) -> Sweep: ...
+
+    def sweep_files(self, index: int) -> list[Path]:
+        """All files that ``sweep(index)`` reads: sweeps of every LiDAR, and the times of points.
+
+        They tell whether an input has changed. Empty where sweeps come from no file.
+        """
+        ...
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """SemanticKITTI labels of every input point (low 16 bits class, high instance), or None."""

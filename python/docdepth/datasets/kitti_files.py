@@ -2,69 +2,109 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import CalibrationError, DatasetError
+from docdepth.datasets.files import is_there, read_bytes, read_image, read_lines, unreadable
+from docdepth.datasets.point_format import foreign_format
+from docdepth.errors import CalibrationError, Collector, DatasetError
 from docdepth.geometry.se3 import are_rotations, nearest_rotation, poses_from
 
 _POINT_BYTES = 16  # x y z reflectance, float32
 _LEVER_ARM = 10.0  # metres between LiDAR and camera; on a lorry it is five
 
 
-def sweep_files(folder: Path) -> list[Path]:
+def find_sweeps(folder: Path, problems: Collector) -> list[Path]:
     """The ``*.bin`` sweeps of a folder in order of their names.
 
-    Raises
-    ------
-    DatasetError
-        There are none, or one is empty or truncated: an error now is better than one an hour into
-        the run.
+    Broken sweeps are added to the problems: an error now is better than one an hour into the run.
+    Many of a kind are one problem.
     """
     files = sorted(folder.glob("*.bin"))
-    if not files:
-        raise DatasetError(f"{folder} holds no sweeps (*.bin); unpack the velodyne data there")
-    for frame, file in enumerate(files):
-        _check_sweep_size(file, frame, file.stat().st_size)
+    with problems.collected():
+        if not files:
+            raise DatasetError(f"{folder} holds no sweeps (*.bin); unpack the velodyne data there")
+    sizes = np.array([_file_size(file) for file in files], np.int64)
+    kinds = (sizes < 0, sizes == 0, (sizes > 0) & (sizes % _POINT_BYTES > 0))
+    for frames in (np.flatnonzero(kind).tolist() for kind in kinds):
+        with problems.collected():
+            if frames:
+                first = frames[0]
+                error = _bad_size(files[first], first, int(sizes[first]))
+                raise _with_more(error, len(frames) - 1)
+    if not problems.errors:
+        with problems.collected():
+            _check_format(files[0], 0)
     return files
 
 
 def read_sweep(file: Path, frame: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Read all rows of a sweep: points (N, 3) in metres and intensities (N,), float32."""
+    if not file.exists() and not file.is_symlink():
+        raise DatasetError(f"{file} (frame {frame}) has gone; put the sweep back")
+    content = read_bytes(file, "put the sweep back")
+    if not content or len(content) % _POINT_BYTES:
+        raise _bad_size(file, frame, len(content))
+    rows = np.frombuffer(content, "<f4").reshape(-1, 4)
+    return rows[:, :3].astype(np.float32), rows[:, 3].astype(np.float32)
+
+
+def _file_size(file: Path) -> int:
+    """Bytes of a file; negative if there is none."""
     try:
-        values = np.fromfile(file, dtype="<f4")
-        _check_sweep_size(file, frame, file.stat().st_size)
-    except FileNotFoundError:
-        raise DatasetError(f"{file} (frame {frame}) has gone; put the sweep back") from None
-    rows = values.reshape(-1, 4)
-    return np.ascontiguousarray(rows[:, :3]), rows[:, 3].copy()
+        status = file.stat()
+    except OSError:
+        return -1
+    return status.st_size if stat.S_ISREG(status.st_mode) else -1
 
 
-def _check_sweep_size(file: Path, frame: int, size: int) -> None:
+def _bad_size(file: Path, frame: int, size: int) -> DatasetError:
+    if size < 0:
+        return unreadable(file, "put the sweep back")
     if size == 0:
-        raise DatasetError(f"{file} (frame {frame}) is empty; copy the sweep again or remove it")
-    if size % _POINT_BYTES:
+        return DatasetError(f"{file} (frame {frame}) is empty; copy the sweep again or remove it")
+    try:
+        _check_format(file, frame)
+    except DatasetError as error:
+        return error
+    return DatasetError(
+        f"{file} (frame {frame}) has {size} bytes, which is not a multiple of {_POINT_BYTES} "
+        "(x y z reflectance): it is truncated or no KITTI sweep; copy it again"
+    )
+
+
+def _check_format(file: Path, frame: int) -> None:
+    """Refuse a sweep whose rows are clearly of another format."""
+    other = foreign_format(read_bytes(file, "put the sweep back"))
+    if other:
         raise DatasetError(
-            f"{file} (frame {frame}) has {size} bytes, which is not a multiple of {_POINT_BYTES} "
-            "(x y z reflectance): it is truncated or no KITTI sweep; copy it again"
+            f"{file} (frame {frame}) looks like {other}; docdepth reads x y z reflectance as "
+            "4 float32; convert it"
         )
+
+
+def _with_more(error: DatasetError, more: int) -> DatasetError:
+    return DatasetError(f"{error} (and {more} more sweeps)") if more else error
 
 
 def read_labels(file: Path, sweeps: Sequence[Path], frame: int) -> NDArray[np.uint32] | None:
     """SemanticKITTI labels, uint32 (N,), of a sweep of one or more LiDARs; None without a file."""
-    if not file.is_file():
+    if not is_there(file):
         return None
-    size = file.stat().st_size
+    content = read_bytes(file, "copy the labels again")
+    size = len(content)
     points = sum(sweep.stat().st_size // _POINT_BYTES for sweep in sweeps)
     if size != 4 * points:
         raise DatasetError(
             f"{file} (frame {frame}) has {size} bytes for a sweep of {points} points; "
             "labels are one uint32 for each point, in the order of the sweep"
         )
-    return np.fromfile(file, dtype="<u4").astype(np.uint32, copy=False)
+    return np.frombuffer(content, "<u4").astype(np.uint32)
 
 
 def match_rows(files: Sequence[Path], count: int, table: Path, what: str) -> NDArray[np.int64]:
@@ -104,22 +144,6 @@ def check_increasing(times: NDArray[np.int64], files: Sequence[str], table: Path
             f"{table}: the time of frame {k + 1} ({files[k + 1]}) is not after that of frame {k} "
             f"({files[k]}): {times[k]} and {times[k + 1]} ns; sort the stamps or remove one sweep"
         )
-
-
-def read_lines(file: Path, remedy: str) -> list[str]:
-    """The lines of a text file without blank ones at its end.
-
-    Raises
-    ------
-    DatasetError
-        The file is missing or not a text file.
-    """
-    try:
-        return file.read_text(encoding="utf-8").rstrip().splitlines()
-    except FileNotFoundError:
-        raise DatasetError(f"{file} is missing; {remedy}") from None
-    except UnicodeDecodeError:
-        raise DatasetError(f"{file} is not a text file; {remedy}") from None
 
 
 class Calibration:
@@ -225,9 +249,5 @@ def image_files(folder: Path) -> list[Path]:
 
 def image_size(file: Path) -> tuple[int, int]:
     """Width and height of an image in pixels."""
-    import cv2
-
-    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise DatasetError(f"{file} is not an image that OpenCV reads; copy it again")
+    image = read_image(file, cv2.IMREAD_UNCHANGED)
     return image.shape[1], image.shape[0]

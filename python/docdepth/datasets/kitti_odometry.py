@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_files, kitti_lidar
 from docdepth.datasets.base import Sweep
+from docdepth.datasets.files import is_there, read_bytes, read_lines
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.kitti_odometry_cameras import REMEDY, read_cameras
 from docdepth.datasets.times import read_times_of
-from docdepth.errors import DatasetError
+from docdepth.errors import Collector, DatasetError
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.io.poses import read_kitti
@@ -71,18 +72,35 @@ class KittiOdometry:
     ) -> None:
         self.name = name
         self.path = Path(path)
-        self.sweeps = kitti_files.sweep_files(self.path / "velodyne")
-        self.times = read_times_of(self.sweeps, self.path / "times.txt", "times", REMEDY)
+        problems = Collector()
+        self.sweeps = kitti_files.find_sweeps(self.path / "velodyne", problems)
+        self.times = np.arange(len(self.sweeps))
+        with problems.collected():
+            self.times = read_times_of(self.sweeps, self.path / "times.txt", "times", REMEDY)
+        with problems.collected():
+            settings = _settings(self.path / "docdepth.yaml")
+            self.motion_compensated: bool = settings["motion_compensated"]
+            self._looks_from: list[float] | None = settings["looks_from"]
+        with problems.collected():
+            self._read_calibration(image_size, problems)
+        problems.raise_errors()
+
+    def _read_calibration(self, image_size: tuple[int, int] | None, problems: Collector) -> None:
+        """All that needs ``calib.txt``: cameras, more LiDARs, and poses of the cameras."""
         calibration = Calibration(self.path / "calib.txt", REMEDY)
-        T_camera_lidar = calibration.transform("Tr")
-        self.poses = _poses(self.path, self.sweeps, T_camera_lidar)
-        settings = _settings(self.path / "docdepth.yaml")
-        self.motion_compensated: bool = settings["motion_compensated"]
-        self._looks_from: list[float] | None = settings["looks_from"]
-        self.cameras = read_cameras(
-            self.path, self.sweeps, self.times, calibration, T_camera_lidar, image_size
-        )
-        self._more_lidars = _find_more_lidars(self.path, calibration, T_camera_lidar, self.sweeps)
+        T_camera_lidar = np.eye(4)
+        with problems.collected():
+            T_camera_lidar = calibration.transform("Tr")
+        with problems.collected():
+            self.poses = _poses(self.path, self.sweeps, T_camera_lidar)
+        with problems.collected():
+            self.cameras = read_cameras(
+                self.path, self.sweeps, self.times, calibration, T_camera_lidar, image_size
+            )
+        with problems.collected():
+            self._more_lidars = _find_more_lidars(
+                self.path, calibration, T_camera_lidar, self.sweeps
+            )
 
     def __len__(self) -> int:
         return len(self.sweeps)
@@ -132,29 +150,41 @@ class KittiOdometry:
             kitti_files.read_sweep(file, k)[0] for k, file in enumerate(self.sweeps)
         )
 
+    def sweep_files(self, index: int) -> list[Path]:
+        """Sweep ``index`` of each LiDAR, and the times of its points if there are any."""
+        times = self._point_times(index)
+        return self._lidar_files(index) + [times] * times.is_file()
+
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``; None without a file."""
+        file = self.path / "labels" / f"{self.sweeps[index].stem}.label"
+        return kitti_files.read_labels(file, self._lidar_files(index), index)
+
+    def _lidar_files(self, index: int) -> list[Path]:
         sweep = self.sweeps[index]
-        all_lidars = [sweep, *(folder / sweep.name for folder, _ in self._more_lidars)]
-        file = self.path / "labels" / f"{sweep.stem}.label"
-        return kitti_files.read_labels(file, all_lidars, index)
+        return [sweep, *(folder / sweep.name for folder, _ in self._more_lidars)]
+
+    def _point_times(self, index: int) -> Path:
+        return self.path / "point_times" / f"{self.sweeps[index].stem}.bin"
 
     def _relative_time(self, frame: int, points: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        file = self.path / "point_times" / f"{self.sweeps[frame].stem}.bin"
-        if not file.is_file() and self.motion_compensated:
+        file = self._point_times(frame)
+        there = is_there(file)
+        if not there and self.motion_compensated:
             # The azimuth gives the time to a hundredth of a sweep, though the motion is removed.
             return kitti_lidar.azimuth_relative_time(points) if self._is_kitti_lidar else None
-        if not file.is_file():
+        if not there:
             raise DatasetError(
                 f"{file} (frame {frame}) is missing: raw sweeps need each point's time; write it, "
                 f"or set motion_compensated: true in {self.path / 'docdepth.yaml'}"
             )
-        if file.stat().st_size != 4 * len(points):
+        content = read_bytes(file, "write the times of the points again")
+        if len(content) != 4 * len(points):
             raise DatasetError(
-                f"{file} (frame {frame}) has {file.stat().st_size} bytes for a sweep of "
+                f"{file} (frame {frame}) has {len(content)} bytes for a sweep of "
                 f"{len(points)} points; it holds one float32 for each, in the order of the sweep"
             )
-        return np.fromfile(file, dtype="<f4").astype(np.float32, copy=False)
+        return np.frombuffer(content, "<f4").astype(np.float32)
 
 
 def _poses(
@@ -165,7 +195,7 @@ def _poses(
         sequence / "poses.txt",
         sequence.parent.parent / "poses" / f"{sequence.name}.txt",
     ):
-        if file.is_file():
+        if is_there(file):
             poses = read_kitti(file)
             rows = kitti_files.match_rows(sweeps, len(poses), file, "poses")
             return inverse(T_camera_lidar) @ poses[rows] @ T_camera_lidar
@@ -180,9 +210,11 @@ def _find_more_lidars(
 ) -> list[tuple[Path, NDArray[np.float64]]]:
     """Folder and ``T_lidar_sensor`` (4, 4) of each LiDAR but the first."""
     found = []
+    problems = Collector()
     for folder in sorted(sequence.glob("velodyne_[2-9]")):
         T_camera_other = calibration.transform(f"Tr_{folder.name[-1]}")
-        names = [file.name for file in kitti_files.sweep_files(folder)]
+        names = [file.name for file in kitti_files.find_sweeps(folder, problems)]
+        problems.raise_errors()
         lacking = sorted({file.name for file in sweeps}.symmetric_difference(names))
         if lacking:
             raise DatasetError(
@@ -196,11 +228,11 @@ def _find_more_lidars(
 def _settings(file: Path) -> dict[str, Any]:
     """The entries of ``docdepth.yaml``, or their defaults."""
     known: dict[str, Any] = {"motion_compensated": True, "looks_from": None}
-    if not file.is_file():
+    if not is_there(file):
         return known
     try:
-        given: Any = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        given: Any = yaml.safe_load("\n".join(read_lines(file, "write it again or remove it")))
+    except yaml.YAMLError as error:
         raise DatasetError(f"{file} is not YAML: {error}") from None
     known |= given if isinstance(given, dict) else {"motion_compensated": None}
     if not isinstance(known["motion_compensated"], bool):

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_files
 from docdepth.datasets.base import CameraStream
+from docdepth.datasets.files import is_there, read_lines
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.times import read_times_of
-from docdepth.errors import CalibrationError, DatasetError
+from docdepth.errors import CalibrationError, Collector, DatasetError
 from docdepth.geometry.camera import Camera
 
 log = logging.getLogger(__name__)
@@ -51,30 +52,36 @@ def read_cameras(
     folders = {n: sequence / f"image_{n}" for n in range(4) if f"P{n}" in calibration}
     if not folders:
         raise CalibrationError(f"{calibration.file} has no camera (P0 to P3); {REMEDY}")
+    problems = Collector()
     images = {n: kitti_files.image_files(folder) for n, folder in folders.items()}
-    sizes = {n: _image_size(folders[n], images[n], image_size) for n in folders}
+    sizes: dict[int, tuple[int, int] | None] = dict.fromkeys(folders)
+    for n, folder in folders.items():
+        with problems.collected():
+            sizes[n] = _image_size(folder, images[n], image_size)
     # Rectified together, the images of all cameras have one size.
     common = None if image_size else next((size for size in sizes.values() if size), None)
     streams: dict[str, CameraStream] = {}
     guessed: list[str] = []
     for n, folder in folders.items():
-        P = calibration.matrix(f"P{n}", 3, 4)
-        size = sizes[n] or common
-        if size is None:
-            size = (round(2 * P[0, 2]), round(2 * P[1, 2]))
-            guessed.append(f"{folder.name} {size[0]}x{size[1]}")
-        times, names = sweep_times, [file.stem for file in sweeps]
-        if (folder / "times.txt").is_file() or images[n]:
-            times, names = _image_times(folder, images[n])
-        streams[folder.name] = CameraStream(
-            name=folder.name,
-            camera=Camera(P[:, :3], *size),
-            T_camera_lidar=kitti_files.camera_offset(P) @ T_camera0_lidar,
-            times=times,
-            names=names,
-            images=images[n],
-            distortion=_distortion(folder / "distortion.txt"),
-        )
+        with problems.collected():
+            P = calibration.matrix(f"P{n}", 3, 4)
+            size = sizes[n] or common
+            if size is None:
+                size = (round(2 * P[0, 2]), round(2 * P[1, 2]))
+                guessed.append(f"{folder.name} {size[0]}x{size[1]}")
+            times, names = sweep_times, [file.stem for file in sweeps]
+            if is_there(folder / "times.txt") or images[n]:
+                times, names = _image_times(folder, images[n])
+            streams[folder.name] = CameraStream(
+                name=folder.name,
+                camera=Camera(P[:, :3], *size),
+                T_camera_lidar=kitti_files.camera_offset(P) @ T_camera0_lidar,
+                times=times,
+                names=names,
+                images=images[n],
+                distortion=_distortion(folder / "distortion.txt"),
+            )
+    problems.raise_errors()
     if guessed:
         log.warning(
             "%s: image sizes guessed from the principal points (%s); "
@@ -87,19 +94,20 @@ def read_cameras(
 def _image_times(folder: Path, images: list[Path]) -> tuple[NDArray[np.int64], list[str]]:
     """Times and names of the images: from the camera's own table, else from the sweeps'."""
     table = folder / "times.txt"
-    if not table.is_file():
+    if not is_there(table):
         table = folder.parent / "times.txt"
     elif not images:
-        images = [Path(f"{k:06d}") for k in range(len(kitti_files.read_lines(table, REMEDY)))]
+        images = [Path(f"{k:06d}") for k in range(len(read_lines(table, REMEDY)))]
     return read_times_of(images, table, "times", REMEDY), [image.stem for image in images]
 
 
 def _distortion(file: Path) -> NDArray[np.float64] | None:
     """Coefficients in OpenCV's order; None without a file."""
-    if not file.is_file():
+    if not is_there(file):
         return None
     try:
-        return np.array(file.read_text(encoding="utf-8").split(), dtype=np.float64)
+        words = " ".join(read_lines(file, "write k1 k2 p1 p2 [k3 ...]")).split()
+        return np.array(words, dtype=np.float64)
     except ValueError as error:
         raise CalibrationError(f"{file} must be numbers, k1 k2 p1 p2 [k3 ...]: {error}") from None
 
@@ -112,14 +120,14 @@ def _image_size(
     source = folder / "size.txt"
     if images:
         source, known = images[0], kitti_files.image_size(images[0])
-    elif source.is_file():
-        words = source.read_text(encoding="utf-8").split()
+    elif is_there(source):
+        words = " ".join(read_lines(source, "write width and height in pixels")).split()
         if len(words) != 2 or not all(word.isdigit() for word in words):
             raise DatasetError(f"{source} must be two numbers, width and height in pixels")
         known = (int(words[0]), int(words[1]))
     if known and asked and known != asked:
         raise CalibrationError(
             f"{source} is {known[0]} x {known[1]} pixels, the image size asked for is "
-            f"{asked[0]} x {asked[1]}; leave it out"
+            f"{asked[0]} x {asked[1]}; give no --image-size"
         )
     return known or asked

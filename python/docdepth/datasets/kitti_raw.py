@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_files, kitti_lidar
 from docdepth.datasets.base import CameraStream, Sweep
+from docdepth.datasets.files import is_there, read_lines
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.times import read_times_of
-from docdepth.errors import CalibrationError
+from docdepth.errors import CalibrationError, Collector
 from docdepth.geometry.camera import Camera
 
 _EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' of the drive again"
@@ -45,10 +46,13 @@ class KittiRaw:
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
         self.path = Path(path)
-        velodyne = self.path / "velodyne_points"
-        self._sweeps = kitti_files.sweep_files(velodyne / "data")
-        self.times = _read_times(velodyne / "timestamps.txt", self._sweeps)
-        self.cameras = _cameras(self.path, self._sweeps, self.times, image_size)
+        velodyne, problems = self.path / "velodyne_points", Collector()
+        self._sweeps = kitti_files.find_sweeps(velodyne / "data", problems)
+        self.times = np.arange(len(self._sweeps))
+        with problems.collected():
+            self.times = _read_times(velodyne / "timestamps.txt", self._sweeps)
+        self.cameras = _cameras(self.path, self._sweeps, self.times, image_size, problems)
+        problems.raise_errors()
 
     def __len__(self) -> int:
         return len(self._sweeps)
@@ -62,6 +66,10 @@ class KittiRaw:
         return Sweep(
             points, file.stem, int(self.times[index]), intensity, relative_time, sensor_rig
         )
+
+    def sweep_files(self, index: int) -> list[Path]:
+        """The file of sweep ``index``."""
+        return [self._sweeps[index]]
 
     @cached_property
     def _is_kitti_lidar(self) -> bool:
@@ -85,38 +93,54 @@ def _cameras(
     sweeps: list[Path],
     sweep_times: NDArray[np.int64],
     image_size: tuple[int, int] | None,
+    problems: Collector,
 ) -> dict[str, CameraStream]:
-    camera_file = Calibration(drive.parent / "calib_cam_to_cam.txt", _CALIBRATION)
-    lidar_file = Calibration(drive.parent / "calib_velo_to_cam.txt", _CALIBRATION)
-    T_camera0_lidar = lidar_file.transform_of("R", "T")
-    T_rectified_camera0 = camera_file.transform_of("R_rect_00")
+    T_camera0_lidar = T_rectified_camera0 = np.eye(4)
+    with problems.collected():
+        lidar_file = Calibration(drive.parent / "calib_velo_to_cam.txt", _CALIBRATION)
+        T_camera0_lidar = lidar_file.transform_of("R", "T")
+    try:
+        camera_file = Calibration(drive.parent / "calib_cam_to_cam.txt", _CALIBRATION)
+    except CalibrationError as error:
+        problems.errors.append(error)
+        return {}
+    with problems.collected():
+        T_rectified_camera0 = camera_file.transform_of("R_rect_00")
 
     streams: dict[str, CameraStream] = {}
-    for number in ("00", "01", "02", "03"):
-        if f"P_rect_{number}" not in camera_file:
-            continue
-        P = camera_file.matrix(f"P_rect_{number}", 3, 4)
-        folder = drive / f"image_{number}"
-        images = kitti_files.image_files(folder / "data")
-        width, height = _image_size(camera_file, number, images, image_size)
-        times, names = sweep_times, [sweep.stem for sweep in sweeps]
-        if images:
-            times, names = _read_times(folder / "timestamps.txt", images), [i.stem for i in images]
-        elif (folder / "timestamps.txt").is_file():
-            lines = kitti_files.read_lines(folder / "timestamps.txt", _EXPORT)
-            names = [f"{k:010d}" for k in range(len(lines))]
-            times = _read_times(folder / "timestamps.txt", [Path(name) for name in names])
-        streams[folder.name] = CameraStream(
-            name=folder.name,
-            camera=Camera(P[:, :3], width, height),
-            T_camera_lidar=kitti_files.camera_offset(P) @ T_rectified_camera0 @ T_camera0_lidar,
-            times=times,
-            names=names,
-            images=images,
-        )
-    if not streams:
-        raise CalibrationError(f"{camera_file.file} has no camera (P_rect_NN); {_CALIBRATION}")
+    numbers = [n for n in ("00", "01", "02", "03") if f"P_rect_{n}" in camera_file]
+    for number in numbers:
+        with problems.collected():
+            P = camera_file.matrix(f"P_rect_{number}", 3, 4)
+            folder = drive / f"image_{number}"
+            images = kitti_files.image_files(folder / "data")
+            width, height = _image_size(camera_file, number, images, image_size)
+            times, names = _image_times(folder, images, sweeps, sweep_times)
+            streams[folder.name] = CameraStream(
+                name=folder.name,
+                camera=Camera(P[:, :3], width, height),
+                T_camera_lidar=kitti_files.camera_offset(P) @ T_rectified_camera0 @ T_camera0_lidar,
+                times=times,
+                names=names,
+                images=images,
+            )
+    with problems.collected():
+        if not numbers:
+            raise CalibrationError(f"{camera_file.file} has no camera (P_rect_NN); {_CALIBRATION}")
     return streams
+
+
+def _image_times(
+    folder: Path, images: list[Path], sweeps: list[Path], sweep_times: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], list[str]]:
+    """Times and names of the images; of the sweeps where the camera has no table."""
+    table = folder / "timestamps.txt"
+    if images:
+        return _read_times(table, images), [image.stem for image in images]
+    if is_there(table):
+        names = [f"{k:010d}" for k in range(len(read_lines(table, _EXPORT)))]
+        return _read_times(table, [Path(name) for name in names]), names
+    return sweep_times, [sweep.stem for sweep in sweeps]
 
 
 def _image_size(

@@ -69,6 +69,10 @@ class RunDataset:
             motion_compensated=True,
         )
 
+    def sweep_files(self, index: int) -> list[Path]:
+        """The PLY of frame ``index``."""
+        return [self._run.frame_path(index)]
+
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """SemanticKITTI labels: 251 for dynamic points, 9 for others; None without classes."""
         classid = self._run.frame(index).classid

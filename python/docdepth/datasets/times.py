@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.kitti_files import check_increasing, match_rows, read_lines
+from docdepth.datasets.files import read_lines
+from docdepth.datasets.kitti_files import check_increasing, match_rows
 from docdepth.errors import DatasetError
 
 

@@ -12,7 +12,7 @@ from docdepth.config import DynamicsParameters
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.look_ahead import LookAhead
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep, PreparedSweep, SweepClassifier
-from docdepth.dynamics.tracking import Detections
+from docdepth.dynamics.tracking import Detections, TrackingResult
 from docdepth.dynamics.voting import KeyFrame
 from docdepth.geometry.trajectory import Trajectory
 
@@ -23,11 +23,21 @@ _FILE_THREADS = 5
 class SweepStore(Protocol):
     """Where a drive's sweeps come from and its labels go to: memory, or a run folder.
 
-    All methods but the first two are called from several threads.
+    All methods but the first four are called from several threads.
     """
 
-    def is_classified(self, index: int) -> bool:
-        """Whether an earlier run left the evidence of this sweep, or its labels without tracks."""
+    def is_done(self, index: int) -> bool:
+        """Whether an earlier run left the labels of this sweep."""
+        ...
+
+    def tracks(self) -> list[TrackingResult] | None:
+        """What an earlier run found of tracks; None if there are none."""
+        ...
+
+    def keep_tracks(self, found: list[TrackingResult]) -> None: ...
+
+    def has_evidence(self, index: int) -> bool:
+        """Whether an interrupted run left the evidence of this sweep."""
         ...
 
     def has_votes(self, index: int) -> bool:
@@ -77,11 +87,20 @@ def classify_sweeps(
     int
         How many sweeps were not classified yet.
     """
-    steps = SweepClassifier(trajectory, parameters, watch)
-    left = [i for i in range(len(trajectory)) if not store.is_classified(i)]
-    _vote(steps, store, left, len(trajectory), progress or (lambda done, total: None), threads)
-    if steps.uses_tracks:
-        _add_tracks(steps, store, len(trajectory), threads)
+    steps, every = SweepClassifier(trajectory, parameters, watch), range(len(trajectory))
+    left = [i for i in every if not store.is_done(i)]
+    if not left:
+        return 0
+    told = progress or (lambda done, total: None)
+    if not steps.uses_tracks:
+        _vote(steps, store, left, len(trajectory), told, threads)
+        return len(left)
+    tracks = store.tracks()
+    # Tracks are made of the evidence of all sweeps. Where they are known, few sweeps are missing.
+    needed = every if tracks is None else left
+    without = [i for i in needed if not store.has_evidence(i)]
+    _vote(steps, store, without, len(trajectory), told, threads)
+    _add_tracks(steps, store, left, tracks, threads)
     return len(left)
 
 
@@ -131,7 +150,13 @@ def _vote(
             progress(total - len(working), total)
 
 
-def _add_tracks(steps: SweepClassifier, store: SweepStore, total: int, threads: int) -> None:
+def _add_tracks(
+    steps: SweepClassifier,
+    store: SweepStore,
+    left: list[int],
+    tracks: list[TrackingResult] | None,
+    threads: int,
+) -> None:
     """Classify objects that move at another time of the drive."""
 
     def add(index: int) -> None:
@@ -142,6 +167,10 @@ def _add_tracks(steps: SweepClassifier, store: SweepStore, total: int, threads: 
         store.write(index, sweep, labels)
 
     with ThreadPoolExecutor(_FILE_THREADS) as pool:
-        results = steps.track(list(pool.map(store.detections, range(total))), threads)
-        for _ in prefetch(pool, add, range(total), _FILE_THREADS):
+        if tracks is None:
+            sweeps = range(len(steps.key_frames))
+            tracks = steps.track(list(pool.map(store.detections, sweeps)), threads)
+            store.keep_tracks(tracks)
+        results = tracks
+        for _ in prefetch(pool, add, left, _FILE_THREADS):
             pass

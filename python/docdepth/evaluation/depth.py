@@ -26,9 +26,19 @@ Mode = Literal["valid", "kitti"]
 RANGE_BINS = (0.0, 10.0, 20.0, 30.0, 50.0, 80.0)
 
 
+ERRORS = (
+    "density: share of these pixels that have depth; MAE, RMSE: mean absolute and root mean square "
+    "error; too near, too far: share more than 5 % off"
+)
 NOTE = (
-    "MAE in shifts: MAE divided by the MAE of the true depth map moved right by one pixel; "
-    "too near, too far: share of pixels more than 5 % off"
+    f"{ERRORS}; MAE in shifts: MAE over that of the true depth moved right by one pixel; "
+    "interior: more than 3 pixels from a depth edge"
+)
+
+KITTI_NOTE = (
+    "mae, rmse: mean absolute and root mean square error; imae, irmse: those of 1 / depth; log: of "
+    "ln(depth); silog: scale-invariant, x 100; abs_rel, sq_rel: |error| / depth and its square; "
+    "delta1, 2, 3: share of pixels off by less than a factor of 1.25, 1.25^2, 1.25^3"
 )
 
 
@@ -134,7 +144,7 @@ class DepthResult:
             for name, value in asdict(self.kitti).items()
         ]
         rows.append(("point to point [m]", number(self.point_to_point, 4)))
-        return Table(f"depth: {self.protocol}", header, tuple(rows))
+        return Table(f"depth: {self.protocol}", header, tuple(rows), KITTI_NOTE)
 
 
 class DepthEvaluation:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.evaluation.depth import RANGE_BINS, RangeErrors
+from docdepth.evaluation.depth import ERRORS, RANGE_BINS, RangeErrors
 from docdepth.evaluation.depth_metrics import PixelSums, RegionErrors
 from docdepth.evaluation.pixels import project
 from docdepth.evaluation.tables import Table, plain
@@ -28,6 +28,7 @@ from docdepth.geometry.sensor_rig import lidar_views
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.render import load_frame
+from docdepth.pipeline.run import require
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.selection import needed_frames
@@ -70,7 +71,8 @@ class HeldOutResult:
         header = ("returns", "number", "density %", "MAE m", "RMSE m", "too near %", "too far %")
         cells = [(name, *errors.cells()[:4], *errors.cells()[5:]) for name, errors in rows]
         title = f"depth against {self.sweeps} held-out sweeps, returns up to {self.max_range:g} m"
-        return Table(title, header, tuple(cells))
+        note = ERRORS.replace("these pixels that", "the returns whose pixels")
+        return Table(title, header, tuple(cells), note)
 
 
 class _Comparison(NamedTuple):
@@ -122,6 +124,7 @@ def evaluate_held_out(
         A sweep is not classified.
     """
     folder = RunFolder.open(run)
+    require(folder, "classify")
     count = len(folder.trajectory())
     if every < 1 or count < 3:
         raise InputError(

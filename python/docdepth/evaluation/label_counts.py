@@ -133,7 +133,8 @@ class LabelCounts:
 _METRICS = ("sa", "da", "aa", "f1", "precision", "iou")
 HEADER = ("static points", "dynamic points", "SA %", "DA %", "AA %", "F1", "precision", "IoU")
 NOTE = (
-    "static accuracy SA, dynamic accuracy DA: share of static (dynamic) points labelled so; "
-    "associated accuracy AA: sqrt(SA DA); F1: harmonic mean of SA and DA; "
-    "precision and IoU of the dynamic class"
+    "SA, DA: static and dynamic accuracy, the share of static and of dynamic points labelled so; "
+    "AA: associated accuracy, sqrt(SA DA); F1: harmonic mean of SA and DA, 0 to 1; "
+    "precision: share of the points labelled dynamic that are; "
+    "IoU: intersection over union of the dynamic points"
 )

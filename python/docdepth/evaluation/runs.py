@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,12 @@ from docdepth.evaluation.labels import LabelEvaluation, LabelResult
 from docdepth.geometry.points import DYNAMIC
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.run import require
 
 
-def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
+def evaluate_labels(
+    run: Path | RunFolder, labels: Path, progress: Callable[[int, int], None] | None = None
+) -> LabelResult:
     """Compare the classes of a run with SemanticKITTI labels.
 
     Input points that the run dropped (no usable return) count as static and belong to no range.
@@ -29,6 +33,8 @@ def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
     labels : Path
         Folder of ``NAME.label`` files, or its parent with a folder ``labels``. A folder ``speeds``
         beside it (``NAME.npy``, speed of each point in m/s) separates standing from moving objects.
+    progress : callable, optional
+        Called with the number of finished sweeps and the number of all sweeps.
 
     Raises
     ------
@@ -38,6 +44,7 @@ def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
         A sweep is not classified.
     """
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    require(folder, "classify")
     labels = _truth_folder(labels, "labels")
     speeds = labels.parent / "speeds"
     evaluation = LabelEvaluation(poses=_poses(folder))
@@ -53,6 +60,8 @@ def evaluate_labels(run: Path | RunFolder, labels: Path) -> LabelResult:
         speed = speeds / f"{record.name}.npy"
         known = np.load(speed).astype(np.float32) if speed.is_file() else None
         evaluation.add(truth, dynamic, ranges, known, seconds)
+        if progress:
+            progress(index + 1, len(times))
     return evaluation.result()
 
 
@@ -62,6 +71,7 @@ def evaluate_depth(
     mode: Mode = "valid",
     max_range: float = 80.0,
     camera: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> DepthResult:
     """Compare the depth maps of a run with true depth maps of the same names.
 
@@ -78,6 +88,8 @@ def evaluate_depth(
         Pixels with a larger true depth are not compared [m].
     camera : str, optional
         Name of the camera; needed if the run has several.
+    progress : callable, optional
+        Called with the number of compared depth maps and the number of all.
 
     Raises
     ------
@@ -88,12 +100,13 @@ def evaluate_depth(
     depth = _truth_folder(depth, "depth_2")
     classes = depth.parent / depth.name.replace("depth", "class")
     camera = folder.depth_folder(camera)
+    require(folder, f"render {folder.camera_in(camera)}")
     K = folder.calibration(camera)[0].K
     evaluation = DepthEvaluation(mode=mode, max_range=max_range, poses=_poses(folder))
     maps, truths = maps_in(run / "depth" / camera), maps_in(depth)
     if not maps:
         raise DatasetError(f"{run}/depth has no depth maps; run: docdepth render {run}")
-    for name, path in maps.items():
+    for done, (name, path) in enumerate(maps.items(), 1):
         if name not in truths:
             raise DatasetError(f"{depth} has no depth map {name}, {run} has {path.name}")
         mask = classes / f"{name}.npy"
@@ -102,6 +115,8 @@ def evaluate_depth(
             classes_of_image = np.load(mask)
             dynamic = moving(classes_of_image.ravel()).reshape(classes_of_image.shape)
         evaluation.add(read_depth(path), read_depth(truths[name]), dynamic, K)
+        if progress:
+            progress(done, len(maps))
     return evaluation.result()
 
 

@@ -2,15 +2,53 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import io
 import os
+import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
+
+import numpy as np
 
 from docdepth.errors import RunError
 
+WriteFile = Callable[[Path, Callable[[BinaryIO], object]], None]
+"""A function like :func:`write_atomically`."""
 
-def write_atomically(path: Path, write: Callable[[BinaryIO], object], *, sync: bool = True) -> None:
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+@dataclass(frozen=True)
+class Written:
+    """What was written into a file that still has its temporary name.
+
+    Attributes
+    ----------
+    size : int
+        Bytes.
+    time : int
+        Of the last change, nanoseconds.
+    checksum : int
+        CRC-32 of the content.
+    """
+
+    size: int
+    time: int
+    checksum: int
+
+
+def write_atomically(
+    path: Path,
+    write: Callable[[BinaryIO], object],
+    *,
+    sync: bool = True,
+    before_rename: Callable[[Written], object] | None = None,
+) -> None:
     """Write a file so that it has its final name only when it is whole.
 
     The content is written to a temporary file beside it, synced to disk and renamed. A killed run
@@ -20,10 +58,12 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object], *, sync: b
     ----------
     path : Path
     write : callable
-        Called with a binary file that is open for writing.
+        Called with an object that has the method ``write`` of a binary file.
     sync : bool
         False for intermediate files that the same stage reads again and deletes. They are whole
         after a killed run, but perhaps not after a power failure.
+    before_rename : callable, optional
+        Called when the content is on disk.
 
     Raises
     ------
@@ -33,20 +73,44 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object], *, sync: b
     part = path.with_name(f".{path.name}.part")
     try:
         with _opened(part) as stream:
-            write(stream)
+            summed = _Summed(stream)
+            write(summed)  # type: ignore[arg-type]
             stream.flush()
             if sync:
                 os.fsync(stream.fileno())
+            if before_rename:
+                known = os.fstat(stream.fileno())
+                before_rename(Written(known.st_size, known.st_mtime_ns, summed.checksum))
         os.replace(part, path)
     except OSError as error:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            part.unlink()
+        remedy = "make room" if error.errno in _FULL else "choose a folder that can be written"
         raise RunError(
-            f"cannot write {path}: {error.strerror}; make room or choose another folder and run "
-            "the same command again; it continues where it stopped"
+            f"cannot write {path}: {error.strerror}; {remedy} and run the same command again; it "
+            "continues where it stopped"
         ) from error
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def npz_bytes(*, compressed: bool = False, **arrays: Any) -> bytes:
+    """The content of an NPZ file with these arrays."""
+    stream = io.BytesIO()
+    (np.savez_compressed if compressed else np.savez)(stream, **arrays)
+    return stream.getvalue()
+
+
+class _Summed:
+    """A file that sums up what is written."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream, self.checksum = stream, 0
+
+    def write(self, data: Any) -> int:
+        self.checksum = zlib.crc32(data, self.checksum)
+        return self._stream.write(data)
 
 
 def _opened(path: Path) -> BinaryIO:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from docdepth.errors import CalibrationError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import check_rigid
-from docdepth.io.atomic import write_atomically
+from docdepth.io.atomic import WriteFile, write_atomically
 
 INTRINSICS = "calib.json"
 """File of K (``mtx``), distortion (``dist``) and image size in pixels (``size``)."""
@@ -26,6 +26,7 @@ def write_calibration(
     camera: Camera,
     T_camera_lidar: NDArray[np.float64],
     distortion: Sequence[float] = (0.0,) * 5,
+    write_file: WriteFile = write_atomically,
 ) -> None:
     """Write both files.
 
@@ -37,6 +38,8 @@ def write_calibration(
     T_camera_lidar : ndarray of float64, shape (4, 4)
     distortion : sequence of float
         Of the images before they are rectified, in OpenCV's order.
+    write_file : callable
+        Writes each file.
 
     Raises
     ------
@@ -50,8 +53,8 @@ def write_calibration(
     }
     intrinsics = json.dumps(calibration, indent=1).encode()
     rows = "\n".join(" ".join(repr(float(v)) for v in row) for row in T_camera_lidar) + "\n"
-    write_atomically(folder / INTRINSICS, lambda stream: stream.write(intrinsics))
-    write_atomically(folder / EXTRINSICS, lambda stream: stream.write(rows.encode()))
+    write_file(folder / INTRINSICS, lambda stream: stream.write(intrinsics))
+    write_file(folder / EXTRINSICS, lambda stream: stream.write(rows.encode()))
 
 
 def read_calibration(folder: Path, remedy: str) -> tuple[Camera, NDArray[np.float64], list[float]]:
@@ -74,6 +77,10 @@ def read_calibration(folder: Path, remedy: str) -> tuple[Camera, NDArray[np.floa
         T_camera_lidar = np.loadtxt(extrinsic)
     except FileNotFoundError as error:
         raise CalibrationError(f"{error.filename} is missing; {remedy}") from None
+    except OSError as error:
+        raise CalibrationError(
+            f"{error.filename} cannot be read ({error.strerror}); {remedy}"
+        ) from None
     except (KeyError, TypeError, ValueError) as error:
         raise CalibrationError(f"{intrinsic} or {extrinsic.name} is damaged: {error}") from None
     if T_camera_lidar.shape != (4, 4):

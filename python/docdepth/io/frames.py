@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import InputError, RunError
+from docdepth.errors import DamagedFileError, InputError
 from docdepth.geometry.se3 import matrix_to_quaternion, poses_from, quaternion_to_matrix
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.ply import read_comments, read_vertices, write_vertices
+from docdepth.io.atomic import WriteFile, write_atomically
+from docdepth.io.ply import read_vertices, write_vertices
 
 _SECOND = 1_000_000_000  # nanoseconds
 
@@ -48,8 +49,6 @@ class FrameRecord:
         Stem of the input file.
     input_points : int
         Rows of the input sweep.
-    key : dict
-        Hash of the parameters that made this file, by stage.
     classid : ndarray of uint16, shape (N,), optional
         Below 50 ground, 50 to 99 static, 100 and above dynamic.
     votes_static, votes_dynamic : ndarray of uint16, shape (N,), optional
@@ -63,7 +62,6 @@ class FrameRecord:
     index: NDArray[np.uint32]
     name: str
     input_points: int
-    key: dict[str, str]
     classid: NDArray[np.uint16] | None = None
     votes_static: NDArray[np.uint16] | None = None
     votes_dynamic: NDArray[np.uint16] | None = None
@@ -71,7 +69,12 @@ class FrameRecord:
     sensor: NDArray[np.uint8] | None = None
 
 
-def write_trajectory(path: Path, trajectory: Trajectory, indices: NDArray[np.int64]) -> None:
+def write_trajectory(
+    path: Path,
+    trajectory: Trajectory,
+    indices: NDArray[np.int64],
+    write_file: WriteFile = write_atomically,
+) -> None:
     """Write poses as ``x y z q_w q_x q_y q_z timestamp indices``, in doubles and seconds."""
     rows = np.zeros(len(trajectory), _TRAJECTORY)
     rows["x"], rows["y"], rows["z"] = trajectory.poses[:, :3, 3].T
@@ -80,7 +83,7 @@ def write_trajectory(path: Path, trajectory: Trajectory, indices: NDArray[np.int
     rows["timestamp"] = trajectory.times / _SECOND
     rows["seconds"], rows["nanoseconds"] = np.divmod(trajectory.times, _SECOND)
     rows["indices"] = indices
-    write_vertices(path, rows, [])
+    write_vertices(path, rows, [], write_file)
 
 
 def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
@@ -108,19 +111,19 @@ def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
             times = np.round(rows["timestamp"] * _SECOND).astype(np.int64)
         indices = rows["indices"].astype(np.int64)
     except (KeyError, ValueError) as error:
-        raise RunError(
-            f"{path}: {error}; a trajectory has x y z q_w q_x q_y q_z timestamp indices"
+        raise DamagedFileError(
+            path, f"{error}; a trajectory has x y z q_w q_x q_y q_z timestamp indices"
         ) from None
     if not len(rows):
-        raise RunError(f"{path} holds no poses; run the stage that writes it again")
+        raise DamagedFileError(path, "it holds no poses")
     try:
         poses = poses_from([quaternion_to_matrix(q) for q in quaternions], positions)
         return Trajectory(times, poses), indices
     except InputError as error:
-        raise RunError(f"{path}: {error}") from None
+        raise DamagedFileError(path, str(error)) from None
 
 
-def write_frame(path: Path, frame: FrameRecord) -> None:
+def write_frame(path: Path, frame: FrameRecord, write_file: WriteFile = write_atomically) -> None:
     """Write a frame; classes, votes, times and sensors only where it has them."""
     fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("index", "<u4")]
     extra = {name: getattr(frame, name) for name in _OPTIONAL if getattr(frame, name) is not None}
@@ -132,8 +135,7 @@ def write_frame(path: Path, frame: FrameRecord) -> None:
     for name, values in extra.items():
         rows[name] = values
     comments = [f"name {frame.name}", f"input_points {frame.input_points}"]
-    comments += [f"key {stage} {key}" for stage, key in frame.key.items()]
-    write_vertices(path, rows, comments)
+    write_vertices(path, rows, comments, write_file)
 
 
 def read_frame(path: Path) -> FrameRecord:
@@ -167,7 +169,6 @@ def read_frame(path: Path) -> FrameRecord:
         index,
         notes.get("name", path.stem),
         _count(path, notes.get("input_points", str(len(rows)))),
-        _keys(notes),
         *map(column, _OPTIONAL),
     )
 
@@ -177,33 +178,17 @@ def read_points(path: Path) -> NDArray[np.float32]:
     return _points(path, read_vertices(path)[0])
 
 
-def read_frame_key(path: Path) -> dict[str, str]:
-    """The ``key`` of a frame, from its header alone; empty if the file is missing."""
-    return _keys(_notes(read_comments(path)))
-
-
 def _points(path: Path, rows: NDArray[Any]) -> NDArray[np.float32]:
     if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
-        raise RunError(f"{path}: has no x y z")
+        raise DamagedFileError(path, "it has no x y z")
     return np.stack([np.ascontiguousarray(rows[name], np.float32) for name in "xyz"], axis=1)
 
 
 def _count(path: Path, text: str) -> int:
     if not text.isascii() or not text.isdigit() or len(text) > 18:
-        raise RunError(f"{path} is damaged (input_points is {text[:20]!r}); run the stage again")
+        raise DamagedFileError(path, f"input_points is {text[:20]!r}")
     return int(text)
 
 
 def _notes(comments: list[str]) -> dict[str, str]:
-    notes = {}
-    for comment in comments:
-        name, _, value = comment.partition(" ")
-        if name == "key":
-            stage, _, value = value.partition(" ")
-            name = f"key {stage}"
-        notes[name] = value
-    return notes
-
-
-def _keys(notes: dict[str, str]) -> dict[str, str]:
-    return {k.removeprefix("key "): v for k, v in notes.items() if k.startswith("key ")}
+    return {name: value for name, _, value in (comment.partition(" ") for comment in comments)}

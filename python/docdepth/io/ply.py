@@ -16,8 +16,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import RunError
-from docdepth.io.atomic import write_atomically
+from docdepth.errors import DamagedFileError, RunError
+from docdepth.io.atomic import WriteFile, write_atomically
 
 _BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
@@ -72,7 +72,12 @@ class _Header:
     comments: list[str]
 
 
-def write_vertices(path: Path, rows: NDArray[Any], comments: list[str]) -> None:
+def write_vertices(
+    path: Path,
+    rows: NDArray[Any],
+    comments: list[str],
+    write_file: WriteFile = write_atomically,
+) -> None:
     """Write the rows of a structured array as a little-endian PLY file, whole or not at all.
 
     Parameters
@@ -82,6 +87,8 @@ def write_vertices(path: Path, rows: NDArray[Any], comments: list[str]) -> None:
         A field for each property, of 1 to 4 byte integers or 4 or 8 byte floats.
     comments : list of str
         Lines for the header.
+    write_file : callable
+        Writes the content.
 
     Raises
     ------
@@ -104,7 +111,7 @@ def write_vertices(path: Path, rows: NDArray[Any], comments: list[str]) -> None:
         stream.write(header)
         stream.write(rows.view(np.uint8).data)
 
-    write_atomically(path, write)
+    write_file(path, write)
 
 
 def read_vertices(path: Path) -> tuple[NDArray[Any], list[str]]:
@@ -131,11 +138,11 @@ def read_vertices(path: Path) -> tuple[NDArray[Any], list[str]]:
             size = os.fstat(stream.fileno()).st_size
             return _read_rows(stream, size, header), header.comments
     except FileNotFoundError:
-        raise RunError(f"{path} is missing; run the stage that writes it") from None
+        raise DamagedFileError(path, "") from None
     except OSError as error:
         raise RunError(f"{path} cannot be read: {error.strerror or error}") from None
     except _Damaged as error:
-        raise RunError(f"{path} is damaged ({error}); delete it and run the stage again") from None
+        raise DamagedFileError(path, str(error)) from None
 
 
 def read_comments(path: Path) -> list[str]:

@@ -23,15 +23,15 @@ from docdepth.geometry.se3 import (
 from docdepth.geometry.trajectory import Trajectory
 
 
-def read_poses(path: Path | str, count: int) -> NDArray[np.float64]:
+def read_poses(path: Path | str, count: int | None = None) -> NDArray[np.float64]:
     """Read the poses of ``count`` sweeps, one a line, from a file of either format.
 
     Parameters
     ----------
     path : Path
         Lines of 8 numbers are TUM, of 12 KITTI. Line k is the pose of sweep k; times are ignored.
-    count : int
-        Number of sweeps.
+    count : int, optional
+        Number of sweeps; any if left out.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def read_poses(path: Path | str, count: int) -> NDArray[np.float64]:
             f"{path} has {rows.shape[1]} columns; TUM poses have 8 (t x y z qx qy qz qw), "
             "KITTI poses 12 (the upper 3x4 of the matrix, row by row)"
         )
-    if len(rows) != count:
+    if count is not None and len(rows) != count:
         raise OdometryError(
             f"{path} has {len(rows)} poses for {count} sweeps; "
             "bring one pose a sweep, in the order of the sweeps"
@@ -113,6 +113,10 @@ def _lines(path: Path) -> list[str]:
         raise OdometryError(f"{path} is missing; give the file of the poses") from None
     except (UnicodeDecodeError, IsADirectoryError):
         raise OdometryError(f"{path} is not a text file of poses (TUM or KITTI)") from None
+    except OSError as error:
+        raise OdometryError(
+            f"{path} cannot be read ({error.strerror}); give the file of the poses"
+        ) from None
     lines = [line.replace(",", " ") for line in text.splitlines()]
     return [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
 

@@ -5,10 +5,15 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Sequence
+import logging
+import shutil
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from threading import Lock
+from typing import Any, BinaryIO
 
 import numpy as np
 import yaml
@@ -16,20 +21,26 @@ from numpy.typing import NDArray
 
 from docdepth import __version__
 from docdepth.config import Parameters, stored_parameters
-from docdepth.errors import RunError
+from docdepth.errors import DamagedFileError, RunError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.atomic import write_atomically
-from docdepth.io.calibration import EXTRINSICS, INTRINSICS, read_calibration, write_calibration
+from docdepth.io.atomic import WriteFile, Written, npz_bytes, write_atomically
+from docdepth.io.calibration import read_calibration
+from docdepth.io.file_records import FileRecords, same_content
 from docdepth.io.frames import (
     FrameRecord,
     read_frame,
-    read_frame_key,
     read_points,
     read_trajectory,
     write_frame,
 )
+from docdepth.io.lock import locked
+
+log = logging.getLogger(__name__)
+
+_NOTES = ".docdepth"
+"""Folder of a run with what docdepth needs to continue it; nothing in it is a result."""
 
 _SENSOR_NAMES = ("T_lidar_sensor", "lateral_offset", "lidar_id")  # arrays of sensors.npz
 _OLD_SENSOR_NAMES = {"aside": "lateral_offset", "head": "lidar_id"}  # read for one release
@@ -38,63 +49,105 @@ _OLD_SENSOR_NAMES = {"aside": "lateral_offset", "head": "lidar_id"}  # read for 
 class RunFolder:
     """The files of one run.
 
-    ``run.yaml`` holds the inputs (``source``), the parameters and the state of each stage. All
-    other files are results:
+    ``run.yaml`` holds the inputs (``source``), the parameters, the cameras and the profile of each
+    stage. All other files are results:
 
     - ``traj_odometry.ply``: LiDAR poses; ``frames/frame_NNNNNN.ply``: deskewed sweeps, with classes
       once they are classified; ``sensors.npz``: where the LiDARs or their lasers sit;
     - ``labels/NAME.label``: a SemanticKITTI label for each point of the input;
-    - ``calib.json``, ``calib_lidar_ref_cam.txt``, ``traj_camera.ply``: the camera; of several
-      cameras, and of virtual ones, in ``cameras/NAME/``;
-    - ``depth/``: depth maps.
+    - ``calib.json``, ``calib_lidar_ref_cam.txt``, ``traj_camera.ply``: the camera; of further
+      cameras in ``cameras/NAME/``;
+    - ``depth/``: depth maps; of further cameras in ``depth/NAME/``.
 
-    A file has its final name only when it is whole.
+    A file has its final name only when it is whole. ``.docdepth/records`` tells which files
+    docdepth wrote (:class:`FileRecords`). Nothing else is overwritten or deleted.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
-        self.manifest: dict[str, Any] = {}
-        if self._manifest_path.is_file():
-            loaded = yaml.safe_load(self._manifest_path.read_text())
-            if not isinstance(loaded, dict):
-                raise RunError(f"{self._manifest_path} is damaged; delete the folder and run again")
-            self.manifest = loaded
+        self._records: dict[Path, FileRecords] = {}
+        self._lock_depth, self._writing = 0, Lock()
+        self._loaded: bytes | None = None
+        self.manifest: dict[str, Any] = self._load()
 
     @classmethod
     def create(cls, path: Path, source: dict[str, Any], parameters: Parameters) -> RunFolder:
+        """The folder of a new or an existing run; see :meth:`start`."""
+        run = cls(path)
+        run.start(source, parameters)
+        return run
+
+    def start(self, source: dict[str, Any], parameters: Parameters, force: bool = False) -> None:
         """Start a run, or continue the one in this folder if inputs and parameters are the same.
+
+        Nothing is written before a stage begins.
 
         Parameters
         ----------
-        path : Path
         source : dict
             The inputs: dataset, camera, poses and more, plain YAML values; see
             :mod:`docdepth.pipeline.run_inputs`.
         parameters : Parameters
+            A run that a stage has changed since goes on with what it has, if it was started with
+            these.
+        force : bool
+            Continue a run with other inputs or parameters, too.
 
         Raises
         ------
         RunError
             The folder holds another run, or files that are not a run.
         """
-        run = cls(path)
-        wanted = {"source": source, "parameters": parameters.model_dump(mode="json")}
-        if run.manifest:
-            # In today's names: a release before this one may have started the run.
-            run.manifest["parameters"] = run.parameters.model_dump(mode="json")
-            for part, value in wanted.items():
-                if run.manifest.get(part) != value:
-                    difference = _difference(run.manifest.get(part), value)
-                    raise RunError(
-                        f"{path} holds another run: its {difference}; "
-                        "choose another folder with -o, or delete this one"
-                    )
-        elif run.path.is_dir() and any(run.path.iterdir()):
-            raise RunError(f"{path} is not empty and holds no run; choose another folder with -o")
+        if self.path.exists() and not self.path.is_dir():
+            raise RunError(f"{self.path} is a file; choose a folder with -o")
+        asked = parameters.model_dump(mode="json")
+        if self.manifest:
+            self._continue(source, asked, force)
+        elif self._manifest_path.exists() and not self._records_file(self.path).is_file():
+            raise RunError(f"{self._manifest_path} is damaged; choose another folder with -o")
+        elif self._has_foreign_files():
+            raise RunError(
+                f"{self.path} is not empty and holds no run; choose another folder with -o"
+            )
         else:
-            run.manifest = {"docdepth": __version__, **wanted, "stages": {}}
-            run.save()
-        return run
+            self.manifest = {
+                "docdepth": __version__,
+                "source": source,
+                "parameters": asked,
+                "asked": asked,
+                "cameras": {},
+                "folders": [],
+                "stages": {},
+            }
+
+    def _continue(self, source: dict[str, Any], asked: dict[str, Any], force: bool) -> None:
+        """Go on with a run that was started before."""
+        # In today's names: a release before this one may have started the run.
+        known = self.parameters.model_dump(mode="json")
+        first = self.manifest.get("asked", known)
+        # Another camera is added to those that the run has.
+        if "camera" in source:
+            source = {**source, "camera": self.manifest["source"].get("camera")}
+        before = {"source": self.manifest["source"], "parameters": first}
+        wanted = {"source": source, "parameters": asked}
+        for part in wanted:
+            if before[part] != wanted[part] and not force:
+                if part == "parameters" and asked == known:
+                    continue
+                difference = _difference(before[part], wanted[part])
+                raise RunError(
+                    f"{self.path} holds another run: its {difference}; "
+                    "choose another folder with -o, or --force to make out of date results again"
+                )
+        changed = asked != first or "asked" not in self.manifest
+        values = asked if changed else known
+        self.manifest |= {"source": source, "parameters": values, "asked": asked}
+
+    def _has_foreign_files(self) -> bool:
+        """Whether there is something in the folder though docdepth never wrote into it."""
+        if not self.path.is_dir() or self._records_file(self.path).is_file():
+            return False
+        return any(file.name != _NOTES for file in self.path.iterdir())
 
     @classmethod
     def open(cls, path: Path) -> RunFolder:
@@ -103,21 +156,178 @@ class RunFolder:
         Raises
         ------
         RunError
-            The folder holds neither.
+            The folder holds neither, or run.yaml is damaged.
         """
         run = cls(path)
         if not run.manifest:
+            if run._manifest_path.exists() or run._records_file(run.path).is_file():
+                raise RunError(
+                    f"{run._manifest_path} is missing or damaged; give the first command again: "
+                    f"docdepth run DATASET -o {path}"
+                )
             if not run.trajectory_path.is_file():
                 raise RunError(
                     f"{path} holds no run; start one with: docdepth run DATASET -o {path}"
                 )
             defaults = Parameters().model_dump(mode="json")
-            run.manifest = {"source": {}, "parameters": defaults, "stages": {}}
+            run.manifest = {"source": {}, "parameters": defaults, "cameras": {}, "stages": {}}
         return run
+
+    def _load(self) -> dict[str, Any]:
+        """The content of run.yaml, or of its copy; empty where both are missing or damaged."""
+        self._loaded = self._manifest_text()
+        found = _read_manifest(self._manifest_path)
+        if found is None:
+            found = _read_manifest(self._copy_path)
+            if found is not None:
+                log.warning("%s was missing or damaged; its copy is used", self._manifest_path)
+        if found is not None and not isinstance(found.get("cameras"), dict):
+            found["cameras"] = _cameras_of_earlier_version(found["stages"])
+        return found or {}
+
+    def _manifest_text(self) -> bytes | None:
+        try:
+            return self._manifest_path.read_bytes()
+        except OSError:
+            return None
+
+    @contextmanager
+    def lock(self, what: str) -> Iterator[None]:
+        """Keep other processes from working in the folder.
+
+        Parameters
+        ----------
+        what : str
+            What is done, for the message that others get.
+
+        Raises
+        ------
+        RunError
+            Another process works there.
+        """
+        with ExitStack() as stack:
+            if not self._lock_depth:
+                stack.enter_context(locked(self.notes / "lock", self.path, what))
+                if self._loaded != self._manifest_text():
+                    raise RunError(
+                        f"another command has changed {self.path} meanwhile; run the same command "
+                        "again"
+                    )
+            self._lock_depth += 1
+            try:
+                yield
+            finally:
+                self._lock_depth -= 1
+
+    def records(self, folder: Path) -> FileRecords:
+        """Records of the files in a folder of the run."""
+        if folder not in self._records:
+            self._records[folder] = FileRecords(folder, self._records_file(folder))
+        return self._records[folder]
+
+    def _records_file(self, folder: Path) -> Path:
+        name = folder.relative_to(self.path).as_posix()
+        return self.notes / "records" / f"{'run' if name == '.' else name}.jsonl"
+
+    @property
+    def notes(self) -> Path:
+        """Folder with what docdepth needs to continue the run."""
+        return self.path / _NOTES
+
+    def key(self, path: Path) -> dict[str, str]:
+        """What a file was made of, a hash for each stage; empty if the file is not whole."""
+        return self.records(path.parent).key(path.name)
+
+    def recorded_key(self, path: Path) -> dict[str, str]:
+        """What the record of a file says, whatever has become of the file."""
+        return self.records(path.parent).recorded_key(path.name)
+
+    def write(
+        self,
+        path: Path,
+        write: Callable[[BinaryIO], object],
+        key: dict[str, str],
+        *,
+        sync: bool = True,
+    ) -> None:
+        """Write a file of the run and its record.
+
+        A file that docdepth did not write and that has this name is kept as ``NAME.old``.
+
+        Parameters
+        ----------
+        path : Path
+        write : callable
+            Writes the content.
+        key : dict
+            What the content is made of: a hash for each stage.
+        sync : bool
+            See :func:`docdepth.io.atomic.write_atomically`.
+
+        Raises
+        ------
+        RunError
+            The file cannot be written.
+        """
+        records = self.records(path.parent)
+        if not records.path.is_file():
+            self._adopt(path.parent)
+
+        def record(written: Written) -> None:
+            if path.name not in records and not same_content(path, written):
+                _move_aside(path)
+            records.add(path.name, written, key)
+
+        write_atomically(path, write, sync=sync, before_rename=record)
+
+    def _adopt(self, folder: Path) -> None:
+        """Take the files of a folder for docdepth's if it has written there and records are lost.
+
+        They are made again, each under its name; none is deleted.
+        """
+        name, folders = folder.relative_to(self.path).as_posix(), self.manifest.get("folders")
+        with self._writing:
+            records = self.records(folder)
+            written = folders is None or name in folders
+            if written and not records.path.is_file() and folder.is_dir():
+                for file in folder.iterdir():
+                    if file.is_file() and not file.name.startswith("."):
+                        records.invalidate(file.name)
+            if folders is not None and name not in folders:
+                folders.append(name)
+                self.save()
+
+    def writer(self, key: dict[str, str]) -> WriteFile:
+        """:meth:`write` for files that are made of ``key``."""
+        return lambda path, write: self.write(path, write, key)
+
+    def remove(self, path: Path) -> None:
+        """Delete a file, if docdepth wrote it."""
+        records = self.records(path.parent)
+        if path.name in records:
+            path.unlink(missing_ok=True)
+            records.drop(path.name)
+            with contextlib.suppress(OSError):
+                path.parent.rmdir()  # if it is empty
+
+    def remove_tree(self, folder: Path) -> None:
+        """Delete a folder in which only docdepth writes."""
+        shutil.rmtree(folder, ignore_errors=True)
+        for known in [f for f in self._records if f == folder or folder in f.parents]:
+            self._records.pop(known).path.unlink(missing_ok=True)
+
+    def move_into_place(self, part: Path, path: Path, key: dict[str, str]) -> None:
+        """Give a file that is whole its name, and record it."""
+        self.write(path, lambda stream: stream.write(part.read_bytes()), key)
+        part.unlink()
 
     @property
     def _manifest_path(self) -> Path:
         return self.path / "run.yaml"
+
+    @property
+    def _copy_path(self) -> Path:
+        return self.notes / "run.yaml"
 
     @property
     def trajectory_path(self) -> Path:
@@ -129,9 +339,11 @@ class RunFolder:
         return stored_parameters(self.manifest.get("parameters"), self._manifest_path)
 
     def save(self) -> None:
-        """Write run.yaml."""
-        text = yaml.safe_dump(self.manifest, sort_keys=False)
-        write_atomically(self._manifest_path, lambda stream: stream.write(text.encode()))
+        """Write run.yaml, and a copy that is used where the first is damaged."""
+        text = self._loaded = yaml.safe_dump(self.manifest, sort_keys=False).encode()
+        for path in (self._manifest_path, self._copy_path):
+            if not path.is_file() or path.read_bytes() != text:
+                write_atomically(path, lambda stream: stream.write(text))
 
     def stage(self, name: str) -> dict[str, Any]:
         """State of a stage in run.yaml; empty before it starts."""
@@ -141,6 +353,27 @@ class RunFolder:
         """Update and save the state of a stage."""
         self.manifest["stages"][name] = {**self.stage(name), **state}
         self.save()
+
+    def made_of(self, stage: str) -> dict[str, Any]:
+        """What the results of a stage were made of; empty before it starts."""
+        found = self._made_of().get(stage, {})
+        return dict(found) if isinstance(found, dict) else {}
+
+    def set_made_of(self, stage: str, parts: dict[str, Any]) -> None:
+        """Note what the results of a stage are made of, to say later what has changed."""
+        text = json.dumps({**self._made_of(), stage: parts}, indent=1).encode()
+        self.write(self._made_of_path, lambda stream: stream.write(text), {})
+
+    @property
+    def _made_of_path(self) -> Path:
+        return self.notes / "made_of.json"
+
+    def _made_of(self) -> dict[str, Any]:
+        try:
+            found = json.loads(self._made_of_path.read_text())
+        except (OSError, ValueError):
+            return {}
+        return found if isinstance(found, dict) else {}
 
     def frame_path(self, index: int) -> Path:
         return self.path / "frames" / f"frame_{index:06d}.ply"
@@ -172,32 +405,35 @@ class RunFolder:
         """Where the rays of a frame begin; None where they begin at the origin."""
         return None if frame.sensor is None else SensorRig(frame.sensor, **self._sensors)
 
-    def write_sensors(self, sensor_rig: SensorRig) -> None:
+    def write_sensors(self, sensor_rig: SensorRig, key: dict[str, str]) -> None:
         """Write where the LiDARs or their lasers sit, once for all frames."""
-        kept = {name: getattr(sensor_rig, name) for name in _SENSOR_NAMES}
-        write_atomically(self._sensors_path, lambda stream: np.savez(stream, **kept))
+        content = npz_bytes(**{name: getattr(sensor_rig, name) for name in _SENSOR_NAMES})
+        self.write(self.sensors_path, lambda stream: stream.write(content), key)
         self.__dict__.pop("_sensors", None)  # the cache of what was read before
 
     @property
-    def _sensors_path(self) -> Path:
+    def sensors_path(self) -> Path:
         return self.path / "sensors.npz"
 
     @cached_property
     def _sensors(self) -> dict[str, NDArray[Any]]:
         try:
-            with np.load(self._sensors_path) as kept:
+            with np.load(self.sensors_path) as kept:
                 return {_OLD_SENSOR_NAMES.get(name, name): kept[name] for name in kept}
         except FileNotFoundError:
-            raise RunError(
-                f"{self._sensors_path} is missing; run again: docdepth odometry {self.path}"
-            ) from None
+            raise DamagedFileError(self.sensors_path, "") from None
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            raise DamagedFileError(self.sensors_path, str(error)) from None
 
     def frame_key(self, index: int) -> dict[str, str]:
-        """Hash of the parameters that made frame ``index``, by stage; empty if it is missing."""
-        return read_frame_key(self.frame_path(index))
+        """What frame ``index`` was made of, a hash for each stage; empty if it is not whole."""
+        return self.key(self.frame_path(index))
 
-    def write_frame(self, index: int, frame: FrameRecord) -> None:
-        write_frame(self.frame_path(index), frame)
+    def write_frame(
+        self, index: int, frame: FrameRecord, key: dict[str, str] | None = None
+    ) -> None:
+        """Write frame ``index``; ``key`` tells what it is made of, a hash for each stage."""
+        write_frame(self.frame_path(index), frame, self.writer(key or {}))
 
     def trajectory(self) -> Trajectory:
         """LiDAR poses, one a frame."""
@@ -212,24 +448,6 @@ class RunFolder:
         """Folder of a camera's calibration and trajectory; ``camera`` is one among several."""
         return self.path / "cameras" / camera if camera else self.path
 
-    def write_calibration(
-        self,
-        camera: Camera,
-        T_camera_lidar: NDArray[np.float64],
-        distortion: Sequence[float] = (0.0,) * 5,
-        name: str = "",
-    ) -> None:
-        """Write the calibration of a camera; ``name`` it if there are several."""
-        write_calibration(self.calibration_folder(name), camera, T_camera_lidar, distortion)
-
-    def forget_calibration(self, name: str) -> None:
-        """Delete what :meth:`write_calibration` wrote, and the camera's trajectory."""
-        folder = self.calibration_folder(name)
-        for file in (INTRINSICS, EXTRINSICS, "traj_camera.ply"):
-            (folder / file).unlink(missing_ok=True)
-        if name:
-            self.clear(f"cameras/{name}")
-
     def calibration(self, name: str = "") -> tuple[Camera, NDArray[np.float64], list[float]]:
         """Camera, ``T_camera_lidar`` (4, 4) and distortion of the images.
 
@@ -242,35 +460,52 @@ class RunFolder:
         return read_calibration(self.calibration_folder(name), remedy)
 
     def depth_folder(self, camera: str | None = None) -> str:
-        """The folder of a camera inside ``depth/``; empty if the run has only one camera.
+        """The folder of a camera inside ``depth/``; empty for the first camera of a run.
+
+        Parameters
+        ----------
+        camera : str, optional
+            Its name; needed if the run has several.
 
         Raises
         ------
         RunError
             There is no such camera, or there are several and none is named.
         """
-        apart = sorted(p.name for p in (self.path / "depth").glob("*") if p.is_dir())
-        stage = self.stage("render")
-        folders, cameras = stage.get("folders", [""]), stage.get("cameras", [])
-        if camera is None and len(folders) == 1:
-            return str(folders[0])
-        if camera in apart:
-            return camera
-        if folders == [""] and camera in cameras:
-            return ""
-        known = ", ".join(dict.fromkeys([*cameras, *apart])) or "no camera"
+        folders = {name: str(entry["folder"]) for name, entry in self.cameras.items()}
+        if not folders:  # of the official release, or of arrays
+            apart = (p.name for p in (self.path / "depth").glob("*") if p.is_dir())
+            folders = {name: name for name in sorted(apart)} or {"camera": ""}
+        recorded = [n for n in folders if "virtual" not in self.cameras.get(n, {})]
+        if camera is None and len(recorded) == 1:
+            return folders[recorded[0]]
+        if camera in folders:
+            return folders[camera]
+        known = ", ".join(folders)
         raise RunError(
             f"{self.path} has depth of {known}"
             + (f", not of {camera}" if camera else ": say --camera")
         )
 
-    def clear(self, folder: str) -> None:
-        """Delete the files of an output folder."""
-        for path in sorted((self.path / folder).glob("*")):
-            with contextlib.suppress(IsADirectoryError, PermissionError):
-                path.unlink()
-        with contextlib.suppress(OSError):
-            (self.path / folder).rmdir()
+    def forget(self, path: Path) -> None:
+        """Have a file made again."""
+        self.records(path.parent).invalidate(path.name)
+        self.__dict__.pop("_sensors", None)
+
+    def camera_in(self, folder: str) -> str:
+        """Name of the camera whose maps lie in a folder of ``depth/``."""
+        names = (name for name, entry in self.cameras.items() if entry["folder"] == folder)
+        return next(names, folder)
+
+    @property
+    def cameras(self) -> dict[str, dict[str, Any]]:
+        """The cameras of the run by name, as run.yaml holds them.
+
+        ``folder`` is where in ``depth/`` the maps lie, ``settings`` are parameters of this camera
+        alone, ``virtual`` tells where a virtual camera sits.
+        """
+        cameras: dict[str, dict[str, Any]] = self.manifest["cameras"]
+        return cameras
 
 
 def stage_key(*parts: Any) -> str:
@@ -285,3 +520,38 @@ def _difference(have: Any, want: Any, path: str = "") -> str:
             if have.get(key) != want.get(key):
                 return _difference(have.get(key), want.get(key), f"{path}.{key}" if path else key)
     return f"{path} is {have!r}, not {want!r}"
+
+
+def _move_aside(path: Path) -> None:
+    """Give a file that docdepth did not write another name."""
+    aside, number = path.with_name(f"{path.name}.old"), 1
+    while aside.exists():
+        number += 1
+        aside = path.with_name(f"{path.name}.old{number}")
+    with contextlib.suppress(FileNotFoundError):
+        path.rename(aside)
+        log.warning("%s was not written by docdepth and is %s now", path, aside.name)
+
+
+def _read_manifest(path: Path) -> dict[str, Any] | None:
+    """The content of run.yaml; None if it is missing or damaged."""
+    try:
+        found = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return None
+    if not isinstance(found, dict) or "parameters" not in found:
+        return None
+    source, stages = found.get("source"), found.get("stages")
+    if not isinstance(source, dict) or not isinstance(stages, dict):
+        return None
+    return found if all(isinstance(stage, dict) for stage in stages.values()) else None
+
+
+def _cameras_of_earlier_version(stages: dict[str, Any]) -> dict[str, Any]:
+    """The cameras of a run.yaml that lists them with the stage that draws them."""
+    listed = [stage for name, stage in stages.items() if name.partition(" ")[0] == "render"]
+    return {
+        name: {"folder": folder, "settings": {}}
+        for stage in listed
+        for name, folder in zip(stage.get("cameras", []), stage.get("folders", []), strict=False)
+    }

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset
-from docdepth.io.atomic import write_atomically
+from docdepth.io.atomic import npz_bytes, write_atomically
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.registration import PreviousPoses, register
 from docdepth.odometry.sweeps import DeskewedSweeps
@@ -65,18 +67,21 @@ class RegistrationPass:
         """Poses of an earlier run, if they are of the same drive and parameters."""
         if self.file is None or not self.file.is_file():
             return None
-        with np.load(self.file) as saved:
-            if str(saved["key"]) != self._key():
-                return None
-            poses: NDArray[np.float64] = saved["poses"]
+        try:
+            with np.load(self.file) as saved:
+                if str(saved["key"]) != self._key():
+                    return None
+                poses: NDArray[np.float64] = saved["poses"]
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+            return None  # damaged: the pass is made again
         log.info("odometry continues after %s", self.file.name)
         return poses
 
     def _save(self, poses: NDArray[np.float64]) -> None:
         if self.file is None:
             return
-        key = np.array(self._key())
-        write_atomically(self.file, lambda stream: np.savez(stream, poses=poses, key=key))
+        content = npz_bytes(poses=poses, key=np.array(self._key()))
+        write_atomically(self.file, lambda stream: stream.write(content))
 
     def _key(self) -> str:
         settings = self.parameters.model_dump_json(exclude={"passes"})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,28 +10,24 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Watch, unwatched
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.scheduling import classify_sweeps
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep
-from docdepth.dynamics.tracking import Detections
+from docdepth.dynamics.tracking import Detections, TrackingResult
 from docdepth.dynamics.voting import Votes
-from docdepth.errors import RunError
+from docdepth.errors import DamagedFileError
 from docdepth.geometry.points import DYNAMIC, MOVING_LABEL, OUTLIER_LABEL, STATIC_LABEL
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import chunk_progress, chunks, label_chunk
-from docdepth.io.atomic import write_atomically
 from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.pipeline.stage import (
-    Progress,
-    Stopwatch,
-    finish_stage,
-    progress_callback,
-    stage_is_done,
-)
+from docdepth.pipeline.graph import classify_parts, label_files
+from docdepth.pipeline.stage import Profile, Progress, is_outdated, progress_callback, stage
 
-_GROUND, _EVIDENCE = ".ground", ".objects"
-"""Folders of a run with what an interrupted stage goes on with."""
+_GROUND, _TRACKS, _EVIDENCE = "ground", "tracks", "evidence"
+"""Folders in the notes of a run. The first two are kept: with them, single frames are classified
+again. What an interrupted stage goes on with lies in the last."""
 
 
 def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = None) -> None:
@@ -52,37 +47,42 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     Raises
     ------
     RunError
-        A file of an interrupted run is damaged.
+        A file of the run is damaged.
     """
-    p, trajectory = run.parameters, run.trajectory()
-    made_of = run.stage("odometry").get("key"), p.ground.model_dump()
-    keys = {
-        "votes": stage_key(*made_of, p.dynamics.voting()),
-        "classify": stage_key(*made_of, p.dynamics.model_dump()),
-    }
-    if stage_is_done(run, "classify", keys["classify"]):
-        return
-    watch = Stopwatch()
-    run.set_stage("classify", state="running", key=keys["classify"])
-    ground = _grow_ground(run, trajectory, watch, threads, progress)
-    store = _FrameStore(run, ground, keys, p.dynamics.evidence == "tracks", watch)
-    told = progress_callback(progress, "classify")
-    left = classify_sweeps(store, trajectory, p.dynamics, told, threads, watch)
-    for folder in (_GROUND, _EVIDENCE):
-        shutil.rmtree(run.path / folder, ignore_errors=True)
-    finish_stage(run, "classify", watch, left)
+    p = run.parameters
+    with run.lock("classify"):
+        trajectory = run.trajectory()
+        parts = classify_parts(run, run.stage("odometry").get("key"))
+        made_of = parts["odometry"], p.ground.model_dump()
+        keys = {
+            "votes": stage_key(*made_of, p.dynamics.voting()),
+            "classify": stage_key(parts),
+        }
+        store = _FrameStore(run, keys, len(trajectory))
+        if all(store.is_done(i) for i in range(len(trajectory))):
+            return
+        with stage(run, "classify", parts, len(trajectory)) as profile:
+            store.watch = profile.watch
+            ground_key = {"ground": stage_key(*made_of)}
+            store.ground = _grow_ground(run, trajectory, ground_key, profile, threads, progress)
+            told = progress_callback(progress, "classify")
+            profile.frames = classify_sweeps(
+                store, trajectory, p.dynamics, told, threads, profile.watch
+            )
+            run.remove_tree(run.notes / _EVIDENCE)
+            _remove_outdated(run, ground_key, keys)
 
 
 def _grow_ground(
     run: RunFolder,
     trajectory: Trajectory,
-    watch: Stopwatch,
+    key: dict[str, str],
+    profile: Profile,
     threads: int,
     progress: Progress | None,
 ) -> list[NDArray[np.uint8]]:
     """Ground labels of every frame as packed bits; each chunk is kept in a file."""
-    p = run.parameters.ground
-    key = stage_key(run.stage("odometry").get("key"), p.model_dump())
+    p, watch = run.parameters.ground, profile.watch
 
     def read(index: int) -> NDArray[np.float32]:
         with watch("read"):
@@ -90,14 +90,28 @@ def _grow_ground(
 
     ground: list[NDArray[np.uint8]] = []
     for chunk in chunks(trajectory, p):
-        kept = run.path / _GROUND / f"{key}_{chunk.frames[0]:06d}.npy"
-        if not kept.is_file():
+        kept = run.notes / _GROUND / f"chunk_{chunk.frames[0]:06d}.npy"
+        if run.key(kept) != key:
             done = partial(chunk_progress, progress, chunk, len(trajectory))
             labels = label_chunk(chunk, read, trajectory, p, threads, done, watch)
-            _write_arrays(kept, *[np.packbits(flags) for flags in labels])
+            _write_arrays(run, kept, key, *[np.packbits(flags) for flags in labels])
         ground += _read_arrays(kept, len(chunk.frames))
     progress_callback(progress, "ground")(len(trajectory), len(trajectory))
     return ground
+
+
+def _remove_outdated(run: RunFolder, ground_key: dict[str, str], keys: dict[str, str]) -> None:
+    """Delete what was kept of other parameters, and labels of sweeps that are no more."""
+    for folder, key in (
+        (run.notes / _GROUND, ground_key),
+        (run.notes / _TRACKS, {"classify": keys["classify"]}),
+        (run.path / "labels", {"classify": keys["classify"]}),
+    ):
+        records = run.records(folder)
+        for name in records.names():
+            if is_outdated(records.recorded_key(name), key):
+                run.remove(folder / name)
+        records.compact()
 
 
 class _FrameStore:
@@ -105,42 +119,66 @@ class _FrameStore:
 
     Parameters
     ----------
-    ground : list of ndarray of uint8
-        Ground labels of each frame as packed bits.
     keys : dict
         What votes and classes are made of.
-    uses_tracks : bool
-        Evidence is kept until tracks are known, a file a frame.
+    count : int
+        Number of frames.
+
+    Attributes
+    ----------
+    ground : list of ndarray of uint8
+        Ground labels of each frame as packed bits; set before frames are read.
+    watch : callable
     """
 
-    def __init__(
-        self,
-        run: RunFolder,
-        ground: list[NDArray[np.uint8]],
-        keys: dict[str, str],
-        uses_tracks: bool,
-        watch: Stopwatch,
-    ) -> None:
-        self._run, self._ground, self._keys, self._watch = run, ground, keys, watch
-        self._uses_tracks = uses_tracks
+    def __init__(self, run: RunFolder, keys: dict[str, str], count: int) -> None:
+        self._run, self._keys, self._count = run, keys, count
+        self._labels = label_files(run)
         # Only those that were made by an earlier run are read from their files.
         self._detections: dict[int, Detections] = {}
+        self.ground: list[NDArray[np.uint8]] = []
+        self.watch: Watch = unwatched
+
+    @property
+    def _key(self) -> dict[str, str]:
+        return {"classify": self._keys["classify"]}
+
+    @property
+    def _tracks(self) -> Path:
+        return self._run.notes / _TRACKS / "tracks.npy"
 
     def _kept(self, index: int) -> Path:
-        return self._run.path / _EVIDENCE / self._keys["classify"] / f"{index:06d}.npy"
+        return self._run.notes / _EVIDENCE / self._keys["classify"] / f"{index:06d}.npy"
 
-    def is_classified(self, index: int) -> bool:
-        if self._uses_tracks:
-            return self._kept(index).is_file()
-        return self._run.frame_key(index).get("classify") == self._keys["classify"]
+    def is_done(self, index: int) -> bool:
+        labels = self._labels.get(index)
+        wanted = self._key.items()
+        return (
+            labels is not None
+            and wanted <= self._run.key(labels).items()
+            and wanted <= self._run.frame_key(index).items()
+        )
+
+    def tracks(self) -> list[TrackingResult] | None:
+        if self._run.key(self._tracks) != self._key:
+            return None
+        arrays = _read_arrays(self._tracks, 3 * self._count)
+        return [TrackingResult(*arrays[3 * i : 3 * i + 3]) for i in range(self._count)]
+
+    def keep_tracks(self, found: list[TrackingResult]) -> None:
+        arrays = [array for result in found for array in result]
+        _write_arrays(self._run, self._tracks, self._key, *arrays)
+
+    def has_evidence(self, index: int) -> bool:
+        return self._run.key(self._kept(index)) == self._key
 
     def has_votes(self, index: int) -> bool:
         return self._run.frame_key(index).get("votes") == self._keys["votes"]
 
     def read(self, index: int) -> InputSweep:
-        with self._watch("read"):
+        with self.watch("read"):
             record = self._run.frame(index)
-            ground = np.unpackbits(self._ground[index], count=len(record.points))
+            ground = np.unpackbits(self.ground[index], count=len(record.points))
         static, dynamic = record.votes_static, record.votes_dynamic
         return InputSweep(
             record.points,
@@ -155,33 +193,33 @@ class _FrameStore:
         labels, objects = evidence
         arrays: list[NDArray[Any]] = [objects, labels.votes.static, labels.votes.dynamic]
         arrays += [labels.classid, *detections.arrays]
-        with self._watch("write"):
-            _write_arrays(self._kept(index), *arrays)
+        with self.watch("write"):
+            _write_arrays(self._run, self._kept(index), self._key, *arrays)
 
     def evidence(self, index: int) -> Evidence:
-        with self._watch("read"):
+        with self.watch("read"):
             objects, static, dynamic, classid = _read_arrays(self._kept(index), 4)
         return Evidence(Labels(classid, Votes(static, dynamic)), objects)
 
     def detections(self, index: int) -> Detections:
         if index in self._detections:
             return self._detections[index]
-        with self._watch("read"):
+        with self.watch("read"):
             return Detections.of(_read_arrays(self._kept(index), 7)[4:])
 
     def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
-        with self._watch("write"):
+        with self.watch("write"):
             _write_classified(self._run, index, sweep.record, self._keys, labels)
 
 
-def _write_arrays(path: Path, *arrays: NDArray[Any]) -> None:
+def _write_arrays(run: RunFolder, path: Path, key: dict[str, str], *arrays: NDArray[Any]) -> None:
     """Write arrays into one file, one after the other."""
 
     def write(out: BinaryIO) -> None:
         for array in arrays:
             np.save(out, array)
 
-    write_atomically(path, write, sync=False)
+    run.write(path, write, key, sync=False)
 
 
 def _read_arrays(path: Path, count: int) -> list[NDArray[Any]]:
@@ -189,8 +227,8 @@ def _read_arrays(path: Path, count: int) -> list[NDArray[Any]]:
     try:
         with path.open("rb") as stream:
             return [np.load(stream) for _ in range(count)]
-    except (EOFError, ValueError) as error:
-        raise RunError(f"{path} is damaged ({error}); delete it and run the stage again") from None
+    except (OSError, EOFError, ValueError) as error:
+        raise DamagedFileError(path, str(error)) from None
 
 
 def _write_classified(
@@ -200,13 +238,16 @@ def _write_classified(
     rows = np.full(record.input_points, OUTLIER_LABEL, np.uint32)
     rows[record.index] = np.where(labels.classid >= DYNAMIC, MOVING_LABEL, STATIC_LABEL)
     path = run.path / "labels" / f"{record.name}.label"
-    write_atomically(path, lambda stream: stream.write(rows.tobytes()))
-    # Last, because its key says that this frame is done.
+    key = {"classify": keys["classify"], "frame": str(index)}
+    if run.key(path) != key:
+        run.write(path, lambda stream: stream.write(rows.tobytes()), key)
+    if keys.items() <= run.frame_key(index).items():
+        return  # only the labels were missing
     classified = replace(
         record,
-        key={**record.key, **keys},
         votes_static=labels.votes.static,
         votes_dynamic=labels.votes.dynamic,
         classid=labels.classid,
     )
-    run.write_frame(index, classified)
+    of_frame = {"odometry": run.recorded_key(run.frame_path(index)).get("odometry", "")}
+    run.write_frame(index, classified, {**of_frame, **keys})

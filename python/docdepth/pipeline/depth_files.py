@@ -14,8 +14,12 @@ from numpy.typing import NDArray
 from docdepth import __version__
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
-from docdepth.io.atomic import write_atomically
+from docdepth.errors import DatasetError
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.atomic import npz_bytes
+from docdepth.io.calibration import EXTRINSICS, INTRINSICS, write_calibration
 from docdepth.io.depth import DESCRIPTION, FORMATS, encode_depth, read_depth
+from docdepth.io.frames import write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.render.depth_map import NEAR
 from docdepth.visualization.pictures import overlay
@@ -32,8 +36,12 @@ class DepthFiles:
     run : RunFolder
     stream : CameraStream
     folder : str
-        Its folder in ``depth/``, ``layers/`` and ``report/``; empty for the only camera of a run.
+        Its folder in ``depth/``, ``layers/`` and ``report/``; empty for the first camera of a run.
     parameters : Parameters
+    key : str
+        Hash of all that the maps are made of; needed to write.
+    images : list of str
+        The identity of each image, which the pictures show; needed to write.
     coverage : dict of int to float
         Share of pixels with depth of each image that is done.
     """
@@ -42,34 +50,94 @@ class DepthFiles:
     stream: CameraStream
     folder: str
     parameters: Parameters
+    key: str = ""
+    images: list[str] = field(default_factory=list)
     coverage: dict[int, float] = field(default_factory=dict)
 
-    def find_done(self, index: int) -> bool:
-        """Whether all files of an image are there; notes its coverage."""
-        depths = self._depths(index)
+    def files(self, index: int) -> list[Path]:
+        """All files of an image."""
         layers = [self._path("layers", index, ".npz")] if self.parameters.output.layers else []
-        if not all(path.is_file() for path in [*layers, *depths.values()]):
+        return [self._picture(index), *layers, *self._depths(index).values()]
+
+    def once(self) -> list[Path]:
+        """The files of the camera itself."""
+        return [self.run.path / "depth" / self.folder / DESCRIPTION, *self.calibration()]
+
+    def calibration(self) -> list[Path]:
+        """Calibration and trajectory of the camera."""
+        folder = self.run.calibration_folder(self.folder)
+        return [folder / name for name in (INTRINSICS, EXTRINSICS, "traj_camera.ply")]
+
+    def is_of_image(self, index: int, identity: str) -> bool:
+        """Whether the files of an image were made of the image that is there now."""
+        return all(
+            self.run.records(file.parent).recorded_key(file.name).get("image") == identity
+            for file in self.files(index)
+        )
+
+    def find_done(self, index: int) -> bool:
+        """Whether all files of an image are whole and up to date; notes its coverage."""
+        key = self._key(index)
+        if any(self.run.key(path) != key for path in self.files(index)):
             return False
-        depth = read_depth(next(iter(depths.values())), self.parameters.output.scale)
+        path = next(iter(self._depths(index).values()))
+        try:
+            depth = read_depth(path, self.parameters.output.scale)
+        except DatasetError:
+            return False
         self.coverage[index] = _share_with_depth(depth)
         return True
+
+    def is_complete(self) -> bool:
+        """Whether the files of the camera itself are whole and up to date."""
+        return all(self.run.key(file) == {"render": self.key} for file in self.once())
+
+    def remove_outdated(self) -> None:
+        """Delete maps, layers and pictures that were made of something else."""
+        for kind in FOLDERS:
+            folder = self.run.path / kind / self.folder
+            records = self.run.records(folder)
+            for name in records.names():
+                made_of = records.recorded_key(name).get("render")
+                if made_of not in (None, self.key):
+                    self.run.remove(folder / name)
+
+    def write_camera(self, poses: Trajectory, indices: NDArray[np.int64]) -> None:
+        """Write the calibration, and the LiDAR's poses at the times of the images (paper V-A)."""
+        stream, write = self.stream, self.run.writer({"render": self.key})
+        folder = self.run.calibration_folder(self.folder)
+        distortion = stream.distortion_coefficients
+        write_calibration(folder, stream.camera, stream.T_camera_lidar, distortion, write)
+        write_trajectory(folder / "traj_camera.ply", poses, indices, write)
 
     def write(
         self, index: int, depth: NDArray[np.float32], layers: dict[str, NDArray[Any]]
     ) -> None:
         """Write all files of an image; the depth map last, so that it marks the image as done."""
-        picture = overlay(depth, self.stream.rectified_image(index))
-        _write_image(self._path("report", index, ".jpg"), picture)
+        key = self._key(index)
+
+        def write(path: Path, content: bytes) -> None:
+            if self.run.key(path) != key:
+                self.run.write(path, lambda out: out.write(content), key)
+
+        picture = encode_image(overlay(depth, self.stream.rectified_image(index)), ".jpg")
+        write(self._picture(index), picture)
         if layers:
-            path = self._path("layers", index, ".npz")
-            write_atomically(path, lambda out: np.savez_compressed(out, **layers))  # type: ignore[arg-type]
+            packed = npz_bytes(compressed=True, **layers)
+            write(self._path("layers", index, ".npz"), packed)
         for format, path in self._depths(index).items():
             content = encode_depth(depth, format, self.parameters.output.scale)
-            write_atomically(path, lambda out, content=content: out.write(content))  # type: ignore[misc]
+            write(path, content)
         self.coverage[index] = _share_with_depth(depth)
 
-    def describe(self) -> None:
-        """Write ``depth.json``: unit, camera, parameters, and time and coverage of each map."""
+    def describe(self, complete: bool = True) -> None:
+        """Write ``depth.json``: unit, camera, parameters, and time and coverage of each map.
+
+        Parameters
+        ----------
+        complete : bool
+            All maps are there. Otherwise the description is written again later.
+        """
         stream, output = self.stream, self.parameters.output
         description = {
             "depth": "z along the optical axis of the rectified camera; file = metres x scale",
@@ -95,7 +163,14 @@ class DepthFiles:
         }
         content = json.dumps(description, indent=1).encode()
         path = self.run.path / "depth" / self.folder / DESCRIPTION
-        write_atomically(path, lambda out: out.write(content))
+        key = {"render": self.key} if complete else {"incomplete": self.key}
+        self.run.write(path, lambda out: out.write(content), key)
+
+    def _key(self, index: int) -> dict[str, str]:
+        return {"render": self.key, "image": self.images[index]}
+
+    def _picture(self, index: int) -> Path:
+        return self._path("report", index, ".jpg")
 
     def _path(self, kind: str, index: int, suffix: str) -> Path:
         return self.run.path / kind / self.folder / f"{self.stream.names[index]}{suffix}"
@@ -109,6 +184,7 @@ def _share_with_depth(depth: NDArray[np.float32]) -> float:
     return float(np.isfinite(depth).mean())
 
 
-def _write_image(path: Path, image: NDArray[np.uint8]) -> None:
-    _, encoded = cv2.imencode(path.suffix, image, [cv2.IMWRITE_JPEG_QUALITY, 90])
-    write_atomically(path, lambda stream: stream.write(encoded.tobytes()))
+def encode_image(image: NDArray[np.uint8], suffix: str) -> bytes:
+    """The content of a JPEG or PNG file with this image."""
+    _, encoded = cv2.imencode(suffix, image, [cv2.IMWRITE_JPEG_QUALITY, 90])
+    return encoded.tobytes()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,18 +13,13 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import Dataset, Sweep
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.points import usable_points
-from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.io.frames import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.odometry.blooming import blooming_points
 from docdepth.odometry.odometry import Odometry, register_drive
-from docdepth.pipeline.stage import (
-    Progress,
-    Stopwatch,
-    finish_stage,
-    progress_callback,
-    stage_is_done,
-)
+from docdepth.pipeline.graph import odometry_parts
+from docdepth.pipeline.input_files import InputFiles
+from docdepth.pipeline.stage import Profile, Progress, is_outdated, progress_callback, stage
 
 log = logging.getLogger(__name__)
 
@@ -55,32 +52,62 @@ def run_odometry(
     OdometryError
         Poses cannot be estimated, or the given ones do not fit.
     """
-    sensor_rig = dataset.sweep(0).sensor_rig
-    key = _key(run, sensor_rig)
-    if stage_is_done(run, "odometry", key):
-        return
-    watch = Stopwatch()
-    run.set_stage("odometry", state="running", key=key)
-    with watch("poses"):
-        odometry = register_drive(
-            dataset,
-            run.parameters,
-            poses,
-            _registration_progress(progress),
-            run.path / ".odometry" / key,
-            threads,
-        )
-    write_trajectory(run.trajectory_path, odometry.trajectory, np.arange(len(dataset)))
-    written = _write_frames(run, odometry, key, watch, progress)
-    if sensor_rig is not None:
-        run.write_sensors(sensor_rig)
-    finish_stage(run, "odometry", watch, written)
+    with run.lock("odometry"):
+        inputs = InputFiles(run)
+        parts = odometry_parts(run, dataset, poses, inputs)
+        key = {"odometry": stage_key(parts)}
+        left = [i for i in range(len(dataset)) if not key.items() <= run.frame_key(i).items()]
+        if not left and _others_are_done(run, key):
+            return
+        with stage(run, "odometry", parts, len(dataset)) as profile:
+            inputs.save()
+            checkpoint = run.notes / _CHECKPOINTS / key["odometry"]
+            _remove_old_checkpoints(checkpoint)
+            with profile.watch("poses"):
+                odometry = register_drive(
+                    dataset,
+                    run.parameters,
+                    poses,
+                    _registration_progress(progress),
+                    checkpoint,
+                    threads,
+                )
+            rig = dataset.sweep(0).sensor_rig
+            if rig is not None:
+                run.write_sensors(rig, key)
+            indices = np.arange(len(dataset))
+            write_trajectory(run.trajectory_path, odometry.trajectory, indices, run.writer(key))
+            _write_frames(run, odometry, left, key, profile, progress)
+            _remove_old_frames(run, key)
 
 
-def _key(run: RunFolder, sensor_rig: SensorRig | None) -> str:
-    """Of all that the frames depend on."""
-    places = None if sensor_rig is None else sensor_rig.T_lidar_sensor.tolist()
-    return stage_key(run.manifest["source"], run.parameters.odometry.model_dump(), places)
+_CHECKPOINTS = "odometry"
+"""Folder in the notes of a run with the poses of each pass. Frames are made again from them, bit
+for bit."""
+
+
+def _others_are_done(run: RunFolder, key: dict[str, str]) -> bool:
+    """Whether the files that are not frames are whole and up to date."""
+    sensors = run.sensors_path
+    known = sensors.name in run.records(run.path)
+    return run.key(run.trajectory_path) == key and (not known or run.key(sensors) == key)
+
+
+def _remove_old_frames(run: RunFolder, key: dict[str, str]) -> None:
+    """Delete frames of sweeps that are no longer in the recording."""
+    folder = run.frame_path(0).parent
+    records = run.records(folder)
+    for name in records.names():
+        if is_outdated(records.recorded_key(name), key):
+            run.remove(folder / name)
+    records.compact()
+
+
+def _remove_old_checkpoints(checkpoint: Path) -> None:
+    """Delete those of other parameters."""
+    for folder in checkpoint.parent.glob("*"):
+        if folder != checkpoint:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _registration_progress(progress: Progress | None) -> Callable[[int, int, str], None]:
@@ -93,38 +120,41 @@ def _registration_progress(progress: Progress | None) -> Callable[[int, int, str
 
 
 def _write_frames(
-    run: RunFolder, odometry: Odometry, key: str, watch: Stopwatch, progress: Progress | None
-) -> int:
-    """Write the frames that are missing or of other parameters; returns how many."""
+    run: RunFolder,
+    odometry: Odometry,
+    left: list[int],
+    key: dict[str, str],
+    profile: Profile,
+    progress: Progress | None,
+) -> None:
+    """Write the frames that are missing, damaged or made of something else."""
     report = progress_callback(progress, "odometry")
-    dataset = odometry.sweeps.dataset
+    dataset, watch = odometry.sweeps.dataset, profile.watch
     blooming_deg = run.parameters.odometry.blooming_deg
     total = len(dataset)
     # float32, so that time_offset is too.
     period = np.float32(np.median(np.diff(dataset.times)) * 1e-9 if total > 1 else 0)
-    written = 0
-    for index in range(total):
-        if run.frame_key(index).get("odometry") != key:
-            with watch("deskew"):
-                measured = dataset.sweep(index)
-                deskewed = odometry.sweeps.deskewed(index, measured)
-                usable = usable_points(deskewed.points)
-                if blooming_deg:
-                    usable &= ~_ghost_returns(dataset, measured, blooming_deg)
-                if not usable.any():
-                    raise DatasetError(
-                        f"{dataset.path}: sweep {measured.name} (frame {index}) holds no usable "
-                        "point; leave this frame out of the recording"
-                    )
-                record = _frame(deskewed, usable, period, key)
-            with watch("write"):
-                run.write_frame(index, record)
-            written += 1
-        report(index + 1, total)
-    return written
+    for index in left:
+        report(total - len(left) + profile.frames, total)
+        with watch("deskew"):
+            measured = dataset.sweep(index)
+            deskewed = odometry.sweeps.deskewed(index, measured)
+            usable = usable_points(deskewed.points)
+            if blooming_deg:
+                usable &= ~_ghost_returns(dataset, measured, blooming_deg)
+            if not usable.any():
+                raise DatasetError(
+                    f"{dataset.path}: sweep {measured.name} (frame {index}) holds no usable "
+                    "point; leave this frame out of the recording"
+                )
+            record = _frame(deskewed, usable, period)
+        with watch("write"):
+            run.write_frame(index, record, key)
+        profile.frames += 1
+    report(total, total)
 
 
-def _frame(sweep: Sweep, usable: NDArray[np.bool_], period: np.float32, key: str) -> FrameRecord:
+def _frame(sweep: Sweep, usable: NDArray[np.bool_], period: np.float32) -> FrameRecord:
     """The usable points of a deskewed sweep; ``period`` is a sweep's duration in seconds."""
     relative_time, sensor_rig = sweep.relative_time, sweep.sensor_rig
     return FrameRecord(
@@ -132,7 +162,6 @@ def _frame(sweep: Sweep, usable: NDArray[np.bool_], period: np.float32, key: str
         np.flatnonzero(usable).astype(np.uint32),
         sweep.name,
         len(sweep.points),
-        {"odometry": key},
         time_offset=None if relative_time is None else period * relative_time[usable],
         sensor=None if sensor_rig is None else sensor_rig.index[usable],
     )

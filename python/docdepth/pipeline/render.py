@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,24 +13,17 @@ from numpy.typing import NDArray
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.frames import write_trajectory
-from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.depth_files import FOLDERS
+from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render
-from docdepth.pipeline.stage import (
-    Progress,
-    Stopwatch,
-    finish_stage,
-    progress_callback,
-    stage_is_done,
-)
+from docdepth.pipeline.run_inputs import RunCamera, camera_parameters, register
+from docdepth.pipeline.stage import Profile, Progress, Stopwatch, progress_callback, stage
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.frame_cache import FrameCache
 from docdepth.render.layers import compose_layers
 from docdepth.render.selection import needed_frames
-from docdepth.visualization.report import write_index
+from docdepth.visualization.report import index_is_whole, write_index
 
 
 def run_render(
@@ -38,30 +32,23 @@ def run_render(
     threads: int = 0,
     progress: Progress | None = None,
     renderer: Renderer | None = None,
-    stage: str = "render",
-    parameters: Parameters | None = None,
 ) -> list[str]:
     """Render a depth map of every image into ``depth/``; layers and pictures beside it.
 
-    Images whose files are there are kept.
+    Images whose files are whole and up to date are kept.
 
     Parameters
     ----------
     run : RunFolder
         With classified frames.
     streams : CameraStream or sequence of CameraStream
-        The cameras. Each of several has its own folder, named after it.
+        The cameras. The run's first camera has ``depth/`` itself, any other a folder in it.
     threads : int
         0 takes all cores. The result does not depend on it.
     progress : callable, optional
         Called with the stage, the number of images done and of all images.
     renderer : Renderer, optional
         From :func:`docdepth.render.backends.choose`; the CPU if absent.
-    stage : str
-        Name in run.yaml. The cameras of any other stage than ``render`` are added to those of the
-        run, each in its own folder.
-    parameters : Parameters, optional
-        Those of the run if absent.
 
     Returns
     -------
@@ -78,59 +65,83 @@ def run_render(
         A frame has no classes.
     """
     streams = [streams] if isinstance(streams, CameraStream) else list(streams)
-    plan = plan_render(run, streams, stage, parameters or run.parameters)
-    if stage_is_done(run, stage, plan.key):
-        return plan.left_out
-    renderer, watch = renderer or Renderer(), Stopwatch()
-    _remove_outdated(run, stage, plan)
-    run.set_stage(
-        stage,
-        state="running",
-        key=plan.key,
-        cameras=[s.name for s in streams],
-        folders=plan.folders,
-        left_out=plan.left_out,
-        renderer=f"{renderer.name}: {renderer.description}",
-    )
-    _write_cameras(run, plan)
+    with run.lock("render"):
+        register(run, streams)
+        cameras = [
+            RunCamera(s, run.cameras[s.name]["folder"], camera_parameters(run, s.name))
+            for s in streams
+        ]
+        left_out: list[str] = []
+        before = _profiles(run)
+        for alike in _drawn_alike(cameras):
+            left_out += _render_cameras(run, alike, threads, progress, renderer or Renderer())
+        if before != _profiles(run) or not index_is_whole(run):
+            write_index(run)
+    return left_out
+
+
+def _profiles(run: RunFolder) -> str:
+    return stage_key(run.manifest["stages"])
+
+
+def _drawn_alike(cameras: list[RunCamera]) -> list[list[RunCamera]]:
+    """Cameras with the same drawing parameters share frames; others are drawn one by one."""
+    groups: dict[str, list[RunCamera]] = {}
+    for camera in cameras:
+        groups.setdefault(camera.parameters.render.model_dump_json(), []).append(camera)
+    return list(groups.values())
+
+
+def _render_cameras(
+    run: RunFolder,
+    cameras: list[RunCamera],
+    threads: int,
+    progress: Progress | None,
+    renderer: Renderer,
+) -> list[str]:
+    plan = plan_render(run, cameras)
     images = [image for image in plan.images if not image.files.find_done(image.index)]
-    for files in plan.files:
-        files.describe()
-    kept, report = len(plan.images) - len(images), progress_callback(progress, stage)
-    job = _Job(run, plan, threads, renderer, watch)
-    _render_images(job, images, lambda done: report(kept + done, len(plan.images)))
-    for files in plan.files:
-        files.describe()
-    coverage = [share for files in plan.files for share in files.coverage.values()]
-    finish_stage(run, stage, watch, len(images), density=float(np.mean(coverage)))
-    write_index(run)
-    return plan.left_out
+    several = len(run.cameras) > 1
+    left_out = [
+        f"{name}/{image}" if several else image
+        for name, images_left in plan.left_out.items()
+        for image in images_left
+    ]
+    if not images and all(files.is_complete() for files in plan.files):
+        return left_out
+    with ExitStack() as stages:
+        profiles: list[Profile] = []
+        for files in plan.files:
+            name = files.stream.name
+            count = sum(image.files is files for image in plan.images)
+            profile = stages.enter_context(stage(run, f"render {name}", plan.parts[name], count))
+            profile.more |= {
+                "left_out": plan.left_out[name],
+                "renderer": f"{renderer.name}: {renderer.description}",
+            }
+            profile.frames = sum(image.files is files for image in images)
+            profile.watch = profiles[0].watch if profiles else profile.watch
+            profile.share = count / len(plan.images)
+            profiles.append(profile)
+            files.remove_outdated()
+            files.describe(complete=False)
+        _write_cameras(plan)
+        report = progress_callback(progress, "render")
+        kept, total = len(plan.images) - len(images), len(plan.images)
+        job = _Job(run, plan, threads, renderer, profiles[0].watch)
+        _render_images(job, images, lambda done: report(kept + done, total))
+        for files, profile in zip(plan.files, profiles, strict=True):
+            files.describe()
+            profile.more["density"] = float(np.mean(list(files.coverage.values())))
+    return left_out
 
 
-def _remove_outdated(run: RunFolder, stage: str, plan: RenderPlan) -> None:
-    """Delete the files that were made with other parameters or of other cameras."""
-    before = run.stage(stage)
-    if before.get("key") == plan.key:
-        return
-    old = set(before.get("folders", [""] if stage == "render" else []))
-    for folder in old | set(plan.folders):
-        for kind in FOLDERS:
-            run.clear(f"{kind}/{folder}")
-    for folder in old - set(plan.folders):
-        run.forget_calibration(folder)
-
-
-def _write_cameras(run: RunFolder, plan: RenderPlan) -> None:
+def _write_cameras(plan: RenderPlan) -> None:
     """Write calibration and interpolated poses (paper V-A) of each camera."""
     for files in plan.files:
-        stream, folder = files.stream, files.folder
-        run.write_calibration(
-            stream.camera, stream.T_camera_lidar, stream.distortion_coefficients, folder
-        )
         indices = np.array([image.index for image in plan.images if image.files is files])
-        times = stream.times[indices]
-        poses = Trajectory(times, plan.trajectory.interpolate(times))
-        write_trajectory(run.calibration_folder(folder) / "traj_camera.ply", poses, indices)
+        times = files.stream.times[indices]
+        files.write_camera(Trajectory(times, plan.trajectory.interpolate(times)), indices)
 
 
 class _Job(NamedTuple):
@@ -169,7 +180,7 @@ def _render_images(job: _Job, images: list[ImageToRender], progress: Callable[[i
 def _render_image(
     job: _Job, image: ImageToRender, frames: dict[int, Frame]
 ) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
-    parameters, stream = job.plan.parameters, image.files.stream
+    parameters, stream = image.files.parameters, image.files.stream
     scene = (
         stream.camera,
         stream.T_camera_lidar,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import check_format
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.depth_files import DepthFiles
+from docdepth.pipeline.graph import Parts, render_parts
+from docdepth.pipeline.input_files import InputFiles
+from docdepth.pipeline.run_inputs import RunCamera
 from docdepth.render.layers import check_layers
 
 
@@ -37,31 +40,25 @@ class RenderPlan:
         One for each camera.
     images : list of ImageToRender
         Images within the trajectory, by time: cameras share the sweeps of one time.
-    left_out : list of str
-        Images outside the trajectory.
-    key : str
-        Hash of all that the depth maps depend on.
+    left_out : dict of str to list of str
+        By camera: images outside the trajectory.
+    parts : dict of str to dict
+        By camera: what its depth maps are made of.
     trajectory : Trajectory
     parameters : Parameters
+        How frames are drawn; the same for all cameras.
     """
 
     files: list[DepthFiles]
     images: list[ImageToRender]
-    left_out: list[str]
-    key: str
+    left_out: dict[str, list[str]]
+    parts: dict[str, Parts]
     trajectory: Trajectory
     parameters: Parameters
 
-    @property
-    def folders(self) -> list[str]:
-        """Folders of the cameras in ``depth/``."""
-        return [files.folder for files in self.files]
 
-
-def plan_render(
-    run: RunFolder, streams: list[CameraStream], stage: str, parameters: Parameters
-) -> RenderPlan:
-    """Check the parameters and list the images of all cameras.
+def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
+    """Check the parameters and list the images of cameras that are drawn alike.
 
     Raises
     ------
@@ -70,30 +67,34 @@ def plan_render(
     DatasetError
         No image of a camera lies between the first and the last sweep.
     """
-    drawing, output = parameters.render, parameters.output
-    for format in output.format:
-        check_format(format, output.scale, drawing.max_depth)
-    check_layers(output.layers, drawing)
-    trajectory = run.trajectory()
-    key = stage_key(
-        run.stage("classify").get("key"),
-        drawing.model_dump(),
-        output.model_dump(),
-        [_identity(stream) for stream in streams],
-    )
-    separate = len(streams) > 1 or stage != "render"
-    files, images, left_out = [], [], []
-    for stream in streams:
-        camera = DepthFiles(run, stream, stream.name if separate else "", parameters)
+    for camera in cameras:
+        drawing, output = camera.parameters.render, camera.parameters.output
+        for format in output.format:
+            check_format(format, output.scale, drawing.max_depth)
+        check_layers(output.layers, drawing)
+    trajectory, inputs = run.trajectory(), InputFiles(run)
+    files, images, left_out, parts = [], [], {}, {}
+    for camera in cameras:
+        stream = camera.stream
+        made_of = render_parts(run.stage("classify").get("key"), camera)
+        of_camera = DepthFiles(
+            run,
+            stream,
+            camera.folder,
+            camera.parameters,
+            stage_key(made_of),
+            inputs.images(stream),
+        )
         inside = _inside(trajectory, stream)
         images += [
-            ImageToRender(int(stream.times[k]), camera, int(k)) for k in np.flatnonzero(inside)
+            ImageToRender(int(stream.times[k]), of_camera, int(k)) for k in np.flatnonzero(inside)
         ]
-        names = [stream.names[k] for k in np.flatnonzero(~inside)]
-        left_out += [f"{camera.folder}/{name}" if separate else name for name in names]
-        files.append(camera)
+        left_out[stream.name] = [stream.names[k] for k in np.flatnonzero(~inside)]
+        parts[stream.name] = made_of
+        files.append(of_camera)
+    inputs.save()
     images.sort(key=lambda image: image.time)
-    return RenderPlan(files, images, left_out, key, trajectory, parameters)
+    return RenderPlan(files, images, left_out, parts, trajectory, cameras[0].parameters)
 
 
 def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:
@@ -105,17 +106,3 @@ def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:
             "the last sweep; are camera and LiDAR on one clock? See --camera-times"
         )
     return inside
-
-
-def _identity(stream: CameraStream) -> list[Any]:
-    """All of a camera that its depth maps depend on."""
-    camera = stream.camera
-    return [
-        stream.name,
-        camera.K.tolist(),
-        [camera.width, camera.height],
-        stream.distortion_coefficients,
-        stream.T_camera_lidar.tolist(),
-        stream.names,
-        stream.times.tolist(),
-    ]

@@ -2,18 +2,39 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from docdepth.config import Parameters
+from docdepth.config import Parameters, replaced
+from docdepth.datasets.base import CameraStream, Dataset
+from docdepth.datasets.run import RunDataset
+from docdepth.errors import DamagedFileError, DocDepthError, RunError
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.check import check_inputs, check_opened
 from docdepth.pipeline.classify import run_classify
+from docdepth.pipeline.graph import RunGraph, StageState, outdated
+from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.odometry import run_odometry
+from docdepth.pipeline.problems import raise_problems
 from docdepth.pipeline.render import run_render
-from docdepth.pipeline.run_inputs import known_poses, open_inputs
+from docdepth.pipeline.run_inputs import (
+    known_poses,
+    open_cameras,
+    open_inputs,
+    open_recording,
+    register,
+    run_cameras,
+)
 from docdepth.pipeline.stage import Progress
+from docdepth.pipeline.virtual_camera import check_name
 from docdepth.render.backends import Renderer
+
+log = logging.getLogger(__name__)
+
+_MOST_REPAIRS = 100
+"""Damaged files that one command makes again when it comes upon them. More are a broken disk."""
 
 
 def run(
@@ -26,13 +47,18 @@ def run(
     poses: Path | str | None = None,
     camera_times: Path | str | None = None,
     image_size: str | None = None,
+    frames: str | None = None,
+    hash_inputs: bool = False,
+    force: bool = False,
+    dry_run: bool = False,
     threads: int = 0,
     renderer: Renderer | None = None,
     progress: Progress | None = None,
 ) -> RunFolder:
     """Turn a recording into depth maps: odometry, ground, dynamics, rendering.
 
-    The same call continues a run that was interrupted.
+    The same call continues a run that was interrupted, and makes again what is missing, damaged or
+    out of date.
 
     Parameters
     ----------
@@ -45,13 +71,23 @@ def run(
     layout : str, optional
         Layout of the recording; guessed if absent.
     camera : str or sequence of str, optional
-        Cameras to render, or ``all``; the left colour camera if absent.
+        Cameras to render, or ``all``; the left colour camera if absent. Cameras that the run has
+        already stay.
     poses : Path, optional
         LiDAR poses ``T_world_lidar`` in TUM or KITTI format; estimated if absent.
     camera_times : Path, optional
         Image times in seconds, one a line; those of the recording if absent.
     image_size : str, optional
         ``WIDTHxHEIGHT`` in pixels, for recordings that do not tell it.
+    frames : str, optional
+        ``A:B``: sweeps A to B-1 only.
+    hash_inputs : bool
+        Tell by their content whether inputs have changed, not by size and time.
+    force : bool
+        Continue a run that was started with other inputs or parameters. What they change is made
+        again.
+    dry_run : bool
+        Check everything and make nothing; :func:`states` of the result tells what would be made.
     threads : int
         0 takes every core. The result does not depend on it.
     renderer : Renderer, optional
@@ -75,13 +111,237 @@ def run(
         "poses": _absolute(poses),
         "camera_times": _absolute(camera_times),
         "image_size": image_size,
+        "frames": frames,
     }
-    recording, cameras = open_inputs(inputs)
-    folder = RunFolder.create(Path(output), inputs, parameters or Parameters())
-    run_odometry(folder, recording, known_poses(inputs, recording), progress, threads)
-    run_classify(folder, threads, progress)
-    run_render(folder, cameras, threads, progress, renderer)
+    if hash_inputs:
+        inputs["hash_inputs"] = True
+    values, place = parameters or Parameters(), Path(output)
+    recording, streams = _open(inputs, values, place)
+    folder = RunFolder(place)
+    _follow_recording(folder, recording)
+    folder.start(inputs, values, force)
+    register(folder, streams)
+    if dry_run:
+        _check(folder, recording)
+    else:
+        _make(folder, recording, threads, renderer, progress)
     return folder
+
+
+def continue_run(
+    output: Path | str,
+    *,
+    threads: int = 0,
+    renderer: Renderer | None = None,
+    progress: Progress | None = None,
+) -> RunFolder:
+    """Make what is missing, damaged or out of date in a run, with the inputs that run.yaml names.
+
+    Parameters
+    ----------
+    output : Path
+        Run folder.
+    threads, renderer, progress
+        As for :func:`run`.
+
+    Raises
+    ------
+    DocDepthError
+        There is no run, or an input is missing or damaged.
+    """
+    folder = RunFolder.open(Path(output))
+    source = folder.manifest["source"]
+    if not source:
+        raise RunError(f"{output} was not made of a recording; there is nothing to continue")
+    recording, _ = _open(source, folder.parameters, folder.path)
+    _make(folder, recording, threads, renderer, progress)
+    return folder
+
+
+def render_again(
+    output: Path | str,
+    changes: dict[str, Any] | None = None,
+    camera: str | Sequence[str] | None = None,
+    virtual: tuple[str, dict[str, Any]] | None = None,
+    *,
+    threads: int = 0,
+    renderer: Renderer | None = None,
+    progress: Progress | None = None,
+) -> RunFolder:
+    """Render with other parameters, of further cameras of the recording, or of a virtual camera.
+
+    Parameters
+    ----------
+    output : Path
+        Run folder with up to date classes.
+    changes : dict, optional
+        Parameters of the stages ``render`` and ``output`` by dotted name. They belong to the named
+        cameras alone, or to the whole run if none is named.
+    camera : str or sequence of str, optional
+        Cameras of the recording to render; all cameras of the run if absent.
+    virtual : (str, dict), optional
+        Name and description of a virtual camera, from :func:`virtual_camera`.
+    threads, renderer, progress
+        As for :func:`run`.
+
+    Raises
+    ------
+    RunError
+        Classes are missing or out of date.
+    ConfigError
+        A parameter is refused, or a virtual camera has the name of another.
+    """
+    folder = RunFolder.open(Path(output))
+    require(folder, "classify")
+    source, changes = folder.manifest["source"], changes or {}
+    recording = open_recording(source) if source else RunDataset(folder.path)
+    named: list[str] = []
+    if virtual:
+        check_name(folder, virtual[0])
+        entry = {"folder": virtual[0], "virtual": virtual[1], "settings": {}}
+        folder.cameras[virtual[0]] = entry
+        named = [virtual[0]]
+    elif camera is not None:
+        streams = open_cameras(source, recording, camera)
+        register(folder, streams)
+        named = [stream.name for stream in streams]
+    elif not folder.cameras:
+        register(folder, list(recording.cameras.values()))
+    if named:
+        for name in named:
+            folder.cameras[name]["settings"] |= changes
+    else:
+        values = replaced(folder.parameters, changes)
+        folder.manifest["parameters"] = values.model_dump(mode="json")
+    cameras = run_cameras(folder, recording, named or None)
+    run_render(folder, [camera.stream for camera in cameras], threads, progress, renderer)
+    return folder
+
+
+def states(folder: RunFolder, *, verify: bool = False) -> list[StageState]:
+    """The state of each stage of a run.
+
+    Parameters
+    ----------
+    folder : RunFolder
+    verify : bool
+        Compare the content of each file with its checksum, not only size and time.
+    """
+    return _graph(folder, verify).states()
+
+
+def changes_since_start(folder: RunFolder) -> list[str]:
+    """A sentence for each parameter that a stage has changed since the run was started."""
+    asked = folder.manifest.get("asked")
+    if asked is None:
+        return []
+    verbs = {"odometry": "odometry", "ground": "classify", "dynamics": "classify"}
+    now = folder.parameters.model_dump(mode="json")
+    return [
+        f"{stage}.{name} is {now[stage][name]}, was {value}; back: docdepth "
+        f"{verbs.get(stage, 'render')} {folder.path} --set {stage}.{name}={value}"
+        for stage, values in asked.items()
+        if isinstance(values, dict)
+        for name, value in values.items()
+        if now[stage][name] != value
+    ]
+
+
+def require(folder: RunFolder, stage: str) -> None:
+    """Refuse results of a stage that are missing, damaged or out of date.
+
+    Folders that docdepth did not write, or an earlier version, are taken as they are.
+
+    Parameters
+    ----------
+    folder : RunFolder
+    stage : str
+        ``odometry``, ``classify``, or ``render CAMERA``.
+
+    Raises
+    ------
+    RunError
+    """
+    if "folders" not in folder.manifest:
+        return
+    graph = _graph(folder)
+    name, _, camera = stage.partition(" ")
+    state = graph.render(camera) if name == "render" else getattr(graph, name)()
+    if state.state != "done":
+        raise RunError(
+            f"{stage} of {folder.path} is {state.state}: {state.why}; "
+            f"bring it up to date: docdepth run {folder.path}"
+        )
+
+
+def _graph(folder: RunFolder, verify: bool = False) -> RunGraph:
+    source, recording, poses = folder.manifest["source"], None, None
+    if source.get("dataset") and Path(source["dataset"]).exists():
+        recording = open_recording(source)
+        poses = known_poses(source, recording)
+    cameras = run_cameras(folder, recording) if recording else []
+    return RunGraph(folder, recording, poses, cameras, verify)
+
+
+def _open(
+    source: dict[str, Any], parameters: Parameters, output: Path
+) -> tuple[Dataset, list[CameraStream]]:
+    """Open the inputs, or tell all that is wrong with them."""
+    try:
+        return open_inputs(source)
+    except DocDepthError:
+        raise_problems(check_inputs(source, parameters, output))
+        raise
+
+
+def _follow_recording(folder: RunFolder, recording: Dataset) -> None:
+    """If a run's recording lies elsewhere now, and is the same, note where."""
+    source, place = folder.manifest.get("source", {}), _absolute(recording.path)
+    if source.get("dataset") not in (None, place):
+        sweeps = folder.made_of("odometry").get("sweeps")
+        if sweeps == InputFiles(folder).sweeps(recording):
+            source["dataset"] = place
+
+
+def _check(folder: RunFolder, recording: Dataset) -> None:
+    """Check all inputs of a run that has something to do; warnings are kept in run.yaml."""
+    source, cameras = folder.manifest["source"], run_cameras(folder, recording)
+    streams = [camera.stream for camera in cameras]
+    report = check_opened(source, recording, streams, folder.parameters, folder.path)
+    raise_problems(report.problems)
+    folder.manifest["warnings"] = [problem.text for problem in report.problems]
+    for problem in report.problems:
+        log.warning("%s", problem.text)
+
+
+def _make(
+    folder: RunFolder,
+    recording: Dataset,
+    threads: int,
+    renderer: Renderer | None,
+    progress: Progress | None,
+) -> None:
+    """Run each stage that has something to do."""
+    if not outdated(states(folder)):
+        return
+    _check(folder, recording)
+    poses = known_poses(folder.manifest["source"], recording)
+    with folder.lock("run"):
+        for _ in range(_MOST_REPAIRS):
+            try:
+                run_odometry(folder, recording, poses, progress, threads)
+                run_classify(folder, threads, progress)
+                streams = [camera.stream for camera in run_cameras(folder, recording)]
+                run_render(folder, streams, threads, progress, renderer)
+                return
+            except DamagedFileError as error:
+                # Size and time were those of its record. Now that it is known, it is made again.
+                if folder.path not in error.path.parents:
+                    raise
+                folder.forget(error.path)
+        raise RunError(
+            f"more than {_MOST_REPAIRS} files of {folder.path} are damaged; check the disk"
+        )
 
 
 def _absolute(path: Path | str | None) -> str | None:

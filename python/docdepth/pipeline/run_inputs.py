@@ -1,27 +1,49 @@
 """The inputs of a run, opened as run.yaml names them: recording, cameras, poses.
 
 The entry ``source`` of run.yaml has ``dataset``, ``name``, ``camera`` (a name, a list of names or
-None), ``poses``, ``camera_times`` and ``image_size``, all plain values.
+None), ``poses``, ``camera_times`` and ``image_size``, all plain values; ``frames`` (``A:B``) may be
+left out.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets import CameraStream, Dataset, open_dataset
+from docdepth.config import Parameters, replaced
+from docdepth.datasets import CameraStream, Dataset, FrameRange, open_dataset
 from docdepth.datasets.times import read_times
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.io.poses import read_poses
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.virtual_camera import parse_size, virtual_stream
 
 ALL = "all"
 """Name that stands for all cameras of a recording."""
+
+
+@dataclass(frozen=True)
+class RunCamera:
+    """A camera of a run.
+
+    Attributes
+    ----------
+    stream : CameraStream
+    folder : str
+        Where its maps lie in ``depth/``; empty for the first camera of a run.
+    parameters : Parameters
+        Those of the run with the camera's own settings.
+    """
+
+    stream: CameraStream
+    folder: str
+    parameters: Parameters
 
 
 def open_inputs(source: dict[str, Any]) -> tuple[Dataset, list[CameraStream]]:
@@ -32,9 +54,29 @@ def open_inputs(source: dict[str, Any]) -> tuple[Dataset, list[CameraStream]]:
     DatasetError, CalibrationError
         A file is missing or broken, or there is no such camera.
     """
-    size = parse_size(source["image_size"])
-    recording = open_dataset(Path(source["dataset"]), source["name"], size)
-    streams = [recording.cameras[name] for name in _camera_names(source["camera"], recording)]
+    recording = open_recording(source)
+    return recording, open_cameras(source, recording, source["camera"])
+
+
+def open_recording(source: dict[str, Any]) -> Dataset:
+    """Open the recording of a run."""
+    size = parse_size(source.get("image_size"))
+    return open_dataset(Path(source["dataset"]), source["name"], size, source.get("frames"))
+
+
+def open_cameras(
+    source: dict[str, Any], recording: Dataset, wanted: str | Sequence[str] | None
+) -> list[CameraStream]:
+    """Cameras of a recording, with the image size and the times that the run was given.
+
+    Raises
+    ------
+    DatasetError, CalibrationError
+        There is no such camera, or its times are broken.
+    """
+    size = parse_size(source.get("image_size"))
+    whole = recording.whole if isinstance(recording, FrameRange) else recording
+    streams = [whole.cameras[name] for name in _camera_names(wanted, whole)]
     if size:
         streams = [
             s
@@ -42,45 +84,78 @@ def open_inputs(source: dict[str, Any]) -> tuple[Dataset, list[CameraStream]]:
             else replace(s, camera=Camera(s.camera.K, *size))
             for s in streams
         ]
-    if source["camera_times"]:
+    if source.get("camera_times"):
         streams = [_with_times(stream, Path(source["camera_times"])) for stream in streams]
-    return recording, streams
+    if isinstance(recording, FrameRange):
+        streams = [recording.part_of(stream) for stream in streams]
+    return streams
+
+
+def register(run: RunFolder, streams: Sequence[CameraStream]) -> None:
+    """Note cameras of the recording in run.yaml.
+
+    A camera that is alone when the first maps are made has ``depth/`` itself, any other a folder of
+    its own. A camera keeps its folder.
+    """
+    alone = len(streams) == 1 and not run.cameras
+    for stream in streams:
+        folder = "" if alone else stream.name
+        run.cameras.setdefault(stream.name, {"folder": folder, "settings": {}})
+
+
+def run_cameras(
+    run: RunFolder, recording: Dataset | None, names: Sequence[str] | None = None
+) -> list[RunCamera]:
+    """The cameras of a run, opened.
+
+    Parameters
+    ----------
+    run : RunFolder
+    recording : Dataset, optional
+        None where it is away: only virtual cameras can be opened.
+    names : sequence of str, optional
+        Only these.
+    """
+    found = []
+    for name, entry in run.cameras.items():
+        if names is not None and name not in names:
+            continue
+        if "virtual" in entry:
+            times = run.trajectory().times if recording is None else recording.times
+            stream = virtual_stream(name, entry["virtual"], times)
+        elif recording is not None:
+            (stream,) = open_cameras(run.manifest["source"], recording, [name])
+        else:
+            continue
+        found.append(RunCamera(stream, entry["folder"], camera_parameters(run, name)))
+    return found
+
+
+def camera_parameters(run: RunFolder, name: str) -> Parameters:
+    """The parameters of a run with the settings of one camera."""
+    return replaced(run.parameters, run.cameras.get(name, {}).get("settings", {}))
 
 
 def recorded_camera(run: RunFolder, folder: str) -> CameraStream | None:
     """The camera whose maps are in ``depth/FOLDER``; None for a virtual camera."""
-    stage = run.stage("render")
-    if not run.manifest["source"] or folder not in stage.get("folders", []):
-        return None
-    name = stage["cameras"][stage["folders"].index(folder)]
-    _, streams = open_inputs(run.manifest["source"])
-    return next((stream for stream in streams if stream.name == name), None)
+    source = run.manifest["source"]
+    for name, entry in run.cameras.items():
+        if entry["folder"] == folder and "virtual" not in entry and source.get("dataset"):
+            return open_cameras(source, open_recording(source), [name])[0]
+    return None
 
 
 def known_poses(source: dict[str, Any], recording: Dataset) -> NDArray[np.float64] | None:
     """Poses ``T_world_lidar`` (n, 4, 4) from a file or another run; None: to be estimated."""
-    if source["poses"]:
+    if source.get("poses"):
+        if isinstance(recording, FrameRange):
+            every = read_poses(Path(source["poses"]), len(recording.whole))
+            return every[recording.indices.start : recording.indices.stop]
         return read_poses(Path(source["poses"]), len(recording))
     return recording.poses if recording.name == "run" else None
 
 
-def parse_size(text: str | None) -> tuple[int, int] | None:
-    """Width and height in pixels from ``1242x375``.
-
-    Raises
-    ------
-    CalibrationError
-        The text is not a size.
-    """
-    if not text:
-        return None
-    width, _, height = text.partition("x")
-    if not (width.isdigit() and height.isdigit()):
-        raise CalibrationError(f"size {text!r}: write WIDTHxHEIGHT, for example 1242x375")
-    return int(width), int(height)
-
-
-def _camera_names(wanted: str | list[str] | None, recording: Dataset) -> list[str]:
+def _camera_names(wanted: str | Sequence[str] | None, recording: Dataset) -> list[str]:
     """Names of the wanted cameras; the left colour camera if none is named."""
     cameras = recording.cameras
     if not cameras:
@@ -106,5 +181,8 @@ def _with_times(stream: CameraStream, path: Path) -> CameraStream:
         raise DatasetError(
             f"{path} has {len(times)} times for {len(stream.images)} images of {stream.name}"
         )
-    names = stream.names if stream.images else [f"{i:010d}" for i in range(len(times))]
+    names = stream.names
+    if not stream.images:
+        digits = len(names[0]) if names and names[0].isdigit() else 10
+        names = [f"{i:0{digits}d}" for i in range(len(times))]
     return replace(stream, times=times, names=names)

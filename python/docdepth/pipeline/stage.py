@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import resource
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Lock
+from typing import Any
 
-from docdepth.io.run_folder import RunFolder
+from docdepth.io.run_folder import RunFolder, stage_key
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how many frames are done and how many there are."""
@@ -38,34 +40,92 @@ class Stopwatch:
                 self.seconds[name] = self.seconds.get(name, 0.0) + spent
 
 
-def stage_is_done(run: RunFolder, stage: str, key: str) -> bool:
-    """Whether the stage was finished with these parameters."""
-    state = run.stage(stage)
-    return bool(state.get("state") == "done" and state.get("key") == key)
+@contextmanager
+def stage(run: RunFolder, name: str, parts: dict[str, Any], all_frames: int) -> Iterator[Profile]:
+    """A stage of a run that has something to do.
 
-
-def finish_stage(run: RunFolder, stage: str, watch: Stopwatch, frames: int, **more: object) -> None:
-    """Mark a stage as done, with its profile.
+    Its parameters, and what else it is made of, are noted in run.yaml when it begins. When it ends,
+    so is its profile. Warnings of docdepth are kept there, too.
 
     Parameters
     ----------
+    run : RunFolder
+    name : str
+    parts : dict
+        What the stage's results are made of; see :mod:`docdepth.pipeline.graph`.
+    all_frames : int
+        Sweeps or images of the stage.
+    """
+    before = run.stage(name)
+    key = stage_key(parts)
+    if before.get("key") != key:
+        before = {}
+    begun = {"state": "running", "key": key, "all_frames": all_frames}
+    run.manifest["stages"][name] = {**before, **begun}
+    run.save()
+    run.set_made_of(name, parts)
+    profile = Profile()
+    with recorded_warnings() as warnings:
+        try:
+            yield profile
+        except BaseException:
+            run.set_stage(name, **profile.state(before, warnings))
+            raise
+    run.set_stage(name, state="done", **profile.state(before, warnings))
+
+
+class Profile:
+    """What a stage took.
+
+    Attributes
+    ----------
+    watch : Stopwatch
     frames : int
-        Frames that this run of the stage worked on; an earlier one may have done the others.
-    more
+        Frames that this command worked on; an earlier one may have done the others.
+    share : float
+        Of the watch's seconds, where stages share one.
+    more : dict
         Further entries of the stage in run.yaml.
     """
-    before = run.stage(stage)
-    kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    peak = kilobytes // 1024 if sys.platform != "darwin" else kilobytes // 1024**2
-    run.set_stage(
-        stage,
-        state="done",
-        frames=frames,
-        wall_seconds=round(watch.wall(), 3),
-        seconds={name: round(s, 3) for name, s in watch.seconds.items()},
-        peak_memory_mb=max(peak, before.get("peak_memory_mb", 0)),
-        **more,
-    )
+
+    def __init__(self) -> None:
+        self.watch, self.frames, self.share = Stopwatch(), 0, 1.0
+        self.more: dict[str, object] = {}
+
+    def state(self, before: dict[str, Any], warnings: list[str]) -> dict[str, Any]:
+        """Entries of the stage, those of earlier commands added."""
+        kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        peak = kilobytes // 1024 if sys.platform != "darwin" else kilobytes // 1024**2
+        wall = self.share * self.watch.wall()
+        return {
+            "frames": self.frames,
+            "wall_seconds": round(wall, 3),
+            "seconds": {name: round(self.share * s, 3) for name, s in self.watch.seconds.items()},
+            "total_frames": before.get("total_frames", 0) + self.frames,
+            "total_seconds": round(before.get("total_seconds", 0.0) + wall, 3),
+            "peak_memory_mb": max(peak, before.get("peak_memory_mb", 0)),
+            "warnings": list(dict.fromkeys([*before.get("warnings", []), *warnings])),
+            **self.more,
+        }
+
+
+@contextmanager
+def recorded_warnings() -> Iterator[list[str]]:
+    """The warnings that docdepth logs meanwhile."""
+    found: list[str] = []
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = lambda record: found.append(record.getMessage())  # type: ignore[method-assign]
+    logger = logging.getLogger("docdepth")
+    logger.addHandler(handler)
+    try:
+        yield found
+    finally:
+        logger.removeHandler(handler)
+
+
+def is_outdated(made_of: dict[str, str], key: dict[str, str]) -> bool:
+    """Whether the record of a file names another key of the same stage."""
+    return any(made_of.get(stage, value) != value for stage, value in key.items())
 
 
 def progress_callback(progress: Progress | None, stage: str) -> Callable[[int, int], None]:

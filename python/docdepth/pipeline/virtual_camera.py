@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,22 +14,16 @@ from docdepth.errors import CalibrationError, ConfigError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.run_inputs import parse_size
 
 FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from camera axes to LiDAR axes when the camera looks along the LiDAR's x axis."""
 
 
-def virtual_camera(
-    run: RunFolder, name: str, pose: str, K: str, size: str, times: Path | None = None
-) -> CameraStream:
-    """Make a camera that moves with the LiDAR.
+def virtual_camera(pose: str, K: str, size: str, times: Path | None = None) -> dict[str, Any]:
+    """Describe a camera that moves with the LiDAR, as run.yaml holds it.
 
     Parameters
     ----------
-    run : RunFolder
-    name : str
-        Folder of its depth maps in ``depth/``.
     pose : str
         ``T_lidar_camera`` as :func:`parse_pose` reads it.
     K : str
@@ -41,25 +36,76 @@ def virtual_camera(
 
     Returns
     -------
-    CameraStream
+    dict
+        ``T_lidar_camera``, ``K``, ``size`` and ``times``; see :func:`virtual_stream`.
 
     Raises
     ------
     ConfigError, CalibrationError
-        A value cannot be read, or the run has a camera of this name.
+        A value cannot be read.
     """
-    if not name or name in (".", "..") or "/" in name or "\\" in name:
-        raise ConfigError(f"--name {name!r} cannot be a folder name; use letters and digits")
-    if name in run.stage("render").get("folders", []):
-        raise ConfigError(f"--name {name}: the run has a camera of this name; choose another name")
-    fx, fy, cx, cy = _numbers("--K", K, 4, "fx,fy,cx,cy")
     pixels = parse_size(size)
     if pixels is None:
         raise ConfigError("--size is missing; write --size WIDTHxHEIGHT, for example 1280x720")
-    camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), *pixels)
-    stamps = read_times(times) if times else run.trajectory().times
-    names = [f"{i:010d}" if times else f"{i:06d}" for i in range(len(stamps))]
-    return CameraStream(name, camera, inverse(parse_pose(pose)), stamps, names)
+    fx, fy, cx, cy = _numbers("--K", K, 4, "fx,fy,cx,cy")
+    return {
+        "T_lidar_camera": parse_pose(pose).tolist(),
+        "K": [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
+        "size": list(pixels),
+        "times": None if times is None else str(times.resolve()),
+    }
+
+
+def virtual_stream(
+    name: str, described: dict[str, Any], sweep_times: NDArray[np.int64]
+) -> CameraStream:
+    """The virtual camera that :func:`virtual_camera` described.
+
+    Parameters
+    ----------
+    name : str
+    described : dict
+    sweep_times : ndarray of int64, shape (n,)
+        Nanoseconds.
+    """
+    camera = Camera(np.array(described["K"]), *described["size"])
+    T_camera_lidar = inverse(np.array(described["T_lidar_camera"]))
+    if described["times"] is None:
+        names = [f"{i:06d}" for i in range(len(sweep_times))]
+        return CameraStream(name, camera, T_camera_lidar, sweep_times, names)
+    times = read_times(Path(described["times"]))
+    return CameraStream(
+        name, camera, T_camera_lidar, times, [f"{i:010d}" for i in range(len(times))]
+    )
+
+
+def check_name(run: RunFolder, name: str) -> None:
+    """Refuse a name for a virtual camera that is no folder or that a camera of the recording has.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if not name or name in (".", "..") or set(name) & set("/\\\0"):
+        raise ConfigError(f"--name {name!r} cannot be a folder name; use letters and digits")
+    if name in run.cameras and "virtual" not in run.cameras[name]:
+        raise ConfigError(f"--name {name}: the run has a camera of this name; choose another name")
+
+
+def parse_size(text: str | None) -> tuple[int, int] | None:
+    """Width and height in pixels from ``1242x375``.
+
+    Raises
+    ------
+    CalibrationError
+        The text is not a size.
+    """
+    if not text:
+        return None
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise CalibrationError(f"size {text!r}: write WIDTHxHEIGHT, for example 1242x375")
+    return int(width), int(height)
 
 
 def parse_pose(text: str) -> NDArray[np.float64]:

@@ -5,16 +5,32 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from docdepth.errors import DatasetError
 from docdepth.geometry.se3 import inverse
 from docdepth.synthetic.drive import Drive
 from docdepth.synthetic.scenes import scene as make_scene
 from docdepth.synthetic.sensors import sensor as make_sensor
+
+_ABOUT = "docdepth.yaml"
+_UNFINISHED = ".docdepth.unfinished.yaml"
+
+# Suffix of the files in each folder of a drive.
+_KINDS = {
+    "velodyne": "bin",
+    "labels": "label",
+    "speeds": "npy",
+    "point_times": "bin",
+    "image_2": "png",
+    "depth_2": "npy",
+    "class_2": "npy",
+}
 
 
 def write_drive(
@@ -27,8 +43,11 @@ def write_drive(
     images: bool = True,
     blooming_deg: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
+    force: bool = False,
 ) -> Path:
     """Make a synthetic drive and write it to ``out/sequences/00``.
+
+    An interrupted call is repeated with the same arguments. Nothing else is written over.
 
     Parameters
     ----------
@@ -49,25 +68,19 @@ def write_drive(
         class 1, outlier.
     progress : callable, optional
         Called with the number of finished sweeps and the number of all sweeps.
+    force : bool
+        Replace the synthetic drive that is in ``out``. Files that are not of it stay.
 
     Returns
     -------
     Path
         The folder of the sequence.
+
+    Raises
+    ------
+    DatasetError
+        ``out`` is a file, or not empty and not this drive, unfinished.
     """
-    lidar = replace(make_sensor(sensor), blooming=float(np.radians(blooming_deg)))
-    drive = Drive(make_scene(scene, seed), lidar, frames, seed, skew)
-    folder = Path(out) / "sequences" / "00"
-    folder.mkdir(parents=True, exist_ok=True)
-    _write_frame_of_reference(folder, drive)
-    for k in range(frames):
-        _write_sweep(folder, drive, k)
-        if images and k + 1 < frames:
-            _write_image(folder, drive, k)
-        if progress is not None:
-            progress(k + 1, frames)
-    if images:
-        _write_camera(folder, drive)
     about = {
         "scene": scene,
         "sensor": sensor,
@@ -77,9 +90,87 @@ def write_drive(
     }
     if blooming_deg:
         about["blooming_deg"] = blooming_deg
+    folder = sequence_folder(out)
+    _make_room(Path(out), folder, about, force)
+    lidar = replace(make_sensor(sensor), blooming=float(np.radians(blooming_deg)))
+    drive = Drive(make_scene(scene, seed), lidar, frames, seed, skew)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / _UNFINISHED).write_text(yaml.safe_dump(about, sort_keys=False))
+    _write_frame_of_reference(folder, drive)
+    for k in range(frames):
+        _write_sweep(folder, drive, k)
+        if images and k + 1 < frames:
+            _write_image(folder, drive, k)
+        if progress is not None:
+            progress(k + 1, frames)
+    if images:
+        _write_camera(folder, drive)
     # Written last: a folder that has it is complete.
-    (folder / "docdepth.yaml").write_text(yaml.safe_dump(about, sort_keys=False))
+    (folder / _UNFINISHED).replace(folder / _ABOUT)
     return folder
+
+
+def sequence_folder(out: str | Path) -> Path:
+    """Where :func:`write_drive` puts a drive."""
+    return Path(out) / "sequences" / "00"
+
+
+def written_drive(folder: Path) -> dict[str, Any] | None:
+    """How the synthetic drive in a sequence folder was made, finished or not; None: it is none.
+
+    Returns
+    -------
+    dict or None
+        ``scene``, ``sensor``, ``seed``, ``frames``, ``motion_compensated``, perhaps
+        ``blooming_deg``.
+    """
+    for name in (_ABOUT, _UNFINISHED):
+        try:
+            about = yaml.safe_load((folder / name).read_text(encoding="utf-8"))
+        except (OSError, UnicodeError, yaml.YAMLError):
+            continue
+        if isinstance(about, dict) and {"scene", "sensor", "seed", "frames"} <= set(about):
+            return about
+    return None
+
+
+def _make_room(out: Path, folder: Path, about: dict[str, Any], force: bool) -> None:
+    """Refuse to write over anything but this drive, unfinished, and with ``force`` another one."""
+    if not out.is_dir():
+        if out.exists() or out.is_symlink():
+            raise DatasetError(f"{out} is no folder; choose another name for the drive")
+        return
+    if not any(out.iterdir()):
+        return
+    there = written_drive(folder)
+    if there is not None and force:
+        return _delete_drive(folder, int(there["frames"]))
+    if there == about and (folder / _UNFINISHED).is_file():
+        return
+    if there is not None:
+        raise DatasetError(
+            f"{out} holds a synthetic drive ({described(there)}); "
+            "choose another folder, or replace it with --force"
+        )
+    names = sorted(entry.name for entry in out.iterdir())
+    listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    raise DatasetError(f"{out} is not empty: it holds {listed}; choose another folder")
+
+
+def described(about: dict[str, Any]) -> str:
+    """A synthetic drive in words."""
+    return f"{about['scene']}, {about['sensor']}, {about['frames']} frames, seed {about['seed']}"
+
+
+def _delete_drive(folder: Path, frames: int) -> None:
+    """Delete the files of a synthetic drive, and no others."""
+    for name in ("calib.txt", "times.txt", "poses.txt", _ABOUT, _UNFINISHED):
+        (folder / name).unlink(missing_ok=True)
+    for kind, suffix in _KINDS.items():
+        for index in range(frames):
+            (folder / kind / f"{index:06d}.{suffix}").unlink(missing_ok=True)
+    for name in ("times.txt", "size.txt"):
+        (folder / "image_2" / name).unlink(missing_ok=True)
 
 
 def _write_frame_of_reference(folder: Path, drive: Drive) -> None:
@@ -95,20 +186,21 @@ def _write_frame_of_reference(folder: Path, drive: Drive) -> None:
 def _write_sweep(folder: Path, drive: Drive, index: int) -> None:
     sweep = drive.sweep(index)
     rows = np.column_stack([sweep.points, sweep.intensity]).astype(np.float32)
-    rows.tofile(_file(folder, "velodyne", index, "bin"))
-    sweep.labels.tofile(_file(folder, "labels", index, "label"))
-    np.save(_file(folder, "speeds", index, "npy"), sweep.speed.astype(np.float16))
+    rows.tofile(_file(folder, "velodyne", index))
+    sweep.labels.tofile(_file(folder, "labels", index))
+    np.save(_file(folder, "speeds", index), sweep.speed.astype(np.float16))
     if drive.skew:
-        sweep.relative_time.tofile(_file(folder, "point_times", index, "bin"))
+        sweep.relative_time.tofile(_file(folder, "point_times", index))
 
 
 def _write_image(folder: Path, drive: Drive, index: int) -> None:
     view = drive.image(index)
     picture = np.ascontiguousarray(view.colour[..., ::-1])
     fast = [int(cv2.IMWRITE_PNG_COMPRESSION), 1]
-    cv2.imwrite(str(_file(folder, "image_2", index, "png")), picture, fast)
-    np.save(_file(folder, "depth_2", index, "npy"), view.depth)
-    np.save(_file(folder, "class_2", index, "npy"), view.labels)
+    # OpenCV opens no path that is not UTF-8, and says nothing on a full disk.
+    _file(folder, "image_2", index).write_bytes(cv2.imencode(".png", picture, fast)[1].tobytes())
+    np.save(_file(folder, "depth_2", index), view.depth)
+    np.save(_file(folder, "class_2", index), view.labels)
 
 
 def _write_camera(folder: Path, drive: Drive) -> None:
@@ -117,9 +209,9 @@ def _write_camera(folder: Path, drive: Drive) -> None:
     (folder / "image_2" / "size.txt").write_text(f"{camera.width} {camera.height}\n")
 
 
-def _file(folder: Path, kind: str, index: int, suffix: str) -> Path:
+def _file(folder: Path, kind: str, index: int) -> Path:
     (folder / kind).mkdir(exist_ok=True)
-    return folder / kind / f"{index:06d}.{suffix}"
+    return folder / kind / f"{index:06d}.{_KINDS[kind]}"
 
 
 def _seconds(times: NDArray[np.int64]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import shutil
 import zipfile
@@ -15,10 +14,9 @@ from numpy.typing import NDArray
 
 from docdepth import __version__
 from docdepth.config import Parameters
-from docdepth.errors import RunError
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.atomic import write_atomically
+from docdepth.io.atomic import npz_bytes, write_atomically
 from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder
 
@@ -49,7 +47,8 @@ class TrialFolder(RunFolder):
                 "docdepth": __version__,
                 "trial": key,
                 "source": self._source.manifest["source"],
-                "parameters": parameters.model_dump(),
+                "parameters": parameters.model_dump(mode="json"),
+                "cameras": {},
                 "stages": stages,
             }
             self.save()
@@ -72,7 +71,6 @@ class TrialFolder(RunFolder):
         stored = self._stored(index)
         return replace(
             record,
-            key=_key(stored),
             classid=stored.get("classid"),
             votes_static=stored.get("votes_static"),
             votes_dynamic=stored.get("votes_dynamic"),
@@ -82,13 +80,14 @@ class TrialFolder(RunFolder):
         """Hash of the parameters that made the classes of a sweep, by stage."""
         return _key(self._stored(index))
 
-    def write_frame(self, index: int, frame: FrameRecord) -> None:
+    def write_frame(
+        self, index: int, frame: FrameRecord, key: dict[str, str] | None = None
+    ) -> None:
         """Store the classes and votes of a sweep; its points stay in the run."""
         arrays = {name: getattr(frame, name) for name in _STORED}
         arrays = {name: value for name, value in arrays.items() if value is not None}
-        stream = io.BytesIO()
-        np.savez(stream, allow_pickle=False, key=np.array(json.dumps(frame.key)), **arrays)
-        write_atomically(self._path(index), lambda out: out.write(stream.getvalue()))
+        content = npz_bytes(key=np.array(json.dumps(key or {})), **arrays)
+        write_atomically(self._path(index), lambda out: out.write(content))
 
     def _path(self, index: int) -> Path:
         return self.path / "frames" / f"{index:06d}.npz"
@@ -99,8 +98,8 @@ class TrialFolder(RunFolder):
                 return dict(stored)
         except FileNotFoundError:
             return {}
-        except (ValueError, zipfile.BadZipFile) as error:
-            raise RunError(f"{self._path(index)} is damaged: {error}; delete it") from None
+        except (OSError, EOFError, ValueError, zipfile.BadZipFile):
+            return {}  # damaged: made again
 
 
 def _key(stored: dict[str, Any]) -> dict[str, str]:

@@ -174,7 +174,7 @@ def _camera_views(
     run: RunFolder, trajectory: Trajectory, frame: int, camera: str | None
 ) -> list[CameraView]:
     """The pose of each image of a camera; the one nearest to the sweep has its depth map."""
-    if not run.stage("render"):
+    if not maps_in(run.path / "depth") and not run.cameras:
         return []
     folder = run.depth_folder(camera)
     pinhole, T_camera_lidar, _ = run.calibration(folder)

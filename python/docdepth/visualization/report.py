@@ -7,7 +7,6 @@ from html import escape
 from pathlib import Path
 
 from docdepth import __version__
-from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import RunFolder
 
 _STYLE = """
@@ -17,6 +16,11 @@ td, th { padding: .2em 1em .2em 0; text-align: left; vertical-align: top }
 figure { margin: 0 0 1em } img, video { max-width: 100% }
 figcaption { color: #666; font-size: 13px }
 """
+
+
+def index_is_whole(run: RunFolder) -> bool:
+    """Whether the page is there as it was written."""
+    return run.records(run.path / "report").state("index.html") == "whole"
 
 
 def write_index(run: RunFolder) -> Path:
@@ -38,34 +42,35 @@ def write_index(run: RunFolder) -> Path:
         f"<style>{_STYLE}</style><h1>{escape(title)}</h1>",
         _table((), _facts(run)),
         _table(("stage", "frames", "seconds", "seconds by part"), _stages(run)),
-        *(
-            _pictures(report, report / folder)
-            for folder in run.stage("render").get("folders", [""])
-        ),
+        *(_pictures(report, report / str(camera["folder"])) for camera in run.cameras.values()),
     ]
     path = report / "index.html"
-    content = "\n".join(parts).encode()
-    write_atomically(path, lambda stream: stream.write(content))
+    content = "\n".join(parts).encode(errors="replace")  # the name of the folder may be no text
+    run.write(path, lambda stream: stream.write(content), {})
     return path
 
 
 def _facts(run: RunFolder) -> Iterable[tuple[str, str]]:
-    stage = run.stage("render")
     yield "recording", str(run.manifest["source"].get("dataset", "unknown"))
     yield "docdepth", f"{__version__}, preset {run.parameters.preset}"
-    yield "cameras", ", ".join(stage.get("cameras", []))
-    yield "renderer", str(stage.get("renderer", ""))
-    if "density" in stage:
-        yield "pixels with depth", f"{100 * stage['density']:.1f} %"
-    if stage.get("left_out"):
-        yield "images outside the sweeps, left out", ", ".join(stage["left_out"])
+    for name in run.cameras:
+        stage = run.stage(f"render {name}")
+        density = f", {100 * stage['density']:.1f} % of the pixels" if "density" in stage else ""
+        yield f"depth of {name}", f"{stage.get('all_frames', 0)} images{density}"
+        if stage.get("left_out"):
+            yield "images outside the sweeps, left out", ", ".join(stage["left_out"])
+        yield "renderer", str(stage.get("renderer", ""))
+    for name, stage in run.manifest["stages"].items():
+        for text in stage.get("warnings", []):
+            yield f"warning of {name}", text
 
 
 def _stages(run: RunFolder) -> Iterable[tuple[str, ...]]:
     for name, state in run.manifest["stages"].items():
         spent = sorted(state.get("seconds", {}).items(), key=lambda item: -item[1])
         parts = ", ".join(f"{part} {seconds:.1f}" for part, seconds in spent)
-        yield name, str(state.get("frames", "")), f"{state.get('wall_seconds', 0):.1f}", parts
+        spent_in_all = f"{state.get('total_seconds', state.get('wall_seconds', 0)):.1f}"
+        yield name, str(state.get("all_frames", "")), spent_in_all, parts
 
 
 def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:

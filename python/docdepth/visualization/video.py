@@ -71,25 +71,31 @@ def write_video(
     part = path.with_name(".video.part.webm")
     path.parent.mkdir(parents=True, exist_ok=True)
     writer: cv2.VideoWriter | None = None
+    # OpenCV opens no path that is not UTF-8, so it gets the folder as a number.
+    opened = os.open(path.parent, os.O_RDONLY)
+    named = Path(f"/proc/self/fd/{opened}") / part.name
     try:
         for done, name in enumerate(names):
             image = stream.rectified_image(images[name]) if stream and name in images else None
             frame = _frame(read_depth(maps[name]), image)
             if writer is None:
-                writer = _writer(part, fps, frame)
+                writer = _writer(named, fps, frame)
             writer.write(frame)
             if progress:
                 progress("video", done + 1, len(names))
         if writer is not None:
             writer.release()
-        if _frames(part) != len(names):  # OpenCV does not report errors
+        if _frames(named) != len(names):  # OpenCV does not report errors
             raise RunError(
                 f"cannot write {path}: OpenCV stopped early; make room on the disk and try again"
             )
-        os.replace(part, path)
-        write_index(run)
+        made_of = run.recorded_key(depths / DESCRIPTION).get("render", "")
+        with run.lock("video"):
+            run.move_into_place(part, path, {"render": made_of})
+            write_index(run)
     finally:
         part.unlink(missing_ok=True)
+        os.close(opened)
     return path
 
 

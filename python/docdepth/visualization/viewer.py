@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Mapping
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import BackendError
+from docdepth.errors import BackendError, RunError
 from docdepth.geometry.se3 import inverse
 from docdepth.io.run_folder import RunFolder
 from docdepth.visualization.geometries import open3d_module, run_geometries
@@ -114,9 +115,24 @@ def show(
         else:
             window.poll_events()
             window.update_renderer()
-            window.capture_screen_image(str(image), do_render=True)
+            _capture(window, image)
     finally:
         window.destroy_window()
+
+
+def _capture(window: Any, image: Path) -> None:
+    """Write what a window shows; Open3D itself reports no failure."""
+    part = image.with_name(f".{image.stem}.part{image.suffix}")
+    try:
+        window.capture_screen_image(str(part), do_render=True)
+        os.replace(part, image)
+    except OSError:
+        raise RunError(
+            f"{image} cannot be written; name a .png file in a folder that is there"
+        ) from None
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink()
 
 
 def _viewer_pose() -> NDArray[np.float64]:

@@ -1,0 +1,75 @@
+"""The verb that checks inputs and runs nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from docdepth.cli.options import (
+    CameraNames,
+    CameraTimes,
+    Formats,
+    Frames,
+    ImageSize,
+    LayerNames,
+    Layout,
+    Output,
+    PosesFile,
+    PresetName,
+    Scale,
+    Settings,
+    changes_of,
+    listed,
+    output_of,
+)
+from docdepth.cli.terminal import app, err, out, verb
+
+
+@verb(app)
+def check(
+    dataset: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DATASET", help="Folder of a recording (KITTI raw, KITTI odometry) or of a run."
+        ),
+    ],
+    output: Output = None,
+    layout: Layout = None,
+    camera: CameraNames = None,
+    frames: Frames = None,
+    poses: PosesFile = None,
+    camera_times: CameraTimes = None,
+    image_size: ImageSize = None,
+    preset: PresetName = "default",
+    settings: Settings = None,
+    format: Formats = None,
+    scale: Scale = None,
+    layers: LayerNames = None,
+) -> None:
+    """Check all inputs of a run, and tell all problems at once. Nothing is written.
+
+    docdepth check 2011_09_26_drive_0005_sync --camera image_02
+    """
+    from docdepth.config import parameters
+    from docdepth.pipeline.check import report_inputs
+
+    changes = changes_of(settings) | output_of(format, scale, layers)
+    source = {
+        "dataset": str(dataset),
+        "name": layout,
+        "camera": listed(camera),
+        "poses": None if poses is None else str(poses),
+        "camera_times": None if camera_times is None else str(camera_times),
+        "image_size": image_size,
+        "frames": frames,
+    }
+    report = report_inputs(source, parameters(preset, changes), output)  # type: ignore[arg-type]
+    for problem in report.problems:
+        colour = "red" if problem.severity == "error" else "yellow"
+        err.print(f"{problem.severity}:", style=colour, end=" ")
+        err.print(problem.text, soft_wrap=True, markup=False)
+    if any(problem.severity == "error" for problem in report.problems):
+        raise typer.Exit(2)
+    out.print(f"ok: {report.summary}", soft_wrap=True, markup=False)

@@ -1,0 +1,153 @@
+"""The one place that turns what went wrong into a sentence and an exit code."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+from typing import NamedTuple
+
+import typer
+import yaml
+
+from docdepth.cli.terminal import err, volume
+from docdepth.errors import DocDepthError
+
+MISTAKE, BUG, STOPPED = 2, 1, 130
+"""Exit codes: the user can mend it; docdepth's authors must; Ctrl-C."""
+
+# The base class of typer's errors of usage, which is click's in older releases of typer.
+_Usage = [c for c in typer.BadParameter.__mro__ if hasattr(c, "format_message")][-1]
+
+# What is the matter with a path, and what to do about it.
+_WRONG = {
+    errno.ENOENT: ("is not there", "correct the path"),
+    errno.EACCES: (
+        "may not be read or written by you",
+        "change its permissions, or choose another folder",
+    ),
+    errno.EPERM: (
+        "may not be changed by you",
+        "change its permissions, or choose another folder",
+    ),
+    errno.EROFS: ("lies on a disk that is read-only", "choose another folder"),
+    errno.ENOSPC: (
+        "cannot be written: the disk is full",
+        "make room and give the same command again",
+    ),
+    errno.EDQUOT: (
+        "cannot be written: your share of the disk is used up",
+        "make room and give the same command again",
+    ),
+    errno.EISDIR: ("is a folder, where a file is wanted", "name the file"),
+    errno.ENOTDIR: ("leads through a file as if it were a folder", "correct the path"),
+    errno.EEXIST: ("is there already, and is no folder", "choose another folder, or delete it"),
+    errno.ELOOP: ("is a link that leads back to itself", "name the file or folder that is meant"),
+    errno.ENAMETOOLONG: ("is longer than the file system allows", "choose a shorter name"),
+    errno.EMFILE: ("cannot be opened: too many files are open", "raise the limit: ulimit -n 4096"),
+    errno.EIO: ("cannot be read or written: the disk fails", "copy the files to another disk"),
+}
+
+
+class Failure(NamedTuple):
+    """What is printed about an error, and the exit code."""
+
+    sentence: str
+    code: int = MISTAKE
+
+
+def explain(error: BaseException) -> Failure | None:
+    """The sentence for an error; None where it is a mistake of docdepth's own."""
+    if isinstance(error, KeyboardInterrupt):
+        return Failure("stopped; the same command continues", STOPPED)
+    if isinstance(error, _Usage):
+        return Failure(_of_usage(error))
+    if isinstance(error, DocDepthError):
+        return Failure(str(error))
+    if isinstance(error, OSError):
+        return Failure(_of_path(error))
+    if isinstance(error, RuntimeError) and "Symlink loop" in str(error):
+        return Failure(f"{error}: this link leads back to itself; name the folder that is meant")
+    if isinstance(error, MemoryError):
+        said = f" ({error})" if str(error) else ""
+        return Failure(
+            f"there is not enough memory{said}; reduce --size or --image-size, the range or the "
+            "number of sweeps, or use a machine with more memory; the same command continues"
+        )
+    if isinstance(error, yaml.YAMLError):
+        return Failure(f"this is not YAML: {' '.join(str(error).split())}")
+    if isinstance(error, UnicodeEncodeError):
+        return Failure(f"a path cannot be written as text ({error}); rename it, in letters")
+    if isinstance(error, UnicodeError):
+        return Failure(
+            f"a text is not UTF-8 ({error}); was a binary file given where a text file is wanted?"
+        )
+    return None
+
+
+def report(error: BaseException) -> int:
+    """Print what went wrong, and return the exit code."""
+    failure = explain(error)
+    if failure is None:
+        failure = Failure(_of_bug(error), BUG)
+    if failure.code == STOPPED or type(error).__name__ == "NoArgsIsHelpError":
+        err.print(failure.sentence, end="\n" if failure.sentence else "", markup=False)
+    else:
+        err.print("error:", style="red", end=" ")
+        err.print(failure.sentence, soft_wrap=True, markup=False)
+    return failure.code
+
+
+def _of_usage(error: BaseException) -> str:
+    context = getattr(error, "ctx", None)
+    verb = context.command_path if context else "docdepth"
+    said = str(error.format_message()).rstrip(".")  # type: ignore[attr-defined]
+    if type(error).__name__ == "NoArgsIsHelpError":
+        return said  # the help itself, or nothing where typer has printed it
+    return f"{said}; {verb} --help explains it"
+
+
+def _of_path(error: OSError) -> str:
+    path = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else ""
+    # A file in the making is hidden beside its final name.
+    path = re.sub(r"(^|/)\.([^/]+)\.part$", r"\1\2", path)
+    what, remedy = _WRONG.get(error.errno or 0, ("", ""))
+    if error.errno == errno.ENOENT and path and (link := _dangling(Path(path))):
+        what = f"cannot be opened: {link} is a link to {os.readlink(link)}, which is not there"
+        remedy = "restore what it points to, or delete the link"
+    if error.errno == errno.ENOTDIR and (file := _file_on_the_way(Path(path))):
+        what, remedy = f"cannot be: {file} is a file", "name a folder"
+    if not what:
+        return f"{path}: {error.strerror or error}" if path else str(error.strerror or error)
+    return f"{path or 'a file'} {what}; {remedy}"
+
+
+def _dangling(path: Path) -> Path | None:
+    """The link on the way to a path that points to nothing."""
+    links = [p for p in (path, *path.parents) if p.is_symlink() and not os.path.exists(p)]
+    return links[-1] if links else None
+
+
+def _file_on_the_way(path: Path) -> Path | None:
+    """The file that a path leads through as if it were a folder."""
+    return next((parent for parent in path.parents if parent.is_file()), None)
+
+
+def _of_bug(error: BaseException) -> str:
+    text = "".join(traceback.format_exception(error))
+    about = f"docdepth has a bug: {type(error).__name__}: {error}"
+    if volume.verbose:
+        sys.stderr.write(text)
+        return f"{about}; please report it with this text"
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="docdepth-bug-", suffix=".txt", delete=False, errors="backslashreplace"
+        ) as file:
+            file.write(f"{sys.argv}\n{text}")
+    except OSError:
+        return f"{about}; please report it with what the same command prints with --verbose"
+    return f"{about}; please report it with the text in {file.name}"

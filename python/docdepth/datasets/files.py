@@ -1,0 +1,82 @@
+"""Files of recordings: what cannot be read ends in a sentence that names it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import DatasetError
+
+
+def is_there(file: Path) -> bool:
+    """Whether an optional file exists.
+
+    Raises
+    ------
+    DatasetError
+        It is a folder, or a link that leads nowhere: the user means it to be there.
+    """
+    if file.is_file():
+        return True
+    if file.is_symlink() or file.exists():
+        raise unreadable(file, "put the file there, or remove it")
+    return False
+
+
+def unreadable(file: Path, remedy: str, error: OSError | None = None) -> DatasetError:
+    """The error of a file that is there, missing or no file, whichever it is."""
+    if file.is_dir():
+        return DatasetError(f"{file} is a folder where a file is expected; {remedy}")
+    if file.is_symlink() and not file.exists():
+        return DatasetError(f"{file} is a link to {file.readlink()}, which is missing; {remedy}")
+    if isinstance(error, PermissionError):
+        return DatasetError(f"{file} may not be read by you; change its permissions")
+    if error is not None and file.exists():
+        return DatasetError(f"{file} cannot be read ({error.strerror}); {remedy}")
+    return DatasetError(f"{file} is missing; {remedy}")
+
+
+def read_bytes(file: Path, remedy: str) -> bytes:
+    """The content of a file.
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be read.
+    """
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise unreadable(file, remedy, error) from None
+
+
+def read_lines(file: Path, remedy: str) -> list[str]:
+    """The lines of a text file without blank ones at its end.
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be read, or is not a text file.
+    """
+    try:
+        return read_bytes(file, remedy).decode("utf-8").rstrip().splitlines()
+    except UnicodeDecodeError:
+        raise DatasetError(f"{file} is not a text file; {remedy}") from None
+
+
+def read_image(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]:
+    """An image, from a path of any bytes.
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be read, or is not an image that OpenCV reads.
+    """
+    content = np.frombuffer(read_bytes(file, "copy the image again"), np.uint8)
+    image = cv2.imdecode(content, flags) if len(content) else None
+    if image is None:
+        raise DatasetError(f"{file} is not a readable image; replace or remove it")
+    return np.asarray(image)

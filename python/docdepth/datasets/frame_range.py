@@ -1,0 +1,90 @@
+"""A part of a recording: ``--frames A:B``."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import CameraStream, Dataset, Sweep
+from docdepth.errors import DatasetError
+
+
+class FrameRange:
+    """Sweeps A to B - 1 of a recording, and the images that were taken meanwhile.
+
+    Files keep their names.
+
+    Parameters
+    ----------
+    whole : Dataset
+    frames : str
+        ``A:B`` as in a slice of Python; either may be left out.
+
+    Attributes
+    ----------
+    indices : range
+        Of its sweeps in the whole recording.
+
+    Raises
+    ------
+    DatasetError
+        The text is no range, or holds no sweep of the recording.
+    """
+
+    def __init__(self, whole: Dataset, frames: str) -> None:
+        self.whole = whole
+        self.indices = _parse(frames, len(whole), whole.path)
+        part = slice(self.indices.start, self.indices.stop)
+        self.name: str = whole.name
+        self.path: Path = whole.path
+        self.times: NDArray[np.int64] = whole.times[part]
+        self.poses: NDArray[np.float64] | None = None if whole.poses is None else whole.poses[part]
+        self.cameras = {name: self.part_of(stream) for name, stream in whole.cameras.items()}
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def sweep(self, index: int) -> Sweep:
+        """Sweep ``index`` of the range."""
+        return self.whole.sweep(self.indices[index])
+
+    def sweep_files(self, index: int) -> list[Path]:
+        """The files of sweep ``index`` of the range."""
+        return self.whole.sweep_files(self.indices[index])
+
+    def labels(self, index: int) -> NDArray[np.uint32] | None:
+        """Labels of sweep ``index`` of the range; None without a file."""
+        return self.whole.labels(self.indices[index])
+
+    def part_of(self, stream: CameraStream) -> CameraStream:
+        """A camera of the recording, cut to a sweep before the first and after the last one."""
+        all_times = self.whole.times
+        margin = int(np.median(np.diff(all_times))) if len(all_times) > 1 else 0
+        begin, end = self.times[0] - margin, self.times[-1] + margin
+        kept = np.flatnonzero((stream.times >= begin) & (stream.times <= end))
+        return replace(
+            stream,
+            times=stream.times[kept],
+            names=[stream.names[k] for k in kept],
+            images=[stream.images[k] for k in kept] if stream.images else [],
+        )
+
+
+def _parse(frames: str, count: int, path: Path) -> range:
+    match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", frames, re.ASCII)
+    if not match:
+        raise DatasetError(
+            f"--frames {frames!r}: write A:B with numbers of sweeps, for example 100:200, "
+            f"100: or :200; {path} has {count} sweeps"
+        )
+    first, last = match.groups()
+    chosen = range(count)[int(first or 0) : int(last or count)]
+    if not chosen:
+        raise DatasetError(
+            f"--frames {frames} holds no sweep: {path} has {count} sweeps, 0 to {count - 1}"
+        )
+    return chosen

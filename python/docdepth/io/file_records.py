@@ -1,0 +1,178 @@
+"""Records of the files that docdepth wrote: what each was made of, and whether it is whole."""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from threading import Lock
+from typing import Literal
+
+from docdepth.errors import RunError
+from docdepth.io.atomic import Written
+
+FileState = Literal["whole", "damaged", "missing", "unknown"]
+"""``unknown``: docdepth did not write the file, or its record is lost."""
+
+_CHUNK = 1 << 22  # bytes that are read at once for a checksum
+
+
+@dataclass
+class _Record:
+    size: int
+    time: int
+    checksum: int
+    key: dict[str, str]
+
+
+class FileRecords:
+    """The records of one folder.
+
+    A line is added before a file gets its final name. So every file of docdepth has a record, also
+    after a power failure, and a file that differs from its record was damaged or replaced.
+
+    Parameters
+    ----------
+    folder : Path
+    path : Path
+        File of the records, a line for each file that is written or deleted.
+    """
+
+    def __init__(self, folder: Path, path: Path) -> None:
+        self._folder, self.path, self._lock = folder, path, Lock()
+        self._records: dict[str, _Record] = {}
+        self._states: dict[str, FileState] = {}  # what was found, so that nothing is read twice
+        self._lines = 0
+        try:
+            text = self.path.read_bytes().decode("utf-8", "surrogateescape")
+        except OSError:
+            text = ""
+        self._torn = bool(text) and not text.endswith("\n")  # by a power failure
+        for line in text.splitlines():
+            self._lines += 1
+            self._parse(line)
+
+    def _parse(self, line: str) -> None:
+        try:
+            entry = json.loads(line)
+            name = str(entry.pop("name"))
+            if entry:
+                self._records[name] = _Record(**entry)
+            else:
+                self._records.pop(name, None)
+        except (ValueError, TypeError, AttributeError, KeyError):
+            pass  # cut off by a power failure: its file counts as not written
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._records
+
+    def names(self) -> list[str]:
+        """Files that have a record."""
+        return list(self._records)
+
+    def add(self, name: str, written: Written, key: dict[str, str]) -> None:
+        """Note a file; called before it gets its name."""
+        record = _Record(written.size, written.time, written.checksum, key)
+        with self._lock:
+            self._append(name, asdict(record))
+            self._records[name] = record
+            self._states.pop(name, None)
+
+    def invalidate(self, name: str) -> None:
+        """Note that a file of docdepth is to be made again."""
+        self.add(name, Written(-1, -1, -1), {})
+
+    def drop(self, name: str) -> None:
+        """Note that a file has been deleted."""
+        with self._lock:
+            if self._records.pop(name, None) is not None:
+                self._append(name, {})
+            self._states.pop(name, None)
+
+    def _append(self, name: str, entry: dict[str, object]) -> None:
+        line = "\n" * self._torn + json.dumps({"name": name, **entry}) + "\n"
+        self._torn = False
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with self.path.open("ab") as stream:
+                stream.write(line.encode())
+        except OSError as error:
+            raise RunError(
+                f"cannot write {self.path}: {error.strerror}; make room or choose another folder "
+                "and run the same command again; it continues where it stopped"
+            ) from error
+        self._lines += 1
+
+    def compact(self) -> None:
+        """Write the records anew if most lines are outdated."""
+        with self._lock:
+            if self._lines <= 2 * len(self._records) + 100:
+                return
+            lines = [json.dumps({"name": n, **asdict(r)}) + "\n" for n, r in self._records.items()]
+            part = self.path.with_name(self.path.name + ".part")
+            part.write_text("".join(lines))
+            os.replace(part, self.path)
+            self._lines = len(lines)
+
+    def key(self, name: str) -> dict[str, str]:
+        """What a file was made of: a hash for each stage; empty if the file is not whole."""
+        return dict(self._records[name].key) if self.state(name) == "whole" else {}
+
+    def recorded_key(self, name: str) -> dict[str, str]:
+        """What the record of a file says, whatever has become of the file."""
+        return dict(self._records[name].key) if name in self._records else {}
+
+    def size(self, name: str) -> int:
+        """Bytes of a file; 0 without a record."""
+        return max(self._records[name].size, 0) if name in self._records else 0
+
+    def state(self, name: str, verify: bool = False) -> FileState:
+        """Compare a file with its record.
+
+        Parameters
+        ----------
+        name : str
+        verify : bool
+            Compare the content also where size and time are those of the record.
+        """
+        record = self._records.get(name)
+        if record is None:
+            return "unknown"
+        if verify or name not in self._states:
+            self._states[name] = self._compare(name, record, verify)
+        return self._states[name]
+
+    def _compare(self, name: str, record: _Record, verify: bool) -> FileState:
+        path = self._folder / name
+        try:
+            known = os.stat(path)
+            if known.st_size != record.size:
+                return "damaged"
+            if known.st_mtime_ns == record.time and not verify:
+                return "whole"
+            return "whole" if _checksum(path) == record.checksum else "damaged"
+        except FileNotFoundError:
+            return "missing"
+        except OSError:
+            return "damaged"
+
+
+def same_content(path: Path, written: Written) -> bool:
+    """Whether a file is not there, or has the content of one that was written."""
+    try:
+        same_size = path.stat().st_size == written.size
+        return same_size and _checksum(path) == written.checksum
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False
+
+
+def _checksum(path: Path) -> int:
+    checksum = 0
+    with path.open("rb") as stream:
+        while data := stream.read(_CHUNK):
+            checksum = zlib.crc32(data, checksum)
+    return checksum

@@ -1,0 +1,207 @@
+"""Whether depth edges of the sweeps lie on edges of the images (Levinson and Thrun, 2013).
+
+Where a sweep jumps from one surface to another farther away, an image mostly has an edge, too. With
+the right calibration more depth edges lie on image edges than with any other. The score of the
+given one is compared with those of a camera that is turned or moved a little, and of images of
+other times. Nothing is said where the evidence is thin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import CameraStream, Dataset
+from docdepth.geometry.se3 import rotation_exp
+from docdepth.pipeline.alignment_views import View, edge_strength, scores_of, views_of
+
+Scores = NDArray[np.float64]
+Change = tuple[float, float, float, float, float, float]
+"""Turn of points about the camera's axes x, y, z [deg], then their shift along these [m]."""
+
+_FEWEST_PAIRS = 5  # with less the difference of two scores says nothing
+_STEP_DEG, _FARTHEST_DEG = 0.5, 4.0  # turns that are compared
+_WIDE_STEP_DEG, _WIDEST_DEG = 1.0, 12.0  # those where none of them fits
+_ROLLS_DEG = (-6.0, -4.0, -3.0, 3.0, 4.0, 6.0)
+_SHIFTS = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)  # metres along each axis
+_IMAGES_OFF = (-3, 3)  # images before and after; neighbours may fit as well
+_LEAST_DEG = 1.0  # a smaller turn is no error worth a warning
+_SIGNIFICANT = 3.5  # standard errors that the better score lies above
+_GAIN = 1.08  # and how much above
+_SHARP = 1.25  # best score over that of all turns: what a true fit reaches
+_ROLL_GAIN, _ROLL_SHARP = 1.15, 1.4  # of rolls; where all edges are level others fit by chance
+_MOVED_GAIN = 1.4  # where the vehicle moved between sweep and image, nobody knows how far
+_NO_FIT = 1.15  # score over that of all turns, below which a larger error is looked for
+_CHANCE, _CHANCE_ERRORS = 1.08, 2.0  # below it, also in standard errors, there is no fit at all
+_AT_ONCE = 10_000_000  # nanoseconds in which no vehicle moves far
+
+
+def find_misalignment(recording: Dataset, stream: CameraStream) -> str | None:
+    """What would fit the images better than the given calibration and times.
+
+    Parameters
+    ----------
+    recording : Dataset
+    stream : CameraStream
+        With images.
+
+    Returns
+    -------
+    str or None
+        For example ``depth edges fit the images better when the camera turns 1.5 degrees to the
+        right``; None where the given calibration fits best, and where the evidence is thin.
+
+    Raises
+    ------
+    DatasetError
+        A sweep or an image is damaged.
+    """
+    views = views_of(recording, stream)
+    if len(views) < _FEWEST_PAIRS:
+        return None
+    pairs = _Pairs(views, stream)
+    moved = _moved_meanwhile(recording, stream, views)
+    better = "depth edges of the sweeps fit the images better when "
+    found = pairs.best(pairs.turns, _MOVED_GAIN if moved else _GAIN)
+    if moved:
+        return None if found is None else better + _in_words(found[0])
+    both = [found, pairs.best(_shifts(), _GAIN)]
+    known = [one for one in both if one is not None]
+    if known:
+        return better + _in_words(max(known, key=lambda one: one[1])[0])
+    found = pairs.best([(0, 0, roll, 0, 0, 0) for roll in _ROLLS_DEG], _ROLL_GAIN, _ROLL_SHARP)
+    if found:
+        return better + _in_words(found[0])
+    late = pairs.better_images()
+    if late:
+        when = "later" if late > 0 else "earlier"
+        return f"{better}they are taken about {abs(late)} frames {when}"
+    if pairs.given.mean() > _NO_FIT * pairs.chance.mean():
+        return None
+    found = pairs.best(_turns(_WIDE_STEP_DEG, _WIDEST_DEG), _GAIN)
+    if found:
+        return better + _in_words(found[0])
+    return "depth edges of the sweeps fit the images by chance only" if pairs.no_fit() else None
+
+
+def _moved_meanwhile(recording: Dataset, stream: CameraStream, views: Sequence[View]) -> bool:
+    """Whether the vehicle may have moved between sweeps and images, and no poses tell how far."""
+    if recording.poses is not None:
+        return False
+    times = stream.times[[view.image for view in views]]
+    apart = np.abs(recording.times[:, None] - times).min(axis=0)
+    return float(np.median(apart)) > _AT_ONCE
+
+
+@dataclass
+class _Pairs:
+    """Scores of the pairs as given, and after changes.
+
+    Attributes
+    ----------
+    given : ndarray of float64, shape (n,)
+        Of each pair with the given calibration.
+    chance : ndarray of float64, shape (n,)
+        Of each pair on average over all turns.
+    """
+
+    views: Sequence[View]
+    stream: CameraStream
+
+    def __post_init__(self) -> None:
+        self.turns = _turns(_STEP_DEG, _FARTHEST_DEG)
+        self.given = self._after((0, 0, 0, 0, 0, 0))
+        self._turned = np.array([self._after(turn) for turn in self.turns])
+        self.chance: Scores = self._turned.mean(axis=0)
+
+    def best(
+        self, changes: Sequence[Change], gain: float, sharp: float = _SHARP
+    ) -> tuple[Change, float] | None:
+        """The change that fits best and its score, if it is clearly better than the given."""
+        scores = self._turned
+        if changes is not self.turns:
+            scores = np.array([self._after(change) for change in changes])
+        mean = scores.mean(axis=1)
+        k = int(mean.argmax())
+        small = 0 < np.linalg.norm(changes[k][:3]) < _LEAST_DEG or not any(changes[k])
+        if small or mean[k] < sharp * self.chance.mean():
+            return None
+        return (changes[k], float(mean[k])) if _is_better(scores[k], self.given, gain) else None
+
+    def better_images(self) -> int:
+        """How many images later those fit better; 0 if the given ones are best."""
+        best, best_score = 0, max(float(self.given.mean()), _SHARP * float(self.chance.mean()))
+        for off in _IMAGES_OFF:
+            others, inside = [], []
+            for k, view in enumerate(self.views):
+                if 0 <= view.image + off < len(self.stream.images):
+                    strength = edge_strength(self.stream, view.image + off)
+                    others.append(View(view.ends, view.weight, view.image + off, strength))
+                    inside.append(k)
+            if len(others) < _FEWEST_PAIRS:
+                continue
+            scores = scores_of(others, self.stream, np.eye(4))
+            if scores.mean() > best_score and _is_better(scores, self.given[inside], _GAIN):
+                best, best_score = off, float(scores.mean())
+        return best
+
+    def no_fit(self) -> bool:
+        """Whether the given calibration is no better than any other."""
+        share = self.given / self.chance
+        error = share.std(ddof=1) / np.sqrt(len(share))
+        return bool(share.mean() < _CHANCE and share.mean() - 1 < _CHANCE_ERRORS * error)
+
+    def _after(self, change: Change) -> Scores:
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = rotation_exp(np.radians(change[:3])), change[3:]
+        return scores_of(self.views, self.stream, T)
+
+
+def _turns(step: float, farthest: float) -> list[Change]:
+    angles = np.arange(-farthest, farthest + step / 2, step).tolist()
+    return [(tilt, pan, 0, 0, 0, 0) for tilt in angles for pan in angles]
+
+
+def _shifts() -> list[Change]:
+    along = [(s, 0.0, 0.0) for s in _SHIFTS]
+    every = [*along, *((0.0, s, 0.0) for s in _SHIFTS), *((0.0, 0.0, s) for s in _SHIFTS)]
+    return [(0, 0, 0, *shift) for shift in every]
+
+
+def _is_better(scores: Scores, given: Scores, least_gain: float) -> bool:
+    """Whether scores of the pairs, one by one, lie above the given ones beyond chance."""
+    gain = scores - given
+    error = gain.std(ddof=1) / np.sqrt(len(gain)) + 1e-9
+    return bool(
+        gain.mean() > _SIGNIFICANT * error
+        and (gain > 0).sum() >= len(gain) - 1
+        and scores.mean() > least_gain * given.mean()
+    )
+
+
+def _in_words(change: Change) -> str:
+    """A change of points as one of the camera, the other way."""
+    tilt, pan, roll, x, y, z = change
+    turn = [
+        f"{abs(angle):g} degrees {one if angle > 0 else other}"
+        for angle, one, other in (
+            (pan, "to the left", "to the right"),
+            (tilt, "down", "up"),
+            (roll, "counterclockwise", "clockwise"),
+        )
+        if angle
+    ]
+    shift = [
+        f"{abs(metres):g} m {one if metres > 0 else other}"
+        for metres, one, other in (
+            (x, "to the left", "to the right"),
+            (y, "up", "down"),
+            (z, "back", "forward"),
+        )
+        if metres
+    ]
+    times = ", or they are of other times" if z else ""
+    return f"the camera {'turns' if turn else 'moves'} {' and '.join(turn or shift)}{times}"

@@ -1,0 +1,164 @@
+"""All inputs of a run are checked before it begins, and all problems are told at once.
+
+Sizes of all files are read, but only a few sweeps and images are opened: a drive of thousands of
+sweeps takes seconds.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from docdepth.config import Parameters
+from docdepth.datasets import CameraStream, Dataset
+from docdepth.datasets.times import read_times
+from docdepth.errors import Collector, DatasetError
+from docdepth.io.depth import check_format
+from docdepth.io.poses import read_poses
+from docdepth.pipeline.check_cameras import check_camera
+from docdepth.pipeline.check_resources import check_resources, estimate, gigabytes
+from docdepth.pipeline.check_sweeps import check_sweeps
+from docdepth.pipeline.problems import Findings, Problem, raise_problems
+from docdepth.pipeline.run_inputs import known_poses, open_inputs
+from docdepth.render.layers import check_layers
+
+__all__ = ["Problem", "Report", "check_inputs", "check_opened", "raise_problems", "report_inputs"]
+
+
+@dataclass(frozen=True)
+class Report:
+    """What the checks found.
+
+    Attributes
+    ----------
+    problems : list of Problem
+        Errors first; empty if all is well.
+    summary : str
+        Sweeps, cameras, memory and disk by estimate; empty if the recording cannot be opened.
+    """
+
+    problems: list[Problem]
+    summary: str
+
+
+def check_inputs(
+    source: dict[str, Any], parameters: Parameters, output: Path | None = None
+) -> list[Problem]:
+    """Find all problems of the inputs of a run.
+
+    Parameters
+    ----------
+    source : dict
+        As :func:`docdepth.pipeline.run_inputs.open_inputs` takes it.
+    parameters : Parameters
+    output : Path, optional
+        The run folder, if it is known.
+
+    Returns
+    -------
+    list of Problem
+        Errors first; empty if all is well.
+    """
+    return report_inputs(source, parameters, output).problems
+
+
+def report_inputs(
+    source: dict[str, Any], parameters: Parameters, output: Path | None = None
+) -> Report:
+    """The same with a summary."""
+    found = Findings()
+    opened = None
+    with found.collected():
+        opened = open_inputs(source)
+    if opened is not None:
+        return check_opened(source, *opened, parameters, output)
+    _check_files_of_options(source, found)
+    _check_parameters(parameters, found)
+    if output is not None:
+        check_output(output, [], Path(source["dataset"]), found)
+    return Report(found.all(), "")
+
+
+def check_opened(
+    source: dict[str, Any],
+    recording: Dataset,
+    cameras: list[CameraStream],
+    parameters: Parameters,
+    output: Path | None = None,
+) -> Report:
+    """The same for inputs that are open already."""
+    found = Findings()
+    _check_parameters(parameters, found)
+    with found.collected():
+        known_poses(source, recording)
+    files = [recording.sweep_files(k) for k in range(len(recording))]
+    sweeps = check_sweeps(recording, files, _sizes(files), parameters, found)
+    for stream in cameras:
+        check_camera(recording, stream, sweeps, found)
+    if output is not None:
+        folders = sorted({file.parent for file in files[0]}) if files else []
+        check_output(output, folders, recording.path, found)
+    points = [len(sweep.points) for sweep in sweeps.values()] or [0]
+    needed = estimate(max(points), int(len(files) * np.median(points)), cameras, parameters)
+    check_resources(needed, cameras, output, found)
+    seen = ", ".join(f"{s.name} ({len(s.names)} images)" for s in cameras)
+    summary = (
+        f"{len(recording)} sweeps of {np.median(points):.0f} points, cameras {seen}; by estimate "
+        f"{gigabytes(needed.memory)} of memory and {gigabytes(needed.disk)} on disk"
+    )
+    return Report(found.all(), summary)
+
+
+def _sizes(files: list[list[Path]]) -> np.ndarray[Any, np.dtype[np.int64]]:
+    """Bytes of the first file of each sweep; 0 where it cannot be read."""
+    return np.array([_size(of_sweep[0]) if of_sweep else 0 for of_sweep in files], np.int64)
+
+
+def _size(file: Path) -> int:
+    try:
+        return file.stat().st_size
+    except OSError:
+        return 0
+
+
+def _check_files_of_options(source: dict[str, Any], found: Collector) -> None:
+    """Files that options name, where the recording itself cannot be opened."""
+    with found.collected():
+        if source["camera_times"]:
+            read_times(Path(source["camera_times"]))
+    with found.collected():
+        if source["poses"]:
+            read_poses(Path(source["poses"]))
+
+
+def _check_parameters(parameters: Parameters, found: Collector) -> None:
+    """What only the last stage would refuse, and packages that are missing."""
+    for format in parameters.output.format:
+        with found.collected():
+            check_format(format, parameters.output.scale, parameters.render.max_depth)
+    with found.collected():
+        check_layers(parameters.output.layers, parameters.render)
+
+
+def check_output(output: Path, sweeps: list[Path], recording: Path, found: Collector) -> None:
+    with found.collected():
+        if output.is_symlink() and not output.exists():
+            raise DatasetError(
+                f"{output} is a link to {output.readlink()}, which is missing; name another folder"
+            )
+        existing = next(p for p in [output.absolute(), *output.absolute().parents] if p.exists())
+        if not existing.is_dir():
+            raise DatasetError(f"{existing} is a file; name a folder for the run")
+        if not os.access(existing, os.W_OK | os.X_OK):
+            raise DatasetError(f"{existing} cannot be written to; name another folder for the run")
+        place = output.resolve()
+        for folder in [*sweeps, recording]:
+            there = folder.resolve()
+            if place == there or (folder in sweeps and there in place.parents):
+                raise DatasetError(
+                    f"{output} lies in the recording ({folder}); name another folder for the run"
+                )

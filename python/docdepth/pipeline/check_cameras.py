@@ -1,0 +1,168 @@
+"""Checks of a camera: its images, times, intrinsics and extrinsics."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets import CameraStream, Dataset, Sweep, usable_points
+from docdepth.datasets.files import unreadable
+from docdepth.errors import DatasetError
+from docdepth.pipeline.alignment import find_misalignment
+from docdepth.pipeline.check_sweeps import sample
+from docdepth.pipeline.problems import Findings
+
+_IMAGES = 6  # that are opened
+_OUTSIDE = 0.2  # share of the images outside the sweeps that is worth a word
+_FIELDS_DEG = (10.0, 170.0)  # of view of pinhole cameras
+_FOCAL_RATIO = 2.0  # of fx and fy
+_CENTRE = (0.2, 0.8)  # where the principal point lies, as a share of the image
+_LEVER_ARM = 3.0  # metres between camera and LiDAR of a car
+_DOWN_DEG = 60.0  # between the image's y axis and the direction down in the frame of the LiDAR
+_FEWEST_SEEN = 0.005  # share of the points that a camera of 20 degrees sees
+_COLUMNS = 32  # that an image is divided in
+_REACHED = 0.3  # share of them that the sweeps reach
+
+
+def check_camera(
+    recording: Dataset, stream: CameraStream, sweeps: dict[int, Sweep], found: Findings
+) -> None:
+    """Check one camera of a recording against sweeps that were read."""
+    before = len(found.errors)
+    _check_images(stream, found)
+    with found.collected():
+        _check_times(recording, stream, found)
+    _check_intrinsics(stream, found)
+    sound = _check_extrinsics(recording, stream, sweeps, found)
+    if sound and stream.images and len(found.errors) == before:
+        with found.collected():
+            misfit = find_misalignment(recording, stream)
+            if misfit:
+                found.warn(
+                    f"{stream.name}: {misfit}; check {_extrinsics_of(recording)}, the intrinsics, "
+                    "and the times of the images"
+                )
+
+
+def _check_images(stream: CameraStream, found: Findings) -> None:
+    """All images are files with content; some can be opened and fit the camera."""
+    for image in stream.images:
+        try:
+            empty = image.stat().st_size == 0
+        except OSError:
+            empty = True
+        if empty:
+            with found.collected():
+                if image.is_file():
+                    raise DatasetError(f"{image} is empty; copy the image again or remove it")
+                raise unreadable(image, "put the image back")
+            return
+    for index in sample(len(stream.images), _IMAGES) if stream.images else []:
+        with found.collected():
+            stream.rectified_image(index)
+
+
+def _check_times(recording: Dataset, stream: CameraStream, found: Findings) -> None:
+    times = recording.times
+    inside = (stream.times >= times[0]) & (stream.times <= times[-1])
+    spans = (
+        f"images are from {_seconds(stream.times[0])} to {_seconds(stream.times[-1])} s, sweeps "
+        f"from {_seconds(times[0])} to {_seconds(times[-1])} s"
+        if len(stream.times)
+        else "there is no image"
+    )
+    if not inside.any():
+        raise DatasetError(
+            f"none of the {len(stream.names)} images of {stream.name} lies between the first and "
+            f"the last sweep ({spans}); are camera and LiDAR on one clock? See --camera-times"
+        )
+    outside = int((~inside).sum())
+    if outside > max(2, _OUTSIDE * len(inside)):
+        found.warn(
+            f"{stream.name}: {outside} of {len(inside)} images lie outside the sweeps and get no "
+            f"depth map ({spans}); see --camera-times if the clocks differ"
+        )
+
+
+def _seconds(time: np.int64) -> str:
+    return f"{int(time) / 1e9:.3f}"
+
+
+def _check_intrinsics(stream: CameraStream, found: Findings) -> None:
+    camera = stream.camera
+    fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
+    size = f"{camera.width} x {camera.height}"
+    for name, length, focal in (("wide", camera.width, fx), ("high", camera.height, fy)):
+        field = float(np.degrees(2 * np.arctan(length / (2 * focal))))
+        if not field < _FIELDS_DEG[1] or (name == "wide" and field < _FIELDS_DEG[0]):
+            found.warn(
+                f"{stream.name}: the field of view is {field:.0f} degrees {name} (focal length "
+                f"{focal:.1f} pixels, image {size}); is the image size right?"
+            )
+    if not 1 / _FOCAL_RATIO < fx / fy < _FOCAL_RATIO:
+        found.warn(
+            f"{stream.name}: focal lengths {fx:.1f} and {fy:.1f} pixels differ more than pixels of "
+            "a camera do; check K"
+        )
+    if not all(_CENTRE[0] < c < _CENTRE[1] for c in (cx / camera.width, cy / camera.height)):
+        found.warn(
+            f"{stream.name}: the principal point ({cx:.1f}, {cy:.1f}) lies far from the centre of "
+            f"the {size} image; is the image size right?"
+        )
+
+
+def _check_extrinsics(
+    recording: Dataset, stream: CameraStream, sweeps: dict[int, Sweep], found: Findings
+) -> bool:
+    """Warn of an implausible place or direction; True if there is nothing to warn of."""
+    warned = len(found.warnings)
+    where = _extrinsics_of(recording)
+    distance = float(np.linalg.norm(stream.T_camera_lidar[:3, 3]))
+    if distance > _LEVER_ARM:
+        found.warn(
+            f"{stream.name}: camera and LiDAR are {distance:.1f} m apart; is {where} in metres?"
+        )
+    down_deg = float(np.degrees(np.arccos(np.clip(-stream.T_camera_lidar[1, 2], -1, 1))))
+    if down_deg > _DOWN_DEG:
+        found.warn(
+            f"{stream.name}: the y axis of the image points {down_deg:.0f} degrees away from down "
+            f"in the frame of the LiDAR; {where} takes points of the LiDAR (x forward, y left, z "
+            "up) to the camera (x right, y down, z forward): are its axes in this order, or is it "
+            "the inverse?"
+        )
+    seen, columns = _seen(stream, sweeps)
+    if sweeps and seen < _FEWEST_SEEN:
+        found.warn(
+            f"{stream.name}: {100 * seen:.1f} % of the points of the sweeps fall into the image; "
+            f"check {where}"
+        )
+    elif sweeps and columns < _REACHED:
+        found.warn(
+            f"{stream.name}: sweeps reach {100 * columns:.0f} % of the width of the image; "
+            f"check {where}"
+        )
+    return len(found.warnings) == warned
+
+
+def _seen(stream: CameraStream, sweeps: dict[int, Sweep]) -> tuple[float, float]:
+    """Share of the points that fall into the image, and of its columns that they reach."""
+    camera, shares = stream.camera, []
+    reached: NDArray[np.bool_] = np.zeros(_COLUMNS, np.bool_)
+    for sweep in sweeps.values():
+        points = sweep.points[usable_points(sweep.points)]
+        x, y, z = (points @ stream.T_camera_lidar[:3, :3].T + stream.T_camera_lidar[:3, 3]).T
+        x, y, z = x[z > 0.1], y[z > 0.1], z[z > 0.1]
+        u = camera.K[0, 0] * x / z + camera.K[0, 2]
+        v = camera.K[1, 1] * y / z + camera.K[1, 2]
+        inside = (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
+        reached[(u[inside] * _COLUMNS / camera.width).astype(int)] = True
+        shares.append(inside.sum() / max(len(points), 1))
+    return float(np.mean(shares)) if shares else 0.0, float(reached.mean())
+
+
+def _extrinsics_of(recording: Dataset) -> str:
+    """Where the extrinsics of a recording stand."""
+    if (recording.path / "calib.txt").is_file():
+        return f"Tr in {recording.path / 'calib.txt'}"
+    raw = recording.path.parent / "calib_velo_to_cam.txt"
+    return f"R and T in {raw}" if raw.is_file() else f"the extrinsics of {recording.path}"

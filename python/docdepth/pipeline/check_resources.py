@@ -1,0 +1,143 @@
+"""Memory and disk that a run needs by estimate, and whether they are there."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from docdepth.config import Parameters
+from docdepth.datasets import CameraStream
+from docdepth.errors import CalibrationError
+from docdepth.pipeline.problems import Findings
+
+_BASE = 200_000_000  # bytes of the program
+_BYTES_PER_POINT = 5000  # of a sweep: some 60 of them are in memory to draw an image
+_BYTES_PER_PIXEL = 45  # of an image
+_FRAME_BYTES = 29  # of a point in frames/*.ply
+_PICTURE_BYTES = 0.3  # of a pixel in report/*.jpg
+_LAYER_BYTES = 4.0  # of a pixel of a layer
+_FORMAT_BYTES = {"png": 1.2, "exr": 2.5, "exr-half": 1.5, "tiff": 3.5, "npz": 3.0, "npy": 4.0}
+_CGROUP = Path("/sys/fs/cgroup")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a run needs, in bytes."""
+
+    memory: int
+    disk: int
+
+
+def estimate(
+    points: int, all_points: int, cameras: Sequence[CameraStream], parameters: Parameters
+) -> Estimate:
+    """Estimate memory and disk.
+
+    Parameters
+    ----------
+    points : int
+        Of the largest sweep.
+    all_points : int
+        Of all sweeps.
+    cameras : sequence of CameraStream
+    parameters : Parameters
+    """
+    output = parameters.output
+    pixel = sum(_FORMAT_BYTES.get(format, 4.0) for format in output.format) + _PICTURE_BYTES
+    pixel += _LAYER_BYTES * len(output.layers)
+    sizes = [camera.camera.width * camera.camera.height for camera in cameras]
+    images = sum(size * len(c.times) for size, c in zip(sizes, cameras, strict=True))
+    memory = _BASE + _BYTES_PER_POINT * points + _BYTES_PER_PIXEL * max(sizes, default=0)
+    return Estimate(memory, int(_FRAME_BYTES * all_points + pixel * images))
+
+
+def check_resources(
+    needed: Estimate, cameras: Sequence[CameraStream], output: Path | None, found: Findings
+) -> None:
+    """Compare an estimate with what the machine has."""
+    before = len(found.errors)
+    for stream in cameras:
+        with found.collected():
+            check_image_size(stream.camera.width, stream.camera.height, stream.name)
+    memory = available_memory()
+    if len(found.errors) == before and memory is not None and needed.memory > memory:
+        found.error(
+            f"the run needs {gigabytes(needed.memory)} of memory for these sweeps and images by "
+            f"estimate, {gigabytes(memory)} are free; end other programs or take another machine"
+        )
+    if output is None:
+        return
+    existing = next(p for p in [output.absolute(), *output.absolute().parents] if p.is_dir())
+    free = shutil.disk_usage(existing).free + _used(output)
+    if needed.disk > free:
+        found.error(
+            f"{output}: the run writes {gigabytes(needed.disk)} by estimate, "
+            f"{gigabytes(free)} are free there; make room or name another disk"
+        )
+
+
+def check_image_size(width: int, height: int, name: str = "the image") -> None:
+    """Refuse images that cannot be held in memory, also of virtual cameras.
+
+    Raises
+    ------
+    CalibrationError
+        An image of this size needs more memory than there is.
+    """
+    needed, memory = _BASE + _BYTES_PER_PIXEL * width * height, available_memory()
+    if memory is not None and needed > memory:
+        raise CalibrationError(
+            f"{name}: {width} x {height} pixels need {gigabytes(needed)} of memory by estimate, "
+            f"{gigabytes(memory)} are free; give a smaller image size"
+        )
+
+
+def available_memory() -> int | None:
+    """Bytes of memory that a program can still take; None if the system does not tell."""
+    free = [_free_of_machine(), _free_of_group()]
+    return min((value for value in free if value is not None), default=None)
+
+
+def _free_of_machine() -> int | None:
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return 1024 * int(line.split()[1])
+    except (OSError, ValueError, IndexError):
+        pass
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (ValueError, OSError, AttributeError):
+        return None
+
+
+def _free_of_group() -> int | None:
+    """Of a container: its limit less what it holds and cannot give back."""
+    try:
+        limit = int((_CGROUP / "memory.max").read_text())
+        used = int((_CGROUP / "memory.current").read_text())
+        rows = (line.split() for line in (_CGROUP / "memory.stat").read_text().splitlines())
+        cached = sum(int(value) for key, value in rows if key in ("active_file", "inactive_file"))
+    except (OSError, ValueError):
+        return None
+    return max(0, limit - used + cached)
+
+
+def _used(folder: Path) -> int:
+    """Bytes that a run which goes on has written already."""
+    total = 0
+    for place, _, files in os.walk(folder):
+        for file in files:
+            try:
+                total += os.lstat(os.path.join(place, file)).st_size
+            except OSError:
+                continue
+    return total
+
+
+def gigabytes(count: int) -> str:
+    """A number of bytes as people read it."""
+    return f"{count / 1e9:.1f} GB"

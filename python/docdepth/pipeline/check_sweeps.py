@@ -1,0 +1,150 @@
+"""Checks of the sweeps: some are opened, the sizes of all are compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.config import Parameters
+from docdepth.datasets import Dataset, Sweep, usable_points
+from docdepth.errors import DatasetError
+from docdepth.pipeline.problems import Findings
+
+SAMPLES = 10
+"""Sweeps and images that are opened: the first, the last, and some between."""
+
+_FEWEST_POINTS = 100  # of a sweep; a LiDAR of one plane has more
+_ONE_PLACE = 1.0  # metres within which no sweep has all its points
+_FARTHEST = 250.0  # metres; half of the points of no sweep lie farther away
+_GAP = 0.2  # share of rows in one piece that are not finite
+_SMALL = 0.2  # share of the usual size below which a sweep is partial
+_LATE = 1.5  # durations of a sweep after its stamp; no point is measured later
+_PERIODS = (0.005, 5.0)  # seconds between sweeps
+_REGISTERED = 0.05  # share of the points within the ranges that odometry takes
+
+
+def sample(count: int, most: int = SAMPLES) -> list[int]:
+    """Indices spread over ``range(count)``, with the first and the last."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
+
+
+def check_sweeps(
+    recording: Dataset,
+    files: list[list[Path]],
+    sizes: NDArray[np.int64],
+    parameters: Parameters,
+    found: Findings,
+) -> dict[int, Sweep]:
+    """Check times, sizes and sampled sweeps; returns those that could be read."""
+    _check_period(recording, found)
+    _check_sizes(recording, files, sizes, found)
+    opened: dict[int, Sweep] = {}
+    for index in sample(len(recording)):
+        with found.collected():
+            sweep = recording.sweep(index)
+            place = f"{files[index][0] if files[index] else sweep.name} (frame {index})"
+            _check_points(sweep, place, found)
+            _check_times(sweep, place)
+            _check_parameters(sweep, place, parameters)
+            opened[index] = sweep
+    return opened
+
+
+def _check_period(recording: Dataset, found: Findings) -> None:
+    if len(recording) < 2:
+        return
+    period = float(np.median(np.diff(recording.times))) * 1e-9
+    if not _PERIODS[0] < period < _PERIODS[1]:
+        found.warn(
+            f"{recording.path}: sweeps are {period:.3g} s apart; a LiDAR takes 0.05 to 0.2 s. "
+            "Are the times in seconds?"
+        )
+
+
+def _check_sizes(
+    recording: Dataset, files: list[list[Path]], sizes: NDArray[np.int64], found: Findings
+) -> None:
+    usual = float(np.median(sizes)) if len(sizes) else 0.0
+    small = np.flatnonzero(sizes < _SMALL * usual)
+    if len(small):
+        first = int(small[0])
+        found.warn(
+            f"{files[first][0]} (frame {first}) has {sizes[first]} bytes, sweeps of "
+            f"{recording.path} usually {usual:.0f}{_more(len(small) - 1)}; copy partial sweeps "
+            "again or remove them"
+        )
+
+
+def _more(count: int) -> str:
+    return f", and {count} more are like it" if count else ""
+
+
+def _check_points(sweep: Sweep, place: str, found: Findings) -> None:
+    usable = usable_points(sweep.points)
+    points = sweep.points[usable]
+    if len(points) < _FEWEST_POINTS:
+        raise DatasetError(
+            f"{place} has {len(points)} usable points of {len(usable)}; "
+            "copy the sweep again, or leave it out of the recording"
+        )
+    if np.ptp(points, axis=0).max() < _ONE_PLACE:
+        x, y, z = np.median(points, axis=0)
+        raise DatasetError(
+            f"{place}: all points lie in one place, ({x:.2f}, {y:.2f}, {z:.2f}) m; coordinates are "
+            "in metres, x y z reflectance as 4 float32"
+        )
+    distance = float(np.median(np.linalg.norm(points.astype(np.float64), axis=1)))
+    if distance > _FARTHEST:
+        raise DatasetError(
+            f"{place}: points lie {distance:.0f} m away (median); coordinates are in metres, in "
+            "the frame of the LiDAR; convert them"
+        )
+    finite = np.isfinite(sweep.points).all(axis=1)
+    begin, length = _longest_run(np.logical_not(finite))
+    if length > _GAP * len(usable):
+        found.warn(
+            f"{place}: {length} of {len(usable)} points in one piece, from row {begin}, are not "
+            "finite; the LiDAR or its recording failed meanwhile: leave the sweep out"
+        )
+
+
+def _longest_run(flags: NDArray[Any]) -> tuple[int, int]:
+    """Begin and length of the longest piece of true flags."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    begins, lengths = edges[::2], edges[1::2] - edges[::2]
+    if not len(begins):
+        return 0, 0
+    longest = int(lengths.argmax())
+    return int(begins[longest]), int(lengths[longest])
+
+
+def _check_times(sweep: Sweep, place: str) -> None:
+    late = sweep.relative_time
+    if late is None or not np.isfinite(late).any():
+        return
+    first, last = float(np.nanmin(late)), float(np.nanmax(late))
+    if first < -_LATE or last > _LATE:
+        raise DatasetError(
+            f"{place}: points are measured {first:.3g} to {last:.3g} sweeps after the stamp; times "
+            "of points are shares of the sweep's duration, -1 to 1"
+        )
+
+
+def _check_parameters(sweep: Sweep, place: str, parameters: Parameters) -> None:
+    """Parameters that leave nothing of the sweep."""
+    odometry = parameters.odometry
+    points = sweep.points[usable_points(sweep.points)]
+    distance = np.linalg.norm(points, axis=1)
+    kept = float(np.mean((distance > odometry.min_range) & (distance < odometry.max_range)))
+    if kept < _REGISTERED:
+        raise DatasetError(
+            f"odometry.min_range={odometry.min_range:g} and max_range={odometry.max_range:g} leave "
+            f"{100 * kept:.0f} % of the points of {place}; set wider ranges"
+        )
+    if odometry.blooming_deg and sweep.intensity is None:
+        raise DatasetError(
+            f"{place} has no intensity, which tells reflectors; leave odometry.blooming_deg at 0"
+        )

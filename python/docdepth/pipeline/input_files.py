@@ -1,0 +1,107 @@
+"""The identity of the files that a run reads: names, sizes, times, and on request the content."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from docdepth.datasets.base import CameraStream, Dataset
+from docdepth.errors import DatasetError
+from docdepth.io.run_folder import RunFolder, stage_key
+
+_Known = dict[str, list[int | str]]
+
+
+class InputFiles:
+    """What is known of the files of a recording.
+
+    Parameters
+    ----------
+    run : RunFolder
+        Its ``source`` says whether contents are hashed (``hash_inputs``). Hashes of files whose
+        size and time have not changed are taken from an earlier command.
+    """
+
+    def __init__(self, run: RunFolder) -> None:
+        self._run = run
+        self._hashed = bool(run.manifest["source"].get("hash_inputs"))
+        self._path = run.notes / "inputs.json"
+        """By name the size, the time and perhaps the hash of each file."""
+        self._before = _read(self._path)
+        self._now: dict[str, _Known] = {}
+
+    def sweeps(self, recording: Dataset) -> str:
+        """Hash of the identity of all files that sweeps are read from."""
+        files = (file for index in range(len(recording)) for file in recording.sweep_files(index))
+        return self._identify("sweeps", files, recording.path)
+
+    def images(self, stream: CameraStream) -> list[str]:
+        """The identity of each image of a camera; empty strings where there are none."""
+        if not stream.images:
+            return [""] * len(stream.names)
+        name = f"images of {stream.name}"
+        self._identify(name, stream.images, stream.images[0].parent)
+        return [stage_key(self._identity(known)) for known in self._now[name].values()]
+
+    def changed(self, what: str = "sweeps") -> list[str]:
+        """Names of files that differ from those that were saved."""
+        before, now = self._before.get(what, {}), self._now.get(what, {})
+        return sorted(
+            name
+            for name in before.keys() | now.keys()
+            if name not in before
+            or name not in now
+            or self._identity(before[name]) != self._identity(now[name])
+        )
+
+    def save(self) -> None:
+        """Write what is known now."""
+        if {**self._before, **self._now} == self._before:
+            return
+        text = json.dumps({**self._before, **self._now}, indent=0).encode()
+        self._run.write(self._path, lambda stream: stream.write(text), {})
+        self._before = {**self._before, **self._now}
+
+    def _identify(self, what: str, files: Iterable[Path], root: Path) -> str:
+        before, now = self._before.get(what, {}), {}
+        for file in files:
+            name = os.path.relpath(file, root)
+            try:
+                known = file.stat()
+                entry: list[int | str] = [known.st_size, known.st_mtime_ns]
+                if self._hashed:
+                    same = before.get(name, [])[:2] == entry and len(before[name]) > 2
+                    entry.append(before[name][2] if same else _hash(file))
+            except OSError as error:
+                raise DatasetError(
+                    f"{file} cannot be read: {error.strerror}; put it back"
+                ) from None
+            now[name] = entry
+        self._now[what] = now
+        return stage_key([[name, self._identity(entry)] for name, entry in now.items()])
+
+    def _identity(self, entry: list[int | str]) -> list[int | str]:
+        """Size and time, or size and hash."""
+        return [entry[0], entry[2]] if self._hashed and len(entry) > 2 else entry[:2]
+
+
+def _read(path: Path) -> dict[str, _Known]:
+    try:
+        found = json.loads(path.read_text())
+        return {
+            what: {name: list(entry) for name, entry in files.items()}
+            for what, files in found.items()
+        }
+    except (OSError, ValueError, AttributeError, TypeError):
+        return {}
+
+
+def _hash(file: Path) -> str:
+    found = hashlib.sha256()
+    with file.open("rb") as stream:
+        while data := stream.read(1 << 22):
+            found.update(data)
+    return found.hexdigest()

@@ -1,0 +1,221 @@
+"""What the command line offers: help, names, completion, configuration files, JSON, silence."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+import typer
+import yaml
+
+from command_line import cli
+from docdepth.cli import app
+from docdepth.cli.config_file import read_config
+from docdepth.cli.names import FORMATS, LAYERS, LAYOUTS, PRESETS, RENDERERS, SCENE_NAMES
+from docdepth.config import Parameters, parameters
+from docdepth.datasets import _FORMATS as LAYOUT_CLASSES
+from docdepth.io.run_folder import RunFolder
+
+
+def commands(group=None, path=()):
+    group = group or typer.main.get_command(app)
+    yield " ".join(path), group
+    for name, child in getattr(group, "commands", {}).items():
+        yield from commands(child, (*path, name))
+
+
+@pytest.mark.parametrize(("name", "command"), [pytest.param(n, c, id=n) for n, c in commands()])
+def test_every_option_says_what_it_is_for(name, command):
+    if name == "sweep":  # the old name of tune
+        return
+    assert command.help
+    for parameter in command.params:
+        assert parameter.help, f"{name} {parameter.name}"
+        assert len(parameter.help.split()) >= 3, f"{name} {parameter.name}: {parameter.help}"
+
+
+@pytest.mark.parametrize("words", [["-h"], ["run", "-h"], ["evaluate", "-h"], ["render", "--help"]])
+def test_help_has_a_short_name(docdepth, words):
+    ended = docdepth(*words)
+    assert ended.code == 0
+    assert "Usage: docdepth" in ended.out
+
+
+@pytest.mark.parametrize(
+    ("verb", "names"),
+    [
+        ("run", [*LAYOUTS, *FORMATS, *LAYERS, *PRESETS, *RENDERERS]),
+        ("synth", [*SCENE_NAMES, "HDL-64", "VLP-16"]),
+        ("evaluate depth", ["valid", "kitti"]),
+    ],
+)
+def test_help_lists_the_values(docdepth, monkeypatch, verb, names):
+    monkeypatch.setenv("COLUMNS", "300")
+    text = docdepth(*verb.split(), "-h").out
+    assert [name for name in names if name not in text] == []
+
+
+def test_layouts_are_those_of_datasets():
+    assert set(LAYOUTS) == set(LAYOUT_CLASSES)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["synth", "out", "--scene", "town"], "'town' is unknown; there are city"),
+        (["synth", "out", "--sensor", "VLP16"], "did you mean VLP-16?"),
+        (["run", "d", "-o", "r", "--dataset", "kiti"], "'kiti' is unknown; there are kitti_raw"),
+        (["run", "d", "-o", "r", "--layers", "class,tiem"], "did you mean time?"),
+        (["run", "d", "-o", "r", "--renderer", "opengl"], "'opengl' is unknown"),
+        (["evaluate", "depth", "r", "--depth", "d", "--mode", "x"], "there are valid, kitti"),
+        (["parameters", "rendr"], "did you mean render?"),
+        (["video", "r", "--fps", "1e9"], "1000"),
+    ],
+)
+def test_an_unknown_name_is_answered_with_the_known_ones(docdepth, words, message):
+    ended = docdepth(*words)
+    assert ended.code == 2
+    assert message in ended.err
+    assert len(ended.err.splitlines()) == 1
+
+
+def test_names_are_understood_with_dash_or_underline_and_any_capitals(drive, tmp_path):
+    result = cli(
+        "run", drive, "-o", tmp_path / "run",
+        "--dataset", "KITTI-odometry", "--format", "NPY,exr-half",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    folder = RunFolder.open(tmp_path / "run")
+    assert folder.manifest["source"]["name"] == "kitti_odometry"
+    assert folder.parameters.output.format == ("npy", "exr-half")
+
+
+def test_completion_knows_verbs_options_and_values():
+    def complete(line: str) -> list[str]:
+        surroundings = {
+            **os.environ,
+            "_DOCDEPTH_COMPLETE": "complete_bash",
+            "COMP_WORDS": line,
+            "COMP_CWORD": str(len(line.split(" ")) - 1),
+        }
+        code = "import sys; sys.argv = ['docdepth']; from docdepth.cli import main; main()"
+        command = [sys.executable, "-c", code]
+        return subprocess.run(
+            command, env=surroundings, capture_output=True, text=True
+        ).stdout.split()
+
+    assert "parameters" in complete("docdepth par")
+    assert complete("docdepth synth --scene ") == list(SCENE_NAMES)
+    assert complete("docdepth run --format png,exr") == ["png,exr-half", "png,exr"]
+    assert "--image-size" in complete("docdepth run --im")
+
+
+def test_completion_can_be_installed(docdepth):
+    ended = docdepth("-h")
+    assert "--install-completion" in ended.out
+
+
+def test_parameters_are_listed(docdepth):
+    rows = json.loads(docdepth("parameters", "--json").out)
+    names = {f"{s}.{n}" for s, g in Parameters() if s != "preset" for n, _ in g}
+    assert {row["name"] for row in rows} == names
+    text = docdepth("parameters", "dynamics").out
+    assert "dynamics.coarse_radius  80 m, paper 50; allowed:" in text
+    assert "render.step" not in text
+
+
+def test_quiet_says_nothing_and_verbose_more(docdepth, drive, tmp_path):
+    ended = docdepth("run", drive, "-o", tmp_path / "run", "-q")
+    assert ended == (0, "", "")
+    assert docdepth("--quiet", "classify", tmp_path / "run") == (0, "", "")
+    table = docdepth("evaluate", "labels", tmp_path / "run", "--labels", drive, "-q")
+    assert "SA" in table.out
+    assert table.err == ""
+    assert docdepth("run", drive, "-o", tmp_path / "run", "--set", "x.y=1", "-q").err != ""
+
+
+def test_a_run_is_told_in_json(docdepth, drive, tmp_path):
+    ended = docdepth("run", drive, "-o", tmp_path / "run", "--json")
+    told = json.loads(ended.out)
+    assert set(told["stages"]) >= {"odometry", "classify"}
+    assert told["run"] == str(tmp_path / "run")
+    assert 0.5 < told["cameras"]["image_2"]["density"] < 1
+    assert "odometry" in ended.err  # progress
+
+
+class TestConfig:
+    def write(self, folder, tree):
+        path = folder / "config.yaml"
+        path.write_text(yaml.safe_dump(tree))
+        return path
+
+    def test_a_file_sets_parameters_and_options_win(self, drive, tmp_path):
+        config = self.write(
+            tmp_path,
+            {"preset": "paper", "dynamics": {"tolerance": 0.3, "window": 3}, "output.scale": 128},
+        )
+        result = cli(
+            "run", drive, "-o", tmp_path / "run", "--config", config,
+            "--set", "dynamics.window=7", "--scale", "200",
+        )  # fmt: skip
+        assert result.exit_code == 0, result.output
+        wanted = {"dynamics.tolerance": 0.3, "dynamics.window": 7, "output.scale": 200.0}
+        assert RunFolder.open(tmp_path / "run").parameters == parameters("paper", wanted)
+
+    def test_the_file_of_a_run_repeats_it(self, drive, tmp_path):
+        first, second = tmp_path / "first", tmp_path / "second"
+        options = ["--set", "dynamics.tolerance=0.3", "--camera", "image_2", "--format", "npy"]
+        assert cli("run", drive, "-o", first, *options).exit_code == 0
+        result = cli("run", "--config", first / "run.yaml", "-o", second)
+        assert result.exit_code == 0, result.output
+        one, two = RunFolder.open(first), RunFolder.open(second)
+        assert one.parameters == two.parameters
+        assert one.manifest["source"] == two.manifest["source"]
+        for path in sorted((first / "depth").glob("*.npy")):
+            assert path.read_bytes() == (second / "depth" / path.name).read_bytes()
+
+    def test_another_preset_replaces_that_of_a_run_but_not_what_was_set(self, finished, tmp_path):
+        run = tmp_path / "run"
+        shutil.copytree(finished[0], run)
+        tree = yaml.safe_load((run / "run.yaml").read_text())
+        tree["parameters"]["dynamics"]["tolerance"] = 0.3
+        given = read_config(self.write(tmp_path, tree))
+        assert given.settings == {"dynamics.tolerance": 0.3}
+        assert given.source["dataset"]
+
+    def test_an_explicit_value_stays_with_another_preset(self, tmp_path):
+        given = read_config(self.write(tmp_path, {"dynamics": {"coarse_radius": 80}}))
+        assert parameters("paper", given.settings).dynamics.coarse_radius == 80
+
+    @pytest.mark.parametrize(
+        ("tree", "message"),
+        [
+            ({"odometri": {"max_range": 80}}, "odometri"),
+            ({"odometry": {"max_rage": 80}}, "max_rage"),
+            ({"odometry": {"max_range": -1}}, "odometry.max_range"),
+            ({"odometry": 3}, "odometry"),
+            ({"preset": "best"}, "best"),
+            ({"preset": ["default"]}, "preset"),
+            ({"source": {}, "parameters": 3}, "damaged run.yaml"),
+            ({"source": {"dataset": 3}, "parameters": {}}, "damaged run.yaml"),
+            ({"source": None}, "damaged run.yaml"),
+            ({3: 4}, "3"),
+            ("text", "holds no parameters"),
+        ],
+    )
+    def test_a_wrong_file_is_named(self, docdepth, drive, tmp_path, tree, message):
+        config = self.write(tmp_path, tree)
+        ended = docdepth("run", drive, "-o", tmp_path / "run", "--config", config)
+        assert ended.code == 2
+        assert str(config) in ended.err
+        assert message in ended.err
+        assert not (tmp_path / "run").exists()
+
+    def test_without_a_recording_the_command_says_so(self, docdepth, tmp_path):
+        ended = docdepth("run", "-o", tmp_path / "run")
+        assert ended.code == 2
+        assert "no recording" in ended.err

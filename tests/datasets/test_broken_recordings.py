@@ -1,0 +1,194 @@
+"""All problems of a recording are told together; what cannot be read is named."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from docdepth.datasets import FrameRange, open_dataset
+from docdepth.errors import (
+    CalibrationError,
+    Collector,
+    ConfigError,
+    DatasetError,
+    SeveralProblems,
+)
+
+
+@pytest.fixture
+def copy(drive: Path, tmp_path: Path) -> Path:
+    """A synthetic sequence of five sweeps that may be broken."""
+    return Path(shutil.copytree(drive, tmp_path / "out" / "sequences" / "00"))
+
+
+def test_all_problems_of_a_sequence_are_told_together(copy: Path) -> None:
+    with (copy / "velodyne" / "000003.bin").open("r+b") as sweep:
+        sweep.truncate(1001)
+    times = (copy / "times.txt").read_text().split()
+    (copy / "times.txt").write_text("\n".join([times[1], times[0], *times[2:]]))
+    text = (copy / "calib.txt").read_text().splitlines()
+    rows = [line for line in text if not line.startswith("Tr")] + ["Tr: 5 0 0 0 0 1 0 0 0 0 1 0"]
+    (copy / "calib.txt").write_text("\n".join(rows))
+    (copy / "image_2" / "size.txt").write_text("wide")
+    with pytest.raises(SeveralProblems) as caught:
+        open_dataset(copy)
+    assert len(caught.value.problems) == 3
+    text = str(caught.value)
+    assert text.startswith("3 problems:\n  ")
+    for part in ("000003.bin (frame 3) has 1001 bytes", "is not after that of frame 0", "'Tr:'"):
+        assert part in text
+
+
+def test_all_problems_of_a_raw_drive_are_told_together(tmp_path: Path) -> None:
+    drive = tmp_path / "2011_09_26" / "2011_09_26_drive_0001_sync"
+    (drive / "velodyne_points" / "data").mkdir(parents=True)
+    np.zeros(10, np.uint8).tofile(drive / "velodyne_points" / "data" / "0000000000.bin")
+    with pytest.raises(SeveralProblems) as caught:
+        open_dataset(drive)
+    names = ("0000000000.bin", "timestamps.txt", "calib_velo_to_cam.txt", "calib_cam_to_cam.txt")
+    assert len(caught.value.problems) == len(names)
+    for name, problem in zip(names, caught.value.problems, strict=True):
+        assert name in problem
+
+
+def test_one_problem_stays_a_sentence_of_its_class(copy: Path) -> None:
+    (copy / "calib.txt").unlink()
+    with pytest.raises(CalibrationError, match=r"^[^\n]*calib.txt is missing; [^\n]*$") as caught:
+        open_dataset(copy)
+    assert not isinstance(caught.value, SeveralProblems)
+
+
+def test_a_collector_goes_on_after_errors_of_docdepth_alone() -> None:
+    problems = Collector()
+    for text in ("first", "second", "first"):
+        with problems.collected():
+            raise ConfigError(text)
+    with pytest.raises(SeveralProblems, match=r"^2 problems:\n  first\n  second$"):
+        problems.raise_errors()
+    with pytest.raises(ZeroDivisionError), problems.collected():
+        raise ZeroDivisionError
+    Collector().raise_errors()
+
+
+def test_many_broken_sweeps_are_one_problem(copy: Path) -> None:
+    for file in (copy / "velodyne").iterdir():
+        file.write_bytes(b"")
+    with pytest.raises(DatasetError, match=r"000000.bin \(frame 0\) is empty.*and 4 more sweeps"):
+        open_dataset(copy)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["velodyne/000002.bin", "times.txt", "calib.txt", "poses.txt", "docdepth.yaml"]
+    + ["image_2/times.txt", "image_2/distortion.txt", "image_2/000000.png"],
+)
+@pytest.mark.parametrize("kind", ["dangling link", "folder"])
+def test_links_that_lead_nowhere_and_folders_are_named(copy: Path, name: str, kind: str) -> None:
+    file = copy / name
+    if file.exists():
+        file.unlink()
+    if kind == "folder":
+        file.mkdir()
+    else:
+        file.symlink_to(copy / "gone")
+    text = "is a folder where a file" if kind == "folder" else "is a link to .*gone"
+    with pytest.raises((DatasetError, CalibrationError), match=f"{Path(name).name}.* {text}"):
+        open_dataset(copy)
+
+
+@pytest.mark.parametrize("name", ["labels/000002.label", "point_times/000002.bin"])
+def test_links_beside_a_sweep_that_lead_nowhere_are_named(copy: Path, name: str) -> None:
+    (copy / name).parent.mkdir(exist_ok=True)
+    (copy / name).unlink(missing_ok=True)
+    (copy / name).symlink_to(copy / "gone")
+    recording = open_dataset(copy)
+    with pytest.raises(DatasetError, match=r"000002.* is a link to"):
+        recording.labels(2) if "labels" in name else recording.sweep(2)
+
+
+def test_files_that_may_not_be_read(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Who runs the tests as root may read all.
+    read = Path.read_bytes
+
+    def refuse(path: Path) -> bytes:
+        if path.name == "calib.txt":
+            raise PermissionError(13, "Permission denied", str(path))
+        return read(path)
+
+    monkeypatch.setattr(Path, "read_bytes", refuse)
+    with pytest.raises(CalibrationError, match=r"calib.txt may not be read.*permissions"):
+        open_dataset(copy)
+
+
+def test_an_image_whose_path_is_no_text(copy: Path, drive: Path) -> None:
+    name = bytes(copy / "image_2") + b"/00000\xff.png"
+    (copy / "image_2" / "000003.png").rename(os.fsdecode(name))
+    image = open_dataset(copy).cameras["image_2"].rectified_image(3)
+    assert image is not None
+    stream = open_dataset(drive).cameras["image_2"]
+    np.testing.assert_array_equal(image, stream.rectified_image(3))
+
+
+# ---- a folder that holds recordings
+
+
+def test_a_folder_with_one_recording_below_is_understood(copy: Path) -> None:
+    assert open_dataset(copy.parents[1]).path == copy
+    assert open_dataset(copy.parents[1], "kitti_odometry").path == copy
+
+
+def test_a_folder_with_several_recordings_names_them(copy: Path) -> None:
+    shutil.copytree(copy, copy.parent / "01")
+    with pytest.raises(DatasetError, match=r"holds 2 recordings; name one of .*/00, .*/01$"):
+        open_dataset(copy.parents[1])
+
+
+def test_a_run_beside_a_recording_is_no_second_one(copy: Path) -> None:
+    (copy.parents[1] / "run" / "frames").mkdir(parents=True)
+    (copy.parents[1] / "run" / "traj_odometry.ply").write_text("")
+    assert open_dataset(copy.parents[1]).path == copy
+
+
+# ---- a range of frames
+
+
+@pytest.mark.parametrize(
+    ("frames", "first", "count"), [("1:3", 1, 2), (":2", 0, 2), ("3:", 3, 2), ("2:99", 2, 3)]
+)
+def test_a_range_of_frames(drive: Path, frames: str, first: int, count: int) -> None:
+    whole, part = open_dataset(drive), open_dataset(drive, frames=frames)
+    assert isinstance(part, FrameRange)
+    assert len(part) == count
+    last = first + count - 1
+    np.testing.assert_array_equal(part.times, whole.times[first : last + 1])
+    assert part.poses is not None
+    assert whole.poses is not None
+    np.testing.assert_array_equal(part.poses, whole.poses[first : last + 1])
+    assert part.sweep(0).name == f"{first:06d}"
+    np.testing.assert_array_equal(part.sweep(count - 1).points, whole.sweep(last).points)
+    np.testing.assert_array_equal(part.labels(0), whole.labels(first))
+    assert part.sweep_files(0) == whole.sweep_files(first)
+
+
+def test_a_range_has_the_images_of_its_time(drive: Path) -> None:
+    whole = open_dataset(drive).cameras["image_2"]  # image k lies between sweeps k and k + 1
+    part = open_dataset(drive, frames="2:4").cameras["image_2"]
+    assert part.names == ["000001", "000002", "000003"]
+    assert [image.stem for image in part.images] == part.names
+    np.testing.assert_array_equal(part.times, whole.times[1:4])
+
+
+@pytest.mark.parametrize("frames", ["5:", "3:3", "4:2"])
+def test_a_range_without_sweeps(drive: Path, frames: str) -> None:
+    with pytest.raises(DatasetError, match=f"{frames} holds no sweep.* has 5 sweeps, 0 to 4"):
+        open_dataset(drive, frames=frames)
+
+
+@pytest.mark.parametrize("frames", ["1", "-3:", "a:b", "1:2:3", "²:"])
+def test_a_text_that_is_no_range(drive: Path, frames: str) -> None:
+    with pytest.raises(DatasetError, match=r"write A:B .* has 5 sweeps"):
+        open_dataset(drive, frames=frames)

@@ -1,0 +1,322 @@
+"""Everything that can be wrong with the inputs is told before a run begins, all at once."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from docdepth.config import parameters
+from docdepth.errors import CalibrationError, DatasetError, SeveralProblems
+from docdepth.pipeline import check_resources
+from docdepth.pipeline.check import Problem, check_inputs, raise_problems, report_inputs
+from docdepth.pipeline.check_resources import check_image_size
+
+
+def source(dataset: Path, **values: Any) -> dict[str, Any]:
+    named = dict.fromkeys(("name", "camera", "poses", "camera_times", "image_size"))
+    return {"dataset": str(dataset), **named, **values}
+
+
+def problems(dataset: Path, output: Path | None = None, **values: Any) -> list[Problem]:
+    return check_inputs(source(dataset, **values), parameters(), output)
+
+
+def texts(found: list[Problem], severity: str) -> str:
+    return "\n".join(p.text for p in found if p.severity == severity)
+
+
+@pytest.fixture
+def copy(drive: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(drive, tmp_path / "00"))
+
+
+def rewrite(file: Path, change: Any) -> None:
+    rows = np.fromfile(file, "<f4").reshape(-1, 4)
+    np.asarray(change(rows), "<f4").tofile(file)
+
+
+def edit_calibration(sequence: Path, name: str, change: Any) -> None:
+    lines = []
+    for line in (sequence / "calib.txt").read_text().splitlines():
+        key, _, values = line.partition(":")
+        matrix = np.array(values.split(), float).reshape(3, 4)
+        matrix = change(matrix) if key == name else matrix
+        lines.append(f"{key}: " + " ".join(f"{v:.9e}" for v in np.ravel(matrix)))
+    (sequence / "calib.txt").write_text("\n".join(lines) + "\n")
+
+
+def test_a_good_drive_has_no_problem(drive: Path, tmp_path: Path) -> None:
+    report = report_inputs(source(drive), parameters(), tmp_path / "run")
+    assert report.problems == []
+    assert report.summary.startswith("5 sweeps of ")
+    assert "image_2 (4 images); by estimate 0." in report.summary
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_real_drive_has_no_problem(drive_9001: Path, drive_0005: Path) -> None:
+    assert problems(drive_9001) == []
+    assert problems(drive_0005) == []
+
+
+def test_all_problems_are_told_at_once(copy: Path, tmp_path: Path) -> None:
+    rewrite(copy / "velodyne" / "000004.bin", lambda rows: rows[:1])
+    (copy / "image_2" / "000003.png").write_bytes(b"no image")
+    edit_calibration(copy, "Tr", lambda Tr: Tr + np.array([0, 0, 0, 5.0]))
+    (tmp_path / "poses.txt").write_text("1 2 3\n")
+    (tmp_path / "file").write_text("")
+    found = problems(copy, tmp_path / "file" / "run", poses=str(tmp_path / "poses.txt"))
+    errors, warnings = texts(found, "error"), texts(found, "warning")
+    for part in ("000004.bin (frame 4) has 1 usable", "000003.png is not a readable image",
+                 "poses.txt has 3 columns", "file is a file; name a folder"):  # fmt: skip
+        assert part in errors
+    assert "are 8" in warnings
+    assert "m apart; is Tr in" in warnings
+    assert found[-1].severity == "warning"
+
+
+def test_errors_of_the_recording_and_of_other_files_come_together(
+    copy: Path, tmp_path: Path
+) -> None:
+    (copy / "times.txt").unlink()
+    found = problems(copy, poses=str(tmp_path / "none"), camera_times=str(tmp_path / "also"))
+    assert [p.severity for p in found] == ["error"] * 3
+    for name, problem in zip(("times.txt", "also", "none"), found, strict=True):
+        assert f"{name} is missing" in problem.text
+
+
+def test_problems_are_raised_as_one_error() -> None:
+    error, other = Problem("error", "a.bin is empty"), Problem("error", "b.bin is empty")
+    raise_problems([Problem("warning", "small")])
+    with pytest.raises(DatasetError, match=r"^a.bin is empty$"):
+        raise_problems([error])
+    with pytest.raises(SeveralProblems, match=r"^2 problems:\n  a.bin is empty\n  b.bin is empty$"):
+        raise_problems([error, other])
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda rows: rows[:1], "has 1 usable points of 1"),
+        (lambda rows: np.where(np.arange(4) < 3, np.nan, rows), "has 0 usable points"),
+        (lambda rows: np.full_like(rows, 4), r"all points lie in one place, (4.00, 4.00, 4.00)"),
+        (lambda rows: rows * np.float32(1000), "m away (median); coordinates are in metres"),
+    ],
+)
+def test_sweeps_of_garbage_are_errors(copy: Path, change: Any, text: str) -> None:
+    rewrite(copy / "velodyne" / "000002.bin", change)
+    errors = texts(problems(copy), "error")
+    assert "000002.bin (frame 2)" in errors
+    assert text in errors
+
+
+def test_half_a_sweep_of_nan_is_told(copy: Path) -> None:
+    def spoil(rows: np.ndarray) -> np.ndarray:
+        rows[len(rows) // 2 :, :3] = np.nan
+        return rows
+
+    rewrite(copy / "velodyne" / "000003.bin", spoil)
+    warnings = texts(problems(copy), "warning")
+    assert "000003.bin (frame 3)" in warnings
+    assert "in one piece" in warnings
+    assert "are not finite" in warnings
+
+
+def test_rows_without_returns_here_and_there_are_no_problem(copy: Path) -> None:
+    for file in (copy / "velodyne").iterdir():
+        rewrite(file, lambda r: np.where(np.arange(len(r))[:, None] % 2 == 0, np.nan, r))
+    assert problems(copy) == []
+
+
+def test_a_partial_sweep_is_told_though_it_is_not_opened(
+    copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("docdepth.pipeline.check_sweeps.sample", lambda count, most=0: [0])
+    rewrite(copy / "velodyne" / "000003.bin", lambda rows: rows[: len(rows) // 10])
+    assert "000003.bin (frame 3) has" in texts(problems(copy), "warning")
+
+
+def test_parameters_that_leave_no_point(drive: Path) -> None:
+    settings = {"odometry.min_range": 4.99, "odometry.max_range": 5.0}
+    found = check_inputs(source(drive), parameters("default", settings))
+    assert "max_range=5 leave 0 % of the points" in texts(found, "error")
+
+
+def test_point_times_in_seconds_of_the_day(copy: Path) -> None:
+    (copy / "point_times").mkdir()
+    for file in (copy / "velodyne").iterdir():
+        times = np.full(file.stat().st_size // 16, 40000, "<f4")
+        times.tofile(copy / "point_times" / file.name)
+    assert "points are measured 4e+04 to 4e+04 sweeps after" in texts(problems(copy), "error")
+
+
+def test_times_in_milliseconds_are_told(copy: Path) -> None:
+    for table in (copy / "times.txt", copy / "image_2" / "times.txt"):
+        times = [1000 * float(time) for time in table.read_text().split()]
+        table.write_text("".join(f"{time:.6f}\n" for time in times))
+    assert "sweeps are 100 s apart" in texts(problems(copy), "warning")
+
+
+def test_images_of_another_size_are_found_before_they_are_needed(copy: Path) -> None:
+    cv2.imwrite(str(copy / "image_2" / "000002.png"), np.zeros((40, 60, 3), np.uint8))
+    errors = texts(problems(copy), "error")
+    assert "000002.png is 60x40 pixels" in errors
+    (copy / "image_2" / "000001.png").write_bytes(b"")
+    assert "000001.png is empty" in texts(problems(copy), "error")
+
+
+def test_images_of_another_time(copy: Path) -> None:
+    table = copy / "image_2" / "times.txt"
+    times = [float(time) for time in table.read_text().split()]
+    table.write_text("".join(f"{time + 100:.6f}\n" for time in times))
+    errors = texts(problems(copy), "error")
+    assert "none of the 4 images of image_2 lies between" in errors
+    assert "images are from 100.0" in errors
+    assert "one clock" in errors
+    table.write_text("".join(f"{time + 0.31:.6f}\n" for time in times))
+    assert "3 of 4 images lie outside the sweeps" in texts(problems(copy), "warning")
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda P: P * np.array([[0.01], [0.01], [1]]) + 0, "is the image size right?"),
+        (lambda P: P * np.array([[3.0, 1, 1, 1], [1] * 4, [1] * 4]), "focal lengths"),
+        (lambda P: P - np.array([[0, 0, 500.0, 0], [0] * 4, [0] * 4]), "far from the centre"),
+    ],
+)
+def test_intrinsics_that_no_camera_has(copy: Path, change: Any, text: str) -> None:
+    edit_calibration(copy, "P2", change)
+    assert text in texts(problems(copy), "warning")
+
+
+AXES = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+
+
+def inverted(Tr: np.ndarray) -> np.ndarray:
+    return np.c_[Tr[:, :3].T, -Tr[:, :3].T @ Tr[:, 3]]
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda Tr: Tr + np.array([0, 0, 0, 4.0]), "m apart; is Tr in"),
+        (inverted, "or is it the inverse?"),
+        (lambda Tr: Tr[[1, 2, 0]], "are its axes in this order"),
+        (lambda Tr: np.diag([-1.0, -1, 1]) @ Tr, "180 degrees away from down"),
+    ],
+)
+def test_extrinsics_that_no_car_has(copy: Path, change: Any, text: str) -> None:
+    edit_calibration(copy, "Tr", change)
+    warnings = texts(problems(copy), "warning")
+    assert text in warnings
+    assert str(copy / "calib.txt") in warnings
+
+
+def test_a_view_without_points(copy: Path) -> None:
+    for file in (copy / "velodyne").iterdir():
+        rewrite(file, lambda rows: rows[rows[:, 0] < 0])
+    assert "0.0 % of the points of the sweeps fall into the image" in texts(
+        problems(copy), "warning"
+    )
+
+
+def test_missing_extras_and_formats_are_found_first(
+    drive: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
+    values = parameters("default", {"output.format": "exr,png", "output.scale": 10000})
+    errors = texts(check_inputs(source(drive), values), "error")
+    assert 'pip install "docdepth[exr]"' in errors
+    assert "a PNG of metres x 10000 holds no more" in errors
+
+
+# ---- memory, disk, output
+
+
+def test_images_that_cannot_be_held_are_refused(drive: Path) -> None:
+    with pytest.raises(CalibrationError, match="100000 x 100000 pixels need 450"):
+        check_image_size(100_000, 100_000)
+    check_image_size(1242, 375)
+    found = problems(drive, image_size="1242x375")
+    assert texts(found, "error") == texts(problems(drive), "error")
+
+
+def test_a_run_that_needs_too_much_is_refused(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check_resources, "available_memory", lambda: 10**8)
+    assert "pixels need 0.2 GB of memory by estimate, 0.1 GB are free" in texts(
+        problems(drive), "error"
+    )
+    monkeypatch.setattr(check_resources, "available_memory", lambda: 240 * 10**6)
+    assert "the run needs 0." in texts(problems(drive), "error")
+    monkeypatch.undo()
+    usage = shutil.disk_usage(tmp_path)._replace(free=10**6)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
+    assert "0.0 GB are free there; make room" in texts(problems(drive, tmp_path / "run"), "error")
+
+
+def test_memory_of_a_container_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(check_resources, "_CGROUP", tmp_path)
+    (tmp_path / "memory.max").write_text("1000000\n")
+    (tmp_path / "memory.current").write_text("900000\n")
+    (tmp_path / "memory.stat").write_text("anon 500000\nactive_file 100000\ninactive_file 200000\n")
+    assert check_resources.available_memory() == 400_000
+    (tmp_path / "memory.max").write_text("max\n")
+    free = check_resources.available_memory()
+    assert free is not None
+    assert free > 400_000
+
+
+def test_outputs_that_cannot_be(copy: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "link").symlink_to(tmp_path / "gone")
+    for output, text in (
+        (tmp_path / "file", "file is a file"),
+        (tmp_path / "link", "is a link to"),
+        (copy, "lies in the recording"),
+        (copy / "velodyne" / "run", "lies in the recording"),
+    ):
+        assert text in texts(problems(copy, output), "error")
+    assert problems(copy, copy / "run") == []
+    assert problems(copy, tmp_path / "a" / "b") == []
+
+
+# ---- the range of frames
+
+
+def test_frames_are_opened_and_poses_cut(drive: Path, tmp_path: Path) -> None:
+    from docdepth.pipeline.run_inputs import known_poses, open_inputs
+
+    lines = [f"{k}" + " 0 0 0 0 0 0 1" for k in range(5)]
+    (tmp_path / "poses.txt").write_text("\n".join(lines))
+    times = (drive / "image_2" / "times.txt").read_text()
+    (tmp_path / "times.txt").write_text(times)
+    given = source(
+        drive, frames="1:3", poses=tmp_path / "poses.txt", camera_times=tmp_path / "times.txt"
+    )
+    recording, streams = open_inputs(given)
+    poses = known_poses(given, recording)
+    assert len(recording) == 2
+    assert poses is not None
+    assert len(poses) == 2
+    assert streams[0].names == ["000000", "000001", "000002"]
+    assert report_inputs(given, parameters()).summary.startswith("2 sweeps of ")
+
+
+def test_maps_of_other_times_are_named_like_the_files_of_the_sequence(
+    copy: Path, tmp_path: Path
+) -> None:
+    from docdepth.pipeline.run_inputs import open_inputs
+
+    for image in (copy / "image_2").glob("*.png"):
+        image.unlink()
+    (tmp_path / "times.txt").write_text("0.05\n0.15\n")
+    _, streams = open_inputs(source(copy, camera_times=tmp_path / "times.txt"))
+    assert streams[0].names == ["000000", "000001"]

@@ -1,0 +1,273 @@
+"""A run folder under random commands, changes, losses and kills: `run` always mends it, alone."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+import docdepth
+from docdepth.config import replaced
+from docdepth.errors import DocDepthError
+from docdepth.io.poses import write_kitti
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline import run_classify, run_odometry
+from docdepth.pipeline.run import continue_run, render_again, run, states
+from docdepth.pipeline.run_inputs import known_poses, open_recording
+from docdepth.pipeline.virtual_camera import virtual_camera
+from small_drive import SWEEPS, write_image, write_small_drive, write_sweep
+from walled_yard import scan, straight
+
+VIRTUAL = virtual_camera("0,0,1", "40,40,32,16", "64x32")
+STAGES = {"odometry": ("min_range", [3.0, 3.5]), "dynamics": ("tolerance", [0.2, 0.3])}
+STAGES |= {"ground": ("neighbors", [30, 20]), "render": ("ahead", [80.0, 5.0])}
+STAGES |= {"output": ("format", [("png",), ("npy",), ("png", "npz")])}
+
+
+class Killed(BaseException):
+    """In place of a signal."""
+
+
+@dataclass
+class World:
+    """A drive, a run of it, and what the user laid into the run folder."""
+
+    root: Path
+    own: dict[Path, bytes] = field(default_factory=dict)
+    notes_lost: bool = False
+    version: int = 0
+
+    def __post_init__(self) -> None:
+        self.drive = write_small_drive(self.root / "drive")
+        write_kitti(self.root / "poses.txt", straight(SWEEPS, 0.5).poses)
+        self.run = self.root / "run"
+        self.make()
+
+    def make(self) -> RunFolder:
+        """The first command."""
+        return run(self.drive, self.run, poses=self.root / "poses.txt", camera="image_2", threads=1)
+
+    def fresh(self) -> Path:
+        """The same results, made at once in another folder."""
+        folder, made = RunFolder.open(self.run), self.root / "fresh"
+        shutil.rmtree(made, ignore_errors=True)
+        run(
+            self.drive,
+            made,
+            folder.parameters,
+            poses=self.root / "poses.txt",
+            camera="image_2",
+            threads=1,
+        )
+        for name, entry in folder.cameras.items():
+            if "virtual" in entry:
+                render_again(made, entry["settings"], virtual=(name, entry["virtual"]), threads=1)
+            elif name != "image_2" or entry["settings"]:
+                render_again(made, entry["settings"], name, threads=1)
+        return made
+
+    def products(self) -> list[Path]:
+        """Every file in the run folder that docdepth wrote, notes included."""
+        return sorted(
+            p for p in self.run.rglob("*") if p.is_file() and p not in self.own and p.name != "lock"
+        )
+
+
+def results(run_folder: Path, world: World) -> dict[str, bytes]:
+    """All results of a run: what is neither a note, nor the user's, nor has times in it."""
+    found = {}
+    for path in sorted(run_folder.rglob("*")):
+        name = path.relative_to(run_folder).as_posix()
+        if path.is_file() and path not in world.own and not name.startswith(".docdepth/"):
+            found[name] = path.read_bytes()
+    del found["run.yaml"], found["report/index.html"]
+    return found
+
+
+# What may happen to a run. Each takes the world and a random number.
+
+
+def first_command(world: World, number: int) -> None:
+    world.make()
+
+
+def stage_again(world: World, number: int) -> None:
+    """Each stage with another parameter, or with the one before."""
+    stage = list(STAGES)[number % len(STAGES)]
+    name, values = STAGES[stage]
+    change = {f"{stage}.{name}": values[(number // 10) % len(values)]}
+    if stage in ("render", "output"):
+        camera = [None, "image_2", "image_3"][(number // 100) % 3]
+        render_again(world.run, change, camera, threads=1)
+        return
+    folder = RunFolder.open(world.run)
+    values = replaced(folder.parameters, change)
+    folder.manifest["parameters"] = values.model_dump(mode="json")
+    if stage == "odometry":
+        recording = open_recording(folder.manifest["source"])
+        run_odometry(folder, recording, known_poses(folder.manifest["source"], recording))
+    else:
+        docdepth.pipeline.run.require(folder, "odometry")
+        run_classify(folder, threads=1)
+
+
+def other_camera(world: World, number: int) -> None:
+    if number % 2:
+        render_again(world.run, {}, "image_3", threads=1)
+    else:
+        render_again(world.run, {"output.format": ("npy",)}, virtual=("roof", VIRTUAL), threads=1)
+
+
+def delete(world: World, number: int) -> None:
+    files = world.products()
+    _lose(world, files[number % len(files)])
+
+
+def delete_folder(world: World, number: int) -> None:
+    folders = sorted(p for p in world.run.rglob("*") if p.is_dir() and _without_own(world, p))
+    if folders:
+        folder = folders[number % len(folders)]
+        world.notes_lost |= ".docdepth" in folder.relative_to(world.run).parts
+        shutil.rmtree(folder)
+
+
+def damage(world: World, number: int) -> None:
+    """Cut a file off, turn a byte over, or fill it with zeros."""
+    files = world.products()
+    path = files[number % len(files)]
+    content = bytearray(path.read_bytes())
+    if not content:
+        return
+    kind = (number // 1000) % 3
+    if kind == 0:
+        content = content[: len(content) // 2]
+    elif kind == 1:
+        content[number % len(content)] ^= 0xFF
+    else:
+        content = bytearray(len(content))
+    path.write_bytes(content)
+    world.notes_lost |= ".docdepth" in path.parts or path.name == "run.yaml"
+
+
+def change_input(world: World, number: int) -> None:
+    world.version += 1
+    k = number % SWEEPS
+    if number % 3 == 0:
+        points = scan(straight(SWEEPS, 0.5).poses[k], box_x=world.version)[0]
+        write_sweep(world.drive, k, points)
+    elif number % 3 == 1:
+        write_image(world.drive / "image_2" / f"{k:06d}.png", seed=world.version + 50)
+    else:
+        text = (world.drive / "calib.txt").read_text()
+        world.drive.joinpath("calib.txt").write_text(text.replace("60 0 48", "61 0 48"))
+
+
+def lay_own_file(world: World, number: int) -> None:
+    name = ["notes.txt", "depth/mine.png", "report/mine.jpg", "labels/mine.label", "frames/a.ply"]
+    path = world.run / name[number % len(name)]
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(b"mine %d" % number)
+    world.own[path] = path.read_bytes()
+
+
+def kill(world: World, number: int) -> None:
+    """The first command ends at some write, before or after the file gets its name."""
+    replace, left = os.replace, [number % 25]
+
+    def stopped(*arguments: object) -> None:
+        left[0] -= 1
+        if left[0] == 0 and number % 2:
+            raise Killed
+        replace(*arguments)
+        if left[0] == 0:
+            raise Killed
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "replace", stopped)
+        with contextlib.suppress(Killed):
+            world.make()
+
+
+ACTIONS = [
+    first_command, stage_again, stage_again, other_camera, delete, delete_folder, damage, damage,
+    change_input, lay_own_file, kill,
+]  # fmt: skip
+
+
+def _without_own(world: World, folder: Path) -> bool:
+    return not any(folder in path.parents for path in world.own)
+
+
+def _lose(world: World, path: Path) -> None:
+    world.notes_lost |= ".docdepth" in path.parts or path.name == "run.yaml"
+    path.unlink()
+
+
+@given(
+    actions=st.lists(
+        st.tuples(st.sampled_from(ACTIONS), st.integers(0, 10**6)), min_size=1, max_size=6
+    )
+)
+@settings(
+    max_examples=int(os.environ.get("DOCDEPTH_EXAMPLES", "25")),
+    deadline=None,
+    derandomize=True,
+    report_multiple_bugs=False,
+    phases=[Phase.generate],
+    suppress_health_check=[HealthCheck.too_slow],
+)
+def test_run_ends_like_a_fresh_one_whatever_happened(tmp_path_factory, actions):
+    world = World(tmp_path_factory.mktemp("world"))
+    for action, number in actions:
+        # Some are refused with a sentence, as `render` of a run that is not up to date.
+        with contextlib.suppress(DocDepthError):
+            action(world, number)
+    before = {p: (p.read_bytes(), p.stat().st_mtime_ns) for p in world.products()}
+    folder = RunFolder.open(world.run) if (world.run / "run.yaml").is_file() else None
+    known = {} if folder is None else {s.name: s.state for s in states(folder)}
+
+    folder = world.make()
+
+    assert [s for s in states(folder, verify=True) if s.state != "done"] == []
+    made = results(world.run, world)
+    if world.notes_lost:  # where nothing tells whose a file is, it is kept beside the new one
+        made = {name: content for name, content in made.items() if ".old" not in name}
+    fresh = results(world.fresh(), world)
+    assert made.keys() == fresh.keys()
+    assert [name for name in made if made[name] != fresh[name]] == []
+    for path, content in world.own.items():
+        assert path.read_bytes() == content
+    if not world.notes_lost:
+        _check_that_little_was_written(world, before, known)
+    # And then there is nothing to do.
+    times = {p: p.stat().st_mtime_ns for p in world.run.rglob("*") if p.is_file()}
+    continue_run(world.run, threads=1)
+    written = [p.name for p, t in times.items() if p.is_file() and p.stat().st_mtime_ns != t]
+    assert written in ([], ["lock"])
+    shutil.rmtree(world.root)
+
+
+def _check_that_little_was_written(
+    world: World, before: dict[Path, tuple[bytes, int]], known: dict[str, str]
+) -> None:
+    """Results that were as they should be have not been touched."""
+    for stage, folders in (
+        ("odometry", ["frames"]),
+        ("classify", ["frames", "labels"]),
+        ("render image_2", ["depth", "report", "layers"]),
+    ):
+        if known.get(stage) == "out of date" or known.get("odometry") == "out of date":
+            continue
+        if "frames" in folders and known.get("classify") in ("out of date", None):
+            continue
+        for path, (content, time) in before.items():
+            inside = path.parent.relative_to(world.run).as_posix() in folders
+            rewritten = ("index.html", "depth.json")
+            if inside and path.name not in rewritten and path.read_bytes() == content:
+                assert path.stat().st_mtime_ns == time, (stage, path)

@@ -1,0 +1,39 @@
+"""A drive of a few small sweeps and images, so that a whole run takes a fraction of a second."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from walled_yard import scan, straight
+
+SWEEPS, WIDTH, HEIGHT = 4, 96, 40
+_TR = "0 -1 0 0.02 0 0 -1 -0.06 1 0 0 -0.3"
+
+
+def write_small_drive(folder: Path, sweeps: int = SWEEPS, images: bool = True) -> Path:
+    """Write a KITTI odometry sequence with two cameras; returns its folder."""
+    folder.mkdir(parents=True)
+    trajectory = straight(sweeps, 0.5)
+    for k, pose in enumerate(trajectory.poses):
+        write_sweep(folder, k, scan(pose, box_x=-8 + 1.5 * k)[0])
+    rows = [f"P{n}: 60 0 48 {-30 * (n - 2)} 0 60 20 0 0 0 1 0" for n in (2, 3)]
+    (folder / "calib.txt").write_text("\n".join([*rows, f"Tr: {_TR}"]) + "\n")
+    (folder / "times.txt").write_text("".join(f"{k / 10:.6f}\n" for k in range(sweeps)))
+    for n in (2, 3) if images else ():
+        (folder / f"image_{n}").mkdir()
+        for k in range(sweeps):
+            write_image(folder / f"image_{n}" / f"{k:06d}.png", seed=10 * n + k)
+    return folder
+
+
+def write_sweep(folder: Path, k: int, points: np.ndarray) -> None:
+    (folder / "velodyne").mkdir(exist_ok=True)
+    rows = np.zeros((len(points[::7]), 4), np.float32)
+    rows[:, :3] = points[::7]
+    rows.tofile(folder / "velodyne" / f"{k:06d}.bin")
+
+
+def write_image(path: Path, seed: int) -> None:
+    noise = np.random.default_rng(seed).integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
+    cv2.imwrite(str(path), noise)
