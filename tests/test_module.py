@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -57,9 +59,28 @@ def test_an_image_that_cannot_be_held_is_refused():
         _core.render_splats(K, 50_000, 50_000, [], [], (50, 3), (80, 35))
 
 
-def test_a_ground_map_is_filled_from_several_threads():
-    from concurrent.futures import ThreadPoolExecutor
+def test_growth_of_the_ground_ends_when_it_is_interrupted():
+    """A chunk of half a kilometre grows for many seconds."""
+    x, y = np.meshgrid(np.arange(1000), np.arange(1000))
+    floor = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float32) * np.float32(0.03)
+    ground_map = _core.GroundMap(_core.GroundParameters(), 1)
+    ground_map.insert(floor, np.eye(4))
 
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+        with pytest.raises(KeyboardInterrupt):
+            ground_map.grow()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert not ground_map.label(floor, np.eye(4)).any(), "it had grown to its end"
+    assert ground_map.grow() == len(ground_map)
+
+
+def test_a_ground_map_is_filled_from_several_threads():
     ground_map = _core.GroundMap(_core.GroundParameters(), 2)
     numbers = np.random.default_rng(0)
     clouds = [numbers.uniform(-9, 9, (5000, 3)).astype(np.float32) for _ in range(24)]

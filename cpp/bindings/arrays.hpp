@@ -63,6 +63,15 @@ const T* as_column(const Array<T>& array, py::ssize_t size, const char* name) {
   return array.data();
 }
 
+/// View of one flag per point. Other bytes than 0 and 1 (a view of other integers) are no bool.
+inline const bool* as_flags(const Array<bool>& array, py::ssize_t size, const char* name) {
+  const bool* flags = as_column(array, size, name);
+  const auto* bytes = static_cast<const unsigned char*>(static_cast<const void*>(flags));
+  if (std::any_of(bytes, bytes + size, [](unsigned char byte) { return byte > 1; }))
+    throw std::invalid_argument(std::string(name) + " must be True or False");
+  return flags;
+}
+
 /// View of rows of `count` points, or an error that names it.
 inline const std::uint32_t* as_rows(const Array<std::uint32_t>& array, py::ssize_t count,
                                     const char* name) {

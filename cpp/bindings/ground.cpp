@@ -1,10 +1,32 @@
 #include "docdepth/ground/ground.hpp"
 
+#include <chrono>
+#include <future>
 #include <memory>
 
 #include "arrays.hpp"
 
 namespace docdepth::bindings {
+namespace {
+
+/// Grow in another thread, so that Ctrl-C is noticed.
+std::size_t grow(GroundMap& map) {
+  auto grown = std::async(std::launch::async, [&map] { return map.grow(); });
+  const auto is_done = [&](std::chrono::milliseconds wait) {
+    const py::gil_scoped_release release;
+    return grown.wait_for(wait) == std::future_status::ready;
+  };
+  while (!is_done(std::chrono::milliseconds(100))) {
+    if (PyErr_CheckSignals() == 0) continue;
+    map.stop();
+    while (!is_done(std::chrono::milliseconds(100))) {
+    }
+    throw py::error_already_set();
+  }
+  return grown.get();
+}
+
+}  // namespace
 
 void bind_ground(py::module_& m) {
   py::class_<GroundParameters>(m, "GroundParameters")
@@ -33,7 +55,7 @@ void bind_ground(py::module_& m) {
             map.insert(view, T_world_lidar);
           },
           py::arg("points"), py::arg("T_world_lidar"))
-      .def("grow", &GroundMap::grow, py::call_guard<py::gil_scoped_release>())
+      .def("grow", &grow)
       .def(
           "label",
           [](const GroundMap& map, const Array<float>& points, const Array<double>& pose) {

@@ -49,13 +49,13 @@ struct VotedSweep {
   VotedSweep(const Array<float>& rows, const Array<bool>& is_ground,
              const Array<std::uint16_t>& statics, const Array<std::uint16_t>& dynamics)
       : points(as_points(rows)),
-        ground(as_column(is_ground, points.rows(), "ground")),
+        ground(as_flags(is_ground, points.rows(), "ground")),
         static_votes(as_column(statics, points.rows(), "static_votes")),
         dynamic_votes(as_column(dynamics, points.rows(), "dynamic_votes")) {}
 };
 
 std::vector<std::uint8_t> copy_flags(const Array<bool>& array, py::ssize_t size, const char* name) {
-  const bool* flags = as_column(array, size, name);
+  const bool* flags = as_flags(array, size, name);
   return {flags, flags + size};
 }
 
@@ -63,7 +63,7 @@ py::array_t<std::uint32_t> objects_of(const Array<float>& points, const Array<bo
                                       const ScanMesh& mesh, const ObjectParameters& parameters) {
   const PointMap map = as_points(points);
   check_mesh(mesh, map.rows());
-  const bool* flags = as_column(ground, map.rows(), "ground");
+  const bool* flags = as_flags(ground, map.rows(), "ground");
   const ObjectParameters used = checked(parameters);
   std::vector<std::uint32_t> objects;
   {
@@ -134,9 +134,9 @@ std::unique_ptr<Detections> make_detections(const Array<float>& points, const Ar
                                             const Array<std::uint32_t>& objects,
                                             const Array<bool>& dynamic, const Array<double>& pose) {
   const PointMap map = as_points(points);
-  const bool* flags = as_column(ground, map.rows(), "ground");
+  const bool* flags = as_flags(ground, map.rows(), "ground");
   const std::uint32_t* first = as_objects(objects, map.rows());
-  const bool* moves = as_column(dynamic, map.rows(), "dynamic");
+  const bool* moves = as_flags(dynamic, map.rows(), "dynamic");
   check_coordinates(points, "points of objects");
   const Pose T_world_lidar = as_pose(pose);
   const py::gil_scoped_release release;

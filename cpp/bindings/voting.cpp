@@ -14,7 +14,7 @@ std::unique_ptr<RangeImage> make_range_image(const Array<float>& points, const A
                                              double resolution, int window, float tolerance,
                                              bool plain) {
   const PointMap map = as_points(points);
-  const bool* flags = as_column(ground, map.rows(), "ground");
+  const bool* flags = as_flags(ground, map.rows(), "ground");
   check_key_frame(resolution, window, tolerance);
   const py::gil_scoped_release release;
   return std::make_unique<RangeImage>(map, flags,
@@ -25,7 +25,7 @@ std::unique_ptr<MeshImage> make_mesh_image(const Array<float>& points, const Arr
                                            const ScanMesh& mesh,
                                            const MeshImageParameters& parameters) {
   const PointMap map = as_points(points);
-  const bool* flags = as_column(ground, map.rows(), "ground");
+  const bool* flags = as_flags(ground, map.rows(), "ground");
   check_mesh(mesh, map.rows());
   const MeshImageParameters used = checked(parameters);
   const py::gil_scoped_release release;
@@ -37,7 +37,7 @@ py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
                   const std::vector<const KeyFrame*>& key_frames, const Array<double>& poses,
                   int threads) {
   const PointMap map = as_points(points);
-  const bool* flags = as_column(ground, map.rows(), "ground");
+  const bool* flags = as_flags(ground, map.rows(), "ground");
   const Pose pose = as_pose(T_world_lidar);
   const std::vector<Pose> T_world_key = as_poses(poses);
   for (const KeyFrame* key_frame : key_frames)

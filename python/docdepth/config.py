@@ -163,7 +163,7 @@ class DynamicsParameters(_Stage):
     resolution_deg: float = Field(
         0.2, ge=0.05, le=5, description="pixel of a key frame, d_theta = d_phi [deg]"
     )
-    window: int = Field(5, ge=1, le=15, description="edge of the compared window, w [pixel]")
+    window: int = Field(5, ge=1, le=15, description="edge of the compared window, w [pixels]")
     tolerance: float = Field(
         0.2, ge=0.001, le=10, description="range difference of returns that are the same, tau [m]"
     )

@@ -20,6 +20,7 @@ from docdepth.io.poses import read_poses
 from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.deskewing import centred_motion, deskew
 from docdepth.odometry.odometry import estimate_poses, register_drive
+from docdepth.odometry.pose_checks import warn_of_misfit
 from docdepth.pipeline import run_odometry
 from exact_drive import MOTION, Drive, pose_errors
 
@@ -211,7 +212,10 @@ def test_unusable_sweeps_do_not_end_the_process(caplog: pytest.LogCaptureFixture
         spoilt, good.name, good.time, relative_time=np.full_like(spoilt[:, 0], 7)
     )
     result = register_drive(drive, passes(2))
-    assert "frame 4 has 0 usable points" in caplog.text
+    assert caplog.messages == [
+        "1 of 8 sweeps have less than 50 usable points between 3 and 100 m, the first of them "
+        "frame 4: their poses are predicted"
+    ]
     assert pose_errors(result.trajectory.poses, drive.exact).max() < 0.3
     np.testing.assert_array_equal(result.sweeps[4].points, spoilt)
 
@@ -311,6 +315,37 @@ def test_unlikely_poses_give_a_warning(caplog: pytest.LogCaptureFixture) -> None
 def test_standing_still_gives_no_warning(caplog: pytest.LogCaptureFixture) -> None:
     register_drive(Drive(8, motion=np.eye(4)), poses=np.repeat(np.eye(4)[None], 8, axis=0))
     assert not caplog.records
+
+
+@pytest.mark.parametrize("what", ["half as long", "inverse", "in another order", "right"])
+def test_poses_that_do_not_fit_the_sweeps(what: str, caplog: pytest.LogCaptureFixture) -> None:
+    drive = Drive(10)
+    poses = drive.exact.copy()
+    if what == "half as long":
+        poses[:, :3, 3] /= 2
+    elif what == "inverse":
+        poses = inverse(poses)
+    elif what == "in another order":
+        poses = poses[np.random.default_rng(1).permutation(10)]
+    deskewed = register_drive(drive, poses=drive.exact).sweeps
+    warn_of_misfit(lambda k: deskewed[k].points, poses)
+    said = [text for text in caplog.messages if text.startswith("the poses do not fit the sweeps")]
+    assert len(said) == len(caplog.messages) == (what != "right")
+
+
+@pytest.mark.parametrize("count", [1, 3, 4])
+def test_short_drives_have_nothing_that_could_misfit(count: int) -> None:
+    points = np.zeros((100, 3), np.float32)
+    warn_of_misfit(lambda _: points, np.repeat(np.eye(4)[None], count, axis=0))
+
+
+def test_sweeps_without_points_in_range_are_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    drive = Drive(6)
+    nowhere = Parameters(odometry=OdometryParameters(min_range=90, max_range=91))
+    register_drive(drive, nowhere)
+    assert len(caplog.messages) == 1
+    assert caplog.messages[0].startswith("6 of 6 sweeps have less than 50 usable points")
+    assert "the points may not be in metres" in caplog.messages[0]
 
 
 # ---- the real drive

@@ -8,6 +8,7 @@
 #include <map>
 #include <mutex>
 #include <shared_mutex>
+#include <stdexcept>
 #include <vector>
 
 #include "docdepth/geometry/parallel.hpp"
@@ -27,9 +28,11 @@ using Eigen::Vector3d;
 /// freely.
 class Front {
  public:
-  Front(const Octree& tree, const GroundParameters& parameters, int threads)
+  Front(const Octree& tree, const GroundParameters& parameters, int threads,
+        const std::atomic<bool>& stopped)
       : tree_(tree),
         parameters_(parameters),
+        stopped_(stopped),
         threads_(thread_count(threads)),
         cos_max_slope_(std::cos(parameters.max_slope)),
         labels_(tree.points().size()),
@@ -61,6 +64,7 @@ class Front {
 
   const Octree& tree_;
   const GroundParameters& parameters_;
+  const std::atomic<bool>& stopped_;
   int threads_;
   double cos_max_slope_;
   std::vector<std::atomic<std::uint8_t>> labels_;
@@ -90,6 +94,7 @@ void Front::grow() {
       lock.unlock();
       reached.clear();
       try {
+        if (stopped_) throw std::runtime_error("the growth of the ground was stopped");
         for (const std::uint32_t leaf : taken) visit(leaf, hood, reached);
       } catch (...) {
         lock.lock();
@@ -259,6 +264,7 @@ struct GroundMap::State {
   std::vector<Vector3d> positions;  // of the poses, relative to origin
   VoxelMap map;
   mutable std::shared_mutex mutex;  // several threads may call one map
+  std::atomic<bool> stopped{false};
 
   VoxelGrid grid(const Pose& T_world_lidar) const {
     return VoxelGrid(T_world_lidar, origin, parameters.voxel_size);
@@ -287,11 +293,16 @@ void GroundMap::insert(const Points& points, const Pose& T_world_lidar) {
 std::size_t GroundMap::grow() {
   State& state = *state_;
   const std::unique_lock<std::shared_mutex> lock(state.mutex);
+  // A stop is meant for one call, also if it comes before that begins.
+  struct Restart {
+    std::atomic<bool>& stopped;
+    ~Restart() { stopped = false; }
+  } const restart{state.stopped};
   if (!state.map.size()) return 0;
   const Octree tree(state.map, state.threads);
   const auto points = static_cast<std::uint32_t>(tree.points().size());
   for (double first_radius = state.parameters.seed_radius;; first_radius *= 2.0) {
-    Front front(tree, state.parameters, state.threads);
+    Front front(tree, state.parameters, state.threads, state.stopped);
     std::vector<std::uint32_t> seeds(state.positions.size());
     parallel_for(seeds.size(), 1, state.threads, [&](std::size_t i, std::size_t) {
       const Vector3d& position = state.positions[i];
@@ -314,6 +325,10 @@ std::size_t GroundMap::grow() {
     tree.store_ground([&](std::uint32_t i) { return front.labelled(i); }, state.threads);
     return ground();
   }
+}
+
+void GroundMap::stop() {
+  state_->stopped = true;
 }
 
 void GroundMap::label(const Points& points, const Pose& T_world_lidar, bool* ground) const {

@@ -38,7 +38,11 @@ class GroundMap {
   /// Grow ground over all sweeps inserted so far, then behind steps. Near a pose there may be only
   /// the ego vehicle: as long as there is hardly any ground, seeds are searched farther away.
   /// @return number of ground voxels
+  /// @throws std::runtime_error stop() was called; the map is as before
   std::size_t grow();
+
+  /// End grow() in another thread soon. A large chunk grows for many seconds.
+  void stop();
 
   /// Whether the voxel of each point is ground; false where nothing was inserted.
   void label(const Points& points, const Pose& T_world_lidar, bool* ground) const;

@@ -100,7 +100,7 @@ class MarkedNeighbors {
 
  private:
   std::int64_t cell(std::uint32_t i, int axis) const {
-    return static_cast<std::int64_t>(std::floor(points_(i, axis) / distance_));
+    return voxel_coordinate(points_(i, axis), distance_);
   }
   static std::int64_t key(std::int64_t x, std::int64_t y, std::int64_t z) {
     constexpr std::int64_t kSpan = 1 << 21;

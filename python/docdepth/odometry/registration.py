@@ -18,7 +18,9 @@ log = logging.getLogger(__name__)
 PreviousPoses = Callable[[int], NDArray[np.float64]]
 """``previous(k)`` gives poses (n, 4, 4) of the previous pass; the first k + 1 are known."""
 
-_FEWEST_POINTS = 50  # a sweep with fewer usable points is not registered: its pose is predicted
+FEWEST_POINTS = 50
+"""A sweep with fewer usable points is not registered: its pose is predicted."""
+
 _THREADS = 1  # sums of several threads come in any order: poses would differ from run to run
 
 # kiss-icp: its own defaults.
@@ -113,7 +115,7 @@ class FineRegistration:
         if not self._empty:
             found = self._small_gicp.align(self._map, cloud, init_T_target_source=guess, **_ALIGN)
             # With too few inliers the pose of the previous pass stays.
-            if found.num_inliers >= _FEWEST_POINTS:
+            if found.num_inliers >= FEWEST_POINTS:
                 pose = np.asarray(found.T_target_source, dtype=np.float64)
                 pose = nearest_rigid(pose) if np.isfinite(pose).all() else pose
         if np.isfinite(pose).all():
@@ -154,6 +156,7 @@ def register(
     else:
         registration = FineRegistration()
     pose = np.eye(4)
+    predicted: list[int] = []
     for k in range(len(sweeps)):
         guess = pose
         if k > 0:
@@ -161,29 +164,40 @@ def register(
                 known = previous(k)
                 step = inverse(known[k - 1]) @ known[k]
             guess = pose @ step
-        found = _register_sweep(registration, sweeps[k].points, guess, k, parameters)
+        near = points_in_range(sweeps[k].points, parameters)
+        if len(near) < FEWEST_POINTS:
+            predicted.append(k)
+            found = guess.copy()
+        else:
+            found = _register_sweep(registration, near, guess, k)
         # Row by row, as poses are stored: products of other layouts differ in the last bit.
         last, pose = pose, np.array(found, order="C")
         if k > 0:
             step = inverse(last) @ pose
         yield pose
+    if predicted and previous is None:  # the other passes would say the same
+        _warn_of_predicted(predicted, len(sweeps), parameters)
+
+
+def _warn_of_predicted(predicted: list[int], count: int, parameters: OdometryParameters) -> None:
+    """Log one warning of all sweeps that could not be registered."""
+    log.warning(
+        "%d of %d sweeps have less than %d usable points between %g and %g m, the first of them "
+        "frame %d: their poses are predicted%s",
+        len(predicted), count, FEWEST_POINTS, parameters.min_range, parameters.max_range,
+        predicted[0],
+        "" if 2 * len(predicted) < count else "; the points may not be in metres, their format may "
+        "not be what it is taken for, or odometry.min_range and max_range leave too few",
+    )  # fmt: skip
 
 
 def _register_sweep(
     registration: CoarseRegistration | FineRegistration,
-    points: NDArray[np.float32],
+    near: NDArray[np.float64],
     guess: NDArray[np.float64],
     frame: int,
-    parameters: OdometryParameters,
 ) -> NDArray[np.float64]:
-    """Pose of a sweep; the guess where it has too few points."""
-    near = _points_in_range(points, parameters)
-    if len(near) < _FEWEST_POINTS:
-        log.warning(
-            "frame %d has %d usable points between %g and %g m: its pose is predicted",
-            frame, len(near), parameters.min_range, parameters.max_range,
-        )  # fmt: skip
-        return guess.copy()
+    """Pose of a sweep by its points in range."""
     pose = registration.add(near, guess)
     if not np.isfinite(pose).all():
         raise OdometryError(
@@ -206,8 +220,8 @@ def first_motion(
 
     clouds = []
     for k in frames[:_FIRST_SWEEPS]:
-        near = _points_in_range(sweeps[k].points, parameters)
-        if len(near) < _FEWEST_POINTS:
+        near = points_in_range(sweeps[k].points, parameters)
+        if len(near) < FEWEST_POINTS:
             break
         cloud, _ = small_gicp.preprocess_points(near, _FIRST_SAMPLING, _NORMAL_NEIGHBORS, _THREADS)
         clouds.append(cloud)
@@ -229,7 +243,7 @@ def first_motion(
     return best
 
 
-def _points_in_range(
+def points_in_range(
     points: NDArray[np.float32], parameters: OdometryParameters
 ) -> NDArray[np.float64]:
     """Finite points farther away than the vehicle itself and not too far to be of use."""

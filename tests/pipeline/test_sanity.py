@@ -1,0 +1,116 @@
+"""Results that cannot be right are warned of once; those that are right are silent."""
+
+from __future__ import annotations
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from docdepth.pipeline import sanity
+
+
+def _hall(height: float = 0.0) -> np.ndarray:
+    """A sweep of 32 rings inside a hall of 30 x 20 m, seen ``height`` above its origin."""
+    azimuth, elevation = np.meshgrid(
+        np.radians(np.arange(0, 360, 0.5)), np.radians(np.linspace(-25, 10, 32))
+    )
+    across = 1 / np.maximum(np.abs(np.cos(azimuth)) / 15, np.abs(np.sin(azimuth)) / 10)
+    down = np.where(elevation < 0, 1.9 / np.maximum(-np.tan(elevation), 1e-9), np.inf)
+    near = np.minimum(across, down)
+    rows = near * np.cos(azimuth), near * np.sin(azimuth), near * np.tan(elevation) + height
+    return np.stack(rows, axis=-1).reshape(-1, 3).astype(np.float32)
+
+
+@pytest.mark.parametrize(("height", "wrong"), [(0.0, False), (1.9, True)])
+def test_points_that_were_not_seen_from_their_origin(height, wrong, caplog):
+    # In the vehicle's frame rings overlap; a wall of its own keeps each ring's place uncertain.
+    points = _hall(height)
+    points += np.random.default_rng(0).normal(0, 0.02, points.shape).astype(np.float32)
+    if wrong:  # and merged with another LiDAR beside it
+        points = np.concatenate([points, points[:, [1, 0, 2]] + np.float32([3, 1, -1.2])])
+    sanity.warn_of_viewpoint(lambda _: points, lambda _: None, 9)
+    warned = [r for r in caplog.records if "have neighbours" in r.message]
+    assert len(warned) == wrong
+    if wrong:
+        assert "looks_from" in warned[0].message
+
+
+@pytest.mark.parametrize(
+    ("count", "message"),
+    [
+        ((1000, 400, 30), None),
+        ((1000, 3, 30), "only 0.3 % of the points are ground"),
+        ((1000, 400, 400), "67 % of the points above the ground are called dynamic"),
+        ((0, 0, 0), None),
+    ],
+)
+def test_classes_that_cannot_be(count, message, caplog):
+    sanity.warn_of_classes([count] * 20)
+    assert [r.message.startswith(message) for r in caplog.records] == ([True] if message else [])
+
+
+def test_classes_are_counted():
+    classid = np.array([0, 0, 50, 100, 100, 100], np.uint16)
+    assert sanity.count_classes(classid) == (6, 2, 3)
+    sanity.warn_of_classes([])
+
+
+@pytest.mark.parametrize(("coverage", "warned"), [([0.6, 0.7], 0), ([0.01, 0.0, 0.02], 1), ([], 0)])
+def test_maps_that_are_all_but_empty(coverage, warned, caplog):
+    sanity.warn_of_density(coverage, "image_02")
+    assert len(caplog.records) == warned
+    assert all("only 1.0 % of the pixels of image_02" in r.message for r in caplog.records)
+
+
+def _pictures(shift: tuple[int, int], unrelated: bool = False):
+    """Depth maps of boxes before a wall, and images whose boxes lie ``shift`` pixels off."""
+    for seed in range(16 if unrelated else 6):
+        numbers = np.random.default_rng(seed)
+        depth = np.full((375, 1242), 40.0, np.float32)
+        image = numbers.integers(90, 110, (375, 1242, 3)).astype(np.uint8)
+        for _ in range(12):
+            at = numbers.integers([60, 60], [1100, 280])
+            size = numbers.integers(20, 80, 2)
+            cv2.rectangle(
+                depth, at.tolist(), (at + size).tolist(), float(numbers.uniform(5, 30)), -1
+            )
+            if unrelated:
+                at, size = numbers.integers([60, 60], [1100, 280]), numbers.integers(20, 80, 2)
+            colour = numbers.integers(0, 255, 3).tolist()
+            cv2.rectangle(image, (at + shift).tolist(), (at + size + shift).tolist(), colour, -1)
+        depth[::7, ::5] = np.nan
+        yield depth, image
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (5, 0), (3, -4)])
+def test_edges_that_fit_are_silent(shift, caplog):
+    sanity.warn_of_edges(_pictures(shift), "image_02")
+    assert caplog.text == ""
+
+
+@pytest.mark.parametrize(
+    ("shift", "words"), [((14, 0), "1. pixels to the right"), ((-4, 20), r"(19|20|21) down")]
+)
+def test_edges_beside_those_of_the_image(shift, words, caplog):
+    sanity.warn_of_edges(_pictures(shift), "image_02")
+    assert len(caplog.records) == 1
+    assert caplog.records[0].message.startswith("edges of depth fit the images of image_02 better")
+    assert re.search(words, caplog.text)
+
+
+def test_edges_that_fit_nowhere(caplog):
+    sanity.warn_of_edges(_pictures((0, 0), unrelated=True), "image_02")
+    assert len(caplog.records) == 1
+    assert "nowhere near edges of the images" in caplog.text
+
+
+def test_without_images_nothing_is_said(caplog):
+    sanity.warn_of_edges(((depth, None) for depth, _ in _pictures((30, 0))), "image_02")
+    assert caplog.text == ""
+
+
+@pytest.mark.parametrize(("count", "most", "chosen"), [(3, 5, [0, 1, 2]), (100, 3, [0, 49, 99])])
+def test_samples_are_spread(count, most, chosen):
+    assert sanity.sampled(count, most) == chosen
