@@ -65,6 +65,10 @@ class FileRecords:
         except (ValueError, TypeError, AttributeError, KeyError):
             pass  # cut off by a power failure: its file counts as not written
 
+    def create(self) -> None:
+        """Make an empty file of records if there is none."""
+        self._append_text("")
+
     def __contains__(self, name: str) -> bool:
         return name in self._records
 
@@ -92,18 +96,20 @@ class FileRecords:
             self._states.pop(name, None)
 
     def _append(self, name: str, entry: dict[str, object]) -> None:
-        line = "\n" * self._torn + json.dumps({"name": name, **entry}) + "\n"
+        self._append_text("\n" * self._torn + json.dumps({"name": name, **entry}) + "\n")
         self._torn = False
+        self._lines += 1
+
+    def _append_text(self, text: str) -> None:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self.path.open("ab") as stream:
-                stream.write(line.encode())
+                stream.write(text.encode())
         except OSError as error:
             raise RunError(
                 f"cannot write {self.path}: {error.strerror}; make room or choose another folder "
                 "and run the same command again; it continues where it stopped"
             ) from error
-        self._lines += 1
 
     def compact(self) -> None:
         """Write the records anew if most lines are outdated."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
-from threading import Lock
+from threading import RLock
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -66,7 +66,7 @@ class RunFolder:
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
         self._records: dict[Path, FileRecords] = {}
-        self._lock_depth, self._writing = 0, Lock()
+        self._lock_depth, self._writing = 0, RLock()
         self._loaded: bytes | None = None
         self.manifest: dict[str, Any] = self._load()
 
@@ -221,9 +221,10 @@ class RunFolder:
 
     def records(self, folder: Path) -> FileRecords:
         """Records of the files in a folder of the run."""
-        if folder not in self._records:
-            self._records[folder] = FileRecords(folder, self._records_file(folder))
-        return self._records[folder]
+        with self._writing:
+            if folder not in self._records:
+                self._records[folder] = FileRecords(folder, self._records_file(folder))
+            return self._records[folder]
 
     def _records_file(self, folder: Path) -> Path:
         name = folder.relative_to(self.path).as_posix()
@@ -289,10 +290,13 @@ class RunFolder:
         with self._writing:
             records = self.records(folder)
             written = folders is None or name in folders
-            if written and not records.path.is_file() and folder.is_dir():
+            if records.path.is_file():
+                return  # another thread was here before
+            if written and folder.is_dir():
                 for file in folder.iterdir():
                     if file.is_file() and not file.name.startswith("."):
                         records.invalidate(file.name)
+            records.create()
             if folders is not None and name not in folders:
                 folders.append(name)
                 self.save()
