@@ -34,6 +34,36 @@ class Given:
     preset: Preset = "default"
     settings: dict[str, Any] = field(default_factory=dict)
 
+    def inputs(
+        self,
+        dataset: Path | None,
+        layout: str | None,
+        camera: str | list[str] | None,
+        poses: Path | None,
+        camera_times: Path | None,
+        image_size: str | None,
+        frames: str | None,
+    ) -> dict[str, Any]:
+        """Arguments of :func:`docdepth.run`: those of the options, else of the file.
+
+        Raises
+        ------
+        ConfigError
+            Neither names a recording.
+        """
+        recording = dataset or self.source.get("dataset")
+        if recording is None:
+            raise ConfigError("no recording: docdepth run DATASET -o RUN, or --config RUN/run.yaml")
+        return {
+            "dataset": recording,
+            "layout": layout or (None if dataset else self.source.get("name")),
+            "camera": camera or self.source.get("camera"),
+            "poses": poses or self.source.get("poses"),
+            "camera_times": camera_times or self.source.get("camera_times"),
+            "image_size": image_size or self.source.get("image_size"),
+            "frames": frames or self.source.get("frames"),
+        }
+
 
 def read_config(path: Path) -> Given:
     """Read a file of parameters (``odometry: {max_range: 80}``) or a run.yaml.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -44,6 +44,10 @@ from docdepth.cli.progress import progress_bars
 from docdepth.cli.status import show_states
 from docdepth.cli.summary import show_summary
 from docdepth.cli.terminal import app, out, verb
+
+if TYPE_CHECKING:
+    from docdepth.io.run_folder import RunFolder
+    from docdepth.render.backends import Renderer
 
 
 @verb(app)
@@ -87,37 +91,22 @@ def run(
     """
     from docdepth.cli.config_file import Given, read_config
     from docdepth.config import parameters
-    from docdepth.errors import ConfigError
-    from docdepth.pipeline.run import continue_run
     from docdepth.pipeline.run import run as run_all
     from docdepth.render.backends import choose
 
     drawn_by = choose(renderer)
     if output is None:
-        if dataset is None or not (dataset / "run.yaml").is_file():
-            raise ConfigError("no run folder: docdepth run DATASET -o RUN, or docdepth run RUN")
-        with progress_bars() as progress:
-            folder = continue_run(dataset, threads=threads, renderer=drawn_by, progress=progress)
-        return show_summary(folder, as_json)
+        chosen = (config, layout, camera, frames, poses, camera_times, image_size, preset, settings,
+                  format, scale, layers, hash_inputs or None, force or None)  # fmt: skip
+        folder = _continue(dataset, chosen, dry_run, threads, drawn_by)
+        return show_states(folder, as_json) if dry_run else show_summary(folder, as_json)
     given = read_config(config) if config else Given()
+    inputs = given.inputs(dataset, layout, listed(camera), poses, camera_times, image_size, frames)
     changes = given.settings | changes_of(settings) | output_of(format, scale, layers)
-    recording = dataset or given.source.get("dataset")
-    if recording is None:
-        raise ConfigError("no recording: docdepth run DATASET -o RUN, or --config RUN/run.yaml")
-    inputs: dict[str, Any] = {
-        "layout": layout or (None if dataset else given.source.get("name")),
-        "camera": listed(camera) or given.source.get("camera"),
-        "poses": poses or given.source.get("poses"),
-        "camera_times": camera_times or given.source.get("camera_times"),
-        "image_size": image_size or given.source.get("image_size"),
-        "frames": frames or given.source.get("frames"),
-    }
-    values = parameters(preset or given.preset, changes)  # type: ignore[arg-type]
     with progress_bars() as progress:
         folder = run_all(
-            recording,
-            output,
-            values,
+            output=output,
+            parameters=parameters(preset or given.preset, changes),  # type: ignore[arg-type]
             **inputs,
             hash_inputs=hash_inputs,
             force=force,
@@ -126,9 +115,27 @@ def run(
             renderer=drawn_by,
             progress=progress,
         )
-    if dry_run:
-        return show_states(folder, as_json)
-    show_summary(folder, as_json)
+    return show_states(folder, as_json) if dry_run else show_summary(folder, as_json)
+
+
+def _continue(
+    run: Path | None, chosen: tuple[object, ...], dry_run: bool, threads: int, drawn_by: Renderer
+) -> RunFolder:
+    """Bring a run up to date by its run.yaml; no option can be chosen."""
+    from docdepth.errors import ConfigError
+    from docdepth.pipeline.run import continue_run
+
+    if run is None or not (run / "run.yaml").is_file():
+        raise ConfigError("no run folder: docdepth run DATASET -o RUN, or docdepth run RUN")
+    if any(option is not None for option in chosen):
+        raise ConfigError(
+            "a run alone goes on with what run.yaml holds: give no other option, or DATASET and "
+            "-o RUN"
+        )
+    with progress_bars() as progress:
+        return continue_run(
+            run, dry_run=dry_run, threads=threads, renderer=drawn_by, progress=progress
+        )
 
 
 @verb(app)

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import logging
-import shutil
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
-from threading import RLock
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import yaml
@@ -25,9 +20,8 @@ from docdepth.errors import DamagedFileError, RunError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.atomic import WriteFile, Written, npz_bytes, write_atomically
+from docdepth.io.atomic import npz_bytes, write_atomically
 from docdepth.io.calibration import read_calibration
-from docdepth.io.file_records import FileRecords, same_content
 from docdepth.io.frames import (
     FrameRecord,
     read_frame,
@@ -35,18 +29,21 @@ from docdepth.io.frames import (
     read_trajectory,
     write_frame,
 )
-from docdepth.io.lock import locked
+from docdepth.io.manifest import (
+    cameras_of_earlier_version,
+    first_difference,
+    read_manifest,
+)
+from docdepth.io.recorded_folder import NOTES, RecordedFolder
 
 log = logging.getLogger(__name__)
 
-_NOTES = ".docdepth"
-"""Folder of a run with what docdepth needs to continue it; nothing in it is a result."""
 
 _SENSOR_NAMES = ("T_lidar_sensor", "lateral_offset", "lidar_id")  # arrays of sensors.npz
 _OLD_SENSOR_NAMES = {"aside": "lateral_offset", "head": "lidar_id"}  # read for one release
 
 
-class RunFolder:
+class RunFolder(RecordedFolder):
     """The files of one run.
 
     ``run.yaml`` holds the inputs (``source``), the parameters, the cameras and the profile of each
@@ -64,9 +61,7 @@ class RunFolder:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = Path(path)
-        self._records: dict[Path, FileRecords] = {}
-        self._lock_depth, self._writing = 0, RLock()
+        super().__init__(path)
         self._loaded: bytes | None = None
         self.manifest: dict[str, Any] = self._load()
 
@@ -134,7 +129,7 @@ class RunFolder:
             if before[part] != wanted[part] and not force:
                 if part == "parameters" and asked == known:
                     continue
-                difference = _difference(before[part], wanted[part])
+                difference = first_difference(before[part], wanted[part])
                 raise RunError(
                     f"{self.path} holds another run: its {difference}; "
                     "choose another folder with -o, or --force to make out of date results again"
@@ -147,7 +142,7 @@ class RunFolder:
         """Whether there is something in the folder though docdepth never wrote into it."""
         if not self.path.is_dir() or self._records_file(self.path).is_file():
             return False
-        return any(file.name != _NOTES for file in self.path.iterdir())
+        return any(file.name != NOTES for file in self.path.iterdir())
 
     @classmethod
     def open(cls, path: Path) -> RunFolder:
@@ -176,13 +171,13 @@ class RunFolder:
     def _load(self) -> dict[str, Any]:
         """The content of run.yaml, or of its copy; empty where both are missing or damaged."""
         self._loaded = self._manifest_text()
-        found = _read_manifest(self._manifest_path)
+        found = read_manifest(self._manifest_path)
         if found is None:
-            found = _read_manifest(self._copy_path)
+            found = read_manifest(self._copy_path)
             if found is not None:
                 log.warning("%s was missing or damaged; its copy is used", self._manifest_path)
         if found is not None and not isinstance(found.get("cameras"), dict):
-            found["cameras"] = _cameras_of_earlier_version(found["stages"])
+            found["cameras"] = cameras_of_earlier_version(found["stages"])
         return found or {}
 
     def _manifest_text(self) -> bytes | None:
@@ -191,139 +186,25 @@ class RunFolder:
         except OSError:
             return None
 
-    @contextmanager
-    def lock(self, what: str) -> Iterator[None]:
-        """Keep other processes from working in the folder.
+    def _check_unchanged(self) -> None:
+        if self._loaded != self._manifest_text():
+            raise RunError(
+                f"another command has changed {self.path} meanwhile; run the same command again"
+            )
 
-        Parameters
-        ----------
-        what : str
-            What is done, for the message that others get.
+    def _has_written_into(self, name: str) -> bool:
+        return name in self.manifest.get("folders", [name])
 
-        Raises
-        ------
-        RunError
-            Another process works there.
-        """
-        with ExitStack() as stack:
-            if not self._lock_depth:
-                stack.enter_context(locked(self.notes / "lock", self.path, what))
-                if self._loaded != self._manifest_text():
-                    raise RunError(
-                        f"another command has changed {self.path} meanwhile; run the same command "
-                        "again"
-                    )
-            self._lock_depth += 1
-            try:
-                yield
-            finally:
-                self._lock_depth -= 1
+    def _note_written_into(self, name: str) -> None:
+        folders = self.manifest.get("folders")
+        if folders is not None and name not in folders:
+            folders.append(name)
+            self.save()
 
-    def records(self, folder: Path) -> FileRecords:
-        """Records of the files in a folder of the run."""
-        with self._writing:
-            if folder not in self._records:
-                self._records[folder] = FileRecords(folder, self._records_file(folder))
-            return self._records[folder]
-
-    def _records_file(self, folder: Path) -> Path:
-        name = folder.relative_to(self.path).as_posix()
-        return self.notes / "records" / f"{'run' if name == '.' else name}.jsonl"
-
-    @property
-    def notes(self) -> Path:
-        """Folder with what docdepth needs to continue the run."""
-        return self.path / _NOTES
-
-    def key(self, path: Path) -> dict[str, str]:
-        """What a file was made of, a hash for each stage; empty if the file is not whole."""
-        return self.records(path.parent).key(path.name)
-
-    def recorded_key(self, path: Path) -> dict[str, str]:
-        """What the record of a file says, whatever has become of the file."""
-        return self.records(path.parent).recorded_key(path.name)
-
-    def write(
-        self,
-        path: Path,
-        write: Callable[[BinaryIO], object],
-        key: dict[str, str],
-        *,
-        sync: bool = True,
-    ) -> None:
-        """Write a file of the run and its record.
-
-        A file that docdepth did not write and that has this name is kept as ``NAME.old``.
-
-        Parameters
-        ----------
-        path : Path
-        write : callable
-            Writes the content.
-        key : dict
-            What the content is made of: a hash for each stage.
-        sync : bool
-            See :func:`docdepth.io.atomic.write_atomically`.
-
-        Raises
-        ------
-        RunError
-            The file cannot be written.
-        """
-        records = self.records(path.parent)
-        if not records.path.is_file():
-            self._adopt(path.parent)
-
-        def record(written: Written) -> None:
-            if path.name not in records and not same_content(path, written):
-                _move_aside(path)
-            records.add(path.name, written, key)
-
-        write_atomically(path, write, sync=sync, before_rename=record)
-
-    def _adopt(self, folder: Path) -> None:
-        """Take the files of a folder for docdepth's if it has written there and records are lost.
-
-        They are made again, each under its name; none is deleted.
-        """
-        name, folders = folder.relative_to(self.path).as_posix(), self.manifest.get("folders")
-        with self._writing:
-            records = self.records(folder)
-            written = folders is None or name in folders
-            if records.path.is_file():
-                return  # another thread was here before
-            if written and folder.is_dir():
-                for file in folder.iterdir():
-                    if file.is_file() and not file.name.startswith("."):
-                        records.invalidate(file.name)
-            records.create()
-            if folders is not None and name not in folders:
-                folders.append(name)
-                self.save()
-
-    def writer(self, key: dict[str, str]) -> WriteFile:
-        """:meth:`write` for files that are made of ``key``."""
-        return lambda path, write: self.write(path, write, key)
-
-    def remove(self, path: Path) -> None:
-        """Delete a file, if docdepth wrote it."""
-        records = self.records(path.parent)
-        if path.name in records:
-            path.unlink(missing_ok=True)
-            records.drop(path.name)
-            with contextlib.suppress(OSError):
-                path.parent.rmdir()  # if it is empty
-
-    def remove_tree(self, folder: Path) -> None:
-        """Delete a folder in which only docdepth writes."""
-        shutil.rmtree(folder, ignore_errors=True)
-        for known in [f for f in self._records if f == folder or folder in f.parents]:
-            self._records.pop(known).path.unlink(missing_ok=True)
-
-    def move_into_place(self, part: Path, path: Path, key: dict[str, str]) -> None:
-        """Give a file that is whole its name, and record it."""
-        self.write(path, lambda stream: stream.write(part.read_bytes()), key)
-        part.unlink()
+    def forget(self, path: Path) -> None:
+        """Have a file made again."""
+        super().forget(path)
+        self.__dict__.pop("_sensors", None)
 
     @property
     def _manifest_path(self) -> Path:
@@ -491,11 +372,6 @@ class RunFolder:
             + (f", not of {camera}" if camera else ": say --camera")
         )
 
-    def forget(self, path: Path) -> None:
-        """Have a file made again."""
-        self.records(path.parent).invalidate(path.name)
-        self.__dict__.pop("_sensors", None)
-
     def camera_in(self, folder: str) -> str:
         """Name of the camera whose maps lie in a folder of ``depth/``."""
         names = (name for name, entry in self.cameras.items() if entry["folder"] == folder)
@@ -516,46 +392,3 @@ def stage_key(*parts: Any) -> str:
     """Short hash of all that a stage's result depends on."""
     text = json.dumps(parts, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _difference(have: Any, want: Any, path: str = "") -> str:
-    if isinstance(have, dict) and isinstance(want, dict):
-        for key in {**have, **want}:
-            if have.get(key) != want.get(key):
-                return _difference(have.get(key), want.get(key), f"{path}.{key}" if path else key)
-    return f"{path} is {have!r}, not {want!r}"
-
-
-def _move_aside(path: Path) -> None:
-    """Give a file that docdepth did not write another name."""
-    aside, number = path.with_name(f"{path.name}.old"), 1
-    while aside.exists():
-        number += 1
-        aside = path.with_name(f"{path.name}.old{number}")
-    with contextlib.suppress(FileNotFoundError):
-        path.rename(aside)
-        log.warning("%s was not written by docdepth and is %s now", path, aside.name)
-
-
-def _read_manifest(path: Path) -> dict[str, Any] | None:
-    """The content of run.yaml; None if it is missing or damaged."""
-    try:
-        found = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
-        return None
-    if not isinstance(found, dict) or "parameters" not in found:
-        return None
-    source, stages = found.get("source"), found.get("stages")
-    if not isinstance(source, dict) or not isinstance(stages, dict):
-        return None
-    return found if all(isinstance(stage, dict) for stage in stages.values()) else None
-
-
-def _cameras_of_earlier_version(stages: dict[str, Any]) -> dict[str, Any]:
-    """The cameras of a run.yaml that lists them with the stage that draws them."""
-    listed = [stage for name, stage in stages.items() if name.partition(" ")[0] == "render"]
-    return {
-        name: {"folder": folder, "settings": {}}
-        for stage in listed
-        for name, folder in zip(stage.get("cameras", []), stage.get("folders", []), strict=False)
-    }

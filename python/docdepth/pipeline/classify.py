@@ -23,6 +23,7 @@ from docdepth.ground.growing import chunk_progress, chunks, label_chunk
 from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.graph import classify_parts, label_files
+from docdepth.pipeline.sanity import count_classes, warn_of_classes
 from docdepth.pipeline.stage import Profile, Progress, is_outdated, progress_callback, stage
 
 _GROUND, _TRACKS, _EVIDENCE = "ground", "tracks", "evidence"
@@ -69,6 +70,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             profile.frames = classify_sweeps(
                 store, trajectory, p.dynamics, told, threads, profile.watch
             )
+            warn_of_classes(store.counts)
             run.remove_tree(run.notes / _EVIDENCE)
             _remove_outdated(run, ground_key, keys)
 
@@ -129,6 +131,8 @@ class _FrameStore:
     ground : list of ndarray of uint8
         Ground labels of each frame as packed bits; set before frames are read.
     watch : callable
+    counts : list of tuple of int
+        Points of each sweep that was written, by class.
     """
 
     def __init__(self, run: RunFolder, keys: dict[str, str], count: int) -> None:
@@ -138,6 +142,7 @@ class _FrameStore:
         self._detections: dict[int, Detections] = {}
         self.ground: list[NDArray[np.uint8]] = []
         self.watch: Watch = unwatched
+        self.counts: list[tuple[int, int, int]] = []
 
     @property
     def _key(self) -> dict[str, str]:
@@ -208,6 +213,7 @@ class _FrameStore:
             return Detections.of(_read_arrays(self._kept(index), 7)[4:])
 
     def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
+        self.counts.append(count_classes(labels.classid))
         with self.watch("write"):
             _write_classified(self._run, index, sweep.record, self._keys, labels)
 

@@ -80,13 +80,16 @@ class DepthFiles:
         key = self._key(index)
         if any(self.run.key(path) != key for path in self.files(index)):
             return False
-        path = next(iter(self._depths(index).values()))
         try:
-            depth = read_depth(path, self.parameters.output.scale)
+            self.coverage[index] = _share_with_depth(self.depth(index))
         except DatasetError:
             return False
-        self.coverage[index] = _share_with_depth(depth)
         return True
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        """Read the depth map of an image."""
+        path = next(iter(self._depths(index).values()))
+        return read_depth(path, self.parameters.output.scale)
 
     def is_complete(self) -> bool:
         """Whether the files of the camera itself are whole and up to date."""

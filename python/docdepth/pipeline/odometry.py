@@ -19,6 +19,7 @@ from docdepth.odometry.blooming import blooming_points
 from docdepth.odometry.odometry import Odometry, register_drive
 from docdepth.pipeline.graph import odometry_parts
 from docdepth.pipeline.input_files import InputFiles
+from docdepth.pipeline.sanity import warn_of_viewpoint
 from docdepth.pipeline.stage import Profile, Progress, is_outdated, progress_callback, stage
 
 log = logging.getLogger(__name__)
@@ -79,6 +80,7 @@ def run_odometry(
             write_trajectory(run.trajectory_path, odometry.trajectory, indices, run.writer(key))
             _write_frames(run, odometry, left, key, profile, progress)
             _remove_old_frames(run, key)
+            warn_of_viewpoint(run.points, lambda i: run.sensor_rig(run.frame(i)), len(dataset))
 
 
 _CHECKPOINTS = "odometry"

@@ -14,8 +14,10 @@ from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render
 from docdepth.pipeline.run_inputs import RunCamera, camera_parameters, register
+from docdepth.pipeline.sanity import IMAGES, sampled, warn_of_density, warn_of_edges
 from docdepth.pipeline.stage import Profile, Progress, Stopwatch, progress_callback, stage
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
@@ -133,7 +135,16 @@ def _render_cameras(
         for files, profile in zip(plan.files, profiles, strict=True):
             files.describe()
             profile.more["density"] = float(np.mean(list(files.coverage.values())))
+            _warn_of_depth(files)
     return left_out
+
+
+def _warn_of_depth(files: DepthFiles) -> None:
+    """Warn of depth maps that cannot be right."""
+    name, done = files.stream.name, sorted(files.coverage)
+    warn_of_density(list(files.coverage.values()), name)
+    some = [done[k] for k in sampled(len(done), IMAGES)] if files.stream.images else []
+    warn_of_edges(((files.depth(k), files.stream.rectified_image(k)) for k in some), name)
 
 
 def _write_cameras(plan: RenderPlan) -> None:

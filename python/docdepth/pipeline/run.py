@@ -131,6 +131,7 @@ def run(
 def continue_run(
     output: Path | str,
     *,
+    dry_run: bool = False,
     threads: int = 0,
     renderer: Renderer | None = None,
     progress: Progress | None = None,
@@ -141,7 +142,7 @@ def continue_run(
     ----------
     output : Path
         Run folder.
-    threads, renderer, progress
+    dry_run, threads, renderer, progress
         As for :func:`run`.
 
     Raises
@@ -154,7 +155,10 @@ def continue_run(
     if not source:
         raise RunError(f"{output} was not made of a recording; there is nothing to continue")
     recording, _ = _open(source, folder.parameters, folder.path)
-    _make(folder, recording, threads, renderer, progress)
+    if dry_run:
+        _check(folder, recording)
+    else:
+        _make(folder, recording, threads, renderer, progress)
     return folder
 
 

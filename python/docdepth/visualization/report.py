@@ -60,6 +60,8 @@ def _facts(run: RunFolder) -> Iterable[tuple[str, str]]:
         if stage.get("left_out"):
             yield "images outside the sweeps, left out", ", ".join(stage["left_out"])
         yield "renderer", str(stage.get("renderer", ""))
+    for text in run.manifest.get("warnings", []):
+        yield "warning of the inputs", text
     for name, stage in run.manifest["stages"].items():
         for text in stage.get("warnings", []):
             yield f"warning of {name}", text

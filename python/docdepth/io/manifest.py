@@ -1,0 +1,43 @@
+"""Reading ``run.yaml``: inputs, parameters, cameras and the profile of each stage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+
+def first_difference(have: Any, want: Any, path: str = "") -> str:
+    """Say what differs first between two trees of values."""
+    if isinstance(have, dict) and isinstance(want, dict):
+        for key in {**have, **want}:
+            if have.get(key) != want.get(key):
+                return first_difference(
+                    have.get(key), want.get(key), f"{path}.{key}" if path else key
+                )
+    return f"{path} is {have!r}, not {want!r}"
+
+
+def read_manifest(path: Path) -> dict[str, Any] | None:
+    """The content of run.yaml; None if it is missing or damaged."""
+    try:
+        found = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return None
+    if not isinstance(found, dict) or "parameters" not in found:
+        return None
+    source, stages = found.get("source"), found.get("stages")
+    if not isinstance(source, dict) or not isinstance(stages, dict):
+        return None
+    return found if all(isinstance(stage, dict) for stage in stages.values()) else None
+
+
+def cameras_of_earlier_version(stages: dict[str, Any]) -> dict[str, Any]:
+    """The cameras of a run.yaml that lists them with the stage that draws them."""
+    listed = [stage for name, stage in stages.items() if name.partition(" ")[0] == "render"]
+    return {
+        name: {"folder": folder, "settings": {}}
+        for stage in listed
+        for name, folder in zip(stage.get("cameras", []), stage.get("folders", []), strict=False)
+    }

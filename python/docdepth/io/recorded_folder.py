@@ -1,0 +1,190 @@
+"""A folder that knows which of its files docdepth wrote, of what, and whether they are whole."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from threading import RLock
+from typing import BinaryIO
+
+from docdepth.io.atomic import WriteFile, Written, write_atomically
+from docdepth.io.file_records import FileRecords, same_content
+from docdepth.io.lock import locked
+
+log = logging.getLogger(__name__)
+
+NOTES = ".docdepth"
+"""Folder of a run with what docdepth needs to continue it; nothing in it is a result."""
+
+
+class RecordedFolder:
+    """A folder whose files have records, in ``.docdepth/records``.
+
+    Nothing that has no record is overwritten or deleted.
+
+    Parameters
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        self._records: dict[Path, FileRecords] = {}
+        self._lock_depth, self._writing = 0, RLock()
+
+    @contextmanager
+    def lock(self, what: str) -> Iterator[None]:
+        """Keep other processes from working in the folder.
+
+        Parameters
+        ----------
+        what : str
+            What is done, for the message that others get.
+
+        Raises
+        ------
+        RunError
+            Another process works there.
+        """
+        with ExitStack() as stack:
+            if not self._lock_depth:
+                stack.enter_context(locked(self.notes / "lock", self.path, what))
+                self._check_unchanged()
+            self._lock_depth += 1
+            try:
+                yield
+            finally:
+                self._lock_depth -= 1
+
+    def _check_unchanged(self) -> None:
+        """Raise if another process has changed the folder since it was opened."""
+
+    def records(self, folder: Path) -> FileRecords:
+        """Records of the files in a folder of the run."""
+        with self._writing:
+            if folder not in self._records:
+                self._records[folder] = FileRecords(folder, self._records_file(folder))
+            return self._records[folder]
+
+    def _records_file(self, folder: Path) -> Path:
+        name = folder.relative_to(self.path).as_posix()
+        return self.notes / "records" / f"{'run' if name == '.' else name}.jsonl"
+
+    @property
+    def notes(self) -> Path:
+        """Folder with what docdepth needs to continue the run."""
+        return self.path / NOTES
+
+    def key(self, path: Path) -> dict[str, str]:
+        """What a file was made of, a hash for each stage; empty if the file is not whole."""
+        return self.records(path.parent).key(path.name)
+
+    def recorded_key(self, path: Path) -> dict[str, str]:
+        """What the record of a file says, whatever has become of the file."""
+        return self.records(path.parent).recorded_key(path.name)
+
+    def write(
+        self,
+        path: Path,
+        write: Callable[[BinaryIO], object],
+        key: dict[str, str],
+        *,
+        sync: bool = True,
+    ) -> None:
+        """Write a file of the run and its record.
+
+        A file that docdepth did not write and that has this name is kept as ``NAME.old``.
+
+        Parameters
+        ----------
+        path : Path
+        write : callable
+            Writes the content.
+        key : dict
+            What the content is made of: a hash for each stage.
+        sync : bool
+            See :func:`docdepth.io.atomic.write_atomically`.
+
+        Raises
+        ------
+        RunError
+            The file cannot be written.
+        """
+        records = self.records(path.parent)
+        if not records.path.is_file():
+            self._adopt(path.parent)
+
+        def record(written: Written) -> None:
+            if path.name not in records and not same_content(path, written):
+                _move_aside(path)
+            records.add(path.name, written, key)
+
+        write_atomically(path, write, sync=sync, before_rename=record)
+
+    def _adopt(self, folder: Path) -> None:
+        """Take the files of a folder for docdepth's if it has written there and records are lost.
+
+        They are made again, each under its name; none is deleted.
+        """
+        name = folder.relative_to(self.path).as_posix()
+        with self._writing:
+            records = self.records(folder)
+            if records.path.is_file():
+                return  # another thread was here before
+            if self._has_written_into(name) and folder.is_dir():
+                for file in folder.iterdir():
+                    if file.is_file() and not file.name.startswith("."):
+                        records.invalidate(file.name)
+            records.create()
+            self._note_written_into(name)
+
+    def _has_written_into(self, name: str) -> bool:
+        """Whether docdepth has written into a folder, as far as is known without records."""
+        raise NotImplementedError
+
+    def _note_written_into(self, name: str) -> None:
+        """Remember that docdepth writes into a folder."""
+        raise NotImplementedError
+
+    def writer(self, key: dict[str, str]) -> WriteFile:
+        """:meth:`write` for files that are made of ``key``."""
+        return lambda path, write: self.write(path, write, key)
+
+    def remove(self, path: Path) -> None:
+        """Delete a file, if docdepth wrote it."""
+        records = self.records(path.parent)
+        if path.name in records:
+            path.unlink(missing_ok=True)
+            records.drop(path.name)
+            with contextlib.suppress(OSError):
+                path.parent.rmdir()  # if it is empty
+
+    def remove_tree(self, folder: Path) -> None:
+        """Delete a folder in which only docdepth writes."""
+        shutil.rmtree(folder, ignore_errors=True)
+        for known in [f for f in self._records if f == folder or folder in f.parents]:
+            self._records.pop(known).path.unlink(missing_ok=True)
+
+    def move_into_place(self, part: Path, path: Path, key: dict[str, str]) -> None:
+        """Give a file that is whole its name, and record it."""
+        self.write(path, lambda stream: stream.write(part.read_bytes()), key)
+        part.unlink()
+
+    def forget(self, path: Path) -> None:
+        """Have a file made again."""
+        self.records(path.parent).invalidate(path.name)
+
+
+def _move_aside(path: Path) -> None:
+    """Give a file that docdepth did not write another name."""
+    aside, number = path.with_name(f"{path.name}.old"), 1
+    while aside.exists():
+        number += 1
+        aside = path.with_name(f"{path.name}.old{number}")
+    with contextlib.suppress(FileNotFoundError):
+        path.rename(aside)
+        log.warning("%s was not written by docdepth and is %s now", path, aside.name)
