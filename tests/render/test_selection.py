@@ -9,7 +9,7 @@ from render_reference import AXES, PAPER, TRIANGLES, small_camera
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
-from docdepth.render.selection import STEP_GROWTH, drawn_frames, static_frames
+from docdepth.render.selection import STEP_GROWTH, _roundest, drawn_frames, static_frames
 
 
 def reference(trajectory, time, p):
@@ -100,3 +100,11 @@ def test_an_image_costs_the_same_however_long_the_drive_is(parameters):
     time = int(trajectory.times[200])
     assert drawn_frames(watched, time, parameters) == drawn_frames(trajectory, time, parameters)
     compose_depth(small_camera(), AXES, watched, time, lambda _: empty, parameters)
+
+
+def test_the_roundest_number_between_two():
+    for first in range(-1, 40):
+        for last in range(first + 1, 80):
+            by_hand = max(n & -n or np.inf for n in range(first + 1, last + 1))
+            assert _roundest(first, last) == by_hand
+    assert _roundest(1, 10**18) == 2**59, "at once, however far the poses jump"

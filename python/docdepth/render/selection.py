@@ -123,13 +123,21 @@ def _thinned(trajectory: Trajectory, time: int, here: float, p: RenderParameters
     kept: list[int] = []
     for k in np.flatnonzero(passed > 0):
         sweep, last = begin + int(k), int(multiple[k])
-        multiples = range(last + 1 - int(passed[k]), last + 1)
-        spacing = p.step * max(n & -n or np.inf for n in multiples)  # n & -n is 2^k
+        spacing = p.step * _roundest(last - int(passed[k]), last)
         apart = abs(arc[sweep] - arc[nearest]) >= p.step / 2
         if apart and STEP_GROWTH * abs(arc[sweep] - here) <= spacing:
             kept.append(sweep)
     kept.sort(key=lambda sweep: abs(arc[sweep] - here))
     return [nearest, *kept]
+
+
+def _roundest(first: int, last: int) -> float:
+    """The largest power of two that divides a number after ``first`` up to ``last``.
+
+    It is the highest bit in which the two differ: the number that ends in zeros from there on lies
+    between them. 0 is divided by all.
+    """
+    return np.inf if first < 0 <= last else float(1 << ((first ^ last).bit_length() - 1))
 
 
 def _dynamic(trajectory: Trajectory, time: int, p: RenderParameters) -> list[int]:
