@@ -17,6 +17,7 @@ from docdepth.io.frames import FrameRecord, write_trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.odometry.blooming import blooming_points
 from docdepth.odometry.odometry import Odometry, register_drive
+from docdepth.odometry.pose_checks import warn_of_misfit
 from docdepth.pipeline.graph import odometry_parts
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.sanity import warn_of_viewpoint
@@ -80,7 +81,10 @@ def run_odometry(
             write_trajectory(run.trajectory_path, odometry.trajectory, indices, run.writer(key))
             _write_frames(run, odometry, left, key, profile, progress)
             _remove_old_frames(run, key)
-            warn_of_viewpoint(run.points, lambda i: run.sensor_rig(run.frame(i)), len(dataset))
+            with profile.watch("check"):
+                warn_of_viewpoint(run.points, lambda i: run.sensor_rig(run.frame(i)), len(dataset))
+                poses = odometry.trajectory.poses
+                warn_of_misfit(run.points, poses, run.parameters.odometry)
 
 
 _CHECKPOINTS = "odometry"
