@@ -62,13 +62,12 @@ class Cell:
         """Run folder of the drive with exact poses, ready for the classification."""
         sequence = self.sequence()
         path = self.folder / "run"
-        run = RunFolder(path)
+        run, source = RunFolder(path), {"poses": "exact"}
         if run.manifest:
             # Trials fill up their parameters from those of the run: these must be today's.
-            run.manifest["parameters"] = Parameters().model_dump()
+            run.manifest |= {"source": source, "parameters": Parameters().model_dump()}
             run.save()
         else:
-            source = {"dataset": str(sequence.resolve()), "poses": "exact"}
             run = RunFolder.create(path, source, Parameters())
         dataset = open_dataset(sequence)
         run_odometry(run, dataset, dataset.poses)

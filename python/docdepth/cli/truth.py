@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial, wraps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +13,9 @@ from docdepth.cli.options import Json, OneCamera, PresetName, RunPath, Threads
 from docdepth.cli.progress import progress_bars
 from docdepth.cli.summary import show, show_summary
 from docdepth.cli.terminal import app, out, verb, volume
+
+if TYPE_CHECKING:
+    from docdepth.tuning import Judge
 
 evaluate = typer.Typer(no_args_is_help=True, help="Measure the accuracy of a run.")
 app.add_typer(evaluate, name="evaluate")
@@ -23,6 +26,31 @@ LabelFolder = Annotated[
         "--labels",
         metavar="DIR",
         help="Folder of true labels in SemanticKITTI's format (NAME.label), or its parent.",
+    ),
+]
+LabelJudgeFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--labels",
+        metavar="DIR",
+        help="Judge by true labels, as evaluate labels does: parameters of odometry, ground and "
+        "dynamics.",
+    ),
+]
+DepthJudgeFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--depth", metavar="DIR", help="Judge by true depth maps, as evaluate depth does."
+    ),
+]
+HeldOutSweeps = Annotated[
+    int | None,
+    typer.Option(
+        "--held-out",
+        min=1,
+        metavar="N",
+        help="Judge by every N-th sweep, left out of the depth that it judges, as evaluate "
+        "held-out does: needs no truth. Chosen with N = 10 if no other judge is.",
     ),
 ]
 MaxRange = Annotated[
@@ -105,18 +133,22 @@ def demo(
 @verb(app)
 def tune(
     run: RunPath,
-    truth: LabelFolder,
     output: Annotated[
         Path,
         typer.Option(
             "-o", "--output", metavar="OUT", help="Folder for the results: table, CSV and plot."
         ),
     ],
+    label_folder: LabelJudgeFolder = None,
+    depth_folder: DepthJudgeFolder = None,
+    every: HeldOutSweeps = None,
+    camera: OneCamera = None,
     vary: Annotated[
         list[str] | None,
         typer.Option(
             metavar="STAGE.NAME=A,B,C",
-            help="Values to try of a parameter of ground or dynamics; repeated, all are combined.",
+            help="Values to try of a parameter of odometry, ground, dynamics or render; repeated, "
+            "all are combined.",
         ),
     ] = None,
     trials: Annotated[
@@ -130,28 +162,50 @@ def tune(
     ] = 1,
     threads: Threads = 0,
 ) -> None:
-    """Classify a run with many parameter sets and write a table, CSV and a plot.
+    """Make a run again with many parameter sets, judge each, write a table, CSV and a plot.
 
+    Only what the parameters change is made again, in folders of its own: the run stays as it is.
     The same command continues a search that was interrupted.
 
+      docdepth tune RUN -o out --vary odometry.voxel_size=0.5,1 --vary render.behind=5,15
       docdepth tune RUN --labels DRIVE -o out --vary dynamics.tolerance=0.1,0.2,0.4
     """
     from docdepth import tuning
     from docdepth.errors import ConfigError, MissingExtraError
 
+    judge = _judge(label_folder, depth_folder, every, camera)
     if bool(vary) == bool(trials):
         raise ConfigError("say what to vary: --vary STAGE.NAME=A,B or --trials FILE")
-    sets = tuning.read_trials(trials) if trials else tuning.grid(tuning.parse_axes(vary or []))
+    if trials:
+        sets = tuning.read_trials(trials)
+    else:
+        sets = tuning.grid(tuning.parse_axes(vary or []), "--vary")
     with progress_bars() as progress:
         outcomes = tuning.tune(
-            run, truth, sets, output, jobs, threads,
+            run, judge, sets, output, jobs, threads,
             lambda done, total: progress("trials", done, total),
         )  # fmt: skip
-    out.print(str(tuning.table(outcomes)), soft_wrap=True, markup=False)
+    out.print(str(tuning.table(outcomes, judge.view)), soft_wrap=True, markup=False)
     try:
-        tuning.plot(outcomes, output / "tune.png")
+        tuning.plot(outcomes, judge.view, output / "tune.png")
     except MissingExtraError as error:
         out.print(f"no plot: {error}", markup=False)
+
+
+def _judge(labels: Path | None, depth: Path | None, every: int | None, camera: str | None) -> Judge:
+    """The one judge that the options choose."""
+    from docdepth.errors import ConfigError
+    from docdepth.tuning import DepthJudge, HeldOutJudge, LabelJudge
+
+    if sum(option is not None for option in (labels, depth, every)) > 1:
+        raise ConfigError("choose one judge: --labels DIR, --depth DIR or --held-out N")
+    if labels is not None:
+        if camera is not None:
+            raise ConfigError("labels are the same for every camera; leave --camera out")
+        return LabelJudge(labels)
+    if depth is not None:
+        return DepthJudge(depth, camera)
+    return HeldOutJudge(10 if every is None else every, camera)
 
 
 @app.command("sweep", hidden=True, deprecated=True)

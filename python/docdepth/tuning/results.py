@@ -11,17 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from docdepth.errors import MissingExtraError
-from docdepth.evaluation.label_counts import NOTE
 from docdepth.evaluation.tables import Table, number
 from docdepth.io.atomic import write_atomically
-
-_NAMES = {
-    "sa": "static accuracy SA",
-    "da": "dynamic accuracy DA",
-    "precision": "precision",
-    "iou": "IoU",
-}
-METRICS = ("sa", "da", "f1", "precision", "iou")
 
 
 @dataclass(frozen=True)
@@ -34,9 +25,9 @@ class Outcome:
     settings : dict
         Parameter values of the trial by dotted name.
     metrics : dict
-        Metrics, from :meth:`docdepth.evaluation.LabelResult.as_dict`.
+        All that the judge has measured, ready for JSON.
     seconds : dict
-        Seconds of each step of the classification, summed over all sweeps.
+        Seconds per sweep of each step of the classification, summed over threads.
     """
 
     name: str
@@ -44,62 +35,116 @@ class Outcome:
     metrics: dict[str, Any]
     seconds: dict[str, float]
 
-    @property
-    def ground_seconds(self) -> float:
-        """Seconds per sweep to grow the ground and to label the points (summed over threads)."""
-        return self._per_sweep(lambda step: step.startswith("ground"))
-
-    @property
-    def vote_seconds(self) -> float:
-        """Seconds per sweep to build key frames and to vote (summed over threads)."""
-        return self._per_sweep(lambda step: step in ("key frames", "vote"))
-
     def metric(self, name: str) -> float:
-        """A metric by name; NaN where it is undefined."""
-        value = self.metrics.get(name)
+        """A metric by dotted name (``all.mae``); NaN where it is undefined."""
+        value: Any = self.metrics
+        for part in name.split("."):
+            value = value.get(part) if isinstance(value, dict) else None
         return math.nan if value is None else float(value)
 
-    def _per_sweep(self, counts: Callable[[str], bool]) -> float:
-        total = sum(seconds for step, seconds in self.seconds.items() if counts(step))
-        return total / max(int(self.metrics["sweeps"]), 1)
+    def time(self, of_step: Callable[[str], bool]) -> float:
+        """Seconds per sweep of some steps; NaN if none of them was needed."""
+        found = [seconds for step, seconds in self.seconds.items() if of_step(step)]
+        return sum(found) if found else math.nan
 
 
-def table(outcomes: Sequence[Outcome]) -> Table:
-    """One row per trial: metrics, and milliseconds per sweep."""
-    header = ("trial", "SA %", "DA %", "F1", "precision", "IoU", "ground ms", "voting ms")
-    rows = []
-    for outcome in outcomes:
-        cells = [number(outcome.metric(name), 2 if name in ("sa", "da") else 4) for name in METRICS]
-        times = [f"{1e3 * s:.1f}" for s in (outcome.ground_seconds, outcome.vote_seconds)]
-        rows.append((outcome.name, *cells, *times))
-    first = outcomes[0].metrics if outcomes else {}
-    title = f"{first.get('protocol')}; poses: {first.get('poses')}; {first.get('sweeps')} sweeps"
-    return Table(title, header, tuple(rows), NOTE)
+@dataclass(frozen=True)
+class Column:
+    """A figure of each trial.
+
+    Attributes
+    ----------
+    name : str
+        In the CSV file.
+    header : str
+        In the table.
+    label : str
+        In plots.
+    digits : int
+        After the point, in the table.
+    value : callable
+        The figure of an outcome.
+    scale : float
+        What it is multiplied by in table and plots.
+    """
+
+    name: str
+    header: str
+    label: str
+    digits: int
+    value: Callable[[Outcome], float]
+    scale: float = 1.0
+
+    def scaled(self, outcome: Outcome) -> float:
+        """The figure as table and plots show it."""
+        return self.scale * self.value(outcome)
 
 
-def as_csv(outcomes: Sequence[Outcome]) -> str:
+@dataclass(frozen=True)
+class View:
+    """How the results of a judge are shown.
+
+    Attributes
+    ----------
+    title : callable
+        Of the table, from the metrics of a trial.
+    note : str
+        Below the table.
+    columns : tuple of Column
+    lines : tuple of str
+        Columns that are plotted over a parameter that varies alone.
+    unit : str
+        Of these.
+    plots : tuple of (str, str)
+        Columns on the x and y axis: of the left plot where several parameters vary, and of the
+        right one.
+    """
+
+    title: Callable[[dict[str, Any]], str]
+    note: str
+    columns: tuple[Column, ...]
+    lines: tuple[str, ...]
+    unit: str
+    plots: tuple[tuple[str, str], tuple[str, str]]
+
+    def column(self, name: str) -> Column:
+        """A column by its name."""
+        return next(column for column in self.columns if column.name == name)
+
+
+def table(outcomes: Sequence[Outcome], view: View) -> Table:
+    """One row per trial."""
+    header = ("trial", *(column.header for column in view.columns))
+    rows = [
+        (outcome.name, *(number(c.scaled(outcome), c.digits) for c in view.columns))
+        for outcome in outcomes
+    ]
+    title = view.title(outcomes[0].metrics) if outcomes else ""
+    return Table(title, header, tuple(rows), view.note)
+
+
+def as_csv(outcomes: Sequence[Outcome], view: View) -> str:
     """The table with all digits and one column per parameter that any trial sets."""
     names = list(dict.fromkeys(name for outcome in outcomes for name in outcome.settings))
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["trial", *names, *METRICS, "ground_seconds", "vote_seconds"])
+    writer.writerow(["trial", *names, *(column.name for column in view.columns)])
     for outcome in outcomes:
         settings = [outcome.settings.get(name, "") for name in names]
-        metrics = [outcome.metric(name) for name in METRICS]
-        times = [outcome.ground_seconds, outcome.vote_seconds]
-        writer.writerow([outcome.name, *settings, *metrics, *times])
+        writer.writerow([outcome.name, *settings, *(c.value(outcome) for c in view.columns)])
     return stream.getvalue()
 
 
-def plot(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Plot the metrics of all trials, and IoU over the seconds of voting.
+def plot(outcomes: Sequence[Outcome], view: View, path: Path) -> None:
+    """Plot the figures of all trials.
 
-    Where exactly one numeric parameter varies, it is the x axis of the metrics; otherwise precision
-    is plotted over dynamic accuracy.
+    Where exactly one numeric parameter varies, it is the x axis of the left plot.
 
     Parameters
     ----------
     outcomes : sequence of Outcome
+    view : View
+        Of the judge.
     path : Path
         Output file: PNG, PDF or SVG.
 
@@ -118,28 +163,31 @@ def plot(outcomes: Sequence[Outcome], path: Path) -> None:
     left, right = figure.subplots(1, 2)
     axis = _varying_parameter(outcomes)
     if axis is not None:
-        values = [outcome.settings[axis] for outcome in outcomes]
-        for name, scale in (("sa", 0.01), ("da", 0.01), ("precision", 1.0), ("iou", 1.0)):
-            heights = [scale * outcome.metric(name) for outcome in outcomes]
-            left.plot(values, heights, "o-", label=_NAMES[name])
-        left.set(xlabel=axis, ylabel="metric, 0..1")
+        drawn = sorted(outcomes, key=lambda outcome: outcome.settings[axis])
+        for column in map(view.column, view.lines):
+            # Shares and percentages share an axis.
+            heights = [column.value(o) / (100 if "%" in column.label else 1) for o in drawn]
+            label = column.label.partition(" [")[0]
+            left.plot([o.settings[axis] for o in drawn], heights, "o-", label=label)
+        left.set(xlabel=axis, ylabel=view.unit)
         left.legend()
     else:
-        for outcome in outcomes:
-            position = outcome.metric("da"), outcome.metric("precision")
-            left.plot(*position, "o")
-            left.annotate(outcome.name, position, textcoords="offset points", xytext=(4, 4), size=8)
-        left.set(xlabel="dynamic accuracy DA [%]", ylabel="precision")
-    for outcome in outcomes:
-        position = 1e3 * outcome.vote_seconds, outcome.metric("iou")
-        right.plot(*position, "o")
-        right.annotate(outcome.name, position, textcoords="offset points", xytext=(4, 4), size=8)
-    right.set(xlabel="key frames and voting [ms per sweep]", ylabel="IoU of the dynamic class")
+        _scatter(left, outcomes, *map(view.column, view.plots[0]))
+    _scatter(right, outcomes, *map(view.column, view.plots[1]))
     for axes in (left, right):
         axes.grid(alpha=0.3)
     stream = io.BytesIO()
     figure.savefig(stream, format=path.suffix[1:] or "png", dpi=120)
     write_atomically(path, lambda out: out.write(stream.getvalue()))
+
+
+def _scatter(axes: Any, outcomes: Sequence[Outcome], x: Column, y: Column) -> None:
+    """A point with its name for each trial."""
+    for outcome in outcomes:
+        position = x.scaled(outcome), y.scaled(outcome)
+        axes.plot(*position, "o")
+        axes.annotate(outcome.name, position, textcoords="offset points", xytext=(4, 4), size=8)
+    axes.set(xlabel=x.label, ylabel=y.label)
 
 
 def _varying_parameter(outcomes: Sequence[Outcome]) -> str | None:

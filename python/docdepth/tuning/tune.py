@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 from collections.abc import Callable, Sequence
@@ -9,35 +10,43 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from docdepth import __version__
 from docdepth.config import Parameters
-from docdepth.errors import ConfigError
-from docdepth.evaluation.runs import evaluate_labels
+from docdepth.errors import ConfigError, DamagedFileError, RunError
 from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.pipeline.run import require
+from docdepth.tuning.judges import Judge
 from docdepth.tuning.results import Outcome, as_csv, table
-from docdepth.tuning.trial_folder import TrialFolder
-from docdepth.tuning.trials import Trial, parameters_of
+from docdepth.tuning.trial_run import make_trial
+from docdepth.tuning.trials import Trial, check_stages, given_names, parameters_of, refused
+
+_TRIALS = ".docdepth-trials"
+"""Folder of the trials' run folders. A trial is deleted once it is judged, so nothing of the user's
+may lie there."""
 
 
 def tune(
     run: Path,
-    labels: Path,
+    judge: Judge,
     trials: Sequence[Trial],
     out: Path,
     jobs: int = 1,
     threads: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Outcome]:
-    """Classify a run with each parameter set and compare with the truth.
+    """Make a run again with each parameter set, and judge each.
+
+    A trial makes the stages that its parameters change, and what follows from them as far as the
+    judge looks at it. All else it shares with the run.
 
     Parameters
     ----------
     run : Path
-        Run folder with deskewed sweeps; it is only read.
-    labels : Path
-        SemanticKITTI labels, as for :func:`docdepth.evaluation.runs.evaluate_labels`.
+        Run folder; it is only read.
+    judge : LabelJudge, DepthJudge or HeldOutJudge
     trials : sequence of Trial
     out : Path
         Folder of the results: one JSON file per trial, ``tune.csv`` and ``tune.md``.
@@ -56,28 +65,66 @@ def tune(
     Raises
     ------
     ConfigError
-        Two trials have the same name, a name cannot name a folder, or a parameter is unknown or
-        does not belong to the classification.
+        Two trials have the same name, a name cannot name a folder, a parameter is unknown or
+        cannot matter to the judge, or ``out`` lies in the run.
+    RunError
+        What trials share with the run is missing or out of date.
+    DatasetError
+        The truth or the recording is not there.
     """
     source = RunFolder.open(run)
-    tasks = []
-    for trial in trials:
-        chosen = parameters_of(source.parameters, trial)
-        odometry = source.stage("odometry").get("key")
-        key = stage_key(__version__, odometry, chosen.model_dump(), str(labels.resolve()))
-        tasks.append(_Task(run, labels, out, trial, chosen, key, threads))
+    if out.resolve().is_relative_to(run.resolve()):
+        raise ConfigError(f"{out} lies in the run {run}, which stays as it is; choose another -o")
+    chosen = [_checked(source, judge, trial) for trial in trials]
     names = [trial.name for trial in trials]
     for name in names:
         if names.count(name) > 1 or not name.strip(".") or set(name) & set("/\\\0"):
             raise ConfigError(f"{name!r} cannot name a trial: names must be unique folder names")
+    judge.check(source)
+    # What all trials share must be up to date; the rest is made again in each.
+    for stage in sorted({_shared(source.parameters, p, judge) for p in chosen}):
+        require(source, stage)
+    state = _state(source)
+    made_of = [__version__, state["odometry"], source.made_of("odometry"), judge.made_of(source)]
+    tasks = []
+    for trial, p in zip(trials, chosen, strict=True):
+        values = {stage: p.model_dump()[stage] for stage in (*judge.stages, "output")}
+        key = stage_key(made_of, values)
+        tasks.append(_Task(run, judge, out, trial, p, key, state, threads))
     remaining = [task for task in tasks if task.outcome() is None]
     _run_tasks(remaining, jobs, len(tasks), progress)
+    with contextlib.suppress(OSError):
+        (out / _TRIALS).rmdir()  # unless it holds an interrupted trial of another search
     outcomes = [found for found in (task.outcome() for task in tasks) if found is not None]
-    text = table(outcomes).markdown().encode()
+    text = table(outcomes, judge.view).markdown().encode()
     write_atomically(out / "tune.md", lambda stream: stream.write(text))
-    rows = as_csv(outcomes).encode()
+    rows = as_csv(outcomes, judge.view).encode()
     write_atomically(out / "tune.csv", lambda stream: stream.write(rows))
     return outcomes
+
+
+def _checked(source: RunFolder, judge: Judge, trial: Trial) -> Parameters:
+    """The parameters of a trial, if it can be made of this run."""
+    chosen = parameters_of(source.parameters, trial)
+    check_stages(trial, judge.stages, judge.what)
+    if chosen.odometry != source.parameters.odometry and not source.manifest["source"].get(
+        "dataset"
+    ):
+        raise refused(trial, f"{source.path} was not made of a recording; its odometry is given")
+    return chosen
+
+
+def _shared(base: Parameters, chosen: Parameters, judge: Judge) -> str:
+    """The last stage of the run that a trial may share: it comes before the first that differs."""
+    if chosen.odometry != base.odometry or "render" not in judge.stages:
+        return "odometry"
+    same = (chosen.ground, chosen.dynamics) == (base.ground, base.dynamics)
+    return "classify" if same else "odometry"
+
+
+def _state(run: RunFolder) -> dict[str, Any]:
+    """The keys of the stages that trials may share."""
+    return {stage: run.stage(stage).get("key") for stage in ("odometry", "classify")}
 
 
 @dataclass(frozen=True)
@@ -85,11 +132,12 @@ class _Task:
     """One trial and everything that a worker process needs to run it."""
 
     run: Path
-    labels: Path
+    judge: Judge
     out: Path
     trial: Trial
     parameters: Parameters
     key: str
+    state: dict[str, Any]
     threads: int
 
     @property
@@ -97,26 +145,49 @@ class _Task:
         return self.out / f"{self.trial.name}.json"
 
     def outcome(self) -> Outcome | None:
-        """The stored result, if the same run, parameters and version made it."""
+        """The stored result, if the same run, parameters, judge and version made it."""
         try:
-            found = json.loads(self.file.read_text())
-        except (FileNotFoundError, json.JSONDecodeError):
-            return None
-        if found.get("key") != self.key:
-            return None
-        return Outcome(self.trial.name, self.trial.settings, found["metrics"], found["seconds"])
+            found = json.loads(self.file.read_text(encoding="utf-8"))
+            if found["key"] != self.key:
+                return None
+            metrics, seconds = dict(found["metrics"]), dict(found["seconds"])
+        except (FileNotFoundError, ValueError, TypeError, KeyError):
+            return None  # not there, or damaged
+        return Outcome(self.trial.name, self.trial.settings, metrics, seconds)
 
     def __call__(self) -> None:
-        """Classify, evaluate, write the result and delete the classes."""
-        from docdepth.pipeline import run_classify
-
-        folder = TrialFolder(self.out / f".{self.trial.name}", self.run, self.parameters, self.key)
-        run_classify(folder, self.threads)
-        metrics = evaluate_labels(folder, self.labels).as_dict()
-        seconds = folder.stage("classify").get("seconds", {})
+        """Make the trial, judge it, write the result and delete the trial."""
+        path, source = self.out / _TRIALS / self.trial.name, RunFolder.open(self.run)
+        varied = given_names(self.trial)
+        try:
+            folder = make_trial(
+                path, source, self.parameters, varied, self.key, self.judge, self.threads
+            )
+            metrics = self.judge.measure(folder.path, self.threads)
+        except DamagedFileError as error:
+            self._check_run()
+            file = error.path.resolve()  # a file of the run, where it is a link
+            shutil.rmtree(path, ignore_errors=True)
+            raise RunError(
+                str(error).replace(str(error.path), str(file)).replace("run RUN", f"run {self.run}")
+            ) from None
+        except RunError:
+            self._check_run()
+            raise
+        self._check_run()
+        classify = folder.stage("classify")
+        frames = classify.get("frames") or 1
+        seconds = {step: s / frames for step, s in classify.get("seconds", {}).items()}
         content = json.dumps({"key": self.key, "metrics": metrics, "seconds": seconds}, indent=1)
         write_atomically(self.file, lambda stream: stream.write(content.encode()))
-        shutil.rmtree(folder.path, ignore_errors=True)
+        shutil.rmtree(path, ignore_errors=True)
+
+    def _check_run(self) -> None:
+        """Refuse what was made of a run that another command changed meanwhile."""
+        if _state(RunFolder.open(self.run)) != self.state:
+            raise RunError(
+                f"another command has changed {self.run} meanwhile; run the same command again"
+            )
 
 
 def _run_tasks(
