@@ -349,3 +349,32 @@ def test_a_run_without_its_state_says_what_to_do(root):
     )
     with pytest.raises(RunError, match="holds no run"):
         continue_run(root)
+
+
+def test_warnings_reach_the_terminal_the_run_and_the_report(root, caplog):
+    """Poses that stand still while the sweeps move."""
+    write_kitti(root / "poses.txt", np.repeat(POSES[:1], SWEEPS, axis=0))
+    result = again(root)
+    assert result.exit_code == 0
+    said = [
+        record.getMessage()
+        for record in caplog.records
+        if "all poses are the same" in record.getMessage()
+    ]
+    assert said
+    assert said[0] in RunFolder.open(root / "run").stage("odometry")["warnings"]
+    page = (root / "run" / "report" / "index.html").read_text()
+    assert "warning of odometry" in page
+    assert "all poses are the same" in page
+
+
+def test_warnings_of_the_inputs_are_kept(root, caplog):
+    stamps = root / "drive" / "times.txt"
+    stamps.write_text("0.0\n0.1\n0.2\n0.6\n")
+    assert again(root).exit_code == 0
+    (text,) = [
+        t for t in RunFolder.open(root / "run").manifest["warnings"] if "sweeps missing" in t
+    ]
+    assert "0.40 s lie between frames 2 and 3" in text
+    assert text in caplog.messages
+    assert "sweeps missing" in (root / "run" / "report" / "index.html").read_text()
