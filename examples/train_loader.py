@@ -30,8 +30,8 @@ class Sample(NamedTuple):
 
 
 def samples(drive: Path, run: Path) -> Iterator[Sample]:
-    """Images of a drive that have a depth map in a run folder of one camera."""
-    (camera,) = docdepth.RunFolder.open(run).stage("render")["cameras"]
+    """Images of a drive that have a depth map of the first camera of a run."""
+    camera = docdepth.RunFolder.open(run).camera_in("")
     stream = docdepth.open_dataset(drive).cameras[camera]
     for index, name in enumerate(stream.names):
         file = run / "depth" / f"{name}.png"
