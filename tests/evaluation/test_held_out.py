@@ -40,7 +40,8 @@ def run(finished, tmp_path):
 
 def change(run, index, **arrays):
     folder = RunFolder.open(run)
-    folder.write_frame(index, replace(folder.frame(index), **arrays))
+    frame, key = replace(folder.frame(index), **arrays), folder.frame_key(index)
+    folder.write_frame(index, frame, key)
 
 
 def test_most_returns_agree_with_the_other_sweeps(finished):

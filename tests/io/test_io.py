@@ -13,6 +13,7 @@ from docdepth.geometry.se3 import poses_from, rotation_exp
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
+from docdepth.io.calibration import write_calibration
 from docdepth.io.frames import (
     FrameRecord,
     read_frame,
@@ -64,7 +65,9 @@ def test_truncated_frame_is_named_with_the_remedy(tmp_path, frame):
     path = tmp_path / "frame_000003.ply"
     write_frame(path, frame)
     path.write_bytes(path.read_bytes()[:-7])
-    with pytest.raises(RunError, match=r"frame_000003\.ply is damaged.*run the stage again"):
+    with pytest.raises(
+        RunError, match=r"frame_000003\.ply is damaged.*docdepth run RUN makes"
+    ):
         read_frame(path)
 
 
@@ -79,7 +82,9 @@ def test_a_damaged_header_is_named(tmp_path, frame, spoil):
     path = tmp_path / "frame_000003.ply"
     write_frame(path, frame)
     path.write_bytes(spoil(path.read_bytes()))
-    with pytest.raises(RunError, match=r"frame_000003\.ply is damaged.*run the stage again"):
+    with pytest.raises(
+        RunError, match=r"frame_000003\.ply is damaged.*docdepth run RUN makes"
+    ):
         read_frame(path)
 
 
@@ -111,7 +116,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
 
 def test_another_run_is_not_overwritten(tmp_path):
     source = {"dataset": "a", "camera": None}
-    RunFolder.create(tmp_path / "run", source, parameters())
+    RunFolder.create(tmp_path / "run", source, parameters()).save()
     RunFolder.create(tmp_path / "run", source, parameters())  # the same one goes on
     with pytest.raises(RunError, match=r"another run: its dataset is 'a', not 'b'"):
         RunFolder.create(tmp_path / "run", {**source, "dataset": "b"}, parameters())
@@ -131,11 +136,12 @@ def test_calibration_round_trip_and_missing(tmp_path):
         run.calibration()
     camera = Camera(np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]]), 1242, 375)
     pose = poses_from([rotation_exp([0.01, 1.5, 0.3])], [[0.1, 0.2, 0.3]])[0]
-    run.write_calibration(camera, pose, (-0.3, 0.1, 0, 0.01), "image_03")
+    distortion = (-0.3, 0.1, 0, 0.01)
+    write_calibration(run.calibration_folder("image_03"), camera, pose, distortion)
     with pytest.raises(CalibrationError, match=r"calib\.json is missing"):
         run.calibration()
     assert run.calibration("image_03")[2] == [-0.3, 0.1, 0, 0.01]
-    run.write_calibration(camera, pose)
+    write_calibration(run.calibration_folder(), camera, pose)
     back, T_camera_lidar, distortion = run.calibration()
     assert not any(distortion)
     np.testing.assert_array_equal(back.K, camera.K)
@@ -147,7 +153,7 @@ def test_sensors_of_the_previous_release_are_read(tmp_path, frame):
     run = RunFolder.create(tmp_path / "run", {}, parameters())
     index = np.zeros(100, np.uint8)
     rig = SensorRig(index, np.eye(4)[None], np.array([0.02]), np.array([3], np.uint8))
-    run.write_sensors(rig)
+    run.write_sensors(rig, {})
     record = replace(frame, sensor=index)
     assert run.sensor_rig(record).lidar_id.tolist() == [3]
     old = {"T_lidar_sensor": rig.T_lidar_sensor, "aside": rig.lateral_offset, "head": rig.lidar_id}

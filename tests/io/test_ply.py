@@ -186,7 +186,7 @@ def test_damage_is_described(tmp_path: Path, content: bytes, match: str) -> None
 
 
 def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match=r"none\.ply is missing; run the stage"):
+    with pytest.raises(RunError, match=r"none\.ply is missing; docdepth run RUN makes"):
         read_vertices(tmp_path / "none.ply")
     with pytest.raises(RunError, match="cannot be read: Is a directory"):
         read_vertices(tmp_path)

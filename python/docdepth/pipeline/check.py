@@ -108,7 +108,7 @@ def check_opened(
     seen = ", ".join(f"{s.name} ({len(s.names)} images)" for s in cameras)
     summary = (
         f"{len(recording)} sweeps of {np.median(points):.0f} points, cameras {seen}; by estimate "
-        f"{gigabytes(needed.memory)} of memory and {gigabytes(needed.disk)} on disk"
+        f"{gigabytes(needed.memory + needed.kept)} of memory and {gigabytes(needed.disk)} on disk"
     )
     return Report(found.all(), summary)
 

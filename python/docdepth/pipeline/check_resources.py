@@ -16,6 +16,7 @@ from docdepth.pipeline.problems import Findings
 _BASE = 200_000_000  # bytes of the program
 _BYTES_PER_POINT = 5000  # of a sweep: some 60 of them are in memory to draw an image
 _BYTES_PER_PIXEL = 45  # of an image
+_KEPT_BYTES = 25  # of every point of the drive: objects and ground, until tracks are known
 _FRAME_BYTES = 29  # of a point in frames/*.ply
 _PICTURE_BYTES = 0.3  # of a pixel in report/*.jpg
 _LAYER_BYTES = 4.0  # of a pixel of a layer
@@ -25,9 +26,19 @@ _CGROUP = Path("/sys/fs/cgroup")
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a run needs, in bytes."""
+    """What a run needs, in bytes.
+
+    Attributes
+    ----------
+    memory : int
+        For any number of such sweeps.
+    kept : int
+        More memory, for what is kept of all of them.
+    disk : int
+    """
 
     memory: int
+    kept: int
     disk: int
 
 
@@ -51,7 +62,8 @@ def estimate(
     sizes = [camera.camera.width * camera.camera.height for camera in cameras]
     images = sum(size * len(c.times) for size, c in zip(sizes, cameras, strict=True))
     memory = _BASE + _BYTES_PER_POINT * points + _BYTES_PER_PIXEL * max(sizes, default=0)
-    return Estimate(memory, int(_FRAME_BYTES * all_points + pixel * images))
+    kept = _KEPT_BYTES * all_points if parameters.dynamics.evidence == "tracks" else 0
+    return Estimate(memory, kept, int(_FRAME_BYTES * all_points + pixel * images))
 
 
 def check_resources(
@@ -67,6 +79,12 @@ def check_resources(
         found.error(
             f"the run needs {gigabytes(needed.memory)} of memory for these sweeps and images by "
             f"estimate, {gigabytes(memory)} are free; end other programs or take another machine"
+        )
+    elif memory is not None and needed.memory + needed.kept > memory:
+        found.warn(
+            f"the run needs {gigabytes(needed.memory + needed.kept)} of memory by estimate, most "
+            f"of it for the objects of so many sweeps; {gigabytes(memory)} are free: run parts of "
+            "the drive with --frames A:B, or set dynamics.evidence=objects"
         )
     if output is None:
         return

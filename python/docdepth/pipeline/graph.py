@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import Dataset
+from docdepth.datasets.base import Dataset, Sweep
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.input_files import InputFiles
@@ -67,10 +67,13 @@ class StageState:
 
 
 def odometry_parts(
-    run: RunFolder, recording: Dataset, poses: NDArray[np.float64] | None, inputs: InputFiles
+    run: RunFolder,
+    recording: Dataset,
+    first: Sweep,
+    poses: NDArray[np.float64] | None,
+    inputs: InputFiles,
 ) -> Parts:
-    """What poses and deskewed frames are made of."""
-    first = recording.sweep(0)
+    """What poses and deskewed frames are made of; ``first`` is the recording's first sweep."""
     rig = first.sensor_rig
     return {
         "version": _VERSIONS["odometry"],
@@ -147,7 +150,7 @@ class RunGraph:
             own = run.parameters.odometry.model_dump(mode="json")
             self._odometry = {**inputs, "odometry": own, "version": _VERSIONS["odometry"]}
         else:
-            self._odometry = odometry_parts(run, recording, poses, self._inputs)
+            self._odometry = odometry_parts(run, recording, recording.sweep(0), poses, self._inputs)
         self._classify = classify_parts(run, stage_key(self._odometry))
         self._frames = _all_frames(run, recording)
 

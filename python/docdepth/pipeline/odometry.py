@@ -56,7 +56,8 @@ def run_odometry(
     """
     with run.lock("odometry"):
         inputs = InputFiles(run)
-        parts = odometry_parts(run, dataset, poses, inputs)
+        first = dataset.sweep(0)
+        parts = odometry_parts(run, dataset, first, poses, inputs)
         key = {"odometry": stage_key(parts)}
         left = [i for i in range(len(dataset)) if not key.items() <= run.frame_key(i).items()]
         if not left and _others_are_done(run, key):
@@ -74,9 +75,8 @@ def run_odometry(
                     checkpoint,
                     threads,
                 )
-            rig = dataset.sweep(0).sensor_rig
-            if rig is not None:
-                run.write_sensors(rig, key)
+            if first.sensor_rig is not None:
+                run.write_sensors(first.sensor_rig, key)
             indices = np.arange(len(dataset))
             write_trajectory(run.trajectory_path, odometry.trajectory, indices, run.writer(key))
             _write_frames(run, odometry, left, key, profile, progress)
