@@ -60,7 +60,7 @@ def _check_period(recording: Dataset, found: Findings) -> None:
     if len(recording) < 2:
         return
     pauses = np.diff(recording.times) * 1e-9
-    period = float(np.median(pauses))
+    period = float(np.sort(pauses)[(len(pauses) - 1) // 2])
     longest = int(np.argmax(pauses))
     if pauses[longest] > _PAUSE * period:
         found.warn(
