@@ -120,7 +120,7 @@ class RecordedFolder:
 
         def record(written: Written) -> None:
             if path.name not in records and not same_content(path, written):
-                _move_aside(path)
+                move_aside(path)
             records.add(path.name, written, key)
 
         write_atomically(path, write, sync=sync, before_rename=record)
@@ -179,7 +179,7 @@ class RecordedFolder:
         self.records(path.parent).invalidate(path.name)
 
 
-def _move_aside(path: Path) -> None:
+def move_aside(path: Path) -> None:
     """Give a file that docdepth did not write another name."""
     aside, number = path.with_name(f"{path.name}.old"), 1
     while aside.exists():

@@ -34,7 +34,7 @@ from docdepth.io.manifest import (
     first_difference,
     read_manifest,
 )
-from docdepth.io.recorded_folder import NOTES, RecordedFolder
+from docdepth.io.recorded_folder import NOTES, RecordedFolder, move_aside
 
 log = logging.getLogger(__name__)
 
@@ -63,6 +63,7 @@ class RunFolder(RecordedFolder):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._loaded: bytes | None = None
+        self._is_loaded = False
         self.manifest: dict[str, Any] = self._load()
 
     @classmethod
@@ -98,8 +99,6 @@ class RunFolder(RecordedFolder):
         asked = parameters.model_dump(mode="json")
         if self.manifest:
             self._continue(source, asked, force)
-        elif self._manifest_path.exists() and not self._records_file(self.path).is_file():
-            raise RunError(f"{self._manifest_path} is damaged; choose another folder with -o")
         elif self._has_foreign_files():
             raise RunError(
                 f"{self.path} is not empty and holds no run; choose another folder with -o"
@@ -142,6 +141,8 @@ class RunFolder(RecordedFolder):
         """Whether there is something in the folder though docdepth never wrote into it."""
         if not self.path.is_dir() or self._records_file(self.path).is_file():
             return False
+        if self._manifest_path.exists() and self.frame_path(0).parent.is_dir():
+            return False  # a run whose state is lost
         return any(file.name != NOTES for file in self.path.iterdir())
 
     @classmethod
@@ -172,6 +173,7 @@ class RunFolder(RecordedFolder):
         """The content of run.yaml, or of its copy; empty where both are missing or damaged."""
         self._loaded = self._manifest_text()
         found = read_manifest(self._manifest_path)
+        self._is_loaded = found is not None
         if found is None:
             found = read_manifest(self._copy_path)
             if found is not None:
@@ -225,6 +227,9 @@ class RunFolder(RecordedFolder):
 
     def save(self) -> None:
         """Write run.yaml, and a copy that is used where the first is damaged."""
+        if self._loaded is not None and not self._is_loaded:
+            move_aside(self._manifest_path)  # it is no run.yaml of docdepth, or damaged
+        self._is_loaded = True
         text = self._loaded = yaml.safe_dump(self.manifest, sort_keys=False).encode()
         for path in (self._manifest_path, self._copy_path):
             if not path.is_file() or path.read_bytes() != text:
