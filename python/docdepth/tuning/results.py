@@ -159,7 +159,8 @@ def plot(outcomes: Sequence[Outcome], view: View, path: Path) -> None:
         raise MissingExtraError(
             'plots are drawn by matplotlib: pip install "docdepth[viz]"'
         ) from None
-    figure = Figure(figsize=(12, 4.5), layout="constrained")
+    # Names stand in a legend of one line each: they are long where several parameters vary.
+    figure = Figure(figsize=(14, max(4.5, 0.2 * len(outcomes))), layout="constrained")
     left, right = figure.subplots(1, 2)
     axis = _varying_parameter(outcomes)
     if axis is not None:
@@ -174,6 +175,7 @@ def plot(outcomes: Sequence[Outcome], view: View, path: Path) -> None:
     else:
         _scatter(left, outcomes, *map(view.column, view.plots[0]))
     _scatter(right, outcomes, *map(view.column, view.plots[1]))
+    figure.legend(*right.get_legend_handles_labels(), loc="outside right upper", fontsize=8)
     for axes in (left, right):
         axes.grid(alpha=0.3)
     stream = io.BytesIO()
@@ -182,11 +184,11 @@ def plot(outcomes: Sequence[Outcome], view: View, path: Path) -> None:
 
 
 def _scatter(axes: Any, outcomes: Sequence[Outcome], x: Column, y: Column) -> None:
-    """A point with its name for each trial."""
-    for outcome in outcomes:
+    """A point with its number for each trial."""
+    for k, outcome in enumerate(outcomes, 1):
         position = x.scaled(outcome), y.scaled(outcome)
-        axes.plot(*position, "o")
-        axes.annotate(outcome.name, position, textcoords="offset points", xytext=(4, 4), size=8)
+        axes.plot(*position, "o", label=f"{k}: {outcome.name}")
+        axes.annotate(str(k), position, textcoords="offset points", xytext=(4, 4), size=8)
     axes.set(xlabel=x.label, ylabel=y.label)
 
 
