@@ -29,6 +29,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.render import load_frame
 from docdepth.pipeline.run import require
+from docdepth.pipeline.run_inputs import camera_parameters
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.selection import needed_frames
@@ -160,8 +161,9 @@ class _HeldOutViews:
 
     def __init__(self, folder: RunFolder, camera: str | None, threads: int) -> None:
         self._folder, self._threads = folder, threads
-        self._trajectory, self._parameters = folder.trajectory(), folder.parameters
-        self._camera, self._T_camera_lidar, _ = folder.calibration(folder.depth_folder(camera))
+        self._trajectory, depths = folder.trajectory(), folder.depth_folder(camera)
+        self._parameters = camera_parameters(folder, folder.camera_in(depths))
+        self._camera, self._T_camera_lidar, _ = folder.calibration(depths)
         self._frames: dict[int, Frame] = {}
 
     def compare(self, index: int, max_range: float) -> _Comparison:
