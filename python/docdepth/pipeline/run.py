@@ -30,6 +30,7 @@ from docdepth.pipeline.run_inputs import (
 from docdepth.pipeline.stage import Progress
 from docdepth.pipeline.virtual_camera import check_name
 from docdepth.render.backends import Renderer
+from docdepth.visualization.report import index_is_whole
 
 log = logging.getLogger(__name__)
 
@@ -326,9 +327,11 @@ def _make(
     progress: Progress | None,
 ) -> None:
     """Run each stage that has something to do."""
-    if not outdated(states(folder)):
+    left = outdated(states(folder))
+    if not left and index_is_whole(folder):
         return
-    _check(folder, recording)
+    if left:
+        _check(folder, recording)
     poses = known_poses(folder.manifest["source"], recording)
     with folder.lock("run"):
         for _ in range(_MOST_REPAIRS):
