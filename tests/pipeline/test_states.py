@@ -42,6 +42,7 @@ class World:
     own: dict[Path, bytes] = field(default_factory=dict)
     notes_lost: bool = False
     version: int = 0
+    redrawn: set[str] = field(default_factory=set)  # images that have changed
 
     def __post_init__(self) -> None:
         self.drive = write_small_drive(self.root / "drive")
@@ -164,6 +165,7 @@ def change_input(world: World, number: int) -> None:
         write_sweep(world.drive, k, points)
     elif number % 3 == 1:
         write_image(world.drive / "image_2" / f"{k:06d}.png", seed=world.version + 50)
+        world.redrawn.add(f"{k:06d}")
     else:
         text = (world.drive / "calib.txt").read_text()
         world.drive.joinpath("calib.txt").write_text(text.replace("60 0 48", "61 0 48"))
@@ -271,5 +273,7 @@ def _check_that_little_was_written(
         for path, (content, time) in before.items():
             inside = path.parent.relative_to(world.run).as_posix() in folders
             rewritten = ("index.html", "depth.json")
+            if inside and "render" in stage and path.stem in world.redrawn:
+                continue
             if inside and path.name not in rewritten and path.read_bytes() == content:
                 assert path.stat().st_mtime_ns == time, (stage, path)
