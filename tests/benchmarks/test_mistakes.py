@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from mistakes import INPUTS, SETTINGS, STATES, Outcome, judge, table
+from mistakes import INPUTS, SETTINGS, STATES, STRANGERS, Outcome, judge, table
 
-CASES = [*INPUTS, *SETTINGS, *STATES]
+CASES = [*INPUTS, *SETTINGS, *STATES, *STRANGERS]
 
 
 def test_there_are_many_mistakes_and_none_twice():
