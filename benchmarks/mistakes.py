@@ -28,6 +28,7 @@ from pathlib import Path
 from mistakes_of_inputs import INPUTS
 from mistakes_of_settings import SETTINGS
 from mistakes_of_state import STATES
+from mistakes_of_strangers import STRANGERS
 
 LIMIT = 60.0
 """Seconds that a command may take."""
@@ -143,7 +144,7 @@ def main(progress: Callable[[str], None]) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", help="cases whose text holds this word")
     wanted = parser.parse_args().only or ""
-    cases = [case for case in (*INPUTS, *SETTINGS, *STATES) if wanted in case[0]]
+    cases = [case for case in (*INPUTS, *SETTINGS, *STATES, *STRANGERS) if wanted in case[0]]
     outcomes = []
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder).resolve()

@@ -20,7 +20,7 @@ def _config(content: bytes) -> tuple:
     return [*NEW, "--config", "c.yaml"], write("c.yaml", content), REFUSED
 
 
-def _shell(command: str):
+def shell(command: str):
     """Run a shell line in the place; $DOCDEPTH is the program."""
 
     def spoil(at: Path) -> subprocess.CompletedProcess:
@@ -90,10 +90,10 @@ SETTINGS = [
     ("output: a link to itself", ["run", "d", "-o", "l"], link("l", "l"), REFUSED),
     ("output that nobody may write", ["run", "d", "-o", "/proc/run"], None, REFUSED),
     ("a name of 300 letters", ["run", "d", "-o", "x" * 300], None, REFUSED),
-    ("a recording whose name is no text", [], _shell("$DOCDEPTH run $'b\\xff' -o n"), REFUSED),
-    ("a run whose name is no text", [], _shell("$DOCDEPTH video $'b\\xff'"), REFUSED),
-    ("files of 64 KB at most", [], _shell("ulimit -f 64; trap '' XFSZ; $DOCDEPTH run d -o n"),
+    ("a recording whose name is no text", [], shell("$DOCDEPTH run $'b\\xff' -o n"), REFUSED),
+    ("a run whose name is no text", [], shell("$DOCDEPTH video $'b\\xff'"), REFUSED),
+    ("files of 64 KB at most", [], shell("ulimit -f 64; trap '' XFSZ; $DOCDEPTH run d -o n"),
      REFUSED),
-    ("too few open files", [], _shell("ulimit -n 12; $DOCDEPTH run d -o n"),
+    ("too few open files", [], shell("ulimit -n 12; $DOCDEPTH run d -o n"),
      "refused or repaired"),
 ]  # fmt: skip

@@ -81,6 +81,7 @@ def test_a_value_is_replaced_by_name():
             r"size = 'a': it must be two numbers from 0.1 to 2000 pixels",
         ),
         ("render.static_size=[3, 50]", r"^render\.static_size = .*sigma_max, must not be below"),
+        ("render.max_depth=1:20", r"^render\.max_depth = '1:20': it must be a number"),
         ("odometry.passes=[1", r"^--set 'odometry\.passes=\[1': the value '\[1' cannot be read"),
         ("tolerance", "^--set 'tolerance': write stage.name=value"),
     ],
@@ -278,3 +279,7 @@ def test_a_run_of_the_last_release_continues(tmp_path):
     other = parameters(settings={"dynamics.window": 7, "ground.voxel_size": 0.05})
     with pytest.raises(RunError, match=r"dynamics.window is 5, not 7"):
         RunFolder.create(tmp_path, {}, other)
+
+
+def test_numbers_with_zeros_in_front_are_decimal():
+    assert parse_settings(["dynamics.window=011"]) == {"dynamics.window": 11}

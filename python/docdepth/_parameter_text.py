@@ -62,6 +62,43 @@ def explain(error: ValidationError, stages: Mapping[str, type[BaseModel]]) -> st
     return "; ".join(sentences.values())
 
 
+class _Settings(yaml.SafeLoader):
+    """YAML in which every name stands once, and ``010`` and ``1:20`` are not octal and minutes."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        twice = [name for k, name in enumerate(names) if name in names[:k]]
+        if twice:
+            raise yaml.YAMLError(f"{twice[0]!r} stands twice; keep one of the two")
+        return super().construct_mapping(node, deep)
+
+
+def _integer(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> Any:
+    try:
+        return int(node.value)
+    except ValueError:
+        return node.value
+
+
+def _real(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> Any:
+    return node.value if ":" in node.value else loader.construct_yaml_float(node)
+
+
+_Settings.add_constructor("tag:yaml.org,2002:int", _integer)
+_Settings.add_constructor("tag:yaml.org,2002:float", _real)
+
+
+def read_yaml(text: str) -> Any:
+    """Parameters from YAML.
+
+    Raises
+    ------
+    yaml.YAMLError, ValueError, RecursionError
+        The text is no YAML, or a name stands twice.
+    """
+    return yaml.load(text, _Settings)
+
+
 def parse_settings(assignments: list[str], option: str = "--set") -> dict[str, Any]:
     """``["dynamics.tolerance=0.3"]`` as a dict; values are read as YAML.
 
@@ -76,7 +113,7 @@ def parse_settings(assignments: list[str], option: str = "--set") -> dict[str, A
         if not equals:
             raise ConfigError(f"{option} {assignment!r}: write stage.name=value")
         try:
-            settings[name.strip()] = yaml.safe_load(value)
+            settings[name.strip()] = read_yaml(value)
         except (yaml.YAMLError, ValueError, RecursionError):
             raise ConfigError(
                 f"{option} {assignment!r}: the value {value!r} cannot be read; write a number, a "

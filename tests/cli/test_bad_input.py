@@ -25,6 +25,10 @@ from docdepth.io.run_folder import RunFolder
         (["--pose", "0,0,1", "--K", "9,9,4", "--size", "9x7"], "fx,fy,cx,cy"),
         (["--pose", "0,0,1", "--K", "9,9,4,3", "--size", "9"], "WIDTHxHEIGHT"),
         (["--pose", "0,0,1", "--K", "9,9,4,3", "--size", "9x7", "--name", "a/b"], "a folder"),
+        (["--pose", "0,0,1", "--K", "9,9,4,3", "--size", "9x7", "--name", "1.png"], "a folder"),
+        (["--name", "wide"], "needs --pose, --K and --size"),
+        (["--camera-times", "times.txt"], "needs --pose, --K and --size"),
+        (["--camera", ""], "an empty name"),
     ],
 )
 def test_mistakes_with_virtual_cameras(finished, arguments, message):

@@ -192,3 +192,34 @@ def test_a_range_without_sweeps(drive: Path, frames: str) -> None:
 def test_a_text_that_is_no_range(drive: Path, frames: str) -> None:
     with pytest.raises(DatasetError, match=r"write A:B .* has 5 sweeps"):
         open_dataset(drive, frames=frames)
+
+
+def test_files_that_other_systems_hide_are_left_out(copy: Path) -> None:
+    whole = open_dataset(copy)
+    for folder, name in (("velodyne", "._000000.bin"), ("image_2", "._000000.png")):
+        (copy / folder).mkdir(exist_ok=True)
+        (copy / folder / name).write_bytes(b"\0\5\26\7")
+    again = open_dataset(copy)
+    assert len(again) == len(whole)
+    assert again.cameras["image_2"].names == whole.cameras["image_2"].names
+
+
+def test_a_byte_order_mark_is_no_part_of_a_time(copy: Path) -> None:
+    times = open_dataset(copy).times
+    text = (copy / "times.txt").read_text(encoding="utf-8")
+    (copy / "times.txt").write_text("\ufeff" + text.replace("\n", "\r\n"), encoding="utf-8")
+    np.testing.assert_array_equal(open_dataset(copy).times, times)
+
+
+def test_sweeps_are_in_the_order_of_their_numbers(copy: Path) -> None:
+    for folder in ("velodyne", "labels"):
+        for file in sorted((copy / folder).iterdir()):
+            file.rename(file.with_name(f"{int(file.stem) + 8}{file.suffix}"))
+    recording = open_dataset(copy)
+    assert [recording.sweep(k).name for k in range(5)] == ["8", "9", "10", "11", "12"]
+
+
+def test_a_copy_among_numbered_sweeps_is_named(copy: Path) -> None:
+    shutil.copy(copy / "velodyne" / "000001.bin", copy / "velodyne" / "000001 (1).bin")
+    with pytest.raises(SeveralProblems, match=r"none for 000001 \(1\)\.bin \(frame 1\)"):
+        open_dataset(copy)

@@ -320,3 +320,10 @@ def test_maps_of_other_times_are_named_like_the_files_of_the_sequence(
     (tmp_path / "times.txt").write_text("0.05\n0.15\n")
     _, streams = open_inputs(source(copy, camera_times=tmp_path / "times.txt"))
     assert streams[0].names == ["000000", "000001"]
+
+
+def test_a_sweep_that_is_a_copy_of_the_one_before(copy: Path) -> None:
+    for k in (2, 3):
+        shutil.copy(copy / "velodyne" / "000001.bin", copy / "velodyne" / f"00000{k}.bin")
+    text = texts(problems(copy), "warning")
+    assert "000002.bin (frame 2) is a copy of the sweep before it, and 1 more are like it" in text

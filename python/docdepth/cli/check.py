@@ -15,7 +15,6 @@ from docdepth.cli.options import (
     ImageSize,
     LayerNames,
     Layout,
-    Output,
     PosesFile,
     PresetName,
     Scale,
@@ -35,7 +34,12 @@ def check(
             metavar="DATASET", help="Folder of a recording (KITTI raw, KITTI odometry) or of a run."
         ),
     ],
-    output: Output = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="RUN", help="Run folder: is there room, may you write there?"
+        ),
+    ] = None,
     layout: Layout = None,
     camera: CameraNames = None,
     frames: Frames = None,

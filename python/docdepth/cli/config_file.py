@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import yaml
 
+from docdepth._parameter_text import read_yaml
 from docdepth.config import Parameters, Preset, parameters
 from docdepth.errors import ConfigError
 
@@ -74,7 +75,7 @@ def read_config(path: Path) -> Given:
         The file cannot be read, has another structure, or a value is refused.
     """
     try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+        tree = read_yaml(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeError, yaml.YAMLError) as error:
         why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
         raise ConfigError(f"--config {path} cannot be read as YAML: {why}") from None

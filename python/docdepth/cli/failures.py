@@ -121,6 +121,8 @@ def _of_path(error: OSError) -> str:
         remedy = "restore what it points to, or delete the link"
     if error.errno == errno.ENOTDIR and (file := _file_on_the_way(Path(path))):
         what, remedy = f"cannot be: {file} is a file", "name a folder"
+    if error.errno == errno.ENOENT and not path:
+        what, remedy = "is not there", "was the folder that you stand in deleted? Go to another"
     if not what:
         return f"{path}: {error.strerror or error}" if path else str(error.strerror or error)
     return f"{path or 'a file'} {what}; {remedy}"

@@ -122,7 +122,7 @@ Settings = Annotated[
 Threads = Annotated[
     int,
     typer.Option(
-        min=0, max=1024, metavar="N", help="Threads to use; 0 takes every core. Same result."
+        min=0, max=256, metavar="N", help="Threads to use; 0 takes every core. Same result."
     ),
 ]
 RendererName = Annotated[
@@ -198,9 +198,11 @@ VirtualSize = Annotated[
     ),
 ]
 VirtualName = Annotated[
-    str,
+    str | None,
     typer.Option(
-        "--name", metavar="NAME", help="Name of the virtual camera: maps go to depth/NAME."
+        "--name",
+        metavar="NAME",
+        help="Name of the virtual camera: maps go to depth/NAME; virtual if absent.",
     ),
 ]
 VirtualTimes = Annotated[
@@ -219,7 +221,11 @@ Json = Annotated[
 
 def listed(names: list[str] | None) -> str | list[str] | None:
     """Names from repeated options or commas; a single name as a string."""
-    every = [name for text in names or [] for name in text.split(",")]
+    from docdepth.errors import ConfigError
+
+    every = [name.strip() for text in names or [] for name in text.split(",")]
+    if "" in every:
+        raise ConfigError("--camera holds an empty name; write NAME or NAME,NAME")
     return every[0] if len(every) == 1 else every or None
 
 

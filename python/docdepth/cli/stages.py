@@ -176,7 +176,7 @@ def render(
     pose: VirtualPose = None,
     K: VirtualIntrinsics = None,
     size: VirtualSize = None,
-    name: VirtualName = "virtual",
+    name: VirtualName = None,
     camera_times: VirtualTimes = None,
     threads: Threads = 0,
     renderer: RendererName = None,
@@ -194,16 +194,19 @@ def render(
     changes = changes_of(settings) | output_of(format, scale, layers)
     check_stages(changes, "render", "output")
     described = None
-    if pose or K or size:
+    if pose or K or size or name is not None or camera_times:
         if not (pose and K and size) or camera:
-            raise ConfigError("a virtual camera needs --pose, --K and --size, and no --camera")
+            raise ConfigError(
+                "a virtual camera needs --pose, --K and --size, and no --camera; --name and "
+                "--camera-times are for it alone"
+            )
         described = virtual_camera(pose, K, size, camera_times)
     with progress_bars() as progress:
         folder = render_again(
             run,
             changes,
             listed(camera),
-            (name, described) if described else None,
+            ("virtual" if name is None else name, described) if described else None,
             threads=threads,
             renderer=drawn_by,
             progress=progress,

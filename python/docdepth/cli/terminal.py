@@ -91,6 +91,12 @@ def _escaped(character: str) -> str:
     return character.encode("ascii", "backslashreplace").decode()
 
 
+def _unwrapped(function: Callable[..., Any]) -> str:
+    """The help of a verb with each paragraph in one line; indented lines are examples and stay."""
+    paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
+    return "\n\n".join(p if p.startswith(" ") else " ".join(p.split("\n")) for p in paragraphs)
+
+
 _Verb = TypeVar("_Verb", bound=Callable[..., Any])
 Quiet = Annotated[
     bool,
@@ -119,6 +125,7 @@ def verb(group: typer.Typer, name: str | None = None) -> Callable[[_Verb], _Verb
         resolved = [p.replace(annotation=hints[name]) for name, p in every.items()]
         call.__signature__ = inspect.Signature(resolved)  # type: ignore[attr-defined]
         call.__annotations__ = hints
+        call.__doc__ = _unwrapped(function)
         group.command(name)(call)
         return function
 

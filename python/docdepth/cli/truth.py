@@ -167,8 +167,8 @@ def tune(
     Only what the parameters change is made again, in folders of its own: the run stays as it is.
     The same command continues a search that was interrupted.
 
-      docdepth tune RUN -o out --vary odometry.voxel_size=0.5,1 --vary render.behind=5,15
-      docdepth tune RUN --labels DRIVE -o out --vary dynamics.tolerance=0.1,0.2,0.4
+      docdepth tune RUN -o out --vary render.behind=5,15
+      docdepth tune RUN --labels DIR -o out --vary dynamics.tolerance=0.1,0.2
     """
     from docdepth import tuning
     from docdepth.errors import ConfigError, MissingExtraError

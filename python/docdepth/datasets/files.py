@@ -62,7 +62,7 @@ def read_lines(file: Path, remedy: str) -> list[str]:
         The file cannot be read, or is not a text file.
     """
     try:
-        return read_bytes(file, remedy).decode("utf-8").rstrip().splitlines()
+        return read_bytes(file, remedy).decode("utf-8-sig").rstrip().splitlines()
     except UnicodeDecodeError:
         raise DatasetError(f"{file} is not a text file; {remedy}") from None
 

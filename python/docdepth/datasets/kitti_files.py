@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import cv2
@@ -20,12 +20,12 @@ _LEVER_ARM = 10.0  # metres between LiDAR and camera; on a lorry it is five
 
 
 def find_sweeps(folder: Path, problems: Collector) -> list[Path]:
-    """The ``*.bin`` sweeps of a folder in order of their names.
+    """The ``*.bin`` sweeps of a folder in the order of :func:`in_order`.
 
     Broken sweeps are added to the problems: an error now is better than one an hour into the run.
     Many of a kind are one problem.
     """
-    files = sorted(folder.glob("*.bin"))
+    files = in_order(folder.glob("*.bin"))
     with problems.collected():
         if not files:
             raise DatasetError(f"{folder} holds no sweeps (*.bin); unpack the velodyne data there")
@@ -41,6 +41,20 @@ def find_sweeps(folder: Path, problems: Collector) -> list[Path]:
         with problems.collected():
             _check_format(files[0], 0)
     return files
+
+
+def in_order(files: Iterable[Path]) -> list[Path]:
+    """Files in order of their numbers, or of their names where one of them is no number.
+
+    Hidden files are left out: other systems put ``._000000.bin`` beside each file that they copy.
+    """
+    shown = [file for file in files if not file.name.startswith(".")]
+    numbered = all(_is_number(file.stem) for file in shown)
+    return sorted(shown, key=lambda file: (int(file.stem) if numbered else 0, file))
+
+
+def _is_number(text: str) -> bool:
+    return text.isascii() and text.isdigit()
 
 
 def read_sweep(file: Path, frame: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -120,13 +134,15 @@ def match_rows(files: Sequence[Path], count: int, table: Path, what: str) -> NDA
     """
     if count == len(files):
         return np.arange(count)
-    numbers = [int(f.stem) if f.stem.isascii() and f.stem.isdigit() else -1 for f in files]
+    numbers = [int(f.stem) if _is_number(f.stem) else -1 for f in files]
     lacking = next((k for k, n in enumerate(numbers) if not 0 <= n < count), None)
     if lacking is None:
         return np.array(numbers, dtype=np.int64)
     if count < len(files):
         remedy = "restore the missing lines, or remove the files that have none"
-        lacking = max(lacking, count)
+        # Among numbers, it is a copy like "000001 (1).bin" that has none.
+        odd = numbers.index(-1) if max(numbers) >= 0 > min(numbers) else count
+        lacking = min(odd, max(lacking, count))
     else:
         remedy = "remove the lines of files that are not there, or name files by their line"
     raise DatasetError(
@@ -243,8 +259,8 @@ def camera_offset(P: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def image_files(folder: Path) -> list[Path]:
-    """Images of a folder in order of their names; none if there is no such folder."""
-    return sorted(f for f in folder.glob("*") if f.suffix.lower() in (".png", ".jpg", ".jpeg"))
+    """Images of a folder in the order of :func:`in_order`; none if there is no such folder."""
+    return in_order(f for f in folder.glob("*") if f.suffix.lower() in (".png", ".jpg", ".jpeg"))
 
 
 def image_size(file: Path) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,11 @@ from docdepth.geometry.points import DYNAMIC
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.run import require
+
+log = logging.getLogger(__name__)
+
+_OTHER_SCALE = 1.5
+"""Factor between true and made depth, in the median, that no error of depth explains."""
 
 
 def evaluate_labels(
@@ -45,7 +51,7 @@ def evaluate_labels(
     """
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
     require(folder, "classify")
-    labels = _truth_folder(labels, "labels")
+    labels = _truth_folder(labels, "labels", folder)
     speeds = labels.parent / "speeds"
     evaluation = LabelEvaluation(poses=_poses(folder))
     times = folder.trajectory().times
@@ -97,12 +103,13 @@ def evaluate_depth(
         The folder or a true depth map is missing, or the run has no depth maps.
     """
     folder = RunFolder.open(run)
-    depth = _truth_folder(depth, "depth_2")
+    depth = _truth_folder(depth, "depth_2", folder)
     classes = depth.parent / depth.name.replace("depth", "class")
     camera = folder.depth_folder(camera)
     require(folder, f"render {folder.camera_in(camera)}")
     K = folder.calibration(camera)[0].K
     evaluation = DepthEvaluation(mode=mode, max_range=max_range, poses=_poses(folder))
+    ratios: list[float] = []
     maps, truths = maps_in(run / "depth" / camera), maps_in(depth)
     if not maps:
         raise DatasetError(f"{run}/depth has no depth maps; run: docdepth render {run}")
@@ -114,14 +121,34 @@ def evaluate_depth(
         if classes != depth and mask.is_file():
             classes_of_image = np.load(mask)
             dynamic = moving(classes_of_image.ravel()).reshape(classes_of_image.shape)
-        evaluation.add(read_depth(path), read_depth(truths[name]), dynamic, K)
+        made, true = read_depth(path), read_depth(truths[name])
+        evaluation.add(made, true, dynamic, K)
+        ratios.append(_ratio(made, true))
         if progress:
             progress(done, len(maps))
+    ratio = float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else 1.0
+    if not 1 / _OTHER_SCALE < ratio < _OTHER_SCALE:
+        log.warning(
+            "the depth in %s is %.3g times that of the run; depth is in metres, PNG in metres x "
+            "256 unless a depth.json beside it tells another scale: is the scale another?",
+            depth,
+            ratio,
+        )
     return evaluation.result()
 
 
-def _truth_folder(path: Path, inside: str) -> Path:
+def _ratio(made: NDArray[np.float32], true: NDArray[np.float32]) -> float:
+    """Median of true depth over made depth; NaN if no pixel has both."""
+    both = np.isfinite(made) & np.isfinite(true)
+    return float(np.median(true[both] / made[both])) if both.any() else np.nan
+
+
+def _truth_folder(path: Path, inside: str, run: RunFolder) -> Path:
     """The folder itself, or the one in it that holds the truth."""
+    if path.resolve().is_relative_to(run.path.resolve()):
+        raise DatasetError(
+            f"{path} lies in the run {run.path} itself; name the folder of the truth"
+        )
     if not path.is_dir():
         raise DatasetError(f"{path} is {'not a folder' if path.exists() else 'not there'}")
     return path / inside if (path / inside).is_dir() else path

@@ -108,7 +108,7 @@ def write_kitti(path: Path | str, poses: NDArray[np.float64]) -> None:
 
 def _lines(path: Path) -> list[str]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise OdometryError(f"{path} is missing; give the file of the poses") from None
     except (UnicodeDecodeError, IsADirectoryError):
@@ -132,7 +132,8 @@ def _read(path: Path, columns: int | None = None) -> NDArray[np.float64]:
             rows[k] = [float(Decimal(word)) for word in line.split()]
         except (InvalidOperation, ValueError):
             raise OdometryError(
-                f"{path}, pose {k}: '{line.strip()[:60]}' is not {columns} numbers"
+                f"{path}, pose {k}: '{line.strip()[:60]}' is not {columns} numbers; "
+                "each line is one pose, and a heading begins with #"
             ) from None
     return rows
 

@@ -97,7 +97,7 @@ def _check_intrinsics(stream: CameraStream, found: Findings) -> None:
         if not field < _FIELDS_DEG[1] or (name == "wide" and field < _FIELDS_DEG[0]):
             found.warn(
                 f"{stream.name}: the field of view is {field:.0f} degrees {name} (focal length "
-                f"{focal:.1f} pixels, image {size}); is the image size right?"
+                f"{focal:.1f} pixels, image {size}); is the image size right? Is K in pixels?"
             )
     if not 1 / _FOCAL_RATIO < fx / fy < _FOCAL_RATIO:
         found.warn(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from filecmp import cmp
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,7 @@ def check_sweeps(
     """Check times, sizes and sampled sweeps; returns those that could be read."""
     _check_period(recording, found)
     _check_sizes(recording, files, sizes, found)
+    _check_repeats(files, sizes, found)
     opened: dict[int, Sweep] = {}
     for index in sample(len(recording)):
         with found.collected():
@@ -86,6 +88,22 @@ def _check_sizes(
             f"{files[first][0]} (frame {first}) has {sizes[first]} bytes, sweeps of "
             f"{recording.path} usually {usual:.0f}{_more(len(small) - 1)}; copy partial sweeps "
             "again or remove them"
+        )
+
+
+def _check_repeats(files: list[list[Path]], sizes: NDArray[np.int64], found: Findings) -> None:
+    """No two sweeps of a real LiDAR are the same to the last bit."""
+    repeated = [
+        k
+        for k in (np.flatnonzero(np.diff(sizes) == 0) + 1).tolist()
+        if files[k - 1] and files[k] and cmp(files[k - 1][0], files[k][0], shallow=False)
+    ]
+    if repeated:
+        first = repeated[0]
+        found.warn(
+            f"{files[first][0]} (frame {first}) is a copy of the sweep before it"
+            f"{_more(len(repeated) - 1)}; nothing moves between them: copy the recording again, "
+            "or remove the sweeps and their times"
         )
 
 

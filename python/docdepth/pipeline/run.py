@@ -114,11 +114,12 @@ def run(
         "image_size": image_size,
         "frames": frames,
     }
-    if hash_inputs:
-        inputs["hash_inputs"] = True
     values, place = parameters or Parameters(), Path(output)
     recording, streams = _open(inputs, values, place)
+    inputs["dataset"] = _absolute(recording.path)  # a folder that holds one recording may be given
     folder = RunFolder(place)
+    if hash_inputs or folder.manifest.get("source", {}).get("hash_inputs"):
+        inputs["hash_inputs"] = True  # for good: a run compares as it began
     _follow_recording(folder, recording)
     folder.start(inputs, values, force)
     register(folder, streams)
@@ -155,6 +156,7 @@ def continue_run(
     source = folder.manifest["source"]
     if not source:
         raise RunError(f"{output} was not made of a recording; there is nothing to continue")
+    _check_place(folder)
     recording, _ = _open(source, folder.parameters, folder.path)
     if dry_run:
         _check(folder, recording)
@@ -198,6 +200,7 @@ def render_again(
     """
     folder = RunFolder.open(Path(output))
     require(folder, "classify")
+    _check_place(folder)
     source, changes = folder.manifest["source"], changes or {}
     recording = open_recording(source) if source else RunDataset(folder.path)
     named: list[str] = []
@@ -236,20 +239,26 @@ def states(folder: RunFolder, *, verify: bool = False) -> list[StageState]:
 
 
 def changes_since_start(folder: RunFolder) -> list[str]:
-    """A sentence for each parameter that a stage has changed since the run was started."""
+    """The parameters that a stage has changed since the run was started, and how to go back."""
     asked = folder.manifest.get("asked")
     if asked is None:
         return []
     verbs = {"odometry": "odometry", "ground": "classify", "dynamics": "classify"}
     now = folder.parameters.model_dump(mode="json")
-    return [
-        f"{stage}.{name} is {now[stage][name]}, was {value}; back: docdepth "
-        f"{verbs.get(stage, 'render')} {folder.path} --set {stage}.{name}={value}"
-        for stage, values in asked.items()
-        if isinstance(values, dict)
-        for name, value in values.items()
-        if now[stage][name] != value
-    ]
+    sentences: list[str] = []
+    for verb in dict.fromkeys([*verbs.values(), "render"]):
+        changed = [
+            (f"{stage}.{name}", now[stage][name], value)
+            for stage, values in asked.items()
+            if isinstance(values, dict) and verbs.get(stage, "render") == verb
+            for name, value in values.items()
+            if now[stage][name] != value
+        ]
+        if changed:
+            what = ", ".join(f"{name} is {new}, was {old}" for name, new, old in changed)
+            back = " ".join(f"--set {name}={old}" for name, _, old in changed)
+            sentences.append(f"{what}; back: docdepth {verb} {folder.path} {back}")
+    return sentences
 
 
 def require(folder: RunFolder, stage: str) -> None:
@@ -299,6 +308,16 @@ def _open(
         raise
 
 
+def _check_place(folder: RunFolder) -> None:
+    """Refuse to go on without the recording."""
+    place = folder.manifest["source"].get("dataset")
+    if place and not Path(place).exists():
+        raise RunError(
+            f"{place}, the recording of {folder.path}, is not there; if it was moved, say where "
+            f"it is now: docdepth run DATASET -o {folder.path}"
+        )
+
+
 def _follow_recording(folder: RunFolder, recording: Dataset) -> None:
     """If a run's recording lies elsewhere now, and is the same, note where."""
     source, place = folder.manifest.get("source", {}), _absolute(recording.path)
@@ -329,6 +348,9 @@ def _make(
     """Run each stage that has something to do."""
     left = outdated(states(folder))
     if not left and index_is_whole(folder):
+        if folder.manifest != RunFolder(folder.path).manifest:  # the recording was moved
+            with folder.lock("run"):
+                folder.save()
         return
     if left:
         _check(folder, recording)

@@ -88,7 +88,8 @@ def check_name(run: RunFolder, name: str) -> None:
     ------
     ConfigError
     """
-    if not name or name in (".", "..") or set(name) & set("/\\\0"):
+    # A name with a dot could be that of a file of the first camera: 000000.png, depth.json.
+    if not name or set(name) & set("./\\\0"):
         raise ConfigError(f"--name {name!r} cannot be a folder name; use letters and digits")
     if name in run.cameras and "virtual" not in run.cameras[name]:
         raise ConfigError(f"--name {name}: the run has a camera of this name; choose another name")

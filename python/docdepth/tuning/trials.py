@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from docdepth._old_names import RENAMED
+from docdepth._parameter_text import read_yaml
 from docdepth.config import Parameters, parameters, replaced
 from docdepth.errors import ConfigError
 
@@ -69,7 +70,7 @@ def parse_axes(assignments: Sequence[str]) -> dict[str, list[Any]]:
         if not equals:
             raise ConfigError(f"--vary {assignment!r}: write stage.name=value,value")
         try:
-            values = yaml.safe_load(f"[{text}]")
+            values = read_yaml(f"[{text}]")
         except (yaml.YAMLError, ValueError, RecursionError):
             values = None
         if not values:
@@ -91,7 +92,7 @@ def read_trials(path: Path) -> list[Trial]:
         The file is missing or has another structure.
     """
     try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+        tree = read_yaml(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from None
     if not isinstance(tree, dict) or not tree or not all(map(_is_set, tree.values())):

@@ -59,7 +59,7 @@ def _facts(run: RunFolder) -> Iterable[tuple[str, str]]:
         yield f"depth of {name}", f"{stage.get('all_frames', 0)} images{density}"
         if stage.get("left_out"):
             yield "images outside the sweeps, left out", ", ".join(stage["left_out"])
-        yield "renderer", str(stage.get("renderer", ""))
+        yield f"renderer of {name}", str(stage.get("renderer", ""))
     for text in run.manifest.get("warnings", []):
         yield "warning of the inputs", text
     for name, stage in run.manifest["stages"].items():
