@@ -18,7 +18,10 @@ MAP = "r/depth/000001.png"
 def _two_at_once(at: Path) -> subprocess.CompletedProcess:
     """Two runs into one folder; the second is refused, or both end well."""
     command = [sys.executable, "-m", "docdepth", "run", "d", "-o", "n"]
-    first, second = (subprocess.Popen(command, cwd=at, stderr=subprocess.PIPE) for _ in range(2))
+    first, second = (
+        subprocess.Popen(command, cwd=at, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        for _ in range(2)
+    )
     messages = [process.communicate(timeout=60)[1] for process in (first, second)]
     codes = [process.returncode for process in (first, second)]
     worst = max(codes, key=lambda code: (code not in (0, 2), code))
@@ -36,7 +39,7 @@ def _killed(at: Path) -> None:
     """Kill a run in the middle; the case goes on with it in ``r``."""
     remove("r")(at)
     command = [sys.executable, "-m", "docdepth", "run", "d", "-o", "r"]
-    process = subprocess.Popen(command, cwd=at, stderr=subprocess.PIPE)
+    process = subprocess.Popen(command, cwd=at, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     assert process.stderr is not None
     for line in process.stderr:
         if line.startswith(b"classify"):
