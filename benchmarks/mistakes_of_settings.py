@@ -82,6 +82,8 @@ SETTINGS = [
     ("trials: a folder", ["tune", "r", "--labels", "d", "-o", "t", "--trials", "d"], None, REFUSED),
     ("trials of what labels do not show",
      ["tune", "r", "--labels", "d", "-o", "t", "--vary", "render.behind=5,15"], None, REFUSED),
+    ("trials of output",
+     ["tune", "r", "--labels", "d", "-o", "t", "--vary", "output.scale=64,256"], None, REFUSED),
     ("a drive written over another", ["synth", "d"], None, REFUSED),
     ("output: a file", ["run", "d", "-o", "d/calib.txt"], None, REFUSED),
     ("output below a file", ["run", "d", "-o", "d/calib.txt/run"], None, REFUSED),

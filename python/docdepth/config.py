@@ -218,7 +218,7 @@ class RenderParameters(_Stage):
         15.0, ge=0, le=1000, description="static points come from this path behind, d_min [m]"
     )
     ahead: float = Field(
-        80.0, ge=0.01, le=1000, description="and from this path ahead of the camera, d_max [m]"
+        80.0, ge=0.01, le=1000, description="static points come from this path ahead, d_max [m]"
     )
     step: float = Field(
         0.25, ge=0.01, le=100, description="path between sweeps of static points, d_step [m]"

@@ -327,3 +327,10 @@ def test_a_sweep_that_is_a_copy_of_the_one_before(copy: Path) -> None:
         shutil.copy(copy / "velodyne" / "000001.bin", copy / "velodyne" / f"00000{k}.bin")
     text = texts(problems(copy), "warning")
     assert "000002.bin (frame 2) is a copy of the sweep before it, and 1 more are like it" in text
+
+
+def test_a_sweep_that_lacks_in_a_drive_of_four(copy: Path) -> None:
+    for k in (2, 4):
+        (copy / "velodyne" / f"00000{k}.bin").unlink()
+    text = texts(problems(copy), "warning")
+    assert "0.20 s lie between frames 1 and 2, usually 0.10 s; are sweeps missing?" in text
