@@ -378,3 +378,12 @@ def test_warnings_of_the_inputs_are_kept(root, caplog):
     assert "0.40 s lie between frames 2 and 3" in text
     assert text in caplog.messages
     assert "sweeps missing" in (root / "run" / "report" / "index.html").read_text()
+
+
+def test_a_camera_whose_first_maps_are_refused_is_taken_back(root):
+    times = root / "late.txt"
+    times.write_text("100.0\n101.0\n")
+    mounted = ("--K", "40,40,32,16", "--size", "64x32", "--name", "roof", "--camera-times", times)
+    assert "none of the 2 images" in refused("render", root / "run", "--pose", "0,0,5", *mounted)
+    assert list(RunFolder.open(root / "run").cameras) == ["image_2"]
+    assert cli("run", root / "run").exit_code == 0

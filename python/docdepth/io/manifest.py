@@ -16,7 +16,11 @@ def first_difference(have: Any, want: Any, path: str = "") -> str:
                 return first_difference(
                     have.get(key), want.get(key), f"{path}.{key}" if path else key
                 )
-    return f"{path} is {have!r}, not {want!r}"
+    return f"{path} is {_shown(have)}, not {_shown(want)}"
+
+
+def _shown(value: Any) -> str:
+    return "not given" if value is None else repr(value)
 
 
 def read_manifest(path: Path) -> dict[str, Any] | None:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import logging
 import zipfile
+from copy import deepcopy
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -108,7 +109,7 @@ class RunFolder(RecordedFolder):
                 "docdepth": __version__,
                 "source": source,
                 "parameters": asked,
-                "asked": asked,
+                "asked": parameters.model_dump(mode="json"),
                 "cameras": {},
                 "folders": [],
                 "stages": {},
@@ -131,11 +132,11 @@ class RunFolder(RecordedFolder):
                 difference = first_difference(before[part], wanted[part])
                 raise RunError(
                     f"{self.path} holds another run: its {difference}; "
-                    "choose another folder with -o, or --force to make out of date results again"
+                    "choose another folder with -o, or go on here with the new values by --force"
                 )
         changed = asked != first or "asked" not in self.manifest
         values = asked if changed else known
-        self.manifest |= {"source": source, "parameters": values, "asked": asked}
+        self.manifest |= {"source": source, "parameters": values, "asked": deepcopy(asked)}
 
     def _has_foreign_files(self) -> bool:
         """Whether there is something in the folder though docdepth never wrote into it."""

@@ -222,8 +222,26 @@ def render_again(
         values = replaced(folder.parameters, changes)
         folder.manifest["parameters"] = values.model_dump(mode="json")
     cameras = run_cameras(folder, recording, named or None)
-    run_render(folder, [camera.stream for camera in cameras], threads, progress, renderer)
+    streams, new = (
+        [c.stream for c in cameras],
+        [n for n in named if not folder.stage(f"render {n}")],
+    )
+    try:
+        run_render(folder, streams, threads, progress, renderer)
+    except DocDepthError:
+        _forget_cameras(folder, new)
+        raise
     return folder
+
+
+def _forget_cameras(folder: RunFolder, names: Sequence[str]) -> None:
+    """Take back cameras whose first maps were refused, so that the run can go on without them."""
+    for name in names:
+        del folder.cameras[name]
+        folder.manifest["stages"].pop(f"render {name}", None)
+    if names:
+        with folder.lock("render"):
+            folder.save()
 
 
 def states(folder: RunFolder, *, verify: bool = False) -> list[StageState]:
