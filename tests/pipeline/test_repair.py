@@ -306,7 +306,7 @@ def test_one_command_at_a_time(root):
         assert f"process {process.pid}" in told["in_use_by"]
     finally:
         process.send_signal(signal.SIGKILL)
-        process.wait()
+        process.communicate()
     assert cli("render", root / "run", "--set", "render.ahead=5").exit_code == 0
 
 
