@@ -11,7 +11,7 @@ import pytest
 
 from docdepth.config import replaced
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.run import changes_since_start
+from docdepth.pipeline.run_state import changes_since_start
 
 
 @pytest.fixture

@@ -19,7 +19,8 @@ from docdepth.errors import RunError
 from docdepth.io.depth import read_depth
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.run import continue_run, states
+from docdepth.pipeline.run import continue_run
+from docdepth.pipeline.run_state import states
 from small_drive import SWEEPS, write_image, write_small_drive, write_sweep
 from walled_yard import scan, straight
 
@@ -202,6 +203,13 @@ def test_a_refused_setting_changes_nothing_and_an_accepted_one_belongs_to_the_ru
     assert "--force" in text
     assert again(root, "--set", "render.ahead=7", "--force").exit_code == 0
     assert RunFolder.open(root / "run").parameters.render.ahead == 7
+
+
+def test_settings_refused_together_with_a_new_camera_are_not_kept(root):
+    before = (root / "run" / "run.yaml").read_text()
+    cameras = ("--camera", "image_2,image_3")
+    assert "64" in refused("render", root / "run", *cameras, "--set", "render.max_depth=700")
+    assert (root / "run" / "run.yaml").read_text() == before
 
 
 def test_cameras_live_beside_each_other_and_own_files_stay(root):

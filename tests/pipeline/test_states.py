@@ -12,14 +12,14 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-import docdepth
 from docdepth.config import replaced
 from docdepth.errors import DocDepthError, RunError
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry
-from docdepth.pipeline.run import continue_run, render_again, run, states
+from docdepth.pipeline.run import continue_run, render_again, run
 from docdepth.pipeline.run_inputs import known_poses, open_recording
+from docdepth.pipeline.run_state import require, states
 from docdepth.pipeline.virtual_camera import virtual_camera
 from small_drive import SWEEPS, write_image, write_small_drive, write_sweep
 from walled_yard import scan, straight
@@ -115,7 +115,7 @@ def stage_again(world: World, number: int) -> None:
         recording = open_recording(folder.manifest["source"])
         run_odometry(folder, recording, known_poses(folder.manifest["source"], recording))
     else:
-        docdepth.pipeline.run.require(folder, "odometry")
+        require(folder, "odometry")
         run_classify(folder, threads=1)
 
 

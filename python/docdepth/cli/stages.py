@@ -156,7 +156,7 @@ def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
 def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
     """Repeat ground growing, voting and classification, with other parameters."""
     from docdepth.pipeline import run_classify
-    from docdepth.pipeline.run import require
+    from docdepth.pipeline.run_state import require
 
     folder = reopen(run, changes_of(settings), "ground", "dynamics")
     require(folder, "odometry")
@@ -230,8 +230,8 @@ def video(
 ) -> None:
     """Write report/video.webm: each image above its depth map."""
     from docdepth.io.run_folder import RunFolder
-    from docdepth.pipeline.run import require
     from docdepth.pipeline.run_inputs import recorded_camera
+    from docdepth.pipeline.run_state import require
     from docdepth.visualization.video import write_video
 
     folder = RunFolder.open(run)
@@ -267,7 +267,7 @@ def view(
 ) -> None:
     """Look at a sweep's labels, the trajectory and a depth map in 3-D (Open3D)."""
     from docdepth.io.run_folder import RunFolder
-    from docdepth.pipeline.run import require
+    from docdepth.pipeline.run_state import require
     from docdepth.visualization.viewer import view_run
 
     folder = RunFolder.open(run)

@@ -32,7 +32,7 @@ def status(
 def show_states(folder: RunFolder, as_json: bool, verify: bool = False) -> None:
     """Print the state of each stage."""
     from docdepth.io.lock import holder
-    from docdepth.pipeline.run import changes_since_start, states
+    from docdepth.pipeline.run_state import changes_since_start, states
 
     found, busy = states(folder, verify=verify), holder(folder.notes / "lock")
     if as_json:

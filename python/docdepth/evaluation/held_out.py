@@ -28,8 +28,8 @@ from docdepth.geometry.sensor_rig import lidar_views
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.render import load_frame
-from docdepth.pipeline.run import require
 from docdepth.pipeline.run_inputs import camera_parameters
+from docdepth.pipeline.run_state import require
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.selection import needed_frames

@@ -17,7 +17,7 @@ from docdepth.evaluation.labels import LabelEvaluation, LabelResult
 from docdepth.geometry.points import DYNAMIC
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.run import require
+from docdepth.pipeline.run_state import require
 
 log = logging.getLogger(__name__)
 

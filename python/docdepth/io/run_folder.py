@@ -63,8 +63,8 @@ class RunFolder(RecordedFolder):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._loaded: bytes | None = None
-        self._is_loaded = False
+        self._saved: bytes | None = None  # run.yaml as it is on disk
+        self._is_readable = False
         self.manifest: dict[str, Any] = self._load()
 
     @classmethod
@@ -172,9 +172,9 @@ class RunFolder(RecordedFolder):
 
     def _load(self) -> dict[str, Any]:
         """The content of run.yaml, or of its copy; empty where both are missing or damaged."""
-        self._loaded = self._manifest_text()
+        self._saved = self._manifest_text()
         found = read_manifest(self._manifest_path)
-        self._is_loaded = found is not None
+        self._is_readable = found is not None
         if found is None:
             found = read_manifest(self._copy_path)
             if found is not None:
@@ -190,7 +190,7 @@ class RunFolder(RecordedFolder):
             return None
 
     def _check_unchanged(self) -> None:
-        if self._loaded != self._manifest_text():
+        if self._saved != self._manifest_text():
             raise RunError(
                 f"another command has changed {self.path} meanwhile; run the same command again"
             )
@@ -228,10 +228,10 @@ class RunFolder(RecordedFolder):
 
     def save(self) -> None:
         """Write run.yaml, and a copy that is used where the first is damaged."""
-        if self._loaded is not None and not self._is_loaded:
+        if self._saved is not None and not self._is_readable:
             move_aside(self._manifest_path)  # it is no run.yaml of docdepth, or damaged
-        self._is_loaded = True
-        text = self._loaded = yaml.safe_dump(self.manifest, sort_keys=False).encode()
+        self._is_readable = True
+        text = self._saved = yaml.safe_dump(self.manifest, sort_keys=False).encode()
         for path in (self._manifest_path, self._copy_path):
             if not path.is_file() or path.read_bytes() != text:
                 write_atomically(path, lambda stream: stream.write(text))

@@ -14,7 +14,7 @@ from docdepth.errors import DamagedFileError, DocDepthError, RunError
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.check import check_inputs, check_opened
 from docdepth.pipeline.classify import run_classify
-from docdepth.pipeline.graph import RunGraph, StageState, outdated
+from docdepth.pipeline.graph import outdated
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.problems import raise_problems
@@ -27,6 +27,7 @@ from docdepth.pipeline.run_inputs import (
     register,
     run_cameras,
 )
+from docdepth.pipeline.run_state import require, states
 from docdepth.pipeline.stage import Progress
 from docdepth.pipeline.virtual_camera import check_name
 from docdepth.render.backends import Renderer
@@ -88,7 +89,8 @@ def run(
         Continue a run that was started with other inputs or parameters. What they change is made
         again.
     dry_run : bool
-        Check everything and make nothing; :func:`states` of the result tells what would be made.
+        Check everything and make nothing; :func:`docdepth.pipeline.run_state.states` tells what
+        would be made.
     threads : int
         0 takes every core. The result does not depend on it.
     renderer : Renderer, optional
@@ -215,6 +217,7 @@ def render_again(
         named = [stream.name for stream in streams]
     elif not folder.cameras:
         register(folder, list(recording.cameras.values()))
+    new = [name for name in named if not folder.stage(f"render {name}")]
     if named:
         for name in named:
             folder.cameras[name]["settings"] |= changes
@@ -222,97 +225,25 @@ def render_again(
         values = replaced(folder.parameters, changes)
         folder.manifest["parameters"] = values.model_dump(mode="json")
     cameras = run_cameras(folder, recording, named or None)
-    streams, new = (
-        [c.stream for c in cameras],
-        [n for n in named if not folder.stage(f"render {n}")],
-    )
+    streams = [camera.stream for camera in cameras]
     try:
         run_render(folder, streams, threads, progress, renderer)
     except DocDepthError:
-        _forget_cameras(folder, new)
+        _forget_cameras(folder.path, new)
         raise
     return folder
 
 
-def _forget_cameras(folder: RunFolder, names: Sequence[str]) -> None:
+def _forget_cameras(path: Path, names: Sequence[str]) -> None:
     """Take back cameras whose first maps were refused, so that the run can go on without them."""
-    for name in names:
+    folder = RunFolder.open(path)  # as it was saved, without the settings that were refused
+    saved = [name for name in names if name in folder.cameras]
+    for name in saved:
         del folder.cameras[name]
         folder.manifest["stages"].pop(f"render {name}", None)
-    if names:
+    if saved:
         with folder.lock("render"):
             folder.save()
-
-
-def states(folder: RunFolder, *, verify: bool = False) -> list[StageState]:
-    """The state of each stage of a run.
-
-    Parameters
-    ----------
-    folder : RunFolder
-    verify : bool
-        Compare the content of each file with its checksum, not only size and time.
-    """
-    return _graph(folder, verify).states()
-
-
-def changes_since_start(folder: RunFolder) -> list[str]:
-    """The parameters that a stage has changed since the run was started, and how to go back."""
-    asked = folder.manifest.get("asked")
-    if asked is None:
-        return []
-    verbs = {"odometry": "odometry", "ground": "classify", "dynamics": "classify"}
-    now = folder.parameters.model_dump(mode="json")
-    sentences: list[str] = []
-    for verb in dict.fromkeys([*verbs.values(), "render"]):
-        changed = [
-            (f"{stage}.{name}", now[stage][name], value)
-            for stage, values in asked.items()
-            if isinstance(values, dict) and verbs.get(stage, "render") == verb
-            for name, value in values.items()
-            if now[stage][name] != value
-        ]
-        if changed:
-            what = ", ".join(f"{name} is {new}, was {old}" for name, new, old in changed)
-            back = " ".join(f"--set {name}={old}" for name, _, old in changed)
-            sentences.append(f"{what}; back: docdepth {verb} {folder.path} {back}")
-    return sentences
-
-
-def require(folder: RunFolder, stage: str) -> None:
-    """Refuse results of a stage that are missing, damaged or out of date.
-
-    Folders that docdepth did not write, or an earlier version, are taken as they are.
-
-    Parameters
-    ----------
-    folder : RunFolder
-    stage : str
-        ``odometry``, ``classify``, or ``render CAMERA``.
-
-    Raises
-    ------
-    RunError
-    """
-    if "folders" not in folder.manifest:
-        return
-    graph = _graph(folder)
-    name, _, camera = stage.partition(" ")
-    state = graph.render(camera) if name == "render" else getattr(graph, name)()
-    if state.state != "done":
-        raise RunError(
-            f"{stage} of {folder.path} is {state.state}: {state.why}; "
-            f"bring it up to date: docdepth run {folder.path}"
-        )
-
-
-def _graph(folder: RunFolder, verify: bool = False) -> RunGraph:
-    source, recording, poses = folder.manifest["source"], None, None
-    if source.get("dataset") and Path(source["dataset"]).exists():
-        recording = open_recording(source)
-        poses = known_poses(source, recording)
-    cameras = run_cameras(folder, recording) if recording else []
-    return RunGraph(folder, recording, poses, cameras, verify)
 
 
 def _open(

@@ -17,7 +17,7 @@ from docdepth.config import Parameters
 from docdepth.errors import ConfigError, DamagedFileError, RunError
 from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.pipeline.run import require
+from docdepth.pipeline.run_state import require
 from docdepth.tuning.judges import Judge
 from docdepth.tuning.results import Outcome, as_csv, table
 from docdepth.tuning.trial_run import make_trial

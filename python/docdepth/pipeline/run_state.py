@@ -1,0 +1,81 @@
+"""Questions about a run: what is up to date, and what has changed since it was started."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from docdepth.errors import RunError
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.graph import RunGraph, StageState
+from docdepth.pipeline.run_inputs import known_poses, open_recording, run_cameras
+
+
+def states(folder: RunFolder, *, verify: bool = False) -> list[StageState]:
+    """The state of each stage of a run.
+
+    Parameters
+    ----------
+    folder : RunFolder
+    verify : bool
+        Compare the content of each file with its checksum, not only size and time.
+    """
+    return _graph(folder, verify).states()
+
+
+def changes_since_start(folder: RunFolder) -> list[str]:
+    """The parameters that a stage has changed since the run was started, and how to go back."""
+    asked = folder.manifest.get("asked")
+    if asked is None:
+        return []
+    verbs = {"odometry": "odometry", "ground": "classify", "dynamics": "classify"}
+    now = folder.parameters.model_dump(mode="json")
+    sentences: list[str] = []
+    for verb in dict.fromkeys([*verbs.values(), "render"]):
+        changed = [
+            (f"{stage}.{name}", now[stage][name], value)
+            for stage, values in asked.items()
+            if isinstance(values, dict) and verbs.get(stage, "render") == verb
+            for name, value in values.items()
+            if now[stage][name] != value
+        ]
+        if changed:
+            what = ", ".join(f"{name} is {new}, was {old}" for name, new, old in changed)
+            back = " ".join(f"--set {name}={old}" for name, _, old in changed)
+            sentences.append(f"{what}; back: docdepth {verb} {folder.path} {back}")
+    return sentences
+
+
+def require(folder: RunFolder, stage: str) -> None:
+    """Refuse results of a stage that are missing, damaged or out of date.
+
+    Folders that docdepth did not write, or an earlier version, are taken as they are.
+
+    Parameters
+    ----------
+    folder : RunFolder
+    stage : str
+        ``odometry``, ``classify``, or ``render CAMERA``.
+
+    Raises
+    ------
+    RunError
+    """
+    if "folders" not in folder.manifest:
+        return
+    graph = _graph(folder)
+    name, _, camera = stage.partition(" ")
+    state = graph.render(camera) if name == "render" else getattr(graph, name)()
+    if state.state != "done":
+        raise RunError(
+            f"{stage} of {folder.path} is {state.state}: {state.why}; "
+            f"bring it up to date: docdepth run {folder.path}"
+        )
+
+
+def _graph(folder: RunFolder, verify: bool = False) -> RunGraph:
+    source, recording, poses = folder.manifest["source"], None, None
+    if source.get("dataset") and Path(source["dataset"]).exists():
+        recording = open_recording(source)
+        poses = known_poses(source, recording)
+    cameras = run_cameras(folder, recording) if recording else []
+    return RunGraph(folder, recording, poses, cameras, verify)
