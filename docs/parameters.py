@@ -9,7 +9,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from docdepth.config import Parameters, parameter_table
+from docdepth.config import Parameters
+from docdepth.parameter_table import parameter_table
 
 HEAD = """\
 # Parameters

@@ -9,12 +9,12 @@ from docdepth._old_names import REMOVED, warn_of_rename
 from docdepth.config import (
     GroundParameters,
     Parameters,
-    parameter_table,
     parameters,
     parse_settings,
 )
 from docdepth.errors import ConfigError, RunError
 from docdepth.io.run_folder import RunFolder
+from docdepth.parameter_table import parameter_table
 
 
 def test_paper_preset_is_the_papers_text():

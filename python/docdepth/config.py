@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from docdepth._old_names import REMOVED, is_constant, translate
-from docdepth._parameter_text import check_key_frames, described, explain
+from docdepth._parameter_text import check_key_frames, explain
 from docdepth._parameter_text import parse_settings as parse_settings
 from docdepth.errors import ConfigError
 
@@ -295,7 +295,7 @@ class Parameters(_Stage):
         return translate(tree, _default) if isinstance(tree, dict) else tree
 
 
-_STAGES: dict[str, type[_Stage]] = {
+STAGES: dict[str, type[BaseModel]] = {
     "odometry": OdometryParameters,
     "ground": GroundParameters,
     "dynamics": DynamicsParameters,
@@ -306,7 +306,7 @@ _STAGES: dict[str, type[_Stage]] = {
 
 def _default(name: str) -> Any:
     stage, _, key = name.partition(".")
-    return _STAGES[stage].model_fields[key].default
+    return STAGES[stage].model_fields[key].default
 
 
 # What `paper` sets apart from `default`, stage by stage.
@@ -353,9 +353,9 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
         if name in REMOVED:
             raise ConfigError(is_constant(name))
         stage, _, key = name.partition(".")
-        if not key or stage not in _STAGES:
+        if not key or stage not in STAGES:
             raise ConfigError(
-                f"unknown parameter {name!r}; write stage.name with a stage of {', '.join(_STAGES)}"
+                f"unknown parameter {name!r}; write stage.name with a stage of {', '.join(STAGES)}"
             )
         tree.setdefault(stage, {})[key] = value
     return stored_parameters(tree)
@@ -397,27 +397,4 @@ def stored_parameters(tree: Any, file: Path | None = None) -> Parameters:
     try:
         return Parameters.model_validate(tree)
     except ValidationError as error:
-        where = "" if file is None else f"{file}: "
-        raise ConfigError(where + explain(error, _STAGES)) from None
-
-
-def parameter_table() -> list[dict[str, Any]]:
-    """Every public parameter, for tables.
-
-    Returns
-    -------
-    list of dict
-        ``name`` (dotted), ``default`` and ``paper`` (its value in either preset), ``range`` and
-        ``unit`` (text), ``symbol`` (the paper's, or empty) and ``description``.
-    """
-    default, paper = Parameters(), parameters("paper")
-    return [
-        {
-            "name": f"{stage}.{key}",
-            "default": getattr(getattr(default, stage), key),
-            "paper": getattr(getattr(paper, stage), key),
-            **described(field)._asdict(),
-        }
-        for stage, model in _STAGES.items()
-        for key, field in model.model_fields.items()
-    ]
+        raise ConfigError((f"{file}: " if file else "") + explain(error, STAGES)) from None

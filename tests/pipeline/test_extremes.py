@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from command_line import cli
-from docdepth.config import parameter_table
+from docdepth.parameter_table import parameter_table
 
 SECONDS = 60
 """Five sweeps take two seconds with the defaults."""

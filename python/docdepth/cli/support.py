@@ -28,7 +28,7 @@ def parameters(
     as_json: Json = False,
 ) -> None:
     """List the parameters that --set takes: values, ranges, and what each is for."""
-    from docdepth.config import parameter_table
+    from docdepth.parameter_table import parameter_table
 
     rows = [r for r in parameter_table() if stage in (None, r["name"].partition(".")[0])]
     if as_json:
