@@ -39,7 +39,6 @@ from docdepth.io.recorded_folder import NOTES, RecordedFolder, move_aside
 
 log = logging.getLogger(__name__)
 
-
 _SENSOR_NAMES = ("T_lidar_sensor", "lateral_offset", "lidar_id")  # arrays of sensors.npz
 _OLD_SENSOR_NAMES = {"aside": "lateral_offset", "head": "lidar_id"}  # read for one release
 
@@ -109,9 +108,9 @@ class RunFolder(RecordedFolder):
                 "docdepth": __version__,
                 "source": source,
                 "parameters": asked,
-                "asked": parameters.model_dump(mode="json"),
+                "parameters_at_start": parameters.model_dump(mode="json"),
                 "cameras": {},
-                "folders": [],
+                "folders_written": [],
                 "stages": {},
             }
 
@@ -119,7 +118,7 @@ class RunFolder(RecordedFolder):
         """Go on with a run that was started before."""
         # In today's names: a release before this one may have started the run.
         known = self.parameters.model_dump(mode="json")
-        first = self.manifest.get("asked", known)
+        first = self.manifest.get("parameters_at_start", known)
         # Another camera is added to those that the run has.
         if "camera" in source:
             source = {**source, "camera": self.manifest["source"].get("camera")}
@@ -134,9 +133,10 @@ class RunFolder(RecordedFolder):
                     f"{self.path} holds another run: its {difference}; "
                     "choose another folder with -o, or go on here with the new values by --force"
                 )
-        changed = asked != first or "asked" not in self.manifest
+        changed = asked != first or "parameters_at_start" not in self.manifest
         values = asked if changed else known
-        self.manifest |= {"source": source, "parameters": values, "asked": deepcopy(asked)}
+        self.manifest |= {"source": source, "parameters": values}
+        self.manifest["parameters_at_start"] = deepcopy(asked)
 
     def _has_foreign_files(self) -> bool:
         """Whether there is something in the folder though docdepth never wrote into it."""
@@ -196,10 +196,10 @@ class RunFolder(RecordedFolder):
             )
 
     def _has_written_into(self, name: str) -> bool:
-        return name in self.manifest.get("folders", [name])
+        return name in self.manifest.get("folders_written", [name])
 
     def _note_written_into(self, name: str) -> None:
-        folders = self.manifest.get("folders")
+        folders = self.manifest.get("folders_written")
         if folders is not None and name not in folders:
             folders.append(name)
             self.save()

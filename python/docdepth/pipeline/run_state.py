@@ -24,8 +24,8 @@ def states(folder: RunFolder, *, verify: bool = False) -> list[StageState]:
 
 def changes_since_start(folder: RunFolder) -> list[str]:
     """The parameters that a stage has changed since the run was started, and how to go back."""
-    asked = folder.manifest.get("asked")
-    if asked is None:
+    at_start = folder.manifest.get("parameters_at_start")
+    if at_start is None:
         return []
     verbs = {"odometry": "odometry", "ground": "classify", "dynamics": "classify"}
     now = folder.parameters.model_dump(mode="json")
@@ -33,7 +33,7 @@ def changes_since_start(folder: RunFolder) -> list[str]:
     for verb in dict.fromkeys([*verbs.values(), "render"]):
         changed = [
             (f"{stage}.{name}", now[stage][name], value)
-            for stage, values in asked.items()
+            for stage, values in at_start.items()
             if isinstance(values, dict) and verbs.get(stage, "render") == verb
             for name, value in values.items()
             if now[stage][name] != value
@@ -60,7 +60,7 @@ def require(folder: RunFolder, stage: str) -> None:
     ------
     RunError
     """
-    if "folders" not in folder.manifest:
+    if "folders_written" not in folder.manifest:
         return
     graph = _graph(folder)
     name, _, camera = stage.partition(" ")
