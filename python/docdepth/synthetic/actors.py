@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from docdepth.geometry.track import Kind
 from docdepth.synthetic.mesh import Mesh
 from docdepth.synthetic.road import Floats, Road, resting_poses
 
@@ -160,6 +161,17 @@ class Actor:
     def __post_init__(self) -> None:
         reach = max(float(np.linalg.norm(p.mesh.vertices, axis=1).max()) for p in self.parts)
         object.__setattr__(self, "radius", reach + 0.3)
+
+    @property
+    def box(self) -> tuple[Floats, Floats]:
+        """Low and high corner of its parts at rest, in its own frame [m]."""
+        vertices = np.concatenate([part.mesh.vertices for part in self.parts]).astype(np.float64)
+        return vertices.min(axis=0), vertices.max(axis=0)
+
+    @property
+    def kind(self) -> Kind:
+        """What it is, by its SemanticKITTI class: person or cyclist, else a vehicle."""
+        return "person" if self.moving_label in (253, 254, 255) else "vehicle"
 
     def speed(self, times: ArrayLike) -> Floats:
         """Speed at ``times`` [s], m/s, shape (n,)."""

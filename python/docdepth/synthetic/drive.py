@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse, rotation_exp
+from docdepth.geometry.track import Track
 from docdepth.synthetic.casting import Hits, Rays, World
 from docdepth.synthetic.photo import View, photograph
 from docdepth.synthetic.sensors import Sensor
@@ -200,6 +201,31 @@ class Drive:
             pattern.relative_times[which[kept]].astype(np.float32),
             pattern.rings[kept],
         )
+
+    def tracks(self) -> list[Track]:
+        """The exact tracks of all actors that move during the drive, at all stamps.
+
+        Its ids are the instances of the labels. How many returns each sweep has of an object is not
+        counted: ``points`` is 0.
+        """
+        seconds, count = self.times / _NS, len(self)
+        span = (seconds[0] - 0.5 * self.sensor.period, seconds[-1] + 0.5 * self.sensor.period)
+        found = []
+        for number, actor in enumerate(self.scene.actors, 1):
+            if not actor.moves_between(*span):
+                continue
+            low, high = actor.box
+            centre = np.eye(4)
+            centre[:2, 3], centre[2, 3] = 0.5 * (low + high)[:2], low[2]
+            into_world = inverse(self.T_scene_world)
+            step = 1e-3
+            ends = [into_world @ actor.path.poses(seconds + t) @ centre for t in (-step, step)]
+            poses = into_world @ actor.path.poses(seconds) @ centre
+            velocities = (ends[1] - ends[0])[:, :3, 3] / (2 * step)
+            points = np.zeros(count, np.int64)
+            size = high - low
+            found.append(Track(number, actor.kind, self.times, poses, velocities, size, points))
+        return found
 
     def image(self, index: int) -> View:
         """The image of camera 2 at ``camera_times[index]``, with exact depth."""

@@ -1,0 +1,114 @@
+"""Objects that move: where each one is over time, how large it is and what kind (ours)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import InputError
+from docdepth.geometry.se3 import rotation_exp, rotation_log
+from docdepth.geometry.trajectory import Trajectory
+
+Kind: TypeAlias = Literal["vehicle", "person", "other"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+"""What an object is, by size and motion; a cyclist is a person."""
+
+MAX_TRACKS = 0xFFFF
+"""Largest id: an instance is the upper half of a SemanticKITTI label."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """One object over the time in which it is known.
+
+    Attributes
+    ----------
+    id : int
+        1 to :data:`MAX_TRACKS`; the instance of its points.
+    kind : {"vehicle", "person", "other"}
+    times : ndarray of int64, shape (n,)
+        Stamps of sweeps [ns], ascending.
+    poses : ndarray of float64, shape (n, 4, 4)
+        ``T_world_object`` at these stamps. x points forward, z up; the origin is the centre of the
+        bottom of the box.
+    velocities : ndarray of float64, shape (n, 3)
+        World frame [m/s].
+    size : ndarray of float64, shape (3,)
+        Length, width and height of the box [m].
+    points : ndarray of int64, shape (n,)
+        Returns of each sweep; 0 where the sweep did not see it.
+
+    Raises
+    ------
+    InputError
+        Shapes do not fit, times do not increase, or id or kind are none.
+    """
+
+    id: int
+    kind: Kind
+    times: NDArray[np.int64]
+    poses: NDArray[np.float64]
+    velocities: NDArray[np.float64]
+    size: NDArray[np.float64]
+    points: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        count = len(self.times)
+        if not 1 <= self.id <= MAX_TRACKS or self.kind not in KINDS:
+            raise InputError(
+                f"track {self.id}, {self.kind!r}: ids go from 1 to {MAX_TRACKS}, kinds are "
+                f"{', '.join(KINDS)}"
+            )
+        if self.velocities.shape != (count, 3) or self.points.shape != (count,):
+            raise InputError(
+                f"track {self.id}: {count} times need velocities ({count}, 3) and points "
+                f"({count},), got {self.velocities.shape} and {self.points.shape}"
+            )
+        if self.size.shape != (3,) or not (self.size > 0).all():
+            raise InputError(f"track {self.id}: its size is {self.size}; give three lengths")
+        self._path  # noqa: B018 - checks times and poses
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    @cached_property
+    def _path(self) -> Trajectory:
+        return Trajectory(self.times, self.poses)
+
+    def covers(self, time: int) -> bool:
+        """Whether ``time`` [ns] lies between the first and the last stamp."""
+        return bool(self.times[0] <= time <= self.times[-1])
+
+    def pose_at(self, time: int) -> NDArray[np.float64]:
+        """``T_world_object`` (4, 4) at ``time`` [ns].
+
+        Interpolated between stamps. Before the first and after the last one it goes on as it moves
+        there.
+        """
+        if self.covers(time):
+            pose: NDArray[np.float64] = self._path.interpolate(time)[0]
+            return pose
+        end = 0 if time < self.times[0] else -1
+        seconds = (int(time) - int(self.times[end])) * 1e-9
+        pose = self.poses[end].copy()
+        pose[:3, 3] += seconds * self.velocities[end]
+        pose[:3, :3] = rotation_exp(seconds * self.turn_rate_at(time)) @ pose[:3, :3]
+        return pose
+
+    def velocity_at(self, time: int) -> NDArray[np.float64]:
+        """Velocity (3,) at ``time`` [ns] in the world frame [m/s], linear between stamps."""
+        elapsed = (self.times - self.times[0]).astype(np.float64)
+        at = float(int(time) - int(self.times[0]))
+        return np.array([np.interp(at, elapsed, v) for v in self.velocities.T])
+
+    def turn_rate_at(self, time: int) -> NDArray[np.float64]:
+        """Rotation vector a second (3,) at ``time`` [ns], world frame [rad/s]."""
+        if len(self) < 2:
+            return np.zeros(3)
+        after = int(np.clip(np.searchsorted(self.times, np.int64(time)), 1, len(self) - 1))
+        turn = self.poses[after, :3, :3] @ self.poses[after - 1, :3, :3].T
+        return rotation_log(turn) / (int(self.times[after] - self.times[after - 1]) * 1e-9)
