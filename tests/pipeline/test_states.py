@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from docdepth.config import replaced
 from docdepth.errors import DocDepthError, RunError
 from docdepth.io.poses import write_kitti
+from docdepth.io.recorded_folder import RecordedFolder
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry
 from docdepth.pipeline.run import continue_run, render_again, run
@@ -232,11 +233,10 @@ def test_run_ends_like_a_fresh_one_whatever_happened(tmp_path_factory, actions):
         with contextlib.suppress(DocDepthError):
             action(world, number)
     before = {p: (p.read_bytes(), p.stat().st_mtime_ns) for p in world.products()}
-    known, keys = {}, {}
+    known, written = {}, RecordedFolder(world.run)
+    keys = {p: written.key(p) for p in before}
     with contextlib.suppress(RunError):  # run.yaml and its copy may be lost
-        run = RunFolder.open(world.run)
-        known = {s.name: s.state for s in states(run)}
-        keys = {p: run.key(p) for p in before}
+        known = {s.name: s.state for s in states(RunFolder.open(world.run))}
 
     folder = world.make()
 
@@ -251,7 +251,7 @@ def test_run_ends_like_a_fresh_one_whatever_happened(tmp_path_factory, actions):
         assert path.read_bytes() == content
     if not world.notes_lost:
         # Of a stage that was killed while it made something else, some files are of the old key.
-        same = {p: seen for p, seen in before.items() if keys.get(p) == folder.key(p)}
+        same = {p: seen for p, seen in before.items() if keys[p] == folder.key(p)}
         _check_that_little_was_written(world, same, known)
     # And then there is nothing to do.
     times = {p: p.stat().st_mtime_ns for p in world.run.rglob("*") if p.is_file()}
