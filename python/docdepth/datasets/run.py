@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import CameraStream, Sweep
+from docdepth.datasets.base import CameraStream, LidarStream, Sweep
+from docdepth.datasets.format import Format
 from docdepth.geometry.points import DYNAMIC
-from docdepth.io.frames import read_trajectory
+from docdepth.io.frames import read_frame_name, read_trajectory
 from docdepth.io.run_folder import RunFolder
 
 _MOVING, _STATIC = 251, 9  # SemanticKITTI's labels of both
@@ -57,6 +59,12 @@ class RunDataset:
     def __len__(self) -> int:
         return len(self.times)
 
+    @cached_property
+    def lidars(self) -> dict[str, LidarStream]:
+        """The LiDARs of the recording as one: its frames do not tell when each measured."""
+        names = [read_frame_name(self._run.frame_path(k)) for k in range(len(self))]
+        return {"lidar": LidarStream("lidar", self.times, names)}
+
     def sweep(self, index: int) -> Sweep:
         """Frame ``index``: the usable returns of the original sweep, deskewed."""
         record = self._run.frame(index)
@@ -79,3 +87,12 @@ class RunDataset:
         if classid is None:
             return None
         return np.where(classid >= DYNAMIC, _MOVING, _STATIC).astype(np.uint32)
+
+
+FORMAT: Format = Format(
+    "run",
+    "a run folder with frames/frame_000000.ply and traj_odometry.ply",
+    lambda path: (path / "frames").is_dir() and (path / "traj_odometry.ply").is_file(),
+    lambda path, image_size: RunDataset(path),
+    found_below=False,
+)
