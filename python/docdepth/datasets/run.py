@@ -56,6 +56,9 @@ class RunDataset:
                 distortion=np.array(distortion) if any(distortion) else None,
             )
 
+    def __reduce__(self) -> tuple[type[RunDataset], tuple[Path]]:
+        return RunDataset, (self.path,)  # the run keeps locks, which other processes cannot have
+
     def __len__(self) -> int:
         return len(self.times)
 

@@ -1,0 +1,81 @@
+"""Every loader passes one test, on a recording written by the format's own library."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from conformance import check
+from made_up import DISTORTION, DRIVE, K
+from writers import WRITERS, Written
+
+from docdepth.datasets import Dataset, format_names, open_dataset, usable_points
+from docdepth.errors import DocDepthError
+
+
+def test_every_format_is_written_by_a_test() -> None:
+    assert {name for name, _ in WRITERS.values()} == set(format_names())
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("what", WRITERS)
+def test_loader(what: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    name, write = WRITERS[what]
+    written = write(tmp_path)
+    dataset = open_dataset(written.path)
+    check(dataset, name)
+    assert open_dataset(written.path, format=name).times.tolist() == dataset.times.tolist()
+    assert [r for r in caplog.records if r.name.startswith("docdepth.datasets")] == []
+    _check_content(dataset, written)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("what", WRITERS)
+def test_errors_name_file_and_frame(what: str, tmp_path: Path) -> None:
+    written = WRITERS[what][1](tmp_path)
+    file = written.damage()
+    with pytest.raises(DocDepthError) as caught:
+        open_dataset(written.path).sweep(2)
+    assert file.name in str(caught.value)
+    assert "frame 2" in str(caught.value) or "frame_000002" in str(caught.value)
+
+
+def _check_content(dataset: Dataset, written: Written) -> None:
+    """What is read is what was written."""
+    np.testing.assert_array_equal(dataset.times, DRIVE.times)
+    for k in range(DRIVE.count):
+        sweep, rows, kept = dataset.sweep(k), DRIVE.rows(k), DRIVE.usable(k)
+        usable = usable_points(sweep.points)
+        assert usable.sum() == kept.sum()
+        if not written.tolerance:
+            np.testing.assert_array_equal(sweep.points[usable], DRIVE.points(k)[kept])
+        elif np.isfinite(written.tolerance):
+            np.testing.assert_allclose(
+                sweep.points[usable], DRIVE.points(k)[kept], atol=written.tolerance
+            )
+        for name in ("intensity", "ring"):
+            values = getattr(sweep, name)
+            assert (values is not None) == (name in written.has), name
+            if values is not None:
+                np.testing.assert_array_equal(values[usable], rows[name][kept])
+        if "times" in written.has:
+            assert sweep.relative_time is not None
+            assert not sweep.motion_compensated
+            np.testing.assert_allclose(
+                sweep.relative_time[usable], rows["share"][kept], atol=1e-6, rtol=0
+            )
+    if "poses" in written.has:
+        assert dataset.poses is not None
+        np.testing.assert_allclose(dataset.poses, DRIVE.poses, atol=1e-9)
+    if "camera" in written.has:
+        (stream,) = dataset.cameras.values()
+        np.testing.assert_allclose(stream.T_camera_lidar, DRIVE.T_camera_lidar, atol=1e-9)
+        np.testing.assert_array_equal(stream.times, DRIVE.image_times)
+        np.testing.assert_array_equal(stream.camera.K, K)
+        for k in range(DRIVE.images_count):
+            rectified = stream.rectified_image(k)
+            assert rectified is not None
+            expected = cv2.undistort(DRIVE.image(k), K, DISTORTION)
+            np.testing.assert_array_equal(rectified, expected)
