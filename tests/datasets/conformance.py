@@ -11,6 +11,7 @@ import numpy as np
 from docdepth.datasets import Dataset, FrameRange, Sweep, usable_points
 from docdepth.datasets.images import file_of
 from docdepth.geometry.se3 import check_rigid
+from docdepth.geometry.sensor_rig import SensorRig
 
 _TYPES = {
     "intensity": np.float32,
@@ -38,23 +39,21 @@ def check(dataset: Dataset, name: str) -> None:
         _check_camera(stream, np.concatenate([s.points[usable_points(s.points)] for s in sweeps]))
 
 
-def equal(one: Sweep, other: Sweep) -> bool:
-    """Whether two sweeps are the same, bit for bit."""
-    for field in fields(Sweep):
-        a, b = getattr(one, field.name), getattr(other, field.name)
-        if field.name == "sensor_rig" and a is not None and b is not None:
-            same = all(
-                np.array_equal(getattr(a, f.name), getattr(b, f.name))
-                for f in fields(a)
-                if f.name != "ego_displacement"
-            )
-        elif isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
-            same = a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
-        else:
-            same = type(a) is type(b) and a == b
-        if not same:
-            return False
-    return True
+def differences(one: Sweep, other: Sweep) -> list[str]:
+    """Which attributes of two sweeps differ in any bit; none if they are the same."""
+    return [
+        field.name
+        for field in fields(Sweep)
+        if not _same(getattr(one, field.name), getattr(other, field.name))
+    ]
+
+
+def _same(a: object, b: object) -> bool:
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    if isinstance(a, SensorRig) and isinstance(b, SensorRig):
+        return all(_same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+    return type(a) is type(b) and a == b
 
 
 def _check_lengths_and_stamps(dataset: Dataset) -> None:
@@ -128,20 +127,20 @@ def _check_alike(sweeps: list[Sweep]) -> None:
 def _check_random_access(dataset: Dataset, sweeps: list[Sweep]) -> None:
     """In any order, from threads, and in another process, a sweep is the same."""
     for k in reversed(range(len(dataset))):
-        assert equal(dataset.sweep(k), sweeps[k])
+        assert differences(dataset.sweep(k), sweeps[k]) == []
     with ThreadPoolExecutor(4) as pool:
         order = [k for k in range(len(dataset)) for _ in range(3)][::-1]
         for k, sweep in zip(order, pool.map(dataset.sweep, order), strict=True):
-            assert equal(sweep, sweeps[k])
+            assert differences(sweep, sweeps[k]) == []
     copy = pickle.loads(pickle.dumps(dataset))
-    assert equal(copy.sweep(len(dataset) - 1), sweeps[-1])
+    assert differences(copy.sweep(len(dataset) - 1), sweeps[-1]) == []
 
 
 def _check_range(dataset: Dataset, sweeps: list[Sweep]) -> None:
     part = FrameRange(dataset, "1:") if len(dataset) > 1 else FrameRange(dataset, ":1")
     begin = len(dataset) - len(part)
     assert isinstance(part, Dataset)
-    assert equal(part.sweep(0), sweeps[begin])
+    assert differences(part.sweep(0), sweeps[begin]) == []
     np.testing.assert_array_equal(part.times, dataset.times[begin:])
     assert part.sweep_files(0) == dataset.sweep_files(begin)
     _check_lidars(part)

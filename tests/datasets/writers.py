@@ -266,3 +266,45 @@ def _las(root: Path, suffix: str = "las") -> Written:
 def _laz(root: Path) -> Written:
     pytest.importorskip("lazrs")
     return _las(root, "laz")
+
+
+# ---- bags
+
+
+def _bag(root: Path, kind: str, name: str) -> Written:
+    from bags import write_drive
+
+    path = write_drive(root / name, kind)
+
+    def damage() -> Path:
+        return write_drive(path, kind, truncated=2)
+
+    return Written(path, damage, {"intensity", "ring", "times", "camera"})
+
+
+@writes("ROS 1 bag", "bag")
+def _ros1(root: Path) -> Written:
+    return _bag(root, "ros1", "drive.bag")
+
+
+@writes("ROS 2 bag", "bag")
+def _ros2(root: Path) -> Written:
+    return _bag(root, "db3", "drive")
+
+
+@writes("MCAP", "bag")
+def _mcap(root: Path) -> Written:
+    return _bag(root, "mcap", "drive")
+
+
+@writes("a lone MCAP file", "bag")
+def _lone(root: Path) -> Written:
+    written = _bag(root, "mcap", "drive")
+    (file,) = written.path.glob("*.mcap")
+    (written.path / "metadata.yaml").unlink()
+
+    def damage() -> Path:
+        written.damage()
+        return file
+
+    return Written(file, damage, written.has)

@@ -87,8 +87,9 @@ class PointTimes:
     def relative(self, sample: TimeSample) -> NDArray[np.float32] | None:
         """When each point was measured, as :attr:`~docdepth.datasets.Sweep.relative_time`.
 
-        Rows that are no returns have 0. None if a return lies more than a sweep and a half from the
-        stamp: such times are wrong.
+        Rows that are no returns have any time or none: what cannot be a time of the sweep is 0
+        there. None if a return lies more than a sweep and a half from the stamp: then times are
+        wrong.
 
         Parameters
         ----------
@@ -101,11 +102,12 @@ class PointTimes:
             start: int | float = sample.stamp
         else:
             start = 0 if self.origin == "stamp" else _exact(kept.min()) * self.unit
-        late = (_after(sample.values, start, self.unit) + self.shift) / self.period
-        late = np.where(sample.usable, late, 0)
+        late = _after(sample.values, start - self.shift, self.unit) / self.period
         with np.errstate(invalid="ignore"):
-            wrong = np.abs(late) > _LONGEST
-        return None if wrong.any() else late.astype(np.float32)
+            right = np.abs(late) <= _LONGEST
+        if (np.isfinite(late) & ~right & sample.usable).any():
+            return None
+        return np.where(right | sample.usable, late, 0).astype(np.float32)
 
 
 def find_point_times(

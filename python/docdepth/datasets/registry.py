@@ -7,7 +7,7 @@ import os
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
-from docdepth.datasets import folder, kitti_odometry, kitti_raw, run
+from docdepth.datasets import bag, folder, kitti_odometry, kitti_raw, run
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.format import ENTRY_POINTS, Format
 from docdepth.datasets.frame_range import FrameRange
@@ -24,6 +24,7 @@ _OWN: tuple[Format, ...] = (
     kitti_odometry.SEMANTIC_KITTI,
     kitti_odometry.KITTI_ODOMETRY,
     run.FORMAT,
+    bag.FORMAT,
     folder.FORMAT,
 )
 

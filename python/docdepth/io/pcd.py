@@ -188,7 +188,10 @@ def _read_compressed(body: bytes, header: PcdHeader) -> NDArray[Any]:
     dtype = header.dtype()
     if len(body) < 8 + packed or whole < header.count * dtype.itemsize:
         raise PcdError(f"is truncated: {len(body) - 8} of {packed} bytes are there")
-    unpacked = lzf.decompress(body[8 : 8 + packed], whole) if packed else b""
+    try:
+        unpacked = lzf.decompress(body[8 : 8 + packed], whole) if packed else b""
+    except ValueError:
+        unpacked = None
     if unpacked is None or len(unpacked) != whole:
         raise PcdError("is damaged: it cannot be decompressed")
     rows = np.empty(header.count, dtype)

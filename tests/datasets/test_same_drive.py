@@ -1,0 +1,70 @@
+"""A real drive written in other formats is the same drive, to the last bit of its depth maps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conformance import differences
+from rewriting import write_bag, write_folder
+
+from docdepth import read_depth, run
+from docdepth.datasets import Dataset, open_dataset
+from docdepth.io.poses import read_poses
+
+pytestmark = pytest.mark.slow
+
+FRAMES = "20:32"
+
+
+@pytest.fixture(scope="module")
+def raw(drive_9001: Path) -> tuple[Dataset, list[str]]:
+    """Part of the drive, and the lines of its poses."""
+    lines = (drive_9001 / "lidar_poses_tum.txt").read_text().splitlines()
+    return open_dataset(drive_9001, frames=FRAMES), lines[20:32]
+
+
+@pytest.fixture(scope="module", params=["folder", "db3", "mcap", "ros1"])
+def other(request, raw, tmp_path_factory) -> Dataset:
+    """The same part in another format."""
+    pytest.importorskip("rosbags")
+    root, (dataset, poses) = tmp_path_factory.mktemp(request.param), raw
+    if request.param == "folder":
+        return open_dataset(write_folder(root / "clouds", dataset, poses))
+    name = "drive.bag" if request.param == "ros1" else "drive"
+    return open_dataset(write_bag(root / "bag" / name, request.param, dataset, poses))
+
+
+def test_sweeps_times_poses_and_cameras(raw, other, drive_9001) -> None:
+    dataset, _ = raw
+    poses = read_poses(drive_9001 / "lidar_poses_tum.txt")[20:32]
+    np.testing.assert_array_equal(other.times, dataset.times)
+    np.testing.assert_array_equal(other.poses, poses)
+    for k in range(len(dataset)):
+        sweep, same = dataset.sweep(k), other.sweep(k)
+        assert sweep.sensor_rig is not None, "KITTI's lasers are found in every format"
+        assert set(differences(sweep, same)) <= {"name"}, f"sweep {k}"
+    (stream,), (again,) = dataset.cameras.values(), other.cameras.values()
+    np.testing.assert_array_equal(again.times, stream.times)
+    np.testing.assert_array_equal(again.camera.K, stream.camera.K)
+    np.testing.assert_array_equal(again.T_camera_lidar, stream.T_camera_lidar)
+    for k in range(len(stream.times)):
+        np.testing.assert_array_equal(again.rectified_image(k), stream.rectified_image(k))
+
+
+@pytest.fixture(scope="module")
+def raw_maps(raw, tmp_path_factory) -> list[np.ndarray]:
+    return _depth_maps(raw[0].path, tmp_path_factory.mktemp("raw") / "run", FRAMES)
+
+
+def _depth_maps(path: Path, out: Path, frames: str | None = None) -> list[np.ndarray]:
+    folder = run(path, out, frames=frames)
+    return [read_depth(file) for file in sorted((folder.path / "depth").glob("*.png"))]
+
+
+def test_depth_maps(raw_maps, other, tmp_path) -> None:
+    maps = _depth_maps(other.path, tmp_path / "run")
+    assert len(maps) == len(raw_maps) > 8
+    for one, two in zip(raw_maps, maps, strict=True):
+        np.testing.assert_array_equal(one, two)
