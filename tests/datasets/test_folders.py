@@ -326,3 +326,38 @@ def test_stamps_that_do_not_rise(folder: Path) -> None:
     with pytest.raises(DatasetError, match=r"time of frame 1 \(000001.ply\) is not after"):
         open_dataset(folder)
     assert str(START)[:5] in lines[0]
+
+
+# ---- poses in VIEWPOINT
+
+
+def test_classes_of_dynamicmap_benchmark_are_labels_and_no_intensity(tmp_path: Path) -> None:
+    dataset = open_dataset(WRITERS["DynamicMap_Benchmark"][1](tmp_path).path)
+    rings = DRIVE.rows(1)["ring"][DRIVE.usable(1)]
+    np.testing.assert_array_equal(dataset.labels(1), np.where(rings == 3, 251, 9))
+    assert dataset.sweep(1).intensity is None
+    assert dataset.sweep(1).motion_compensated
+
+
+def test_a_viewpoint_that_was_never_written_is_refused(tmp_path: Path) -> None:
+    path = WRITERS["folder of binary pcd"][1](tmp_path).path
+    change(path, poses="viewpoint", frame="world")
+    with pytest.raises(DatasetError, match=r"VIEWPOINT is 0 0 0 1 0 0 0 in every file"):
+        open_dataset(path)
+    write_pcd(path / "000004.pcd", folder_rows(4), viewpoint=[1, 2, 3, 0, 0, 0, 0])
+    with pytest.raises(DatasetError, match=r"000004.pcd \(frame 4\): VIEWPOINT is no pose"):
+        open_dataset(path)
+
+
+def test_poses_in_headers_are_told_and_used_when_asked_for(tmp_path: Path, caplog) -> None:
+    path = WRITERS["folder of binary pcd"][1](tmp_path).path
+    for k in range(5):
+        viewpoint = [k, 0, 0.5, 1, 0, 0, 0]
+        write_pcd(path / f"{k:06d}.pcd", folder_rows(k), viewpoint=viewpoint)
+    change(path, poses=None)
+    assert open_dataset(path).poses is None
+    assert "PCD files hold poses (VIEWPOINT), which are not used; say poses: view" in caplog.text
+    change(path, poses="viewpoint")
+    dataset = open_dataset(path)
+    np.testing.assert_array_equal(dataset.poses[:, :3, 3], [[k, 0, 0.5] for k in range(5)])
+    np.testing.assert_array_equal(dataset.sweep(2).points, DRIVE.points(2))

@@ -29,12 +29,15 @@ class Written:
         What the format keeps, of intensity, ring, times, poses, camera.
     tolerance : float
         Metres to which points are kept; 0 is to the bit.
+    rounded : bool
+        Stamps are doubles of seconds.
     """
 
     path: Path
     damage: Callable[[], Path]
     has: set[str] = field(default_factory=lambda: {"intensity", "ring", "times", "poses", "camera"})
     tolerance: float = 0.0
+    rounded: bool = False
 
 
 WRITERS: dict[str, tuple[str, Callable[[Path], Written]]] = {}
@@ -266,6 +269,54 @@ def _las(root: Path, suffix: str = "las") -> Written:
 def _laz(root: Path) -> Written:
     pytest.importorskip("lazrs")
     return _las(root, "laz")
+
+
+@writes("DynamicMap_Benchmark", "dynamic_map")
+def _dynamic_map(root: Path) -> Written:
+    """Numbered at ten a second from frame 17000000000, points in the world, 1 is dynamic."""
+    from docdepth.geometry.se3 import matrix_to_quaternion
+
+    folder = root / "00" / "pcd"
+    folder.mkdir(parents=True)
+    for k, pose in enumerate(DRIVE.poses):
+        rows, kept = DRIVE.rows(k), DRIVE.usable(k)
+        cloud = rows[["x", "y", "z", "intensity"]][kept].copy()
+        moved = DRIVE.points(k)[kept].astype("f8") @ pose[:3, :3].T + pose[:3, 3]
+        cloud["x"], cloud["y"], cloud["z"] = moved.T
+        cloud["intensity"] = rows["ring"][kept] == 3
+        x, y, z, w = matrix_to_quaternion(pose[:3, :3])
+        viewpoint = [*pose[:3, 3].tolist(), w, x, y, z]
+        write_pcd(folder / f"{17_000_000_000 + k}.pcd", cloud, "binary", viewpoint)
+    file = folder / "17000000002.pcd"
+    return Written(folder.parent, lambda: truncate(file), {"poses"}, tolerance=3e-6)
+
+
+@writes("folder of the authors' release", "run")
+def _official(root: Path) -> Written:
+    """Quaternions as its FORMAT.md spells them; no size in calib.json, no run.yaml."""
+    import json
+
+    from docdepth.geometry.se3 import matrix_to_quaternion
+    from docdepth.io.ply import write_vertices
+
+    (root / "frames").mkdir(parents=True)
+    columns = ["x", "y", "z", "qx", "qy", "qz", "qw", "timestamp"]
+    poses = np.empty(DRIVE.count, [*((c, "<f8") for c in columns), ("indices", "<i4")])
+    for k, pose in enumerate(DRIVE.poses):
+        numbers = [*pose[:3, 3], *matrix_to_quaternion(pose[:3, :3]), DRIVE.times[k] * 1e-9]
+        poses[k] = (*numbers, k)
+        rows = DRIVE.rows(k)[DRIVE.usable(k)]
+        frame = np.empty(len(rows), [*((a, "<f4") for a in "xyz"), ("classid", "<u2")])
+        for axis in "xyz":
+            frame[axis] = rows[axis]
+        frame["classid"] = np.where(rows["ring"] == 3, 100, 50)
+        write_vertices(root / "frames" / f"frame_{k:06d}.ply", frame, [])
+    write_vertices(root / "traj_odometry.ply", poses, [])
+    write_vertices(root / "traj_camera.ply", poses[:-1], [])
+    (root / "calib.json").write_text(json.dumps({"mtx": K.tolist(), "dist": [[0.0] * 5]}))
+    np.savetxt(root / "calib_lidar_ref_cam.txt", DRIVE.T_camera_lidar)
+    file = root / "frames" / "frame_000002.ply"
+    return Written(root, lambda: truncate(file), {"poses"}, rounded=True)
 
 
 # ---- bags

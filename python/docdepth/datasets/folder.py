@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,13 @@ from pydantic import Field
 
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud
-from docdepth.datasets.cloud_files import KITTI_COLUMNS, READERS, RowFormat, read_cloud
+from docdepth.datasets.cloud_files import (
+    KITTI_COLUMNS,
+    READERS,
+    RowFormat,
+    read_cloud,
+    read_viewpoint,
+)
 from docdepth.datasets.files import is_there, read_bytes
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import image_files, image_size, in_order
@@ -31,6 +38,11 @@ from docdepth.datasets.stamps import times_of_files
 from docdepth.datasets.times import read_times
 from docdepth.errors import CalibrationError, Collector, DatasetError
 from docdepth.io.poses import read_poses
+
+log = logging.getLogger(__name__)
+
+VIEWPOINT = "viewpoint"
+"""Entry ``poses`` that means the poses in the headers of PCD files."""
 
 _NAMELESS = {".bin", ".npy"}  # suffixes of files that need not be clouds
 
@@ -78,7 +90,8 @@ class FolderSettings(RecordingSettings):
     times : str, optional
         File with a line a sweep, or ``names``.
     rate : float, optional
-        Sweeps a second, where there are no times.
+        Sweeps a second, where there are no times. A number in the name of a file is that of its
+        sweep.
     columns : tuple of str
         Values of a point in BIN and NPY files; ``_`` for those that mean nothing.
     dtype : str
@@ -136,31 +149,40 @@ class CloudFolder(Recording):
         The folder; its ``docdepth.yaml`` has the entries of :class:`FolderSettings`.
     image_size : (int, int), optional
         Width and height in pixels of cameras of which no more is known.
+    name : str
+        Of the format.
+    usual : dict, optional
+        Entries that the format has where ``docdepth.yaml`` leaves them out.
     """
 
-    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        settings, file = read_settings(path, FolderSettings)
+    def __init__(
+        self,
+        path: Path,
+        image_size: tuple[int, int] | None = None,
+        name: str = "folder",
+        usual: dict[str, Any] | None = None,
+    ) -> None:
+        settings, file = read_settings(path, FolderSettings, usual)
         wanted = settings.lidars or {
             "lidar": FolderLidar(sweeps=settings.sweeps or ".", times=settings.times)
         }
         rows = RowFormat(settings.columns, settings.dtype)
         lidars = [
-            _lidar(path, name, lidar, rows, settings.rate, file) for name, lidar in wanted.items()
+            _lidar(path, one, lidar, rows, settings.rate, file) for one, lidar in wanted.items()
         ]
         problems, cameras = Collector(), {}
-        for name, camera in settings.cameras.items():
+        for one, camera in settings.cameras.items():
             with problems.collected():
-                cameras[name] = _camera(
-                    path, name, camera, lidars[0].stream, image_size, f"{file}, {name}"
+                cameras[one] = _camera(
+                    path, one, camera, lidars[0].stream, image_size, f"{file}, {one}"
                 )
         poses = None
         with problems.collected():
-            if settings.poses:
-                poses = read_poses(path / settings.poses, len(lidars[0].sweeps))
+            poses = _poses(path, settings.poses, lidars[0].sweeps, file)
         problems.raise_errors()
         self._label_folder = path / settings.labels
         super().__init__(
-            "folder", path, lidars, cameras, poses, settings.facts(settings.frame == "world")
+            name, path, lidars, cameras, poses, settings.facts(settings.frame == "world")
         )
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
@@ -207,7 +229,9 @@ def _lidar(
 ) -> FileLidar:
     sweeps = cloud_files(folder / settings.sweeps)
     if rate:
-        times = np.round(np.arange(len(sweeps)) * 1e9 / rate).astype(np.int64)
+        numbered = all(sweep.stem.isascii() and sweep.stem.isdigit() for sweep in sweeps)
+        numbers = [int(sweep.stem) if numbered else k for k, sweep in enumerate(sweeps)]
+        times = np.round(np.array(numbers) * 1e9 / rate).astype(np.int64)
     else:
         remedy = f"say times: FILE or rate: 10 (sweeps a second) in {file}"
         times = times_of_files(sweeps, settings.times, folder, remedy)
@@ -215,6 +239,33 @@ def _lidar(
     if settings.T_lidar_sensor is not None:
         T = transform(settings.T_lidar_sensor, f"{file}, {name}: T_lidar_sensor")
     return FileLidar(LidarStream(name, times, [s.stem for s in sweeps], T), sweeps, rows)
+
+
+def _poses(
+    folder: Path, wanted: str | None, sweeps: list[Path], file: Path
+) -> NDArray[np.float64] | None:
+    """Poses of a file, or of the sweeps' own headers; None without any."""
+    if wanted not in (None, VIEWPOINT):
+        return read_poses(folder / str(wanted), len(sweeps))
+    if sweeps[0].suffix.lower() != ".pcd":
+        if wanted == VIEWPOINT:
+            raise DatasetError(f"{file}: {sweeps[0]} is no PCD file and has no VIEWPOINT")
+        return None
+    if wanted is None:
+        if not np.array_equal(read_viewpoint(sweeps[-1], len(sweeps) - 1), np.eye(4)):
+            log.warning(
+                "%s: PCD files hold poses (VIEWPOINT), which are not used; say poses: viewpoint, "
+                "and frame: world if their points are in the world, in %s",
+                folder, file,
+            )  # fmt: skip
+        return None
+    poses = np.stack([read_viewpoint(sweep, k) for k, sweep in enumerate(sweeps)])
+    if len(poses) > 1 and (poses == np.eye(4)).all():
+        raise DatasetError(
+            f"{folder}: VIEWPOINT is 0 0 0 1 0 0 0 in every file, which is no pose; say poses: "
+            f"FILE in {file}"
+        )
+    return poses
 
 
 def _camera(

@@ -7,7 +7,7 @@ import os
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
-from docdepth.datasets import bag, folder, kitti_odometry, kitti_raw, run
+from docdepth.datasets import bag, dynamic_map, folder, kitti_odometry, kitti_raw, run
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.format import ENTRY_POINTS, Format
 from docdepth.datasets.frame_range import FrameRange
@@ -25,6 +25,7 @@ _OWN: tuple[Format, ...] = (
     kitti_odometry.KITTI_ODOMETRY,
     run.FORMAT,
     bag.FORMAT,
+    dynamic_map.FORMAT,
     folder.FORMAT,
 )
 

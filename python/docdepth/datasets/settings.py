@@ -110,7 +110,7 @@ class RecordingSettings(Strict):
         Which instant of a sweep its time is.
     point_time_unit : {"s", "ms", "us", "ns"}, optional
     poses : str, optional
-        File of LiDAR poses, TUM or KITTI.
+        File of LiDAR poses, TUM or KITTI; or ``viewpoint``, those in the headers of PCD files.
     """
 
     motion_compensated: bool | None = None
@@ -129,7 +129,9 @@ class RecordingSettings(Strict):
 _Settings = TypeVar("_Settings", bound=RecordingSettings)
 
 
-def read_settings(recording: Path, model: type[_Settings]) -> tuple[_Settings, Path]:
+def read_settings(
+    recording: Path, model: type[_Settings], usual: dict[str, Any] | None = None
+) -> tuple[_Settings, Path]:
     """The settings of a recording, and the file they stand in or would stand in.
 
     Parameters
@@ -138,6 +140,8 @@ def read_settings(recording: Path, model: type[_Settings]) -> tuple[_Settings, P
         Folder, or file beside which ``docdepth.yaml`` lies.
     model : type
         What the format takes.
+    usual : dict, optional
+        What entries are that are left out, where the format knows better than ``model``.
 
     Raises
     ------
@@ -146,13 +150,14 @@ def read_settings(recording: Path, model: type[_Settings]) -> tuple[_Settings, P
     """
     file = (recording if recording.is_dir() else recording.parent) / FILE
     if not is_there(file):
-        return model(), file
+        return model.model_validate(usual or {}), file
     try:
         given = yaml.safe_load("\n".join(read_lines(file, "write it again or remove it")))
     except yaml.YAMLError as error:
         raise DatasetError(f"{file} is not YAML: {error}") from None
     try:
-        settings = model.model_validate({} if given is None else given)
+        known = {**(usual or {}), **given} if isinstance(given, dict) else given or usual or {}
+        settings = model.model_validate(known)
     except ValidationError as error:
         raise DatasetError(f"{file}: {_reasons(error, model)}") from None
     place = settings.looks_from
