@@ -29,15 +29,21 @@ class Written:
         What the format keeps, of intensity, ring, times, poses, camera.
     tolerance : float
         Metres to which points are kept; 0 is to the bit.
-    rounded : bool
-        Stamps are doubles of seconds.
+    clock : callable
+        What the format makes of stamps.
+    lens : bool
+        Images keep their distortion.
+    reordered : bool
+        Points come in another order: each LiDAR's by themselves.
     """
 
     path: Path
     damage: Callable[[], Path]
     has: set[str] = field(default_factory=lambda: {"intensity", "ring", "times", "poses", "camera"})
     tolerance: float = 0.0
-    rounded: bool = False
+    clock: Callable[[np.ndarray], np.ndarray] = lambda times: times
+    lens: bool = True
+    reordered: bool = False
 
 
 WRITERS: dict[str, tuple[str, Callable[[Path], Written]]] = {}
@@ -59,6 +65,14 @@ def truncate(file: Path, size: int = 999) -> Path:
 
 def seconds(times: np.ndarray) -> str:
     return "".join(f"{t // 10**9}.{t % 10**9:09d}\n" for t in times.tolist())
+
+
+def _doubles(times: np.ndarray) -> np.ndarray:
+    return np.round(times * 1e-9 * 1e9).astype(np.int64)
+
+
+def _tenths(times: np.ndarray) -> np.ndarray:
+    return np.round((17_000_000_000 + np.arange(len(times))) * 1e8).astype(np.int64)
 
 
 def write_images(folder: Path) -> list[Path]:
@@ -288,7 +302,7 @@ def _dynamic_map(root: Path) -> Written:
         viewpoint = [*pose[:3, 3].tolist(), w, x, y, z]
         write_pcd(folder / f"{17_000_000_000 + k}.pcd", cloud, "binary", viewpoint)
     file = folder / "17000000002.pcd"
-    return Written(folder.parent, lambda: truncate(file), {"poses"}, tolerance=3e-6)
+    return Written(folder.parent, lambda: truncate(file), {"poses"}, tolerance=3e-6, clock=_tenths)
 
 
 @writes("folder of the authors' release", "run")
@@ -316,7 +330,7 @@ def _official(root: Path) -> Written:
     (root / "calib.json").write_text(json.dumps({"mtx": K.tolist(), "dist": [[0.0] * 5]}))
     np.savetxt(root / "calib_lidar_ref_cam.txt", DRIVE.T_camera_lidar)
     file = root / "frames" / "frame_000002.ply"
-    return Written(root, lambda: truncate(file), {"poses"}, rounded=True)
+    return Written(root, lambda: truncate(file), {"poses"}, clock=_doubles)
 
 
 # ---- bags

@@ -7,7 +7,17 @@ import os
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
-from docdepth.datasets import bag, dynamic_map, folder, kitti_odometry, kitti_raw, run
+from docdepth.datasets import (
+    argoverse2,
+    bag,
+    dgp,
+    dynamic_map,
+    folder,
+    kitti_odometry,
+    kitti_raw,
+    nuscenes,
+    run,
+)
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.format import ENTRY_POINTS, Format
 from docdepth.datasets.frame_range import FrameRange
@@ -24,6 +34,9 @@ _OWN: tuple[Format, ...] = (
     kitti_odometry.SEMANTIC_KITTI,
     kitti_odometry.KITTI_ODOMETRY,
     run.FORMAT,
+    nuscenes.FORMAT,
+    argoverse2.FORMAT,
+    dgp.FORMAT,
     bag.FORMAT,
     dynamic_map.FORMAT,
     folder.FORMAT,
@@ -66,8 +79,6 @@ def open_dataset(
     path = Path(path)
     wanted = None if format is None else _named(format.replace("-", "_"))
     try:
-        if not path.exists():
-            raise DatasetError(f"{path} is not there")
         place, found = _find_recording(path, wanted)
         recording = found.open(place, image_size)
     except OSError as error:
@@ -132,6 +143,8 @@ def _find_recording(path: Path, wanted: Format | None) -> tuple[Path, Format]:
     for known in formats:
         if known.recognises(path):
             return path, known
+    if not path.exists():  # one that is recognised may be a part of the folder above
+        raise DatasetError(f"{path} is not there")
     below = _recordings_below(path, _DEEPEST, formats) if path.is_dir() else []
     if len(below) == 1:
         return below[0]

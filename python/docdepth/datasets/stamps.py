@@ -58,6 +58,23 @@ def times_of_files(
     return times
 
 
+def times_of_names(files: Sequence[Path], unit: int, remedy: str) -> NDArray[np.int64]:
+    """Nanoseconds of files whose names are numbers of ``unit`` nanoseconds.
+
+    Raises
+    ------
+    DatasetError
+        A name is no number, or two are one.
+    """
+    for file in files:
+        if not (file.stem.isascii() and file.stem.isdigit()):
+            raise DatasetError(f"{file}: the name is no number; {remedy}")
+    times = np.array([int(file.stem) for file in files], np.int64) * unit
+    if files:
+        check_increasing(times, [file.name for file in files], files[0].parent)
+    return times
+
+
 def time_of_name(stem: str) -> int | None:
     """Nanoseconds since 1970 in a name: a whole number, or seconds and a fraction.
 

@@ -1,0 +1,6 @@
+"""All writers of the made-up drive."""
+
+import vehicles  # noqa: F401  (registers its writers)
+from writers import WRITERS, Written
+
+__all__ = ["WRITERS", "Written"]
