@@ -1,5 +1,6 @@
 """All writers of the made-up drive."""
 
+import captures  # noqa: F401  (registers its writers)
 import vehicles  # noqa: F401  (registers its writers)
 from writers import WRITERS, Written
 

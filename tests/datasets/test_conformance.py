@@ -35,6 +35,8 @@ def test_loader(what: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> 
 @pytest.mark.parametrize("what", WRITERS)
 def test_errors_name_file_and_frame(what: str, tmp_path: Path) -> None:
     written = WRITERS[what][1](tmp_path)
+    if written.damage is None:
+        pytest.skip("nothing in the format tells it")
     file = written.damage()
     with pytest.raises(DocDepthError) as caught:
         open_dataset(written.path).sweep(2)
@@ -45,6 +47,8 @@ def test_errors_name_file_and_frame(what: str, tmp_path: Path) -> None:
 def _check_content(dataset: Dataset, written: Written) -> None:
     """What is read is what was written."""
     np.testing.assert_array_equal(dataset.times, written.clock(DRIVE.times))
+    if not written.points:
+        return
     for k in range(DRIVE.count):
         sweep, rows, kept = dataset.sweep(k), DRIVE.rows(k), DRIVE.usable(k)
         if written.reordered:

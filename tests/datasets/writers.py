@@ -23,8 +23,9 @@ class Written:
     Attributes
     ----------
     path : Path
-    damaged : callable
-        Breaks sweep 2; returns the file that the error has to name.
+    damage : callable or None
+        Breaks sweep 2; returns the file that the error has to name. None where a part that is
+        missing cannot be told from one that was never there.
     has : set of str
         What the format keeps, of intensity, ring, times, poses, camera.
     tolerance : float
@@ -35,15 +36,18 @@ class Written:
         Images keep their distortion.
     reordered : bool
         Points come in another order: each LiDAR's by themselves.
+    points : bool
+        Points are those of the drive; captures have others.
     """
 
     path: Path
-    damage: Callable[[], Path]
+    damage: Callable[[], Path] | None
     has: set[str] = field(default_factory=lambda: {"intensity", "ring", "times", "poses", "camera"})
     tolerance: float = 0.0
     clock: Callable[[np.ndarray], np.ndarray] = lambda times: times
     lens: bool = True
     reordered: bool = False
+    points: bool = True
 
 
 WRITERS: dict[str, tuple[str, Callable[[Path], Written]]] = {}

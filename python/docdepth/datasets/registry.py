@@ -16,6 +16,7 @@ from docdepth.datasets import (
     kitti_odometry,
     kitti_raw,
     nuscenes,
+    ouster,
     run,
 )
 from docdepth.datasets.base import Dataset
@@ -37,6 +38,7 @@ _OWN: tuple[Format, ...] = (
     nuscenes.FORMAT,
     argoverse2.FORMAT,
     dgp.FORMAT,
+    ouster.FORMAT,
     bag.FORMAT,
     dynamic_map.FORMAT,
     folder.FORMAT,
