@@ -60,3 +60,70 @@ def _ouster(root: Path) -> Written:
     path = root / "drive.pcap"
     write_ouster(path)
     return Written(path, None, set(), clock=microseconds, points=False)
+
+
+# ---- Velodyne
+
+FIRINGS = 24  # of 16 lasers in a packet of a VLP-16, two in each of twelve blocks
+PACKETS = 76  # in a revolution
+_FIRING_NS = 55_296
+
+
+def velodyne_ranges(packet: int) -> np.ndarray:
+    """In steps of 2 mm, (24, 16); every seventh has no return."""
+    ranges = np.random.default_rng(packet).integers(2000, 4500, (FIRINGS, 16))
+    ranges.ravel()[::7] = 0
+    return ranges
+
+
+def velodyne_packet(number: int) -> bytes:
+    """A packet of a VLP-16 at 10 Hz, which turns clockwise and looks back at the first one."""
+    packet = np.zeros(1206, np.uint8)
+    blocks = packet[:1200].view(
+        np.dtype(
+            [("flag", "<u2"), ("azimuth", "<u2"), ("returns", [("d", "<u2"), ("i", "u1")], 32)]
+        )
+    )
+    blocks["flag"] = 0xEEFF
+    step = 36000 / (FIRINGS * PACKETS)
+    azimuth = 18000 + step * (FIRINGS * number + 2 * np.arange(12))
+    blocks["azimuth"] = np.round(azimuth).astype(int) % 36000
+    blocks["returns"]["d"] = velodyne_ranges(number).reshape(12, 32)
+    blocks["returns"]["i"] = number % 100
+    packet[1200:1204] = np.array([FIRINGS * number * _FIRING_NS // 1000], "<u4").view(np.uint8)
+    packet[1204:] = (0x37, 0x22)  # the strongest return, VLP-16
+    return packet.tobytes()
+
+
+def write_velodyne(path: Path, packets: list[tuple[int, bytes]], sender: str = "10.0.0.1") -> None:
+    """A capture of packets and the times of their arrival in ns, by dpkt."""
+    dpkt = pytest.importorskip("dpkt")
+    import socket
+
+    with path.open("ab" if path.is_file() else "wb") as stream:
+        writer = dpkt.pcap.Writer(stream, nano=True)
+        for time, data in packets:
+            udp = dpkt.udp.UDP(sport=2368, dport=2368, data=data, ulen=8 + len(data))
+            ip = dpkt.ip.IP(src=socket.inet_aton(sender), dst=b"\xff" * 4, p=17, data=udp)
+            ip.len = len(ip)
+            ethernet = dpkt.ethernet.Ethernet(src=b"\1" * 6, dst=b"\xff" * 6, data=ip)
+            writer.writepkt_time(bytes(ethernet), time / 1e9)
+
+
+def velodyne_drive() -> list[tuple[int, bytes]]:
+    """As many revolutions as the drive has, each from its stamp on, and position packets."""
+    packets = []
+    for k, time in enumerate(DRIVE.times.tolist()):
+        for n in range(PACKETS):
+            arrival = time + n * FIRINGS * _FIRING_NS
+            packets.append((arrival, velodyne_packet(PACKETS * k + n)))
+        packets.append((time + 99_000_000, b"\0" * 512))
+    return packets
+
+
+@writes("Velodyne capture", "velodyne")
+def _velodyne(root: Path) -> Written:
+    pytest.importorskip("velodyne_decoder")
+    path = root / "drive.pcap"
+    write_velodyne(path, velodyne_drive())
+    return Written(path, None, set(), clock=None, points=False)

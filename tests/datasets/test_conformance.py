@@ -46,7 +46,10 @@ def test_errors_name_file_and_frame(what: str, tmp_path: Path) -> None:
 
 def _check_content(dataset: Dataset, written: Written) -> None:
     """What is read is what was written."""
-    np.testing.assert_array_equal(dataset.times, written.clock(DRIVE.times))
+    if written.clock is None:
+        np.testing.assert_allclose(dataset.times, DRIVE.times, rtol=0, atol=500)
+    else:
+        np.testing.assert_array_equal(dataset.times, written.clock(DRIVE.times))
     if not written.points:
         return
     for k in range(DRIVE.count):

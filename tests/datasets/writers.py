@@ -31,7 +31,7 @@ class Written:
     tolerance : float
         Metres to which points are kept; 0 is to the bit.
     clock : callable
-        What the format makes of stamps.
+        What the format makes of stamps; None: it keeps them to half a microsecond.
     lens : bool
         Images keep their distortion.
     reordered : bool
@@ -44,7 +44,7 @@ class Written:
     damage: Callable[[], Path] | None
     has: set[str] = field(default_factory=lambda: {"intensity", "ring", "times", "poses", "camera"})
     tolerance: float = 0.0
-    clock: Callable[[np.ndarray], np.ndarray] = lambda times: times
+    clock: Callable[[np.ndarray], np.ndarray] | None = lambda times: times
     lens: bool = True
     reordered: bool = False
     points: bool = True

@@ -18,6 +18,7 @@ from docdepth.datasets import (
     nuscenes,
     ouster,
     run,
+    velodyne,
 )
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.format import ENTRY_POINTS, Format
@@ -39,6 +40,7 @@ _OWN: tuple[Format, ...] = (
     argoverse2.FORMAT,
     dgp.FORMAT,
     ouster.FORMAT,
+    velodyne.FORMAT,
     bag.FORMAT,
     dynamic_map.FORMAT,
     folder.FORMAT,

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.cloud import Cloud, cloud_from_fields
-from docdepth.errors import DatasetError, MissingExtraError
+from docdepth.datasets.velodyne import decode_packets
+from docdepth.errors import DatasetError
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 
@@ -91,27 +92,9 @@ def _read_livox(message: Any, where: str) -> Cloud:
 
 def _read_velodyne(message: Any, where: str) -> Cloud:
     """Packets of one revolution, decoded by velodyne-decoder."""
-    try:
-        import velodyne_decoder
-    except ImportError:
-        raise MissingExtraError(
-            "Velodyne packets need velodyne-decoder: pip install 'docdepth[velodyne]'"
-        ) from None
     if not len(message.packets):
         raise DatasetError(f"{where} holds no packets; the LiDAR or its recording failed")
     stamps = [p.stamp.sec * 10**9 + p.stamp.nanosec for p in message.packets]
-    packets = velodyne_decoder.PacketVector(
-        [
-            velodyne_decoder.VelodynePacket(stamp * 1e-9, np.asarray(p.data, np.uint8).tobytes())
-            for stamp, p in zip(stamps, message.packets, strict=True)
-        ]
-    )
-    try:
-        _, rows = velodyne_decoder.ScanDecoder().decode(packets, True)
-    except (RuntimeError, ValueError) as error:
-        raise DatasetError(f"{where} holds packets that cannot be decoded ({error})") from None
-    cloud = cloud_from_fields(rows, where)
+    packets = [np.asarray(p.data, np.uint8).tobytes() for p in message.packets]
     stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-    # The decoder counts from the last packet, docdepth from the stamp of the message.
-    seconds = rows["time"].astype(np.float64) + (stamps[-1] - stamp) * 1e-9
-    return Cloud(cloud.points, cloud.intensity, cloud.ring, seconds)
+    return decode_packets(packets, stamps, stamp, where)
