@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conformance import differences
+from conformance import check, differences
 from rewriting import write_bag, write_folder
 
 from docdepth import read_depth, run
@@ -54,17 +54,28 @@ def test_sweeps_times_poses_and_cameras(raw, other, drive_9001) -> None:
 
 
 @pytest.fixture(scope="module")
-def raw_maps(raw, tmp_path_factory) -> list[np.ndarray]:
-    return _depth_maps(raw[0].path, tmp_path_factory.mktemp("raw") / "run", FRAMES)
+def raw_run(raw, tmp_path_factory) -> Path:
+    return run(raw[0].path, tmp_path_factory.mktemp("raw") / "run", frames=FRAMES).path
 
 
-def _depth_maps(path: Path, out: Path, frames: str | None = None) -> list[np.ndarray]:
-    folder = run(path, out, frames=frames)
-    return [read_depth(file) for file in sorted((folder.path / "depth").glob("*.png"))]
+def _depth_maps(folder: Path) -> list[np.ndarray]:
+    return [read_depth(file) for file in sorted((folder / "depth").glob("*.png"))]
 
 
-def test_depth_maps(raw_maps, other, tmp_path) -> None:
-    maps = _depth_maps(other.path, tmp_path / "run")
-    assert len(maps) == len(raw_maps) > 8
-    for one, two in zip(raw_maps, maps, strict=True):
-        np.testing.assert_array_equal(one, two)
+def test_depth_maps(raw_run, other, tmp_path) -> None:
+    _check_depth(raw_run, run(other.path, tmp_path / "run").path)
+
+
+def test_depth_maps_of_a_run_folder(raw_run, tmp_path) -> None:
+    """The layout of the authors' release, with docdepth's further columns."""
+    dataset = open_dataset(raw_run)
+    check(dataset, "run")
+    assert dataset.sweep(3).relative_time is not None
+    _check_depth(raw_run, run(raw_run, tmp_path / "run").path)
+
+
+def _check_depth(one: Path, two: Path) -> None:
+    maps, again = _depth_maps(one), _depth_maps(two)
+    assert len(maps) == len(again) > 8
+    for a, b in zip(maps, again, strict=True):
+        np.testing.assert_array_equal(a, b)
