@@ -361,3 +361,13 @@ def test_poses_in_headers_are_told_and_used_when_asked_for(tmp_path: Path, caplo
     dataset = open_dataset(path)
     np.testing.assert_array_equal(dataset.poses[:, :3, 3], [[k, 0, 0.5] for k in range(5)])
     np.testing.assert_array_equal(dataset.sweep(2).points, DRIVE.points(2))
+
+
+@pytest.mark.parametrize(("model", "kept"), [("fisheye", True), ("pinhole", False)])
+def test_zeros_are_a_lens_of_a_fisheye_only(folder: Path, model: str, kept: bool) -> None:
+    """A fisheye without coefficients is equidistant, which no pinhole is."""
+    camera = settings()["cameras"]["front"]
+    change(folder, cameras={"front": camera | {"model": model, "distortion": [0.0] * 4}})
+    stream = open_dataset(folder).cameras["front"]
+    assert stream.model == model
+    assert (stream.distortion is not None) == kept

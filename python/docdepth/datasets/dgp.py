@@ -70,7 +70,7 @@ class DgpLidar:
         file, entry = self.data[index].file, self.data[index].entry
         where = f"{file} (frame {index})"
         try:
-            with np.load(file, allow_pickle=False) as content:
+            with file.open("rb") as stream, np.load(stream, allow_pickle=False) as content:
                 table = content["data"]
         except (OSError, ValueError, KeyError) as error:
             raise DatasetError(f"{where} is no sweep of DGP ({error}); {_COPY}") from None

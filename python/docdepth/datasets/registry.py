@@ -156,8 +156,13 @@ def _find_recording(path: Path, wanted: Format | None) -> tuple[Path, Format]:
         names = ", ".join(str(folder) for folder, _ in below[:_MOST_NAMED])
         more = f" and {len(below) - _MOST_NAMED} more" if len(below) > _MOST_NAMED else ""
         raise DatasetError(f"{path} holds {len(below)} recordings; name one of {names}{more}")
-    known_formats = "; ".join(f"{known.name}: {known.expected}" for known in formats)
-    raise DatasetError(f"{path} is no recording that docdepth reads ({known_formats})")
+    if wanted is not None:
+        raise DatasetError(f"{path} is no recording of {wanted.name} ({wanted.expected})")
+    names = ", ".join(known.name for known in formats)
+    raise DatasetError(
+        f"{path} is no recording that docdepth reads ({names}); name the format that it should be, "
+        "to be told what is missing"
+    )
 
 
 def _recordings_below(path: Path, levels: int, formats: list[Format]) -> list[tuple[Path, Format]]:

@@ -83,8 +83,9 @@ class CameraSettings(Strict):
         return Camera(np.array(self.K).reshape(3, 3), *size)
 
     def lens(self) -> NDArray[np.float64] | None:
-        """The distortion; None without one."""
-        return np.array(self.distortion) if any(self.distortion or ()) else None
+        """The distortion; None without one. Zeros are none for a pinhole, not for a fisheye."""
+        numbers = self.distortion or ()
+        return np.array(numbers) if self.model == "fisheye" or any(numbers) else None
 
     def extrinsic(self, where: str) -> NDArray[np.float64]:
         """``T_camera_lidar``, (4, 4).
