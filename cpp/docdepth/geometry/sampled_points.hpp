@@ -43,6 +43,14 @@ SampledPoints downsample(const SampledPoints& points, float size);
 /// The same with voxels that grow until there are at most `most` means.
 SampledPoints downsample(const SampledPoints& points, float size, std::size_t most);
 
+/// Points of a surface with its normals, of any length; zero where the normal is unknown.
+struct SampledSurface {
+  SampledPoints points, normals;
+};
+
+/// The same for points and normals.
+SampledSurface downsample(const SampledSurface& surface, float size);
+
 /// The horizontal shift up to `reach` that explains most of the differences b - a.
 Eigen::Vector3f most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach);
 

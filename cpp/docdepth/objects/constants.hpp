@@ -44,13 +44,50 @@ constexpr float kStanding = 0.5f;
 
 /// One object never looks larger than its size times the factor, plus the margin [m].
 constexpr float kMaxSizeFactor = 1.5f, kMaxSizeMargin = 0.5f;
-/// A velocity is the mean of this many pairs of observations before and after.
-constexpr std::size_t kVelocityPairs = 3;
+/// A track supports as much static area as was dynamic in one sweep, or in all sweeps together
+/// divided by this.
+constexpr float kTotalSupportDivisor = 8;
 /// The box of a standing object is collected over this many times the window.
 constexpr double kStandingWindowFactor = 3;
-/// A track supports as many static points as it had dynamic points in one sweep, or as in all
-/// sweeps together divided by this.
-constexpr std::size_t kTotalSupportDivisor = 8;
+/// Objects this wide in this share of their observations are rigid [m]: wider than a person.
+constexpr float kMinRigidWidth = 1.4f;
+constexpr double kRigidQuantile = 0.75;
+/// How exactly a shift from sweep to sweep, and the height of the lowest point, tell the position
+/// [m].
+constexpr double kShiftDeviation = 0.08, kHeightDeviation = 0.15;
+/// How much a road user changes its acceleration in a second [m/s^2]: firm braking is 4. Roads
+/// bend far less up and down.
+constexpr double kHorizontalChange = 3, kVerticalChange = 0.3;
+/// How much it changes its rate of turn in a second [rad/s^2].
+constexpr double kTurnChange = 1;
+/// Before anything is known of it: speed [m/s] and acceleration [m/s^2].
+constexpr double kFastest = 20, kStrongest = 3;
+/// Above this speed an object's motion tells its heading [m/s]; a person's at half of it.
+constexpr double kMinHeadingSpeed = 1.5;
+/// No road is steeper [rad]: 20 degrees.
+constexpr double kSteepest = 0.35;
+
+// --- Registration of the surfaces of a track ---
+
+/// Partners are looked for within these distances, step by step [m].
+constexpr float kRegistrationRadii[] = {0.6f, 0.6f, 0.4f, 0.3f, 0.3f};
+/// Distance of samples from the plane of their partners [m]. It is that of noise and curvature,
+/// times ten, since neighbouring samples err alike.
+constexpr double kResidualDeviation = 0.2;
+/// Weight of the horizontal distance between partners, beside their distance across the surface.
+constexpr double kPointWeight = 0.03, kLonePointWeight = 0.3;
+/// How exactly a guess tells the position [m] and the heading [rad].
+constexpr double kGuessDeviation = 0.3, kGuessHeadingDeviation = 0.05;
+/// Surfaces are known this exactly at best [m].
+constexpr double kSurfaceDeviation = 0.02;
+/// A registration fails if a smaller share of the samples finds partners.
+constexpr float kMinRegisteredShare = 0.5f;
+/// A model has at most so many voxels along the object.
+constexpr float kModelVoxels = 40;
+/// Part of an object is what so many sweeps saw,
+constexpr int kMinHits = 3;
+/// but for the outermost samples.
+constexpr double kExtentQuantile = 0.99;
 
 // --- Whether a place was free while the object was elsewhere ---
 

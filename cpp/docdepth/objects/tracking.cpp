@@ -6,243 +6,189 @@
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/objects/constants.hpp"
 #include "docdepth/objects/dynamic_voxels.hpp"
-#include "docdepth/objects/track_motion.hpp"
+#include "docdepth/objects/tracker.hpp"
 
 namespace docdepth {
 namespace {
 
 using Vector = Eigen::Vector3f;
-using Flags = std::vector<std::uint8_t>;
 
-struct Track {
-  SampledPoints samples;  ///< of the last two observations: each may see another part
-  SampledPoints last;     ///< of the last observation
-  Vector largest;         ///< size of its objects
-  double time;
-  std::vector<TrackObservation> observations;
-  Vector velocity = Vector::Zero();
-  int dynamic = 1;               ///< observations that are dynamic by their votes
-  std::size_t last_dynamic = 0;  ///< the last of them
-
-  bool has_velocity() const { return observations.size() > 1; }
-};
-
-/// The continuation of a track in a sweep.
-struct Match {
-  float score = 0;
-  Vector shift = Vector::Zero();
-  std::vector<std::uint32_t> objects;
-  SampledPoints samples;
-  Extent box;
-  Vector largest;
-};
-
-bool can_be_tracked(const Detection& object) {
-  return object.box.size().z() >= kMinTrackedHeight && object.box.width() <= kMaxObjectWidth;
-}
-
-void append(SampledPoints& samples, const SampledPoints& more) {
-  samples.insert(samples.end(), more.begin(), more.end());
-}
-
-/// Tracks objects from sweep to sweep, forward or backward in time.
-class Tracker {
+/// A track and its path, and what both say about detections.
+class TrackEvidence {
  public:
-  Tracker(const std::vector<const Detections*>& detections, const std::vector<double>& times,
-          const TrackParameters& p)
-      : detections_(detections), times_(times), p_(p) {}
+  TrackEvidence(const Track& track, const std::vector<const Detections*>& detections,
+                const std::vector<double>& times, const TrackParameters& p)
+      : track_(track), detections_(detections), times_(times), p_(p),
+        path_(track, detections, times, p) {
+    float total = 0;
+    for (const TrackObservation& seen : track.observations) {
+      total += seen.dynamic_area;
+      supported_ = std::max({supported_, seen.dynamic_area, total / kTotalSupportDivisor});
+    }
+  }
 
-  std::vector<Track> run(bool backward) {
-    const std::size_t count = detections_.size();
-    for (std::size_t k = 0; k < count; ++k) advance(backward ? count - 1 - k : k);
-    for (Track& track : alive_) done_.push_back(std::move(track));
-    return std::move(done_);
+  const TrackPath& path() const { return path_; }
+
+  /// Whether the object moves, by its votes and by its path.
+  bool moves() const {
+    return track_.dynamic >= p_.min_detections && path_.distance(false) >= p_.min_distance &&
+           path_.distance(true) >= kMinVotedDistanceShare * p_.min_distance;
+  }
+
+  /// Whether the track makes a detection of a sweep dynamic.
+  bool claims(std::size_t sweep, const Detection& object, bool is_member) const {
+    if (object.dynamic == object.points || object.box.width() < kMinTrackedWidth) return false;
+    if (object.area - object.dynamic_area > supported_) return false;
+    if (!is_member && !lies_there(object, times_[sweep])) return false;
+    return was_free(object.samples(), sweep);
   }
 
  private:
-  void advance(std::size_t sweep) {
-    const Detections& seen = *detections_[sweep];
-    Flags taken(seen.size());
-    for (std::size_t k = 0; k < seen.size(); ++k) taken[k] = !can_be_tracked(seen[k]);
-    // The longest track chooses first.
-    std::stable_sort(alive_.begin(), alive_.end(), [](const Track& a, const Track& b) {
-      return a.observations.size() > b.observations.size();
-    });
-    std::vector<Track> alive;
-    for (Track& track : alive_) {
-      const double dt = times_[sweep] - track.time;
-      Match match = find(track, track.samples, seen, taken, dt);
-      if (match.score == 0) match = find(track, track.last, seen, taken, dt);
-      if (match.score > 0) add(track, sweep, std::move(match), taken);
-      auto& to = std::fabs(times_[sweep] - track.time) <= max_gap(track) ? alive : done_;
-      to.push_back(std::move(track));
-    }
-    alive_ = std::move(alive);
-    for (std::uint32_t k = 0; k < seen.size(); ++k) {
-      const auto& [first, points, dynamic, box, samples] = seen[k];
-      if (!taken[k] && seen[k].is_dynamic() && samples.size() >= kMinSamples)
-        alive_.push_back(
-            {samples, samples, box.size(), times_[sweep], {{sweep, {k}, box, dynamic}}});
-    }
+  bool lies_there(const Detection& object, double time) const {
+    if (!(p_.window > 0) || path_.speed(time) >= kSlow) return false;
+    const OrientedBox box = path_.box(time);
+    const auto inside = [&](const Vector& p) { return box.holds(p, kSearchMargin); };
+    const float bottom = box.middle().z() - box.half.z();
+    return object.box.high.z() >= bottom + kMinTrackedHeight &&
+           std::all_of(object.samples().begin(), object.samples().end(), inside);
   }
 
-  double max_gap(const Track& track) const {
-    const bool stands = track.has_velocity() && track.velocity.norm() < kStanding;
-    return (stands && track.dynamic >= p_.min_detections ? p_.max_gap_standing : p_.max_gap) +
-           kTimeTolerance;
-  }
-
-  /// The best match of these samples of a track.
-  Match find(const Track& track, const SampledPoints& samples, const Detections& seen,
-             const Flags& taken, double dt) const {
-    const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
-    Match best;
-    const auto attempt = [&](const Vector& start) {
-      Match match = match_from(track, samples, seen, taken, start, reach);
-      if (match.score > best.score) best = std::move(match);
+  /// Whether a place was free while the object was elsewhere, in the sweeps nearest in time.
+  bool was_free(const SampledPoints& samples, std::size_t sweep) const {
+    const auto& seen = track_.observations;
+    const auto distance = [&](std::size_t k) {
+      const std::size_t other = seen[k].sweep;
+      return other > sweep ? other - sweep : sweep - other;
     };
-    if (track.has_velocity()) {
-      attempt(track.velocity * static_cast<float>(dt));
-      attempt(Vector::Zero());
-      return best;
-    }
-    const Extent box = extent_of(samples);
+    const auto left = [&](std::size_t k) {
+      OrientedBox box = path_.box_of(k);
+      box.half.z() = INFINITY;
+      SampledPoints outside;
+      for (const Vector& p : samples)
+        if (!box.holds(p, kOutsideMargin)) outside.push_back(p);
+      return outside;
+    };
+    const auto count = float(samples.size());
+    std::vector<std::size_t> elsewhere;
     for (std::size_t k = 0; k < seen.size(); ++k)
-      if (!taken[k] && seen[k].is_dynamic() && seen[k].box.overlaps(box, reach))
-        attempt(most_frequent_shift(samples, seen[k].samples, reach));
-    return best;
+      if (float(left(k).size()) >= kMinOutsideShare * count) elsewhere.push_back(k);
+    std::stable_sort(elsewhere.begin(), elsewhere.end(),
+                     [&](std::size_t a, std::size_t b) { return distance(a) < distance(b); });
+    const std::size_t last = std::min(elsewhere.size(), kFreeTestStride * kMaxFreeTests);
+    for (std::size_t i = 0; i < last; i += kFreeTestStride) {
+      const std::size_t k = elsewhere[i];
+      if (occupied(left(k), *detections_[seen[k].sweep]) >= kMinOccupiedShare * count)
+        return false;
+    }
+    return !elsewhere.empty();
   }
 
-  /// The detections onto which the samples fall, with a shift that is refined from `start`.
-  Match match_from(const Track& track, const SampledPoints& samples, const Detections& seen,
-                   const Flags& taken, const Vector& start, float reach) const {
-    Extent box = extent_of(samples);
-    const Vector size = box.size();
-    box.low += start;
-    box.high += start;
-    std::vector<std::uint32_t> near;
+  /// Number of samples at which a sweep saw a static object.
+  static float occupied(const SampledPoints& samples, const Detections& detections) {
+    const Extent box = extent_of(samples);
     SampledPoints there;
-    for (std::uint32_t k = 0; k < seen.size(); ++k) {
-      if (taken[k] || !seen[k].box.overlaps(box, kSearchMargin)) continue;
-      if (!track.has_velocity() && !seen[k].is_dynamic()) continue;
-      if (!could_match(seen[k].box, size)) continue;
-      near.push_back(k);
-      append(there, seen[k].samples);
+    for (const Detection& object : detections) {
+      if (object.is_dynamic() || !object.box.overlaps(box, kOccupiedDistance)) continue;
+      for (const Vector& p : object.samples())
+        if (box.overlaps({p, p}, kOccupiedDistance)) there.push_back(p);
     }
-    Match match;
-    match.shift = start;
-    match.largest = track.largest;
-    if (!refine_shift(samples, there, match.shift)) return {};
-    for (const auto k : near) {
-      if (matched_share(seen[k].samples, -match.shift, samples) < kMinMemberShare) continue;
-      if (match.objects.empty()) match.box = seen[k].box;
-      match.objects.push_back(k);
-      append(match.samples, seen[k].samples);
-      match.box.add(seen[k].box);
-      match.largest = match.largest.cwiseMax(seen[k].box.size());
-    }
-    // Together larger than one object: a pedestrian and what he walks away from.
-    if (match.objects.empty() || !could_match(match.box, match.largest)) return {};
-    // Half of a track may be hidden, so twice its matched share counts.
-    const float track_share =
-                    std::min(1.0f, 2 * matched_share(samples, match.shift, match.samples)),
-                match_share = matched_share(match.samples, -match.shift, samples);
-    // Of two equal matches the nearer one is more likely.
-    match.score = track_share * match_share / (1 + match.shift.norm() / (2 * reach));
-    return match.score >= kMinMatchedShare ? match : Match{};
+    return matched_share(samples, Vector::Zero(), there, kOccupiedDistance) *
+           float(samples.size());
   }
 
-  void add(Track& track, std::size_t sweep, Match&& match, Flags& taken) const {
-    const Detections& seen = *detections_[sweep];
-    const Vector velocity = match.shift / static_cast<float>(times_[sweep] - track.time);
-    track.velocity = track.has_velocity() ? 0.5f * track.velocity + 0.5f * velocity : velocity;
-    track.time = times_[sweep];
-    std::uint32_t points = 0, of_dynamic = 0, dynamic_points = 0;
-    for (const auto k : match.objects) {
-      taken[k] = 1;
-      points += seen[k].points;
-      dynamic_points += seen[k].dynamic;
-      if (seen[k].is_dynamic()) of_dynamic += seen[k].points;
-    }
-    const bool is_dynamic = 2 * of_dynamic >= points;
-    track.dynamic += is_dynamic;
-    if (is_dynamic) track.last_dynamic = track.observations.size();
-    SampledPoints both = std::move(track.last);
-    for (Vector& p : both) p += match.shift;
-    append(both, match.samples);
-    track.samples = downsample(both, kSampleSpacing, kMaxSamples);
-    track.last = std::move(match.samples);
-    track.largest = match.largest;
-    track.observations.push_back({sweep, std::move(match.objects), match.box, dynamic_points});
-  }
-
+  const Track& track_;
   const std::vector<const Detections*>& detections_;
   const std::vector<double>& times_;
   const TrackParameters& p_;
-  std::vector<Track> alive_, done_;
+  TrackPath path_;
+  float supported_ = 0;  ///< area of static points that the track can make dynamic
 };
 
-bool is_dynamic(const Track& track, const TrackParameters& p) {
-  const auto& seen = track.observations;
-  const auto distance_to = [&](const TrackObservation& to) {
-    return (to.center() - seen.front().center()).norm();
-  };
-  return track.dynamic >= p.min_detections && distance_to(seen.back()) >= p.min_distance &&
-         distance_to(seen[track.last_dynamic]) >= kMinVotedDistanceShare * p.min_distance;
-}
+/// What a track says of the sweeps in which it is known.
+struct Findings {
+  std::vector<std::pair<std::size_t, Member>> members;  ///< by sweep
+  std::vector<std::pair<std::size_t, TrackBox>> boxes;
+};
 
-/// Whether an object lies in the box, and not flat on the ground below it.
-bool lies_inside(const Detection& object, const Extent& box) {
-  return (object.box.low.array() >= box.low.array() - kSearchMargin).all() &&
-         (object.box.high.array() <= box.high.array() + kSearchMargin).all() &&
-         object.box.high.z() >= box.low.z() + kMinTrackedHeight;
-}
-
-/// Add a track to the result of a sweep.
-void add_track(const TrackMotion& motion, std::size_t sweep, double time,
-               const std::vector<const Detections*>& detections, const TrackParameters& p,
-               TrackingResult& result) {
-  const Extent box = motion.box(time);
-  const float speed = motion.speed(time);
-  const Detections& seen = *detections[sweep];
-  for (std::uint32_t k = 0; k < seen.size(); ++k) {
-    const bool there = p.window > 0 && speed < kSlow && lies_inside(seen[k], box);
-    if (seen[k].dynamic < seen[k].points && seen[k].box.width() >= kMinTrackedWidth &&
-        motion.can_support(seen[k]) && (there || motion.contains(sweep, k)) &&
-        motion.was_free(seen[k].samples, sweep, detections))
-      result.objects.push_back(seen[k].first);
+Findings findings_of(const TrackEvidence& evidence, const Track& track, std::uint32_t number,
+                     const std::vector<const Detections*>& detections,
+                     const std::vector<double>& times, const TrackParameters& p) {
+  Findings found;
+  const bool moves = evidence.moves();
+  const TrackPath& path = evidence.path();
+  std::size_t first = track.observations.front().sweep, last = track.observations.back().sweep;
+  while (moves && first > 0 && path.covers(times[first - 1])) --first;
+  while (moves && last + 1 < times.size() && path.covers(times[last + 1])) ++last;
+  auto seen = track.observations.begin();
+  for (std::size_t i = first; i <= last; ++i) {
+    while (seen != track.observations.end() && seen->sweep < i) ++seen;
+    const bool is_seen = seen != track.observations.end() && seen->sweep == i;
+    if (!is_seen && (!moves || !path.covers(times[i]))) continue;
+    const Detections& objects = *detections[i];
+    for (std::uint32_t k = 0; k < objects.size(); ++k) {
+      const bool is_member = is_seen && std::find(seen->objects.begin(), seen->objects.end(), k) !=
+                                            seen->objects.end();
+      const bool claimed = moves && evidence.claims(i, objects[k], is_member);
+      if (is_member || claimed) found.members.push_back({i, {objects[k].first, number, claimed}});
+    }
+    if (moves && p.window > 0 && path.speed(times[i]) >= kStanding)
+      found.boxes.push_back({i, {number, path.box(times[i])}});
   }
-  if (p.window > 0 && speed >= kStanding) result.boxes.push_back(box);
+  return found;
+}
+
+TrackedObject object_of(const Track& track, const TrackPath& path,
+                        const std::vector<const Detections*>& detections,
+                        const std::vector<double>& times) {
+  const Extent& extent = path.extent();
+  const Vector middle = 0.5f * (extent.low + extent.high);
+  TrackedObject object{{}, extent.size(), path.is_rigid()};
+  for (const TrackObservation& seen : track.observations) {
+    Pose T = path.pose(times[seen.sweep]);
+    T.translate(Vector(middle.x(), middle.y(), extent.low.z()).cast<double>());
+    std::uint32_t points = 0;
+    for (const auto k : seen.objects) points += (*detections[seen.sweep])[k].points;
+    object.places.push_back(
+        {std::uint32_t(seen.sweep), points, T, path.velocity(times[seen.sweep])});
+  }
+  return object;
 }
 
 }  // namespace
 
-std::vector<TrackingResult> track_objects(const std::vector<const Detections*>& detections,
-                                          const std::vector<double>& times,
-                                          const TrackParameters& p, int threads) {
-  std::vector<TrackingResult> directions[2];
-  parallel_for(2, 1, threads, [&](std::size_t backward, std::size_t) {
-    auto& results = directions[backward];
-    results.resize(times.size());
-    for (const Track& track : Tracker(detections, times, p).run(backward != 0)) {
-      if (!is_dynamic(track, p)) continue;
-      const TrackMotion motion(track.observations, times, p);
-      for (std::size_t i = 0; i < times.size(); ++i)
-        if (motion.covers(times[i])) add_track(motion, i, times[i], detections, p, results[i]);
-    }
+bool TrackedSweep::claims(std::uint32_t first) const {
+  const auto before = [](const Member& member, std::uint32_t row) { return member.first < row; };
+  auto member = std::lower_bound(members.begin(), members.end(), first, before);
+  for (; member != members.end() && member->first == first; ++member)
+    if (member->dynamic) return true;
+  return false;
+}
+
+TrackingResult track_objects(const std::vector<const Detections*>& detections,
+                             const std::vector<double>& times, const TrackParameters& p,
+                             int threads) {
+  std::vector<Track> tracks = follow_objects(detections, times, p);
+  tracks.erase(std::remove_if(tracks.begin(), tracks.end(),
+                              [&](const Track& track) { return track.dynamic < p.min_detections; }),
+               tracks.end());
+  std::vector<Findings> found(tracks.size());
+  TrackingResult result;
+  result.sweeps.resize(times.size());
+  result.objects.resize(tracks.size());
+  parallel_for(tracks.size(), 1, threads, [&](std::size_t k, std::size_t) {
+    const TrackEvidence evidence(tracks[k], detections, times, p);
+    found[k] = findings_of(evidence, tracks[k], std::uint32_t(k + 1), detections, times, p);
+    result.objects[k] = object_of(tracks[k], evidence.path(), detections, times);
   });
-  std::vector<TrackingResult> result = std::move(directions[0]);
-  for (std::size_t i = 0; i < result.size(); ++i) {
-    const TrackingResult& backward = directions[1][i];
-    auto& rows = result[i].objects;
-    rows.insert(rows.end(), backward.objects.begin(), backward.objects.end());
-    std::sort(rows.begin(), rows.end());
-    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
-    auto& boxes = result[i].boxes;
-    boxes.insert(boxes.end(), backward.boxes.begin(), backward.boxes.end());
+  for (const Findings& of : found) {
+    for (const auto& [sweep, member] : of.members) result.sweeps[sweep].members.push_back(member);
+    for (const auto& [sweep, box] : of.boxes) result.sweeps[sweep].boxes.push_back(box);
   }
-  auto voxels = dynamic_voxels(detections, times, result, p.window, threads);
-  for (std::size_t i = 0; i < result.size(); ++i) result[i].voxels = std::move(voxels[i]);
+  for (TrackedSweep& sweep : result.sweeps)
+    std::stable_sort(sweep.members.begin(), sweep.members.end(),
+                     [](const Member& a, const Member& b) { return a.first < b.first; });
+  auto voxels = dynamic_voxels(detections, times, result.sweeps, p.window, threads);
+  for (std::size_t i = 0; i < times.size(); ++i) result.sweeps[i].voxels = std::move(voxels[i]);
   return result;
 }
 

@@ -12,7 +12,7 @@ from docdepth.config import DynamicsParameters
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.look_ahead import LookAhead
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep, PreparedSweep, SweepClassifier
-from docdepth.dynamics.tracking import Detections, TrackingResult
+from docdepth.dynamics.tracking import Detections, Tracking
 from docdepth.dynamics.voting import KeyFrame
 from docdepth.geometry.trajectory import Trajectory
 
@@ -30,11 +30,11 @@ class SweepStore(Protocol):
         """Whether an earlier run left the labels of this sweep."""
         ...
 
-    def tracks(self) -> list[TrackingResult] | None:
+    def tracks(self) -> Tracking | None:
         """What an earlier run found of tracks; None if there are none."""
         ...
 
-    def keep_tracks(self, found: list[TrackingResult]) -> None: ...
+    def keep_tracks(self, found: Tracking) -> None: ...
 
     def has_evidence(self, index: int) -> bool:
         """Whether an interrupted run left the evidence of this sweep."""
@@ -154,7 +154,7 @@ def _add_tracks(
     steps: SweepClassifier,
     store: SweepStore,
     left: list[int],
-    tracks: list[TrackingResult] | None,
+    tracks: Tracking | None,
     threads: int,
 ) -> None:
     """Classify objects that move at another time of the drive."""
@@ -163,7 +163,7 @@ def _add_tracks(
         # The sweep is read once more, since tracks are known when all sweeps have voted and a drive
         # may not fit into memory.
         sweep = store.read(index)
-        labels = steps.add_tracks(index, sweep, store.evidence(index), results[index])
+        labels = steps.add_tracks(index, sweep, store.evidence(index), results.sweeps[index])
         store.write(index, sweep, labels)
 
     with ThreadPoolExecutor(_FILE_THREADS) as pool:

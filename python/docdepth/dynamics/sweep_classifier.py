@@ -17,7 +17,8 @@ from docdepth.dynamics.clustering import cluster_objects
 from docdepth.dynamics.key_frames import key_frames
 from docdepth.dynamics.tracking import (
     Detections,
-    TrackingResult,
+    TrackedSweep,
+    Tracking,
     apply_tracks,
     local_poses,
     track_objects,
@@ -40,6 +41,8 @@ class InputSweep:
     ground : ndarray of bool, shape (N,)
     sensor_rig : SensorRig, optional
         Where it was measured from, if not from the origin.
+    time_offset : ndarray of float32, shape (N,), optional
+        Seconds from the stamp to each measurement.
     votes : Votes, optional
         Kept from an earlier run; cast anew when missing.
     record
@@ -49,6 +52,7 @@ class InputSweep:
     points: NDArray[np.float32]
     ground: NDArray[np.bool_]
     sensor_rig: SensorRig | None = None
+    time_offset: NDArray[np.float32] | None = None
     votes: Votes | None = None
     record: Any = None
 
@@ -147,22 +151,24 @@ class SweepClassifier:
         """Labels of a sweep by its own votes, and the detections that tracks are made of."""
         sweep, mesh = prepared
         points, ground = sweep.points, sweep.ground
+        mesh = mesh or ScanMesh(points)
         with self._watch("objects"):
             objects = cluster_objects(points, ground, mesh)
             classid = classify(ground, votes, self._parameters, points, mesh, objects)
         with self._watch("detections"):
+            moving, pose = classid >= DYNAMIC, self._local_poses[index]
             detections = Detections(
-                points, ground, objects, classid >= DYNAMIC, self._local_poses[index]
+                points, ground, objects, moving, votes.dynamic, mesh, pose, sweep.time_offset
             )
         return Evidence(Labels(classid, votes), objects), detections
 
-    def track(self, detections: Sequence[Detections], threads: int = 0) -> list[TrackingResult]:
+    def track(self, detections: Sequence[Detections], threads: int = 0) -> Tracking:
         """Track objects through the drive, from the detections of all sweeps in order."""
         with self._watch("tracks"):
-            return track_objects(detections, self._trajectory.times, threads)
+            return track_objects(detections, self._trajectory, threads)
 
     def add_tracks(
-        self, index: int, sweep: InputSweep, evidence: Evidence, result: TrackingResult
+        self, index: int, sweep: InputSweep, evidence: Evidence, result: TrackedSweep
     ) -> Labels:
         """Labels of a sweep with what tracks found in it."""
         labels, objects = evidence

@@ -13,6 +13,8 @@ from docdepth.dynamics.clustering import OBJECT_PARAMETERS
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.geometry.points import DYNAMIC, STATIC, check_sweep
+from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.track import KINDS, Kind, Track
 from docdepth.geometry.trajectory import Trajectory
 
 TRACK_PARAMETERS = _core.TrackParameters()
@@ -23,27 +25,97 @@ MAX_OCCUPIED_SHARE = 0.8
 observed occupied: it is another object that touches the first [-]."""
 
 
-class TrackingResult(NamedTuple):
+PERSON_SIZE = (2.2, 1.3, 2.2)
+"""A person or cyclist is at most this long, wide and high [m]."""
+
+MIN_PERSON_HEIGHT = 0.7
+"""Of which a child or the seen half of a person has at least this [m]."""
+
+MAX_CYCLING = 14.0
+"""Fastest cyclist [m/s], 50 km/h."""
+
+MIN_VEHICLE_HEIGHT = 0.6
+"""Lower things are no vehicle [m]."""
+
+MIN_SIZE = 0.1
+"""Least side of a box [m]."""
+
+
+class TrackedSweep(NamedTuple):
     """What :func:`track_objects` finds in a sweep.
 
     Attributes
     ----------
-    objects : ndarray of uint32, shape (n,)
-        Objects that are dynamic, too: their first rows, as :func:`cluster_objects` gives them.
-    boxes : ndarray of float32, shape (K, 6)
-        Low and high corners of tracked objects in the frame of :func:`local_poses`. Points above
-        the ground inside are dynamic unless their votes are clearly static.
+    members : ndarray of uint32, shape (n, 3)
+        Objects that belong to a track: first row (as :func:`cluster_objects` gives it), track, and
+        1 if the track makes it dynamic.
+    box_tracks : ndarray of uint32, shape (K,)
+        Track of each box.
+    boxes : ndarray of float32, shape (K, 15)
+        Moving objects, in the frame of :func:`local_poses`: ``T_box_world`` (3, 4), row after row,
+        and half of the size. Points above the ground inside are dynamic unless their votes are
+        clearly static.
     voxels : ndarray of uint64, shape (m,)
         Numbers of the voxels in which nearly everything moved in the sweeps just before and after;
         the same holds inside.
     """
 
-    objects: NDArray[np.uint32]
-    boxes: NDArray[np.float32]
+    members: NDArray[np.uint32] = np.zeros((0, 3), np.uint32)
+    box_tracks: NDArray[np.uint32] = np.zeros(0, np.uint32)
+    boxes: NDArray[np.float32] = np.zeros((0, 15), np.float32)
     voxels: NDArray[np.uint64] = np.zeros(0, np.uint64)
 
     def __bool__(self) -> bool:
         return any(len(found) > 0 for found in self)
+
+    @property
+    def dynamic(self) -> NDArray[np.uint32]:
+        """First rows of the objects that tracks make dynamic."""
+        return self.members[self.members[:, 2] > 0, 0]
+
+
+class Tracking(NamedTuple):
+    """What :func:`track_objects` finds in a drive.
+
+    Attributes
+    ----------
+    sweeps : list of TrackedSweep
+        One for each sweep.
+    tracks : list of Track
+        Track ``k`` of the sweeps is ``tracks[k - 1]``.
+    """
+
+    sweeps: list[TrackedSweep]
+    tracks: list[Track]
+
+
+def packed(tracking: Tracking) -> list[NDArray[Any]]:
+    """All of it as arrays, to be written to a file."""
+    arrays = [array for sweep in tracking.sweeps for array in sweep]
+    for t in tracking.tracks:
+        about = np.array([t.id, KINDS.index(t.kind)])
+        arrays += [about, t.times, t.poses, t.velocities, t.size, t.points]
+    return arrays
+
+
+def unpacked(arrays: Sequence[NDArray[Any]], sweeps: int) -> Tracking:
+    """What :func:`packed` made these arrays of.
+
+    Raises
+    ------
+    ValueError
+        They are not of so many sweeps.
+    """
+    of_sweep, of_track = len(TrackedSweep._fields), 6
+    first = of_sweep * sweeps
+    if len(arrays) < first or (len(arrays) - first) % of_track:
+        raise ValueError(f"{len(arrays)} arrays are not the tracks of {sweeps} sweeps")
+    found = [TrackedSweep(*arrays[k : k + of_sweep]) for k in range(0, first, of_sweep)]
+    tracks = []
+    for k in range(first, len(arrays), of_track):
+        (number, kind), *rest = arrays[k : k + of_track]
+        tracks.append(Track(int(number), KINDS[int(kind)], *rest))
+    return Tracking(found, tracks)
 
 
 class Detections:
@@ -58,8 +130,13 @@ class Detections:
         From :func:`cluster_objects`.
     moving : ndarray of bool, shape (N,)
         Points that the votes on this sweep make dynamic.
+    dynamic_votes : ndarray of uint16, shape (N,)
+    mesh : ScanMesh
+        Of these points; tells the normals.
     T_world_lidar : ndarray of float64, shape (4, 4)
         From :func:`local_poses`.
+    time_offset : ndarray of float32, shape (N,), optional
+        Seconds from the stamp of the sweep to each measurement.
 
     Raises
     ------
@@ -73,10 +150,15 @@ class Detections:
         ground: NDArray[np.bool_],
         objects: NDArray[np.uint32],
         moving: NDArray[np.bool_],
+        dynamic_votes: NDArray[np.uint16],
+        mesh: ScanMesh,
         T_world_lidar: NDArray[np.float64],
+        time_offset: NDArray[np.float32] | None = None,
     ) -> None:
         points, ground = check_sweep(points, ground)
-        self._core = _core.Detections(points, ground, objects, moving, T_world_lidar)
+        self._core = _core.Detections(
+            points, ground, objects, moving, dynamic_votes, mesh.core, T_world_lidar, time_offset
+        )
 
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
@@ -99,8 +181,8 @@ def local_poses(trajectory: Trajectory) -> NDArray[np.float64]:
 
 
 def track_objects(
-    detections: Sequence[Detections], times: NDArray[np.int64], threads: int = 0
-) -> list[TrackingResult]:
+    detections: Sequence[Detections], trajectory: Trajectory, threads: int = 0
+) -> Tracking:
     """Track dynamic objects through the drive, to find them also where votes do not.
 
     Tracks start at objects that the votes make dynamic and go forward and backward in time. An
@@ -109,8 +191,8 @@ def track_objects(
     object waits or parks, or no key frame looked.
 
     An object that a track adds must have been observed free while the tracked object was elsewhere;
-    otherwise it is another one: a parked car that was passed, a pole, a wall. It may also not have
-    more points than were seen to move at once, or an eighth of all that were.
+    otherwise it is another one: a parked car that was passed, a pole, a wall. It may also not show
+    more of its surface than was seen to move at once, or an eighth of all that was.
 
     Between its detections a tracked object is where its motion predicts it, even where its points
     are too few to be an object. The voxels of a result hold such points, too.
@@ -119,26 +201,56 @@ def track_objects(
     ----------
     detections : sequence of Detections
         Of every sweep, in order.
-    times : ndarray of int64, shape (n,)
-        Stamps of the sweeps, nanoseconds.
+    trajectory : Trajectory
+        Of the LiDAR; one pose a sweep.
     threads : int
         0 for all cores. The result does not depend on it.
 
     Returns
     -------
-    list of TrackingResult
-        One for each sweep.
+    Tracking
 
     Raises
     ------
     InputError
-        The numbers of detections and times differ.
+        The numbers of detections and poses differ.
     """
+    times = trajectory.times
     if len(detections) != len(times):
-        raise InputError(f"{len(detections)} detections and {len(times)} times; give one of each")
-    seconds = (np.asarray(times) - times[0]) * 1e-9 if len(times) else np.zeros(0)
-    found = _core.track_objects([of._core for of in detections], seconds, TRACK_PARAMETERS, threads)
-    return [TrackingResult(*sweep) for sweep in found]
+        raise InputError(f"{len(detections)} detections and {len(times)} poses; give one of each")
+    seconds = (times - times[0]) * 1e-9
+    sweeps, objects = _core.track_objects(
+        [of._core for of in detections], seconds, TRACK_PARAMETERS, threads
+    )
+    origin = trajectory.poses[0, :3, 3]
+    tracks = [_track(k, times, origin, *of) for k, of in enumerate(objects, 1)]
+    return Tracking([TrackedSweep(*sweep) for sweep in sweeps], tracks)
+
+
+def _track(
+    number: int,
+    times: NDArray[np.int64],
+    origin: NDArray[np.float64],
+    sweeps: NDArray[np.int64],
+    points: NDArray[np.int64],
+    poses: NDArray[np.float64],
+    velocities: NDArray[np.float64],
+    size: NDArray[np.float64],
+    rigid: bool,
+) -> Track:
+    poses[:, :3, 3] += origin
+    size = np.maximum(size, MIN_SIZE)
+    speed = float(np.linalg.norm(velocities, axis=1).max())
+    kind = _kind(size, speed, rigid)
+    return Track(number, kind, times[sweeps], poses, velocities, size, points)
+
+
+def _kind(size: NDArray[np.float64], speed: float, rigid: bool) -> Kind:
+    """What an object is by its size [m] and its highest speed [m/s]."""
+    length, width, height = size
+    if length <= PERSON_SIZE[0] and width <= PERSON_SIZE[1] and height <= PERSON_SIZE[2]:
+        return "person" if height >= MIN_PERSON_HEIGHT and speed <= MAX_CYCLING else "other"
+    return "vehicle" if rigid and height >= MIN_VEHICLE_HEIGHT else "other"
 
 
 def apply_tracks(
@@ -146,7 +258,7 @@ def apply_tracks(
     objects: NDArray[np.uint32],
     votes: Votes,
     classid: NDArray[np.uint16],
-    result: TrackingResult,
+    result: TrackedSweep,
     T_world_lidar: NDArray[np.float64],
 ) -> NDArray[np.uint16]:
     """Add to the classes of a sweep what tracks found in it.
@@ -160,7 +272,7 @@ def apply_tracks(
     votes : Votes
     classid : ndarray of uint16, shape (N,)
         By the votes on this sweep.
-    result : TrackingResult
+    result : TrackedSweep
         Of this sweep.
     T_world_lidar : ndarray of float64, shape (4, 4)
         From :func:`local_poses`.
@@ -170,7 +282,7 @@ def apply_tracks(
     ndarray of uint16, shape (N,)
     """
     moving, ground = classid >= DYNAMIC, classid < STATIC
-    moving[_tracked_rows(objects, result.objects, votes, moving)] = True
+    moving[_tracked_rows(objects, result.dynamic, votes, moving)] = True
     static, dynamic = votes.static, votes.dynamic
     inside = _core.add_points_inside(
         points,

@@ -14,7 +14,7 @@ from docdepth.concurrency import Watch, unwatched
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.scheduling import classify_sweeps
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep
-from docdepth.dynamics.tracking import Detections, TrackingResult
+from docdepth.dynamics.tracking import Detections, Tracking, packed, unpacked
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import DamagedFileError
 from docdepth.geometry.points import DYNAMIC, MOVING_LABEL, OUTLIER_LABEL, STATIC_LABEL
@@ -164,15 +164,13 @@ class _FrameStore:
             and wanted <= self._run.frame_key(index).items()
         )
 
-    def tracks(self) -> list[TrackingResult] | None:
+    def tracks(self) -> Tracking | None:
         if self._run.key(self._tracks) != self._key:
             return None
-        arrays = _read_arrays(self._tracks, 3 * self._count)
-        return [TrackingResult(*arrays[3 * i : 3 * i + 3]) for i in range(self._count)]
+        return unpacked(_read_arrays(self._tracks, None), self._count)
 
-    def keep_tracks(self, found: list[TrackingResult]) -> None:
-        arrays = [array for result in found for array in result]
-        _write_arrays(self._run, self._tracks, self._key, *arrays)
+    def keep_tracks(self, found: Tracking) -> None:
+        _write_arrays(self._run, self._tracks, self._key, *packed(found))
 
     def has_evidence(self, index: int) -> bool:
         return self._run.key(self._kept(index)) == self._key
@@ -189,6 +187,7 @@ class _FrameStore:
             record.points,
             ground.view(np.bool_),
             self._run.sensor_rig(record),
+            record.time_offset,
             None if static is None or dynamic is None else Votes(static, dynamic),
             record,
         )
@@ -210,7 +209,7 @@ class _FrameStore:
         if index in self._detections:
             return self._detections[index]
         with self.watch("read"):
-            return Detections.of(_read_arrays(self._kept(index), 7)[4:])
+            return Detections.of(_read_arrays(self._kept(index), 9)[4:])
 
     def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
         self.counts.append(count_classes(labels.classid))
@@ -228,11 +227,16 @@ def _write_arrays(run: RunFolder, path: Path, key: dict[str, str], *arrays: NDAr
     run.write(path, write, key, sync=False)
 
 
-def _read_arrays(path: Path, count: int) -> list[NDArray[Any]]:
-    """Read the first arrays of a file."""
+def _read_arrays(path: Path, count: int | None) -> list[NDArray[Any]]:
+    """Read the first arrays of a file; None reads all."""
     try:
         with path.open("rb") as stream:
-            return [np.load(stream) for _ in range(count)]
+            if count is not None:
+                return [np.load(stream) for _ in range(count)]
+            size, arrays = path.stat().st_size, []
+            while stream.tell() < size:
+                arrays.append(np.load(stream))
+            return arrays
     except (OSError, EOFError, ValueError) as error:
         raise DamagedFileError(path, str(error)) from None
 

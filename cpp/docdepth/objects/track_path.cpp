@@ -1,0 +1,302 @@
+#include "docdepth/objects/track_path.hpp"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+
+#include "docdepth/objects/constants.hpp"
+#include "docdepth/objects/registration.hpp"
+#include "docdepth/objects/smoothing.hpp"
+
+namespace docdepth {
+namespace {
+
+using Vector = Eigen::Vector3f;
+using Position = Eigen::Vector3d;
+
+/// The value below which this share of the values lies.
+template <class Value>
+Value quantile(std::vector<Value> values, double share) {
+  const auto k = static_cast<std::size_t>(share * double(values.size() - 1) + 0.5);
+  std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(k), values.end());
+  return values[k];
+}
+
+double wrapped(double angle) { return std::remainder(angle, 2 * M_PI); }
+
+Pose standing_pose(const Position& position, double heading, double slope) {
+  Pose T = Pose::Identity();
+  T.translate(position);
+  T.rotate(Eigen::AngleAxisd(heading, Position::UnitZ()));
+  T.rotate(Eigen::AngleAxisd(-slope, Position::UnitY()));
+  return T;
+}
+
+double heading_of(const Pose& T) { return std::atan2(T.linear()(1, 0), T.linear()(0, 0)); }
+
+/// Direction of the longest horizontal extent of points.
+double longest_direction(const SampledPoints& points) {
+  Vector mean = Vector::Zero();
+  for (const Vector& p : points) mean += p / float(points.size());
+  Eigen::Matrix2d spread = Eigen::Matrix2d::Zero();
+  for (const Vector& p : points) {
+    const Eigen::Vector2d off = (p - mean).head<2>().cast<double>();
+    spread += off * off.transpose();
+  }
+  const Eigen::Vector2d axis =
+      Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d>(spread).eigenvectors().col(1);
+  return std::atan2(axis.y(), axis.x());
+}
+
+Extent extent_in(const SampledPoints& points, const Pose& T_world_object) {
+  const Eigen::Isometry3f T = T_world_object.inverse().cast<float>();
+  Extent box{T * points.front(), T * points.front()};
+  for (const Vector& p : points) box.add({T * p, T * p});
+  return box;
+}
+
+}  // namespace
+
+TrackPath::TrackPath(const Track& track, const std::vector<const Detections*>& detections,
+                     const std::vector<double>& times, const TrackParameters& p)
+    : track_(track), detections_(detections), times_(times), p_(p) {
+  std::vector<float> widths;
+  for (const TrackObservation& seen : track.observations) {
+    SampledSurface surface;
+    for (const auto k : seen.objects) {
+      const SampledSurface& part = (*detections[seen.sweep])[k].surface;
+      surface.points.insert(surface.points.end(), part.points.begin(), part.points.end());
+      surface.normals.insert(surface.normals.end(), part.normals.begin(), part.normals.end());
+    }
+    seen_.push_back(std::move(surface));
+    widths.push_back(seen.box.width());
+  }
+  rigid_ = quantile(widths, kRigidQuantile) >= kMinRigidWidth && track.observations.size() > 2;
+  measure_shifts();
+  find_headings();
+  if (rigid_) register_surfaces();
+  find_extents();
+  seen_.clear();
+}
+
+/// Sum the shifts from sweep to sweep. Heights are those of the lowest points, since shifts are
+/// horizontal.
+void TrackPath::measure_shifts() {
+  std::vector<MeasuredPosition> measured;
+  Position at = Position::Zero();
+  const Eigen::Vector3d variance(kShiftDeviation * kShiftDeviation,
+                                 kShiftDeviation * kShiftDeviation,
+                                 kHeightDeviation * kHeightDeviation);
+  for (const TrackObservation& seen : track_.observations) {
+    if (measured.empty())
+      at = (0.5f * (seen.box.low + seen.box.high)).cast<double>();
+    else
+      at += seen.shift.cast<double>();
+    double offset = 0, points = 0;
+    for (const auto k : seen.objects) {
+      const Detection& part = (*detections_[seen.sweep])[k];
+      offset += double(part.time_offset) * part.points, points += part.points;
+    }
+    const double time = times_[seen.sweep] + offset / points;
+    measured.push_back({time, {at.x(), at.y(), seen.box.low.z()}, variance.asDiagonal()});
+  }
+  const auto motions = smooth_positions(measured, {kHorizontalChange, kHorizontalChange,
+                                                   kVerticalChange});
+  for (std::size_t k = 0; k < measured.size(); ++k)
+    states_.push_back({measured[k].time, motions[k].position, motions[k].velocity, 0, 0});
+}
+
+/// Along the motion where it moves; where it stands, as it comes or goes.
+void TrackPath::find_headings() {
+  const double least = rigid_ ? kMinHeadingSpeed : kMinHeadingSpeed / 2;
+  std::vector<std::size_t> moving;
+  for (std::size_t k = 0; k < states_.size(); ++k)
+    if (states_[k].velocity.head<2>().norm() >= least) moving.push_back(k);
+  if (moving.empty()) {
+    const double heading = longest_direction(seen_.empty() ? SampledPoints{} : seen_[0].points);
+    for (State& state : states_) state.heading = heading;
+    return;
+  }
+  for (const std::size_t k : moving) {
+    const Position& v = states_[k].velocity;
+    states_[k].heading = std::atan2(v.y(), v.x());
+    states_[k].slope =
+        std::clamp(std::atan2(v.z(), v.head<2>().norm()), -kSteepest, kSteepest);
+  }
+  std::size_t next = 0;
+  for (std::size_t k = 0; k < states_.size(); ++k) {
+    while (next + 1 < moving.size() && moving[next] < k) ++next;
+    std::size_t nearest = moving[next];
+    if (next > 0 && k - moving[next - 1] < (nearest > k ? nearest - k : k - nearest))
+      nearest = moving[next - 1];
+    states_[k].heading = states_[nearest].heading;
+    states_[k].slope = states_[nearest].slope;
+  }
+  for (std::size_t k = 1; k < states_.size(); ++k)
+    states_[k].heading =
+        states_[k - 1].heading + wrapped(states_[k].heading - states_[k - 1].heading);
+}
+
+/// Register the surfaces of all observations, from the one that shows most of the object outward.
+void TrackPath::register_surfaces() {
+  const std::size_t count = states_.size();
+  Vector largest = Vector::Zero();
+  std::size_t first = 0;
+  float most = 0;
+  for (std::size_t k = 0; k < count; ++k) {
+    largest = largest.cwiseMax(track_.observations[k].box.size());
+    float area = 0;
+    for (const auto i : track_.observations[k].objects)
+      area += (*detections_[track_.observations[k].sweep])[i].area;
+    if (area > most) most = area, first = k;
+  }
+  SurfaceModel model(std::max(kSampleSpacing, largest.head<2>().norm() / kModelVoxels));
+  std::vector<Registration> found(count);
+  std::vector<std::uint8_t> known(count);
+  found[first] = {pose_of(first), Eigen::Matrix3d::Identity() * kSurfaceDeviation *
+                  kSurfaceDeviation, kGuessHeadingDeviation * kGuessHeadingDeviation, 1};
+  model.add(seen_[first], found[first].T_world_object);
+  const auto attempt = [&](std::size_t k, const Pose& guess) {
+    found[k] = register_surface(seen_[k], model, guess);
+    known[k] = found[k].share >= kMinRegisteredShare;
+    if (!known[k]) {
+      found[k].T_world_object = guess;
+      found[k].covariance =
+          Eigen::Matrix3d::Identity() * kGuessDeviation * kGuessDeviation;
+      found[k].heading_variance = kGuessHeadingDeviation * kGuessHeadingDeviation;
+    }
+  };
+  const auto follow = [&](std::size_t k, std::size_t from) {
+    // As the shifts say, relative to the neighbour that is registered.
+    const Pose guess = found[from].T_world_object * pose_of(from).inverse() * pose_of(k);
+    attempt(k, guess);
+    if (known[k]) model.add(seen_[k], found[k].T_world_object);
+  };
+  known[first] = 1;
+  for (std::size_t step = 1; step < count; ++step) {
+    if (first + step < count) follow(first + step, first + step - 1);
+    if (step <= first) follow(first - step, first - step + 1);
+  }
+  for (std::size_t k = 0; k < count; ++k) attempt(k, Pose(found[k].T_world_object));
+
+  std::vector<MeasuredPosition> positions, headings;
+  double heading = heading_of(found[0].T_world_object);
+  for (std::size_t k = 0; k < count; ++k) {
+    const Pose& T = found[k].T_world_object;
+    positions.push_back({states_[k].time, T.translation(), found[k].covariance});
+    heading += wrapped(heading_of(T) - heading);
+    const double variance = found[k].heading_variance;
+    headings.push_back(
+        {states_[k].time, {heading, 0, 0}, Eigen::Vector3d(variance, 1, 1).asDiagonal()});
+  }
+  const auto motions = smooth_positions(positions, {kHorizontalChange, kHorizontalChange,
+                                                    kVerticalChange});
+  const auto turns = smooth_positions(headings, Eigen::Vector3d::Constant(kTurnChange));
+  for (std::size_t k = 0; k < count; ++k) {
+    states_[k].position = motions[k].position;
+    states_[k].velocity = motions[k].velocity;
+    states_[k].heading = turns[k].position.x();
+  }
+  std::vector<float> sides[6];
+  const int least = std::min<int>(kMinHits, 1 + int(count) / kMinHits);
+  for (std::size_t i = 0; i < model.hits().size(); ++i) {
+    if (model.hits()[i] < least) continue;
+    const Vector& p = model.surface().points[i];
+    for (int axis = 0; axis < 3; ++axis)
+      sides[axis].push_back(p[axis]), sides[3 + axis].push_back(p[axis]);
+  }
+  if (sides[0].empty()) return;
+  for (int axis = 0; axis < 3; ++axis) {
+    extent_.low[axis] = quantile(sides[axis], 1 - kExtentQuantile);
+    extent_.high[axis] = quantile(sides[3 + axis], kExtentQuantile);
+  }
+}
+
+void TrackPath::find_extents() {
+  std::vector<float> sides[6];
+  for (std::size_t k = 0; k < states_.size(); ++k) {
+    extents_.push_back(extent_in(seen_[k].points, pose_of(k)));
+    for (int axis = 0; axis < 3; ++axis) {
+      sides[axis].push_back(extents_[k].low[axis]);
+      sides[3 + axis].push_back(extents_[k].high[axis]);
+    }
+  }
+  if (!rigid_ || !(extent_.size().minCoeff() > 0))
+    for (int axis = 0; axis < 3; ++axis) {
+      extent_.low[axis] = quantile(sides[axis], 1 - kRigidQuantile);
+      extent_.high[axis] = quantile(sides[3 + axis], kRigidQuantile);
+    }
+  for (std::size_t k = 0; k < states_.size(); ++k) boxes_.push_back(box(states_[k].time));
+}
+
+Pose TrackPath::pose_of(std::size_t k) const {
+  return standing_pose(states_[k].position, states_[k].heading, states_[k].slope);
+}
+
+/// The observation after a time, but the second at least and the last at most.
+std::size_t TrackPath::after(double t) const {
+  const auto later = [](double time, const State& state) { return time < state.time; };
+  const auto k = std::upper_bound(states_.begin(), states_.end(), t, later) - states_.begin();
+  return std::clamp<std::size_t>(std::size_t(k), 1, std::max<std::size_t>(states_.size() - 1, 1));
+}
+
+Position TrackPath::velocity(double t) const {
+  if (states_.size() == 1) return states_[0].velocity;
+  const std::size_t k = after(t);
+  const State &a = states_[k - 1], &b = states_[k];
+  const double share = std::clamp((t - a.time) / (b.time - a.time), 0.0, 1.0);
+  return (1 - share) * a.velocity + share * b.velocity;
+}
+
+Pose TrackPath::pose(double t) const {
+  const State &first = states_.front(), &last = states_.back();
+  if (t <= first.time || t >= last.time) {
+    const State& end = t <= first.time ? first : last;
+    return standing_pose(end.position + (t - end.time) * end.velocity, end.heading, end.slope);
+  }
+  const std::size_t k = after(t);
+  const State &a = states_[k - 1], &b = states_[k];
+  const double share = (t - a.time) / (b.time - a.time);
+  const auto mix = [&](const auto& from, const auto& to) { return (1 - share) * from + share * to; };
+  return standing_pose(mix(a.position, b.position), mix(a.heading, b.heading),
+                       mix(a.slope, b.slope));
+}
+
+bool TrackPath::covers(double t) const {
+  const double nearest = std::clamp(t, states_.front().time, states_.back().time);
+  const double gap = speed(nearest) < kStanding ? p_.max_gap_standing : p_.max_gap;
+  return std::fabs(t - nearest) <= gap + kTimeTolerance;
+}
+
+OrientedBox TrackPath::box(double t) const {
+  const bool stands = speed(t) < kStanding;
+  const double window = (stands ? kStandingWindowFactor * p_.window : p_.window) + kTimeTolerance;
+  const std::size_t k = after(t);
+  const auto distance = [&](std::size_t i) { return std::fabs(states_[i].time - t); };
+  std::size_t nearest = k < states_.size() && distance(k) < distance(k - 1) ? k : k - 1;
+  Extent around = extents_[nearest];
+  Vector largest = around.size();
+  for (int step : {-1, 1})
+    for (std::size_t i = nearest + std::size_t(step);
+         i < extents_.size() && distance(i) <= window; i += std::size_t(step)) {
+      around.add(extents_[i]);
+      largest = largest.cwiseMax(extents_[i].size());
+    }
+  if (!could_match(around, largest)) around = extents_[nearest];  // not all are the same object
+  Pose T = pose(t);
+  T.translate((0.5f * (around.low + around.high)).cast<double>());
+  return {T.inverse().cast<float>(), 0.5f * around.size()};
+}
+
+float TrackPath::distance(bool dynamic) const {
+  double most = 0;
+  std::size_t first = states_.size();
+  for (std::size_t k = 0; k < states_.size(); ++k) {
+    if (dynamic && !track_.observations[k].dynamic) continue;
+    if (first == states_.size()) first = k;
+    most = std::max(most, (states_[k].position - states_[first].position).norm());
+  }
+  return float(most);
+}
+
+}  // namespace docdepth

@@ -1,0 +1,308 @@
+#include "docdepth/objects/tracker.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "docdepth/objects/constants.hpp"
+
+namespace docdepth {
+namespace {
+
+using Vector = Eigen::Vector3f;
+
+constexpr int kFree = -1, kUntracked = -2;  // owners of a detection besides tracks
+
+/// The continuation of a track in a sweep.
+struct Match {
+  float score = 0;
+  Vector shift = Vector::Zero();
+  std::vector<std::uint32_t> objects;
+  SampledPoints samples;
+  Extent box;
+  Vector largest;
+};
+
+/// The end at which a track goes on.
+struct End {
+  int track;
+  SampledPoints samples;  ///< of the last two observations: each may see another part
+  SampledPoints last;     ///< of the last observation
+  Vector largest;         ///< size of its objects
+  double time;
+  Vector velocity = Vector::Zero();
+  bool has_velocity = false;
+};
+
+bool can_be_tracked(const Detection& object) {
+  return object.box.size().z() >= kMinTrackedHeight && object.box.width() <= kMaxObjectWidth;
+}
+
+void append(SampledPoints& samples, const SampledPoints& more) {
+  samples.insert(samples.end(), more.begin(), more.end());
+}
+
+/// The samples of the last two observations, the older ones moved along.
+SampledPoints together(SampledPoints older, const Vector& shift, const SampledPoints& newer) {
+  for (Vector& p : older) p += shift;
+  append(older, newer);
+  return downsample(older, kSampleSpacing, kMaxSamples);
+}
+
+class Tracker {
+ public:
+  Tracker(const std::vector<const Detections*>& detections, const std::vector<double>& times,
+          const TrackParameters& p)
+      : detections_(detections), times_(times), p_(p) {
+    for (const Detections* seen : detections) {
+      owners_.emplace_back();
+      for (const Detection& object : *seen)
+        owners_.back().push_back(can_be_tracked(object) ? kFree : kUntracked);
+    }
+  }
+
+  std::vector<Track> run() {
+    for (std::size_t i = 0; i < times_.size(); ++i) forward(i);
+    alive_.clear();
+    std::vector<std::vector<int>> begin(times_.size());  // tracks by their first sweep
+    for (std::size_t k = 0; k < tracks_.size(); ++k)
+      begin[tracks_[k].observations.front().sweep].push_back(int(k));
+    for (std::size_t i = times_.size(); i-- > 0;) {
+      backward(i);
+      for (const int k : begin[i])
+        if (!tracks_[k].observations.empty()) alive_.push_back(beginning(k));
+    }
+    std::vector<Track> found;
+    for (Track& track : tracks_)
+      if (!track.observations.empty()) found.push_back(std::move(track));
+    return found;
+  }
+
+ private:
+  void forward(std::size_t sweep) {
+    const Detections& seen = *detections_[sweep];
+    go_on(sweep, [&](const End& end, Match&& match) { add(end.track, sweep, match, false); });
+    for (std::uint32_t k = 0; k < seen.size(); ++k) {
+      if (owners_[sweep][k] != kFree || !seen[k].is_dynamic() ||
+          seen[k].samples().size() < kMinSamples)
+        continue;
+      const int track = int(tracks_.size());
+      owners_[sweep][k] = track;
+      tracks_.push_back(
+          {{{sweep, {k}, seen[k].box, Vector::Zero(), true, seen[k].dynamic_area}}, 1});
+      const SampledPoints& samples = seen[k].samples();
+      alive_.push_back({track, samples, samples, seen[k].box.size(), times_[sweep]});
+    }
+  }
+
+  void backward(std::size_t sweep) {
+    go_on(sweep, [&](End& end, Match&& match) {
+      const int before = earlier_track(sweep, match);
+      if (before < 0) return add(end.track, sweep, match, true);
+      // What the two have in common is the last observation of the earlier track.
+      auto& later = tracks_[end.track].observations;
+      auto& earlier = tracks_[before].observations;
+      later.front().shift = -match.shift;
+      later.insert(later.begin(), earlier.begin(), earlier.end());
+      tracks_[end.track].dynamic += tracks_[before].dynamic;
+      for (const TrackObservation& seen : earlier)
+        for (const auto k : seen.objects) owners_[seen.sweep][k] = end.track;
+      earlier.clear();
+      gone_.push_back(end.track);  // it goes on at its new beginning
+    });
+    for (const int track : gone_) {
+      const auto is_it = [&](const End& end) { return end.track == track; };
+      alive_.erase(std::remove_if(alive_.begin(), alive_.end(), is_it), alive_.end());
+      joined_.push_back(track);
+    }
+    gone_.clear();
+    for (auto it = joined_.begin(); it != joined_.end();) {
+      const bool begins = tracks_[*it].observations.front().sweep == sweep;
+      if (begins) alive_.push_back(beginning(*it));
+      it = begins ? joined_.erase(it) : it + 1;
+    }
+  }
+
+  /// Let each living track find its continuation in a sweep; the longest chooses first.
+  template <class Take>
+  void go_on(std::size_t sweep, const Take& take) {
+    std::stable_sort(alive_.begin(), alive_.end(), [&](const End& a, const End& b) {
+      return tracks_[a.track].observations.size() > tracks_[b.track].observations.size();
+    });
+    std::vector<End> alive;
+    for (End& end : alive_) {
+      const double dt = times_[sweep] - end.time;
+      if (std::fabs(dt) > max_gap(end)) continue;
+      Match match = find(end, end.samples, sweep, dt);
+      if (match.score == 0) match = find(end, end.last, sweep, dt);
+      if (match.score > 0) {
+        move_on(end, sweep, match);
+        take(end, std::move(match));
+      }
+      alive.push_back(std::move(end));
+    }
+    alive_ = std::move(alive);
+  }
+
+  void move_on(End& end, std::size_t sweep, const Match& match) const {
+    const Vector velocity = match.shift / static_cast<float>(times_[sweep] - end.time);
+    end.velocity = end.has_velocity ? Vector(0.5f * end.velocity + 0.5f * velocity) : velocity;
+    end.has_velocity = true;
+    end.time = times_[sweep];
+    end.samples = together(std::move(end.last), match.shift, match.samples);
+    end.last = match.samples;
+    end.largest = match.largest;
+  }
+
+  void add(int track, std::size_t sweep, const Match& match, bool at_front) {
+    const Detections& seen = *detections_[sweep];
+    TrackObservation added{sweep, match.objects, match.box, match.shift, false, 0};
+    std::uint32_t points = 0, of_dynamic = 0;
+    for (const auto k : match.objects) {
+      owners_[sweep][k] = track;
+      points += seen[k].points;
+      added.dynamic_area += seen[k].dynamic_area;
+      if (seen[k].is_dynamic()) of_dynamic += seen[k].points;
+    }
+    added.dynamic = 2 * of_dynamic >= points;
+    tracks_[track].dynamic += added.dynamic;
+    auto& observations = tracks_[track].observations;
+    if (at_front) {
+      observations.front().shift = -match.shift;
+      added.shift = Vector::Zero();
+      observations.push_front(std::move(added));
+    } else {
+      observations.push_back(std::move(added));
+    }
+  }
+
+  /// The beginning of a track, from which it is followed backward.
+  End beginning(int track) const {
+    const auto& seen = tracks_[track].observations;
+    const auto samples_of = [&](const TrackObservation& of) {
+      SampledPoints samples;
+      for (const auto k : of.objects) append(samples, (*detections_[of.sweep])[k].samples());
+      return samples;
+    };
+    End end{track, {}, samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep]};
+    for (const TrackObservation& of : seen) end.largest = end.largest.cwiseMax(of.box.size());
+    end.samples = end.last;
+    if (seen.size() == 1) return end;
+    end.samples = together(samples_of(seen[1]), -seen[1].shift, end.last);
+    end.velocity = seen[1].shift / float(times_[seen[1].sweep] - end.time);
+    end.has_velocity = true;
+    return end;
+  }
+
+  /// The track that ends with most of the objects of a match; -1 if they are free. The others are
+  /// dropped from the match.
+  int earlier_track(std::size_t sweep, Match& match) const {
+    int found = -1;
+    std::uint32_t most = 0;
+    for (const auto k : match.objects)
+      if (owners_[sweep][k] >= 0 && (*detections_[sweep])[k].points > most)
+        found = owners_[sweep][k], most = (*detections_[sweep])[k].points;
+    if (found < 0) return found;
+    auto& objects = match.objects;
+    objects.erase(std::remove_if(objects.begin(), objects.end(),
+                                 [&](auto k) { return owners_[sweep][k] != found; }),
+                  objects.end());
+    return found;
+  }
+
+  double max_gap(const End& end) const {
+    const bool stands = end.has_velocity && end.velocity.norm() < kStanding;
+    const bool proven = tracks_[end.track].dynamic >= p_.min_detections;
+    return (stands && proven ? p_.max_gap_standing : p_.max_gap) + kTimeTolerance;
+  }
+
+  /// Whether a track may take a detection: it is nobody's, or the end of an earlier track.
+  bool is_free(std::size_t sweep, std::uint32_t k, const End& end) const {
+    const int owner = owners_[sweep][k];
+    if (owner < 0) return owner == kFree;
+    return owner != end.track && tracks_[end.track].observations.front().sweep > sweep &&
+           tracks_[owner].observations.back().sweep == sweep;
+  }
+
+  /// The best match of these samples of a track.
+  Match find(const End& end, const SampledPoints& samples, std::size_t sweep, double dt) const {
+    const Detections& seen = *detections_[sweep];
+    const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
+    Match best;
+    const auto attempt = [&](const Vector& start) {
+      Match match = match_from(end, samples, sweep, start, reach);
+      if (match.score > best.score) best = std::move(match);
+    };
+    if (end.has_velocity) {
+      attempt(end.velocity * static_cast<float>(dt));
+      attempt(Vector::Zero());
+      return best;
+    }
+    const Extent box = extent_of(samples);
+    for (std::uint32_t k = 0; k < seen.size(); ++k)
+      if (is_free(sweep, k, end) && seen[k].is_dynamic() && seen[k].box.overlaps(box, reach))
+        attempt(most_frequent_shift(samples, seen[k].samples(), reach));
+    return best;
+  }
+
+  /// The detections onto which the samples fall, with a shift that is refined from `start`.
+  Match match_from(const End& end, const SampledPoints& samples, std::size_t sweep,
+                   const Vector& start, float reach) const {
+    const Detections& seen = *detections_[sweep];
+    Extent box = extent_of(samples);
+    const Vector size = box.size();
+    box.low += start;
+    box.high += start;
+    std::vector<std::uint32_t> near;
+    SampledPoints there;
+    for (std::uint32_t k = 0; k < seen.size(); ++k) {
+      if (!seen[k].box.overlaps(box, kSearchMargin) || !is_free(sweep, k, end)) continue;
+      if (!end.has_velocity && !seen[k].is_dynamic()) continue;
+      if (!could_match(seen[k].box, size)) continue;
+      near.push_back(k);
+      append(there, seen[k].samples());
+    }
+    Match match;
+    match.shift = start;
+    match.largest = end.largest;
+    if (!refine_shift(samples, there, match.shift)) return {};
+    for (const auto k : near) {
+      if (matched_share(seen[k].samples(), -match.shift, samples) < kMinMemberShare) continue;
+      if (match.objects.empty()) match.box = seen[k].box;
+      match.objects.push_back(k);
+      append(match.samples, seen[k].samples());
+      match.box.add(seen[k].box);
+      match.largest = match.largest.cwiseMax(seen[k].box.size());
+    }
+    // Together larger than one object: a pedestrian and what he walks away from.
+    if (match.objects.empty() || !could_match(match.box, match.largest)) return {};
+    // Half of a track may be hidden, so twice its matched share counts.
+    const float track_share =
+                    std::min(1.0f, 2 * matched_share(samples, match.shift, match.samples)),
+                match_share = matched_share(match.samples, -match.shift, samples);
+    // Of two equal matches the nearer one is more likely.
+    match.score = track_share * match_share / (1 + match.shift.norm() / (2 * reach));
+    return match.score >= kMinMatchedShare ? match : Match{};
+  }
+
+  const std::vector<const Detections*>& detections_;
+  const std::vector<double>& times_;
+  const TrackParameters& p_;
+  std::vector<Track> tracks_;
+  std::vector<std::vector<int>> owners_;  ///< of each detection of each sweep
+  std::vector<End> alive_;
+  std::vector<int> gone_, joined_;  ///< tracks that are followed on from another beginning
+};
+
+}  // namespace
+
+bool could_match(const Extent& box, const Vector& size) {
+  const Vector most = size * kMaxSizeFactor + Vector::Constant(kMaxSizeMargin);
+  return (box.size().array() < most.array()).all();
+}
+
+std::vector<Track> follow_objects(const std::vector<const Detections*>& detections,
+                                  const std::vector<double>& times, const TrackParameters& p) {
+  return Tracker(detections, times, p).run();
+}
+
+}  // namespace docdepth
