@@ -25,6 +25,9 @@ from docdepth.synthetic import Drive, scene, sensor, sensors, write_drive
 
 # Sweeps of a whole drive: as long as something happens.
 FRAMES = {"crossing": 100, "city": 125, "hills": 80, "residential": 90, "highway": 70}
+# Drives of a suite if none are named: those of the published tables.
+SUITE = tuple(FRAMES)
+FRAMES |= {"arrivals": 150, "overtaking": 90, "queue": 140}
 # SemanticKITTI: road, parking, pavement, other ground, lane marking, terrain.
 GROUND_LABELS = (40, 44, 48, 49, 60, 72)
 
@@ -148,7 +151,7 @@ class ExactDrive:
 def add_cell_arguments(parser: argparse.ArgumentParser, images: int) -> None:
     """Arguments that choose cells: scenes, sensors, seed, length and images."""
     parser.add_argument("drives", type=Path, help="folder of the drives; missing ones are made")
-    parser.add_argument("--scenes", nargs="+", default=list(FRAMES), choices=list(FRAMES))
+    parser.add_argument("--scenes", nargs="+", default=list(SUITE), choices=list(FRAMES))
     parser.add_argument("--sensors", nargs="+", choices=list(sensors()))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--frames", type=int, help="sweeps per drive instead of the usual number")
