@@ -156,7 +156,9 @@ py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bo
 std::unique_ptr<Detections> make_detections(const Array<float>& points, const Array<bool>& ground,
                                             const Array<std::uint32_t>& objects,
                                             const Array<bool>& dynamic,
-                                            const Array<std::uint16_t>& dynamic_votes,
+                                            const Array<bool>& one_stay,
+                                            const Array<std::int32_t>& first_occupied,
+                                            const Array<std::int32_t>& last_occupied,
                                             const ScanMesh& mesh, const Array<double>& pose,
                                             const std::optional<Array<float>>& time_offset) {
   const PointMap map = as_points(points);
@@ -164,7 +166,9 @@ std::unique_ptr<Detections> make_detections(const Array<float>& points, const Ar
   check_mesh(mesh, count);
   const PointEvidence evidence{as_flags(ground, count, "ground"), as_objects(objects, count),
                                as_flags(dynamic, count, "dynamic"),
-                               as_column(dynamic_votes, count, "dynamic_votes"),
+                               as_flags(one_stay, count, "one_stay"),
+                               as_column(first_occupied, count, "first_occupied"),
+                               as_column(last_occupied, count, "last_occupied"),
                                time_offset ? as_column(*time_offset, count, "time_offset") : nullptr};
   check_coordinates(points, "points of objects");
   const Pose T_world_lidar = as_pose(pose);
@@ -173,7 +177,7 @@ std::unique_ptr<Detections> make_detections(const Array<float>& points, const Ar
 }
 
 /// Detections as arrays: per object its first row, its points, how many of them are dynamic and
-/// how many samples it has, (K, 4); its area, that of its dynamic points and that of free places,
+/// how many samples it has, when its place was occupied first and last, (K, 6); its area, that of its dynamic points and that of free places,
 /// and its time offset, (K, 4); its box, (K, 6); all samples, (M, 3); their normals, (M, 3).
 py::tuple arrays_of(const Detections& detections) {
   const auto count = static_cast<py::ssize_t>(detections.size());
@@ -181,7 +185,9 @@ py::tuple arrays_of(const Detections& detections) {
   std::vector<float> areas, boxes, samples, normals;
   for (const Detection& object : detections) {
     numbers.insert(numbers.end(), {object.first, object.points, object.dynamic,
-                                   static_cast<std::uint32_t>(object.samples().size())});
+                                   static_cast<std::uint32_t>(object.samples().size()),
+                                   static_cast<std::uint32_t>(object.first_occupied),
+                                   static_cast<std::uint32_t>(object.last_occupied)});
     areas.insert(areas.end(),
                  {object.area, object.dynamic_area, object.free_area, object.time_offset});
     append(object.box.low, boxes), append(object.box.high, boxes);
@@ -190,7 +196,7 @@ py::tuple arrays_of(const Detections& detections) {
   }
   const auto all = static_cast<py::ssize_t>(samples.size() / 3);
   return py::make_tuple(
-      to_numpy(std::move(numbers), {count, 4}), to_numpy(std::move(areas), {count, 4}),
+      to_numpy(std::move(numbers), {count, 6}), to_numpy(std::move(areas), {count, 4}),
       to_numpy(std::move(boxes), {count, 6}), to_numpy(std::move(samples), {all, 3}),
       to_numpy(std::move(normals), {all, 3}));
 }
@@ -204,20 +210,21 @@ std::unique_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
   check_coordinates(normals, "normals");
   const std::vector<Extent> extents = as_extents(boxes);
   const auto count = static_cast<py::ssize_t>(extents.size());
-  const auto is_table = [&](const auto& array) {
-    return array.ndim() == 2 && array.shape(0) == count && array.shape(1) == 4;
+  const auto is_table = [&](const auto& array, py::ssize_t columns) {
+    return array.ndim() == 2 && array.shape(0) == count && array.shape(1) == columns;
   };
-  if (!is_table(numbers) || !is_table(areas) || directions.rows() != all.rows())
+  if (!is_table(numbers, 6) || !is_table(areas, 4) || directions.rows() != all.rows())
     throw std::invalid_argument(
-        "detections are numbers (K, 4), areas (K, 4), boxes (K, 6), samples and normals (M, 3)");
+        "detections are numbers (K, 6), areas (K, 4), boxes (K, 6), samples and normals (M, 3)");
   auto detections = std::make_unique<Detections>(extents.size());
   Eigen::Index row = 0;
   for (std::size_t k = 0; k < extents.size(); ++k) {
     Detection& object = (*detections)[k];
-    const std::uint32_t* n = numbers.data() + 4 * k;
+    const std::uint32_t* n = numbers.data() + 6 * k;
     const float* a = areas.data() + 4 * k;
     object.first = n[0], object.points = n[1], object.dynamic = n[2];
     object.area = a[0], object.dynamic_area = a[1], object.free_area = a[2];
+    object.first_occupied = std::int32_t(n[4]), object.last_occupied = std::int32_t(n[5]);
     object.time_offset = a[3];
     object.box = extents[k];
     if (n[1] == 0 || n[3] == 0 || row + n[3] > all.rows())
@@ -236,14 +243,14 @@ py::tuple sweep_of(TrackedSweep& sweep) {
   for (const Member& member : sweep.members)
     members.insert(members.end(), {member.first, member.track, std::uint32_t(member.dynamic)});
   for (const TrackBox& box : sweep.boxes) {
-    tracks.push_back(box.track);
+    tracks.insert(tracks.end(), {box.track, std::uint32_t(box.moving)});
     append_oriented_box(box.box, boxes);
   }
   const auto rows = static_cast<py::ssize_t>(sweep.members.size()),
-             count = static_cast<py::ssize_t>(tracks.size()),
+             count = static_cast<py::ssize_t>(sweep.boxes.size()),
              voxels = static_cast<py::ssize_t>(sweep.voxels.size());
   return py::make_tuple(
-      to_numpy(std::move(members), {rows, 3}), to_numpy(std::move(tracks), {count}),
+      to_numpy(std::move(members), {rows, 3}), to_numpy(std::move(tracks), {count, 2}),
       to_numpy(std::move(boxes), {count, kBoxValues}), to_numpy(std::move(sweep.voxels), {voxels}));
 }
 
@@ -265,7 +272,7 @@ py::tuple object_of(const TrackedObject& object) {
 }
 
 /// A list with a tuple a sweep: members (first row, track, whether it becomes dynamic), tracks of
-/// boxes, boxes, dynamic voxels. And one with a tuple a track: sweeps, points, poses, velocities,
+/// boxes and whether they move, boxes, dynamic voxels. And one with a tuple a track: sweeps, points, poses, velocities,
 /// size, whether it is rigid.
 py::tuple track(const std::vector<const Detections*>& detections, const Array<double>& times,
                 const TrackParameters& parameters, int threads) {
@@ -332,7 +339,8 @@ void bind_objects(py::module_& m) {
         "dynamic_votes"_a, "T_world_lidar"_a, "boxes"_a, "voxels"_a, "dynamic"_a, "parameters"_a);
   py::class_<Detections>(m, "Detections")
       .def(py::init(&make_detections), "points"_a, "ground"_a, "objects"_a, "dynamic"_a,
-           "dynamic_votes"_a, "mesh"_a, "T_world_lidar"_a, "time_offset"_a = py::none())
+           "one_stay"_a, "first_occupied"_a,
+           "last_occupied"_a, "mesh"_a, "T_world_lidar"_a, "time_offset"_a = py::none())
       .def_static("of", &detections_of, "numbers"_a, "areas"_a, "boxes"_a, "samples"_a,
                   "normals"_a)
       .def_property_readonly("arrays", &arrays_of);

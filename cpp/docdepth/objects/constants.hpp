@@ -18,6 +18,10 @@ constexpr float kPieceDistanceGrowth = 0.03f;
 constexpr float kMaxObjectWidth = 25.0f;
 /// Isolated points this near to a dynamic object belong to it [m].
 constexpr float kObjectMargin = 0.2f;
+/// The place of an object was free if that of this share of its area was.
+constexpr float kMinFreeShare = 0.5f;
+/// With a larger share of isolated returns it is porous: rays pass through twigs and fences.
+constexpr float kMaxIsolatedShare = 0.1f;
 /// An object is kept as at most this many samples.
 constexpr std::size_t kMaxSamples = 100;
 /// Spacing of the samples of objects wider than kMaxObjectWidth [m].
@@ -44,7 +48,7 @@ constexpr float kStanding = 0.5f;
 
 /// One object never looks larger than its size times the factor, plus the margin [m].
 constexpr float kMaxSizeFactor = 1.5f, kMaxSizeMargin = 0.5f;
-/// A track supports as much static area as was dynamic in one sweep, or in all sweeps together
+/// A track supports as much static area as was passing in one sweep, or in all sweeps together
 /// divided by this.
 constexpr float kTotalSupportDivisor = 8;
 /// The box of a standing object is collected over this many times the window.
@@ -89,18 +93,18 @@ constexpr int kMinHits = 3;
 /// but for the outermost samples.
 constexpr double kExtentQuantile = 0.99;
 
-// --- Whether a place was free while the object was elsewhere ---
-
-/// Samples farther from the box of the object are outside of it [m].
-constexpr float kOutsideMargin = 0.1f;
-/// An observation is elsewhere if this share of the samples lies outside of its box.
-constexpr float kMinOutsideShare = 0.7f;
-/// A sample is occupied by a static object within this distance [m].
-constexpr float kOccupiedDistance = 0.25f;
-/// A place is occupied if this share of its samples is.
-constexpr float kMinOccupiedShare = 0.4f;
-/// Every second observation is tested, and at most ten.
-constexpr std::size_t kFreeTestStride = 2, kMaxFreeTests = 10;
+/// Smaller parts of a match than this share of the area of another one are its fragments.
+constexpr float kFragmentShare = 0.25f;
+/// Two parts belong together if their shares that are passing differ by less than this factor.
+constexpr float kTogetherShare = 0.35f;
+/// An object that is never seen to move stands where for so long [s] this share of it was free, in
+/// the mean.
+constexpr double kFreeWindow = 2;
+constexpr float kMeanFreeShare = 0.4f;
+/// A vehicle is at least this wide from any side, and this high [m].
+constexpr float kMinVehicleWidth = 0.5f, kMinVehicleHeight = 0.6f;
+/// An object that is less far from where it was stands at the same place [m].
+constexpr float kSamePlace = 0.5f;
 
 // --- Dynamic voxels ---
 

@@ -1,5 +1,7 @@
 #include "docdepth/objects/detections.hpp"
 
+#include <algorithm>
+
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/objects/constants.hpp"
 
@@ -16,6 +18,12 @@ SampledSurface sample(const SampledSurface& surface, const Extent& box) {
   while (samples.points.size() > kMaxSamples)
     samples = downsample(samples, size *= kSampleSpacingGrowth);
   return samples;
+}
+
+std::int32_t median(std::vector<std::int32_t>& values) {
+  const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
 }
 
 /// Normals at the points above the ground, of any length.
@@ -35,7 +43,8 @@ SampledPoints normals_of(const Points& points, const bool* ground, const ScanMes
 
 Detections detect_objects(const Points& points, const PointEvidence& evidence, const ScanMesh& mesh,
                           const Pose& T_world_lidar) {
-  const auto& [ground, objects, dynamic, dynamic_votes, time_offset] = evidence;
+  const auto& [ground, objects, dynamic, one_stay, first_occupied, last_occupied, time_offset] =
+      evidence;
   const auto count = static_cast<std::uint32_t>(points.rows());
   constexpr std::uint32_t kUnseen = 0xffffffff;
   std::vector<std::uint32_t> size(count, 0), number(count, kUnseen);
@@ -45,6 +54,10 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
   const Eigen::Matrix3f rotation = T_world_lidar.linear().cast<float>();
   Detections detections;
   std::vector<SampledSurface> members;
+  std::vector<std::vector<std::int32_t>> firsts, lasts;
+  std::vector<std::uint32_t> porous;  // isolated returns of each object
+  std::vector<std::uint8_t> isolated(count);
+  for (const auto i : mesh.isolated) isolated[i] = 1;
   const RigidTransform T(T_world_lidar);
   for (std::uint32_t i = 0; i < count; ++i) {
     const std::uint32_t first = objects[i];
@@ -55,20 +68,27 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
       detections.emplace_back();
       detections.back().first = first;
       detections.back().box = {p, p};
-      members.emplace_back();
+      members.emplace_back(), porous.push_back(0), firsts.emplace_back(), lasts.emplace_back();
     }
     Detection& object = detections[number[first]];
     const float area = here.squaredNorm();
     ++object.points, object.area += area;
     if (dynamic[i]) ++object.dynamic, object.dynamic_area += area;
-    if (dynamic_votes[i]) object.free_area += area;
+    if (one_stay[i]) object.free_area += area;
+    porous[number[first]] += isolated[i];
     if (time_offset) object.time_offset += time_offset[i];
     object.box.add({p, p});
+    firsts[number[first]].push_back(first_occupied[i]);
+    lasts[number[first]].push_back(last_occupied[i]);
     members[number[first]].points.push_back(p);
     members[number[first]].normals.push_back(rotation * normals[i]);
   }
   for (std::size_t k = 0; k < detections.size(); ++k) {
     detections[k].time_offset /= float(detections[k].points);
+    if (float(porous[k]) > kMaxIsolatedShare * float(detections[k].points))
+      detections[k].free_area = 0;
+    detections[k].first_occupied = median(firsts[k]);
+    detections[k].last_occupied = median(lasts[k]);
     detections[k].surface = sample(members[k], detections[k].box);
     for (Vector& normal : detections[k].surface.normals)
       if (!normal.isZero(0)) normal.normalize();

@@ -1,12 +1,14 @@
 // The objects of one sweep, small enough to be kept for a whole drive.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <vector>
 
 #include "docdepth/geometry/sampled_points.hpp"
 #include "docdepth/geometry/types.hpp"
 #include "docdepth/mesh/scan_mesh.hpp"
+#include "docdepth/objects/constants.hpp"
 
 namespace docdepth {
 
@@ -21,12 +23,21 @@ struct Detection {
   std::uint32_t dynamic = 0;  ///< how many of them the votes call dynamic
   float area = 0;             ///< of its points
   float dynamic_area = 0;     ///< of those that the votes call dynamic
-  float free_area = 0;        ///< of those whose place a key frame observed free
+  float free_area = 0;        ///< of those whose place was free before or after; 0 of porous things
+  std::int32_t first_occupied = 0;  ///< median of the first sweeps that found a place occupied
+  std::int32_t last_occupied = 0;   ///< the same of the last ones
   float time_offset = 0;      ///< mean time of its points [s after the sweep's stamp]
   Extent box{};               ///< in the world
   SampledSurface surface;     ///< in the world
 
   bool is_dynamic() const { return 2 * dynamic >= points; }
+  /// Whether most of its place was free before or after.
+  bool was_free() const { return free_area >= kMinFreeShare * area; }
+  /// What of it is here for a while only, by the votes or by their order.
+  float passing_area() const { return std::max(dynamic_area, free_area); }
+  float passing_share() const { return passing_area() / area; }
+  /// Whether it is here for a while only, as far as the votes tell.
+  bool is_passing() const { return is_dynamic() || was_free(); }
   const SampledPoints& samples() const { return surface.points; }
 };
 
@@ -37,7 +48,9 @@ struct PointEvidence {
   const bool* ground;
   const std::uint32_t* objects;        ///< row of the first point of its object (cluster_objects)
   const bool* dynamic;                 ///< whether the votes call it dynamic
-  const std::uint16_t* dynamic_votes;  ///< key frames that observed its place free
+  const bool* one_stay;                ///< its place was free before or after one stay (Votes)
+  const std::int32_t* first_occupied;  ///< first and last sweep that found its place occupied
+  const std::int32_t* last_occupied;
   const float* time_offset;            ///< [s after the sweep's stamp]; may be null
 };
 

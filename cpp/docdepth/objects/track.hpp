@@ -15,8 +15,10 @@ struct TrackObservation {
   std::vector<std::uint32_t> objects;  ///< indices of its detections
   Extent box;                          ///< around them
   Eigen::Vector3f shift;  ///< from where the last observation was: the samples registered [m]
-  bool dynamic;           ///< whether the votes call most of it dynamic
-  float dynamic_area;     ///< of its points that the votes call dynamic (Detection)
+  bool dynamic;           ///< whether most of it is passing by its votes
+  float area, free_area;  ///< of its points, and of those whose place was free (Detection)
+
+  bool was_free() const { return free_area >= kMinFreeShare * area; }
 };
 
 struct Track {

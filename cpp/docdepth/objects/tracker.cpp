@@ -82,13 +82,13 @@ class Tracker {
     const Detections& seen = *detections_[sweep];
     go_on(sweep, [&](const End& end, Match&& match) { add(end.track, sweep, match, false); });
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
-      if (owners_[sweep][k] != kFree || !seen[k].is_dynamic() ||
+      if (owners_[sweep][k] != kFree || !seen[k].is_passing() ||
           seen[k].samples().size() < kMinSamples)
         continue;
       const int track = int(tracks_.size());
       owners_[sweep][k] = track;
       tracks_.push_back(
-          {{{sweep, {k}, seen[k].box, Vector::Zero(), true, seen[k].dynamic_area}}, 1});
+          {{{sweep, {k}, seen[k].box, Vector::Zero(), true, seen[k].area, seen[k].passing_area()}}, 1});
       const SampledPoints& samples = seen[k].samples();
       alive_.push_back({track, samples, samples, seen[k].box.size(), times_[sweep]});
     }
@@ -148,20 +148,22 @@ class Tracker {
     end.velocity = end.has_velocity ? Vector(0.5f * end.velocity + 0.5f * velocity) : velocity;
     end.has_velocity = true;
     end.time = times_[sweep];
-    end.samples = together(std::move(end.last), match.shift, match.samples);
+    // Of a standing object all is kept that was seen of it: what hides it now may go away.
+    const bool stands = end.velocity.norm() < kStanding;
+    end.samples = together(std::move(stands ? end.samples : end.last), match.shift, match.samples);
     end.last = match.samples;
     end.largest = match.largest;
   }
 
   void add(int track, std::size_t sweep, const Match& match, bool at_front) {
     const Detections& seen = *detections_[sweep];
-    TrackObservation added{sweep, match.objects, match.box, match.shift, false, 0};
+    TrackObservation added{sweep, match.objects, match.box, match.shift, false, 0, 0};
     std::uint32_t points = 0, of_dynamic = 0;
     for (const auto k : match.objects) {
       owners_[sweep][k] = track;
       points += seen[k].points;
-      added.dynamic_area += seen[k].dynamic_area;
-      if (seen[k].is_dynamic()) of_dynamic += seen[k].points;
+      added.area += seen[k].area, added.free_area += seen[k].passing_area();
+      if (seen[k].is_passing()) of_dynamic += seen[k].points;
     }
     added.dynamic = 2 * of_dynamic >= points;
     tracks_[track].dynamic += added.dynamic;
@@ -239,7 +241,7 @@ class Tracker {
     }
     const Extent box = extent_of(samples);
     for (std::uint32_t k = 0; k < seen.size(); ++k)
-      if (is_free(sweep, k, end) && seen[k].is_dynamic() && seen[k].box.overlaps(box, reach))
+      if (is_free(sweep, k, end) && seen[k].is_passing() && seen[k].box.overlaps(box, reach))
         attempt(most_frequent_shift(samples, seen[k].samples(), reach));
     return best;
   }
@@ -256,7 +258,7 @@ class Tracker {
     SampledPoints there;
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       if (!seen[k].box.overlaps(box, kSearchMargin) || !is_free(sweep, k, end)) continue;
-      if (!end.has_velocity && !seen[k].is_dynamic()) continue;
+      if (!end.has_velocity && !seen[k].is_passing()) continue;
       if (!could_match(seen[k].box, size)) continue;
       near.push_back(k);
       append(there, seen[k].samples());
@@ -273,6 +275,7 @@ class Tracker {
       match.box.add(seen[k].box);
       match.largest = match.largest.cwiseMax(seen[k].box.size());
     }
+    drop_neighbors(seen, match);
     // Together larger than one object: a pedestrian and what he walks away from.
     if (match.objects.empty() || !could_match(match.box, match.largest)) return {};
     // Half of a track may be hidden, so twice its matched share counts.
@@ -282,6 +285,29 @@ class Tracker {
     // Of two equal matches the nearer one is more likely.
     match.score = track_share * match_share / (1 + match.shift.norm() / (2 * reach));
     return match.score >= kMinMatchedShare ? match : Match{};
+  }
+
+  /// Drop what was not free before or after where something else of a match was: what belongs
+  /// together comes together. A parked car beside one that arrives.
+  static void drop_neighbors(const Detections& seen, Match& match) {
+    if (match.objects.empty()) return;
+    const auto most = *std::max_element(
+        match.objects.begin(), match.objects.end(),
+        [&](auto a, auto b) { return seen[a].passing_area() < seen[b].passing_area(); });
+    const Detection& best = seen[most];
+    const auto is_neighbor = [&](auto k) {
+      return seen[k].area > kFragmentShare * best.area &&
+             seen[k].passing_share() < kTogetherShare * best.passing_share();
+    };
+    auto& objects = match.objects;
+    if (!best.is_passing() || std::none_of(objects.begin(), objects.end(), is_neighbor)) return;
+    objects.erase(std::remove_if(objects.begin(), objects.end(), is_neighbor), objects.end());
+    match.samples.clear();
+    match.box = seen[objects[0]].box;
+    for (const auto k : objects) {
+      append(match.samples, seen[k].samples());
+      match.box.add(seen[k].box);
+    }
   }
 
   const std::vector<const Detections*>& detections_;

@@ -13,6 +13,14 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// Whether it is large and solid enough for what comes and goes without being seen to move. Pieces
+/// of walls that show behind something are flat.
+bool is_vehicle(const TrackPath& path) {
+  const Vector size = path.extent().size();
+  return path.is_rigid() && size.head<2>().minCoeff() >= kMinVehicleWidth &&
+         size.z() >= kMinVehicleHeight;
+}
+
 /// A track and its path, and what both say about detections.
 class TrackEvidence {
  public:
@@ -22,28 +30,48 @@ class TrackEvidence {
         path_(track, detections, times, p) {
     float total = 0;
     for (const TrackObservation& seen : track.observations) {
-      total += seen.dynamic_area;
-      supported_ = std::max({supported_, seen.dynamic_area, total / kTotalSupportDivisor});
+      total += seen.free_area;
+      supported_ = std::max({supported_, seen.free_area, total / kTotalSupportDivisor});
     }
   }
 
   const TrackPath& path() const { return path_; }
 
-  /// Whether the object moves, by its votes and by its path.
+  /// Whether the object moves at some time: by its path, or as it was not there before or after.
   bool moves() const {
-    return track_.dynamic >= p_.min_detections && path_.distance(false) >= p_.min_distance &&
-           path_.distance(true) >= kMinVotedDistanceShare * p_.min_distance;
+    if (track_.dynamic < p_.min_detections) return false;
+    if (path_.distance(false) >= p_.min_distance &&
+        path_.distance(true) >= kMinVotedDistanceShare * p_.min_distance)
+      return true;
+    return is_vehicle(path_) && appears();
   }
 
   /// Whether the track makes a detection of a sweep dynamic.
-  bool claims(std::size_t sweep, const Detection& object, bool is_member) const {
+  bool claims(std::size_t sweep, const Detection& object, bool is_member) {
     if (object.dynamic == object.points || object.box.width() < kMinTrackedWidth) return false;
     if (object.area - object.dynamic_area > supported_) return false;
     if (!is_member && !lies_there(object, times_[sweep])) return false;
-    return was_free(object.samples(), sweep);
+    return was_free(object, sweep);
   }
 
  private:
+  /// Whether for a while much of it was found where nothing was before or after.
+  bool appears() const {
+    const auto& seen = track_.observations;
+    float share = 0;
+    std::size_t first = 0;
+    for (std::size_t k = 0; k < seen.size(); ++k) {
+      share += seen[k].free_area / seen[k].area;
+      while (times_[seen[k].sweep] - times_[seen[first].sweep] > kFreeWindow + kTimeTolerance)
+        share -= seen[first].free_area / seen[first].area, ++first;
+      const auto count = float(k + 1 - first);
+      if (times_[seen[k].sweep] - times_[seen[first].sweep] >= kFreeWindow / 2 &&
+          share >= kMeanFreeShare * count && int(count) >= p_.min_detections)
+        return true;
+    }
+    return false;
+  }
+
   bool lies_there(const Detection& object, double time) const {
     if (!(p_.window > 0) || path_.speed(time) >= kSlow) return false;
     const OrientedBox box = path_.box(time);
@@ -53,47 +81,41 @@ class TrackEvidence {
            std::all_of(object.samples().begin(), object.samples().end(), inside);
   }
 
-  /// Whether a place was free while the object was elsewhere, in the sweeps nearest in time.
-  bool was_free(const SampledPoints& samples, std::size_t sweep) const {
-    const auto& seen = track_.observations;
-    const auto distance = [&](std::size_t k) {
-      const std::size_t other = seen[k].sweep;
-      return other > sweep ? other - sweep : sweep - other;
-    };
-    const auto left = [&](std::size_t k) {
-      OrientedBox box = path_.box_of(k);
-      box.half.z() = INFINITY;
-      SampledPoints outside;
-      for (const Vector& p : samples)
-        if (!box.holds(p, kOutsideMargin)) outside.push_back(p);
-      return outside;
-    };
-    const auto count = float(samples.size());
-    std::vector<std::size_t> elsewhere;
-    for (std::size_t k = 0; k < seen.size(); ++k)
-      if (float(left(k).size()) >= kMinOutsideShare * count) elsewhere.push_back(k);
-    std::stable_sort(elsewhere.begin(), elsewhere.end(),
-                     [&](std::size_t a, std::size_t b) { return distance(a) < distance(b); });
-    const std::size_t last = std::min(elsewhere.size(), kFreeTestStride * kMaxFreeTests);
-    for (std::size_t i = 0; i < last; i += kFreeTestStride) {
-      const std::size_t k = elsewhere[i];
-      if (occupied(left(k), *detections_[seen[k].sweep]) >= kMinOccupiedShare * count)
-        return false;
-    }
-    return !elsewhere.empty();
+  /// Whether the place of a detection was free before or after: by its own votes, or as it was
+  /// occupied only while the object stood there, which came or left.
+  bool was_free(const Detection& object, std::size_t sweep) {
+    if (object.was_free()) return true;
+    const Stay& stay = stay_at(path_.pose(times_[sweep]).translation());
+    return stay.free >= p_.min_detections && object.first_occupied >= stay.first &&
+           object.last_occupied <= stay.last;
   }
 
-  /// Number of samples at which a sweep saw a static object.
-  static float occupied(const SampledPoints& samples, const Detections& detections) {
-    const Extent box = extent_of(samples);
-    SampledPoints there;
-    for (const Detection& object : detections) {
-      if (object.is_dynamic() || !object.box.overlaps(box, kOccupiedDistance)) continue;
-      for (const Vector& p : object.samples())
-        if (box.overlaps({p, p}, kOccupiedDistance)) there.push_back(p);
+  /// The sweeps while the object covered half of a place, to the ends of the drive if it is there at
+  /// these.
+  struct Stay {
+    Eigen::Vector3d place;
+    int free, first, last;  ///< observations whose place was free before or after
+  };
+
+  const Stay& stay_at(const Eigen::Vector3d& place) {
+    for (const Stay& stay : stays_)
+      if ((stay.place - place).norm() <= kSamePlace / 2) return stay;
+    Stay stay{place, 0, int(times_.size()), -1};
+    const float half = path_.extent().size().head<2>().norm() / 2;
+    const auto& seen = track_.observations;
+    const auto distance = [&](const TrackObservation& at) {
+      return (path_.pose(times_[at.sweep]).translation() - place).norm();
+    };
+    for (const TrackObservation& at : seen) {
+      stay.free += distance(at) <= kSamePlace && at.was_free();
+      if (distance(at) > std::max(half, kSamePlace)) continue;
+      stay.first = std::min(stay.first, int(at.sweep));
+      stay.last = std::max(stay.last, int(at.sweep));
     }
-    return matched_share(samples, Vector::Zero(), there, kOccupiedDistance) *
-           float(samples.size());
+    if (distance(seen.front()) <= kSamePlace) stay.first = 0;
+    if (distance(seen.back()) <= kSamePlace) stay.last = int(times_.size());
+    stays_.push_back(stay);
+    return stays_.back();
   }
 
   const Track& track_;
@@ -101,6 +123,7 @@ class TrackEvidence {
   const std::vector<double>& times_;
   const TrackParameters& p_;
   TrackPath path_;
+  std::deque<Stay> stays_;
   float supported_ = 0;  ///< area of static points that the track can make dynamic
 };
 
@@ -110,7 +133,7 @@ struct Findings {
   std::vector<std::pair<std::size_t, TrackBox>> boxes;
 };
 
-Findings findings_of(const TrackEvidence& evidence, const Track& track, std::uint32_t number,
+Findings findings_of(TrackEvidence& evidence, const Track& track, std::uint32_t number,
                      const std::vector<const Detections*>& detections,
                      const std::vector<double>& times, const TrackParameters& p) {
   Findings found;
@@ -131,8 +154,8 @@ Findings findings_of(const TrackEvidence& evidence, const Track& track, std::uin
       const bool claimed = moves && evidence.claims(i, objects[k], is_member);
       if (is_member || claimed) found.members.push_back({i, {objects[k].first, number, claimed}});
     }
-    if (moves && p.window > 0 && path.speed(times[i]) >= kStanding)
-      found.boxes.push_back({i, {number, path.box(times[i])}});
+    if (moves && p.window > 0)
+      found.boxes.push_back({i, {number, path.speed(times[i]) >= kStanding, path.box(times[i])}});
   }
   return found;
 }
@@ -176,7 +199,7 @@ TrackingResult track_objects(const std::vector<const Detections*>& detections,
   result.sweeps.resize(times.size());
   result.objects.resize(tracks.size());
   parallel_for(tracks.size(), 1, threads, [&](std::size_t k, std::size_t) {
-    const TrackEvidence evidence(tracks[k], detections, times, p);
+    TrackEvidence evidence(tracks[k], detections, times, p);
     found[k] = findings_of(evidence, tracks[k], std::uint32_t(k + 1), detections, times, p);
     result.objects[k] = object_of(tracks[k], evidence.path(), detections, times);
   });

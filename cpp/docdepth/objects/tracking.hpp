@@ -18,9 +18,10 @@ struct Member {
   bool dynamic;         ///< whether the track makes it dynamic
 };
 
-/// A moving object in a sweep, detected or not.
+/// Where an object that moves at some time is in a sweep, detected or not.
 struct TrackBox {
   std::uint32_t track;
+  bool moving;  ///< at the time of the sweep
   OrientedBox box;
 };
 

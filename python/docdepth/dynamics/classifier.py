@@ -92,9 +92,6 @@ class _Memory:
     def has_evidence(self, index: int) -> bool:
         return False
 
-    def has_votes(self, index: int) -> bool:
-        return False
-
     def read(self, index: int) -> InputSweep:
         sweep = self._sweeps[index]
         return InputSweep(points_of(sweep), self._ground[index], rig_of(sweep))

@@ -40,10 +40,6 @@ class SweepStore(Protocol):
         """Whether an interrupted run left the evidence of this sweep."""
         ...
 
-    def has_votes(self, index: int) -> bool:
-        """Whether the sweep comes with votes."""
-        ...
-
     def read(self, index: int) -> InputSweep: ...
 
     def keep(self, index: int, evidence: Evidence, detections: Detections) -> None:
@@ -113,19 +109,17 @@ def _vote(
     threads: int,
 ) -> None:
     """Classify sweeps by their own votes."""
-    with_votes = {index for index in left if store.has_votes(index)}
 
     def voters(index: int) -> list[int]:
-        return [] if index in with_votes else steps.key_frames[index].tolist()
+        keys: list[int] = steps.key_frames[index].tolist()
+        return keys
 
     def classify(
         index: int, made: Future[PreparedSweep], key_frames: list[Future[KeyFrame]]
     ) -> Future[None]:
         prepared = made.result()
         sweep = prepared.sweep
-        votes = sweep.votes if index in with_votes else None
-        if votes is None:
-            votes = steps.vote(index, sweep, [frame.result() for frame in key_frames])
+        votes = steps.vote(index, sweep, [frame.result() for frame in key_frames])
         if not steps.uses_tracks:
             labels = steps.classify(prepared, votes)
             return writers.submit(store.write, index, sweep, labels)

@@ -17,6 +17,7 @@ from docdepth.dynamics.clustering import cluster_objects
 from docdepth.dynamics.key_frames import key_frames
 from docdepth.dynamics.tracking import (
     Detections,
+    PointStays,
     TrackedSweep,
     Tracking,
     apply_tracks,
@@ -43,8 +44,6 @@ class InputSweep:
         Where it was measured from, if not from the origin.
     time_offset : ndarray of float32, shape (N,), optional
         Seconds from the stamp to each measurement.
-    votes : Votes, optional
-        Kept from an earlier run; cast anew when missing.
     record
         What the sweep's store needs to write its labels.
     """
@@ -53,7 +52,6 @@ class InputSweep:
     ground: NDArray[np.bool_]
     sensor_rig: SensorRig | None = None
     time_offset: NDArray[np.float32] | None = None
-    votes: Votes | None = None
     record: Any = None
 
 
@@ -128,6 +126,7 @@ class SweepClassifier:
     def vote(self, index: int, sweep: InputSweep, key_frames: Sequence[KeyFrame]) -> Votes:
         """Let the key frames of sweep ``index`` vote on it, in one thread."""
         poses = self._trajectory.poses
+        earlier = int(np.searchsorted(self.key_frames[index], index))
         with self._watch("vote"):
             return voting.vote(
                 sweep.points,
@@ -136,6 +135,7 @@ class SweepClassifier:
                 key_frames,
                 poses[self.key_frames[index]],
                 threads=1,
+                earlier=earlier,
             )
 
     def classify(self, prepared: PreparedSweep, votes: Votes) -> Labels:
@@ -157,8 +157,9 @@ class SweepClassifier:
             classid = classify(ground, votes, self._parameters, points, mesh, objects)
         with self._watch("detections"):
             moving, pose = classid >= DYNAMIC, self._local_poses[index]
+            stays = PointStays.of(votes, self.key_frames[index], index)
             detections = Detections(
-                points, ground, objects, moving, votes.dynamic, mesh, pose, sweep.time_offset
+                points, ground, objects, moving, stays, mesh, pose, sweep.time_offset
             )
         return Evidence(Labels(classid, votes), objects), detections
 
@@ -173,7 +174,7 @@ class SweepClassifier:
         """Labels of a sweep with what tracks found in it."""
         labels, objects = evidence
         if not result:
-            return labels
-        pose = self._local_poses[index]
-        classid = apply_tracks(sweep.points, objects, labels.votes, labels.classid, result, pose)
-        return Labels(classid, labels.votes)
+            return replace(labels, instance=np.zeros(len(objects), np.uint16))
+        votes, pose = labels.votes, self._local_poses[index]
+        found = apply_tracks(sweep.points, objects, votes, labels.classid, result, pose)
+        return Labels(found[0], votes, found[1])

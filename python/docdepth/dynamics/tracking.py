@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,12 +11,14 @@ from numpy.typing import NDArray
 
 from docdepth import _core
 from docdepth.dynamics.clustering import OBJECT_PARAMETERS
-from docdepth.dynamics.voting import Votes
+from docdepth.dynamics.voting import NEVER, Votes
 from docdepth.errors import InputError
 from docdepth.geometry.points import DYNAMIC, STATIC, check_sweep
 from docdepth.geometry.scan_mesh import ScanMesh
-from docdepth.geometry.track import KINDS, Kind, Track
+from docdepth.geometry.track import KINDS, MAX_TRACKS, Kind, Track
 from docdepth.geometry.trajectory import Trajectory
+
+log = logging.getLogger(__name__)
 
 TRACK_PARAMETERS = _core.TrackParameters()
 """Constants of :func:`track_objects`: the defaults of the C++ structure."""
@@ -37,6 +40,9 @@ MAX_CYCLING = 14.0
 MIN_VEHICLE_HEIGHT = 0.6
 """Lower things are no vehicle [m]."""
 
+BOX_MARGIN = 0.5
+"""A dynamic point without an object belongs to the box of a track up to this distance [m]."""
+
 MIN_SIZE = 0.1
 """Least side of a box [m]."""
 
@@ -49,19 +55,19 @@ class TrackedSweep(NamedTuple):
     members : ndarray of uint32, shape (n, 3)
         Objects that belong to a track: first row (as :func:`cluster_objects` gives it), track, and
         1 if the track makes it dynamic.
-    box_tracks : ndarray of uint32, shape (K,)
-        Track of each box.
+    box_tracks : ndarray of uint32, shape (K, 2)
+        Track of each box, and 1 if it moves in this sweep.
     boxes : ndarray of float32, shape (K, 15)
-        Moving objects, in the frame of :func:`local_poses`: ``T_box_world`` (3, 4), row after row,
-        and half of the size. Points above the ground inside are dynamic unless their votes are
-        clearly static.
+        Objects in the frame of :func:`local_poses`: ``T_box_world`` (3, 4), row after row, and half
+        of the size. Points above the ground inside of a moving one are dynamic unless their votes
+        are clearly static.
     voxels : ndarray of uint64, shape (m,)
         Numbers of the voxels in which nearly everything moved in the sweeps just before and after;
         the same holds inside.
     """
 
     members: NDArray[np.uint32] = np.zeros((0, 3), np.uint32)
-    box_tracks: NDArray[np.uint32] = np.zeros(0, np.uint32)
+    box_tracks: NDArray[np.uint32] = np.zeros((0, 2), np.uint32)
     boxes: NDArray[np.float32] = np.zeros((0, 15), np.float32)
     voxels: NDArray[np.uint64] = np.zeros(0, np.uint64)
 
@@ -118,6 +124,32 @@ def unpacked(arrays: Sequence[NDArray[Any]], sweeps: int) -> Tracking:
     return Tracking(found, tracks)
 
 
+class PointStays(NamedTuple):
+    """When the place of each point of a sweep was occupied, as far as votes tell.
+
+    Attributes
+    ----------
+    once : ndarray of bool, shape (N,)
+        It was free at another time, and occupied in one stretch of time only.
+    first, last : ndarray of int32, shape (N,)
+        The first and the last sweep that found it occupied.
+    """
+
+    once: NDArray[np.bool_]
+    first: NDArray[np.int32]
+    last: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, votes: Votes, key_frames: NDArray[np.int64], sweep: int) -> PointStays:
+        """From the votes of key frames on a sweep, which found all its points occupied itself."""
+        if votes.stays is None:
+            raise InputError("tracking needs votes with their order; vote again")
+        index = np.full(NEVER + 1, sweep, np.int32)
+        index[: len(key_frames)] = key_frames
+        first = np.minimum(index[votes.stays.first], sweep, dtype=np.int32)
+        return cls(votes.stays.once, first, np.maximum(index[votes.stays.last], sweep))
+
+
 class Detections:
     """The objects of a sweep, small enough to keep those of a whole drive in memory.
 
@@ -130,7 +162,7 @@ class Detections:
         From :func:`cluster_objects`.
     moving : ndarray of bool, shape (N,)
         Points that the votes on this sweep make dynamic.
-    dynamic_votes : ndarray of uint16, shape (N,)
+    stays : PointStays
     mesh : ScanMesh
         Of these points; tells the normals.
     T_world_lidar : ndarray of float64, shape (4, 4)
@@ -150,14 +182,14 @@ class Detections:
         ground: NDArray[np.bool_],
         objects: NDArray[np.uint32],
         moving: NDArray[np.bool_],
-        dynamic_votes: NDArray[np.uint16],
+        stays: PointStays,
         mesh: ScanMesh,
         T_world_lidar: NDArray[np.float64],
         time_offset: NDArray[np.float32] | None = None,
     ) -> None:
         points, ground = check_sweep(points, ground)
         self._core = _core.Detections(
-            points, ground, objects, moving, dynamic_votes, mesh.core, T_world_lidar, time_offset
+            points, ground, objects, moving, *stays, mesh.core, T_world_lidar, time_offset
         )
 
     @property
@@ -223,7 +255,13 @@ def track_objects(
         [of._core for of in detections], seconds, TRACK_PARAMETERS, threads
     )
     origin = trajectory.poses[0, :3, 3]
-    tracks = [_track(k, times, origin, *of) for k, of in enumerate(objects, 1)]
+    if len(objects) > MAX_TRACKS:
+        log.warning(
+            "%d objects move in this drive, more than ids; those after %d get instance 0",
+            len(objects), MAX_TRACKS,
+        )  # fmt: skip
+    followed = enumerate(objects[:MAX_TRACKS], 1)
+    tracks = [_track(k, times, origin, *of) for k, of in followed]
     return Tracking([TrackedSweep(*sweep) for sweep in sweeps], tracks)
 
 
@@ -260,8 +298,8 @@ def apply_tracks(
     classid: NDArray[np.uint16],
     result: TrackedSweep,
     T_world_lidar: NDArray[np.float64],
-) -> NDArray[np.uint16]:
-    """Add to the classes of a sweep what tracks found in it.
+) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    """Add to the classes of a sweep what tracks found in it, and tell which track each point is of.
 
     Parameters
     ----------
@@ -279,7 +317,8 @@ def apply_tracks(
 
     Returns
     -------
-    ndarray of uint16, shape (N,)
+    classid, instance : ndarray of uint16, shape (N,)
+        The instance is the track of each dynamic point, 0 if it is of none.
     """
     moving, ground = classid >= DYNAMIC, classid < STATIC
     moving[_tracked_rows(objects, result.dynamic, votes, moving)] = True
@@ -290,7 +329,7 @@ def apply_tracks(
         static,
         dynamic,
         T_world_lidar,
-        result.boxes,
+        result.boxes[result.box_tracks[:, 1] > 0],
         result.voxels,
         moving,
         OBJECT_PARAMETERS,
@@ -298,7 +337,33 @@ def apply_tracks(
     every = _core.add_isolated_points(
         points, ground, objects, static, dynamic, inside, OBJECT_PARAMETERS
     )
-    return np.where(every, np.uint16(DYNAMIC), classid)
+    classid = np.where(every, np.uint16(DYNAMIC), classid)
+    return classid, _instances(points, objects, classid >= DYNAMIC, result, T_world_lidar)
+
+
+def _instances(
+    points: NDArray[np.float32],
+    objects: NDArray[np.uint32],
+    dynamic: NDArray[np.bool_],
+    result: TrackedSweep,
+    T_world_lidar: NDArray[np.float64],
+) -> NDArray[np.uint16]:
+    """The track of each dynamic point: that of its object, else of the box that it is nearest to."""
+    track_of = np.zeros(len(objects), np.uint32)
+    first, tracks, _ = result.members.T
+    track_of[first[::-1]] = tracks[::-1]  # the longest track has the lowest number
+    instance = np.where(dynamic, track_of[objects], 0)
+    loose = np.flatnonzero(dynamic & (instance == 0))
+    if len(loose) and len(result.boxes):
+        places = points[loose] @ T_world_lidar[:3, :3].T + T_world_lidar[:3, 3]
+        T = result.boxes[:, :12].reshape(-1, 3, 4)
+        inside = np.einsum("kij,nj->kni", T[:, :, :3], places) + T[:, None, :, 3]
+        off = np.abs(inside) - result.boxes[:, None, 12:]
+        distance = np.linalg.norm(np.maximum(off, 0), axis=2)
+        nearest = distance.argmin(axis=0)
+        near = distance[nearest, np.arange(len(loose))] <= BOX_MARGIN
+        instance[loose[near]] = result.box_tracks[nearest[near], 0]
+    return np.where(instance <= MAX_TRACKS, instance, 0).astype(np.uint16)
 
 
 def _tracked_rows(

@@ -32,9 +32,7 @@ again. What an interrupted stage goes on with lies in the last."""
 
 
 def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = None) -> None:
-    """Write ground, votes and class of every point into ``frames/``, and ``labels/``.
-
-    Votes in ``frames/`` are kept when only parameters have changed that make classes of them.
+    """Write ground, votes, class and track of every point into ``frames/``, ``labels/`` and tracks.
 
     Parameters
     ----------
@@ -175,20 +173,15 @@ class _FrameStore:
     def has_evidence(self, index: int) -> bool:
         return self._run.key(self._kept(index)) == self._key
 
-    def has_votes(self, index: int) -> bool:
-        return self._run.frame_key(index).get("votes") == self._keys["votes"]
-
     def read(self, index: int) -> InputSweep:
         with self.watch("read"):
             record = self._run.frame(index)
             ground = np.unpackbits(self.ground[index], count=len(record.points))
-        static, dynamic = record.votes_static, record.votes_dynamic
         return InputSweep(
             record.points,
             ground.view(np.bool_),
             self._run.sensor_rig(record),
             record.time_offset,
-            None if static is None or dynamic is None else Votes(static, dynamic),
             record,
         )
 
@@ -246,7 +239,10 @@ def _write_classified(
 ) -> None:
     """Write labels of all rows of the input, and the frame with votes and classes."""
     rows = np.full(record.input_points, OUTLIER_LABEL, np.uint32)
-    rows[record.index] = np.where(labels.classid >= DYNAMIC, MOVING_LABEL, STATIC_LABEL)
+    classes = np.where(labels.classid >= DYNAMIC, MOVING_LABEL, STATIC_LABEL).astype(np.uint32)
+    if labels.instance is not None:
+        classes |= labels.instance.astype(np.uint32) << 16
+    rows[record.index] = classes
     path = run.path / "labels" / f"{record.name}.label"
     key = {"classify": keys["classify"], "frame": str(index)}
     if run.key(path) != key:
@@ -258,6 +254,7 @@ def _write_classified(
         votes_static=labels.votes.static,
         votes_dynamic=labels.votes.dynamic,
         classid=labels.classid,
+        instance=labels.instance,
     )
     of_frame = {"odometry": run.recorded_key(run.frame_path(index)).get("odometry", "")}
     run.write_frame(index, classified, {**of_frame, **keys})
