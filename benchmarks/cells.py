@@ -61,17 +61,17 @@ class Cell:
             raise RunError(f"{about.parent} holds another drive than {wanted}; delete it")
         return about.parent
 
-    def run(self) -> RunFolder:
+    def run(self, path: Path | None = None, parameters: Parameters | None = None) -> RunFolder:
         """Run folder of the drive with exact poses, ready for the classification."""
-        sequence = self.sequence()
-        path = self.folder / "run"
+        sequence, p = self.sequence(), parameters or Parameters()
+        path = path or self.folder / "run"
         run, source = RunFolder(path), {"poses": "exact"}
         if run.manifest:
             # Trials fill up their parameters from those of the run: these must be today's.
-            run.manifest |= {"source": source, "parameters": Parameters().model_dump()}
+            run.manifest |= {"source": source, "parameters": p.model_dump()}
             run.save()
         else:
-            run = RunFolder.create(path, source, Parameters())
+            run = RunFolder.create(path, source, p)
         dataset = open_dataset(sequence)
         run_odometry(run, dataset, dataset.poses)
         return run

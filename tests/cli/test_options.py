@@ -66,7 +66,7 @@ def test_layouts_are_those_of_datasets():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["synth", "out", "--scene", "town"], "'town' is unknown; there are city"),
+        (["synth", "out", "--scene", "town"], "'town' is unknown; there are arrivals, city"),
         (["synth", "out", "--sensor", "VLP16"], "did you mean VLP-16?"),
         (["run", "d", "-o", "r", "--dataset", "kiti"], "'kiti' is unknown; there are kitti_raw"),
         (["run", "d", "-o", "r", "--layers", "class,tiem"], "did you mean time?"),

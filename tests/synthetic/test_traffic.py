@@ -53,6 +53,25 @@ def test_nothing_drives_through_anything_that_moves(name, seed):
         assert hits == [], k
 
 
+@pytest.mark.parametrize("name", list(FRAMES))
+def test_nothing_drives_through_what_stands(name):
+    drive = drive_of(name, SEEDS[0])
+    mesh, into = drive.scene.static, np.linalg.inv(drive.T_scene_world)
+    things = ~np.isin(
+        mesh.labels & 0xFFFF, (40, 44, 48, 49, 60, 70, 72)
+    )  # all but ground and leaves
+    at = np.unique(mesh.faces[things])
+    vertices = mesh.vertices[at] @ into[:3, :3].T + into[:3, 3]
+    for track in drive.tracks():
+        half = 0.5 * track.size - 0.15  # mirrors may touch
+        for pose in track.poses[::8]:
+            near = np.abs(vertices[:, :2] - pose[:2, 3]).max(axis=1) < 8.0
+            own = (vertices[near] - pose[:3, 3]) @ pose[:3, :3]
+            inside = (np.abs(own[:, :2]) < half[:2]).all(axis=1)
+            inside &= (own[:, 2] > 0.3) & (own[:, 2] < track.size[2] - 0.1)
+            assert not inside.any(), drive.scene.actors[track.id - 1].name
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_cars_arrive_and_stand_until_the_end(seed):
     drive = drive_of("arrivals", seed)

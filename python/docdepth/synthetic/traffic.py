@@ -14,7 +14,7 @@ from docdepth.synthetic.urban_street import add_furniture, add_houses, away_from
 _LANE = 1.75
 # From parking place to parking place along a kerb, and across a car park [m].
 _PLACE, _STALL = 6.1, 2.75
-# The place on the left that a car leaves; on the right it stays free.
+# The place on the left that a car leaves.
 _LEAVES = 9
 
 
@@ -32,7 +32,9 @@ def arrivals(seed: int) -> Scene:
     street = Street(road, rng)
     # No houses between: a car park on the left, plants on the right.
     add_houses(street, blocks(start, end, [(36.0, 24.0)]), walk, 11.0)
-    add_furniture(street, start, end, kerb, [(26.0, 6.0)], 0.5)
+    # Nothing stands in the entrance of the car park.
+    add_furniture(street, start, 8.0, kerb, [], 0.5)
+    add_furniture(street, 26.0, end, kerb, [(26.0, 6.0)], 0.5)
     first = {side: 2.9 - 0.7 * side + float(rng.uniform(-1, 1)) for side in (-1.0, 1.0)}
     _arrivals_along_the_kerb(street, start, end, junctions, first)
     _arrivals_in_the_car_park(street)
@@ -60,7 +62,10 @@ def _arrivals_along_the_kerb(
     taken = {-1.0: {2: 2.8, 7: 5.0, 12: 6.5}, 1.0: {2: 3.4, 6: 4.5}}
     for side in (-1.0, 1.0):
         places = np.arange(first[side] - 18 * _PLACE, end - 5, _PLACE)
-        free = [first[side] + _PLACE * number for number in (*taken[side], _LEAVES)]
+        # Cars drive in and out forwards, over the place behind or before theirs.
+        over = [number + int(side) for number in taken[side]]
+        left = [_LEAVES, _LEAVES - 1] if side > 0 else []
+        free = [first[side] + _PLACE * number for number in (*taken[side], *over, *left)]
         places = away_from(places[places > start + 5], [*junctions, *((s, 3.0) for s in free)], 0.0)
         near = (places > -15.0) & (places < 90.0)
         yaw = 0.0 if side < 0 else np.pi
@@ -108,7 +113,7 @@ def _people_among_things(street: Street, place: float) -> None:
     """People who walk so close to bins, bushes and parked cars that they touch them."""
     rng = street.rng
     half = 0.33  # of a person, shoulder and arm [m]
-    line, road_side = -9.6, 4.55 - 0.95 - half
+    line, road_side = -9.6, 4.55 - 1.0 - half
     for k, s in enumerate(np.arange(12.0, 48.0, 3.0)):
         if k % 2:
             street.put(roadside.refuse_bin(rng), s, line)
