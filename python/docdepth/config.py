@@ -186,10 +186,6 @@ class DynamicsParameters(_Stage):
         check_key_frames("coarse", self.coarse_spacing, self.coarse_radius)
         return self
 
-    def voting(self) -> dict[str, Any]:
-        """The values that votes depend on: all but those that make classes of votes."""
-        return self.model_dump(exclude={"evidence"})
-
 
 class RenderParameters(_Stage):
     """Which sweeps an image is drawn from, and how (paper V-B).

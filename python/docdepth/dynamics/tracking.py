@@ -97,7 +97,7 @@ class Tracking(NamedTuple):
 
 def packed(tracking: Tracking) -> list[NDArray[Any]]:
     """All of it as arrays, to be written to a file."""
-    arrays = [array for sweep in tracking.sweeps for array in sweep]
+    arrays: list[NDArray[Any]] = [array for sweep in tracking.sweeps for array in sweep]
     for t in tracking.tracks:
         about = np.array([t.id, KINDS.index(t.kind)])
         arrays += [about, t.times, t.poses, t.velocities, t.size, t.points]
@@ -348,7 +348,7 @@ def _instances(
     result: TrackedSweep,
     T_world_lidar: NDArray[np.float64],
 ) -> NDArray[np.uint16]:
-    """The track of each dynamic point: that of its object, else of the box that it is nearest to."""
+    """The track of each dynamic point: that of its object, else that of the nearest box."""
     track_of = np.zeros(len(objects), np.uint32)
     first, tracks, _ = result.members.T
     track_of[first[::-1]] = tracks[::-1]  # the longest track has the lowest number

@@ -16,7 +16,6 @@ from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
 from docdepth.geometry.se3 import check_rigid
 from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 
-
 NEVER = 65535
 """Stands for a key frame where there was none."""
 
