@@ -16,8 +16,8 @@ from docdepth.config import RenderParameters
 from docdepth.geometry.trajectory import Trajectory
 
 DYNAMIC_FRAMES = 4
-"""Triangles: sweeps that dynamic objects are drawn from. The nearest in time gives the objects; the
-others their velocity, and surfaces that the nearest did not see."""
+"""Triangles: sweeps around an image that tell what moves and where nothing is. An object hidden by a
+post in the nearest is seen by the next ones."""
 
 STEP_GROWTH = 0.22
 """Triangles: spacing of static sweeps over their distance to the image [-]. Seen from the camera,
@@ -32,11 +32,16 @@ class DrawnFrames(NamedTuple):
     static : list of int
         Sweeps whose static points (ground included) are drawn.
     dynamic : list of int
-        Sweeps that dynamic objects are drawn from, the nearest in time first.
+        Sweeps around the image, the nearest in time first.
     """
 
     static: list[int]
     dynamic: list[int]
+
+    @property
+    def sighted(self) -> list[int]:
+        """Sweeps that dynamic objects are drawn from: those around the image, then others."""
+        return self.dynamic + [i for i in self.static if i not in self.dynamic]
 
 
 def drawn_frames(
