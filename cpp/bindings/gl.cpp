@@ -47,8 +47,8 @@ py::array_t<float> draw_meshes(GlRenderer& renderer, const Array<double>& K, int
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth = renderer.render_triangles(
-        camera, compose_scene(camera, frames, sighted, visibility_sweeps));
+    depth = renderer.render_triangles(camera,
+                                      compose_scene(camera, frames, sighted, visibility_sweeps));
   }
   return to_numpy(std::move(depth), {height, width});
 }

@@ -48,19 +48,26 @@ PointMap rows_of(const std::optional<Array<float>>& rows, const PointMap& points
   return map;
 }
 
-std::unique_ptr<MeshFrame> make_mesh_frame(const Array<float>& points,
-                                           const Array<std::uint16_t>& classid,
-                                           const Array<std::uint32_t>& triangles,
-                                           const Array<std::uint8_t>& discontinuity,
-                                           const Array<std::uint32_t>& isolated,
-                                           float isolated_angle, const Array<std::uint16_t>& owner,
-                                           const std::optional<Array<float>>& displacement,
-                                           const std::optional<Array<float>>& ray_origins) {
+std::unique_ptr<MeshFrame> make_mesh_frame(
+    const Array<float>& points, const Array<std::uint16_t>& classid,
+    const Array<std::uint32_t>& triangles, const Array<std::uint8_t>& discontinuity,
+    const Array<std::uint32_t>& isolated, float isolated_angle, const Array<std::uint16_t>& owner,
+    const Array<float>& motion, const std::optional<Array<float>>& time_offset,
+    const std::optional<Array<float>>& displacement,
+    const std::optional<Array<float>>& ray_origins) {
   const PointMap map = as_points(points);
   const Points from = rows_of(ray_origins, map, "ray_origins");
   const Points moved = rows_of(displacement, map, "displacement");
   const std::uint16_t* classes = as_column(classid, map.rows(), "classid");
   const std::uint16_t* owners = as_column(owner, map.rows(), "owner");
+  const float* times = time_offset ? as_column(*time_offset, map.rows(), "time_offset") : nullptr;
+  if (motion.ndim() != 2 || motion.shape(1) != 4)
+    throw std::invalid_argument("motion must be a float32 array of shape (objects, 4)");
+  std::vector<ObjectMotion> motions;
+  for (py::ssize_t k = 0; k < motion.shape(0); ++k)
+    motions.push_back({{motion.at(k, 0), motion.at(k, 1), motion.at(k, 2)}, motion.at(k, 3)});
+  for (py::ssize_t i = 0; i < map.rows(); ++i)
+    in_range(owners[i], 0, double(motions.size()), "an owner");
   if (triangles.ndim() != 2 || triangles.shape(1) != 3)
     throw std::invalid_argument("triangles must be a uint32 array of shape (M, 3)");
   const py::ssize_t count = triangles.shape(0);
@@ -71,9 +78,10 @@ std::unique_ptr<MeshFrame> make_mesh_frame(const Array<float>& points,
   in_range(isolated_angle, 0, 1, "isolated_angle");
   const py::gil_scoped_release release;
   const Points all = map;
-  return std::make_unique<MeshFrame>(MeshParts{
-      all, corners, jumps, std::size_t(count), alone, std::size_t(isolated.size()), isolated_angle,
-      classes, owners, displacement ? &moved : nullptr, ray_origins ? &from : nullptr});
+  return std::make_unique<MeshFrame>(
+      MeshParts{all, corners, jumps, std::size_t(count), alone, std::size_t(isolated.size()),
+                isolated_angle, classes, owners, motions, times, displacement ? &moved : nullptr,
+                ray_origins ? &from : nullptr});
 }
 
 py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
@@ -173,8 +181,8 @@ py::dict mesh_layers(const Array<double>& K, int width, int height,
   std::optional<Layers> layers;
   {
     const py::gil_scoped_release release;
-    layers = layers_of_triangles(
-        camera, compose_scene(camera, frames, sighted, visibility_sweeps), z, threads);
+    layers = layers_of_triangles(camera, compose_scene(camera, frames, sighted, visibility_sweeps),
+                                 z, threads);
   }
   return as_dict(std::move(*layers), width, height);
 }
@@ -191,15 +199,15 @@ void bind_render(py::module_& m) {
                              [](const Frame& frame) { return frame.dynamic_points.size(); });
   py::class_<MeshFrame>(m, "MeshFrame")
       .def(py::init(&make_mesh_frame), "points"_a, "classid"_a, "triangles"_a, "discontinuity"_a,
-           "isolated"_a, "isolated_angle"_a, "owner"_a, "displacement"_a = py::none(),
-           "ray_origins"_a = py::none());
+           "isolated"_a, "isolated_angle"_a, "owner"_a, "motion"_a, "time_offset"_a = py::none(),
+           "displacement"_a = py::none(), "ray_origins"_a = py::none());
   py::class_<Rays>(m, "Rays")
       .def(py::init(&make_rays), "points"_a, "normals"_a, "ray_origins"_a = py::none())
       .def("query_visibility", &query_visibility, "points"_a);
-  m.def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a,
-        "objects"_a, "visibility_sweeps"_a, "threads"_a = 0);
-  m.def("mesh_layers", &mesh_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
-        "objects"_a, "visibility_sweeps"_a, "depth"_a, "threads"_a = 0);
+  m.def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
+        "visibility_sweeps"_a, "threads"_a = 0);
+  m.def("mesh_layers", &mesh_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
+        "visibility_sweeps"_a, "depth"_a, "threads"_a = 0);
   m.def("splat_layers", &splat_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "depth"_a, "threads"_a = 0);
   m.def("render_splats", &draw_splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,

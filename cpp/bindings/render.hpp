@@ -72,9 +72,10 @@ inline std::vector<PlacedMeshFrame> as_mesh_frames(const std::vector<PlacedFrame
 
 /// A frame, the number of the object in it, its pose, and the number of the sweep.
 using SightingOf = std::tuple<const MeshFrame*, int, Array<double>, int>;
-/// Instance, trusted and other sightings, and frames whose rays tell where the object ends.
-using ObjectOf = std::tuple<int, std::vector<SightingOf>, std::vector<SightingOf>,
-                            std::vector<PlacedFrame>>;
+/// Instance, sightings of sweeps around the image and of others, and those whose rays tell where
+/// the object ends.
+using ObjectOf =
+    std::tuple<int, std::vector<SightingOf>, std::vector<SightingOf>, std::vector<SightingOf>>;
 
 inline std::vector<Sighting> as_sightings(const std::vector<SightingOf>& sightings) {
   std::vector<Sighting> result;
@@ -89,10 +90,10 @@ inline std::vector<Sighting> as_sightings(const std::vector<SightingOf>& sightin
 
 inline std::vector<SightedObject> as_objects(const std::vector<ObjectOf>& objects) {
   std::vector<SightedObject> result;
-  for (const auto& [instance, trusted, others, rays] : objects) {
+  for (const auto& [instance, around, others, rays] : objects) {
     in_range(instance, 0, 0xFFFF, "an instance");
-    result.push_back({std::uint16_t(instance), as_sightings(trusted), as_sightings(others),
-                      as_mesh_frames(rays)});
+    result.push_back(
+        {std::uint16_t(instance), as_sightings(around), as_sightings(others), as_sightings(rays)});
   }
   return result;
 }

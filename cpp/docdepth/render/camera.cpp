@@ -34,10 +34,9 @@ PixelBounds bounds_of(const Camera& camera, const Pose& T_camera_box, const Box&
   }
   // A pixel more on each side, since triangles are drawn with slack.
   const auto pixel = [](double at, int most) { return int(std::clamp(at, -1.0, most + 1.0)); };
-  return PixelBounds{pixel(std::floor(low_u) - 1, camera.width),
-                     pixel(std::ceil(high_u) + 2, camera.width),
-                     pixel(std::floor(low_v) - 1, camera.height),
-                     pixel(std::ceil(high_v) + 2, camera.height)}
+  return PixelBounds{
+      pixel(std::floor(low_u) - 1, camera.width), pixel(std::ceil(high_u) + 2, camera.width),
+      pixel(std::floor(low_v) - 1, camera.height), pixel(std::ceil(high_v) + 2, camera.height)}
       .intersect(image);
 }
 

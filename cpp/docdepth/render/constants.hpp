@@ -61,12 +61,31 @@ constexpr float kMinEdgeScore = 15.0f;
 
 // --- Partition of a mesh into static surface and objects ---
 
-/// Over a discontinuity of its own an object goes on for this share of the way to the next return: a
-/// little past the middle, so that no crack is left.
+/// Over a discontinuity of its own an object goes on for this share of the way to the next return:
+/// a little past the middle, so that no crack is left.
 constexpr float kInnerShare = 0.6f;
 /// The same beyond its last return. Rays tell where it ends: almost at the next one if the rays of
 /// other sweeps that passed beside it passed there.
 constexpr float kOuterShare = 0.98f;
+
+// --- Rays around objects ---
+
+/// Rays that pass this far behind a measured surface of an object contradict it [m]. Nearer, a ray
+/// may have passed just above a roof that it saw at a grazing angle.
+constexpr float kWithinObject = 0.15f;
+/// They do with a score below this, without its sign: five rays within a few centimetres, or more
+/// farther off. What a sweep measured takes that much, since rays that returned nothing, as those
+/// through glass, cannot speak for it.
+constexpr float kContradictedScore = 2000.0f;
+/// Where an object is continued beyond its returns, pixels show what is behind only with a score
+/// below this, without its sign: a ray that passed within 2 cm, its blur not included, or some
+/// farther off. Nearer to the object its outline may lie beyond them.
+constexpr float kUnsureScore = 200.0f;
+
+/// Rays that pass within this distance of an object tell where it ends [m] ...
+constexpr float kOutlineReach = 1.0f;
+/// ... and within this angle [rad], 2.5 degrees: more than the rings of any LiDAR are apart.
+constexpr float kOutlineAngle = 0.044f;
 
 // --- Layers ---
 

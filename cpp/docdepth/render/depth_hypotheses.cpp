@@ -294,26 +294,32 @@ void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const
       const std::size_t at = columns.at(u, v);
       const float trusted = object.trusted[at], other = object.others[at];
       const float beyond = object.continued[at], here = inverse_depth[at];
-      if (trusted > 0) {
+      if (trusted > 0)
         inverse_depth[at] = std::max(trusted, here);
-      } else if (other > here) {
+      else if (other > here)
         seen.push_back({u, v, {other, beyond}});
-      } else if (beyond > here) {
+      else if (beyond > here)
         continued.push_back({u, v, {beyond}});
-      }
     }
-  std::vector<float> found = queries.score(seen, 0);
+  std::vector<PixelHypotheses> behind = seen;
+  for (PixelHypotheses& pixel : behind)
+    pixel.hypotheses[0] = 1 / (1 / pixel.hypotheses[0] + kWithinObject);
+  std::vector<float> found = queries.score(behind, 0, kContradictedScore);
   for (std::size_t i = 0; i < seen.size(); ++i) {
     const auto& [u, v, depths] = seen[i];
-    if (found[i] >= 0)
+    if (found[i] > -kContradictedScore)
       inverse_depth[columns.at(u, v)] = depths[0];
     else if (depths[1] > inverse_depth[columns.at(u, v)])
       continued.push_back({u, v, {depths[1]}});
   }
   found = queries.score(continued, 0);
-  for (std::size_t i = 0; i < continued.size(); ++i)
+  for (std::size_t i = 0; i < continued.size(); ++i) {
+    float& here = inverse_depth[columns.at(continued[i].u, continued[i].v)];
     if (found[i] > 0)
-      inverse_depth[columns.at(continued[i].u, continued[i].v)] = continued[i].hypotheses[0];
+      here = continued[i].hypotheses[0];
+    else if (found[i] > -kUnsureScore)
+      here = 0;
+  }
 }
 
 }  // namespace docdepth

@@ -57,7 +57,8 @@ struct ObjectImages {
 };
 
 /// Draw a dynamic object over what is farther: what the nearest sweep saw, what other sweeps saw if
-/// no ray contradicts it, and what continues it if rays confirm it.
+/// rays do not contradict it, and what continues it if rays confirm it. Between what rays confirm
+/// and what they passed through, pixels stay empty.
 /// @param bounds  of its pixels; columns as in `columns`
 /// @param rays    placed so that the object stands still among them
 void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const Camera& camera,

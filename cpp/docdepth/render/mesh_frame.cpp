@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "docdepth/render/object_rays.hpp"
 #include "docdepth/render/partitioned_mesh.hpp"
 
 namespace docdepth {
@@ -33,16 +34,19 @@ PlacedDynamicObject place(const Camera& camera, const SightedObject& object) {
     placed.bounds = placed.bounds.unite(bounds);
     list.push_back({&mesh, from.placed.T_camera_frame, from.sweep, split, object.instance});
   };
-  for (const auto& [sightings, list] : {std::pair(&object.trusted, &placed.trusted),
-                                        std::pair(&object.others, &placed.others)})
-    for (const Sighting& from : *sightings) {
-      const auto& mesh = from.placed.frame->dynamic_meshes[from.owner - 1];
-      add(*list, mesh.whole, from, false);
-      if (list == &placed.trusted) add(*list, mesh.inner, from, true);
-      add(placed.continued, mesh.outer, from, true);
-    }
-  for (const auto& [frame, T_camera_frame] : object.rays)
-    placed.rays.push_back({&frame->rays, T_camera_frame, kMovedRayBlur});
+  const auto meshes = [](const Sighting& from) -> const MeshFrame::DynamicMesh& {
+    return from.placed.frame->dynamic_meshes[from.owner - 1];
+  };
+  for (const Sighting& from : object.around) {
+    const bool nearest = &from == object.around.data();
+    add(nearest ? placed.trusted : placed.others, meshes(from).whole, from, false);
+    if (nearest) add(placed.trusted, meshes(from).inner, from, true);
+    add(placed.continued, meshes(from).outer, from, true);
+  }
+  for (const Sighting& from : object.others) add(placed.others, meshes(from).whole, from, false);
+  for (const Sighting& from : object.rays)
+    placed.rays.push_back({&from.placed.frame->dynamic_meshes[from.owner - 1].rays,
+                           from.placed.T_camera_frame, kMovedRayBlur});
   return placed;
 }
 
@@ -50,8 +54,7 @@ PlacedDynamicObject place(const Camera& camera, const SightedObject& object) {
 
 MeshFrame::MeshFrame(const MeshParts& parts) {
   const Points& points = parts.points;
-  const std::uint16_t* last = std::max_element(parts.owner, parts.owner + points.rows());
-  const std::size_t owners = points.rows() ? *last + std::size_t{1} : 1;
+  const std::size_t owners = parts.motions.size() + 1;
   auto mesh = partition_mesh(points, parts.triangles, parts.discontinuity, parts.triangle_count,
                              parts.owner, owners);
   rays = Rays(points, mesh.normals, parts.ray_origins);
@@ -70,10 +73,11 @@ MeshFrame::MeshFrame(const MeshParts& parts) {
       vertices[i] += parts.displacement->row(mesh.sources[i]).transpose();
   MeshVertices all(vertices, classes);
   static_mesh = PatchMesh(all, mesh.parts[0].whole);
+  std::vector<Rays> near = object_rays(parts, mesh.normals);
   for (std::size_t k = 1; k < owners; ++k)
     dynamic_meshes.push_back({PatchMesh(all, mesh.parts[k].whole),
                               PatchMesh(all, mesh.parts[k].inner),
-                              PatchMesh(all, mesh.parts[k].outer)});
+                              PatchMesh(all, mesh.parts[k].outer), std::move(near[k - 1])});
 }
 
 MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>& static_frames,
@@ -96,8 +100,8 @@ std::vector<float> render_meshes(const Camera& camera,
                                  const std::vector<PlacedMeshFrame>& static_frames,
                                  const std::vector<SightedObject>& objects, int visibility_sweeps,
                                  int threads) {
-  return render_triangles(
-      camera, compose_scene(camera, static_frames, objects, visibility_sweeps), threads);
+  return render_triangles(camera, compose_scene(camera, static_frames, objects, visibility_sweeps),
+                          threads);
 }
 
 }  // namespace docdepth

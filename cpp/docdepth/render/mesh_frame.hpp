@@ -11,6 +11,12 @@
 
 namespace docdepth {
 
+/// How an object moves in the frame of the sensor.
+struct ObjectMotion {
+  Eigen::Vector3f velocity;  ///< [m/s]
+  float time;                ///< at which the object is held [s after the sweep's stamp]
+};
+
 /// What a mesh frame is made of: the scan mesh of a sweep, and to whom each return belongs.
 struct MeshParts {
   const Points& points;
@@ -22,8 +28,10 @@ struct MeshParts {
   float isolated_angle;          ///< half the diagonal of the diamond as the sensor sees it [rad]
   const std::uint16_t* classid;  ///< ClassId of every point
   const std::uint16_t* owner;    ///< of every point: 0 the static surface, 1, 2, ... objects
-  const Points* displacement;    ///< moves every point to the time of its object; may be null
-  const Points* ray_origins;     ///< where the ray of every point starts; may be null
+  const std::vector<ObjectMotion>& motions;  ///< of object 1, 2, ...
+  const float* time_offset;    ///< of every point [s after the sweep's stamp]; may be null
+  const Points* displacement;  ///< moves every point to the time of its object; may be null
+  const Points* ray_origins;   ///< where the ray of every point starts; may be null
 };
 
 /// The mesh of a sweep made ready to be drawn, each dynamic object apart.
@@ -32,9 +40,10 @@ struct MeshFrame {
     PatchMesh whole;  ///< measured surface and isolated returns
     PatchMesh inner;  ///< continues it over its own discontinuities
     PatchMesh outer;  ///< continues it towards its surroundings
+    Rays rays;        ///< near it, as object_rays() moves them
   };
-  PatchMesh static_mesh;  ///< measured surface and isolated returns
-  Rays rays;              ///< as they were measured
+  PatchMesh static_mesh;                    ///< measured surface and isolated returns
+  Rays rays;                                ///< as they were measured
   std::vector<DynamicMesh> dynamic_meshes;  ///< of owner 1, 2, ...
 
   explicit MeshFrame(const MeshParts& parts);
@@ -54,10 +63,10 @@ struct Sighting {
 
 /// A dynamic object as several sweeps saw it.
 struct SightedObject {
-  std::uint16_t instance;               ///< 0 if it is not followed
-  std::vector<Sighting> trusted;        ///< drawn as they are
-  std::vector<Sighting> others;         ///< drawn where no ray contradicts them
-  std::vector<PlacedMeshFrame> rays;    ///< that tell where the object ends
+  std::uint16_t instance;        ///< 0 if it is not followed
+  std::vector<Sighting> around;  ///< sweeps around the image; the first is trusted
+  std::vector<Sighting> others;  ///< sweeps farther in time, which saw other parts of it
+  std::vector<Sighting> rays;    ///< that tell where it ends
 };
 
 /// Depth map of static surface and dynamic objects, row after row [m]; NaN if there is none.

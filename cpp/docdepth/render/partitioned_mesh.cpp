@@ -128,8 +128,7 @@ PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*trian
       if (!of) return nullptr;
       return own ? &mesh.parts[of].inner : &mesh.parts[of].outer;
     };
-    splitter.split(i, j, k, part(owner[i]), part(owner[j]),
-                   own ? kInnerShare : kOuterShare);
+    splitter.split(i, j, k, part(owner[i]), part(owner[j]), own ? kInnerShare : kOuterShare);
   }
   return mesh;
 }

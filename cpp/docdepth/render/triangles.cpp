@@ -24,9 +24,9 @@ DOCDEPTH_KERNEL void draw_dynamic_objects(const Camera& camera,
     if (bounds.empty()) continue;
     bounds.begin_u -= strip.begin, bounds.end_u -= strip.begin;
     bool seen = false;  // as long as it is false all images are empty
-    for (const auto& [meshes, image] : {std::pair(&object.trusted, &images.trusted),
-                                        std::pair(&object.others, &images.others),
-                                        std::pair(&object.continued, &images.continued)}) {
+    for (const auto& [meshes, image] :
+         {std::pair(&object.trusted, &images.trusted), std::pair(&object.others, &images.others),
+          std::pair(&object.continued, &images.continued)}) {
       for (const PlacedMesh& mesh : *meshes) seen |= draw_mesh(camera, mesh, strip);
       std::swap(*image, strip.inverse_depth);
     }

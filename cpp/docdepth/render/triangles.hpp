@@ -14,8 +14,8 @@ namespace docdepth {
 struct PlacedMesh {
   const PatchMesh* mesh;
   Pose T_camera_mesh;
-  int sweep = 0;       ///< number of its sweep, chosen by the caller
-  bool split = false;  ///< not measured: it continues a surface over a discontinuity
+  int sweep = 0;               ///< number of its sweep, chosen by the caller
+  bool split = false;          ///< not measured: it continues a surface over a discontinuity
   std::uint16_t instance = 0;  ///< of the object; 0 if it is none
 };
 

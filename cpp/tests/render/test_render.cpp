@@ -276,15 +276,15 @@ TEST_CASE(
   points << 10, 0, 0, 20, 1, 0, 20, 0, 1;
   const std::uint32_t triangle[1][3] = {{0, 1, 2}};
   const std::uint8_t whole = 0, cut = 1;
-  CHECK(partition_mesh(points, triangle, &whole, 1, {0, 0, 0}, 1).parts[0].whole.size() == 1);
+  CHECK(partition_mesh(points, triangle, &whole, 1, Owners{0, 0, 0}.data(), 1).parts[0].whole.size() == 1);
 
   // Static surface is not continued where nothing was measured.
-  const auto world = partition_mesh(points, triangle, &cut, 1, {0, 0, 0}, 1);
+  const auto world = partition_mesh(points, triangle, &cut, 1, Owners{0, 0, 0}.data(), 1);
   CHECK(world.parts[0].whole.empty());
   CHECK(world.parts[0].outer.empty());
   CHECK(world.vertices.size() == 3);
 
-  const auto split = partition_mesh(points, triangle, &cut, 1, {1, 1, 1}, 2);
+  const auto split = partition_mesh(points, triangle, &cut, 1, Owners{1, 1, 1}.data(), 2);
   CHECK(split.parts[1].whole.empty());
   CHECK(split.parts[1].outer.empty());
   REQUIRE(split.parts[1].inner.size() == 3);
@@ -295,7 +295,7 @@ TEST_CASE(
       CHECK(split.vertices[corner].norm() > 19.9);
 
   // Two owners are never joined, with or without a jump.
-  const auto border = partition_mesh(points, triangle, &whole, 1, {0, 1, 0}, 2);
+  const auto border = partition_mesh(points, triangle, &whole, 1, Owners{0, 1, 0}.data(), 2);
   CHECK(border.parts[0].whole.empty());
   CHECK(border.parts[1].whole.empty());
   CHECK(border.parts[1].inner.empty());
@@ -310,7 +310,7 @@ TEST_CASE("where two planes meet between their last returns, each goes on to the
   const std::uint32_t triangles[4][3] = {{0, 1, 2}, {3, 4, 5}, {2, 3, 4}, {1, 2, 4}};
   const std::uint8_t cut[4] = {0, 0, 1, 1};
   const auto surface =
-      partition_mesh(points, triangles, cut, 4, std::vector<std::uint32_t>(6, 1), 2);
+      partition_mesh(points, triangles, cut, 4, Owners(6, 1).data(), 2);
   CHECK(surface.parts[1].whole.size() == 2);
   REQUIRE(surface.parts[1].inner.size() == 6);
   for (const auto& part : surface.parts[1].inner)

@@ -18,7 +18,7 @@ from docdepth.render.backends import Renderer
 from docdepth.render.frame import Frame, Part
 from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import drawn_frames
-from docdepth.render.sightings import sighted_objects
+from docdepth.render.sightings import View, sighted_objects
 
 NEAR = 0.1
 """Near plane of the core's renderers [m]: points closer to the image plane are not drawn."""
@@ -122,9 +122,8 @@ def core_arguments(
             "static_size": p.static_size,
             "dynamic_size": p.dynamic_size,
         }
-    objects = sighted_objects(
-        T_camera_world, trajectory, int(time), frames, drawn, tracks or {}, len(static)
-    )
+    view = View(camera, T_camera_world, int(time))
+    objects = sighted_objects(view, trajectory, frames, drawn, tracks or {}, len(static))
     return image | {
         "static_frames": static,
         "objects": objects,

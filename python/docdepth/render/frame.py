@@ -59,7 +59,9 @@ class Frame:
     dynamic_part : Part
         The dynamic points of all LiDARs.
     objects : SweepObjects
-        Of the points that are drawn.
+        Of the points that are drawn. Triangles only.
+    T_object_sensor : ndarray of float64, shape (objects, 4, 4)
+        From the sensor of the dynamic part to each object. Triangles only.
 
     Raises
     ------
@@ -70,6 +72,7 @@ class Frame:
     parts: list[Part]
     dynamic_part: Part
     objects: SweepObjects
+    T_object_sensor: NDArray[np.float64]
 
     def __init__(
         self,
@@ -100,7 +103,7 @@ class Frame:
             sensor_rig = rig.with_ego_motion(velocity, time_offset)
         if sensor_rig is not None:
             sensor_rig = sensor_rig.select(drawn)
-        objects = objects or objects_of(points, classid, 0, np.eye(4))
+        objects = objects or objects_of(points, classid, time_offset=time_offset)
         if objects.owner.shape != (len(points),):
             raise InputError(
                 f"objects are of {len(objects.owner)} points, but there are {len(points)}"
@@ -127,6 +130,7 @@ class Frame:
             first = replace(first, ego_displacement=sensor_rig.ego_displacement)
             (whole,) = ScanMesh(points, sensor_rig=first).parts
             self.dynamic_part = _part(whole, classid, self.objects)
+        self.T_object_sensor = self.objects.T_object_lidar @ self.dynamic_part[1]
 
 
 def _checked(
@@ -159,17 +163,18 @@ def _part(mesh: LidarMesh, classid: NDArray[np.uint16], objects: SweepObjects) -
     """The mesh of one LiDAR as the core draws it; rows of other LiDARs are NaN and left out."""
     points, ray_origins = mesh.view.points, mesh.view.ray_origins()
     triangles, isolated = mesh.core.triangles, mesh.core.isolated
-    displacement = objects.displacement
-    if displacement is not None:
-        displacement = displacement @ mesh.view.T_lidar_sensor[:3, :3].astype(np.float32)
-    owner = objects.owner
+    turn = mesh.view.T_lidar_sensor[:3, :3].astype(np.float32)
+    motion = objects.motion.copy()
+    motion[:, :3] = motion[:, :3] @ turn
     if not np.isfinite(points).all():
-        own = np.isfinite(points).all(axis=1)
+        own = np.asarray(np.isfinite(points).all(axis=1))
         row = np.cumsum(own, dtype=np.uint32) - np.uint32(1)
-        points, classid, owner = points[own], classid[own], owner[own]
-        displacement = None if displacement is None else displacement[own]
+        points, classid, objects = points[own], classid[own], objects.select(own)
         ray_origins = None if ray_origins is None else ray_origins[own]
         triangles, isolated = row[triangles], row[isolated]
+    displacement = objects.displacement
+    if displacement is not None:
+        displacement = displacement @ turn
     core = _core.MeshFrame(
         points,
         classid,
@@ -177,7 +182,9 @@ def _part(mesh: LidarMesh, classid: NDArray[np.uint16], objects: SweepObjects) -
         mesh.core.discontinuity,
         isolated,
         float(np.radians(ISOLATED_SIZE_DEG)),
-        owner,
+        objects.owner,
+        motion,
+        objects.time_offset,
         displacement,
         ray_origins,
     )

@@ -36,6 +36,12 @@ class SweepObjects:
         Of objects 1, 2, ...: the id of its track, or 0 of the points that are not followed.
     times : tuple of int
         The time at which each object is held: the mean time of its measurements [ns].
+    T_object_lidar : ndarray of float64, shape (objects, 4, 4)
+        From the LiDAR to each object at that time; not used of points that are not followed.
+    motion : ndarray of float32, shape (objects, 4)
+        Velocity of each object in the LiDAR frame [m/s], and its time [s after the stamp].
+    time_offset : ndarray of float32, shape (N,), optional
+        Seconds from the stamp to each measurement.
     displacement : ndarray of float32, shape (N, 3), optional
         Moves each point from where it was measured to where it is at the time of its object [m].
     """
@@ -43,19 +49,23 @@ class SweepObjects:
     owner: NDArray[np.uint16]
     instances: tuple[int, ...]
     times: tuple[int, ...]
+    T_object_lidar: NDArray[np.float64]
+    motion: NDArray[np.float32]
+    time_offset: NDArray[np.float32] | None = None
     displacement: NDArray[np.float32] | None = None
 
     def select(self, rows: NDArray[np.bool_]) -> SweepObjects:
         """The objects of some points."""
+        late = None if self.time_offset is None else self.time_offset[rows]
         moved = None if self.displacement is None else self.displacement[rows]
-        return replace(self, owner=self.owner[rows], displacement=moved)
+        return replace(self, owner=self.owner[rows], time_offset=late, displacement=moved)
 
 
 def objects_of(
     points: NDArray[np.float32],
     classid: NDArray[np.uint16],
-    time: int,
-    T_world_lidar: NDArray[np.float64],
+    time: int = 0,
+    T_world_lidar: NDArray[np.float64] | None = None,
     instance: NDArray[np.uint16] | None = None,
     tracks: Tracks | None = None,
     time_offset: NDArray[np.float32] | None = None,
@@ -73,7 +83,7 @@ def objects_of(
     time : int
         Stamp of the sweep [ns].
     T_world_lidar : ndarray of float64, shape (4, 4)
-        Pose at the stamp.
+        Pose at the stamp. It and ``time`` matter for tracks only.
     instance : ndarray of uint16, shape (N,), optional
         Id of the track of each point, 0 = none.
     tracks : mapping of int to Track, optional
@@ -82,25 +92,45 @@ def objects_of(
     """
     tracks = tracks or {}
     rows = np.flatnonzero(classid >= DYNAMIC)
-    ids = np.zeros(len(rows), np.int64) if instance is None else instance[rows].astype(np.int64)
-    ids[~np.isin(ids, list(tracks))] = 0
-    world = points[rows].astype(np.float64) @ T_world_lidar[:3, :3].T + T_world_lidar[:3, 3]
+    ids = np.zeros(len(rows), np.int64)
     delay = np.zeros(len(rows)) if time_offset is None else time_offset[rows].astype(np.float64)
-    _carry_strays(ids, world, time, tracks)
+    pose = np.eye(4) if T_world_lidar is None else T_world_lidar
+    world = points[rows].astype(np.float64)
+    if tracks:
+        world = world @ pose[:3, :3].T + pose[:3, 3]
+        if instance is not None:
+            ids = np.where(np.isin(instance[rows], list(tracks)), instance[rows], 0).astype(
+                np.int64
+            )
+        _carry_strays(ids, world, time, tracks)
     instances, number = np.unique(ids, return_inverse=True)
     owner = np.zeros(len(points), np.uint16)
     owner[rows] = number + 1
-    times, displacement = [], None
-    if time_offset is not None and instances.any():
-        displacement = np.zeros(points.shape, np.float32)
+    count = len(instances)
+    times: list[int] = []
+    motion, T_object_lidar = np.zeros((count, 4), np.float32), np.repeat(np.eye(4)[None], count, 0)
+    displacement = np.zeros(points.shape, np.float32) if instances.any() else None
     for k, of in enumerate(instances.tolist()):
         own = number == k
         late = float(delay[own].mean())
         times.append(int(time) + round(late * 1e9))
-        if displacement is not None and of:
-            moved = _held(world[own], late - delay[own], tracks[of], times[-1])
-            displacement[rows[own]] = (moved - world[own]) @ T_world_lidar[:3, :3]
-    return SweepObjects(owner, tuple(instances.tolist()), tuple(times), displacement)
+        motion[k, 3] = late
+        if not of or displacement is None:
+            continue
+        track = tracks[of]
+        T_object_lidar[k] = inverse(track.pose_at(times[k])) @ pose
+        motion[k, :3] = track.velocity_at(times[k]) @ pose[:3, :3]
+        moved = _held(world[own], late - delay[own], track, times[k])
+        displacement[rows[own]] = (moved - world[own]) @ pose[:3, :3]
+    return SweepObjects(
+        owner,
+        tuple(instances.tolist()),
+        tuple(times),
+        T_object_lidar,
+        motion,
+        None if time_offset is None else time_offset.astype(np.float32),
+        displacement,
+    )
 
 
 def _held(
@@ -127,30 +157,6 @@ def _carry_strays(
         inside = (np.abs(local - (0, 0, 0.5 * track.size[2])) <= half).all(axis=1)
         ids[strays[inside]] = of
         strays = strays[~inside]
-
-
-def carried(
-    track: Track | None, then: int, now: int, T_world_lidar: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """``T_world_lidar`` of a sweep, moved so that what it saw of an object is where it is ``now``.
-
-    Parameters
-    ----------
-    track : Track, optional
-        None of points that are not followed: they stay where they were seen.
-    then : int
-        Time at which the sweep holds the object [ns].
-    now : int
-        Time of the image [ns].
-    T_world_lidar : ndarray of float64, shape (4, 4)
-        Pose of the sweep.
-    """
-    if track is None:
-        return T_world_lidar
-    moved: NDArray[np.float64] = (
-        track.pose_at(now) @ inverse(track.pose_at(then)) @ T_world_lidar
-    )
-    return moved
 
 
 def by_id(tracks: Sequence[Track]) -> dict[int, Track]:

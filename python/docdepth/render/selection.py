@@ -16,8 +16,8 @@ from docdepth.config import RenderParameters
 from docdepth.geometry.trajectory import Trajectory
 
 DYNAMIC_FRAMES = 4
-"""Triangles: sweeps around an image that tell what moves and where nothing is. An object hidden by a
-post in the nearest is seen by the next ones."""
+"""Triangles: sweeps around an image that tell what moves and where nothing is. An object hidden by
+a post in the nearest is seen by the next ones."""
 
 STEP_GROWTH = 0.22
 """Triangles: spacing of static sweeps over their distance to the image [-]. Seen from the camera,

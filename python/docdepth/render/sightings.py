@@ -13,91 +13,124 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth import _core
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.frame import Frame
-from docdepth.render.moving_objects import Tracks, carried
+from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import DrawnFrames
 
 SOFT_SECONDS = 0.25
-"""Sweeps farther in time from the image tell nothing about what is not rigid [s]. A step of a person
-takes half a second."""
+"""Sweeps farther in time from the image tell nothing about what is not rigid [s]. A step of a
+person takes half a second."""
 
-MOST_SIGHTINGS = 12
-"""Sweeps that an object is drawn from."""
+MOST_SIGHTINGS = 24
+"""Sweeps that an object is drawn from. Rings of one sweep lie up to a degree apart; two dozen, each
+with rings elsewhere on the object, leave gaps of a pixel."""
 
-MOST_RAYS = 12
-"""Sweeps whose rays tell where an object ends."""
+REACH = 1.0
+"""An object may reach this far beyond the box of its track [m]."""
 
-_Placed: TypeAlias = "tuple[_core.MeshFrame, NDArray[np.float64]]"
-_Sighting: TypeAlias = "tuple[_core.MeshFrame, int, NDArray[np.float64], int]"
-_Object: TypeAlias = "tuple[int, list[_Sighting], list[_Sighting], list[_Placed]]"
+MOST_RAYS = 8
+"""Sweeps whose rays tell where an object ends: those around the image and as many others."""
+
+Floats: TypeAlias = NDArray[np.float64]
+Sighting: TypeAlias = "tuple[_core.Frame | _core.MeshFrame, int, Floats, int]"
+"""A frame, the number of the object in it, ``T_camera_sensor``, and the number of the sweep."""
+SightedObject: TypeAlias = "tuple[int, list[Sighting], list[Sighting], list[Sighting]]"
+"""Instance, sightings of sweeps around the image and of others, and those whose rays tell where the
+object ends."""
 
 
 class _Seen(NamedTuple):
-    """An object in one sweep."""
+    """An object in one sweep, ``away`` from the image in time [ns]."""
 
+    number: int
     sweep: int
     owner: int
+    away: int
+
+
+class View(NamedTuple):
+    """What is drawn and when: the camera at the time [ns] of the image."""
+
+    camera: Camera
+    T_camera_world: Floats
     time: int
 
 
 def sighted_objects(
-    T_camera_world: NDArray[np.float64],
+    view: View,
     trajectory: Trajectory,
-    time: int,
     frames: Callable[[int], Frame],
     drawn: DrawnFrames,
     tracks: Tracks,
     first_number: int,
-) -> list[_Object]:
+) -> list[SightedObject]:
     """The argument ``objects`` of the core's renderers.
 
     Sweep ``k`` of ``drawn.sighted`` has the number ``first_number + k``.
     """
-    number = {sweep: first_number + k for k, sweep in enumerate(drawn.sighted)}
     seen: dict[int, list[_Seen]] = {}
-    for sweep in drawn.sighted:
+    for number, sweep in enumerate(drawn.sighted, first_number):
         objects = frames(sweep).objects
-        for k, instance in enumerate(objects.instances):
-            seen.setdefault(instance, []).append(_Seen(sweep, k + 1, objects.times[k]))
-    found = []
+        for owner, instance in enumerate(objects.instances, 1):
+            away = abs(objects.times[owner - 1] - view.time)
+            seen.setdefault(instance, []).append(_Seen(number, sweep, owner, away))
+    found: list[SightedObject] = []
+    strays = [one for one in seen.pop(0, []) if one.sweep == drawn.dynamic[0]]
+    for one in strays:
+        T_camera_lidar = view.T_camera_world @ trajectory.poses[one.sweep]
+        core, T_lidar_sensor = frames(one.sweep).dynamic_part
+        placed = [(core, one.owner, T_camera_lidar @ T_lidar_sensor, one.number)]
+        found.append((0, placed, [], placed))
     for instance in sorted(seen):
-        track = tracks.get(instance)
-        around, others = _chosen(seen[instance], drawn, track is not None and track.kind, time)
-
-        def placed(view: _Seen, track=track) -> _Placed:
-            core, T_lidar_sensor = frames(view.sweep).dynamic_part
-            T_world_lidar = carried(track, view.time, time, trajectory.poses[view.sweep])
-            return core, T_camera_world @ T_world_lidar @ T_lidar_sensor
-
-        def sighting(view: _Seen) -> _Sighting:
-            core, T_camera_sensor = placed(view)
-            return core, view.owner, T_camera_sensor, number[view.sweep]
-
-        if not around and not others:
+        T_camera_object = view.T_camera_world @ tracks[instance].pose_at(view.time)
+        if not _in_view(view.camera, T_camera_object, tracks[instance]):
             continue
-        rays = [placed(view) for view in (around + others)[:MOST_RAYS]]
-        found.append(
-            (
-                instance,
-                [sighting(view) for view in around[:1]],
-                [sighting(view) for view in around[1:] + others],
-                rays,
-            )
+        around, others = (
+            [_sighting(frames(one.sweep), one, T_camera_object) for one in some]
+            for some in _chosen(seen[instance], drawn, tracks[instance])
         )
+        if around or others:
+            found.append((instance, around, others, (around + others)[:MOST_RAYS]))
     return found
 
 
-def _chosen(
-    seen: list[_Seen], drawn: DrawnFrames, kind: str | bool, time: int
-) -> tuple[list[_Seen], list[_Seen]]:
+def _sighting(frame: Frame, seen: _Seen, T_camera_object: Floats) -> Sighting:
+    T_camera_sensor = T_camera_object @ frame.T_object_sensor[seen.owner - 1]
+    return frame.dynamic_part[0], seen.owner, T_camera_sensor, seen.number
+
+
+def _in_view(camera: Camera, T_camera_object: Floats, track: Track) -> bool:
+    """Whether the camera may see something of the object."""
+    radius = float(np.linalg.norm(track.size)) / 2 + REACH
+    x, y, z = T_camera_object[:3, :3] @ (0, 0, 0.5 * track.size[2]) + T_camera_object[:3, 3]
+    if z < -radius:
+        return False
+    for offset, focal, centre, pixels in (
+        (x, camera.K[0, 0], camera.K[0, 2], camera.width),
+        (y, camera.K[1, 1], camera.K[1, 2], camera.height),
+    ):
+        for normal, limit in ((focal, centre), (-focal, pixels - centre)):
+            # Distance to the plane through the camera and a border of the image.
+            if (normal * offset + limit * z) / np.hypot(normal, limit) < -radius:
+                return False
+    return True
+
+
+def _chosen(seen: list[_Seen], drawn: DrawnFrames, track: Track) -> tuple[list[_Seen], list[_Seen]]:
     """The views of an object from the sweeps around the image, and from others."""
-    if not kind:
-        return [view for view in seen if view.sweep == drawn.dynamic[0]], []
-    around = [view for view in seen if view.sweep in drawn.dynamic]
-    around.sort(key=lambda view: abs(view.time - time))
-    if kind != "vehicle":
-        return [v for v in around if abs(v.time - time) <= SOFT_SECONDS * 1e9], []
-    others = [view for view in seen if view.sweep not in drawn.dynamic]
-    others.sort(key=lambda view: abs(view.time - time))
-    return around, others[: MOST_SIGHTINGS - len(around)]
+    around = sorted((view for view in seen if view.sweep in drawn.dynamic), key=_away)
+    if track.kind != "vehicle":
+        return [view for view in around if view.away <= SOFT_SECONDS * 1e9], []
+    others = sorted((view for view in seen if view.sweep not in drawn.dynamic), key=_away)
+    room = MOST_SIGHTINGS - len(around)
+    if len(others) > room:
+        spread = np.linspace(0, len(others) - 1, room).round().astype(int)
+        others = [others[i] for i in spread.tolist()]
+    return around, others
+
+
+def _away(view: _Seen) -> int:
+    return view.away
