@@ -63,6 +63,7 @@ std::unique_ptr<MeshFrame> make_mesh_frame(
   const float* times = time_offset ? as_column(*time_offset, map.rows(), "time_offset") : nullptr;
   if (motion.ndim() != 2 || motion.shape(1) != 4)
     throw std::invalid_argument("motion must be a float32 array of shape (objects, 4)");
+  in_range(double(motion.shape(0)), 0, 0xFFFF, "the number of objects");
   std::vector<ObjectMotion> motions;
   for (py::ssize_t k = 0; k < motion.shape(0); ++k)
     motions.push_back({{motion.at(k, 0), motion.at(k, 1), motion.at(k, 2)}, motion.at(k, 3)});

@@ -13,7 +13,7 @@ using Matrix = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
 
 /// Directions around an object: azimuths relative to one of its returns, so that no seam is near.
 struct Around {
-  Direction centre;
+  Direction centre{};
   std::int32_t left = 0, right = 0, low = 0, high = 0;
   float nearest = INFINITY;  ///< range of its nearest return [m]
 

@@ -269,6 +269,8 @@ TEST_CASE("other sweeps only fill what the trusted mesh of an object left empty"
   }
 }
 
+using Owners = std::vector<std::uint16_t>;
+
 TEST_CASE(
     "a discontinuity of an object is split near the middle, each side at the range of its "
     "corners") {
@@ -276,7 +278,9 @@ TEST_CASE(
   points << 10, 0, 0, 20, 1, 0, 20, 0, 1;
   const std::uint32_t triangle[1][3] = {{0, 1, 2}};
   const std::uint8_t whole = 0, cut = 1;
-  CHECK(partition_mesh(points, triangle, &whole, 1, Owners{0, 0, 0}.data(), 1).parts[0].whole.size() == 1);
+  CHECK(partition_mesh(points, triangle, &whole, 1, Owners{0, 0, 0}.data(), 1)
+            .parts[0]
+            .whole.size() == 1);
 
   // Static surface is not continued where nothing was measured.
   const auto world = partition_mesh(points, triangle, &cut, 1, Owners{0, 0, 0}.data(), 1);
@@ -309,8 +313,7 @@ TEST_CASE("where two planes meet between their last returns, each goes on to the
   points << 4, -1, -2, 4, 1, -2, 6, 0, -2, 10, -1, 0, 10, 1, 0, 10, 0, 1;
   const std::uint32_t triangles[4][3] = {{0, 1, 2}, {3, 4, 5}, {2, 3, 4}, {1, 2, 4}};
   const std::uint8_t cut[4] = {0, 0, 1, 1};
-  const auto surface =
-      partition_mesh(points, triangles, cut, 4, Owners(6, 1).data(), 2);
+  const auto surface = partition_mesh(points, triangles, cut, 4, Owners(6, 1).data(), 2);
   CHECK(surface.parts[1].whole.size() == 2);
   REQUIRE(surface.parts[1].inner.size() == 6);
   for (const auto& part : surface.parts[1].inner)
