@@ -25,6 +25,9 @@ from docdepth.synthetic import Drive, scene, sensor, sensors, write_drive
 
 # Sweeps of a whole drive: as long as something happens.
 FRAMES = {"crossing": 100, "city": 125, "hills": 80, "residential": 90, "highway": 70}
+# Drives of a suite if none are named: those of the published tables.
+SUITE = tuple(FRAMES)
+FRAMES |= {"arrivals": 150, "overtaking": 90, "queue": 140}
 # SemanticKITTI: road, parking, pavement, other ground, lane marking, terrain.
 GROUND_LABELS = (40, 44, 48, 49, 60, 72)
 
@@ -58,17 +61,17 @@ class Cell:
             raise RunError(f"{about.parent} holds another drive than {wanted}; delete it")
         return about.parent
 
-    def run(self) -> RunFolder:
+    def run(self, path: Path | None = None, parameters: Parameters | None = None) -> RunFolder:
         """Run folder of the drive with exact poses, ready for the classification."""
-        sequence = self.sequence()
-        path = self.folder / "run"
+        sequence, p = self.sequence(), parameters or Parameters()
+        path = path or self.folder / "run"
         run, source = RunFolder(path), {"poses": "exact"}
         if run.manifest:
             # Trials fill up their parameters from those of the run: these must be today's.
-            run.manifest |= {"source": source, "parameters": Parameters().model_dump()}
+            run.manifest |= {"source": source, "parameters": p.model_dump()}
             run.save()
         else:
-            run = RunFolder.create(path, source, Parameters())
+            run = RunFolder.create(path, source, p)
         dataset = open_dataset(sequence)
         run_odometry(run, dataset, dataset.poses)
         return run
@@ -157,7 +160,7 @@ class ExactDrive:
 def add_cell_arguments(parser: argparse.ArgumentParser, images: int) -> None:
     """Arguments that choose cells: scenes, sensors, seed, length and images."""
     parser.add_argument("drives", type=Path, help="folder of the drives; missing ones are made")
-    parser.add_argument("--scenes", nargs="+", default=list(FRAMES), choices=list(FRAMES))
+    parser.add_argument("--scenes", nargs="+", default=list(SUITE), choices=list(FRAMES))
     parser.add_argument("--sensors", nargs="+", choices=list(sensors()))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--frames", type=int, help="sweeps per drive instead of the usual number")

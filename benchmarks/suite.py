@@ -9,7 +9,8 @@ classes and depth are measured, odometry is not.
 
 `temporarily static` are points of objects that stand at that moment and move at another. `travel in
 view` are those whose object travels at least half a metre while it has returns: the others, such as
-a car that departs as the drive ends, cannot be known to move.
+a car that departs as the drive ends, cannot be known to move. Of these, `arrived` has been seen to
+move and stands from then on, `depart` has not been seen to move yet.
 
 An interrupted suite resumes when the command is given again. After a change of the code, give
 another -o.
@@ -80,7 +81,7 @@ def label_rows(
     rows = {}
     for outcome in outcomes:
         row = {name: outcome.metric(name) for name in ("sa", "da", "f1", "precision", "iou")}
-        for name in ("temporarily_static", "seen_to_move"):
+        for name in ("temporarily_static", "seen_to_move", "arrived", "departs"):
             points, da = outcome.metrics[name]["points"], outcome.metrics[name]["da"]
             row |= {name: math.nan if da is None else da, f"{name}_points": points or math.nan}
         rows[outcome.name] = row
@@ -176,6 +177,10 @@ LABEL_COLUMNS = [
     Column("temporarily_static_points", "of points", 0),
     Column("seen_to_move", "travel in view: DA %", 1),
     Column("seen_to_move_points", "of points", 0),
+    Column("arrived", "arrived: DA %", 1),
+    Column("arrived_points", "of points", 0),
+    Column("departs", "depart: DA %", 1),
+    Column("departs_points", "of points", 0),
 ]
 DEPTH_COLUMNS = [
     Column("density", "density on surfaces %", 1),

@@ -191,3 +191,26 @@ def test_objects_that_travel_in_view_are_counted_apart():
     assert result.seen_to_move.dynamic == 6 * 2
     assert result.seen_to_move.da == pytest.approx(100 * 8 / 12)
     assert result.as_dict()["seen_to_move"] == {"points": 12, "da": result.seen_to_move.da}
+
+
+def test_standing_points_before_between_and_after_motion_are_counted_apart():
+    """Car 1 departs, pauses and arrives; car 2 arrives; car 3 only stands; car 4 creeps."""
+    sweeps = {  # speed of each car, sweep by sweep
+        1: [0, 0, 2, 2, 0, 2, 2, 0, 0, 0],
+        2: [3, 3, 3, 0, 0, 0, 0, 0, 0, 0],
+        3: [0] * 10,
+        4: [0.2] * 10,
+    }
+    labels = np.repeat([252 | k << 16 for k in sweeps], [1, 3, 5, 7]).astype(np.uint32)
+    evaluation = LabelEvaluation()
+    for i in range(10):
+        speeds = np.repeat([v[i] for v in sweeps.values()], [1, 3, 5, 7]).astype(float)
+        evaluation.add(labels, np.full(16, i == 9), speeds=speeds, seconds=0.5)
+    result = evaluation.result()
+    assert result.seen_to_move.dynamic == (2 + 1 + 3) + 3 * 7 + 7 * 10
+    assert (result.departs.dynamic, result.departs.dynamic_found) == (2, 0)
+    assert (result.arrived.dynamic, result.arrived.dynamic_found) == (3 + 3 * 7, 1 + 3)
+    written = result.as_dict()
+    assert written["arrived"] == {"points": 24, "da": pytest.approx(100 * 4 / 24)}
+    assert written["departs"] == {"points": 2, "da": 0.0}
+    assert any(row[0].strip() == "arrived" for row in result.table().rows)

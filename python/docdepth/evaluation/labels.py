@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -13,12 +13,22 @@ from numpy.typing import NDArray
 
 from docdepth.errors import InputError
 from docdepth.evaluation.label_counts import HEADER, NOTE, LabelCounts, ignored, moving
+from docdepth.evaluation.objects import (
+    MOVING_SPEED,
+    SeenObject,
+    each_object,
+    instances,
+    median_speed,
+)
 from docdepth.evaluation.tables import Table, number, plain
 
-# Slower objects are standing at that moment [m/s].
-_MOVING_SPEED = 0.3
-# An object that travels less while it has returns cannot be seen to move [m].
-_MIN_TRAVEL = 0.5
+# Points of objects that stand at that moment and move at another: names and headings.
+_STANDING = (
+    ("temporarily_static", "temporarily static"),
+    ("seen_to_move", "  travel in view"),
+    ("arrived", "    arrived"),
+    ("departs", "    depart"),
+)
 
 # Distances from the sensor that are reported apart [m].
 RANGE_BINS = (0.0, 10.0, 20.0, 30.0, 50.0, 80.0, math.inf)
@@ -56,6 +66,9 @@ class LabelResult:
         Of these, the points of objects that travel at least half a metre while they have returns.
         The others cannot be known to move: a parked car may leave as the drive ends, or out of
         sight. None without speeds.
+    arrived, departs : LabelCounts, optional
+        Of these, the points of objects that have been seen to move and stand from then on, and of
+        those that have not been seen to move yet. The others pause. None without speeds.
     by_range : tuple of RangeCounts
         Empty without ranges.
     ignored : int
@@ -69,6 +82,8 @@ class LabelResult:
     with_standing: LabelCounts | None = None
     temporarily_static: LabelCounts | None = None
     seen_to_move: LabelCounts | None = None
+    arrived: LabelCounts | None = None
+    departs: LabelCounts | None = None
     by_range: tuple[RangeCounts, ...] = field(default=())
     ignored: int = 0
 
@@ -81,15 +96,12 @@ class LabelResult:
             "ignored": self.ignored,
             **self.counts.as_dict(),
         }
-        if self.with_standing is not None and self.temporarily_static is not None:
+        if self.with_standing is not None:
             result["with_standing"] = self.with_standing.as_dict()
-            result["temporarily_static"] = {
-                "points": self.temporarily_static.dynamic,
-                "da": self.temporarily_static.da,
-            }
-        if self.seen_to_move is not None:
-            seen = self.seen_to_move
-            result["seen_to_move"] = {"points": seen.dynamic, "da": seen.da}
+        for name, _ in _STANDING:
+            standing: LabelCounts | None = getattr(self, name)
+            if standing is not None:
+                result[name] = {"points": standing.dynamic, "da": standing.da}
         result["by_range"] = [
             {"near": row.near, "far": row.far, **row.counts.as_dict()} for row in self.by_range
         ]
@@ -98,11 +110,12 @@ class LabelResult:
     def table(self) -> Table:
         """One row for all points, and one per range."""
         rows = [("all", *self.counts.cells())]
-        if self.with_standing is not None and self.temporarily_static is not None:
+        if self.with_standing is not None:
             rows = [("moving now", *self.counts.cells())]
-            standing = self.temporarily_static
-            cells = ["-", f"{standing.dynamic:,}", "-", number(standing.da, 2), *["-"] * 4]
-            rows.append(("temporarily static", *cells))
+            for name, heading in _STANDING:
+                standing: LabelCounts = getattr(self, name) or LabelCounts()
+                cells = ["-", f"{standing.dynamic:,}", "-", number(standing.da, 2), *["-"] * 4]
+                rows.append((heading, *cells))
             rows.append(("both", *self.with_standing.cells()))
         for row in self.by_range:
             far = "" if math.isinf(row.far) else f"{row.far:g}"
@@ -127,7 +140,7 @@ class LabelEvaluation:
     def __init__(
         self,
         poses: str = "not stated",
-        min_speed: float = _MOVING_SPEED,
+        min_speed: float = MOVING_SPEED,
         range_bins: Sequence[float] = RANGE_BINS,
     ) -> None:
         self._poses = poses
@@ -137,9 +150,7 @@ class LabelEvaluation:
             raise InputError(f"range bins must increase, got {self._bins}")
         self._counts, self._standing = LabelCounts(), LabelCounts()
         self._by_range = [LabelCounts() for _ in self._bins[1:]]
-        # By instance: metres travelled so far, and the points labelled while it stood.
-        self._travel: dict[int, float] = {}
-        self._standing_of: dict[int, LabelCounts] = {}
+        self._objects: dict[int, SeenObject] = {}
         self._sweeps = self._ignored = self._with_speeds = self._with_ranges = 0
 
     def add(
@@ -177,8 +188,11 @@ class LabelEvaluation:
             speeds = _values("speeds", speeds, len(truth))
             standing = truth & counted & ~(speeds > self._min_speed)
             self._standing += LabelCounts.of(truth[standing], dynamic[standing])
-            instance = np.asarray(labels).astype(np.uint32, copy=False) >> np.uint32(16)
-            self._add_objects(instance, truth & counted, standing, dynamic, speeds * seconds)
+            for key, rows in each_object(instances(labels), truth & counted):
+                stands = rows[standing[rows]]
+                counts = LabelCounts.of(truth[stands], dynamic[stands])
+                found = self._objects.setdefault(key, SeenObject())
+                found.add(median_speed(speeds[rows]), seconds, counts, self._min_speed)
         now = counted & ~standing
         self._counts += LabelCounts.of(truth[now], dynamic[now])
         if ranges is not None:
@@ -190,22 +204,6 @@ class LabelEvaluation:
         self._ignored += int(len(truth) - np.count_nonzero(counted))
         self._with_speeds += speeds is not None
         self._with_ranges += ranges is not None
-
-    def _add_objects(
-        self,
-        instance: NDArray[np.uint32],
-        truth: NDArray[np.bool_],
-        standing: NDArray[np.bool_],
-        dynamic: NDArray[np.bool_],
-        travel: NDArray[Any],
-    ) -> None:
-        """Sum the path length of each moving object, and count its points while it stands."""
-        for k in np.unique(instance[truth]).tolist():
-            here = truth & (instance == k)
-            self._travel[k] = self._travel.get(k, 0.0) + float(np.median(travel[here]))
-            here &= standing
-            counts = LabelCounts.of(truth[here], dynamic[here])
-            self._standing_of[k] = self._standing_of.get(k, LabelCounts()) + counts
 
     def result(self) -> LabelResult:
         """Metrics of all sweeps added so far.
@@ -224,8 +222,7 @@ class LabelEvaluation:
         protocol = "point by point, classes 251..259 dynamic, 0 and 1 ignored"
         if speeds:
             protocol += f", moving now means above {self._min_speed:g} m/s"
-        visible = [n for k, n in self._standing_of.items() if self._travel[k] >= _MIN_TRAVEL]
-        seen = sum(visible, LabelCounts())
+        travel = [o for o in self._objects.values() if o.seen_to_move]
         by_range: tuple[RangeCounts, ...] = ()
         if self._with_ranges:
             bins = zip(pairwise(self._bins), self._by_range, strict=True)
@@ -237,10 +234,16 @@ class LabelEvaluation:
             counts=self._counts,
             with_standing=self._counts + self._standing if speeds else None,
             temporarily_static=self._standing if speeds else None,
-            seen_to_move=seen if speeds else None,
+            seen_to_move=_sum(o.standing for o in travel) if speeds else None,
+            arrived=_sum(o.arrived for o in travel) if speeds else None,
+            departs=_sum(o.departs for o in travel) if speeds else None,
             by_range=by_range,
             ignored=self._ignored,
         )
+
+
+def _sum(counts: Iterable[LabelCounts]) -> LabelCounts:
+    return sum(counts, LabelCounts())
 
 
 def _flags(dynamic: NDArray[np.bool_], points: int) -> NDArray[np.bool_]:

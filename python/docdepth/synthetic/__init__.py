@@ -1,6 +1,6 @@
 """Synthetic drives with exact ground truth: scenes, LiDAR models and a camera."""
 
-from docdepth.synthetic.actors import Actor, Pace, Part, Path, Standing
+from docdepth.synthetic.actors import Actor, Pace, Part, Path, Speeds, Standing
 from docdepth.synthetic.drive import Drive, TrueSweep, kitti_rig, sweeps_of
 from docdepth.synthetic.mesh import Mesh, Paint, box, pose_of
 from docdepth.synthetic.photo import View
@@ -20,6 +20,7 @@ __all__ = [
     "Path",
     "Scene",
     "Sensor",
+    "Speeds",
     "Standing",
     "TrueSweep",
     "View",

@@ -12,6 +12,9 @@ from docdepth.geometry.track import Kind
 from docdepth.synthetic.mesh import Mesh
 from docdepth.synthetic.road import Floats, Road, resting_poses
 
+Swing = Callable[[Floats, Floats, Floats], Floats]
+"""Poses (n, 4, 4) in the actor's frame, from times [s], distances [m] and speeds [m/s], (n,)."""
+
 
 @dataclass(frozen=True)
 class Pace:
@@ -29,8 +32,6 @@ class Pace:
         Amplitude of a speed variation, as a share of ``speed``.
     period : float
         Period of that variation [s].
-    stop : float
-        Time at which it starts to brake to a stop [s].
     """
 
     speed: float
@@ -38,9 +39,10 @@ class Pace:
     acceleration: float = 1.8
     wave: float = 0.0
     period: float = 7.0
-    stop: float = np.inf
 
-    def _covered(self, t: Floats) -> Floats:
+    def distance(self, times: ArrayLike) -> Floats:
+        """Distance travelled by ``times`` [s], metres; 0 at time 0 if it has always been moving."""
+        t = np.asarray(times, np.float64)
         if np.isinf(self.departure):
             turn = 2 * np.pi / self.period
             return self.speed * (t + self.wave * np.sin(turn * t) / turn)
@@ -49,18 +51,49 @@ class Pace:
         gaining = np.minimum(since, ramp)
         return 0.5 * self.acceleration * gaining**2 + self.speed * (since - gaining)
 
-    def distance(self, times: ArrayLike) -> Floats:
-        """Distance travelled by ``times`` [s], metres; 0 at time 0 if it has always been moving."""
-        t = np.asarray(times, np.float64)
-        braking = np.clip(t - self.stop, 0.0, self.speed / self.acceleration)
-        slowed = self.speed * braking - 0.5 * self.acceleration * braking**2
-        return self._covered(np.minimum(t, self.stop)) + slowed
-
     def at(self, times: ArrayLike) -> Floats:
         """Speed at ``times`` [s], m/s."""
         t = np.asarray(times, np.float64)
         half = 1e-3
         return (self.distance(t + half) - self.distance(t - half)) / (2 * half)
+
+
+@dataclass(frozen=True)
+class Speeds:
+    """Speed profile by knots: speed changes linearly between them and is constant outside.
+
+    Attributes
+    ----------
+    times : sequence of float
+        Increasing [s].
+    speeds : sequence of float
+        Speed at each of these times [m/s].
+    """
+
+    times: Sequence[float]
+    speeds: Sequence[float]
+
+    def _covered(self, t: Floats) -> Floats:
+        knots, speeds = np.asarray(self.times, np.float64), np.asarray(self.speeds, np.float64)
+        steps = 0.5 * (speeds[1:] + speeds[:-1]) * np.diff(knots)
+        before = np.concatenate([[0.0], np.cumsum(steps)])
+        piece = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 1)
+        since = t - knots[piece]
+        # Outside the knots np.interp is constant, so this trapezoid is exact everywhere.
+        result: Floats = before[piece] + 0.5 * (speeds[piece] + self.at(t)) * since
+        return result
+
+    def distance(self, times: ArrayLike) -> Floats:
+        """Distance travelled since time 0 by ``times`` [s], metres."""
+        return self._covered(np.asarray(times, np.float64)) - self._covered(np.zeros(()))
+
+    def at(self, times: ArrayLike) -> Floats:
+        """Speed at ``times`` [s], m/s."""
+        return np.interp(np.asarray(times, np.float64), self.times, self.speeds)
+
+    def later(self, seconds: float) -> Speeds:
+        """The same profile, ``seconds`` later."""
+        return Speeds([time + seconds for time in self.times], self.speeds)
 
 
 @dataclass(frozen=True)
@@ -71,7 +104,7 @@ class Path:
     ----------
     road : Road
     points : ndarray of float64, shape (k, 2)
-    pace : Pace
+    pace : Pace or Speeds
     start : float
         Position along the path at which the distance of ``pace`` is 0 [m].
     length, width : float
@@ -81,7 +114,7 @@ class Path:
 
     road: Road
     points: Floats
-    pace: Pace
+    pace: Pace | Speeds
     start: float = 0.0
     length: float = 2.6
     width: float = 1.5
@@ -130,10 +163,10 @@ class Standing:
 
 @dataclass(frozen=True)
 class Part:
-    """A rigid part of an actor; ``swing`` gives its poses (n, 4, 4) from distance and speed."""
+    """A rigid part of an actor; ``swing`` gives its poses (n, 4, 4) from time, distance, speed."""
 
     mesh: Mesh
-    swing: Callable[[Floats, Floats], Floats] | None = None
+    swing: Swing | None = None
 
 
 @dataclass(frozen=True)
@@ -190,18 +223,16 @@ class Actor:
         poses = self.path.poses(times)
         distance, speed = self.path.distance(times), self.speed(times)
         return [
-            poses if part.swing is None else poses @ part.swing(distance, speed)
+            poses if part.swing is None else poses @ part.swing(times, distance, speed)
             for part in self.parts
         ]
 
 
-def swinging(
-    pivot: ArrayLike, amplitude: float, stride: float, phase: float
-) -> Callable[[Floats, Floats], Floats]:
+def swinging(pivot: ArrayLike, amplitude: float, stride: float, phase: float) -> Swing:
     """A limb that swings around the y axis through ``pivot``, once per ``stride`` metres."""
     x, _, z = np.asarray(pivot, np.float64)
 
-    def swing(distance: Floats, speed: Floats) -> Floats:
+    def swing(times: Floats, distance: Floats, speed: Floats) -> Floats:
         # The amplitude fades below 0.5 m/s, so that limbs rest while the person stands.
         angle = amplitude * np.clip(speed / 0.5, 0.0, 1.0)
         angle = angle * np.sin(2 * np.pi * distance / stride + phase)
@@ -215,3 +246,33 @@ def swinging(
         return poses
 
     return swing
+
+
+def sliding(to: ArrayLike, opens: float, closes: float, seconds: float = 1.5) -> Swing:
+    """A door that slides by ``to`` (x, y, z) [m] from ``opens`` on, and back from ``closes`` on."""
+    shift = np.asarray(to, np.float64)
+
+    def swing(times: Floats, distance: Floats, speed: Floats) -> Floats:
+        share = np.clip((times - opens) / seconds, 0.0, 1.0)
+        share = share - np.clip((times - closes) / seconds, 0.0, 1.0)
+        poses = np.repeat(np.eye(4)[None], len(share), axis=0)
+        poses[:, :3, 3] = share[:, None] * shift
+        return poses
+
+    return swing
+
+
+def rounded(points: ArrayLike, radius: float) -> Floats:
+    """The polyline (k, 2) with its inner corners replaced by curves that begin ``radius`` away."""
+    corners = np.asarray(points, np.float64)
+    bend = np.linspace(0.0, 1.0, 9)[:, None]
+    pieces = [corners[:1]]
+    for before, corner, after in zip(corners, corners[1:], corners[2:], strict=False):
+        ends = []
+        for other in (before, after):
+            length = float(np.linalg.norm(other - corner))
+            ends.append(corner + (other - corner) * min(radius / length, 0.5))
+        # A quadratic Bezier curve: tangent to both sides of the corner.
+        first, last = ends
+        pieces.append((1 - bend) ** 2 * first + 2 * bend * (1 - bend) * corner + bend**2 * last)
+    return np.concatenate([*pieces, corners[-1:]])

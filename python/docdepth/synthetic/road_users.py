@@ -30,7 +30,7 @@ CLOTHES: tuple[Colour, ...] = (
 )
 
 
-def _hull(stations: NDArray[np.float64], paint: Paint) -> Mesh:
+def hull(stations: NDArray[np.float64], paint: Paint) -> Mesh:
     """A body from stations (x, z_low, z_high, width_low, width_high), with bevelled edges."""
     x, low, high, below, above = stations.T
     bevel = 0.18 * (high - low)
@@ -41,7 +41,7 @@ def _hull(stations: NDArray[np.float64], paint: Paint) -> Mesh:
     return loft(np.stack([np.repeat(x[:, None], 8, axis=1), y, z], axis=2), paint)
 
 
-def _wheels(label: int, xs: tuple[float, ...], track: float, radius: float) -> Mesh:
+def wheels(label: int, xs: tuple[float, ...], track: float, radius: float) -> Mesh:
     tyre = Paint(label, (0.06, 0.06, 0.06), 0.08)
     rim = Paint(label, (0.55, 0.55, 0.57), 0.4)
     parts = []
@@ -53,7 +53,7 @@ def _wheels(label: int, xs: tuple[float, ...], track: float, radius: float) -> M
     return merged(parts)
 
 
-def _plates_and_lamps(label: int, length: float, width: float, height: float) -> Mesh:
+def plates_and_lamps(label: int, length: float, width: float, height: float) -> Mesh:
     plate = Paint(label, (0.9, 0.9, 0.85), 2.0)
     lamp = Paint(label, (0.6, 0.1, 0.08), 1.5)
     head = Paint(label, (0.85, 0.85, 0.8), 0.6)
@@ -107,12 +107,12 @@ def car(rng: Rng, label: int = 10) -> Mesh:
     ]
     return merged(
         [
-            _hull(body, paint),
-            _hull(cabin, glass),
-            _hull(roof, paint),
+            hull(body, paint),
+            hull(cabin, glass),
+            hull(roof, paint),
             *mirrors,
-            _wheels(label, (-0.58 * half, 0.62 * half), width - 0.04, 0.31),
-            _plates_and_lamps(label, 2 * half, width, 0.72),
+            wheels(label, (-0.58 * half, 0.62 * half), width - 0.04, 0.31),
+            plates_and_lamps(label, 2 * half, width, 0.72),
         ]
     )
 
@@ -137,9 +137,9 @@ def van(rng: Rng, label: int = 20) -> Mesh:
     pane = np.array(
         [(half - 1.3, 1.3, height - 0.2, 1.75, 1.6), (half - 0.6, 1.26, 1.4, 1.8, 1.75)]
     )
-    wheels = _wheels(label, (-0.55 * half, 0.62 * half), width - 0.04, 0.34)
-    trim = _plates_and_lamps(label, 2 * half, width, 0.95)
-    return merged([_hull(body, paint), _hull(pane, glass), wheels, trim])
+    tyres = wheels(label, (-0.55 * half, 0.62 * half), width - 0.04, 0.34)
+    trim = plates_and_lamps(label, 2 * half, width, 0.95)
+    return merged([hull(body, paint), hull(pane, glass), tyres, trim])
 
 
 def truck(rng: Rng, label: int = 18, length: float = 9.0) -> Mesh:
@@ -153,8 +153,8 @@ def truck(rng: Rng, label: int = 18, length: float = 9.0) -> Mesh:
         box((2.0, 2.4, 2.3), (half - 1.0, 0, 1.75), cab),
         box((0.04, 2.1, 0.8), (half, 0, 2.3), Paint(label, (0.13, 0.16, 0.18), 0.03)),
         box((length - 1.0, 0.9, 0.25), (-0.2, 0, 0.85), Paint(label, (0.1, 0.1, 0.1), 0.1)),
-        _wheels(label, (-half + 1.2, -half + 2.5, half - 1.3), 2.45, 0.5),
-        _plates_and_lamps(label, length, 2.4, 0.8),
+        wheels(label, (-half + 1.2, -half + 2.5, half - 1.3), 2.45, 0.5),
+        plates_and_lamps(label, length, 2.4, 0.8),
     ]
     return merged(parts)
 

@@ -15,7 +15,8 @@ from docdepth.synthetic.street import PAINTS, Scene, Street, bumps, generator, w
 Kinds = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 
 
-def _highway_road(start: float, end: float, rng: np.random.Generator) -> Road:
+def highway_road(start: float, end: float, rng: np.random.Generator) -> Road:
+    """Three lanes and a shoulder per direction, on an embankment and in a cutting."""
     edge = 14.6
 
     def profile(s: Floats, d: Floats) -> Floats:
@@ -60,16 +61,16 @@ def highway(seed: int) -> Scene:
     """Three lanes per direction at 27 m/s: guard rails, verges, embankments, slower lorries."""
     rng = generator("highway", seed)
     start, end = -140.0, 560.0
-    road = _highway_road(start, end, rng)
+    road = highway_road(start, end, rng)
     street = Street(road, rng)
-    _highway_roadside(street, start, end)
+    highway_roadside(street, start, end)
     _highway_traffic(street)
     street.park(road_users.car(rng), 120.0, -13.6)
     ego = Path(road, np.array([(0.0, -6.9), (100.0, -6.9)]), Pace(27.0, wave=0.02))
     return street.scene("highway", seed, ego, 15.0, step=1.5)
 
 
-def _highway_roadside(street: Street, start: float, end: float) -> None:
+def highway_roadside(street: Street, start: float, end: float) -> None:
     """Guard rails, a noise barrier, plants, markers and signs."""
     rng = street.rng
     for s in np.arange(start + 6, end - 6, 12.0):

@@ -5,13 +5,17 @@ from __future__ import annotations
 from docdepth.errors import InputError
 from docdepth.synthetic.rural import highway, hills
 from docdepth.synthetic.street import Scene
+from docdepth.synthetic.traffic import arrivals, overtaking, queue
 from docdepth.synthetic.urban import city, crossing, residential
 
 SCENES = {
+    "arrivals": arrivals,
     "city": city,
     "crossing": crossing,
     "highway": highway,
     "hills": hills,
+    "overtaking": overtaking,
+    "queue": queue,
     "residential": residential,
 }
 
@@ -21,7 +25,8 @@ def scene(name: str, seed: int = 0) -> Scene:
 
     Parameters
     ----------
-    name : {"city", "crossing", "highway", "hills", "residential"}
+    name : str
+        One of :data:`SCENES`.
     seed : int
         Varies bends, slopes, houses, plants and vehicles.
 

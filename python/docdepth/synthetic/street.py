@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from docdepth.synthetic import road_users
-from docdepth.synthetic.actors import Actor, Pace, Part, Path
+from docdepth.synthetic import large_vehicles, road_users
+from docdepth.synthetic.actors import Actor, Pace, Part, Path, Speeds
 from docdepth.synthetic.mesh import Mesh, Paint, merged
 from docdepth.synthetic.road import Floats, Road
 
@@ -77,13 +77,34 @@ class Street:
         self.meshes.append(mesh.moved(self.road.resting(s, d, yaw, 2.6, 1.5)))
 
     def send(
-        self, kind: str, points: ArrayLike, pace: Pace, start: float = 0.0, name: str = ""
+        self,
+        kind: str,
+        points: ArrayLike,
+        pace: Pace | Speeds,
+        start: float = 0.0,
+        name: str = "",
+        parts: Sequence[Part] = (),
     ) -> None:
-        """Add an actor that moves along the points (s, d)."""
+        """Add an actor that moves along the points (s, d); with parts of its own if it has any."""
         make, label, moving, length, width = KINDS[kind]
         path = Path(self.road, np.asarray(points, np.float64), pace, start, length, width)
         name = name or f"{kind} {len(self.actors) + 1}"
-        self.actors.append(Actor(name, make(self.rng), path, label, moving))
+        self.actors.append(Actor(name, parts or make(self.rng), path, label, moving))
+
+    def arrive(
+        self,
+        kind: str,
+        points: ArrayLike,
+        speed: float,
+        stop: float,
+        deceleration: float = 2.0,
+        name: str = "",
+    ) -> None:
+        """Add an actor that stands at the end of the points from ``stop`` [s] on."""
+        pace = Speeds((stop - speed / deceleration, stop), (speed, 0.0))
+        along = np.linalg.norm(np.diff(np.asarray(points, np.float64), axis=0), axis=1).sum()
+        start = float(along - pace.distance(stop))
+        self.send(kind, points, pace, start, name or f"{kind} that arrives")
 
     def walk(self, s: float, d: float, speed: float, to: float | None = None) -> None:
         """Add a pedestrian along the road from (s, d); with a negative speed, against the road."""
@@ -130,6 +151,9 @@ KINDS: dict[str, tuple[Callable[[np.random.Generator], list[Part]], int, int, fl
     "car": (lambda rng: _one(road_users.car(rng, 10)), 10, 252, 2.6, 1.5),
     "van": (lambda rng: _one(road_users.van(rng, 20)), 20, 259, 3.2, 1.7),
     "truck": (lambda rng: _one(road_users.truck(rng, 18)), 18, 258, 5.5, 2.1),
+    "bus": (lambda rng: large_vehicles.bus(rng), 13, 257, 5.8, 2.1),
+    "trailer": (lambda rng: _one(large_vehicles.trailer(rng, 20)), 20, 259, 2.0, 1.6),
+    "lorry trailer": (lambda rng: _one(large_vehicles.lorry_trailer(18)), 18, 258, 4.6, 2.1),
     "cyclist": (lambda rng: road_users.cyclist(rng, 31), 31, 253, 1.04, 0.1),
     "pedestrian": (lambda rng: road_users.pedestrian(rng, 30), 30, 254, 0.4, 0.2),
 }

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
 from docdepth.geometry.se3 import inverse
+from docdepth.io.tracks import TRACKS, write_tracks
 from docdepth.synthetic.drive import Drive
 from docdepth.synthetic.scenes import scene as make_scene
 from docdepth.synthetic.sensors import sensor as make_sensor
@@ -97,14 +98,19 @@ def write_drive(
     folder.mkdir(parents=True, exist_ok=True)
     (folder / _UNFINISHED).write_text(yaml.safe_dump(about, sort_keys=False))
     _write_frame_of_reference(folder, drive)
+    returns = np.zeros((frames, len(drive.scene.actors) + 1), np.int64)
     for k in range(frames):
-        _write_sweep(folder, drive, k)
+        instances = _write_sweep(folder, drive, k)
+        moving = instances[instances < returns.shape[1]]  # parked vehicles have larger numbers
+        returns[k] = np.bincount(moving, minlength=returns.shape[1])
         if images and k + 1 < frames:
             _write_image(folder, drive, k)
         if progress is not None:
             progress(k + 1, frames)
     if images:
         _write_camera(folder, drive)
+    tracks = [replace(track, points=returns[:, track.id]) for track in drive.tracks()]
+    write_tracks(folder / TRACKS, tracks, drive.times)
     # Written last: a folder that has it is complete.
     (folder / _UNFINISHED).replace(folder / _ABOUT)
     return folder
@@ -164,7 +170,7 @@ def described(about: dict[str, Any]) -> str:
 
 def _delete_drive(folder: Path, frames: int) -> None:
     """Delete the files of a synthetic drive, and no others."""
-    for name in ("calib.txt", "times.txt", "poses.txt", _ABOUT, _UNFINISHED):
+    for name in ("calib.txt", "times.txt", "poses.txt", TRACKS, _ABOUT, _UNFINISHED):
         (folder / name).unlink(missing_ok=True)
     for kind, suffix in _KINDS.items():
         for index in range(frames):
@@ -183,7 +189,8 @@ def _write_frame_of_reference(folder: Path, drive: Drive) -> None:
     (folder / "poses.txt").write_text("".join(f"{_numbers(pose[:3])}\n" for pose in poses))
 
 
-def _write_sweep(folder: Path, drive: Drive, index: int) -> None:
+def _write_sweep(folder: Path, drive: Drive, index: int) -> NDArray[np.uint32]:
+    """Write a sweep; returns the instance of each point."""
     sweep = drive.sweep(index)
     rows = np.column_stack([sweep.points, sweep.intensity]).astype(np.float32)
     rows.tofile(_file(folder, "velodyne", index))
@@ -191,6 +198,7 @@ def _write_sweep(folder: Path, drive: Drive, index: int) -> None:
     np.save(_file(folder, "speeds", index), sweep.speed.astype(np.float16))
     if drive.skew:
         sweep.relative_time.tofile(_file(folder, "point_times", index))
+    return sweep.labels >> np.uint32(16)
 
 
 def _write_image(folder: Path, drive: Drive, index: int) -> None:
