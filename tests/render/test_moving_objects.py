@@ -16,6 +16,7 @@ from docdepth.render.frame import Frame
 from docdepth.render.moving_objects import TOUCH, objects_of
 from docdepth.render.selection import drawn_frames
 from docdepth.render.sightings import MOST_SIGHTINGS, View, sighted_objects
+from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS, near_vehicles, track_sweeps
 
 CORNERS = np.array([(x, y, z) for x in (-2, 2) for y in (-0.9, 0.9) for z in (0, 1.5)])
 
@@ -174,3 +175,42 @@ def test_strays_stay_where_the_nearest_sweep_saw_them():
         depths.append(compose_depth(*asked))
     np.testing.assert_array_equal(*depths)
     assert (np.abs(depths[0] - 12) < 0.01).sum() > 40
+
+
+def test_further_sweeps_show_a_vehicle_from_elsewhere_and_belong_to_its_track():
+    trajectory = straight(200, spacing=2.0)
+    track = moving_track(trajectory, (60, 3.5, -1.7), (16, 0, 0), (9, 2.5, 3.6), of=2)
+    beside = 100_000_000 * 150  # 60 m ahead at first; the ego is 4 m/s faster
+    found = track_sweeps(trajectory, beside, {2: track})
+    assert 4 <= len(found) <= MOST_TRACK_SWEEPS
+    away = np.abs(60 + 1.6 * np.array(found) - 2.0 * np.array(found))
+    assert away.max() > 40
+    assert away.min() < 10
+    assert track_sweeps(trajectory, beside + 130_000_000, {2: track}) == found
+    assert not track_sweeps(trajectory, 0, {2: track})  # far: the sweeps around see it whole
+    person = replace(track, kind="person")
+    assert not track_sweeps(trajectory, beside, {2: person})
+    seen = replace(track, points=np.where(np.arange(200) < 20, 0, 9))
+    assert min(track_sweeps(trajectory, beside, {2: seen})) >= 20
+    drawn = drawn_frames(trajectory, beside, TRIANGLES, {2: track})
+    assert not {*drawn.tracked} & {*drawn.static, *drawn.dynamic}
+    assert {i for i, whole in drawn.needed.items() if not whole} == {*drawn.tracked}
+
+
+def test_near_a_vehicle_its_neighbours_are_kept_also_across_the_seam():
+    rng = np.random.default_rng(2)
+    trajectory = straight(2)
+    track = moving_track(trajectory, (-10, 0, -1), (1, 0, 0), (4, 2, 2))
+    points = rng.uniform((-40, -20, -2), (40, 20, 4), (5000, 3)).astype(np.float32)
+    box = np.array([(-8, y, z) for y in (-1, 0, 1) for z in (-1, 1)], np.float32)
+    points = np.concatenate([points, box])
+    of_box = np.arange(len(points)) >= 5000
+    classid = np.where(of_box, 100, 50).astype(np.uint16)
+    kept = near_vehicles(points, classid, of_box.astype(np.uint16), {1: track})
+    across, up = np.abs(points[:, 1] / points[:, 0]), points[:, 2] / -points[:, 0]
+    behind = points[:, 0] < 0
+    assert kept[of_box].all()
+    assert kept[behind & (across < 0.12) & (np.abs(up) < 0.12)].all()
+    assert not kept[~behind].any()
+    assert not kept[across > 0.2].any()
+    assert not near_vehicles(points, classid, None, {1: track}).any()

@@ -169,16 +169,16 @@ def _render_images(job: _Job, images: list[ImageToRender], progress: Callable[[i
     """Render images in order; meanwhile the next is prepared and the last is written."""
     run, plan, watch = job.run, job.plan, job.watch
     trajectory, parameters = plan.trajectory, plan.parameters
-    cache = FrameCache(lambda i: load_frame(run, trajectory, i, parameters, watch))
+    cache = FrameCache(lambda i, _: load_frame(run, trajectory, i, parameters, watch))
     progress(0)
     with ThreadPoolExecutor(2) as pool:
         writing: Future[None] | None = None
         for done, image in enumerate(images):
             now_and_next = images[done : done + 2]
             needed = [needed_frames(trajectory, i.time, parameters.render) for i in now_and_next]
-            requested = cache.request(set().union(*needed), pool)
+            requested = cache.request({one for some in needed for one in some.items()}, pool)
             with watch("wait for frames"):
-                frames = {i: requested[i].result() for i in needed[0]}
+                frames = {i: requested[i, whole].result() for i, whole in needed[0].items()}
             depth, layers = _render_image(job, image, frames)
             if writing:
                 writing.result()

@@ -49,7 +49,7 @@ def compose_depth(
     time : int
         When the image was taken [ns]; within the trajectory.
     frames : callable
-        Returns the :class:`Frame` of a sweep by its index. Only the sweeps of
+        Returns the :class:`Frame` of a sweep by its index. Only those of
         :func:`~docdepth.render.selection.needed_frames` are asked for.
     parameters : RenderParameters, optional
     threads : int
@@ -100,7 +100,7 @@ def core_arguments(
     splats = p.primitive == "splats"
     kind = _core.Frame if splats else _core.MeshFrame
     T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
-    drawn = drawn_frames(trajectory, time, p)
+    drawn = drawn_frames(trajectory, time, p, tracks)
 
     def placed(index: int, parts: list[Part]) -> list[Part]:
         """The parts of a sweep with their poses ``T_camera_sensor``."""

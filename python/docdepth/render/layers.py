@@ -103,7 +103,7 @@ def compose_layers(
         depth=np.ascontiguousarray(depth),
         threads=threads,
     )
-    drawn = drawn_frames(trajectory, time, p)
+    drawn = drawn_frames(trajectory, time, p, tracks)
     # The core numbers parts: a sweep of several LiDARs has a number for each.
     sweeps = [i for i in drawn.static for _ in frames(i).parts]
     sweeps += drawn.dynamic if p.primitive == "splats" else drawn.sighted

@@ -25,6 +25,7 @@ from docdepth.render.frame_cache import FrameCache
 from docdepth.render.layers import check_layers, compose_layers
 from docdepth.render.moving_objects import by_id, objects_of
 from docdepth.render.selection import needed_frames
+from docdepth.render.track_sweeps import near_vehicles
 
 
 class HasClasses(Protocol):
@@ -113,12 +114,12 @@ class Scene:
                 f"{time} ns lies outside the trajectory, which goes from {first} to {last} ns; "
                 "poses are not extrapolated, so leave this image out"
             )
-        needed = needed_frames(self.trajectory, time, self.parameters.render)
+        needed = needed_frames(self.trajectory, time, self.parameters.render, self.tracks)
         with ThreadPoolExecutor(thread_count(threads)) as executor:
-            requested = self._cache.request(needed, executor)
-        return {i: frame.result() for i, frame in requested.items()}
+            requested = self._cache.request(needed.items(), executor)
+        return {i: frame.result() for (i, _), frame in requested.items()}
 
-    def _prepare(self, index: int) -> Frame:
+    def _prepare(self, index: int, whole: bool) -> Frame:
         with self._reading:  # datasets need not be safe to read from several threads
             sweep, classes = self.sweeps[index], self.labels[index]
         points = np.asarray(sweep.points if isinstance(sweep, Sweep) else sweep)
@@ -131,6 +132,8 @@ class Scene:
             )
         instance = getattr(classes, "instance", None)
         usable = usable_points(points)
+        if not whole:
+            usable = usable & near_vehicles(points, classid, instance, self.tracks)
         if isinstance(sweep, Sweep):
             if sweep.relative_time is not None:
                 time_offset = (self._period * sweep.relative_time)[usable]

@@ -19,6 +19,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.frame import Frame
 from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import DrawnFrames
+from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS
 
 SOFT_SECONDS = 0.25
 """Sweeps farther in time from the image tell nothing about what is not rigid [s]. A step of a
@@ -125,11 +126,13 @@ def _chosen(seen: list[_Seen], drawn: DrawnFrames, track: Track) -> tuple[list[_
     if track.kind != "vehicle":
         return [view for view in around if view.away <= SOFT_SECONDS * 1e9], []
     others = sorted((view for view in seen if view.sweep not in drawn.dynamic), key=_away)
-    room = MOST_SIGHTINGS - len(around)
+    further = [view for view in others if view.sweep in drawn.tracked][:MOST_TRACK_SWEEPS]
+    others = [view for view in others if view.sweep not in drawn.tracked]
+    room = MOST_SIGHTINGS - len(around) - len(further)
     if len(others) > room:
         spread = np.linspace(0, len(others) - 1, room).round().astype(int)
         others = [others[i] for i in spread.tolist()]
-    return around, others
+    return around, others + further
 
 
 def _away(view: _Seen) -> int:
