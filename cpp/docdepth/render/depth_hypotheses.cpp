@@ -315,7 +315,7 @@ void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const
   found = queries.score(continued, 0);
   for (std::size_t i = 0; i < continued.size(); ++i) {
     float& here = inverse_depth[columns.at(continued[i].u, continued[i].v)];
-    if (found[i] > 0)
+    if (found[i] > kCloseScore)
       here = continued[i].hypotheses[0];
     else if (found[i] > -kUnsureScore)
       here = 0;
