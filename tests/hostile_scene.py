@@ -34,16 +34,18 @@ class Scene:
         frame = _core.Frame(self.points, classid, 300.0)
         isolated = np.array(mesh.isolated)
         of_mesh = (np.array(mesh.triangles), np.array(mesh.discontinuity), isolated)
-        mesh_frame = _core.MeshFrame(self.points, classid, *of_mesh, 0.002)
+        owner = np.where(classid == 100, 1, 0).astype(np.uint16)
+        motion = np.array([[5, 0, 0, 0.01]], np.float32)
+        of_objects = (0.002, owner, motion)
+        mesh_frame = _core.MeshFrame(self.points, classid, *of_mesh, *of_objects)
         image = _core.RangeImage(self.points, ground, 0.01, 5, 0.2)
         detections = _core.Detections(self.points, ground, objects, dynamic, pose)
         numbers, boxes, samples = detections.arrays
         self.mesh_image = _core.MeshImage(self.points, ground, mesh, _core.MeshImageParameters())
         self.static_splats, self.dynamic_splats = [(frame, pose)] * 3, [(frame, pose)]
-        self.static_meshes, self.dynamic_meshes = (
-            [(mesh_frame, pose)] * 3,
-            [(mesh_frame, pose, 0.1)],
-        )
+        self.static_meshes = [(mesh_frame, pose)] * 3
+        sighting = (mesh_frame, 1, pose, 3)
+        self.sighted = [(7, [sighting], [sighting], [sighting])]
         self.good: dict[str, Any] = {
             "points": self.points,
             "queries": self.points[:50].copy(),
@@ -76,7 +78,9 @@ class Scene:
             "depth": r.uniform(1, 50, (24, 32)).astype(np.float32),
             "static_size": (50.0, 3.0),
             "dynamic_size": (80.0, 35.0),
-            "max_speed": 50.0,
+            "owner": owner,
+            "motion": motion,
+            "displacement": np.zeros((n, 3), np.float32),
             "visibility_sweeps": 15,
             "isolated_angle": 0.002,
             "crop": 300.0,
@@ -115,6 +119,8 @@ class Scene:
         if argument in ("static_frames", "dynamic_frames"):
             which = "splats" if "splat" in name else "meshes"
             return getattr(self, argument.replace("frames", which))
+        if argument == "objects" and "mesh" in name.rpartition(".")[2]:
+            return self.sighted
         return self.good[argument]
 
     def spoiled(self, value: Any) -> tuple[str, Any]:

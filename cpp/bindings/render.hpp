@@ -70,15 +70,32 @@ inline std::vector<PlacedMeshFrame> as_mesh_frames(const std::vector<PlacedFrame
   return result;
 }
 
-/// A frame, its pose, and the time from its stamp to the image [s].
-using DynamicFrame = std::tuple<const MeshFrame*, Array<double>, float>;
+/// A frame, the number of the object in it, its pose, and the number of the sweep.
+using SightingOf = std::tuple<const MeshFrame*, int, Array<double>, int>;
+/// Instance, sightings of sweeps around the image and of others, and those whose rays tell where
+/// the object ends.
+using ObjectOf =
+    std::tuple<int, std::vector<SightingOf>, std::vector<SightingOf>, std::vector<SightingOf>>;
 
-inline DynamicSweeps as_motion(const std::vector<DynamicFrame>& dynamic_frames, float max_speed) {
-  DynamicSweeps motion{{}, in_range(max_speed, 0, 1e4, "max_speed")};
-  for (const auto& [frame, pose, age] : dynamic_frames)
-    motion.sweeps.push_back({{&present(frame), as_pose(pose)},
-                             in_range(age, -kMaxDuration, kMaxDuration, "an age in seconds")});
-  return motion;
+inline std::vector<Sighting> as_sightings(const std::vector<SightingOf>& sightings) {
+  std::vector<Sighting> result;
+  for (const auto& [frame, owner, pose, sweep] : sightings) {
+    const auto owners = static_cast<double>(present(frame).dynamic_meshes.size());
+    in_range(owner, 1, owners, "the number of an object in its frame");
+    in_range(sweep, 0, kMaxRows, "the number of a sweep");
+    result.push_back({{frame, as_pose(pose)}, std::uint32_t(owner), sweep});
+  }
+  return result;
+}
+
+inline std::vector<SightedObject> as_objects(const std::vector<ObjectOf>& objects) {
+  std::vector<SightedObject> result;
+  for (const auto& [instance, around, others, rays] : objects) {
+    in_range(instance, 0, 0xFFFF, "an instance");
+    result.push_back(
+        {std::uint16_t(instance), as_sightings(around), as_sightings(others), as_sightings(rays)});
+  }
+  return result;
 }
 
 }  // namespace docdepth::bindings

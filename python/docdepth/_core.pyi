@@ -9,11 +9,6 @@ import numpy.typing
 import typing
 __all__: list[str] = ['Detections', 'Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'MeshFrame', 'MeshImage', 'MeshImageParameters', 'MeshParameters', 'ObjectParameters', 'RangeImage', 'Rays', 'ScanMesh', 'TrackParameters', 'add_isolated_points', 'add_points_inside', 'classify_objects', 'cluster_objects', 'egl_devices', 'join_meshes', 'mesh_layers', 'nearest_neighbors', 'render_meshes', 'render_splats', 'splat_layers', 'track_objects', 'vote']
 class GroundParameters:
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
     def __init__(self) -> None:
         ...
     @property
@@ -65,11 +60,6 @@ class GroundParameters:
     def voxel_size(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
 class GroundMap:
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
     def __init__(self, parameters: GroundParameters, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> None:
         ...
     def __len__(self) -> int:
@@ -81,11 +71,6 @@ class GroundMap:
     def label(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> numpy.typing.NDArray[numpy.bool]:
         ...
 class MeshParameters:
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
     def __init__(self) -> None:
         ...
     @property
@@ -113,11 +98,6 @@ class MeshParameters:
     def noise(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
 class ScanMesh:
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], parameters: MeshParameters) -> None:
         ...
     @property
@@ -130,25 +110,10 @@ class ScanMesh:
     def triangles(self) -> numpy.typing.NDArray[numpy.uint32]:
         ...
 class KeyFrame:
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
 class RangeImage(KeyFrame):
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], resolution: typing.SupportsFloat | typing.SupportsIndex, window: typing.SupportsInt | typing.SupportsIndex, tolerance: typing.SupportsFloat | typing.SupportsIndex, plain: bool = False) -> None:
         ...
 class Margins:
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
     def __init__(self, normal_tolerance: typing.SupportsFloat | typing.SupportsIndex, radial_tolerance: typing.SupportsFloat | typing.SupportsIndex, radial_growth: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
@@ -172,11 +137,6 @@ class Margins:
 class MeshImageParameters:
     level: Margins
     upright: Margins
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
     def __init__(self) -> None:
         ...
     @property
@@ -216,19 +176,9 @@ class MeshImageParameters:
     def window(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
         ...
 class MeshImage(KeyFrame):
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], mesh: ScanMesh, parameters: MeshImageParameters) -> None:
         ...
 class ObjectParameters:
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
     def __init__(self) -> None:
         ...
     @property
@@ -322,11 +272,6 @@ class ObjectParameters:
     def observed_free_votes(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
         ...
 class TrackParameters:
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
     def __init__(self) -> None:
         ...
     @property
@@ -367,11 +312,6 @@ class TrackParameters:
         ...
 class Detections:
     @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
-    @staticmethod
     def of(numbers: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], areas: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], boxes: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], samples: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float32]) -> Detections:
         ...
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], objects: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], dynamic: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], one_stay: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], first_occupied: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], last_occupied: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], mesh: ScanMesh, T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], time_offset: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
@@ -380,11 +320,6 @@ class Detections:
     def arrays(self) -> tuple:
         ...
 class Frame:
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], classid: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], crop: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
@@ -394,19 +329,9 @@ class Frame:
     def static_size(self) -> int:
         ...
 class MeshFrame:
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
-    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], classid: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], discontinuity: typing.Annotated[numpy.typing.ArrayLike, numpy.uint8], isolated: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], isolated_angle: typing.SupportsFloat | typing.SupportsIndex, time_offset: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None, ray_origins: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], classid: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], discontinuity: typing.Annotated[numpy.typing.ArrayLike, numpy.uint8], isolated: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], isolated_angle: typing.SupportsFloat | typing.SupportsIndex, owner: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], motion: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], time_offset: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None, displacement: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None, ray_origins: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
         ...
 class Rays:
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ray_origins: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
         ...
     def query_visibility(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32]) -> numpy.typing.NDArray[numpy.float32]:
@@ -414,14 +339,9 @@ class Rays:
 class GlError(docdepth.errors.BackendError):
     pass
 class GlRenderer:
-    @staticmethod
-    def __new__(*args, **kwargs):
-        """
-        (*args, **kwargs) -> None
-        """
     def __init__(self, backend: str, device: typing.SupportsInt | typing.SupportsIndex = -1, library: str = '') -> None:
         ...
-    def render_meshes(self, K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsFloat | typing.SupportsIndex]], max_speed: typing.SupportsFloat | typing.SupportsIndex, visibility_sweeps: typing.SupportsInt | typing.SupportsIndex, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
+    def render_meshes(self, K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], objects: collections.abc.Sequence[tuple[typing.SupportsInt | typing.SupportsIndex, collections.abc.Sequence[tuple[MeshFrame, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsInt | typing.SupportsIndex]], collections.abc.Sequence[tuple[MeshFrame, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsInt | typing.SupportsIndex]], collections.abc.Sequence[tuple[MeshFrame, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsInt | typing.SupportsIndex]]]], visibility_sweeps: typing.SupportsInt | typing.SupportsIndex, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
         ...
     def render_splats(self, K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], static_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], dynamic_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
         ...
@@ -449,11 +369,11 @@ def egl_devices(library: str = '') -> list[bool]:
     ...
 def join_meshes(meshes: collections.abc.Sequence[ScanMesh]) -> ScanMesh:
     ...
-def mesh_layers(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsFloat | typing.SupportsIndex]], max_speed: typing.SupportsFloat | typing.SupportsIndex, visibility_sweeps: typing.SupportsInt | typing.SupportsIndex, depth: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> dict:
+def mesh_layers(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], objects: collections.abc.Sequence[tuple[typing.SupportsInt | typing.SupportsIndex, collections.abc.Sequence[tuple[MeshFrame, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsInt | typing.SupportsIndex]], collections.abc.Sequence[tuple[MeshFrame, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsInt | typing.SupportsIndex]], collections.abc.Sequence[tuple[MeshFrame, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsInt | typing.SupportsIndex]]]], visibility_sweeps: typing.SupportsInt | typing.SupportsIndex, depth: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> dict:
     ...
 def nearest_neighbors(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], queries: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> tuple:
     ...
-def render_meshes(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsFloat | typing.SupportsIndex]], max_speed: typing.SupportsFloat | typing.SupportsIndex, visibility_sweeps: typing.SupportsInt | typing.SupportsIndex, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
+def render_meshes(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[MeshFrame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], objects: collections.abc.Sequence[tuple[typing.SupportsInt | typing.SupportsIndex, collections.abc.Sequence[tuple[MeshFrame, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsInt | typing.SupportsIndex]], collections.abc.Sequence[tuple[MeshFrame, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsInt | typing.SupportsIndex]], collections.abc.Sequence[tuple[MeshFrame, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.SupportsInt | typing.SupportsIndex]]]], visibility_sweeps: typing.SupportsInt | typing.SupportsIndex, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
     ...
 def render_splats(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], static_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], dynamic_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
     ...

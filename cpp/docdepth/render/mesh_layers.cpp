@@ -26,7 +26,7 @@ std::vector<const PlacedMesh*> meshes_of(const MeshScene& scene) {
   for (const auto* list : {&scene.trusted, &scene.others})
     for (const PlacedMesh& mesh : *list) meshes.push_back(&mesh);
   for (const PlacedDynamicObject& object : scene.dynamic_objects)
-    for (const auto* list : {&object.trusted, &object.others})
+    for (const auto* list : {&object.trusted, &object.others, &object.continued})
       for (const PlacedMesh& mesh : *list) meshes.push_back(&mesh);
   return meshes;
 }
@@ -135,6 +135,7 @@ std::uint8_t class_at(const Triangle& triangle, const Vector& place) {
 Layers::Layers(const Camera& camera, bool with_normals) {
   const std::size_t pixels = std::size_t(camera.width) * camera.height;
   sweep.resize(pixels, -1), classid.resize(pixels, kNoClass), measured.resize(pixels, 0);
+  instance.resize(pixels, 0);
   range.resize(pixels, kNaN), normal.resize(with_normals ? 3 * pixels : 0, kNaN);
   support.resize(pixels, 0), measures.resize(pixels, 0), deviation.resize(pixels, kNaN);
 }
@@ -167,6 +168,7 @@ Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const f
         Eigen::Map<Vector>(&layers.normal[3 * i]) = turned.dot(ray) > 0 ? Vector(-turned) : turned;
         layers.sweep[i] = placed.sweep;
         layers.classid[i] = class_at(triangle, place);
+        layers.instance[i] = placed.instance;
         layers.measured[i] = !placed.split;
         layers.range[i] = place.norm();
         layers.support[i] = tally.support;

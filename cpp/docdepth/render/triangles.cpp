@@ -1,11 +1,43 @@
 #include "docdepth/render/triangles.hpp"
 
+#include <algorithm>
+#include <utility>
+
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/render/depth_hypotheses.hpp"
 #include "docdepth/render/raster.hpp"
 
 namespace docdepth {
 namespace {
+
+/// Draw dynamic objects over what is farther. The strip is left empty.
+DOCDEPTH_KERNEL void draw_dynamic_objects(const Camera& camera,
+                                          const std::vector<PlacedDynamicObject>& objects,
+                                          const Columns& columns, Strip& strip,
+                                          std::vector<float>& inverse_depth) {
+  const PixelBounds own{strip.begin, strip.end, 0, strip.height};
+  const std::vector<float> none(inverse_depth.size(), 0.0f);
+  ObjectImages images{none, none, none};
+  std::fill(strip.inverse_depth.begin(), strip.inverse_depth.end(), 0.0f);
+  for (const PlacedDynamicObject& object : objects) {
+    PixelBounds bounds = object.bounds.intersect(own);
+    if (bounds.empty()) continue;
+    bounds.begin_u -= strip.begin, bounds.end_u -= strip.begin;
+    bool seen = false;  // as long as it is false all images are empty
+    for (const auto& [meshes, image] :
+         {std::pair(&object.trusted, &images.trusted), std::pair(&object.others, &images.others),
+          std::pair(&object.continued, &images.continued)}) {
+      for (const PlacedMesh& mesh : *meshes) seen |= draw_mesh(camera, mesh, strip);
+      std::swap(*image, strip.inverse_depth);
+    }
+    if (!seen) continue;
+    add_dynamic_object(columns, bounds, camera, images, object.rays, inverse_depth);
+    for (auto* image : {&images.trusted, &images.others, &images.continued})
+      for (int v = bounds.begin_v; v < bounds.end_v; ++v)
+        std::fill_n(image->begin() + std::ptrdiff_t(columns.at(bounds.begin_u, v)),
+                    bounds.end_u - bounds.begin_u, 0.0f);
+  }
+}
 
 struct DrawStrip {
   DOCDEPTH_KERNEL static void run(const Camera& camera, const MeshScene& scene, Strip& strip) {
@@ -19,18 +51,7 @@ struct DrawStrip {
     }
     std::vector<float> inverse_depth = hypotheses.resolve(camera, scene.rays);
     std::fill(strip.open_tiles.begin(), strip.open_tiles.end(), std::uint8_t{1});
-    std::vector<float> trusted(inverse_depth.size(), 0.0f);
-    std::fill(strip.inverse_depth.begin(), strip.inverse_depth.end(), 0.0f);
-    for (const PlacedDynamicObject& object : scene.dynamic_objects) {
-      bool seen = false;  // as long as it is false both images are empty
-      for (const PlacedMesh& mesh : object.trusted) seen |= draw_mesh(camera, mesh, strip);
-      std::swap(trusted, strip.inverse_depth);
-      for (const PlacedMesh& mesh : object.others) seen |= draw_mesh(camera, mesh, strip);
-      if (!seen) continue;
-      add_dynamic_object(columns, camera, trusted, strip.inverse_depth, object.rays, inverse_depth);
-      std::fill(trusted.begin(), trusted.end(), 0.0f);
-      std::fill(strip.inverse_depth.begin(), strip.inverse_depth.end(), 0.0f);
-    }
+    draw_dynamic_objects(camera, scene.dynamic_objects, columns, strip, inverse_depth);
     strip.inverse_depth = std::move(inverse_depth);
   }
 };

@@ -1,6 +1,7 @@
 // Meshes drawn into a depth map: triangles with perspective-correct depth.
 #pragma once
 
+#include <cstdint>
 #include <vector>
 
 #include "docdepth/render/camera.hpp"
@@ -13,15 +14,18 @@ namespace docdepth {
 struct PlacedMesh {
   const PatchMesh* mesh;
   Pose T_camera_mesh;
-  int sweep = 0;       ///< number of its sweep, chosen by the caller
-  bool split = false;  ///< not measured: it continues a surface over a discontinuity
+  int sweep = 0;               ///< number of its sweep, chosen by the caller
+  bool split = false;          ///< not measured: it continues a surface over a discontinuity
+  std::uint16_t instance = 0;  ///< of the object; 0 if it is none
 };
 
 /// A dynamic object at the time of the image, as one or more sweeps saw it.
 struct PlacedDynamicObject {
-  std::vector<PlacedMesh> trusted;  ///< drawn as they are
-  std::vector<PlacedMesh> others;   ///< fill what is left empty, where rays confirm them
-  std::vector<PlacedRays> rays;     ///< placed so that the object stands still among them
+  std::vector<PlacedMesh> trusted;    ///< drawn as they are
+  std::vector<PlacedMesh> others;     ///< drawn where no ray contradicts them
+  std::vector<PlacedMesh> continued;  ///< continue both; drawn where rays confirm them
+  std::vector<PlacedRays> rays;       ///< placed so that the object stands still among them
+  PixelBounds bounds;                 ///< all of it lies within
 };
 
 /// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all

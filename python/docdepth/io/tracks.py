@@ -18,7 +18,7 @@ from docdepth.io.atomic import WriteFile, write_atomically
 TRACKS = "tracks.csv"
 """Name of the file in a run and in a synthetic drive."""
 
-_NUMBERS = ("x", "y", "z", "yaw", "length", "width", "height", "vx", "vy", "vz")
+_NUMBERS = ("x", "y", "z", "yaw", "pitch", "length", "width", "height", "vx", "vy", "vz")
 COLUMNS = ("frame", "time_ns", "id", "kind", *_NUMBERS, "points")
 
 
@@ -34,8 +34,7 @@ def write_tracks(
     ----------
     path : Path
     tracks : iterable of Track
-        Their times are among ``times``. Boxes are written as they stand on the ground, with
-        their heading alone.
+        Their times are among ``times``. Of their rotation, heading and slope are written.
     times : ndarray of int64, shape (n,)
         Stamps of all sweeps [ns].
     write_file : callable
@@ -43,9 +42,11 @@ def write_tracks(
     rows = []
     for track in tracks:
         frames = np.searchsorted(times, track.times)
-        yaw = np.arctan2(track.poses[:, 1, 0], track.poses[:, 0, 0])
+        forward = track.poses[:, :3, 0]
+        yaw = np.arctan2(forward[:, 1], forward[:, 0])
+        pitch = np.arctan2(forward[:, 2], np.hypot(forward[:, 0], forward[:, 1]))
         for k, frame in enumerate(frames.tolist()):
-            place = (*track.poses[k, :3, 3], yaw[k], *track.size, *track.velocities[k])
+            place = (*track.poses[k, :3, 3], yaw[k], pitch[k], *track.size, *track.velocities[k])
             numbers = [f"{value:.4f}" for value in place]
             row = [frame, int(track.times[k]), track.id, track.kind, *numbers]
             rows.append([*row, int(track.points[k])])
@@ -84,13 +85,14 @@ def _track(number: int, rows: list[dict[str, str]]) -> Track:
         raise ValueError(f"track {number} has a number that is not finite")
     poses = np.repeat(np.eye(4)[None], len(rows), axis=0)
     poses[:, :3, 3] = values[:, :3]
-    poses[:, :3, :3] = rotation_exp(values[:, 3:4] * (0.0, 0.0, 1.0))
+    turn = rotation_exp(values[:, 3:4] * (0.0, 0.0, 1.0))
+    poses[:, :3, :3] = turn @ rotation_exp(values[:, 4:5] * (0.0, -1.0, 0.0))
     kind = next((kind for kind in KINDS if kind == rows[0]["kind"]), None)
     if kind is None:
         raise ValueError(f"track {number} has kind {rows[0]['kind']!r}")
     times = np.array([int(row["time_ns"]) for row in rows], np.int64)
     points = np.array([int(row["points"]) for row in rows], np.int64)
     try:
-        return Track(number, kind, times, poses, values[:, 7:10], values[0, 4:7], points)
+        return Track(number, kind, times, poses, values[:, 8:11], values[0, 5:8], points)
     except InputError as error:
         raise ValueError(str(error)) from None

@@ -23,7 +23,7 @@ from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.run_inputs import RunCamera
 
-_VERSIONS = {"odometry": 1, "classify": 2, "render": 1}
+_VERSIONS = {"odometry": 1, "classify": 2, "render": 2}
 """Counted up when a new version of docdepth makes other results of the same inputs."""
 
 State = Literal["done", "out of date", "incomplete", "damaged", "missing"]

@@ -2,6 +2,8 @@
 
 ``class``
     uint8: 0 ground, 50 static, 100 dynamic; 255 where there is no depth
+``instance``
+    uint16: id of the track of the moving object; 0 where there is none. Triangles only
 ``time``
     float32: seconds from the image to the sweep that the depth comes from; negative before it
 ``range``
@@ -35,9 +37,15 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import core_arguments
 from docdepth.render.frame import Frame
+from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import drawn_frames
 
 LAYERS: tuple[str, ...] = get_args(Layer)
+
+_TRIANGLES_ONLY = {
+    "normal": "splats face the camera and have no normal",
+    "instance": "splats are not followed along tracks and have no instance",
+}
 
 _CONFIDENCE = {"triangles": (4.47, 0.67, 2.79), "splats": (3.9, 1.0, 2.7)}
 """Weights a, b and c of :func:`confidence` [-], fitted by ``benchmarks/confidence.py`` to the exact
@@ -54,6 +62,7 @@ def compose_layers(
     frames: Callable[[int], Frame],
     parameters: RenderParameters | None = None,
     threads: int = 0,
+    tracks: Tracks | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Gather layers of a depth map of :func:`~docdepth.render.depth_map.compose_depth`.
 
@@ -67,7 +76,7 @@ def compose_layers(
         agree or not.
     depth : ndarray of float32, shape (h, w)
         Metres, NaN = none.
-    camera, T_camera_lidar, trajectory, time, frames, parameters, threads
+    camera, T_camera_lidar, trajectory, time, frames, parameters, threads, tracks
         The arguments that :func:`~docdepth.render.depth_map.compose_depth` was given.
 
     Returns
@@ -90,13 +99,14 @@ def compose_layers(
         )
     gather = _core.splat_layers if p.primitive == "splats" else _core.mesh_layers
     found: dict[str, NDArray[Any]] = gather(
-        **core_arguments(camera, T_camera_lidar, trajectory, time, frames, p),
+        **core_arguments(camera, T_camera_lidar, trajectory, time, frames, p, tracks),
         depth=np.ascontiguousarray(depth),
         threads=threads,
     )
-    drawn = drawn_frames(trajectory, time, p)
+    drawn = drawn_frames(trajectory, time, p, tracks)
     # The core numbers parts: a sweep of several LiDARs has a number for each.
-    sweeps = [i for i in drawn.static for _ in frames(i).parts] + drawn.dynamic
+    sweeps = [i for i in drawn.static for _ in frames(i).parts]
+    sweeps += drawn.dynamic if p.primitive == "splats" else drawn.sighted
     delays = (trajectory.times[sweeps] - np.int64(time)).astype(np.float64) * 1e-9
     number = found["sweep"]
     found["time"] = np.where(number < 0, np.nan, delays[number]).astype(np.float32)
@@ -115,11 +125,12 @@ def check_layers(names: Sequence[str], parameters: RenderParameters) -> None:
     unknown = [name for name in names if name not in (*LAYERS, "measures")]
     if unknown:
         raise InputError(f"unknown layer {unknown[0]!r}; there are {', '.join(LAYERS)}")
-    if parameters.primitive == "splats" and "normal" in names:
-        raise InputError(
-            "splats face the camera and have no normal; leave the layer out, or draw triangles "
-            "(--set render.primitive=triangles)"
-        )
+    for name, reason in _TRIANGLES_ONLY.items():
+        if parameters.primitive == "splats" and name in names:
+            raise InputError(
+                f"{reason}; leave the layer out, or draw triangles "
+                "(--set render.primitive=triangles)"
+            )
 
 
 def confidence(

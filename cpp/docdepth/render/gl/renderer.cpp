@@ -205,8 +205,9 @@ std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Mesh
     for (const auto& mesh : scene.others) hypotheses.add(drawn({mesh}).data());
     auto static_depth = hypotheses.resolve(camera, scene.rays);
     for (const auto& object : scene.dynamic_objects)
-      add_dynamic_object(columns, camera, drawn(object.trusted), drawn(object.others), object.rays,
-                         static_depth);
+      add_dynamic_object(columns, object.bounds, camera,
+                         {drawn(object.trusted), drawn(object.others), drawn(object.continued)},
+                         object.rays, static_depth);
     std::vector<float> depth(std::size_t(camera.width) * camera.height);
     for (std::size_t i = 0; i < depth.size(); ++i) {
       const float w = static_depth[i / camera.width * stride + i % camera.width];

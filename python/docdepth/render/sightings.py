@@ -1,0 +1,139 @@
+"""What the sweeps of an image saw of the objects that move, placed at the time of the image (ours).
+
+A car is rigid, so every sweep that saw it tells about it. A person is not: only the sweeps around
+the image do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth import _core
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.track import Track
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.frame import Frame
+from docdepth.render.moving_objects import Tracks
+from docdepth.render.selection import DrawnFrames
+from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS
+
+SOFT_SECONDS = 0.25
+"""Sweeps farther in time from the image tell nothing about what is not rigid [s]. A step of a
+person takes half a second."""
+
+MOST_SIGHTINGS = 24
+"""Sweeps that an object is drawn from. Rings of one sweep lie up to a degree apart; two dozen, each
+with rings elsewhere on the object, leave gaps of a pixel."""
+
+REACH = 1.0
+"""An object may reach this far beyond the box of its track [m]."""
+
+MOST_RAYS = 8
+"""Sweeps whose rays tell where an object ends: those around the image and as many others."""
+
+Floats: TypeAlias = NDArray[np.float64]
+Sighting: TypeAlias = "tuple[_core.Frame | _core.MeshFrame, int, Floats, int]"
+"""A frame, the number of the object in it, ``T_camera_sensor``, and the number of the sweep."""
+SightedObject: TypeAlias = "tuple[int, list[Sighting], list[Sighting], list[Sighting]]"
+"""Instance, sightings of sweeps around the image and of others, and those whose rays tell where the
+object ends."""
+
+
+class _Seen(NamedTuple):
+    """An object in one sweep, ``away`` from the image in time [ns]."""
+
+    number: int
+    sweep: int
+    owner: int
+    away: int
+
+
+class View(NamedTuple):
+    """What is drawn and when: the camera at the time [ns] of the image."""
+
+    camera: Camera
+    T_camera_world: Floats
+    time: int
+
+
+def sighted_objects(
+    view: View,
+    trajectory: Trajectory,
+    frames: Callable[[int], Frame],
+    drawn: DrawnFrames,
+    tracks: Tracks,
+    first_number: int,
+) -> list[SightedObject]:
+    """The argument ``objects`` of the core's renderers.
+
+    Sweep ``k`` of ``drawn.sighted`` has the number ``first_number + k``.
+    """
+    seen: dict[int, list[_Seen]] = {}
+    for number, sweep in enumerate(drawn.sighted, first_number):
+        objects = frames(sweep).objects
+        for owner, instance in enumerate(objects.instances, 1):
+            away = abs(objects.times[owner - 1] - view.time)
+            seen.setdefault(instance, []).append(_Seen(number, sweep, owner, away))
+    found: list[SightedObject] = []
+    strays = [one for one in seen.pop(0, []) if one.sweep == drawn.dynamic[0]]
+    for one in strays:
+        T_camera_lidar = view.T_camera_world @ trajectory.poses[one.sweep]
+        core, T_lidar_sensor = frames(one.sweep).dynamic_part
+        placed = [(core, one.owner, T_camera_lidar @ T_lidar_sensor, one.number)]
+        found.append((0, placed, [], placed))
+    for instance in sorted(seen):
+        T_camera_object = view.T_camera_world @ tracks[instance].pose_at(view.time)
+        if not _in_view(view.camera, T_camera_object, tracks[instance]):
+            continue
+        around, others = (
+            [_sighting(frames(one.sweep), one, T_camera_object) for one in some]
+            for some in _chosen(seen[instance], drawn, tracks[instance])
+        )
+        if around or others:
+            found.append((instance, around, others, (around + others)[:MOST_RAYS]))
+    return found
+
+
+def _sighting(frame: Frame, seen: _Seen, T_camera_object: Floats) -> Sighting:
+    T_camera_sensor = T_camera_object @ frame.T_object_sensor[seen.owner - 1]
+    return frame.dynamic_part[0], seen.owner, T_camera_sensor, seen.number
+
+
+def _in_view(camera: Camera, T_camera_object: Floats, track: Track) -> bool:
+    """Whether the camera may see something of the object."""
+    radius = float(np.linalg.norm(track.size)) / 2 + REACH
+    x, y, z = T_camera_object[:3, :3] @ (0, 0, 0.5 * track.size[2]) + T_camera_object[:3, 3]
+    if z < -radius:
+        return False
+    for offset, focal, centre, pixels in (
+        (x, camera.K[0, 0], camera.K[0, 2], camera.width),
+        (y, camera.K[1, 1], camera.K[1, 2], camera.height),
+    ):
+        for normal, limit in ((focal, centre), (-focal, pixels - centre)):
+            # Distance to the plane through the camera and a border of the image.
+            if (normal * offset + limit * z) / np.hypot(normal, limit) < -radius:
+                return False
+    return True
+
+
+def _chosen(seen: list[_Seen], drawn: DrawnFrames, track: Track) -> tuple[list[_Seen], list[_Seen]]:
+    """The views of an object from the sweeps around the image, and from others."""
+    around = sorted((view for view in seen if view.sweep in drawn.dynamic), key=_away)
+    if track.kind != "vehicle":
+        return [view for view in around if view.away <= SOFT_SECONDS * 1e9], []
+    others = sorted((view for view in seen if view.sweep not in drawn.dynamic), key=_away)
+    further = [view for view in others if view.sweep in drawn.tracked][:MOST_TRACK_SWEEPS]
+    others = [view for view in others if view.sweep not in drawn.tracked]
+    room = MOST_SIGHTINGS - len(around) - len(further)
+    if len(others) > room:
+        spread = np.linspace(0, len(others) - 1, room).round().astype(int)
+        others = [others[i] for i in spread.tolist()]
+    return around, others + further
+
+
+def _away(view: _Seen) -> int:
+    return view.away

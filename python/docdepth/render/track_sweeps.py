@@ -1,0 +1,91 @@
+"""Sweeps that saw other parts of a vehicle than those around the image (ours).
+
+Beside us a lorry reaches above the highest beam; farther away, where it came from or goes to, the
+LiDAR saw it whole.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.geometry.points import DYNAMIC
+from docdepth.geometry.se3 import inverse
+from docdepth.geometry.track import Track
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.moving_objects import Tracks
+
+NEAR = 30.0
+"""Vehicles nearer than this are drawn from further sweeps [m]. Farther ones are seen whole by the
+sweeps around the image: there a beam 2 degrees up is 2.8 m high, and reaches over cars and vans."""
+
+MOST_TRACK_SWEEPS = 8
+"""Further sweeps of a vehicle. One for each half octave of range and eighth of a turn makes a dozen
+of a vehicle that passes; neighbours of these show the same."""
+
+BESIDE = np.radians(3.0)
+"""Rays that pass this near to a vehicle are kept with it [rad]: more than the rings of any LiDAR
+are apart, so that its mesh has neighbours all around."""
+
+
+def track_sweeps(trajectory: Trajectory, time: int, tracks: Tracks) -> list[int]:
+    """Sweeps that show the vehicles near the LiDAR at ``time`` [ns] from elsewhere, ascending.
+
+    The choice belongs to the tracks and not to the image, so consecutive images share it.
+    """
+    here = trajectory.interpolate(time)[0][:3, 3]
+    chosen: set[int] = set()
+    for track in tracks.values():
+        if track.kind != "vehicle" or not track.covers(time):
+            continue
+        if np.linalg.norm(track.pose_at(time)[:3, 3] - here) < NEAR:
+            chosen.update(_views(track, trajectory))
+    return sorted(chosen)
+
+
+def _views(track: Track, trajectory: Trajectory) -> list[int]:
+    """One sweep for each half octave of range and eighth of a turn around the vehicle."""
+    sweep = np.minimum(np.searchsorted(trajectory.times, track.times), len(trajectory) - 1)
+    seen = trajectory.times[sweep] == track.times
+    if track.points.any():
+        seen &= track.points > 0
+    sweep = sweep[seen]
+    if not len(sweep):
+        return []
+    lidar = (inverse(track.poses[seen]) @ trajectory.poses[sweep])[:, :3, 3]
+    away = np.maximum(np.hypot(lidar[:, 0], lidar[:, 1]), 1.0)
+    octave = np.floor(2 * np.log2(away)).astype(np.int64)
+    side = np.round(np.arctan2(lidar[:, 1], lidar[:, 0]) / (np.pi / 4)).astype(np.int64) % 8
+    order = np.argsort(away, kind="stable")  # of each cell the nearest, which is the densest
+    _, first = np.unique((8 * octave + side)[order], return_index=True)
+    views = np.sort(sweep[order[first]])
+    if len(views) > MOST_TRACK_SWEEPS:
+        views = views[np.linspace(0, len(views) - 1, MOST_TRACK_SWEEPS).round().astype(np.int64)]
+    return [int(i) for i in views]
+
+
+def near_vehicles(
+    points: NDArray[np.float32],
+    classid: NDArray[np.uint16],
+    instance: NDArray[np.uint16] | None,
+    tracks: Tracks,
+) -> NDArray[np.bool_]:
+    """Which points of a sweep lie on or beside a vehicle as the LiDAR sees it; shape (N,)."""
+    kept = np.zeros(len(points), np.bool_)
+    if instance is None:
+        return kept
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    own = np.where(classid >= DYNAMIC, instance, 0)
+    for of in np.unique(own).tolist():
+        if of not in tracks or tracks[of].kind != "vehicle":
+            continue
+        rows = np.flatnonzero(own == of)
+        turn = (azimuth - azimuth[rows[0]] + np.pi) % (2 * np.pi) - np.pi
+        kept |= _between(turn, rows) & _between(elevation, rows)
+    return kept
+
+
+def _between(angle: NDArray[np.floating], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    low, high = angle[rows].min() - BESIDE, angle[rows].max() + BESIDE
+    return np.asarray((low <= angle) & (angle <= high))
