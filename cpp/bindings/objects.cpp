@@ -341,7 +341,7 @@ void bind_objects(py::module_& m) {
       .def(py::init(&make_detections), "points"_a, "ground"_a, "objects"_a, "dynamic"_a,
            "one_stay"_a, "first_occupied"_a,
            "last_occupied"_a, "mesh"_a, "T_world_lidar"_a, "time_offset"_a = py::none())
-      .def_static("of", &detections_of, "numbers"_a, "areas"_a, "boxes"_a, "samples"_a,
+      .def_static("of", &detections_of, "numbers"_a, "areas"_a, "extents"_a, "samples"_a,
                   "normals"_a)
       .def_property_readonly("arrays", &arrays_of);
   m.def("track_objects", &track, "detections"_a, "times"_a, "parameters"_a, "threads"_a = 0);

@@ -14,6 +14,8 @@ namespace {
 using Vector = Eigen::Vector3f;
 using Position = Eigen::Vector3d;
 
+const Position kChange(kHorizontalChange, kHorizontalChange, kVerticalChange);
+
 /// The value below which this share of the values lies.
 template <class Value>
 Value quantile(std::vector<Value> values, double share) {
@@ -30,6 +32,12 @@ Pose standing_pose(const Position& position, double heading, double slope) {
   T.rotate(Eigen::AngleAxisd(heading, Position::UnitZ()));
   T.rotate(Eigen::AngleAxisd(-slope, Position::UnitY()));
   return T;
+}
+
+/// Where nothing but the guess is known.
+Registration guessed(const Pose& T_world_object) {
+  return {T_world_object, Eigen::Matrix3d::Identity() * kGuessDeviation * kGuessDeviation,
+          kGuessHeadingDeviation * kGuessHeadingDeviation, 0};
 }
 
 double heading_of(const Pose& T) { return std::atan2(T.linear()(1, 0), T.linear()(0, 0)); }
@@ -100,8 +108,7 @@ void TrackPath::measure_shifts() {
     const double time = times_[seen.sweep] + offset / points;
     measured.push_back({time, {at.x(), at.y(), seen.box.low.z()}, variance.asDiagonal()});
   }
-  const auto motions = smooth_positions(measured, {kHorizontalChange, kHorizontalChange,
-                                                   kVerticalChange});
+  const auto motions = smooth_positions(measured, kChange);
   for (std::size_t k = 0; k < measured.size(); ++k)
     states_.push_back({measured[k].time, motions[k].position, motions[k].velocity, 0, 0});
 }
@@ -139,76 +146,66 @@ void TrackPath::find_headings() {
 
 /// Register the surfaces of all observations, from the one that shows most of the object outward.
 void TrackPath::register_surfaces() {
+  const auto& seen = track_.observations;
   const std::size_t count = states_.size();
-  Vector largest = Vector::Zero();
-  std::size_t first = 0;
-  float most = 0;
-  for (std::size_t k = 0; k < count; ++k) {
-    largest = largest.cwiseMax(track_.observations[k].box.size());
-    float area = 0;
-    for (const auto i : track_.observations[k].objects)
-      area += (*detections_[track_.observations[k].sweep])[i].area;
-    if (area > most) most = area, first = k;
-  }
-  SurfaceModel model(std::max(kSampleSpacing, largest.head<2>().norm() / kModelVoxels));
+  const auto smaller = [](const auto& a, const auto& b) { return a.area < b.area; };
+  const auto first = std::size_t(std::max_element(seen.begin(), seen.end(), smaller) - seen.begin());
+  float width = 0;
+  for (const TrackObservation& of : seen) width = std::max(width, of.box.width());
+  SurfaceModel model(std::max(kSampleSpacing, width / kModelVoxels));
   std::vector<Registration> found(count);
-  std::vector<std::uint8_t> known(count);
-  found[first] = {pose_of(first), Eigen::Matrix3d::Identity() * kSurfaceDeviation *
-                  kSurfaceDeviation, kGuessHeadingDeviation * kGuessHeadingDeviation, 1};
-  model.add(seen_[first], found[first].T_world_object);
   const auto attempt = [&](std::size_t k, const Pose& guess) {
     found[k] = register_surface(seen_[k], model, guess);
-    known[k] = found[k].share >= kMinRegisteredShare;
-    if (!known[k]) {
-      found[k].T_world_object = guess;
-      found[k].covariance =
-          Eigen::Matrix3d::Identity() * kGuessDeviation * kGuessDeviation;
-      found[k].heading_variance = kGuessHeadingDeviation * kGuessHeadingDeviation;
-    }
+    const bool known = found[k].share >= kMinRegisteredShare;
+    if (!known) found[k] = guessed(guess);
+    return known;
   };
   const auto follow = [&](std::size_t k, std::size_t from) {
     // As the shifts say, relative to the neighbour that is registered.
     const Pose guess = found[from].T_world_object * pose_of(from).inverse() * pose_of(k);
-    attempt(k, guess);
-    if (known[k]) model.add(seen_[k], found[k].T_world_object);
+    if (attempt(k, guess)) model.add(seen_[k], found[k].T_world_object);
   };
-  known[first] = 1;
+  found[first] = guessed(pose_of(first));
+  model.add(seen_[first], found[first].T_world_object);
   for (std::size_t step = 1; step < count; ++step) {
     if (first + step < count) follow(first + step, first + step - 1);
     if (step <= first) follow(first - step, first - step + 1);
   }
   for (std::size_t k = 0; k < count; ++k) attempt(k, Pose(found[k].T_world_object));
+  smooth(found);
+  find_extent(model);
+}
 
+/// The motion through registered poses.
+void TrackPath::smooth(const std::vector<Registration>& found) {
   std::vector<MeasuredPosition> positions, headings;
   double heading = heading_of(found[0].T_world_object);
-  for (std::size_t k = 0; k < count; ++k) {
-    const Pose& T = found[k].T_world_object;
-    positions.push_back({states_[k].time, T.translation(), found[k].covariance});
+  for (std::size_t k = 0; k < found.size(); ++k) {
+    const auto& [T, covariance, variance, share] = found[k];
+    positions.push_back({states_[k].time, T.translation(), covariance});
     heading += wrapped(heading_of(T) - heading);
-    const double variance = found[k].heading_variance;
     headings.push_back(
         {states_[k].time, {heading, 0, 0}, Eigen::Vector3d(variance, 1, 1).asDiagonal()});
   }
-  const auto motions = smooth_positions(positions, {kHorizontalChange, kHorizontalChange,
-                                                    kVerticalChange});
+  const auto motions = smooth_positions(positions, kChange);
   const auto turns = smooth_positions(headings, Eigen::Vector3d::Constant(kTurnChange));
-  for (std::size_t k = 0; k < count; ++k) {
+  for (std::size_t k = 0; k < found.size(); ++k) {
     states_[k].position = motions[k].position;
     states_[k].velocity = motions[k].velocity;
     states_[k].heading = turns[k].position.x();
   }
-  std::vector<float> sides[6];
-  const int least = std::min<int>(kMinHits, 1 + int(count) / kMinHits);
-  for (std::size_t i = 0; i < model.hits().size(); ++i) {
-    if (model.hits()[i] < least) continue;
-    const Vector& p = model.surface().points[i];
-    for (int axis = 0; axis < 3; ++axis)
-      sides[axis].push_back(p[axis]), sides[3 + axis].push_back(p[axis]);
-  }
-  if (sides[0].empty()) return;
-  for (int axis = 0; axis < 3; ++axis) {
+}
+
+/// Around what several sweeps saw of the object.
+void TrackPath::find_extent(const SurfaceModel& model) {
+  std::vector<float> sides[3];
+  const int least = std::min<int>(kMinHits, 1 + int(states_.size()) / kMinHits);
+  for (std::size_t i = 0; i < model.hits().size(); ++i)
+    for (int axis = 0; axis < 3 && model.hits()[i] >= least; ++axis)
+      sides[axis].push_back(model.surface().points[i][axis]);
+  for (int axis = 0; axis < 3 && !sides[0].empty(); ++axis) {
     extent_.low[axis] = quantile(sides[axis], 1 - kExtentQuantile);
-    extent_.high[axis] = quantile(sides[3 + axis], kExtentQuantile);
+    extent_.high[axis] = quantile(sides[axis], kExtentQuantile);
   }
 }
 

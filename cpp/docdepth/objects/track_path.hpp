@@ -6,6 +6,7 @@
 #include "docdepth/geometry/sampled_points.hpp"
 #include "docdepth/objects/oriented_box.hpp"
 #include "docdepth/objects/parameters.hpp"
+#include "docdepth/objects/registration.hpp"
 #include "docdepth/objects/track.hpp"
 
 namespace docdepth {
@@ -49,6 +50,8 @@ class TrackPath {
 
   void measure_shifts();
   void register_surfaces();
+  void smooth(const std::vector<Registration>& found);
+  void find_extent(const SurfaceModel& model);
   void find_headings();
   void find_extents();
   Pose pose_of(std::size_t k) const;
@@ -63,7 +66,7 @@ class TrackPath {
   std::vector<State> states_;
   std::vector<Extent> extents_;  ///< of each observation, in the frame of the object
   std::vector<OrientedBox> boxes_;
-  Extent extent_;
+  Extent extent_{Eigen::Vector3f::Zero(), Eigen::Vector3f::Zero()};
 };
 
 }  // namespace docdepth
