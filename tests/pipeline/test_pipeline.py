@@ -12,10 +12,9 @@ import pytest
 
 from command_line import cli
 from docdepth.datasets import open_dataset
-from docdepth.dynamics import voting
-from docdepth.io.tracks import read_tracks
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.tracks import read_tracks
 from docdepth.pipeline import classify as classes
 from docdepth.pipeline import depth_files
 from docdepth.visualization import pictures as visualize

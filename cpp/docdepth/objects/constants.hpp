@@ -35,6 +35,10 @@ constexpr float kMinTrackedHeight = 0.15f;
 constexpr float kMinTrackedWidth = 0.3f;
 /// An object is searched this far around its predicted box [m].
 constexpr float kSearchMargin = 0.5f;
+/// Samples match exactly within this horizontal distance [m]: they are this far apart at most.
+constexpr float kLevelDistance = 0.2f;
+/// Weight of the samples that match beside those that match exactly: it decides between few.
+constexpr float kNearWeight = 0.1f;
 /// Share of an object's samples that have to match the track it belongs to.
 constexpr float kMinMemberShare = 0.6f;
 /// Share of min_distance that a track goes while votes call it dynamic.

@@ -48,6 +48,20 @@ SampledPoints together(SampledPoints older, const Vector& shift, const SampledPo
   return downsample(older, kSampleSpacing, kMaxSamples);
 }
 
+/// Share of the shifted samples that have one of `others` beside them. Rings leave gaps above and
+/// below, so that only the horizontal distance tells exactly.
+float level_share(const SampledPoints& samples, const Vector& shift, const SampledPoints& others) {
+  std::size_t found = 0;
+  for (const Vector& sample : samples) {
+    const Vector p = sample + shift;
+    found += std::any_of(others.begin(), others.end(), [&](const Vector& q) {
+      return (q - p).head<2>().squaredNorm() < kLevelDistance * kLevelDistance &&
+             std::fabs(q.z() - p.z()) < kMatchDistance;
+    });
+  }
+  return float(found) / float(samples.size());
+}
+
 class Tracker {
  public:
   Tracker(const std::vector<const Detections*>& detections, const std::vector<double>& times,
@@ -88,7 +102,9 @@ class Tracker {
       const int track = int(tracks_.size());
       owners_[sweep][k] = track;
       tracks_.push_back(
-          {{{sweep, {k}, seen[k].box, Vector::Zero(), true, seen[k].area, seen[k].passing_area()}}, 1});
+          {{{sweep, {k}, seen[k].box, Vector::Zero(), true, seen[k].area, seen[k].passing_area(),
+             seen[k].free_area}},
+           1});
       const SampledPoints& samples = seen[k].samples();
       alive_.push_back({track, samples, samples, seen[k].box.size(), times_[sweep]});
     }
@@ -157,12 +173,14 @@ class Tracker {
 
   void add(int track, std::size_t sweep, const Match& match, bool at_front) {
     const Detections& seen = *detections_[sweep];
-    TrackObservation added{sweep, match.objects, match.box, match.shift, false, 0, 0};
+    TrackObservation added{sweep, match.objects, match.box, match.shift, false, 0, 0, 0};
     std::uint32_t points = 0, of_dynamic = 0;
     for (const auto k : match.objects) {
       owners_[sweep][k] = track;
       points += seen[k].points;
-      added.area += seen[k].area, added.free_area += seen[k].passing_area();
+      added.area += seen[k].area;
+      added.passing_area += seen[k].passing_area();
+      added.free_area += seen[k].free_area;
       if (seen[k].is_passing()) of_dynamic += seen[k].points;
     }
     added.dynamic = 2 * of_dynamic >= points;
@@ -230,25 +248,40 @@ class Tracker {
     const Detections& seen = *detections_[sweep];
     const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
     Match best;
+    const Vector expected = end.velocity * static_cast<float>(dt);
+    std::vector<Vector> tried;
     const auto attempt = [&](const Vector& start) {
-      Match match = match_from(end, samples, sweep, start, reach);
+      const auto is_same = [&](const Vector& other) {
+        return (other - start).norm() < kSampleSpacing;
+      };
+      if (std::any_of(tried.begin(), tried.end(), is_same)) return;
+      tried.push_back(start);
+      Match match = match_from(end, samples, sweep, start, expected, reach);
       if (match.score > best.score) best = std::move(match);
     };
+    Extent box = extent_of(samples);
     if (end.has_velocity) {
-      attempt(end.velocity * static_cast<float>(dt));
+      attempt(expected);
       attempt(Vector::Zero());
-      return best;
     }
-    const Extent box = extent_of(samples);
-    for (std::uint32_t k = 0; k < seen.size(); ++k)
-      if (is_free(sweep, k, end) && seen[k].is_passing() && seen[k].box.overlaps(box, reach))
-        attempt(most_frequent_shift(samples, seen[k].samples(), reach));
+    // Along a flat side every shift fits; its ends tell how far it went.
+    const Extent there{box.low + expected, box.high + expected};
+    for (std::uint32_t k = 0; k < seen.size(); ++k) {
+      if (!is_free(sweep, k, end) || !could_match(seen[k].box, end.largest)) continue;
+      const bool near = end.has_velocity ? seen[k].box.overlaps(there, kSearchMargin)
+                                         : seen[k].is_passing() && seen[k].box.overlaps(box, reach);
+      if (!near) continue;
+      for (const Vector& shift : {Vector(seen[k].box.low - box.low),
+                                  Vector(seen[k].box.high - box.high)})
+        if (shift.head<2>().norm() <= reach) attempt({shift.x(), shift.y(), 0});
+      if (!end.has_velocity) attempt(most_frequent_shift(samples, seen[k].samples(), reach));
+    }
     return best;
   }
 
   /// The detections onto which the samples fall, with a shift that is refined from `start`.
   Match match_from(const End& end, const SampledPoints& samples, std::size_t sweep,
-                   const Vector& start, float reach) const {
+                   const Vector& start, const Vector& expected, float reach) const {
     const Detections& seen = *detections_[sweep];
     Extent box = extent_of(samples);
     const Vector size = box.size();
@@ -278,13 +311,18 @@ class Tracker {
     drop_neighbors(seen, match);
     // Together larger than one object: a pedestrian and what he walks away from.
     if (match.objects.empty() || !could_match(match.box, match.largest)) return {};
-    // Half of a track may be hidden, so twice its matched share counts.
-    const float track_share =
-                    std::min(1.0f, 2 * matched_share(samples, match.shift, match.samples)),
-                match_share = matched_share(match.samples, -match.shift, samples);
-    // Of two equal matches the nearer one is more likely.
-    match.score = track_share * match_share / (1 + match.shift.norm() / (2 * reach));
-    return match.score >= kMinMatchedShare ? match : Match{};
+    // Half of a track may be hidden, so twice its matched share counts. Of two equal matches the one
+    // nearer to where it is expected is more likely.
+    const auto score = [&](const auto& share) {
+      return std::min(1.0f, 2 * share(samples, match.shift, match.samples)) *
+             share(match.samples, -match.shift, samples) /
+             (1 + (match.shift - expected).norm() / (2 * reach));
+    };
+    const auto nearly = [](const auto&... of) { return matched_share(of...); };
+    const float share = score(nearly);
+    if (share < kMinMatchedShare) return {};
+    match.score = score(level_share) + kNearWeight * share;
+    return match;
   }
 
   /// Drop what was not free before or after where something else of a match was: what belongs

@@ -30,8 +30,8 @@ class TrackEvidence {
         path_(track, detections, times, p) {
     float total = 0;
     for (const TrackObservation& seen : track.observations) {
-      total += seen.free_area;
-      supported_ = std::max({supported_, seen.free_area, total / kTotalSupportDivisor});
+      total += seen.passing_area;
+      supported_ = std::max({supported_, seen.passing_area, total / kTotalSupportDivisor});
     }
   }
 
@@ -107,7 +107,7 @@ class TrackEvidence {
       return (path_.pose(times_[at.sweep]).translation() - place).norm();
     };
     for (const TrackObservation& at : seen) {
-      stay.free += distance(at) <= kSamePlace && at.was_free();
+      stay.free += distance(at) <= kSamePlace && at.is_passing();
       if (distance(at) > std::max(half, kSamePlace)) continue;
       stay.first = std::min(stay.first, int(at.sweep));
       stay.last = std::max(stay.last, int(at.sweep));

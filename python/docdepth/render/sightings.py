@@ -93,7 +93,7 @@ def sighted_objects(
             [_sighting(frames(one.sweep), one, T_camera_object) for one in some]
             for some in _chosen(seen[instance], drawn, tracks[instance])
         )
-        if around or others:
+        if around:  # else nobody knows where it is by now
             found.append((instance, around, others, (around + others)[:MOST_RAYS]))
     return found
 

@@ -3,32 +3,48 @@
 import numpy as np
 import pytest
 from tracks_reference import dynamic_voxels as reference_voxels
-from tracks_reference import track_objects as reference_tracks
 
 from docdepth.dynamics.tracking import (
     TRACK_PARAMETERS,
     Detections,
-    TrackingResult,
+    PointStays,
+    TrackedSweep,
     apply_tracks,
+    packed,
     track_objects,
+    unpacked,
 )
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
+from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.trajectory import Trajectory
 
+MEMORY = 30  # sweeps: for so long key frames remember a place
 CAR, PERSON, POLE, WALL = (4.2, 1.8, 1.5), (0.6, 0.6, 1.7), (0.3, 0.3, 2.0), (12.0, 0.3, 2.5)
 
 
 class Thing:
     """A box of points, its position in each sweep (None: unseen), and the sweeps that vote dynamic.
 
-    Positions are (x, y) or (x, y, z). ``seen`` chooses the points that a sweep sees, all if None.
+    Positions are (x, y) or (x, y, z). ``seen`` chooses the points that a sweep
+    sees, all if None. ``remembered``: votes tell in order of time that it came or left.
     """
 
-    def __init__(self, size, at, dynamic=(), step=0.2, seen=None):
+    def __init__(self, size, at, dynamic=(), step=0.2, seen=None, remembered=True):
         axes = [np.arange(-s / 2, s / 2 + 1e-6, step) for s in size]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
         self.shape = grid[(np.abs(grid) > np.array(size) / 2 - step).any(1)]
         self.at, self.dynamic, self.seen = at, set(dynamic), seen
+        self.size, self.remembered = float(np.hypot(*size[:2])), remembered
+
+    def stay(self, i, count):
+        """Whether its place was free within 3 s, and the sweeps that found it occupied then."""
+        here, half = np.array(self.at(i)[:2]), 0.5 * self.size
+        near = range(max(i - MEMORY, 0), min(i + MEMORY + 1, count))
+        off = {j: np.linalg.norm(self.at(j)[:2] - here) for j in near if self.at(j) is not None}
+        there = [j for j, distance in off.items() if distance < half]
+        left = self.remembered and max(off.values()) > self.size
+        return left, there[0], there[-1]
 
     def shape_in(self, i):
         return self.shape if self.seen is None else self.shape[self.seen(i, self.shape)]
@@ -44,7 +60,7 @@ def detections_of(things, count, seed=0, joined=None):
     for i in range(count):
         T = np.eye(4)
         T[:2, 3] = 0.8 * i, 0.1 * i
-        points, first, moving, firsts, wholes = [], [], [], {}, {}
+        points, first, moving, stays, firsts, wholes = [], [], [], [], {}, {}
         for k, thing in enumerate(things):
             place = thing.at(i)
             if place is None:
@@ -59,20 +75,35 @@ def detections_of(things, count, seed=0, joined=None):
             points += list(shape - T[:3, 3])
             first += [whole] * len(shape)
             moving += [i in thing.dynamic] * len(shape)
+            stays += [thing.stay(i, count)] * len(shape)
         cloud = np.array(points, np.float32).reshape(-1, 3)
         none = np.zeros(len(cloud), bool)
         objects, flags = np.array(first, np.uint32), np.array(moving, bool)
-        detections.append(Detections(cloud, none, objects, flags, T))
+        once, *ends = np.array(stays, np.int32).reshape(-1, 3).T
+        seen = PointStays(once > 0, *(np.ascontiguousarray(end) for end in ends))
+        detections.append(Detections(cloud, none, objects, flags, seen, no_mesh(cloud), T))
         rows.append(firsts)
     return detections, rows
+
+
+def no_mesh(cloud):
+    """Boxes that are seen from all sides have no mesh; points at the origin make none."""
+    return ScanMesh(np.zeros_like(cloud))
+
+
+def straight(count):
+    """The trajectory of the vehicle."""
+    poses = np.repeat(np.eye(4)[None], count, 0)
+    poses[:, 0, 3], poses[:, 1, 3] = 0.8 * np.arange(count), 0.1 * np.arange(count)
+    return Trajectory(np.arange(count) * 100_000_000, poses)
 
 
 def tracked(things, count, **more):
     """For each thing the sweeps in which only tracks make it dynamic."""
     detections, rows = detections_of(things, count, **more)
-    found = track_objects(detections, np.arange(count) * 100_000_000)
+    found = track_objects(detections, straight(count)).sweeps
     return [
-        [i for i in range(count) if k in rows[i] and rows[i][k] in found[i].objects]
+        [i for i in range(count) if k in rows[i] and rows[i][k] in found[i].dynamic]
         for k in range(len(things))
     ]
 
@@ -152,61 +183,90 @@ def test_a_shaking_bush_has_not_moved():
     assert tracked([bush], 30) == [[]]
 
 
-@pytest.mark.parametrize(("dynamic", "sweeps"), [(6, []), (8, list(range(8, 40)))])
-def test_a_track_that_drifts_on_without_votes_has_not_moved(dynamic, sweeps):
-    """Votes saw a quarter of a metre of a twig's two metres, or a third."""
-    assert tracked([Thing(PERSON, lambda i: (6 + 0.05 * i, 3), range(dynamic), 0.1)], 40) == [
-        sweeps
-    ]
+def test_a_track_that_drifts_on_without_votes_has_not_moved():
+    """Votes saw a quarter of a metre of a twig's two metres."""
+    twig = Thing(PERSON, lambda i: (6 + 0.05 * i, 3), range(6), 0.1, remembered=False)
+    assert tracked([twig], 40) == [[]]
 
 
 def test_two_dynamic_sweeps_are_no_track():
-    assert tracked([Thing(CAR, passes(4), range(10, 12))], 20) == [[]]
+    assert tracked([Thing(CAR, passes(4), range(10, 12), remembered=False)], 20) == [[]]
 
 
-def test_an_object_that_is_lost_is_where_its_motion_predicts_it(monkeypatch):
-    """Too few points, or a wall taken for a part of it: no object of those sweeps is the car."""
-    at, lost = passes(4), {0, 1, 7, 8, 9, 27}
-    car = Thing(CAR, lambda i: None if i in lost else at(i), set(range(28)) - lost)
-    found = track_objects(detections_of([car], 28)[0], np.arange(28) * 100_000_000)
+def rays_on_car(x, y, turn, rng):
+    """Returns of a LiDAR at the origin, 1.7 m above the ground, from a car; with range noise."""
+    azimuth = np.arctan2(y, x) + np.radians(np.arange(-35, 35, 0.3))
+    elevation = np.radians(np.arange(-25, 3, 1.0))
+    azimuth, elevation = (a.ravel() for a in np.meshgrid(azimuth, elevation))
+    level = np.cos(elevation)
+    rays = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], 1)
+    rotation = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0],
+                         [0, 0, 1]])  # fmt: skip
+    start, along = rotation @ (-x, -y, 1.7 - CAR[2] / 2), rays @ rotation.T
+    with np.errstate(divide="ignore"):
+        ends = np.sort((np.array([-1, 1])[:, None, None] * np.array(CAR) / 2 - start) / along, 0)
+    near, far = ends[0].max(1), ends[1].min(1)
+    hit = (near < far) & (near > 0)
+    return (rays[hit] * (near[hit] + rng.normal(0, 0.01, hit.sum()))[:, None]).astype(np.float32)
+
+
+def path_of(place, count, lost=()):
+    """The track of a car that a standing LiDAR sees, but for some sweeps, and all it says."""
+    rng, detections = np.random.default_rng(0), []
+    for i in range(count):
+        cloud = rays_on_car(*place(i), rng) if i not in lost else np.zeros((0, 3), np.float32)
+        none, whole = np.zeros(len(cloud), bool), np.zeros(len(cloud), np.uint32)
+        ends = np.full(len(cloud), i, np.int32)
+        stays, mesh = PointStays(~none, ends, ends), ScanMesh(cloud)
+        detections.append(Detections(cloud, none, whole, ~none, stays, mesh, np.eye(4)))
+    poses = np.repeat(np.eye(4)[None], count, 0)
+    found = track_objects(detections, Trajectory(np.arange(count) * 100_000_000, poses))
+    (track,) = found.tracks
+    assert track.kind == "vehicle"
+    return track, found.sweeps
+
+
+def test_a_car_that_is_lost_is_where_its_motion_predicts_it(monkeypatch):
+    lost = {0, 1, 7, 8, 9, 27}
+
+    def place(i):
+        return -10 + 0.8 * i, 8.0, 0.0
+
+    _, sweeps = path_of(place, 28, lost)
     for i in lost:
-        for box in found[i].boxes:
-            np.testing.assert_allclose(0.5 * (box[:2] + box[3:5]), at(i), atol=0.05)
-            np.testing.assert_allclose(box[3:] - box[:3], CAR, atol=0.2)
-        assert len(found[i].boxes) == 2  # forward and backward
+        ((_, moving),) = sweeps[i].box_tracks
+        assert moving
+        T = np.vstack([sweeps[i].boxes[0, :12].reshape(3, 4), [0, 0, 0, 1]])
+        np.testing.assert_allclose(np.linalg.inv(T)[0, 3], place(i)[0], atol=0.3)
     monkeypatch.setattr(TRACK_PARAMETERS, "window", 0)
-    found = track_objects(detections_of([car], 28)[0], np.arange(28) * 100_000_000)
-    assert not any(len(sweep.boxes) for sweep in found)
+    assert not any(len(sweep.boxes) for sweep in path_of(place, 28, lost)[1])
 
 
-def test_a_standing_object_has_no_predicted_box():
+def test_the_box_of_a_standing_object_does_not_move():
     car = Thing(CAR, waits((15, 3), 20), range(50))
-    found = track_objects(detections_of([car], 50)[0], np.arange(50) * 100_000_000)
-    assert not any(len(sweep.boxes) for sweep in found[:18])
-    assert all(len(sweep.boxes) for sweep in found[26:])
-
-
-def test_two_pedestrians_in_one_track_have_no_box_around_both():
-    at = passes(3, 1.2, 5)
-    first = Thing(PERSON, lambda i: at(i) if i < 3 else None, range(3), 0.1)
-    second = Thing(PERSON, lambda i: (at(i)[0], 8) if i > 5 else None, range(6, 20), 0.1)
-    found = track_objects(detections_of([first, second], 20)[0], np.arange(20) * 100_000_000)
-    boxes = np.concatenate([sweep.boxes for sweep in found])
-    assert len(boxes) >= 20
-    assert (boxes[:, 3:] - boxes[:, :3] < 1.5 * np.array(PERSON) + 0.5).all()
+    found = track_objects(detections_of([car], 50)[0], straight(50)).sweeps
+    assert not any(moves for sweep in found[:18] for _, moves in sweep.box_tracks)
+    assert all(moves for sweep in found[28:] for _, moves in sweep.box_tracks)
+    assert all(len(sweep.boxes) for sweep in found)
 
 
 def test_points_in_a_predicted_box_are_dynamic_unless_votes_or_ground_say_otherwise():
     T = np.eye(4)
     T[:3, 3] = 2, 0, 1
     points = np.array([[5, 0, 0], [5, 1, 0], [5, 2, 0], [5, 0, 0], [9, 0, 0]], np.float32)
-    box = np.array([[6, -1, 0, 8, 3, 2]], np.float32)  # in the world: [4, -1, -1, 6, 3, 1] here
+    T_box_world = np.eye(4)[:3]
+    T_box_world[:, 3] = -7, -1, -1  # in the world: from (6, -1, 0) to (8, 3, 2)
+    box = np.r_[T_box_world.ravel(), 1, 2, 1].astype(np.float32)[None]
     static, dynamic = np.array([[0, 2, 3, 0, 0], [0] * 5], np.uint16)
     classid = np.array([50, 50, 50, 0, 50], np.uint16)
     alone = np.arange(5, dtype=np.uint32)
-    found = TrackingResult(np.zeros(0, np.uint32), box)
-    classid = apply_tracks(points, alone, Votes(static, dynamic), classid, found, T)
-    assert list(classid) == [100, 100, 50, 0, 50]
+    found = TrackedSweep(box_tracks=np.array([[4, 1]], np.uint32), boxes=box)
+    classes, instance = apply_tracks(points, alone, Votes(static, dynamic), classid, found, T)
+    assert list(classes) == [100, 100, 50, 0, 50]
+    assert list(instance) == [4, 4, 0, 0, 0]
+    stands = found._replace(box_tracks=np.array([[4, 0]], np.uint32))
+    classes, _ = apply_tracks(points, alone, Votes(static, dynamic), classid, stands, T)
+    assert list(classes) == list(classid)
 
 
 @pytest.mark.parametrize(("always", "share", "moves"), [(8, 0.9, 0), (8, 0.7, 1), (7, 0.9, 1)])
@@ -217,13 +277,15 @@ def test_an_always_occupied_rest_of_a_tracked_object_stays_static(always, share,
     points = np.stack([10 + 0.02 * rows, 0 * rows, 0 * rows], 1).astype(np.float32)
     static, dynamic = np.full(100, always, np.uint16), (~occupied).astype(np.uint16)
     classid = np.where(rows < 40, 100, 50).astype(np.uint16)  # these move by their votes
-    found = TrackingResult(np.array([0], np.uint32), np.zeros((0, 6), np.float32))
+    found = TrackedSweep(np.array([[0, 3, 1]], np.uint32))
     whole = np.zeros(100, np.uint32)
     votes = Votes(static, dynamic)
-    classes = apply_tracks(points, whole, votes, classid, found, np.eye(4))
+    classes, instance = apply_tracks(points, whole, votes, classid, found, np.eye(4))
+    np.testing.assert_array_equal(instance, np.where(classes == 100, 3, 0))
     assert (classes[:40] == 100).all()
     assert (classes[40:] == (100 if moves else 50)).all()
-    waits = apply_tracks(points, whole, votes, (whole + 50).astype(np.uint16), found, np.eye(4))
+    standing = (whole + 50).astype(np.uint16)
+    waits, _ = apply_tracks(points, whole, votes, standing, found, np.eye(4))
     assert (waits == 100).all()  # none of it moves now: it is known from another time
 
 
@@ -268,22 +330,6 @@ def test_a_thin_post_that_a_track_includes_stays_static_if_it_was_not_seen_befor
         assert tracked([walker, beside], 45) == [list(range(28)), expected]
 
 
-def test_a_track_of_few_points_adds_no_object_of_many():
-    """A pedestrian is lost where a bin comes into view that was occluded or too far."""
-
-    def every(n):
-        return lambda _, shape: np.arange(len(shape)) % n == 0
-
-    def later(i):
-        return (10.0, 3) if i >= 20 else None
-
-    walker = Thing(
-        PERSON, lambda i: (8 + 0.1 * i, 3) if i < 20 else None, range(20), 0.1, every(30)
-    )
-    for n, sweeps in ((1, []), (15, list(range(20, 40)))):
-        assert tracked([walker, Thing(PERSON, later, step=0.1, seen=every(n))], 40) == [[], sweeps]
-
-
 def test_a_car_that_moves_less_than_its_length_was_observed_to_leave():
     at = waits((15, 3), 30)
     car = Thing(CAR, at, range(35, 50))
@@ -297,47 +343,54 @@ def random_things(rng, count):
         size = [CAR, PERSON, WALL, (2.0, 1.0, 0.2)][rng.integers(4)]
         start, leaves = rng.uniform((-5, -15), (25, 15)), rng.integers(0, count // 2)
         moves = waits(start, leaves, rng.choice([0.0, 1.5, 6.0], p=[0.2, 0.4, 0.4]))
-        hidden = set(rng.integers(0, count, 3).tolist())
         first = leaves + rng.integers(0, 9)
-        things.append(
-            Thing(
-                size,
-                lambda i, moves=moves, hidden=hidden: None if i in hidden else moves(i),
-                range(first, count, rng.integers(1, 3)),
-                0.3,
-            )
-        )
+        things.append(Thing(size, moves, range(first, count, rng.integers(1, 3)), 0.3))
     return things
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_tracked_objects_equal_the_reference(seed, monkeypatch):
+def test_tracks_do_not_depend_on_threads_or_files(seed):
     rng = np.random.default_rng(seed)
-    pairs = [pair for pair in np.sort(rng.integers(0, 12, (3, 2)), 1).tolist() if pair[0] < pair[1]]
-    joined = {tuple(pair): range(rng.integers(0, 20), 25) for pair in pairs}
-    detections, _ = detections_of(random_things(rng, 30), 30, seed, joined)
-    monkeypatch.setattr(TRACK_PARAMETERS, "max_gap", 0.3)
-    monkeypatch.setattr(TRACK_PARAMETERS, "max_gap_standing", 1.0)
-    times = np.arange(30) * 100_000_000
-    found = [track_objects(detections, times, threads) for threads in (1, 2)]
+    detections, _ = detections_of(random_things(rng, 30), 30, seed)
     again = [Detections.of(seen.arrays) for seen in detections]
-    expected = reference_tracks(
-        [seen.arrays for seen in detections], times * 1e-9, max_gap=0.3, max_gap_standing=1.0
-    )
-    assert sum(len(rows) for rows, _ in expected) > 10
-    assert sum(len(boxes) for _, boxes in expected) > 50
-    for one, two, three, right in zip(*found, track_objects(again, times), expected, strict=True):
-        for result in (one, two, three):
-            np.testing.assert_array_equal(result.objects, right[0])
-            np.testing.assert_allclose(result.boxes, right[1], atol=1e-4)
-        np.testing.assert_array_equal(one.boxes, two.boxes)
-    voxels = reference_voxels(
-        [seen.arrays for seen in detections], [of for of, _ in expected], times * 1e-9
-    )
+    one, two = (track_objects(detections, straight(30), threads) for threads in (1, 2))
+    read = unpacked(packed(track_objects(again, straight(30))), 30)
+    assert len(one.tracks) >= 3
+    for other in (two, read):
+        for left, right in zip(packed(one), packed(other), strict=True):
+            np.testing.assert_array_equal(left, right)
+    with pytest.raises(ValueError, match="are not the tracks"):
+        unpacked(packed(one)[:-1], 30)
+    claimed = [set(sweep.dynamic.tolist()) for sweep in one.sweeps]
+    times = straight(30).times * 1e-9
+    voxels = reference_voxels([seen.arrays for seen in detections], claimed, times)
     assert sum(len(of) for of in voxels) > 100
-    for one, two, right in zip(*found, voxels, strict=True):
-        np.testing.assert_array_equal(one.voxels, right)
-        np.testing.assert_array_equal(two.voxels, right)
+    for sweep, right in zip(one.sweeps, voxels, strict=True):
+        np.testing.assert_array_equal(sweep.voxels, right)
+
+
+def turning(i):
+    """A car that drives at 8 m/s and turns by 0.4 rad/s from the first second on."""
+    speed, rate, seconds = 8.0, 0.4, 0.1 * i
+    if seconds < 1:
+        return -6 + speed * seconds, 5.0, 0.0
+    turn = rate * (seconds - 1)
+    radius = speed / rate
+    return 2 + radius * np.sin(turn), 5.0 + radius * (1 - np.cos(turn)), turn
+
+
+def test_the_path_of_a_turning_car_is_found():
+    """Registered surfaces tell position and heading, whatever side of the car is seen."""
+    track, _ = path_of(turning, 40)
+    sweeps = track.times // 100_000_000
+    truth = np.array([turning(i) for i in sweeps])
+    assert len(sweeps) >= 30
+    np.testing.assert_allclose(track.poses[:, :2, 3], truth[:, :2], atol=0.25)
+    heading = np.arctan2(track.poses[:, 1, 0], track.poses[:, 0, 0])
+    assert np.abs(np.degrees(heading - truth[:, 2])).max() < 6
+    speed = np.linalg.norm(track.velocities, axis=1)
+    assert np.abs(speed - 8)[3:-3].max() < 0.6
+    np.testing.assert_allclose(track.size, CAR, atol=0.4)
 
 
 def test_a_few_points_in_a_dynamic_voxel_are_dynamic():
@@ -346,12 +399,12 @@ def test_a_few_points_in_a_dynamic_voxel_are_dynamic():
     hedge = Thing((1.6, 0.6, 1.7), parked_at(9.5, 3.4), step=0.1)
     for things, moves in (((walker,), True), ((walker, hedge), False)):
         detections, _ = detections_of(things, 30)
-        found = track_objects(detections, np.arange(30) * 100_000_000)[15]
+        found = track_objects(detections, straight(30)).sweeps[15]
         few = np.float32([(9.5, 3.0, 0.5), (9.5, 3.0, 1.4), (14.0, 3.0, 0.5)])
-        place = TrackingResult(np.zeros(0, np.uint32), np.zeros((0, 6), np.float32), found.voxels)
+        place = TrackedSweep(voxels=found.voxels)
         none, alone = np.zeros(3, np.uint16), np.arange(3, dtype=np.uint32)
         static = np.uint16([0, 3, 0])  # many more say that it stands
-        classid = apply_tracks(few, alone, Votes(static, none), none + 50, place, np.eye(4))
+        classid, _ = apply_tracks(few, alone, Votes(static, none), none + 50, place, np.eye(4))
         assert list(classid) == [100 if moves else 50, 50, 50]
 
 
@@ -365,23 +418,40 @@ def test_detections_are_the_objects_of_their_sweep():
     moving = rng.random(400) < 0.5
     T = np.eye(4)
     T[:3, 3] = 3, -2, 1
-    numbers, boxes, places = Detections(points, ground, objects, moving, T).arrays
+    ends = np.arange(400, dtype=np.int32)
+    free = rng.random(400) < 0.5
+    stays, mesh = PointStays(free, ends, ends), ScanMesh(points)
+    made = Detections(points, ground, objects, moving, stays, mesh, T)
+    numbers, areas, boxes, places, normals = made.arrays
     assert list(numbers[:, 0]) == sorted(set(objects[~ground]))
-    for (first, count, dynamic, _), box in zip(numbers, boxes, strict=True):
+    for (first, count, dynamic, _, earliest, _), area, box in zip(
+        numbers, areas, boxes, strict=True
+    ):
         members = ~ground & (objects == first)
         assert count == members.sum()
         assert dynamic == (members & moving).sum()
         world = points[members] + np.float32([3, -2, 1])
         np.testing.assert_array_equal(box, [*world.min(0), *world.max(0)])
-    assert numbers[:, 3].sum() == len(places)
+        squares = (points[members] ** 2).sum(1)
+        np.testing.assert_allclose(area[0], squares.sum(), rtol=1e-5)
+        np.testing.assert_allclose(area[1], squares[moving[members]].sum(), rtol=1e-5)
+        isolated = np.isin(np.flatnonzero(members), mesh.core.isolated).sum()
+        freed = squares[free[members]].sum() if isolated <= 0.1 * count else 0
+        np.testing.assert_allclose(area[2], freed, rtol=1e-5)
+        assert earliest == np.sort(np.flatnonzero(members))[count // 2]
+    assert numbers[:, 3].sum() == len(places) == len(normals)
+    assert ((np.abs(np.linalg.norm(normals, axis=1) - 1) < 1e-5) | ~normals.any(1)).all()
     assert numbers[:, 3].max() <= 100
 
 
 def test_wrong_objects_are_refused():
     points, ground = np.ones((3, 3), np.float32), np.zeros(3, bool)
     objects, moving = np.array([0, 1, 1], np.uint32), np.zeros(3, bool)
+    stays, mesh = PointStays(moving, *np.zeros((2, 3), np.int32)), ScanMesh(points)
     with pytest.raises(ValueError, match="cluster_objects"):
-        Detections(points, ground, objects[::-1].copy(), moving, np.eye(4))
+        Detections(points, ground, objects[::-1].copy(), moving, stays, mesh, np.eye(4))
+    one = Detections(points, ground, objects, moving, stays, mesh, np.eye(4))
     with pytest.raises(InputError, match="one of each"):
-        track_objects([Detections(points, ground, objects, moving, np.eye(4))], np.arange(2))
-    assert track_objects([], np.zeros(0, np.int64)) == []
+        track_objects([one], straight(2))
+    with pytest.raises(InputError, match="order"):
+        PointStays.of(Votes(*np.zeros((2, 3), np.uint16)), np.arange(2), 2)
