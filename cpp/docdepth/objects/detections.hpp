@@ -29,6 +29,8 @@ struct Detection {
   float time_offset = 0;      ///< mean time of its points [s after the sweep's stamp]
   Extent box{};               ///< in the world
   SampledSurface surface;     ///< in the world
+  SampledPoints edges;        ///< beside which the background shows: there it ends
+  SampledPoints hidden;       ///< beside which something nearer hides how it goes on
 
   bool is_dynamic() const { return 2 * dynamic >= points; }
   /// Whether most of its place was free before or after.

@@ -16,6 +16,7 @@ struct TrackObservation {
   Extent box;                          ///< around them
   Eigen::Vector3f shift;  ///< from where the last observation was: the samples registered [m]
   bool dynamic;           ///< whether most of it is passing by its votes
+  bool voted;             ///< whether the votes call most of it dynamic
   /// Of its points, of those that are passing, and of those whose place was free (Detection).
   float area, passing_area, free_area;
 

@@ -3,10 +3,10 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <tuple>
 
 #include "docdepth/objects/constants.hpp"
 #include "docdepth/objects/registration.hpp"
-#include "docdepth/objects/smoothing.hpp"
 
 namespace docdepth {
 namespace {
@@ -34,14 +34,6 @@ Pose standing_pose(const Position& position, double heading, double slope) {
   return T;
 }
 
-/// Where nothing but the guess is known.
-Registration guessed(const Pose& T_world_object) {
-  return {T_world_object, Eigen::Matrix3d::Identity() * kGuessDeviation * kGuessDeviation,
-          kGuessHeadingDeviation * kGuessHeadingDeviation, 0};
-}
-
-double heading_of(const Pose& T) { return std::atan2(T.linear()(1, 0), T.linear()(0, 0)); }
-
 /// Direction of the longest horizontal extent of points.
 double longest_direction(const SampledPoints& points) {
   Vector mean = Vector::Zero();
@@ -54,6 +46,32 @@ double longest_direction(const SampledPoints& points) {
   const Eigen::Vector2d axis =
       Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d>(spread).eigenvectors().col(1);
   return std::atan2(axis.y(), axis.x());
+}
+
+/// What a registration measured of the position, and of the heading (the first coordinate; near
+/// `near`, so that it does not jump by a turn). Nothing if it failed.
+std::pair<MeasuredPosition, MeasuredPosition> measured(const Registration& found, double time,
+                                                       double near) {
+  const double factor = found.share >= kMinRegisteredShare ? 1 : kOutlierFactor;
+  const double heading = near + wrapped(found.heading - near);
+  return {{time, found.position, factor * found.covariance},
+          {time,
+           {heading, 0, 0},
+           Eigen::Vector3d(factor * found.heading_variance, 1, 1).asDiagonal()}};
+}
+
+/// Whether most of some points lie where the model is.
+bool lies_on(const SampledPoints& points, const SurfaceModel& model, const Pose& T_world_object) {
+  Extent box = extent_of(model.surface().points);
+  box.low -= Vector::Constant(kSearchMargin);
+  box.high += Vector::Constant(kSearchMargin);
+  const Eigen::Isometry3f T = T_world_object.inverse().cast<float>();
+  std::size_t inside = 0;
+  for (const Vector& point : points) {
+    const Vector p = T * point;
+    inside += (p.array() >= box.low.array()).all() && (p.array() <= box.high.array()).all();
+  }
+  return 2 * inside >= points.size();
 }
 
 Extent extent_in(const SampledPoints& points, const Pose& T_world_object) {
@@ -70,20 +88,24 @@ TrackPath::TrackPath(const Track& track, const std::vector<const Detections*>& d
     : track_(track), detections_(detections), times_(times), p_(p) {
   std::vector<float> widths;
   for (const TrackObservation& seen : track.observations) {
-    SampledSurface surface;
+    SeenSurface surface;
+    const auto append = [](SampledPoints& all, const SampledPoints& more) {
+      all.insert(all.end(), more.begin(), more.end());
+    };
     for (const auto k : seen.objects) {
-      const SampledSurface& part = (*detections[seen.sweep])[k].surface;
-      surface.points.insert(surface.points.end(), part.points.begin(), part.points.end());
-      surface.normals.insert(surface.normals.end(), part.normals.begin(), part.normals.end());
+      const Detection& part = (*detections[seen.sweep])[k];
+      append(surface.points, part.surface.points), append(surface.normals, part.surface.normals);
+      append(surface.edges, part.edges), append(surface.hidden, part.hidden);
     }
     seen_.push_back(std::move(surface));
     widths.push_back(seen.box.width());
   }
   rigid_ = quantile(widths, kRigidQuantile) >= kMinRigidWidth && track.observations.size() > 2;
+  end_ = seen_.size();
   measure_shifts();
   find_headings();
   if (rigid_) register_surfaces();
-  find_extents();
+  if (is_one_object()) find_extents();
   seen_.clear();
 }
 
@@ -144,52 +166,63 @@ void TrackPath::find_headings() {
         states_[k - 1].heading + wrapped(states_[k].heading - states_[k - 1].heading);
 }
 
-/// Register the surfaces of all observations, from the one that shows most of the object outward.
+/// Register the surfaces of all observations, from the one that shows most of the object outward:
+/// each where the motion so far leads. Then all once more onto the whole model.
 void TrackPath::register_surfaces() {
   const auto& seen = track_.observations;
-  const std::size_t count = states_.size();
   const auto smaller = [](const auto& a, const auto& b) { return a.area < b.area; };
   const auto first = std::size_t(std::max_element(seen.begin(), seen.end(), smaller) - seen.begin());
   float width = 0;
   for (const TrackObservation& of : seen) width = std::max(width, of.box.width());
   SurfaceModel model(std::max(kSampleSpacing, width / kModelVoxels));
-  std::vector<Registration> found(count);
-  const auto attempt = [&](std::size_t k, const Pose& guess) {
-    found[k] = register_surface(seen_[k], model, guess);
-    const bool known = found[k].share >= kMinRegisteredShare;
-    if (!known) found[k] = guessed(guess);
-    return known;
+  const Pose T_first = pose_of(first);
+  const double exact = kSurfaceDeviation * kSurfaceDeviation;
+  std::vector<MeasuredPosition> positions(states_.size()), headings(states_.size());
+  positions[first] = {states_[first].time, T_first.translation(),
+                      Eigen::Matrix3d::Identity() * exact};
+  headings[first] = {states_[first].time, {states_[first].heading, 0, 0},
+                     Eigen::Vector3d(exact, 1, 1).asDiagonal()};
+  model.add(seen_[first], T_first);
+  const auto follow = [&](int step) {
+    MotionFilter motion(kChange), turn(Eigen::Vector3d::Constant(kTurnChange));
+    motion.start(positions[first], states_[first].velocity, kShiftSpeedDeviation);
+    turn.start(headings[first], Position::Zero(), kStrongestTurn);
+    std::size_t misses = 0;
+    for (std::size_t k = first + std::size_t(step); k < states_.size(); k += std::size_t(step)) {
+      const double time = states_[k].time;
+      motion.predict(time), turn.predict(time);
+      const Pose guess =
+          standing_pose(motion.position(), turn.position().x(), states_[k].slope);
+      const ExpectedPose expected{guess, motion.covariance(), turn.covariance()(0, 0)};
+      misses = lies_on(seen_[k].points, model, guess) ? 0 : misses + 1;
+      if (misses == kMaxMisses) return k - (misses - 1) * std::size_t(step);
+      const Registration found = register_surface(seen_[k], model, expected);
+      std::tie(positions[k], headings[k]) = measured(found, time, turn.position().x());
+      if (!motion.expects(positions[k])) positions[k].covariance *= kOutlierFactor;
+      motion.update(positions[k]), turn.update(headings[k]);
+      if (found.share >= kMinRegisteredShare) model.add(seen_[k], found.T_world_object);
+    }
+    return step > 0 ? states_.size() : std::size_t(-1);
   };
-  const auto follow = [&](std::size_t k, std::size_t from) {
-    // As the shifts say, relative to the neighbour that is registered.
-    const Pose guess = found[from].T_world_object * pose_of(from).inverse() * pose_of(k);
-    if (attempt(k, guess)) model.add(seen_[k], found[k].T_world_object);
-  };
-  found[first] = guessed(pose_of(first));
-  model.add(seen_[first], found[first].T_world_object);
-  for (std::size_t step = 1; step < count; ++step) {
-    if (first + step < count) follow(first + step, first + step - 1);
-    if (step <= first) follow(first - step, first - step + 1);
+  end_ = follow(1), begin_ = follow(-1) + 1;
+  if (begin_ > 0 || end_ < states_.size()) return;  // the others are something else
+  smooth(positions, headings);
+  for (std::size_t k = 0; k < states_.size(); ++k) {
+    const ExpectedPose expected{pose_of(k), Eigen::Matrix3d::Identity() * kGuessDeviation * kGuessDeviation,
+                                kGuessHeadingDeviation * kGuessHeadingDeviation};
+    const Registration found = register_surface(seen_[k], model, expected);
+    std::tie(positions[k], headings[k]) = measured(found, states_[k].time, states_[k].heading);
   }
-  for (std::size_t k = 0; k < count; ++k) attempt(k, Pose(found[k].T_world_object));
-  smooth(found);
+  smooth(positions, headings);
   find_extent(model);
 }
 
-/// The motion through registered poses.
-void TrackPath::smooth(const std::vector<Registration>& found) {
-  std::vector<MeasuredPosition> positions, headings;
-  double heading = heading_of(found[0].T_world_object);
-  for (std::size_t k = 0; k < found.size(); ++k) {
-    const auto& [T, covariance, variance, share] = found[k];
-    positions.push_back({states_[k].time, T.translation(), covariance});
-    heading += wrapped(heading_of(T) - heading);
-    headings.push_back(
-        {states_[k].time, {heading, 0, 0}, Eigen::Vector3d(variance, 1, 1).asDiagonal()});
-  }
+/// The motion through measured positions and headings.
+void TrackPath::smooth(const std::vector<MeasuredPosition>& positions,
+                       const std::vector<MeasuredPosition>& headings) {
   const auto motions = smooth_positions(positions, kChange);
   const auto turns = smooth_positions(headings, Eigen::Vector3d::Constant(kTurnChange));
-  for (std::size_t k = 0; k < found.size(); ++k) {
+  for (std::size_t k = 0; k < states_.size(); ++k) {
     states_[k].position = motions[k].position;
     states_[k].velocity = motions[k].velocity;
     states_[k].heading = turns[k].position.x();

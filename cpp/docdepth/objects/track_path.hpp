@@ -7,6 +7,7 @@
 #include "docdepth/objects/oriented_box.hpp"
 #include "docdepth/objects/parameters.hpp"
 #include "docdepth/objects/registration.hpp"
+#include "docdepth/objects/smoothing.hpp"
 #include "docdepth/objects/track.hpp"
 
 namespace docdepth {
@@ -37,6 +38,11 @@ class TrackPath {
   /// Largest distance between two of its places, of all observations or of dynamic ones [m].
   float distance(bool dynamic) const;
 
+  /// The observations that are one object; of others nothing else is known.
+  std::size_t begin() const { return begin_; }
+  std::size_t end() const { return end_; }
+  bool is_one_object() const { return begin_ == 0 && end_ == states_.size(); }
+
   bool is_rigid() const { return rigid_; }
   /// Around all that was seen of it, in its own frame.
   const Extent& extent() const { return extent_; }
@@ -50,7 +56,8 @@ class TrackPath {
 
   void measure_shifts();
   void register_surfaces();
-  void smooth(const std::vector<Registration>& found);
+  void smooth(const std::vector<MeasuredPosition>& positions,
+              const std::vector<MeasuredPosition>& headings);
   void find_extent(const SurfaceModel& model);
   void find_headings();
   void find_extents();
@@ -62,7 +69,8 @@ class TrackPath {
   const std::vector<double>& times_;
   const TrackParameters& p_;
   bool rigid_ = false;
-  std::vector<SampledSurface> seen_;  ///< of each observation, in the world
+  std::size_t begin_ = 0, end_ = 0;
+  std::vector<SeenSurface> seen_;  ///< of each observation, in the world
   std::vector<State> states_;
   std::vector<Extent> extents_;  ///< of each observation, in the frame of the object
   std::vector<OrientedBox> boxes_;

@@ -20,6 +20,26 @@ struct Match {
   SampledPoints samples;
   Extent box;
   Vector largest;
+  bool hidden = false;  ///< partly, by something nearer
+};
+
+/// Velocity at an end of a track, and of how many shifts it is the mean, the last ones most.
+struct Speed {
+  Vector velocity = Vector::Zero();
+  int shifts = 0;
+
+  bool is_known() const { return shifts > 0; }
+  void add(const Vector& measured) {
+    velocity = is_known() ? Vector(0.5f * velocity + 0.5f * measured) : measured;
+    ++shifts;
+  }
+  /// Whether it can go so far within a duration [s]: no road user changes its speed faster.
+  bool allows(const Vector& shift, double dt) const {
+    if (shifts < kMinShifts) return true;
+    const auto t = static_cast<float>(dt);
+    const float most = kMaxAcceleration * t * t / 2 + kShiftError;
+    return (shift - velocity * t).head<2>().norm() <= most;
+  }
 };
 
 /// The end at which a track goes on.
@@ -29,8 +49,7 @@ struct End {
   SampledPoints last;     ///< of the last observation
   Vector largest;         ///< size of its objects
   double time;
-  Vector velocity = Vector::Zero();
-  bool has_velocity = false;
+  Speed speed;
 };
 
 bool can_be_tracked(const Detection& object) {
@@ -94,7 +113,10 @@ class Tracker {
  private:
   void forward(std::size_t sweep) {
     const Detections& seen = *detections_[sweep];
-    go_on(sweep, [&](const End& end, Match&& match) { add(end.track, sweep, match, false); });
+    go_on(sweep, [&](const End& end, Match&& match) {
+      add(end.track, sweep, match, false);
+      last_speeds_[std::size_t(end.track)] = end.speed;
+    });
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       if (owners_[sweep][k] != kFree || !seen[k].is_passing() ||
           seen[k].samples().size() < kMinSamples)
@@ -102,11 +124,12 @@ class Tracker {
       const int track = int(tracks_.size());
       owners_[sweep][k] = track;
       tracks_.push_back(
-          {{{sweep, {k}, seen[k].box, Vector::Zero(), true, seen[k].area, seen[k].passing_area(),
+          {{{sweep, {k}, seen[k].box, Vector::Zero(), true, seen[k].is_dynamic(), seen[k].area, seen[k].passing_area(),
              seen[k].free_area}},
            1});
+      last_speeds_.emplace_back();
       const SampledPoints& samples = seen[k].samples();
-      alive_.push_back({track, samples, samples, seen[k].box.size(), times_[sweep]});
+      alive_.push_back({track, samples, samples, seen[k].box.size(), times_[sweep], {}});
     }
   }
 
@@ -150,7 +173,7 @@ class Tracker {
       if (std::fabs(dt) > max_gap(end)) continue;
       Match match = find(end, end.samples, sweep, dt);
       if (match.score == 0) match = find(end, end.last, sweep, dt);
-      if (match.score > 0) {
+      if (match.score > 0 && can_join(sweep, match, dt)) {
         move_on(end, sweep, match);
         take(end, std::move(match));
       }
@@ -160,21 +183,19 @@ class Tracker {
   }
 
   void move_on(End& end, std::size_t sweep, const Match& match) const {
-    const Vector velocity = match.shift / static_cast<float>(times_[sweep] - end.time);
-    end.velocity = end.has_velocity ? Vector(0.5f * end.velocity + 0.5f * velocity) : velocity;
-    end.has_velocity = true;
+    end.speed.add(match.shift / static_cast<float>(times_[sweep] - end.time));
     end.time = times_[sweep];
-    // Of a standing object all is kept that was seen of it: what hides it now may go away.
-    const bool stands = end.velocity.norm() < kStanding;
-    end.samples = together(std::move(stands ? end.samples : end.last), match.shift, match.samples);
+    // What hides an object now may go away: all is kept that was seen of it.
+    const bool all = match.hidden || end.speed.velocity.norm() < kStanding;
+    end.samples = together(std::move(all ? end.samples : end.last), match.shift, match.samples);
     end.last = match.samples;
     end.largest = match.largest;
   }
 
   void add(int track, std::size_t sweep, const Match& match, bool at_front) {
     const Detections& seen = *detections_[sweep];
-    TrackObservation added{sweep, match.objects, match.box, match.shift, false, 0, 0, 0};
-    std::uint32_t points = 0, of_dynamic = 0;
+    TrackObservation added{sweep, match.objects, match.box, match.shift, false, false, 0, 0, 0};
+    std::uint32_t points = 0, of_dynamic = 0, voted = 0;
     for (const auto k : match.objects) {
       owners_[sweep][k] = track;
       points += seen[k].points;
@@ -182,8 +203,10 @@ class Tracker {
       added.passing_area += seen[k].passing_area();
       added.free_area += seen[k].free_area;
       if (seen[k].is_passing()) of_dynamic += seen[k].points;
+      if (seen[k].is_dynamic()) voted += seen[k].points;
     }
     added.dynamic = 2 * of_dynamic >= points;
+    added.voted = 2 * voted >= points;
     tracks_[track].dynamic += added.dynamic;
     auto& observations = tracks_[track].observations;
     if (at_front) {
@@ -203,14 +226,23 @@ class Tracker {
       for (const auto k : of.objects) append(samples, (*detections_[of.sweep])[k].samples());
       return samples;
     };
-    End end{track, {}, samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep]};
+    End end{track, {}, samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep], {}};
     for (const TrackObservation& of : seen) end.largest = end.largest.cwiseMax(of.box.size());
     end.samples = end.last;
     if (seen.size() == 1) return end;
     end.samples = together(samples_of(seen[1]), -seen[1].shift, end.last);
-    end.velocity = seen[1].shift / float(times_[seen[1].sweep] - end.time);
-    end.has_velocity = true;
+    end.speed.velocity = seen[1].shift / float(times_[seen[1].sweep] - end.time);
+    end.speed.shifts = int(seen.size()) - 1;
     return end;
+  }
+
+  /// Whether the earlier track that a match ends, if any, goes as fast as the match says.
+  bool can_join(std::size_t sweep, const Match& match, double dt) const {
+    for (const auto k : match.objects)
+      if (const int owner = owners_[sweep][k];
+          owner >= 0 && !last_speeds_[std::size_t(owner)].allows(-match.shift, -dt))
+        return false;
+    return true;
   }
 
   /// The track that ends with most of the objects of a match; -1 if they are free. The others are
@@ -230,7 +262,7 @@ class Tracker {
   }
 
   double max_gap(const End& end) const {
-    const bool stands = end.has_velocity && end.velocity.norm() < kStanding;
+    const bool stands = end.speed.is_known() && end.speed.velocity.norm() < kStanding;
     const bool proven = tracks_[end.track].dynamic >= p_.min_detections;
     return (stands && proven ? p_.max_gap_standing : p_.max_gap) + kTimeTolerance;
   }
@@ -248,7 +280,7 @@ class Tracker {
     const Detections& seen = *detections_[sweep];
     const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
     Match best;
-    const Vector expected = end.velocity * static_cast<float>(dt);
+    const Vector expected = end.speed.velocity * static_cast<float>(dt);
     std::vector<Vector> tried;
     const auto attempt = [&](const Vector& start) {
       const auto is_same = [&](const Vector& other) {
@@ -256,11 +288,11 @@ class Tracker {
       };
       if (std::any_of(tried.begin(), tried.end(), is_same)) return;
       tried.push_back(start);
-      Match match = match_from(end, samples, sweep, start, expected, reach);
+      Match match = match_from(end, samples, sweep, start, expected, dt);
       if (match.score > best.score) best = std::move(match);
     };
     Extent box = extent_of(samples);
-    if (end.has_velocity) {
+    if (end.speed.is_known()) {
       attempt(expected);
       attempt(Vector::Zero());
     }
@@ -268,31 +300,31 @@ class Tracker {
     const Extent there{box.low + expected, box.high + expected};
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       if (!is_free(sweep, k, end) || !could_match(seen[k].box, end.largest)) continue;
-      const bool near = end.has_velocity ? seen[k].box.overlaps(there, kSearchMargin)
+      const bool near = end.speed.is_known() ? seen[k].box.overlaps(there, kSearchMargin)
                                          : seen[k].is_passing() && seen[k].box.overlaps(box, reach);
       if (!near) continue;
       for (const Vector& shift : {Vector(seen[k].box.low - box.low),
                                   Vector(seen[k].box.high - box.high)})
         if (shift.head<2>().norm() <= reach) attempt({shift.x(), shift.y(), 0});
-      if (!end.has_velocity) attempt(most_frequent_shift(samples, seen[k].samples(), reach));
+      if (!end.speed.is_known()) attempt(most_frequent_shift(samples, seen[k].samples(), reach));
     }
     return best;
   }
 
   /// The detections onto which the samples fall, with a shift that is refined from `start`.
   Match match_from(const End& end, const SampledPoints& samples, std::size_t sweep,
-                   const Vector& start, const Vector& expected, float reach) const {
+                   const Vector& start, const Vector& expected, double dt) const {
     const Detections& seen = *detections_[sweep];
+    const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
     Extent box = extent_of(samples);
-    const Vector size = box.size();
     box.low += start;
     box.high += start;
     std::vector<std::uint32_t> near;
     SampledPoints there;
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       if (!seen[k].box.overlaps(box, kSearchMargin) || !is_free(sweep, k, end)) continue;
-      if (!end.has_velocity && !seen[k].is_passing()) continue;
-      if (!could_match(seen[k].box, size)) continue;
+      if (!end.speed.is_known() && !seen[k].is_passing()) continue;
+      if (!could_match(seen[k].box, end.largest)) continue;
       near.push_back(k);
       append(there, seen[k].samples());
     }
@@ -300,11 +332,14 @@ class Tracker {
     match.shift = start;
     match.largest = end.largest;
     if (!refine_shift(samples, there, match.shift)) return {};
+    if (!end.speed.allows(match.shift, dt)) match.shift = start;
+    if (!end.speed.allows(match.shift, dt)) return {};
     for (const auto k : near) {
       if (matched_share(seen[k].samples(), -match.shift, samples) < kMinMemberShare) continue;
       if (match.objects.empty()) match.box = seen[k].box;
       match.objects.push_back(k);
       append(match.samples, seen[k].samples());
+      match.hidden |= !seen[k].hidden.empty();
       match.box.add(seen[k].box);
       match.largest = match.largest.cwiseMax(seen[k].box.size());
     }
@@ -353,6 +388,7 @@ class Tracker {
   const TrackParameters& p_;
   std::vector<Track> tracks_;
   std::vector<std::vector<int>> owners_;  ///< of each detection of each sweep
+  std::vector<Speed> last_speeds_;  ///< of each track, at its last observation
   std::vector<End> alive_;
   std::vector<int> gone_, joined_;  ///< tracks that are followed on from another beginning
 };

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/objects/constants.hpp"
@@ -46,6 +47,20 @@ class TrackEvidence {
     return is_vehicle(path_) && appears();
   }
 
+  /// Whether it moved while the votes called it dynamic.
+  bool seen_to_move() const {
+    const auto& seen = track_.observations;
+    std::optional<Eigen::Vector3d> first;
+    double most = 0;
+    for (const TrackObservation& at : seen) {
+      if (!at.voted) continue;
+      const Eigen::Vector3d place = path_.pose(times_[at.sweep]).translation();
+      if (!first) first = place;
+      most = std::max(most, (place - *first).norm());
+    }
+    return most >= p_.min_distance;
+  }
+
   /// Whether the track makes a detection of a sweep dynamic.
   bool claims(std::size_t sweep, const Detection& object, bool is_member) {
     if (object.dynamic == object.points || object.box.width() < kMinTrackedWidth) return false;
@@ -86,7 +101,9 @@ class TrackEvidence {
   bool was_free(const Detection& object, std::size_t sweep) {
     if (object.was_free()) return true;
     const Stay& stay = stay_at(path_.pose(times_[sweep]).translation());
-    return stay.free >= p_.min_detections && object.first_occupied >= stay.first &&
+    const bool free = stay.free_share >= kFreeEdges &&
+                      (seen_to_move() ? stay.free : stay.half_free) >= p_.min_detections;
+    return free && object.first_occupied >= stay.first &&
            object.last_occupied <= stay.last;
   }
 
@@ -94,26 +111,34 @@ class TrackEvidence {
   /// these.
   struct Stay {
     Eigen::Vector3d place;
-    int free, first, last;  ///< observations whose place was free before or after
+    int first, last;
+    int half_free = 0, free = 0;  ///< observations that show that the place was free before or after
+    float free_share = 0;    ///< in the mean
   };
 
   const Stay& stay_at(const Eigen::Vector3d& place) {
     for (const Stay& stay : stays_)
       if ((stay.place - place).norm() <= kSamePlace / 2) return stay;
-    Stay stay{place, 0, int(times_.size()), -1};
+    Stay stay{place, int(times_.size()), -1};
+    int count = 0;
     const float half = path_.extent().size().head<2>().norm() / 2;
     const auto& seen = track_.observations;
     const auto distance = [&](const TrackObservation& at) {
       return (path_.pose(times_[at.sweep]).translation() - place).norm();
     };
     for (const TrackObservation& at : seen) {
-      stay.free += distance(at) <= kSamePlace && at.is_passing();
+      if (distance(at) <= kSamePlace) {
+        const float share = at.free_area / at.area;
+        stay.half_free += at.is_passing();
+        stay.free += share >= kFreeEdges, stay.free_share += share, ++count;
+      }
       if (distance(at) > std::max(half, kSamePlace)) continue;
       stay.first = std::min(stay.first, int(at.sweep));
       stay.last = std::max(stay.last, int(at.sweep));
     }
     if (distance(seen.front()) <= kSamePlace) stay.first = 0;
     if (distance(seen.back()) <= kSamePlace) stay.last = int(times_.size());
+    stay.free_share /= float(std::max(count, 1));
     stays_.push_back(stay);
     return stays_.back();
   }
@@ -177,6 +202,46 @@ TrackedObject object_of(const Track& track, const TrackPath& path,
   return object;
 }
 
+/// The part of a track from one observation up to another.
+Track part_of(const Track& track, std::size_t begin, std::size_t end) {
+  Track part;
+  part.observations.assign(track.observations.begin() + std::ptrdiff_t(begin),
+                           track.observations.begin() + std::ptrdiff_t(end));
+  for (const TrackObservation& seen : part.observations) part.dynamic += seen.dynamic;
+  return part;
+}
+
+/// Tracks with enough dynamic observations, cut where their surfaces say that they went on with
+/// another object.
+std::vector<Track> single_objects(std::vector<Track> tracks,
+                                  const std::vector<const Detections*>& detections,
+                                  const std::vector<double>& times, const TrackParameters& p,
+                                  int threads) {
+  std::vector<std::vector<Track>> parts(tracks.size());
+  parallel_for(tracks.size(), 1, threads, [&](std::size_t k, std::size_t) {
+    std::vector<Track> open{std::move(tracks[k])};
+    while (!open.empty()) {
+      Track track = std::move(open.back());
+      open.pop_back();
+      if (track.dynamic < p.min_detections) continue;
+      const TrackPath path(track, detections, times, p);
+      if (path.is_one_object()) {
+        parts[k].push_back(std::move(track));
+        continue;
+      }
+      // In order of time: the earliest part is taken out first.
+      const std::size_t count = track.observations.size();
+      if (path.end() < count) open.push_back(part_of(track, path.end(), count));
+      open.push_back(part_of(track, path.begin(), path.end()));
+      if (path.begin() > 0) open.push_back(part_of(track, 0, path.begin()));
+    }
+  });
+  std::vector<Track> single;
+  for (std::vector<Track>& of : parts)
+    for (Track& track : of) single.push_back(std::move(track));
+  return single;
+}
+
 }  // namespace
 
 bool TrackedSweep::claims(std::uint32_t first) const {
@@ -190,10 +255,8 @@ bool TrackedSweep::claims(std::uint32_t first) const {
 TrackingResult track_objects(const std::vector<const Detections*>& detections,
                              const std::vector<double>& times, const TrackParameters& p,
                              int threads) {
-  std::vector<Track> tracks = follow_objects(detections, times, p);
-  tracks.erase(std::remove_if(tracks.begin(), tracks.end(),
-                              [&](const Track& track) { return track.dynamic < p.min_detections; }),
-               tracks.end());
+  const std::vector<Track> tracks =
+      single_objects(follow_objects(detections, times, p), detections, times, p, threads);
   std::vector<Findings> found(tracks.size());
   TrackingResult result;
   result.sweeps.resize(times.size());
