@@ -56,9 +56,10 @@ constexpr float kStanding = 0.5f;
 
 /// No road user speeds up, brakes or bends its path harder [m/s^2].
 constexpr float kMaxAcceleration = 8;
-/// How wrong a shift may be [m], and how many tell a velocity that binds.
-constexpr float kShiftError = 0.25f;
-constexpr int kMinShifts = 2;
+/// Less than this share of an object's area is a part of it.
+constexpr float kPartialShare = 0.5f;
+/// How wrong a shift may be [m]; far away as much as rays are apart [rad]: 0.3 degrees.
+constexpr float kShiftError = 0.15f, kRaySpacing = 0.005f;
 
 // --- Motion of a track ---
 

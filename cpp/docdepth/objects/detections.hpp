@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <vector>
 
@@ -40,6 +41,7 @@ struct Detection {
   float passing_share() const { return passing_area() / area; }
   /// Whether it is here for a while only, as far as the votes tell.
   bool is_passing() const { return is_dynamic() || was_free(); }
+  float range() const { return std::sqrt(area / float(points)); }  ///< of its points [m]
   const SampledPoints& samples() const { return surface.points; }
 };
 

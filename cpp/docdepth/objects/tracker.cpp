@@ -21,24 +21,33 @@ struct Match {
   Extent box;
   Vector largest;
   bool hidden = false;  ///< partly, by something nearer
+  float range = 0;      ///< of the farthest of its objects [m]
+  float area = 0;       ///< of its objects
 };
 
-/// Velocity at an end of a track, and of how many shifts it is the mean, the last ones most.
+/// How wrong a shift of what is so far away may be [m].
+float shift_error(float range) { return std::max(kShiftError, kRaySpacing * range); }
+
+/// Velocity at an end of a track: the mean of its shifts, the last ones most.
 struct Speed {
   Vector velocity = Vector::Zero();
-  int shifts = 0;
+  float error = 0;  ///< of it [m/s]
+  bool is_known = false;
 
-  bool is_known() const { return shifts > 0; }
-  void add(const Vector& measured) {
-    velocity = is_known() ? Vector(0.5f * velocity + 0.5f * measured) : measured;
-    ++shifts;
+  void add(const Vector& shift, double dt, float range) {
+    const auto t = static_cast<float>(dt);
+    const Vector measured = shift / t;
+    const float its_error = shift_error(range) / std::fabs(t);
+    velocity = is_known ? Vector(0.5f * velocity + 0.5f * measured) : measured;
+    error = is_known ? 0.5f * error + 0.5f * its_error : its_error;
+    is_known = true;
   }
   /// Whether it can go so far within a duration [s]: no road user changes its speed faster.
-  bool allows(const Vector& shift, double dt) const {
-    if (shifts < kMinShifts) return true;
-    const auto t = static_cast<float>(dt);
-    const float most = kMaxAcceleration * t * t / 2 + kShiftError;
-    return (shift - velocity * t).head<2>().norm() <= most;
+  bool allows(const Vector& shift, double dt, float range) const {
+    if (!is_known) return true;
+    const auto t = static_cast<float>(std::fabs(dt));
+    const float most = kMaxAcceleration * t * t / 2 + error * t + shift_error(range);
+    return (shift - velocity * float(dt)).head<2>().norm() <= most;
   }
 };
 
@@ -50,6 +59,7 @@ struct End {
   Vector largest;         ///< size of its objects
   double time;
   Speed speed;
+  float area = 0;  ///< that was seen of it when it was not partly hidden
 };
 
 bool can_be_tracked(const Detection& object) {
@@ -129,7 +139,7 @@ class Tracker {
            1});
       last_speeds_.emplace_back();
       const SampledPoints& samples = seen[k].samples();
-      alive_.push_back({track, samples, samples, seen[k].box.size(), times_[sweep], {}});
+      alive_.push_back({track, samples, samples, seen[k].box.size(), times_[sweep], {}, seen[k].area});
     }
   }
 
@@ -183,11 +193,14 @@ class Tracker {
   }
 
   void move_on(End& end, std::size_t sweep, const Match& match) const {
-    end.speed.add(match.shift / static_cast<float>(times_[sweep] - end.time));
-    end.time = times_[sweep];
     // What hides an object now may go away: all is kept that was seen of it.
-    const bool all = match.hidden || end.speed.velocity.norm() < kStanding;
-    end.samples = together(std::move(all ? end.samples : end.last), match.shift, match.samples);
+    const bool partial = match.hidden || match.area < kPartialShare * end.area;
+    const bool stands = end.speed.velocity.norm() < kStanding;
+    end.speed.add(match.shift, times_[sweep] - end.time, match.range);
+    if (!partial) end.area = match.area;
+    end.time = times_[sweep];
+    end.samples = together(std::move(partial || stands ? end.samples : end.last), match.shift,
+                           match.samples);
     end.last = match.samples;
     end.largest = match.largest;
   }
@@ -226,13 +239,15 @@ class Tracker {
       for (const auto k : of.objects) append(samples, (*detections_[of.sweep])[k].samples());
       return samples;
     };
-    End end{track, {}, samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep], {}};
+    End end{track, {}, samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep], {}, seen[0].area};
     for (const TrackObservation& of : seen) end.largest = end.largest.cwiseMax(of.box.size());
     end.samples = end.last;
     if (seen.size() == 1) return end;
     end.samples = together(samples_of(seen[1]), -seen[1].shift, end.last);
-    end.speed.velocity = seen[1].shift / float(times_[seen[1].sweep] - end.time);
-    end.speed.shifts = int(seen.size()) - 1;
+    float range = 0;
+    for (const auto k : seen[0].objects)
+      range = std::max(range, (*detections_[seen[0].sweep])[k].range());
+    end.speed.add(-seen[1].shift, end.time - times_[seen[1].sweep], range);
     return end;
   }
 
@@ -240,7 +255,7 @@ class Tracker {
   bool can_join(std::size_t sweep, const Match& match, double dt) const {
     for (const auto k : match.objects)
       if (const int owner = owners_[sweep][k];
-          owner >= 0 && !last_speeds_[std::size_t(owner)].allows(-match.shift, -dt))
+          owner >= 0 && !last_speeds_[std::size_t(owner)].allows(-match.shift, -dt, match.range))
         return false;
     return true;
   }
@@ -262,7 +277,7 @@ class Tracker {
   }
 
   double max_gap(const End& end) const {
-    const bool stands = end.speed.is_known() && end.speed.velocity.norm() < kStanding;
+    const bool stands = end.speed.is_known && end.speed.velocity.norm() < kStanding;
     const bool proven = tracks_[end.track].dynamic >= p_.min_detections;
     return (stands && proven ? p_.max_gap_standing : p_.max_gap) + kTimeTolerance;
   }
@@ -292,7 +307,7 @@ class Tracker {
       if (match.score > best.score) best = std::move(match);
     };
     Extent box = extent_of(samples);
-    if (end.speed.is_known()) {
+    if (end.speed.is_known) {
       attempt(expected);
       attempt(Vector::Zero());
     }
@@ -300,13 +315,13 @@ class Tracker {
     const Extent there{box.low + expected, box.high + expected};
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       if (!is_free(sweep, k, end) || !could_match(seen[k].box, end.largest)) continue;
-      const bool near = end.speed.is_known() ? seen[k].box.overlaps(there, kSearchMargin)
+      const bool near = end.speed.is_known ? seen[k].box.overlaps(there, kSearchMargin)
                                          : seen[k].is_passing() && seen[k].box.overlaps(box, reach);
       if (!near) continue;
       for (const Vector& shift : {Vector(seen[k].box.low - box.low),
                                   Vector(seen[k].box.high - box.high)})
         if (shift.head<2>().norm() <= reach) attempt({shift.x(), shift.y(), 0});
-      if (!end.speed.is_known()) attempt(most_frequent_shift(samples, seen[k].samples(), reach));
+      if (!end.speed.is_known) attempt(most_frequent_shift(samples, seen[k].samples(), reach));
     }
     return best;
   }
@@ -320,26 +335,30 @@ class Tracker {
     box.low += start;
     box.high += start;
     std::vector<std::uint32_t> near;
+    float range = 0;
     SampledPoints there;
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       if (!seen[k].box.overlaps(box, kSearchMargin) || !is_free(sweep, k, end)) continue;
-      if (!end.speed.is_known() && !seen[k].is_passing()) continue;
+      if (!end.speed.is_known && !seen[k].is_passing()) continue;
       if (!could_match(seen[k].box, end.largest)) continue;
       near.push_back(k);
+      range = std::max(range, seen[k].range());
       append(there, seen[k].samples());
     }
     Match match;
     match.shift = start;
     match.largest = end.largest;
+    match.range = range;
     if (!refine_shift(samples, there, match.shift)) return {};
-    if (!end.speed.allows(match.shift, dt)) match.shift = start;
-    if (!end.speed.allows(match.shift, dt)) return {};
+    if (!end.speed.allows(match.shift, dt, range)) match.shift = start;
+    if (!end.speed.allows(match.shift, dt, range)) return {};
     for (const auto k : near) {
       if (matched_share(seen[k].samples(), -match.shift, samples) < kMinMemberShare) continue;
       if (match.objects.empty()) match.box = seen[k].box;
       match.objects.push_back(k);
       append(match.samples, seen[k].samples());
       match.hidden |= !seen[k].hidden.empty();
+      match.area += seen[k].area;
       match.box.add(seen[k].box);
       match.largest = match.largest.cwiseMax(seen[k].box.size());
     }

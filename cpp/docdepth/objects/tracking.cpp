@@ -103,7 +103,8 @@ class TrackEvidence {
     const Stay& stay = stay_at(path_.pose(times_[sweep]).translation());
     const bool free = stay.free_share >= kFreeEdges &&
                       (seen_to_move() ? stay.free : stay.half_free) >= p_.min_detections;
-    return free && object.first_occupied >= stay.first &&
+    const bool came = is_vehicle(path_) && seen_to_move();
+    return (free || came) && object.first_occupied >= stay.first &&
            object.last_occupied <= stay.last;
   }
 
