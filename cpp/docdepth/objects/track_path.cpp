@@ -187,19 +187,33 @@ void TrackPath::register_surfaces() {
     MotionFilter motion(kChange), turn(Eigen::Vector3d::Constant(kTurnChange));
     motion.start(positions[first], states_[first].velocity, kShiftSpeedDeviation);
     turn.start(headings[first], Position::Zero(), kStrongestTurn);
-    std::size_t misses = 0;
+    std::size_t misses = 0, last = first;
+    Pose T_last = T_first;
     for (std::size_t k = first + std::size_t(step); k < states_.size(); k += std::size_t(step)) {
       const double time = states_[k].time;
       motion.predict(time), turn.predict(time);
-      const Pose guess =
-          standing_pose(motion.position(), turn.position().x(), states_[k].slope);
+      Pose guess = standing_pose(motion.position(), turn.position().x(), states_[k].slope);
+      if (!lies_on(seen_[k].points, model, guess)) {
+        // The motion has lost it: as the shifts say, if it can have gone there.
+        const Pose shifted = T_last * pose_of(last).inverse() * pose_of(k);
+        const double dt = time - states_[last].time;
+        const double reach = kSearchMargin + kMaxAcceleration * dt * dt / 2;
+        if ((shifted.translation() - guess.translation()).head<2>().norm() > reach ||
+            !lies_on(seen_[k].points, model, shifted)) {
+          if (++misses == kMaxMisses) return k - (misses - 1) * std::size_t(step);
+        } else {
+          guess = shifted, misses = 0;
+        }
+      } else {
+        misses = 0;
+      }
       const ExpectedPose expected{guess, motion.covariance(), turn.covariance()(0, 0)};
-      misses = lies_on(seen_[k].points, model, guess) ? 0 : misses + 1;
-      if (misses == kMaxMisses) return k - (misses - 1) * std::size_t(step);
       const Registration found = register_surface(seen_[k], model, expected);
       std::tie(positions[k], headings[k]) = measured(found, time, turn.position().x());
       if (!motion.expects(positions[k])) positions[k].covariance *= kOutlierFactor;
       motion.update(positions[k]), turn.update(headings[k]);
+      if (misses > 0) continue;
+      last = k, T_last = found.T_world_object;
       if (found.share >= kMinRegisteredShare) model.add(seen_[k], found.T_world_object);
     }
     return step > 0 ? states_.size() : std::size_t(-1);
