@@ -272,18 +272,20 @@ py::tuple sweep_of(TrackedSweep& sweep) {
 
 py::tuple object_of(const TrackedObject& object) {
   std::vector<std::int64_t> sweeps, points;
-  std::vector<double> poses, velocities;
+  std::vector<double> poses, velocities, deviations;
   for (const auto& place : object.places) {
     sweeps.push_back(place.sweep), points.push_back(place.points);
     const Eigen::Matrix<double, 4, 4, Eigen::RowMajor> T = place.T_world_object.matrix();
     poses.insert(poses.end(), T.data(), T.data() + T.size());
     velocities.insert(velocities.end(), place.velocity.data(), place.velocity.data() + 3);
+    deviations.push_back(place.deviation);
   }
   const auto count = static_cast<py::ssize_t>(object.places.size());
   const std::vector<double> size{object.size.x(), object.size.y(), object.size.z()};
   return py::make_tuple(to_numpy(std::move(sweeps), {count}), to_numpy(std::move(points), {count}),
                         to_numpy(std::move(poses), {count, 4, 4}),
                         to_numpy(std::move(velocities), {count, 3}),
+                        to_numpy(std::move(deviations), {count}),
                         to_numpy(std::vector<double>(size), {3}), object.rigid);
 }
 

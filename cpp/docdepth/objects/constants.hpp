@@ -81,6 +81,8 @@ constexpr double kShiftDeviation = 0.08, kHeightDeviation = 0.15;
 constexpr double kHorizontalChange = 3, kVerticalChange = 0.3;
 /// How much it changes its rate of turn in a second [rad/s^2].
 constexpr double kTurnChange = 1;
+/// This share of it remains when it stands: more cannot be told from noise.
+constexpr double kStandingTurn = 0.02;
 /// Before anything is known of it: speed [m/s], acceleration [m/s^2] and rate of turn [rad/s].
 constexpr double kFastest = 20, kStrongest = 3, kStrongestTurn = 0.5;
 /// How exactly the shifts tell the speed [m/s].

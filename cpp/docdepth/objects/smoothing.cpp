@@ -29,10 +29,10 @@ MotionFilter::Matrix9 MotionFilter::transition(double t) const {
   return matrix;
 }
 
-void MotionFilter::predict(double time) {
+void MotionFilter::predict(double time, const Eigen::Vector3d& change) {
   const double t = time - time_, d = std::fabs(t);
   const Matrix9 matrix = transition(t);
-  const Matrix3 density = change_.cwiseAbs2().asDiagonal();
+  const Matrix3 density = change.cwiseAbs2().asDiagonal();
   // Of a step back in time the odd powers change their sign.
   const double shares[3][3] = {{d * t * t * t * t / 20, t * t * t * d / 8, d * t * t / 6},
                                {t * t * t * d / 8, d * t * t / 3, t * d / 2},
@@ -62,15 +62,15 @@ bool MotionFilter::expects(const MeasuredPosition& seen) const {
 }
 
 std::vector<Motion> smooth_positions(const std::vector<MeasuredPosition>& measured,
-                                     const Eigen::Vector3d& acceleration) {
+                                     const std::vector<Eigen::Vector3d>& changes) {
   std::vector<MotionFilter> filtered, predicted;
-  MotionFilter filter(acceleration);
+  MotionFilter filter;
   filter.start({measured.front().time, measured.front().position, Matrix3::Identity()},
                Eigen::Vector3d::Zero(), kFastest);
-  for (const MeasuredPosition& seen : measured) {
-    filter.predict(seen.time);
+  for (std::size_t k = 0; k < measured.size(); ++k) {
+    filter.predict(measured[k].time, changes[k]);
     predicted.push_back(filter);
-    filter.update(seen);
+    filter.update(measured[k]);
     filtered.push_back(filter);
   }
   std::vector<Motion> motions(measured.size());
@@ -86,7 +86,7 @@ std::vector<Motion> smooth_positions(const std::vector<MeasuredPosition>& measur
           before.covariance_ +
           gain * (filter.covariance_ - expected.covariance_) * gain.transpose();
     }
-    motions[k] = {filter.mean_.head<3>(), filter.mean_.segment<3>(3)};
+    motions[k] = {filter.position(), filter.mean_.segment<3>(3), filter.covariance()};
   }
   return motions;
 }

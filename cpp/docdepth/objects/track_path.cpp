@@ -130,7 +130,7 @@ void TrackPath::measure_shifts() {
     const double time = times_[seen.sweep] + offset / points;
     measured.push_back({time, {at.x(), at.y(), seen.box.low.z()}, variance.asDiagonal()});
   }
-  const auto motions = smooth_positions(measured, kChange);
+  const auto motions = smooth_positions(measured, {measured.size(), kChange});
   for (std::size_t k = 0; k < measured.size(); ++k)
     states_.push_back({measured[k].time, motions[k].position, motions[k].velocity, 0, 0});
 }
@@ -184,14 +184,14 @@ void TrackPath::register_surfaces() {
                      Eigen::Vector3d(exact, 1, 1).asDiagonal()};
   model.add(seen_[first], T_first);
   const auto follow = [&](int step) {
-    MotionFilter motion(kChange), turn(Eigen::Vector3d::Constant(kTurnChange));
+    MotionFilter motion, turn;
     motion.start(positions[first], states_[first].velocity, kShiftSpeedDeviation);
     turn.start(headings[first], Position::Zero(), kStrongestTurn);
     std::size_t misses = 0, last = first;
     Pose T_last = T_first;
     for (std::size_t k = first + std::size_t(step); k < states_.size(); k += std::size_t(step)) {
       const double time = states_[k].time;
-      motion.predict(time), turn.predict(time);
+      motion.predict(time, kChange), turn.predict(time, turn_change(k));
       Pose guess = standing_pose(motion.position(), turn.position().x(), states_[k].slope);
       if (!lies_on(seen_[k].points, model, guess)) {
         // The motion has lost it: as the shifts say, if it can have gone there.
@@ -234,12 +234,16 @@ void TrackPath::register_surfaces() {
 /// The motion through measured positions and headings.
 void TrackPath::smooth(const std::vector<MeasuredPosition>& positions,
                        const std::vector<MeasuredPosition>& headings) {
-  const auto motions = smooth_positions(positions, kChange);
-  const auto turns = smooth_positions(headings, Eigen::Vector3d::Constant(kTurnChange));
+  std::vector<Position> turn_changes;
+  for (std::size_t k = 0; k < states_.size(); ++k) turn_changes.push_back(turn_change(k));
+  const auto motions = smooth_positions(positions, {positions.size(), kChange});
+  const auto turns = smooth_positions(headings, turn_changes);
   for (std::size_t k = 0; k < states_.size(); ++k) {
     states_[k].position = motions[k].position;
     states_[k].velocity = motions[k].velocity;
     states_[k].heading = turns[k].position.x();
+    const double half = 2.0;
+    states_[k].deviation = std::sqrt(motions[k].covariance.topLeftCorner<2, 2>().trace() + half * half * turns[k].covariance(0, 0));
   }
 }
 
@@ -271,6 +275,13 @@ void TrackPath::find_extents() {
       extent_.high[axis] = quantile(sides[3 + axis], kRigidQuantile);
     }
   for (std::size_t k = 0; k < states_.size(); ++k) boxes_.push_back(box(states_[k].time));
+}
+
+/// What stands does not turn.
+Position TrackPath::turn_change(std::size_t k) const {
+  const double speed = std::max(states_[k].velocity.head<2>().norm(),
+                                states_[k > 0 ? k - 1 : k].velocity.head<2>().norm());
+  return Position::Constant(kTurnChange * std::clamp(speed / kMinHeadingSpeed, kStandingTurn, 1.0));
 }
 
 Pose TrackPath::pose_of(std::size_t k) const {

@@ -34,6 +34,7 @@ class TrackPath {
   /// Around what was seen of it near a time.
   OrientedBox box(double t) const;
   /// The same of an observation.
+  double deviation(std::size_t observation) const { return states_[observation].deviation; }
   const OrientedBox& box_of(std::size_t observation) const { return boxes_[observation]; }
   /// Largest distance between two of its places, of all observations or of dynamic ones [m].
   float distance(bool dynamic) const;
@@ -52,6 +53,7 @@ class TrackPath {
     double time;
     Eigen::Vector3d position, velocity;
     double heading, slope;  ///< of its x axis [rad]
+    double deviation = 0;   ///< of the position [m]
   };
 
   void measure_shifts();
@@ -61,6 +63,7 @@ class TrackPath {
   void find_extent(const SurfaceModel& model);
   void find_headings();
   void find_extents();
+  Eigen::Vector3d turn_change(std::size_t k) const;
   Pose pose_of(std::size_t k) const;
   std::size_t after(double t) const;
 

@@ -192,13 +192,14 @@ TrackedObject object_of(const Track& track, const TrackPath& path,
   const Extent& extent = path.extent();
   const Vector middle = 0.5f * (extent.low + extent.high);
   TrackedObject object{{}, extent.size(), path.is_rigid()};
+  std::size_t kk = 0;
   for (const TrackObservation& seen : track.observations) {
     Pose T = path.pose(times[seen.sweep]);
     T.translate(Vector(middle.x(), middle.y(), extent.low.z()).cast<double>());
     std::uint32_t points = 0;
     for (const auto k : seen.objects) points += (*detections[seen.sweep])[k].points;
     object.places.push_back(
-        {std::uint32_t(seen.sweep), points, T, path.velocity(times[seen.sweep])});
+        {std::uint32_t(seen.sweep), points, T, path.velocity(times[seen.sweep]), path.deviation(kk++)});
   }
   return object;
 }

@@ -42,6 +42,7 @@ struct TrackedObject {
     Pose T_world_object;  ///< at the sweep's stamp; x forward, z up, origin in the middle of the
                           ///< bottom of the box
     Eigen::Vector3d velocity;
+    double deviation;  ///< of the position [m]
   };
   std::vector<Place> places;
   Eigen::Vector3f size;  ///< length, width and height [m]

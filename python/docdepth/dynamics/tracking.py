@@ -273,6 +273,7 @@ def _track(
     points: NDArray[np.int64],
     poses: NDArray[np.float64],
     velocities: NDArray[np.float64],
+    deviation: NDArray[np.float64],
     size: NDArray[np.float64],
     rigid: bool,
 ) -> Track:
@@ -280,7 +281,9 @@ def _track(
     size = np.maximum(size, MIN_SIZE)
     speed = float(np.linalg.norm(velocities, axis=1).max())
     kind = _kind(size, speed, rigid)
-    return Track(number, kind, times[sweeps], poses, velocities, size, points)
+    t = Track(number, kind, times[sweeps], poses, velocities, size, points)
+    object.__setattr__(t, 'deviation', deviation)
+    return t
 
 
 def _kind(size: NDArray[np.float64], speed: float, rigid: bool) -> Kind:
