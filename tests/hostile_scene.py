@@ -41,7 +41,7 @@ class Scene:
         image = _core.RangeImage(self.points, ground, 0.01, 5, 0.2)
         stays = (dynamic, np.zeros(n, np.int32), np.full(n, 3, np.int32))
         detections = _core.Detections(self.points, ground, objects, dynamic, *stays, mesh, pose)
-        numbers, areas, extents, samples, _ = detections.arrays
+        numbers, areas, extents, samples, _, borders = detections.arrays
         box = np.r_[np.eye(4)[:3].ravel(), 2, 1, 1].astype(np.float32)
         self.mesh_image = _core.MeshImage(self.points, ground, mesh, _core.MeshImageParameters())
         self.static_splats, self.dynamic_splats = [(frame, pose)] * 3, [(frame, pose)]
@@ -77,6 +77,7 @@ class Scene:
             "areas": areas,
             "numbers": numbers,
             "samples": samples,
+            "borders": borders,
             "voxels": np.arange(9, dtype=np.uint64),
             "detections": [detections] * 4,
             "times": np.arange(4) * 0.1,
@@ -216,11 +217,10 @@ class Scene:
         return "of fewer points", {
             "ScanMesh": lambda: _core.ScanMesh(fewer, _core.MeshParameters()),
             "Detections": lambda: _core.Detections.of(
-                np.zeros((0, 6), np.uint32),
+                np.zeros((0, 8), np.uint32),
                 np.zeros((0, 4), np.float32),
                 np.zeros((0, 6), np.float32),
-                np.zeros((0, 3), np.float32),
-                np.zeros((0, 3), np.float32),
+                *np.zeros((3, 0, 3), np.float32),
             ),
         }.get(kind.__name__, lambda: None)()
 

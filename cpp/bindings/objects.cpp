@@ -155,8 +155,7 @@ py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bo
 
 std::unique_ptr<Detections> make_detections(const Array<float>& points, const Array<bool>& ground,
                                             const Array<std::uint32_t>& objects,
-                                            const Array<bool>& dynamic,
-                                            const Array<bool>& one_stay,
+                                            const Array<bool>& dynamic, const Array<bool>& one_stay,
                                             const Array<std::int32_t>& first_occupied,
                                             const Array<std::int32_t>& last_occupied,
                                             const ScanMesh& mesh, const Array<double>& pose,
@@ -164,12 +163,14 @@ std::unique_ptr<Detections> make_detections(const Array<float>& points, const Ar
   const PointMap map = as_points(points);
   const auto count = map.rows();
   check_mesh(mesh, count);
-  const PointEvidence evidence{as_flags(ground, count, "ground"), as_objects(objects, count),
-                               as_flags(dynamic, count, "dynamic"),
-                               as_flags(one_stay, count, "one_stay"),
-                               as_column(first_occupied, count, "first_occupied"),
-                               as_column(last_occupied, count, "last_occupied"),
-                               time_offset ? as_column(*time_offset, count, "time_offset") : nullptr};
+  const PointEvidence evidence{
+      as_flags(ground, count, "ground"),
+      as_objects(objects, count),
+      as_flags(dynamic, count, "dynamic"),
+      as_flags(one_stay, count, "one_stay"),
+      as_column(first_occupied, count, "first_occupied"),
+      as_column(last_occupied, count, "last_occupied"),
+      time_offset ? as_column(*time_offset, count, "time_offset") : nullptr};
   check_coordinates(points, "points of objects");
   const Pose T_world_lidar = as_pose(pose);
   const py::gil_scoped_release release;
@@ -218,8 +219,7 @@ void take(const PointMap& points, Eigen::Index& row, std::uint32_t count, Sample
 
 std::unique_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
                                           const Array<float>& areas, const Array<float>& boxes,
-                                          const Array<float>& samples,
-                                          const Array<float>& normals,
+                                          const Array<float>& samples, const Array<float>& normals,
                                           const Array<float>& borders) {
   const PointMap all = as_points(samples), directions = as_points(normals, "normals"),
                  around = as_points(borders, "borders");
@@ -245,9 +245,9 @@ std::unique_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
     object.first_occupied = std::int32_t(n[4]), object.last_occupied = std::int32_t(n[5]);
     object.time_offset = a[3];
     object.box = extents[k];
-    if (n[1] == 0 || n[3] == 0)
-      throw std::invalid_argument("a detection has points and samples");
-    take(all, row, n[3], object.surface.points), take(directions, normal, n[3], object.surface.normals);
+    if (n[1] == 0 || n[3] == 0) throw std::invalid_argument("a detection has points and samples");
+    take(all, row, n[3], object.surface.points),
+        take(directions, normal, n[3], object.surface.normals);
     take(around, border, n[6], object.edges), take(around, border, n[7], object.hidden);
   }
   return detections;
@@ -290,8 +290,8 @@ py::tuple object_of(const TrackedObject& object) {
 }
 
 /// A list with a tuple a sweep: members (first row, track, whether it becomes dynamic), tracks of
-/// boxes and whether they move, boxes, dynamic voxels. And one with a tuple a track: sweeps, points, poses, velocities,
-/// size, whether it is rigid.
+/// boxes and whether they move, boxes, dynamic voxels. And one with a tuple a track: sweeps,
+/// points, poses, velocities, size, whether it is rigid.
 py::tuple track(const std::vector<const Detections*>& detections, const Array<double>& times,
                 const TrackParameters& parameters, int threads) {
   const auto count = static_cast<py::ssize_t>(detections.size());
@@ -357,8 +357,8 @@ void bind_objects(py::module_& m) {
         "dynamic_votes"_a, "T_world_lidar"_a, "boxes"_a, "voxels"_a, "dynamic"_a, "parameters"_a);
   py::class_<Detections>(m, "Detections")
       .def(py::init(&make_detections), "points"_a, "ground"_a, "objects"_a, "dynamic"_a,
-           "one_stay"_a, "first_occupied"_a,
-           "last_occupied"_a, "mesh"_a, "T_world_lidar"_a, "time_offset"_a = py::none())
+           "one_stay"_a, "first_occupied"_a, "last_occupied"_a, "mesh"_a, "T_world_lidar"_a,
+           "time_offset"_a = py::none())
       .def_static("of", &detections_of, "numbers"_a, "areas"_a, "extents"_a, "samples"_a,
                   "normals"_a, "borders"_a)
       .def_property_readonly("arrays", &arrays_of);

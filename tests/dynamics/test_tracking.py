@@ -23,31 +23,66 @@ MEMORY = 30  # sweeps: for so long key frames remember a place
 CAR, PERSON, POLE, WALL = (4.2, 1.8, 1.5), (0.6, 0.6, 1.7), (0.3, 0.3, 2.0), (12.0, 0.3, 2.5)
 
 
-class Thing:
-    """A box of points, its position in each sweep (None: unseen), and the sweeps that vote dynamic.
+def rays():
+    """Directions of a LiDAR with a ring each degree."""
+    azimuth, elevation = np.radians(np.arange(-180, 180, 0.3)), np.radians(np.arange(-25, 3, 1.0))
+    azimuth, elevation = (a.ravel() for a in np.meshgrid(azimuth, elevation))
+    level = np.cos(elevation)
+    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], 1)
 
-    Positions are (x, y) or (x, y, z). ``seen`` chooses the points that a sweep
-    sees, all if None. ``remembered``: votes tell in order of time that it came or left.
+
+RAYS = rays()
+
+
+class Thing:
+    """A box, its position in each sweep (None: unseen), and the sweeps that vote dynamic.
+
+    Positions are (x, y) or (x, y, z) of its middle. ``seen`` chooses among its returns, in its own
+    frame; all if None. ``remembered``: votes tell in order of time that it came or left.
     """
 
-    def __init__(self, size, at, dynamic=(), step=0.2, seen=None, remembered=True):
-        axes = [np.arange(-s / 2, s / 2 + 1e-6, step) for s in size]
-        grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-        self.shape = grid[(np.abs(grid) > np.array(size) / 2 - step).any(1)]
+    def __init__(self, size, at, dynamic=(), seen=None, remembered=True):
         self.at, self.dynamic, self.seen = at, set(dynamic), seen
-        self.size, self.remembered = float(np.hypot(*size[:2])), remembered
+        self.box, self.size, self.remembered = size, float(np.hypot(*size[:2])), remembered
 
     def stay(self, i, count):
         """Whether its place was free within 3 s, and the sweeps that found it occupied then."""
-        here, half = np.array(self.at(i)[:2]), 0.5 * self.size
+        here, half = np.array(self.at(i)[:2]), 0.5 * max(self.box[:2])
         near = range(max(i - MEMORY, 0), min(i + MEMORY + 1, count))
         off = {j: np.linalg.norm(self.at(j)[:2] - here) for j in near if self.at(j) is not None}
         there = [j for j, distance in off.items() if distance < half]
         left = self.remembered and max(off.values()) > self.size
         return left, there[0], there[-1]
 
-    def shape_in(self, i):
-        return self.shape if self.seen is None else self.shape[self.seen(i, self.shape)]
+    def ranges(self, i, lidar):
+        """Where each ray of a sweep meets it."""
+        place = self.at(i)
+        if place is None:
+            return np.full(len(RAYS), np.inf)
+        middle = np.array((*place[:2], *(place[2:] or (0.8,)))) - lidar
+        ranges = ranges_of(self.box, middle)
+        if self.seen is not None:
+            hit = np.flatnonzero(np.isfinite(ranges))
+            unseen = ~self.seen(i, RAYS[hit] * ranges[hit, None] - middle)
+            ranges[hit[unseen]] = np.inf
+        return ranges
+
+
+def ranges_of(size, middle, turn=0.0):
+    """Where each ray of a LiDAR at the origin meets a box; infinite where it does not."""
+    rotation = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0],
+                         [0, 0, 1]])  # fmt: skip
+    start, along = -rotation @ middle, RAYS @ rotation.T
+    with np.errstate(divide="ignore"):
+        ends = np.sort((np.array([-1, 1])[:, None, None] * np.array(size) / 2 - start) / along, 0)
+    near, far = ends[0].max(1), ends[1].min(1)
+    return np.where((near < far) & (near > 0), near, np.inf)
+
+
+def measured(ranges, rays, rng):
+    """The returns of some rays, with noise."""
+    noise = rng.normal(0, 0.01, np.count_nonzero(rays))
+    return (RAYS[rays] * (ranges[rays] + noise)[:, None]).astype(np.float32)
 
 
 def detections_of(things, count, seed=0, joined=None):
@@ -58,43 +93,37 @@ def detections_of(things, count, seed=0, joined=None):
     rng = np.random.default_rng(seed)
     detections, rows = [], []
     for i in range(count):
-        T = np.eye(4)
-        T[:2, 3] = 0.8 * i, 0.1 * i
+        T = straight(count).poses[i]
         points, first, moving, stays, firsts, wholes = [], [], [], [], {}, {}
+        ranges = np.array([thing.ranges(i, T[:3, 3]) for thing in things])
+        nearest = np.where(np.isfinite(ranges).any(0), ranges.argmin(0), -1)
         for k, thing in enumerate(things):
-            place = thing.at(i)
-            if place is None:
+            own = nearest == k
+            if not own.any():
                 continue
             firsts[k] = len(points)
-            middle = (*place[:2], *(place[2:] or (0.8,)))
-            shape = thing.shape_in(i)
-            shape = shape + middle + rng.normal(0, 0.01, shape.shape)
+            seen = measured(ranges[k], own, rng)
             whole = next((wholes[a] for (a, b), sweeps in (joined or {}).items()
                           if b == k and a in wholes and i in sweeps), firsts[k])  # fmt: skip
             wholes[k] = whole
-            points += list(shape - T[:3, 3])
-            first += [whole] * len(shape)
-            moving += [i in thing.dynamic] * len(shape)
-            stays += [thing.stay(i, count)] * len(shape)
+            points += list(seen)
+            first += [whole] * len(seen)
+            moving += [i in thing.dynamic] * len(seen)
+            stays += [thing.stay(i, count)] * len(seen)
         cloud = np.array(points, np.float32).reshape(-1, 3)
         none = np.zeros(len(cloud), bool)
         objects, flags = np.array(first, np.uint32), np.array(moving, bool)
         once, *ends = np.array(stays, np.int32).reshape(-1, 3).T
         seen = PointStays(once > 0, *(np.ascontiguousarray(end) for end in ends))
-        detections.append(Detections(cloud, none, objects, flags, seen, no_mesh(cloud), T))
+        detections.append(Detections(cloud, none, objects, flags, seen, ScanMesh(cloud), T))
         rows.append(firsts)
     return detections, rows
-
-
-def no_mesh(cloud):
-    """Boxes that are seen from all sides have no mesh; points at the origin make none."""
-    return ScanMesh(np.zeros_like(cloud))
 
 
 def straight(count):
     """The trajectory of the vehicle."""
     poses = np.repeat(np.eye(4)[None], count, 0)
-    poses[:, 0, 3], poses[:, 1, 3] = 0.8 * np.arange(count), 0.1 * np.arange(count)
+    poses[:, 0, 3], poses[:, 2, 3] = 0.8 * np.arange(count), 1.7
     return Trajectory(np.arange(count) * 100_000_000, poses)
 
 
@@ -165,14 +194,14 @@ def test_a_parked_car_where_another_one_stopped_stays_static():
 
 
 def test_a_pole_and_a_wall_beside_a_pedestrian_who_disappears_stay_static():
-    walker = Thing(PERSON, lambda i: (2 + 0.12 * i, 3) if i < 25 else None, range(25), 0.1)
-    pole = Thing(POLE, parked_at(5.1, 3.1), step=0.1)
+    walker = Thing(PERSON, lambda i: (2 + 0.12 * i, 3) if i < 25 else None, range(25))
+    pole = Thing(POLE, parked_at(5.1, 3.1))
     wall = Thing(WALL, parked_at(4, 3.5))
     assert tracked([walker, pole, wall], 40) == [[], [], []]
 
 
 def test_a_pedestrian_beside_a_wall_is_tracked_past_it():
-    walker = Thing(PERSON, lambda i: (2 + 0.12 * i, 3), [*range(10), *range(20, 30)], 0.1)
+    walker = Thing(PERSON, lambda i: (2 + 0.12 * i, 3), [*range(10), *range(20, 30)])
     wall = Thing(WALL, parked_at(4, 3.5))
     assert tracked([walker, wall], 30) == [list(range(10, 20)), []]
 
@@ -185,7 +214,7 @@ def test_a_shaking_bush_has_not_moved():
 
 def test_a_track_that_drifts_on_without_votes_has_not_moved():
     """Votes saw a quarter of a metre of a twig's two metres."""
-    twig = Thing(PERSON, lambda i: (6 + 0.05 * i, 3), range(6), 0.1, remembered=False)
+    twig = Thing(PERSON, lambda i: (6 + 0.05 * i, 3), range(6), remembered=False)
     assert tracked([twig], 40) == [[]]
 
 
@@ -193,28 +222,13 @@ def test_two_dynamic_sweeps_are_no_track():
     assert tracked([Thing(CAR, passes(4), range(10, 12), remembered=False)], 20) == [[]]
 
 
-def rays_on_car(x, y, turn, rng):
-    """Returns of a LiDAR at the origin, 1.7 m above the ground, from a car; with range noise."""
-    azimuth = np.arctan2(y, x) + np.radians(np.arange(-35, 35, 0.3))
-    elevation = np.radians(np.arange(-25, 3, 1.0))
-    azimuth, elevation = (a.ravel() for a in np.meshgrid(azimuth, elevation))
-    level = np.cos(elevation)
-    rays = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], 1)
-    rotation = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0],
-                         [0, 0, 1]])  # fmt: skip
-    start, along = rotation @ (-x, -y, 1.7 - CAR[2] / 2), rays @ rotation.T
-    with np.errstate(divide="ignore"):
-        ends = np.sort((np.array([-1, 1])[:, None, None] * np.array(CAR) / 2 - start) / along, 0)
-    near, far = ends[0].max(1), ends[1].min(1)
-    hit = (near < far) & (near > 0)
-    return (rays[hit] * (near[hit] + rng.normal(0, 0.01, hit.sum()))[:, None]).astype(np.float32)
-
-
 def path_of(place, count, lost=()):
     """The track of a car that a standing LiDAR sees, but for some sweeps, and all it says."""
     rng, detections = np.random.default_rng(0), []
     for i in range(count):
-        cloud = rays_on_car(*place(i), rng) if i not in lost else np.zeros((0, 3), np.float32)
+        x, y, turn = place(i)
+        ranges = ranges_of(CAR, (x, y, CAR[2] / 2 - 1.7), turn)
+        cloud = measured(ranges, np.isfinite(ranges) & (i not in lost), rng)
         none, whole = np.zeros(len(cloud), bool), np.zeros(len(cloud), np.uint32)
         ends = np.full(len(cloud), i, np.int32)
         stays, mesh = PointStays(~none, ends, ends), ScanMesh(cloud)
@@ -294,7 +308,7 @@ def test_a_waiting_car_whose_parts_are_seen_in_turn_is_dynamic_as_a_whole():
     at = waits((15, 3), 30)
     lower = Thing((4.2, 1.8, 0.8), at, range(33, 60))
     upper = Thing((2.0, 1.6, 0.6), lambda i: (*at(i), 1.5) if i % 3 == 0 else None, range(36, 60))
-    post = Thing(POLE, parked_at(12.3, 3), step=0.1)
+    post = Thing(POLE, parked_at(12.3, 3))
     found = tracked([lower, upper, post], 60)
     assert found[0] == list(range(33))
     assert found[1] == list(range(0, 36, 3))
@@ -303,31 +317,31 @@ def test_a_waiting_car_whose_parts_are_seen_in_turn_is_dynamic_as_a_whole():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_car_is_tracked_though_each_sweep_of_a_rosette_sees_other_parts(seed):
-    """Four of eight slices, drawn anew in each sweep; two sweeps may share only one."""
+    """Half of its cells of 60 cm, drawn anew in each sweep."""
     at = waits((15, 3), 30)
 
-    def slices(i, shape):
-        drawn = np.random.default_rng([seed, i]).permutation(8)[:4]
-        return np.isin(((shape[:, 0] / CAR[0] + 0.5) * 7.99).astype(int), drawn)
+    def cells(i, points):
+        drawn = np.random.default_rng([seed, i]).random((8, 4, 4)) < 0.5
+        return drawn[tuple(np.floor((points + np.array(CAR) / 2) / 0.6).astype(int).T)]
 
-    car = Thing(CAR, at, range(35, 60), seen=slices)
+    car = Thing(CAR, at, range(35, 60), seen=cells)
     assert tracked([car], 60) == [list(range(35))]
 
 
 def test_a_bin_that_a_pedestrian_leaves_is_not_part_of_him():
     """They are one object at first; when he is far away, the bin is occluded."""
-    walker = Thing(PERSON, lambda i: (8 + 0.08 * i, 3), range(60), 0.1)
-    bin_ = Thing((0.6, 0.6, 1.0), lambda i: (7.6, 3, 0.5) if i < 40 else None, step=0.1)
+    walker = Thing(PERSON, lambda i: (8 + 0.08 * i, 3), range(60))
+    bin_ = Thing((0.6, 0.6, 1.0), lambda i: (7.6, 3, 0.5) if i < 40 else None)
     assert tracked([walker, bin_], 60, joined={(0, 1): range(8)})[1] == []
 
 
 def test_a_thin_post_that_a_track_includes_stays_static_if_it_was_not_seen_before():
     """While the pedestrian was elsewhere, the post was too far to be an object."""
     at = waits((6, 3), 25)
-    walker = Thing((1.0, 0.6, 1.7), at, range(28, 45), 0.1)
+    walker = Thing((1.0, 0.6, 1.7), at, range(28, 45))
     for size, expected in (((0.1, 0.1, 1.6), []), ((0.5, 0.5, 1.6), list(range(28)))):
-        beside = Thing(size, lambda i: (at(i)[0] + 0.2, 3.2) if i < 28 else None, step=0.1)
-        assert tracked([walker, beside], 45) == [list(range(28)), expected]
+        beside = Thing(size, lambda i: (at(i)[0] + 0.3, 2.6) if i < 28 else None)
+        assert tracked([walker, beside], 45)[1] == expected
 
 
 def test_a_car_that_moves_less_than_its_length_was_observed_to_leave():
@@ -344,7 +358,7 @@ def random_things(rng, count):
         start, leaves = rng.uniform((-5, -15), (25, 15)), rng.integers(0, count // 2)
         moves = waits(start, leaves, rng.choice([0.0, 1.5, 6.0], p=[0.2, 0.4, 0.4]))
         first = leaves + rng.integers(0, 9)
-        things.append(Thing(size, moves, range(first, count, rng.integers(1, 3)), 0.3))
+        things.append(Thing(size, moves, range(first, count, rng.integers(1, 3))))
     return things
 
 
@@ -395,8 +409,8 @@ def test_the_path_of_a_turning_car_is_found():
 
 def test_a_few_points_in_a_dynamic_voxel_are_dynamic():
     """They are too few for an object; beside a hedge they may be of the hedge."""
-    walker = Thing(PERSON, lambda i: (8 + 0.1 * i, 3) if i != 15 else None, range(30), 0.1)
-    hedge = Thing((1.6, 0.6, 1.7), parked_at(9.5, 3.4), step=0.1)
+    walker = Thing(PERSON, lambda i: (8 + 0.1 * i, 3) if i != 15 else None, range(30))
+    hedge = Thing((1.6, 0.6, 1.7), parked_at(9.5, 3.4))
     for things, moves in (((walker,), True), ((walker, hedge), False)):
         detections, _ = detections_of(things, 30)
         found = track_objects(detections, straight(30)).sweeps[15]
@@ -422,9 +436,9 @@ def test_detections_are_the_objects_of_their_sweep():
     free = rng.random(400) < 0.5
     stays, mesh = PointStays(free, ends, ends), ScanMesh(points)
     made = Detections(points, ground, objects, moving, stays, mesh, T)
-    numbers, areas, boxes, places, normals = made.arrays
+    numbers, areas, boxes, places, normals, borders = made.arrays
     assert list(numbers[:, 0]) == sorted(set(objects[~ground]))
-    for (first, count, dynamic, _, earliest, _), area, box in zip(
+    for (first, count, dynamic, _, earliest, *_), area, box in zip(
         numbers, areas, boxes, strict=True
     ):
         members = ~ground & (objects == first)
@@ -440,8 +454,33 @@ def test_detections_are_the_objects_of_their_sweep():
         np.testing.assert_allclose(area[2], freed, rtol=1e-5)
         assert earliest == np.sort(np.flatnonzero(members))[count // 2]
     assert numbers[:, 3].sum() == len(places) == len(normals)
+    assert numbers[:, 6:].sum() == len(borders)
     assert ((np.abs(np.linalg.norm(normals, axis=1) - 1) < 1e-5) | ~normals.any(1)).all()
     assert numbers[:, 3].max() <= 100
+
+
+def test_borders_tell_where_an_object_ends_and_where_it_is_hidden():
+    """A car before a wall, with a pole before the car."""
+    things = [
+        Thing(CAR, parked_at(0, 8)),
+        Thing(WALL, parked_at(0, 14)),
+        Thing(POLE, parked_at(0.8, 4)),
+    ]
+    detections, rows = detections_of(things, 1)
+    numbers, *_, borders = detections[0].arrays
+    (k,) = np.flatnonzero(numbers[:, 0] == rows[0][0])
+    ends = np.cumsum(numbers[:, 6:].ravel().astype(int))  # edges and hidden of each in turn
+    edges, hidden = (
+        borders[ends[2 * k] - numbers[k, 6] : ends[2 * k]],
+        borders[ends[2 * k] : ends[2 * k + 1]],
+    )
+    front = 8 - CAR[1] / 2
+    below = edges[:, 2] < 1.3  # the roof ends, too
+    assert below.sum() >= 4
+    np.testing.assert_allclose(np.abs(edges[below, 0]), CAR[0] / 2, atol=0.1)
+    assert len(hidden) >= 4
+    shadow = front * np.array([0.65 / 4.15, 0.95 / 3.85])  # of the pole, from the LiDAR
+    assert np.quantile(np.abs(hidden[:, :1] - shadow).min(1), 0.8) < 0.15
 
 
 def test_wrong_objects_are_refused():

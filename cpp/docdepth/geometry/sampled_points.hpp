@@ -54,7 +54,8 @@ SampledSurface downsample(const SampledSurface& surface, float size);
 /// The horizontal shift up to `reach` that explains most of the differences b - a.
 Eigen::Vector3f most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach);
 
-/// Refine a shift so that points of a and b that are each other's nearest coincide (horizontal ICP).
+/// Refine a shift so that points of a and b that are each other's nearest coincide (horizontal
+/// ICP).
 /// @return false if no two points are near
 bool refine_shift(const SampledPoints& a, const SampledPoints& b, Eigen::Vector3f& shift);
 

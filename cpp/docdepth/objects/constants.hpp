@@ -102,6 +102,8 @@ constexpr float kRegistrationRadii[] = {0.6f, 0.6f, 0.4f, 0.3f, 0.3f};
 /// Distance of samples from the plane of their partners [m]. It is that of noise and curvature,
 /// times ten, since neighbouring samples err alike.
 constexpr double kResidualDeviation = 0.2;
+/// From the middle of a car to its ends [m], which a wrong heading displaces.
+constexpr double kHalfLength = 2;
 /// An object ends where its outermost edge is, if it is no farther inside than this [m].
 constexpr float kEndMargin = 0.1f;
 /// Seen from the side, the ends of an object are known this exactly [m]: its side is seen if this

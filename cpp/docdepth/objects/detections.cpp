@@ -49,7 +49,8 @@ std::vector<std::uint8_t> borders_of(const Points& points, const PointEvidence& 
     const auto& corners = mesh.triangles[t];
     for (const auto i : corners)
       for (const auto j : corners) {
-        if (evidence.ground[i] || (!evidence.ground[j] && evidence.objects[i] == evidence.objects[j]))
+        if (evidence.ground[i] ||
+            (!evidence.ground[j] && evidence.objects[i] == evidence.objects[j]))
           continue;
         const float farther = points.row(j).norm() - points.row(i).norm();
         if (std::fabs(farther) >= kMinBorderDepth) borders[i] |= farther > 0 ? 1 : 2;

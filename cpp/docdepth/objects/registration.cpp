@@ -103,8 +103,7 @@ void SurfaceModel::add(const SeenSurface& seen, const Pose& T_world_object) {
   ++added_;
   const Ends ends = ends_of(seen, T);
   for (int side : {0, 1})
-    if (const auto& end = side ? ends.high : ends.low)
-      end_sums_[side] += *end, ++end_counts_[side];
+    if (const auto& end = side ? ends.high : ends.low) end_sums_[side] += *end, ++end_counts_[side];
   for (std::size_t i = 0; i < seen.points.size(); ++i) {
     const Vector p = T * seen.points[i];
     const auto key = voxel_key(voxel_coordinate(p.x(), voxel_), voxel_coordinate(p.y(), voxel_),
@@ -129,7 +128,9 @@ Ends SurfaceModel::ends() const {
   return ends;
 }
 
-double heading_of(const Pose& T) { return std::atan2(T.linear()(1, 0), T.linear()(0, 0)); }
+double heading_of(const Pose& T) {
+  return std::atan2(T.linear()(1, 0), T.linear()(0, 0));
+}
 
 Registration register_surface(const SeenSurface& seen, const SurfaceModel& model,
                               const ExpectedPose& expected) {
@@ -156,8 +157,7 @@ Registration register_surface(const SeenSurface& seen, const SurfaceModel& model
   // What the surface says alone: the pull of the expectation undone.
   const Vector4 unknown(kUnknownPosition, kUnknownPosition, kUnknownPosition, kUnknownHeading);
   const Matrix4 vague = unknown.cwiseAbs2().cwiseInverse().asDiagonal();
-  const Matrix4 covariance =
-      (information * last.hessian + vague).ldlt().solve(Matrix4::Identity());
+  const Matrix4 covariance = (information * last.hessian + vague).ldlt().solve(Matrix4::Identity());
   const Vector4 further = covariance * (prior - vague) * moved;
   Registration result;
   result.T_world_object = T_object_world.inverse();

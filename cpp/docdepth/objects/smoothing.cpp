@@ -52,8 +52,7 @@ void MotionFilter::update(const MeasuredPosition& seen) {
   left.leftCols<3>() -= gain;
   mean_ += gain * (seen.position - position());
   // Joseph's form keeps the covariance positive.
-  covariance_ =
-      left * covariance_ * left.transpose() + gain * seen.covariance * gain.transpose();
+  covariance_ = left * covariance_ * left.transpose() + gain * seen.covariance * gain.transpose();
 }
 
 bool MotionFilter::expects(const MeasuredPosition& seen) const {
@@ -82,9 +81,8 @@ std::vector<Motion> smooth_positions(const std::vector<MeasuredPosition>& measur
       const MotionFilter::Matrix9 gain =
           expected.covariance_.ldlt().solve(matrix * before.covariance_).transpose();
       filter.mean_ = before.mean_ + gain * (filter.mean_ - expected.mean_);
-      filter.covariance_ =
-          before.covariance_ +
-          gain * (filter.covariance_ - expected.covariance_) * gain.transpose();
+      filter.covariance_ = before.covariance_ +
+                           gain * (filter.covariance_ - expected.covariance_) * gain.transpose();
     }
     motions[k] = {filter.position(), filter.mean_.segment<3>(3), filter.covariance()};
   }

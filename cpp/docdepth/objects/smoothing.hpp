@@ -13,8 +13,8 @@ struct MeasuredPosition {
 };
 
 struct Motion {
-  Eigen::Vector3d position;  ///< [m]
-  Eigen::Vector3d velocity;  ///< [m/s]
+  Eigen::Vector3d position;    ///< [m]
+  Eigen::Vector3d velocity;    ///< [m/s]
   Eigen::Matrix3d covariance;  ///< of the position [m^2]
 };
 

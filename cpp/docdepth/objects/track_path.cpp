@@ -3,7 +3,6 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
-#include <tuple>
 
 #include "docdepth/objects/constants.hpp"
 #include "docdepth/objects/registration.hpp"
@@ -24,7 +23,9 @@ Value quantile(std::vector<Value> values, double share) {
   return values[k];
 }
 
-double wrapped(double angle) { return std::remainder(angle, 2 * M_PI); }
+double wrapped(double angle) {
+  return std::remainder(angle, 2 * M_PI);
+}
 
 Pose standing_pose(const Position& position, double heading, double slope) {
   Pose T = Pose::Identity();
@@ -48,16 +49,11 @@ double longest_direction(const SampledPoints& points) {
   return std::atan2(axis.y(), axis.x());
 }
 
-/// What a registration measured of the position, and of the heading (the first coordinate; near
-/// `near`, so that it does not jump by a turn). Nothing if it failed.
-std::pair<MeasuredPosition, MeasuredPosition> measured(const Registration& found, double time,
-                                                       double near) {
-  const double factor = found.share >= kMinRegisteredShare ? 1 : kOutlierFactor;
-  const double heading = near + wrapped(found.heading - near);
-  return {{time, found.position, factor * found.covariance},
-          {time,
-           {heading, 0, 0},
-           Eigen::Vector3d(factor * found.heading_variance, 1, 1).asDiagonal()}};
+/// Whether most samples of a surface lie in triangles: those of others cannot be registered.
+bool has_normals(const SampledSurface& surface) {
+  const auto known = [](const Vector& normal) { return !normal.isZero(0); };
+  return 2 * std::count_if(surface.normals.begin(), surface.normals.end(), known) >=
+         std::ptrdiff_t(surface.normals.size());
 }
 
 /// Whether most of some points lie where the model is.
@@ -149,8 +145,7 @@ void TrackPath::find_headings() {
   for (const std::size_t k : moving) {
     const Position& v = states_[k].velocity;
     states_[k].heading = std::atan2(v.y(), v.x());
-    states_[k].slope =
-        std::clamp(std::atan2(v.z(), v.head<2>().norm()), -kSteepest, kSteepest);
+    states_[k].slope = std::clamp(std::atan2(v.z(), v.head<2>().norm()), -kSteepest, kSteepest);
   }
   std::size_t next = 0;
   for (std::size_t k = 0; k < states_.size(); ++k) {
@@ -171,69 +166,89 @@ void TrackPath::find_headings() {
 void TrackPath::register_surfaces() {
   const auto& seen = track_.observations;
   const auto smaller = [](const auto& a, const auto& b) { return a.area < b.area; };
-  const auto first = std::size_t(std::max_element(seen.begin(), seen.end(), smaller) - seen.begin());
+  const auto first =
+      std::size_t(std::max_element(seen.begin(), seen.end(), smaller) - seen.begin());
+  if (!has_normals(seen_[first])) return;  // the shifts have to do
   float width = 0;
   for (const TrackObservation& of : seen) width = std::max(width, of.box.width());
   SurfaceModel model(std::max(kSampleSpacing, width / kModelVoxels));
-  const Pose T_first = pose_of(first);
+  Measurements measured{std::vector<MeasuredPosition>(states_.size()),
+                        std::vector<MeasuredPosition>(states_.size())};
   const double exact = kSurfaceDeviation * kSurfaceDeviation;
-  std::vector<MeasuredPosition> positions(states_.size()), headings(states_.size());
-  positions[first] = {states_[first].time, T_first.translation(),
-                      Eigen::Matrix3d::Identity() * exact};
-  headings[first] = {states_[first].time, {states_[first].heading, 0, 0},
-                     Eigen::Vector3d(exact, 1, 1).asDiagonal()};
-  model.add(seen_[first], T_first);
-  const auto follow = [&](int step) {
-    MotionFilter motion, turn;
-    motion.start(positions[first], states_[first].velocity, kShiftSpeedDeviation);
-    turn.start(headings[first], Position::Zero(), kStrongestTurn);
-    std::size_t misses = 0, last = first;
-    Pose T_last = T_first;
-    for (std::size_t k = first + std::size_t(step); k < states_.size(); k += std::size_t(step)) {
-      const double time = states_[k].time;
-      motion.predict(time, kChange), turn.predict(time, turn_change(k));
-      Pose guess = standing_pose(motion.position(), turn.position().x(), states_[k].slope);
-      if (!lies_on(seen_[k].points, model, guess)) {
-        // The motion has lost it: as the shifts say, if it can have gone there.
-        const Pose shifted = T_last * pose_of(last).inverse() * pose_of(k);
-        const double dt = time - states_[last].time;
-        const double reach = kSearchMargin + kMaxAcceleration * dt * dt / 2;
-        if ((shifted.translation() - guess.translation()).head<2>().norm() > reach ||
-            !lies_on(seen_[k].points, model, shifted)) {
-          if (++misses == kMaxMisses) return k - (misses - 1) * std::size_t(step);
-        } else {
-          guess = shifted, misses = 0;
-        }
-      } else {
-        misses = 0;
-      }
-      const ExpectedPose expected{guess, motion.covariance(), turn.covariance()(0, 0)};
-      const Registration found = register_surface(seen_[k], model, expected);
-      std::tie(positions[k], headings[k]) = measured(found, time, turn.position().x());
-      if (!motion.expects(positions[k])) positions[k].covariance *= kOutlierFactor;
-      motion.update(positions[k]), turn.update(headings[k]);
-      if (misses > 0) continue;
-      last = k, T_last = found.T_world_object;
-      if (found.share >= kMinRegisteredShare) model.add(seen_[k], found.T_world_object);
-    }
-    return step > 0 ? states_.size() : std::size_t(-1);
-  };
-  end_ = follow(1), begin_ = follow(-1) + 1;
-  if (begin_ > 0 || end_ < states_.size()) return;  // the others are something else
-  smooth(positions, headings);
+  measured.positions[first] = {states_[first].time, states_[first].position,
+                               Eigen::Matrix3d::Identity() * exact};
+  measured.headings[first] = {states_[first].time,
+                              {states_[first].heading, 0, 0},
+                              Eigen::Vector3d(exact, 1, 1).asDiagonal()};
+  model.add(seen_[first], pose_of(first));
+  end_ = register_from(first, 1, model, measured);
+  begin_ = register_from(first, -1, model, measured) + 1;
+  if (!is_one_object()) return;  // the others are something else
+  smooth(measured);
+  const ExpectedPose near{Pose::Identity(),
+                          Eigen::Matrix3d::Identity() * kGuessDeviation * kGuessDeviation,
+                          kGuessHeadingDeviation * kGuessHeadingDeviation};
   for (std::size_t k = 0; k < states_.size(); ++k) {
-    const ExpectedPose expected{pose_of(k), Eigen::Matrix3d::Identity() * kGuessDeviation * kGuessDeviation,
-                                kGuessHeadingDeviation * kGuessHeadingDeviation};
-    const Registration found = register_surface(seen_[k], model, expected);
-    std::tie(positions[k], headings[k]) = measured(found, states_[k].time, states_[k].heading);
+    const ExpectedPose expected{pose_of(k), near.covariance, near.heading_variance};
+    measured.set(k, register_surface(seen_[k], model, expected), states_[k]);
   }
-  smooth(positions, headings);
+  smooth(measured);
   find_extent(model);
 }
 
+/// Register surfaces onto the model from one observation on, forward or backward in time.
+/// @return the first observation that is something else
+std::size_t TrackPath::register_from(std::size_t first, int step, SurfaceModel& model,
+                                     Measurements& measured) {
+  MotionFilter motion, turn;
+  motion.start(measured.positions[first], states_[first].velocity, kShiftSpeedDeviation);
+  turn.start(measured.headings[first], Position::Zero(), kStrongestTurn);
+  std::size_t misses = 0, last = first;
+  Pose T_last = pose_of(first);
+  for (std::size_t k = first + std::size_t(step); k < states_.size(); k += std::size_t(step)) {
+    const double time = states_[k].time;
+    motion.predict(time, kChange), turn.predict(time, turn_change(k));
+    Pose guess = standing_pose(motion.position(), turn.position().x(), states_[k].slope);
+    ++misses;
+    if (lies_on(seen_[k].points, model, guess)) {
+      misses = 0;
+    } else {
+      // The motion has lost it: as the shifts say, if it can have gone there.
+      const Pose shifted = T_last * pose_of(last).inverse() * pose_of(k);
+      const double dt = time - states_[last].time;
+      const double reach = kSearchMargin + kMaxAcceleration * dt * dt / 2;
+      if ((shifted.translation() - guess.translation()).head<2>().norm() <= reach &&
+          lies_on(seen_[k].points, model, shifted))
+        guess = shifted, misses = 0;
+    }
+    if (misses == kMaxMisses) return k - (misses - 1) * std::size_t(step);
+    const Registration found =
+        register_surface(seen_[k], model, {guess, motion.covariance(), turn.covariance()(0, 0)});
+    measured.set(k, found, {time, {}, {}, turn.position().x(), 0});
+    MeasuredPosition& position = measured.positions[k];
+    if (!motion.expects(position)) position.covariance *= kOutlierFactor;
+    motion.update(position), turn.update(measured.headings[k]);
+    if (misses > 0) continue;
+    last = k, T_last = found.T_world_object;
+    if (found.share >= kMinRegisteredShare) model.add(seen_[k], found.T_world_object);
+  }
+  return step > 0 ? states_.size() : std::size_t(-1);
+}
+
+/// What a registration measured. Headings go on from that of the state, so that they do not jump by
+/// a turn.
+void TrackPath::Measurements::set(std::size_t k, const Registration& found, const State& state) {
+  const double factor = found.share >= kMinRegisteredShare ? 1 : kOutlierFactor;
+  const double heading = state.heading + wrapped(found.heading - state.heading);
+  positions[k] = {state.time, found.position, factor * found.covariance};
+  headings[k] = {state.time,
+                 {heading, 0, 0},
+                 Eigen::Vector3d(factor * found.heading_variance, 1, 1).asDiagonal()};
+}
+
 /// The motion through measured positions and headings.
-void TrackPath::smooth(const std::vector<MeasuredPosition>& positions,
-                       const std::vector<MeasuredPosition>& headings) {
+void TrackPath::smooth(const Measurements& measured) {
+  const auto& [positions, headings] = measured;
   std::vector<Position> turn_changes;
   for (std::size_t k = 0; k < states_.size(); ++k) turn_changes.push_back(turn_change(k));
   const auto motions = smooth_positions(positions, {positions.size(), kChange});
@@ -242,8 +257,9 @@ void TrackPath::smooth(const std::vector<MeasuredPosition>& positions,
     states_[k].position = motions[k].position;
     states_[k].velocity = motions[k].velocity;
     states_[k].heading = turns[k].position.x();
-    const double half = 2.0;
-    states_[k].deviation = std::sqrt(motions[k].covariance.topLeftCorner<2, 2>().trace() + half * half * turns[k].covariance(0, 0));
+    const double of_position = motions[k].covariance.topLeftCorner<2, 2>().trace();
+    const double of_ends = kHalfLength * kHalfLength * turns[k].covariance(0, 0);
+    states_[k].deviation = std::sqrt(of_position + of_ends);
   }
 }
 
@@ -274,7 +290,6 @@ void TrackPath::find_extents() {
       extent_.low[axis] = quantile(sides[axis], 1 - kRigidQuantile);
       extent_.high[axis] = quantile(sides[3 + axis], kRigidQuantile);
     }
-  for (std::size_t k = 0; k < states_.size(); ++k) boxes_.push_back(box(states_[k].time));
 }
 
 /// What stands does not turn.
@@ -312,7 +327,9 @@ Pose TrackPath::pose(double t) const {
   const std::size_t k = after(t);
   const State &a = states_[k - 1], &b = states_[k];
   const double share = (t - a.time) / (b.time - a.time);
-  const auto mix = [&](const auto& from, const auto& to) { return (1 - share) * from + share * to; };
+  const auto mix = [&](const auto& from, const auto& to) {
+    return (1 - share) * from + share * to;
+  };
   return standing_pose(mix(a.position, b.position), mix(a.heading, b.heading),
                        mix(a.slope, b.slope));
 }
@@ -332,8 +349,8 @@ OrientedBox TrackPath::box(double t) const {
   Extent around = extents_[nearest];
   Vector largest = around.size();
   for (int step : {-1, 1})
-    for (std::size_t i = nearest + std::size_t(step);
-         i < extents_.size() && distance(i) <= window; i += std::size_t(step)) {
+    for (std::size_t i = nearest + std::size_t(step); i < extents_.size() && distance(i) <= window;
+         i += std::size_t(step)) {
       around.add(extents_[i]);
       largest = largest.cwiseMax(extents_[i].size());
     }

@@ -33,9 +33,8 @@ class TrackPath {
   bool covers(double t) const;
   /// Around what was seen of it near a time.
   OrientedBox box(double t) const;
-  /// The same of an observation.
+  /// How well the place of its surface is known at an observation [m].
   double deviation(std::size_t observation) const { return states_[observation].deviation; }
-  const OrientedBox& box_of(std::size_t observation) const { return boxes_[observation]; }
   /// Largest distance between two of its places, of all observations or of dynamic ones [m].
   float distance(bool dynamic) const;
 
@@ -53,13 +52,21 @@ class TrackPath {
     double time;
     Eigen::Vector3d position, velocity;
     double heading, slope;  ///< of its x axis [rad]
-    double deviation = 0;   ///< of the position [m]
+    double deviation = 0;   ///< of the surface [m]
+  };
+
+  /// Of each observation: the position, and the heading as the first coordinate.
+  struct Measurements {
+    std::vector<MeasuredPosition> positions, headings;
+
+    void set(std::size_t k, const Registration& found, const State& state);
   };
 
   void measure_shifts();
   void register_surfaces();
-  void smooth(const std::vector<MeasuredPosition>& positions,
-              const std::vector<MeasuredPosition>& headings);
+  std::size_t register_from(std::size_t first, int step, SurfaceModel& model,
+                            Measurements& measured);
+  void smooth(const Measurements& measured);
   void find_extent(const SurfaceModel& model);
   void find_headings();
   void find_extents();
@@ -76,7 +83,6 @@ class TrackPath {
   std::vector<SeenSurface> seen_;  ///< of each observation, in the world
   std::vector<State> states_;
   std::vector<Extent> extents_;  ///< of each observation, in the frame of the object
-  std::vector<OrientedBox> boxes_;
   Extent extent_{Eigen::Vector3f::Zero(), Eigen::Vector3f::Zero()};
 };
 

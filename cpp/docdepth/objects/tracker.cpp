@@ -26,7 +26,9 @@ struct Match {
 };
 
 /// How wrong a shift of what is so far away may be [m].
-float shift_error(float range) { return std::max(kShiftError, kRaySpacing * range); }
+float shift_error(float range) {
+  return std::max(kShiftError, kRaySpacing * range);
+}
 
 /// Velocity at an end of a track: the mean of its shifts, the last ones most.
 struct Speed {
@@ -133,13 +135,20 @@ class Tracker {
         continue;
       const int track = int(tracks_.size());
       owners_[sweep][k] = track;
-      tracks_.push_back(
-          {{{sweep, {k}, seen[k].box, Vector::Zero(), true, seen[k].is_dynamic(), seen[k].area, seen[k].passing_area(),
-             seen[k].free_area}},
-           1});
+      tracks_.push_back({{{sweep,
+                           {k},
+                           seen[k].box,
+                           Vector::Zero(),
+                           true,
+                           seen[k].is_dynamic(),
+                           seen[k].area,
+                           seen[k].passing_area(),
+                           seen[k].free_area}},
+                         1});
       last_speeds_.emplace_back();
       const SampledPoints& samples = seen[k].samples();
-      alive_.push_back({track, samples, samples, seen[k].box.size(), times_[sweep], {}, seen[k].area});
+      alive_.push_back(
+          {track, samples, samples, seen[k].box.size(), times_[sweep], {}, seen[k].area});
     }
   }
 
@@ -199,8 +208,8 @@ class Tracker {
     end.speed.add(match.shift, times_[sweep] - end.time, match.range);
     if (!partial) end.area = match.area;
     end.time = times_[sweep];
-    end.samples = together(std::move(partial || stands ? end.samples : end.last), match.shift,
-                           match.samples);
+    end.samples =
+        together(std::move(partial || stands ? end.samples : end.last), match.shift, match.samples);
     end.last = match.samples;
     end.largest = match.largest;
   }
@@ -239,7 +248,8 @@ class Tracker {
       for (const auto k : of.objects) append(samples, (*detections_[of.sweep])[k].samples());
       return samples;
     };
-    End end{track, {}, samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep], {}, seen[0].area};
+    End end{track, {},          samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep],
+            {},    seen[0].area};
     for (const TrackObservation& of : seen) end.largest = end.largest.cwiseMax(of.box.size());
     end.samples = end.last;
     if (seen.size() == 1) return end;
@@ -315,11 +325,12 @@ class Tracker {
     const Extent there{box.low + expected, box.high + expected};
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       if (!is_free(sweep, k, end) || !could_match(seen[k].box, end.largest)) continue;
-      const bool near = end.speed.is_known ? seen[k].box.overlaps(there, kSearchMargin)
-                                         : seen[k].is_passing() && seen[k].box.overlaps(box, reach);
+      const bool near = end.speed.is_known
+                            ? seen[k].box.overlaps(there, kSearchMargin)
+                            : seen[k].is_passing() && seen[k].box.overlaps(box, reach);
       if (!near) continue;
-      for (const Vector& shift : {Vector(seen[k].box.low - box.low),
-                                  Vector(seen[k].box.high - box.high)})
+      for (const Vector& shift :
+           {Vector(seen[k].box.low - box.low), Vector(seen[k].box.high - box.high)})
         if (shift.head<2>().norm() <= reach) attempt({shift.x(), shift.y(), 0});
       if (!end.speed.is_known) attempt(most_frequent_shift(samples, seen[k].samples(), reach));
     }
@@ -365,8 +376,8 @@ class Tracker {
     drop_neighbors(seen, match);
     // Together larger than one object: a pedestrian and what he walks away from.
     if (match.objects.empty() || !could_match(match.box, match.largest)) return {};
-    // Half of a track may be hidden, so twice its matched share counts. Of two equal matches the one
-    // nearer to where it is expected is more likely.
+    // Half of a track may be hidden, so twice its matched share counts. Of two equal matches the
+    // one nearer to where it is expected is more likely.
     const auto score = [&](const auto& share) {
       return std::min(1.0f, 2 * share(samples, match.shift, match.samples)) *
              share(match.samples, -match.shift, samples) /
@@ -407,7 +418,7 @@ class Tracker {
   const TrackParameters& p_;
   std::vector<Track> tracks_;
   std::vector<std::vector<int>> owners_;  ///< of each detection of each sweep
-  std::vector<Speed> last_speeds_;  ///< of each track, at its last observation
+  std::vector<Speed> last_speeds_;        ///< of each track, at its last observation
   std::vector<End> alive_;
   std::vector<int> gone_, joined_;  ///< tracks that are followed on from another beginning
 };

@@ -29,6 +29,9 @@ MOST_SIGHTINGS = 24
 """Sweeps that an object is drawn from. Rings of one sweep lie up to a degree apart; two dozen, each
 with rings elsewhere on the object, leave gaps of a pixel."""
 
+MAX_DEVIATION = 0.06
+"""Where an object is known worse than this, other sweeps would blur it [m]."""
+
 REACH = 1.0
 """An object may reach this far beyond the box of its track [m]."""
 
@@ -91,7 +94,7 @@ def sighted_objects(
             continue
         around, others = (
             [_sighting(frames(one.sweep), one, T_camera_object) for one in some]
-            for some in _chosen(seen[instance], drawn, tracks[instance])
+            for some in _chosen(seen[instance], drawn, trajectory, tracks[instance], view.time)
         )
         if around:  # else nobody knows where it is by now
             found.append((instance, around, others, (around + others)[:MOST_RAYS]))
@@ -120,12 +123,18 @@ def _in_view(camera: Camera, T_camera_object: Floats, track: Track) -> bool:
     return True
 
 
-def _chosen(seen: list[_Seen], drawn: DrawnFrames, track: Track) -> tuple[list[_Seen], list[_Seen]]:
+def _chosen(
+    seen: list[_Seen], drawn: DrawnFrames, trajectory: Trajectory, track: Track, time: int
+) -> tuple[list[_Seen], list[_Seen]]:
     """The views of an object from the sweeps around the image, and from others."""
     around = sorted((view for view in seen if view.sweep in drawn.dynamic), key=_away)
     if track.kind != "vehicle":
         return [view for view in around if view.away <= SOFT_SECONDS * 1e9], []
-    others = sorted((view for view in seen if view.sweep not in drawn.dynamic), key=_away)
+    if track.deviation_at(time) > MAX_DEVIATION:
+        return around, []
+    deviation = {view.sweep: track.deviation_at(trajectory.times[view.sweep]) for view in seen}
+    known = [view for view in seen if deviation[view.sweep] <= MAX_DEVIATION]
+    others = sorted((view for view in known if view.sweep not in drawn.dynamic), key=_away)
     further = [view for view in others if view.sweep in drawn.tracked][:MOST_TRACK_SWEEPS]
     others = [view for view in others if view.sweep not in drawn.tracked]
     room = MOST_SIGHTINGS - len(around) - len(further)
