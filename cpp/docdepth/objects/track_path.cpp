@@ -128,7 +128,8 @@ void TrackPath::measure_shifts() {
   }
   const auto motions = smooth_positions(measured, {measured.size(), kChange});
   for (std::size_t k = 0; k < measured.size(); ++k)
-    states_.push_back({measured[k].time, motions[k].position, motions[k].velocity, 0, 0});
+    states_.push_back({measured[k].time, motions[k].position, motions[k].velocity, 0, 0,
+                       std::sqrt(motions[k].covariance.topLeftCorner<2, 2>().trace())});
 }
 
 /// Along the motion where it moves; where it stands, as it comes or goes.

@@ -29,7 +29,7 @@ are apart, so that its mesh has neighbours all around."""
 
 
 def track_sweeps(trajectory: Trajectory, time: int, tracks: Tracks) -> list[int]:
-    """Sweeps that show the vehicles higher than the beams at ``time`` [ns] from elsewhere, ascending.
+    """Sweeps that saw from elsewhere what is too high at ``time`` [ns] for some beams, ascending.
 
     The choice belongs to the tracks and not to the image, so consecutive images share it.
     """
