@@ -367,7 +367,7 @@ float TrackPath::distance(bool dynamic) const {
   for (std::size_t k = 0; k < states_.size(); ++k) {
     if (dynamic && !track_.observations[k].dynamic) continue;
     if (first == states_.size()) first = k;
-    most = std::max(most, (states_[k].position - states_[first].position).norm());
+    most = std::max(most, (states_[k].position - states_[first].position).head<2>().norm());
   }
   return float(most);
 }
