@@ -86,7 +86,7 @@ class TrackEvidence {
   }
 
   bool lies_there(const Detection& object, double time) const {
-    if (!(p_.window > 0) || path_.speed(time) >= kSlow) return false;
+    if (!(p_.window > 0)) return false;
     const OrientedBox box = path_.box(time);
     const auto inside = [&](const Vector& p) { return box.holds(p, kSearchMargin); };
     const float bottom = box.middle().z() - box.half.z();
