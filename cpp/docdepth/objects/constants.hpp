@@ -112,7 +112,8 @@ constexpr float kEndMargin = 0.1f;
 /// share of its samples faces there.
 constexpr double kEndDeviation = 0.1;
 constexpr float kMinSideShare = 0.3f;
-/// Ends that are farther apart or closer than they should by more than this are those of a piece [m].
+/// Ends that are farther apart or closer than they should by more than this are those of a piece
+/// [m].
 constexpr float kMaxLengthError = 0.5f;
 /// Weight of the horizontal distance between partners, beside their distance across the surface.
 constexpr double kPointWeight = 0.003, kLonePointWeight = 0.1;
@@ -143,6 +144,8 @@ constexpr double kFreeWindow = 2;
 constexpr float kMeanFreeShare = 0.4f;
 /// A vehicle is at least this wide from any side, and this high [m].
 constexpr float kMinVehicleWidth = 0.5f, kMinVehicleHeight = 0.6f;
+/// Longer than a motorcycle with its rider [m].
+constexpr float kMinRailLength = 2.5f;
 /// An object that is less far from where it was stands at the same place [m].
 constexpr float kSamePlace = 0.5f;
 

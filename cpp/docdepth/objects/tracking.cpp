@@ -23,6 +23,13 @@ bool is_vehicle(const TrackPath& path) {
          size.z() >= kMinVehicleHeight;
 }
 
+/// Whether it is a long, thin thing that seems to go along itself. What is seen of a guard rail
+/// goes along with us, or with a car that hides the rest.
+bool is_rail(const TrackPath& path) {
+  const Vector size = path.extent().size();
+  return path.is_rigid() && size.x() >= kMinRailLength && size.y() < kMinVehicleWidth;
+}
+
 /// A track and its path, and what both say about detections.
 class TrackEvidence {
  public:
@@ -38,7 +45,7 @@ class TrackEvidence {
 
   /// Whether the object moves at some time: by its path, or as it was not there before or after.
   bool moves() const {
-    if (track_.dynamic < p_.min_detections) return false;
+    if (track_.dynamic < p_.min_detections || is_rail(path_)) return false;
     if (path_.distance(false) >= p_.min_distance &&
         path_.distance(true) >= kMinVotedDistanceShare * p_.min_distance)
       return true;
@@ -63,8 +70,10 @@ class TrackEvidence {
   bool claims(std::size_t sweep, const Detection& object, bool is_member) {
     if (object.dynamic == object.points || object.box.width() < kMinTrackedWidth) return false;
     if (object.area - object.dynamic_area > supported_) return false;
-    if (!is_member && !lies_there(object, times_[sweep])) return false;
-    return was_free(object, sweep);
+    if (is_member) return was_free(object, sweep);
+    if (!lies_there(object, times_[sweep])) return false;
+    // Where the track only passes, something else may stand.
+    return path_.speed(times_[sweep]) < kSlow ? was_free(object, sweep) : object.was_free();
   }
 
  private:
