@@ -73,7 +73,8 @@ class TrackEvidence {
     if (is_member) return was_free(object, sweep);
     if (!lies_there(object, times_[sweep])) return false;
     // Where the track only passes, something else may stand.
-    return path_.speed(times_[sweep]) < kSlow ? was_free(object, sweep) : object.was_free();
+    const bool passes = path_.speed(times_[sweep]) >= kSlow;
+    return was_free(object, sweep) && (!passes || object.free_area >= kFreeEdges * object.area);
   }
 
  private:
