@@ -150,11 +150,12 @@ def _warn_of_depth(files: DepthFiles) -> None:
 
 
 def _write_cameras(plan: RenderPlan) -> None:
-    """Write calibration and interpolated poses (paper V-A) of each camera."""
+    """Write calibration, interpolated poses (paper V-A) and tracks of each camera."""
     for files in plan.files:
         indices = np.array([image.index for image in plan.images if image.files is files])
         times = files.stream.times[indices]
-        files.write_camera(Trajectory(times, plan.trajectory.interpolate(times)), indices)
+        poses = Trajectory(times, plan.trajectory.interpolate(times))
+        files.write_camera(poses, indices, plan.tracks.values())
 
 
 class _Job(NamedTuple):
