@@ -289,7 +289,8 @@ std::vector<float> DepthHypotheses::resolve(const Camera& camera,
 
 void add_dynamic_object(const Columns& columns, const Camera& camera,
                         const std::vector<float>& trusted, const std::vector<float>& others,
-                        const std::vector<PlacedRays>& rays, std::vector<float>& inverse_depth) {
+                        const std::vector<PlacedRays>& rays, std::uint16_t number,
+                        std::vector<float>& inverse_depth, std::vector<std::uint16_t>& owners) {
   std::vector<PixelHypotheses> pixels;
   for (int v = 0; v < columns.height; ++v)
     for (int u = 0; u < columns.width; ++u) {
@@ -298,18 +299,18 @@ void add_dynamic_object(const Columns& columns, const Camera& camera,
       const float object = trusted[at] > 0 ? trusted[at] : others[at];
       if (!(object > inverse_depth[at])) continue;
       if (sure)
-        inverse_depth[at] = object;
+        inverse_depth[at] = object, owners[at] = number;
       else
         pixels.push_back({u, v, {object}});
     }
   const auto found =
       VisibilityQueries(columns, camera, rays).score(pixels, 0, kSureScore, kObjectFreeWeight);
   for (std::size_t i = 0; i < pixels.size(); ++i) {
-    float& here = inverse_depth[columns.at(pixels[i].u, pixels[i].v)];
+    const std::size_t at = columns.at(pixels[i].u, pixels[i].v);
     if (found[i] > kCloseScore)
-      here = pixels[i].hypotheses[0];
+      inverse_depth[at] = pixels[i].hypotheses[0], owners[at] = number;
     else if (found[i] > -kSureScore)
-      here = 0;
+      inverse_depth[at] = 0, owners[at] = 0;
   }
 }
 

@@ -56,8 +56,11 @@ class DepthHypotheses {
 /// @param trusted  inverse depth of the object as the nearest sweep saw it
 /// @param others   as other sweeps saw it
 /// @param rays     placed so that the object stands still among them
+/// @param number   of the object, from 1 on
+/// @param owners   number of the object that each pixel shows; 0 for none
 void add_dynamic_object(const Columns& columns, const Camera& camera,
                         const std::vector<float>& trusted, const std::vector<float>& others,
-                        const std::vector<PlacedRays>& rays, std::vector<float>& inverse_depth);
+                        const std::vector<PlacedRays>& rays, std::uint16_t number,
+                        std::vector<float>& inverse_depth, std::vector<std::uint16_t>& owners);
 
 }  // namespace docdepth

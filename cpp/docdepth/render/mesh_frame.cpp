@@ -64,7 +64,8 @@ class ObjectPlacer {
                         {{&parts.outer, T, number_, true}},
                         {}});
       if (!velocity[k].isZero(0))
-        placed[k].rays.push_back({&nearest_.frame->rays, T, kMovedRayBlur});
+        placed[k].rays.push_back({&nearest_.frame->rays, T, kMovedRayBlur, age_});
+      placed[k].velocity = (nearest_.T_camera_frame.linear() * velocity[k].cast<double>()).cast<float>();
     }
     add_other_sweeps(velocity, placed);
     return placed;
@@ -110,7 +111,7 @@ class ObjectPlacer {
         T = T * motion_to(sweeps[s]).T_from_to;
         for (const auto c : found[s][k].objects)
           placed[k].others.push_back({&frame.dynamic_meshes[c].whole, T, number_ + int(s)});
-        placed[k].rays.push_back({&frame.rays, T, kMovedRayBlur});
+        placed[k].rays.push_back({&frame.rays, T, kMovedRayBlur, sweeps[s].age});
       }
     }
   }
@@ -133,7 +134,7 @@ MeshFrame::MeshFrame(const Points& points, const std::uint32_t (*triangles)[3],
     : objects(find_dynamic_objects(points, classid, time_offset)) {
   auto [vertices, parts, normals] = partition_mesh(points, triangles, discontinuity, triangle_count,
                                                    objects.owner, objects.samples.size() + 1);
-  rays = Rays(points, normals, ray_origins);
+  rays = Rays(points, normals, ray_origins, time_offset, objects.owner.data());
   std::vector<std::uint8_t> classes(vertices.size(), kNoClass);  // of vertices between returns
   for (Eigen::Index i = 0; i < points.rows(); ++i) classes[i] = class_of(classid[i]);
   for (std::size_t i = 0; i < isolated_count; ++i) {
@@ -157,6 +158,8 @@ MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>
         .push_back({&static_frames[i].frame->static_mesh, static_frames[i].T_camera_frame, i});
   for (int i = 0; i < std::min(count, visibility_sweeps); ++i)
     scene.rays.push_back({&static_frames[i].frame->rays, static_frames[i].T_camera_frame});
+  for (const auto& [mesh, age] : dynamic.sweeps)
+    scene.shutter_rays.push_back({&mesh.frame->rays, mesh.T_camera_frame, kRayBlur, age});
   if (!dynamic.sweeps.empty())
     scene.dynamic_objects =
         ObjectPlacer(camera, dynamic, count, threads).place(visibility_sweeps > 0);

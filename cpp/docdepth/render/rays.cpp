@@ -17,6 +17,18 @@ bool usable(const Points& points, Eigen::Index i) {
   return squared > 0 && squared < kMaxRange * kMaxRange;  // false for NaN
 }
 
+/// The returns that tell the field of view. If the origins of the rays are unknown, directions to
+/// near returns are off by the motion of the ego.
+std::vector<Direction> bounding(const Points& points, const std::vector<Direction>& directions,
+                                const std::vector<std::uint32_t>& rows, const Points* ray_origins) {
+  std::vector<Direction> all, far;
+  for (const std::uint32_t i : rows) {
+    all.push_back(directions[i]);
+    if (points.row(i).squaredNorm() > kViewRange * kViewRange) far.push_back(directions[i]);
+  }
+  return ray_origins || far.empty() ? all : far;
+}
+
 /// Directions of points, the cells they lie in, their range and cosine of elevation.
 struct Toward {
   float azimuth[PointBatch::kMax], elevation[PointBatch::kMax];
@@ -173,7 +185,8 @@ struct ScoreVisibility {
 
 }  // namespace
 
-Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Points* ray_origins) {
+Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Points* ray_origins,
+           const float* time_offset, const std::uint32_t* owner) {
   using Matrix = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
   const std::vector<Direction> directions =
       ray_origins ? directions_of(Matrix(points - *ray_origins)) : directions_of(points);
@@ -205,7 +218,10 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Point
     cells_.azimuth[to] = float(directions[i].azimuth);
     cells_.elevation[to] = float(directions[i].elevation);
     cells_.ends[to] = {known ? Vector(n / offset) : Vector(p / squared), range};
+    cells_.time[to] = time_offset ? time_offset[i] : 0.0f;
+    cells_.moving[to] = owner && owner[i] != 0;
   }
+  field_of_view_ = FieldOfView(bounding(points, directions, rows, ray_origins));
 }
 
 /// Cells for these rays, with elevations from `low` to `high`, and memory for the rays.
@@ -219,7 +235,12 @@ void Rays::make_cells(const std::vector<std::uint32_t>& rows, int low, int high)
   cells_.start.assign(std::size_t(cells_.columns) * cells_.rows + 1, 0);
   for (auto* column : {&cells_.azimuth, &cells_.elevation, &cells_.left, &cells_.up})
     column->resize(rows.size());
-  cells_.ends.resize(rows.size());
+  cells_.ends.resize(rows.size()), cells_.time.resize(rows.size());
+  cells_.moving.resize(rows.size());
+}
+
+float Rays::Cells::spacing() const {
+  return float(side) / float(kRayCellSize) * kRadiansPerUnit;
 }
 
 /// Offset of the origin of ray `to` from the sensor, across the ray to the left and up.

@@ -7,6 +7,7 @@
 
 #include "docdepth/geometry/types.hpp"
 #include "docdepth/render/constants.hpp"
+#include "docdepth/render/field_of_view.hpp"
 
 namespace docdepth {
 
@@ -24,8 +25,11 @@ class Rays {
 
   /// @param normals      of the surface at each point, of any length; zero if unknown
   /// @param ray_origins  where each ray starts, near the origin; null for the origin itself
+  /// @param time_offset  when each was measured [s after the sweep's stamp]; null for the stamp
+  /// @param owner        0 if it ended on a static surface; null if all did
   Rays(const Points& points, const std::vector<Eigen::Vector3f>& normals,
-       const Points* ray_origins = nullptr);
+       const Points* ray_origins = nullptr, const float* time_offset = nullptr,
+       const std::uint32_t* owner = nullptr);
 
   /// Add the score of the nearest ray to the score of each point (frame of the sweep).
   ///
@@ -46,13 +50,21 @@ class Rays {
     std::vector<float> azimuth, elevation;         ///< of each ray; integers
     std::vector<float> left, up;                   ///< offset of the ray's origin [units * m]
     std::vector<End> ends;
+    std::vector<float> time;           ///< of each ray [s after the sweep's stamp]
+    std::vector<std::uint8_t> moving;  ///< 1 if the ray ended on a dynamic object
+
+    float spacing() const;  ///< mean distance between returns [rad]
   };
+
+  const Cells& cells() const { return cells_; }
+  const FieldOfView& field_of_view() const { return field_of_view_; }
 
  private:
   void make_cells(const std::vector<std::uint32_t>& rows, int low, int high);
   void place_origin(const Eigen::Vector3f& origin, const Eigen::Vector3f& point, std::uint32_t to);
 
   Cells cells_;
+  FieldOfView field_of_view_;
 };
 
 /// Rays in the frame of the camera at the time of the image.
@@ -60,6 +72,7 @@ struct PlacedRays {
   const Rays* rays;
   Pose T_camera_rays;
   float blur = kRayBlur;  ///< how exactly their position is known [m]
+  float age = 0;          ///< from the sweep's stamp to the image [s]
 };
 
 }  // namespace docdepth

@@ -22,6 +22,7 @@ struct PlacedDynamicObject {
   std::vector<PlacedMesh> trusted;  ///< drawn as they are
   std::vector<PlacedMesh> others;   ///< fill what is left empty, where rays confirm them
   std::vector<PlacedRays> rays;     ///< placed so that the object stands still among them
+  Eigen::Vector3f velocity{0, 0, 0};  ///< in the frame of the camera [m/s]; zero if unknown
 };
 
 /// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all
@@ -30,6 +31,7 @@ struct MeshScene {
   std::vector<PlacedMesh> trusted;  ///< drawn as they are, except at their edges
   std::vector<PlacedMesh> others;   ///< fill what is left empty, and are hypotheses at edges
   std::vector<PlacedRays> rays;     ///< decide between hypotheses
+  std::vector<PlacedRays> shutter_rays;  ///< of the sweeps nearest in time to the image
   std::vector<PlacedDynamicObject> dynamic_objects;  ///< hide what is farther
 };
 

@@ -1,0 +1,55 @@
+#include "docdepth/render/field_of_view.hpp"
+
+#include <algorithm>
+
+#include "docdepth/render/constants.hpp"
+
+namespace docdepth {
+namespace {
+
+constexpr std::int32_t kCell = kTurn / 512;  // [units]
+constexpr int kColumns = kTurn / kCell, kRows = kColumns / 2 + 1;
+static_assert(kCell * kRadiansPerUnit < kViewGap, "the gap is wider than a cell");
+
+int column_of(const Direction& d) {
+  return (d.azimuth + kTurn / 2) / kCell;
+}
+int row_of(const Direction& d) {
+  return (d.elevation + kTurn / 4) / kCell;
+}
+
+/// Whether no quarter of the turn is without a return.
+bool looks_all_around(const std::vector<std::uint8_t>& columns) {
+  int empty = 0, widest = 0;
+  for (int k = 0; k < 2 * kColumns; ++k) {
+    empty = columns[k % kColumns] ? 0 : empty + 1;
+    widest = std::max(widest, empty);
+  }
+  return widest < kColumns / 4;
+}
+
+}  // namespace
+
+FieldOfView::FieldOfView(const std::vector<Direction>& returns) {
+  std::vector<std::uint8_t> columns(kColumns, 0);
+  for (const Direction& d : returns) {
+    columns[column_of(d)] = 1;
+    low_ = std::min(low_, d.elevation), high_ = std::max(high_, d.elevation);
+  }
+  if (looks_all_around(columns)) return;
+  looked_.assign(std::size_t(kColumns) * kRows, 0);
+  for (const Direction& d : returns)
+    for (const int beside : {-1, 0, 1}) {
+      const int column = (column_of(d) + beside + kColumns) % kColumns, row = row_of(d);
+      for (int k = std::max(row - 1, 0); k <= std::min(row + 1, kRows - 1); ++k)
+        looked_[std::size_t(column) * kRows + k] = 1;
+    }
+}
+
+bool FieldOfView::covers(const Eigen::Vector3f& point) const {
+  const Direction d = direction_of(point.x(), point.y(), point.z());
+  if (looked_.empty()) return d.elevation >= low_ && d.elevation <= high_;
+  return looked_[std::size_t(column_of(d)) * kRows + row_of(d)];
+}
+
+}  // namespace docdepth
