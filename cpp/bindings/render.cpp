@@ -122,6 +122,11 @@ py::dict as_dict(Layers&& layers, int width, int height) {
   py::dict dict;
   if (!layers.normal.empty())
     dict["normal"] = to_numpy(std::move(layers.normal), {height, width, 3});
+  if (!layers.seen.empty()) {
+    std::vector<std::uint8_t> seen;
+    for (const Seen state : layers.seen) seen.push_back(static_cast<std::uint8_t>(state));
+    dict["seen"] = to_numpy(std::move(seen), shape);
+  }
   dict["sweep"] = to_numpy(std::move(layers.sweep), shape);
   dict["class"] = to_numpy(std::move(layers.classid), shape);
   dict["measured"] = to_numpy(std::move(layers.measured), shape);
@@ -157,7 +162,7 @@ py::dict splat_layers(const Array<double>& K, int width, int height,
 py::dict mesh_layers(const Array<double>& K, int width, int height,
                      const std::vector<PlacedFrame>& static_frames,
                      const std::vector<DynamicFrame>& dynamic_frames, float max_speed,
-                     int visibility_sweeps, const Array<float>& depth, int threads) {
+                     int visibility_sweeps, const Array<float>& depth, bool seen, int threads) {
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
   const DynamicSweeps motion = as_motion(dynamic_frames, max_speed);
@@ -168,7 +173,8 @@ py::dict mesh_layers(const Array<double>& K, int width, int height,
   {
     const py::gil_scoped_release release;
     layers = layers_of_triangles(
-        camera, compose_scene(camera, frames, motion, visibility_sweeps, threads), z, threads);
+        camera, compose_scene(camera, frames, motion, visibility_sweeps, threads), z, seen,
+        threads);
   }
   return as_dict(std::move(*layers), width, height);
 }
@@ -193,7 +199,8 @@ void bind_render(py::module_& m) {
   m.def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "max_speed"_a, "visibility_sweeps"_a, "threads"_a = 0);
   m.def("mesh_layers", &mesh_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
-        "dynamic_frames"_a, "max_speed"_a, "visibility_sweeps"_a, "depth"_a, "threads"_a = 0);
+        "dynamic_frames"_a, "max_speed"_a, "visibility_sweeps"_a, "depth"_a, "seen"_a = false,
+        "threads"_a = 0);
   m.def("splat_layers", &splat_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "depth"_a, "threads"_a = 0);
   m.def("render_splats", &draw_splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,

@@ -50,6 +50,9 @@ constexpr float kViewRange = 10;
 /// Rays at most this long before or after the shutter look at what the image shows [s]: a sweep of
 /// a common LiDAR.
 constexpr float kShutter = 0.1f;
+/// Rays around a point are near if they lie within so many mean distances between returns, to each
+/// side and up and down: both of two rings ten times farther apart than their returns.
+constexpr float kNearRays = 4;
 /// No road vehicle is higher above the ground [m]: bridges on European roads let 4.2 to 4.5 m pass.
 constexpr float kVehicleHeight = 4.2f;
 /// A rigid truck is at most this long [m].

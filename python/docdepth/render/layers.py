@@ -15,6 +15,9 @@
     float32, x y z: surface normal in the camera frame, towards the camera. Triangles only
 ``confidence``
     float32, 0..1: probability that the depth is less than 5 % off, see :func:`confidence`
+``seen``
+    uint8: what rays within 0.1 s of the image say of the depth: 0 did not look there, 1 agree,
+    2 contradict; 255 where there is no depth. Triangles only
 
 Where there is no depth, floats are NaN and counts 0.
 """
@@ -42,6 +45,13 @@ LAYERS: tuple[str, ...] = get_args(Layer)
 _CONFIDENCE = {"triangles": (4.47, 0.67, 2.79), "splats": (3.9, 1.0, 2.7)}
 """Weights a, b and c of :func:`confidence` [-], fitted by ``benchmarks/confidence.py`` to the exact
 depth of synthetic drives."""
+
+
+_NOT_OF_SPLATS = {
+    "normal": "face the camera and have no normal",
+    "seen": "are no rays and tell nothing of what was seen",
+}
+"""Layers that only triangles have, and why."""
 
 
 def compose_layers(
@@ -89,10 +99,11 @@ def compose_layers(
             f"image, got {depth.dtype} {depth.shape}"
         )
     gather = _core.splat_layers if p.primitive == "splats" else _core.mesh_layers
+    arguments = core_arguments(camera, T_camera_lidar, trajectory, time, frames, p)
+    if p.primitive == "triangles":
+        arguments["seen"] = "seen" in names
     found: dict[str, NDArray[Any]] = gather(
-        **core_arguments(camera, T_camera_lidar, trajectory, time, frames, p),
-        depth=np.ascontiguousarray(depth),
-        threads=threads,
+        **arguments, depth=np.ascontiguousarray(depth), threads=threads
     )
     drawn = drawn_frames(trajectory, time, p)
     # The core numbers parts: a sweep of several LiDARs has a number for each.
@@ -115,11 +126,12 @@ def check_layers(names: Sequence[str], parameters: RenderParameters) -> None:
     unknown = [name for name in names if name not in (*LAYERS, "measures")]
     if unknown:
         raise InputError(f"unknown layer {unknown[0]!r}; there are {', '.join(LAYERS)}")
-    if parameters.primitive == "splats" and "normal" in names:
-        raise InputError(
-            "splats face the camera and have no normal; leave the layer out, or draw triangles "
-            "(--set render.primitive=triangles)"
-        )
+    for name, lack in _NOT_OF_SPLATS.items():
+        if parameters.primitive == "splats" and name in names:
+            raise InputError(
+                f"splats {lack}; leave the layer {name} out, or draw triangles "
+                "(--set render.primitive=triangles)"
+            )
 
 
 def confidence(
