@@ -172,9 +172,9 @@ py::dict mesh_layers(const Array<double>& K, int width, int height,
   std::optional<Layers> layers;
   {
     const py::gil_scoped_release release;
-    layers = layers_of_triangles(
-        camera, compose_scene(camera, frames, motion, visibility_sweeps, threads), z, seen,
-        threads);
+    layers = layers_of_triangles(camera,
+                                 compose_scene(camera, frames, motion, visibility_sweeps, threads),
+                                 z, seen, threads);
   }
   return as_dict(std::move(*layers), width, height);
 }

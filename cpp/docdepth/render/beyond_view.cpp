@@ -45,8 +45,7 @@ struct Reach {
     float seen = 0;
     for (const auto* list : {&object.trusted, &object.others})
       for (const PlacedMesh& mesh : *list)
-        seen = std::max(
-            {seen, 2 * mesh.mesh->box().extent.x(), 2 * mesh.mesh->box().extent.y()});
+        seen = std::max({seen, 2 * mesh.mesh->box().extent.x(), 2 * mesh.mesh->box().extent.y()});
     const bool person = seen < kPersonWidth;
     height = person ? kPersonHeight : kVehicleHeight;
     along = person ? kPersonReach : std::max(kVehicleLength - seen, kPersonReach);

@@ -41,8 +41,8 @@ constexpr double kRayCellSize = 1.6;
 
 // --- Field of view, and what the sensor did not look at ---
 
-/// Rays farther apart leave a gap in the view [rad]: half a ring more than the widest rings of common
-/// LiDARs, a degree.
+/// Rays farther apart leave a gap in the view [rad]: half a ring more than the widest rings of
+/// common LiDARs, a degree.
 constexpr float kViewGap = 0.0262f;
 /// Nearer returns do not tell the field of view if the origins of their rays are unknown [m]: at
 /// 10 m half a metre of ego motion is 3 degrees.
@@ -53,6 +53,10 @@ constexpr float kShutter = 0.1f;
 /// Rays around a point are near if they lie within so many mean distances between returns, to each
 /// side and up and down: both of two rings ten times farther apart than their returns.
 constexpr float kNearRays = 4;
+/// A surface may hide what is drawn within so many mean distances between returns beside it, and at
+/// most so many pixels.
+constexpr float kFrontRays = 2;
+constexpr int kMostFront = 32;
 /// No road vehicle is higher above the ground [m]: bridges on European roads let 4.2 to 4.5 m pass.
 constexpr float kVehicleHeight = 4.2f;
 /// A rigid truck is at most this long [m].

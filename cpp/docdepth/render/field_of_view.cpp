@@ -7,9 +7,9 @@
 namespace docdepth {
 namespace {
 
-constexpr std::int32_t kCell = kTurn / 512;  // [units]
+constexpr std::int32_t kCell = kTurn / 1024;  // [units]
 constexpr int kColumns = kTurn / kCell, kRows = kColumns / 2 + 1;
-static_assert(kCell * kRadiansPerUnit < kViewGap, "the gap is wider than a cell");
+static_assert(3 * kCell * kRadiansPerUnit < kViewGap, "cells beside a return are no gap");
 
 int column_of(const Direction& d) {
   return (d.azimuth + kTurn / 2) / kCell;

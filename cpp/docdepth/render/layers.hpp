@@ -22,7 +22,7 @@ struct Layers {
   std::vector<std::uint16_t> measures;  ///< all measurements of the pixel
   std::vector<float> deviation;  ///< standard deviation of the support [m]; NaN of less than two
 
-  std::vector<Seen> seen;        ///< empty unless asked for; none of splats
+  std::vector<Seen> seen;  ///< empty unless asked for; none of splats
 
   Layers(const Camera& camera, bool with_normals);
 };

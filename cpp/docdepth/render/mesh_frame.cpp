@@ -65,7 +65,8 @@ class ObjectPlacer {
                         {}});
       if (!velocity[k].isZero(0))
         placed[k].rays.push_back({&nearest_.frame->rays, T, kMovedRayBlur, age_});
-      placed[k].velocity = (nearest_.T_camera_frame.linear() * velocity[k].cast<double>()).cast<float>();
+      placed[k].velocity =
+          (nearest_.T_camera_frame.linear() * velocity[k].cast<double>()).cast<float>();
     }
     add_other_sweeps(velocity, placed);
     return placed;

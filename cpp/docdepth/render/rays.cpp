@@ -17,16 +17,16 @@ bool usable(const Points& points, Eigen::Index i) {
   return squared > 0 && squared < kMaxRange * kMaxRange;  // false for NaN
 }
 
-/// The returns that tell the field of view. If the origins of the rays are unknown, directions to
-/// near returns are off by the motion of the ego.
-std::vector<Direction> bounding(const Points& points, const std::vector<Direction>& directions,
-                                const std::vector<std::uint32_t>& rows, const Points* ray_origins) {
+/// If the origins of the rays are unknown, directions to near returns are off by the motion of the
+/// ego, so that only far ones tell where it looked.
+FieldOfView field_of_view_of(const Points& points, const std::vector<Direction>& directions,
+                             const std::vector<std::uint32_t>& rows, bool exact) {
   std::vector<Direction> all, far;
   for (const std::uint32_t i : rows) {
     all.push_back(directions[i]);
     if (points.row(i).squaredNorm() > kViewRange * kViewRange) far.push_back(directions[i]);
   }
-  return ray_origins || far.empty() ? all : far;
+  return FieldOfView(exact || far.empty() ? all : far);
 }
 
 /// Directions of points, the cells they lie in, their range and cosine of elevation.
@@ -221,7 +221,7 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Point
     cells_.time[to] = time_offset ? time_offset[i] : 0.0f;
     cells_.moving[to] = owner && owner[i] != 0;
   }
-  field_of_view_ = FieldOfView(bounding(points, directions, rows, ray_origins));
+  field_of_view_ = field_of_view_of(points, directions, rows, ray_origins);
 }
 
 /// Cells for these rays, with elevations from `low` to `high`, and memory for the rays.

@@ -14,6 +14,9 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// What a ray ended on. What stands still tells nothing of what moves past it.
+enum class Kind : std::uint8_t { kStatic = 0, kMoving = 1, kAny = 2 };
+
 enum class Verdict : std::uint8_t { kNone, kEnded, kPassed, kBefore };
 
 /// What the nearest ray of a quadrant says of a point.
@@ -21,6 +24,8 @@ struct Corner {
   float squared = std::numeric_limits<float>::infinity();  // angle [units]
   float range = 0;                                         // of its end over that of the point
   Verdict verdict = Verdict::kNone;
+  Vector plane{0, 0, 0};  // where it ended, in the frame of the sweep
+  std::size_t sweep = 0;
 };
 using Corners = std::array<Corner, 4>;
 
@@ -51,8 +56,15 @@ class ShutterRays {
                        [&](float time) { return time >= first_ && time <= last_; });
   }
 
+  /// Whether a point in the frame of the camera lies on a plane of this frame.
+  bool on_plane(const Vector& plane, const Vector& target) const {
+    const Vector point = T_rays_camera_ * target;
+    const float range = point.norm(), depth = plane.dot(point);
+    return range * std::fabs(1 - depth) < (kSurfaceMargin + kSurfaceMarginGrowth * range) * depth;
+  }
+
   /// Keep the nearest ray of each quadrant around a point in the frame of the camera.
-  void find(const Vector& target, bool moving, Corners& corners) const {
+  void find(const Vector& target, Kind kind, std::size_t number, Corners& corners) const {
     const Vector point = T_rays_camera_ * target;
     const float across = std::sqrt(point.x() * point.x() + point.y() * point.y());
     const float range = std::sqrt(across * across + point.z() * point.z());
@@ -67,10 +79,11 @@ class ShutterRays {
       azimuth = float(direction.azimuth) - cells_.left[near] * inverse_range / cosine;
       elevation = float(direction.elevation) - cells_.up[near] * inverse_range;
     }
-    const Target to{point, float(direction.azimuth), float(direction.elevation), range, cosine};
+    const Target to{
+        point, float(direction.azimuth), float(direction.elevation), range, cosine, kind, number};
     // Most points have near rays all around: no ray beyond half the reach is nearer.
     for (const float reach : {reach_ / 2, reach_}) {
-      scan(to, azimuth, elevation, std::min(reach, farthest(corners)), moving, corners);
+      scan(to, azimuth, elevation, std::min(reach, farthest(corners)), corners);
       if (farthest(corners) <= reach) return;
     }
   }
@@ -81,6 +94,8 @@ class ShutterRays {
   struct Target {
     Vector point;
     float azimuth, elevation, range, cosine;
+    Kind kind;
+    std::size_t sweep;
   };
 
   static float farthest(const Corners& corners) {
@@ -90,8 +105,7 @@ class ShutterRays {
   }
 
   /// Look at the rays whose directions lie within `reach` of (azimuth, elevation).
-  void scan(const Target& to, float azimuth, float elevation, float reach, bool moving,
-            Corners& corners) const {
+  void scan(const Target& to, float azimuth, float elevation, float reach, Corners& corners) const {
     const int low = std::max(row_of(elevation - reach), 0);
     const int high = std::min(row_of(elevation + reach), cells_.rows - 1);
     if (low > high) return;
@@ -110,8 +124,9 @@ class ShutterRays {
         if (!(squared < corner.squared) || std::fabs(u) > reach_ || std::fabs(v) > reach_) continue;
         if (cells_.time[i] < first_ || cells_.time[i] > last_) continue;
         const Rays::End& end = cells_.ends[i];
+        const bool same_kind = to.kind == Kind::kAny || Kind(cells_.moving[i]) == to.kind;
         corner = {squared, end.range * inverse_range,
-                  verdict_of(end, bool(cells_.moving[i]) == moving, to.point, to.range)};
+                  verdict_of(end, same_kind, to.point, to.range), end.plane, to.sweep};
       }
     }
   }
@@ -155,9 +170,9 @@ Sweeps within_shutter(const std::vector<PlacedRays>& rays) {
   return sweeps;
 }
 
-Corners corners_around(const Sweeps& sweeps, const Vector& point, bool moving) {
+Corners corners_around(const Sweeps& sweeps, const Vector& point, Kind kind) {
   Corners corners;
-  for (const ShutterRays& sweep : sweeps) sweep.find(point, moving, corners);
+  for (std::size_t s = 0; s < sweeps.size(); ++s) sweeps[s].find(point, kind, s, corners);
   return corners;
 }
 
@@ -166,18 +181,59 @@ bool all(const Corners& corners, Verdict verdict) {
                      [&](const Corner& corner) { return corner.verdict == verdict; });
 }
 
-Seen seen_at(const Sweeps& sweeps, const Vector& point, bool moving) {
-  const Corners corners = corners_around(sweeps, point, moving);
-  if (all(corners, Verdict::kEnded)) return Seen::kAgreed;
+/// Whether another surface, whose returns lie beside the pixel, may hide its point from the camera.
+/// @param front  the nearest point of the image beside the pixel
+bool may_be_hidden(const Sweeps& sweeps, const Vector& point, const Vector& front,
+                   const Corners& corners) {
+  if (front.z() + kSurfaceMargin + kSurfaceMarginGrowth * point.z() > point.z()) return false;
+  for (const Corner& corner : corners)
+    if (sweeps[corner.sweep].on_plane(corner.plane, front)) return false;
+  const Corners before = corners_around(sweeps, front.z() / point.z() * point, Kind::kAny);
+  return std::any_of(before.begin(), before.end(),
+                     [](const Corner& corner) { return corner.verdict == Verdict::kEnded; });
+}
+
+/// The camera stands beside the sensor: what ends before the point for one of them may not hide it
+/// from the other.
+Seen seen_at(const Sweeps& sweeps, const Vector& point, Kind kind, const Vector& front) {
+  const Corners corners = corners_around(sweeps, point, kind);
   if (all(corners, Verdict::kPassed)) return Seen::kContradicted;
+  if (all(corners, Verdict::kEnded))
+    return may_be_hidden(sweeps, point, front, corners) ? Seen::kNotLookedAt : Seen::kAgreed;
   if (!all(corners, Verdict::kBefore)) return Seen::kNotLookedAt;
-  // The camera stands beside the sensor: does the same thing hide the point from it?
   const Corner& nearest =
-      *std::min_element(corners.begin(), corners.end(), [](const Corner& a, const Corner& b) {
-        return a.squared < b.squared;
-      });
-  const bool hidden = all(corners_around(sweeps, nearest.range * point, moving), Verdict::kEnded);
+      *std::min_element(corners.begin(), corners.end(),
+                        [](const Corner& a, const Corner& b) { return a.squared < b.squared; });
+  const bool hidden = all(corners_around(sweeps, nearest.range * point, kind), Verdict::kEnded);
   return hidden ? Seen::kContradicted : Seen::kNotLookedAt;
+}
+
+/// The pixel with the least depth within `radius` pixels to each side and up and down.
+std::vector<std::uint32_t> nearest_beside(const Camera& camera, const float* depth, int radius) {
+  const int width = camera.width, height = camera.height;
+  std::vector<std::uint32_t> rows(std::size_t(width) * height), result(rows.size());
+  const auto take = [&](std::uint32_t& kept, std::uint32_t other) {
+    if (depth[other] > 0 && !(depth[kept] <= depth[other])) kept = other;
+  };
+  for (int v = 0; v < height; ++v)
+    for (int u = 0; u < width; ++u) {
+      std::uint32_t& kept = rows[std::size_t(v) * width + u] = std::uint32_t(v * width + u);
+      for (int k = std::max(u - radius, 0); k <= std::min(u + radius, width - 1); ++k)
+        take(kept, std::uint32_t(v * width + k));
+    }
+  result = rows;
+  for (int v = 0; v < height; ++v)
+    for (int k = std::max(v - radius, 0); k <= std::min(v + radius, height - 1); ++k)
+      for (int u = 0; u < width; ++u)
+        take(result[std::size_t(v) * width + u], rows[std::size_t(k) * width + u]);
+  return result;
+}
+
+/// A surface goes on beyond its last return for less than the distance to the next [pixel].
+int front_radius(const Camera& camera, const std::vector<PlacedRays>& rays) {
+  float spacing = 0;
+  for (const PlacedRays& placed : rays) spacing = std::max(spacing, placed.rays->cells().spacing());
+  return std::min(int(kFrontRays * spacing * float(camera.fx)), kMostFront);
 }
 
 }  // namespace
@@ -190,18 +246,22 @@ std::vector<Seen> seen_pixels(const Camera& camera, const MeshScene& scene, cons
   std::vector<Sweeps> moved;
   for (const PlacedDynamicObject& object : scene.dynamic_objects)
     moved.push_back(within_shutter(object.rays));
+  const auto front = nearest_beside(camera, depth, front_radius(camera, scene.shutter_rays));
+  const auto point_at = [&](std::size_t i) {
+    const auto u = float(i % camera.width), v = float(i / camera.width);
+    return Vector((u - float(camera.cx)) / float(camera.fx) * depth[i],
+                  (v - float(camera.cy)) / float(camera.fy) * depth[i], depth[i]);
+  };
   std::vector<Seen> seen(objects.size(), Seen::kNoDepth);
   parallel_for(camera.height, 8, threads, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t v = begin; v < end; ++v)
-      for (int u = 0; u < camera.width; ++u) {
-        const std::size_t i = v * camera.width + u;
-        if (!(depth[i] > 0)) continue;
-        const Vector ray(float((u - camera.cx) / camera.fx), float((v - camera.cy) / camera.fy), 1);
-        const std::int32_t k = objects[i];
-        const bool unmoved = k >= 0 && scene.dynamic_objects[k].rays.empty();
-        const Sweeps& sweeps = k < 0 ? still : unmoved ? nearest : moved[k];
-        seen[i] = seen_at(sweeps, ray * depth[i], k >= 0);
-      }
+    for (std::size_t i = begin * camera.width; i < end * camera.width; ++i) {
+      if (!(depth[i] > 0)) continue;
+      const std::int32_t k = objects[i];
+      const bool unmoved = k >= 0 && scene.dynamic_objects[k].rays.empty();
+      const Sweeps& sweeps = k < 0 ? still : unmoved ? nearest : moved[k];
+      const Kind kind = k < 0 ? Kind::kStatic : Kind::kMoving;
+      seen[i] = seen_at(sweeps, point_at(i), kind, point_at(front[i]));
+    }
   });
   return seen;
 }

@@ -19,18 +19,18 @@ struct PlacedMesh {
 
 /// A dynamic object at the time of the image, as one or more sweeps saw it.
 struct PlacedDynamicObject {
-  std::vector<PlacedMesh> trusted;  ///< drawn as they are
-  std::vector<PlacedMesh> others;   ///< fill what is left empty, where rays confirm them
-  std::vector<PlacedRays> rays;     ///< placed so that the object stands still among them
+  std::vector<PlacedMesh> trusted;    ///< drawn as they are
+  std::vector<PlacedMesh> others;     ///< fill what is left empty, where rays confirm them
+  std::vector<PlacedRays> rays;       ///< placed so that the object stands still among them
   Eigen::Vector3f velocity{0, 0, 0};  ///< in the frame of the camera [m/s]; zero if unknown
 };
 
 /// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all
 /// surfaces would be the one with the most noise and the widest silhouette.
 struct MeshScene {
-  std::vector<PlacedMesh> trusted;  ///< drawn as they are, except at their edges
-  std::vector<PlacedMesh> others;   ///< fill what is left empty, and are hypotheses at edges
-  std::vector<PlacedRays> rays;     ///< decide between hypotheses
+  std::vector<PlacedMesh> trusted;       ///< drawn as they are, except at their edges
+  std::vector<PlacedMesh> others;        ///< fill what is left empty, and are hypotheses at edges
+  std::vector<PlacedRays> rays;          ///< decide between hypotheses
   std::vector<PlacedRays> shutter_rays;  ///< of the sweeps nearest in time to the image
   std::vector<PlacedDynamicObject> dynamic_objects;  ///< hide what is farther
 };

@@ -42,9 +42,12 @@ from docdepth.render.selection import drawn_frames
 
 LAYERS: tuple[str, ...] = get_args(Layer)
 
-_CONFIDENCE = {"triangles": (4.47, 0.67, 2.79), "splats": (3.9, 1.0, 2.7)}
-"""Weights a, b and c of :func:`confidence` [-], fitted by ``benchmarks/confidence.py`` to the exact
-depth of synthetic drives."""
+NOT_LOOKED_AT, AGREED, CONTRADICTED = 0, 1, 2
+"""Values of the layer ``seen``."""
+
+_CONFIDENCE = {"triangles": (4.47, 0.67, 2.79, 0.0), "splats": (3.9, 1.0, 2.7, 0.0)}
+"""Weights a, b, c and d of :func:`confidence` [-], fitted by ``benchmarks/confidence.py`` to the
+exact depth of synthetic drives."""
 
 
 _NOT_OF_SPLATS = {
@@ -101,7 +104,7 @@ def compose_layers(
     gather = _core.splat_layers if p.primitive == "splats" else _core.mesh_layers
     arguments = core_arguments(camera, T_camera_lidar, trajectory, time, frames, p)
     if p.primitive == "triangles":
-        arguments["seen"] = "seen" in names
+        arguments["seen"] = "seen" in names or "confidence" in names
     found: dict[str, NDArray[Any]] = gather(
         **arguments, depth=np.ascontiguousarray(depth), threads=threads
     )
@@ -112,7 +115,9 @@ def compose_layers(
     number = found["sweep"]
     found["time"] = np.where(number < 0, np.nan, delays[number]).astype(np.float32)
     if "confidence" in names:
-        found["confidence"] = confidence(depth, found["support"], found["measures"], p.primitive)
+        found["confidence"] = confidence(
+            depth, found["support"], found["measures"], found.get("seen")
+        )
     return {name: found[name] for name in names}
 
 
@@ -138,13 +143,13 @@ def confidence(
     depth: NDArray[np.float32],
     support: NDArray[np.uint16],
     measures: NDArray[np.uint16],
-    primitive: str = "triangles",
+    seen: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.float32]:
     """Probability that the depth of each pixel is less than 5 % off.
 
-    A logistic regression on two features::
+    A logistic regression on three features::
 
-        confidence = 1 / (1 + exp(-(a + b * log_odds - c * edge)))
+        confidence = 1 / (1 + exp(-(a + b * log_odds - c * edge - d * unseen)))
 
     ``log_odds = ln((support + 1/4) / (measures - support + 1))`` grows with the measurements that
     agree with the depth and falls with those that do not. The constants 1/4 and 1 are the prior of
@@ -155,23 +160,25 @@ def confidence(
     difference of inverse depth within 3 pixels, on a logarithmic scale from 0.1 % to 100 %; planes
     have none, since their inverse depth is linear in the image.
 
+    ``unseen`` is 0 where rays around the image's time agree with the depth, else 1.
+
     Parameters
     ----------
     depth : ndarray of float32, shape (h, w)
         Metres, NaN = none.
     support, measures : ndarray of uint16, shape (h, w)
         Number of measurements that agree with the depth, and of all.
-    primitive : {"triangles", "splats"}
-        What the map was drawn from.
+    seen : ndarray of uint8, shape (h, w), optional
+        The layer, of a map drawn from triangles; absent for splats.
 
     Returns
     -------
     ndarray of float32, shape (h, w)
         NaN where there is no depth.
     """
-    a, b, c = _CONFIDENCE[primitive]
-    log_odds, edge = confidence_features(depth, support, measures, primitive)
-    probability = 1 / (1 + np.exp(-(a + b * log_odds - c * edge)))
+    a, b, c, d = _CONFIDENCE["splats" if seen is None else "triangles"]
+    log_odds, edge, unseen = confidence_features(depth, support, measures, seen)
+    probability = 1 / (1 + np.exp(-(a + b * log_odds - c * edge - d * unseen)))
     return np.where(np.isnan(depth), np.nan, probability).astype(np.float32)
 
 
@@ -179,15 +186,16 @@ def confidence_features(
     depth: NDArray[np.float32],
     support: NDArray[np.uint16],
     measures: NDArray[np.uint16],
-    primitive: str = "triangles",
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """``log_odds`` and ``edge`` of :func:`confidence`, each of shape (h, w)."""
+    seen: NDArray[np.uint8] | None = None,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """``log_odds``, ``edge`` and ``unseen`` of :func:`confidence`, each of shape (h, w)."""
     disagreeing = measures.astype(np.float32) - support
     log_odds = np.log((support.astype(np.float32) + 0.25) / (disagreeing + 1))
-    if primitive == "triangles":
+    if seen is not None:
         log_odds = np.maximum(log_odds, np.float32(np.log(0.25)))
     largest = cv2.dilate(_relative_curvature(depth), np.ones((7, 7), np.uint8))
-    return log_odds, np.log10(np.clip(largest, 1e-3, 1)) / 3 + 1
+    unseen = np.zeros(depth.shape) if seen is None else seen != AGREED
+    return log_odds, np.log10(np.clip(largest, 1e-3, 1)) / 3 + 1, unseen.astype(np.float32)
 
 
 def _relative_curvature(depth: NDArray[np.float32]) -> NDArray[np.float32]:
