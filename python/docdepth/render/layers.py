@@ -45,7 +45,7 @@ LAYERS: tuple[str, ...] = get_args(Layer)
 NOT_LOOKED_AT, AGREED, CONTRADICTED = 0, 1, 2
 """Values of the layer ``seen``."""
 
-_CONFIDENCE = {"triangles": (4.47, 0.67, 2.79, 0.0), "splats": (3.9, 1.0, 2.7, 0.0)}
+_CONFIDENCE = {"triangles": (6.78, 0.41, 2.90, 2.39), "splats": (3.9, 1.0, 2.7, 0.0)}
 """Weights a, b, c and d of :func:`confidence` [-], fitted by ``benchmarks/confidence.py`` to the
 exact depth of synthetic drives."""
 
