@@ -83,6 +83,8 @@ class Scene:
             "displacement": np.zeros((n, 3), np.float32),
             "visibility_sweeps": 15,
             "isolated_angle": 0.002,
+            "shutter_frames": [(mesh_frame, pose, 0.03)],
+            "seen": True,
             "crop": 300.0,
             "resolution": 0.01,
             "window": 5,

@@ -3,6 +3,7 @@
 
 #include <pybind11/stl.h>
 
+#include <limits>
 #include <tuple>
 
 #include "arrays.hpp"
@@ -67,6 +68,18 @@ inline PlacedMeshFrame as_mesh_frame(const PlacedFrame& placed) {
 inline std::vector<PlacedMeshFrame> as_mesh_frames(const std::vector<PlacedFrame>& placed) {
   std::vector<PlacedMeshFrame> result;
   for (const auto& frame : placed) result.push_back(as_mesh_frame(frame));
+  return result;
+}
+
+/// A whole frame around the image, its pose, and the seconds from its stamp to the image.
+using ShutterOf = std::tuple<const MeshFrame*, Array<double>, double>;
+
+inline std::vector<ShutterFrame> as_shutter_frames(const std::vector<ShutterOf>& frames) {
+  constexpr double kMost = std::numeric_limits<float>::max();
+  std::vector<ShutterFrame> result;
+  for (const auto& [frame, pose, age] : frames)
+    result.push_back(
+        {{&present(frame), as_pose(pose)}, float(in_range(age, -kMost, kMost, "an age"))});
   return result;
 }
 

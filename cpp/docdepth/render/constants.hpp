@@ -39,6 +39,35 @@ constexpr float kMovedRayBlur = 0.05f;
 /// around a point, which then reach both of two rings ten times farther apart than their returns.
 constexpr double kRayCellSize = 1.6;
 
+// --- Field of view, and what the sensor did not look at ---
+
+/// Rays farther apart leave a gap in the view [rad]: half a ring more than the widest rings of
+/// common LiDARs, a degree.
+constexpr float kViewGap = 0.0262f;
+/// Nearer returns do not tell the field of view if the origins of their rays are unknown [m]: at
+/// 10 m half a metre of ego motion is 3 degrees.
+constexpr float kViewRange = 10;
+/// Rays at most this long before or after the shutter look at what the image shows [s]: a sweep of
+/// a common LiDAR.
+constexpr float kShutter = 0.1f;
+/// Rays around a point are near if they lie within so many mean distances between returns, to each
+/// side and up and down: both of two rings ten times farther apart than their returns.
+constexpr float kNearRays = 4;
+/// A surface may hide what is drawn within so many mean distances between returns beside it, and at
+/// most so many pixels.
+constexpr float kFrontRays = 2;
+constexpr int kMostFront = 32;
+/// No road vehicle is higher above the ground [m]: bridges on European roads let 4.2 to 4.5 m pass.
+constexpr float kVehicleHeight = 4.2f;
+/// A rigid truck is at most this long [m].
+constexpr float kVehicleLength = 12.0f;
+/// A road vehicle is at most this wide [m].
+constexpr float kVehicleWidth = 2.55f;
+/// What is narrower may be a person [m]: a walker's stride is less.
+constexpr float kPersonWidth = 1.2f;
+/// A person, or a cyclist, does not reach higher [m] nor farther to the side [m].
+constexpr float kPersonHeight = 2.2f, kPersonReach = 1.0f;
+
 // --- Depth hypotheses ---
 
 /// Depths that differ by a smaller share are one surface.
