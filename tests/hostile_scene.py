@@ -45,7 +45,7 @@ class Scene:
         self.static_splats, self.dynamic_splats = [(frame, pose)] * 3, [(frame, pose)]
         self.static_meshes = [(mesh_frame, pose)] * 3
         sighting = (mesh_frame, 1, pose, 3)
-        self.sighted = [(7, [sighting], [sighting], [sighting])]
+        self.sighted = [(7, (4.0, 2.0, 4.2), [sighting], [sighting], [sighting])]
         self.good: dict[str, Any] = {
             "points": self.points,
             "queries": self.points[:50].copy(),

@@ -24,7 +24,7 @@ def scene(top, azimuths=(-180.0, 180.0), gap=None, objects=True, ahead=AHEAD, tr
     gap : azimuths without rays since sweep 3 [deg]
     """
     trajectory = straight(9, spacing=2.0)
-    track = moving_track(trajectory, (ahead, 0, -1.7), (20, 0, 0), (0.5, 2, 1.7 + top))
+    track = moving_track(trajectory, (ahead, 0, -1.7), (20, 0, 0), (0.5, 2, 2.0))
     e, a = np.meshgrid(np.arange(-20, HIGHEST, 0.4), np.arange(*azimuths, 0.3), indexing="ij")
     frames = []
     for i in range(9):

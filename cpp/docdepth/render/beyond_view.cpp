@@ -36,30 +36,13 @@ std::vector<std::vector<std::uint32_t>> find_contours(const Camera& camera, std:
   return contours;
 }
 
-/// How far the kind of an object may reach beyond what is seen of it [m].
-struct Reach {
-  float height;         ///< of all of it
-  float along, across;  ///< its heading
-
-  explicit Reach(const PlacedDynamicObject& object) {
-    float seen = 0;
-    for (const auto* list : {&object.trusted, &object.others})
-      for (const PlacedMesh& mesh : *list)
-        seen = std::max({seen, 2 * mesh.mesh->box().extent.x(), 2 * mesh.mesh->box().extent.y()});
-    const bool person = seen < kPersonWidth;
-    height = person ? kPersonHeight : kVehicleHeight;
-    along = person ? kPersonReach : std::max(kVehicleLength - seen, kPersonReach);
-    across = person || object.velocity.norm() < kHeadingSpeed ? along : kVehicleWidth;
-  }
-};
-
 /// Continues one object beyond the field of view.
 class Continuation {
  public:
   Continuation(const Camera& camera, const PlacedDynamicObject& object,
                const FieldOfView& field_of_view, std::vector<float>& body)
       : camera_(camera),
-        reach_(object),
+        extent_(object.extent),
         field_of_view_(field_of_view),
         up_(object.T_camera_sensor[0].linear().col(2).cast<float>()),
         body_(body) {
@@ -76,18 +59,15 @@ class Continuation {
     std::vector<Vector> ends;
     for (const std::uint32_t i : contour) ends.push_back(point_at(i, depth[i]));
     const Vector right(1, 0, 0);
-    float low = std::numeric_limits<float>::infinity(), high = -low;
-    for (const Vector& end : ends)
-      low = std::min(low, end.dot(up_)), high = std::max(high, end.dot(up_));
     for (const float sign : {-1.0f, 1.0f}) {
-      continue_all(ends, sign * right, up_, reach_.across);
-      if (!heading_.isZero(0)) continue_all(ends, sign * heading_, up_, reach_.along);
+      continue_all(ends, sign * right, up_, heading_.isZero(0) ? extent_.x() : extent_.y());
+      if (!heading_.isZero(0)) continue_all(ends, sign * heading_, up_, extent_.x());
     }
     const std::vector<std::uint32_t> aside = pixels_;
     for (const std::uint32_t i : aside)
       if (borders(i)) ends.push_back(point_at(i, 1 / body_[i]));
-    continue_all(ends, up_, right, std::max(low + reach_.height - high, 0.0f));
-    continue_all(ends, -up_, right, std::max(low + reach_.height - high, 0.0f));
+    continue_all(ends, up_, right, extent_.z());
+    continue_all(ends, -up_, right, extent_.z());
     return std::move(pixels_);
   }
 
@@ -118,12 +98,16 @@ class Continuation {
     return !covered(out) && !covered(out + gap * beside) && !covered(out - gap * beside);
   }
 
-  /// Continue from all ends as far as the object is seen elsewhere, and by `reach` farther if the
-  /// view ends where it reaches farthest.
+  /// Continue from all ends as far as the object is seen elsewhere, and if the view ends where it
+  /// reaches farthest, until it is `extent` long.
   void continue_all(const std::vector<Vector>& ends, const Vector& direction, const Vector& beside,
-                    float reach) {
-    float most = -std::numeric_limits<float>::infinity();
-    for (const Vector& end : ends) most = std::max(most, end.dot(direction));
+                    float extent) {
+    float most = -std::numeric_limits<float>::infinity(), least = -most;
+    for (const Vector& end : ends) {
+      most = std::max(most, end.dot(direction));
+      least = std::min(least, end.dot(direction));
+    }
+    const float reach = std::max(extent - (most - least), 0.0f);
     std::vector<const Vector*> cut;
     bool all = true;
     for (const Vector& end : ends) {
@@ -163,7 +147,7 @@ class Continuation {
   }
 
   const Camera& camera_;
-  const Reach reach_;
+  const Vector extent_;
   const FieldOfView& field_of_view_;
   std::vector<RigidTransform> to_sensors_;
   const Vector up_;

@@ -57,16 +57,6 @@ constexpr float kNearRays = 4;
 /// most so many pixels.
 constexpr float kFrontRays = 2;
 constexpr int kMostFront = 32;
-/// No road vehicle is higher above the ground [m]: bridges on European roads let 4.2 to 4.5 m pass.
-constexpr float kVehicleHeight = 4.2f;
-/// A rigid truck is at most this long [m].
-constexpr float kVehicleLength = 12.0f;
-/// A road vehicle is at most this wide [m].
-constexpr float kVehicleWidth = 2.55f;
-/// What is narrower may be a person [m]: a walker's stride is less.
-constexpr float kPersonWidth = 1.2f;
-/// A person, or a cyclist, does not reach higher [m] nor farther to the side [m].
-constexpr float kPersonHeight = 2.2f, kPersonReach = 1.0f;
 
 // --- Depth hypotheses ---
 

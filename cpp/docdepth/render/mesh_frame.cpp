@@ -52,6 +52,7 @@ PlacedDynamicObject place(const Camera& camera, const SightedObject& object,
     placed.rays.push_back({&from.placed.frame->dynamic_meshes[from.owner - 1].rays,
                            from.placed.T_camera_frame, kMovedRayBlur, age(from.sweep)});
   if (object.instance == 0) return placed;
+  placed.extent = object.extent;
   for (const auto* sightings : {&object.around, &object.others})
     for (const Sighting& from : *sightings) {
       const Pose& T = from.placed.T_camera_frame;

@@ -73,6 +73,7 @@ struct Sighting {
 /// A dynamic object as several sweeps saw it.
 struct SightedObject {
   std::uint16_t instance;        ///< 0 if it is not followed
+  Eigen::Vector3f extent;        ///< how long, wide and high it may be [m]
   std::vector<Sighting> around;  ///< sweeps around the image; the first is trusted
   std::vector<Sighting> others;  ///< sweeps farther in time, which saw other parts of it
   std::vector<Sighting> rays;    ///< that tell where it ends

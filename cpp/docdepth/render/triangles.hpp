@@ -28,6 +28,7 @@ struct PlacedDynamicObject {
   std::vector<PlacedRays> rays;       ///< placed so that the object stands still among them
   PixelBounds bounds;                 ///< all of it lies within
   std::vector<Pose> T_camera_sensor;  ///< of all sweeps that saw it, placed like the rays
+  Eigen::Vector3f extent{0, 0, 0};    ///< how long, wide and high it may be [m]
   Eigen::Vector3f velocity{0, 0, 0};  ///< in the frame of the camera [m/s]; zero if not followed
 };
 
