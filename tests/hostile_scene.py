@@ -39,8 +39,10 @@ class Scene:
         of_objects = (0.002, owner, motion)
         mesh_frame = _core.MeshFrame(self.points, classid, *of_mesh, *of_objects)
         image = _core.RangeImage(self.points, ground, 0.01, 5, 0.2)
-        detections = _core.Detections(self.points, ground, objects, dynamic, pose)
-        numbers, boxes, samples = detections.arrays
+        stays = (dynamic, np.zeros(n, np.int32), np.full(n, 3, np.int32))
+        detections = _core.Detections(self.points, ground, objects, dynamic, *stays, mesh, pose)
+        numbers, areas, extents, samples, _, borders = detections.arrays
+        box = np.r_[np.eye(4)[:3].ravel(), 2, 1, 1].astype(np.float32)
         self.mesh_image = _core.MeshImage(self.points, ground, mesh, _core.MeshImageParameters())
         self.static_splats, self.dynamic_splats = [(frame, pose)] * 3, [(frame, pose)]
         self.static_meshes = [(mesh_frame, pose)] * 3
@@ -66,9 +68,16 @@ class Scene:
             "T_world_lidar": pose,
             "poses": np.stack([pose, pose]),
             "key_frames": [image, self.mesh_image],
-            "boxes": boxes,
+            "one_stay": stays[0],
+            "first_occupied": stays[1],
+            "last_occupied": stays[2],
+            "earlier": 1,
+            "boxes": np.stack([box, box]),
+            "extents": extents,
+            "areas": areas,
             "numbers": numbers,
             "samples": samples,
+            "borders": borders,
             "voxels": np.arange(9, dtype=np.uint64),
             "detections": [detections] * 4,
             "times": np.arange(4) * 0.1,
@@ -210,9 +219,10 @@ class Scene:
         return "of fewer points", {
             "ScanMesh": lambda: _core.ScanMesh(fewer, _core.MeshParameters()),
             "Detections": lambda: _core.Detections.of(
-                np.zeros((0, 4), np.uint32),
+                np.zeros((0, 8), np.uint32),
+                np.zeros((0, 4), np.float32),
                 np.zeros((0, 6), np.float32),
-                np.zeros((0, 3), np.float32),
+                *np.zeros((3, 0, 3), np.float32),
             ),
         }.get(kind.__name__, lambda: None)()
 

@@ -155,8 +155,7 @@ py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bo
 
 std::unique_ptr<Detections> make_detections(const Array<float>& points, const Array<bool>& ground,
                                             const Array<std::uint32_t>& objects,
-                                            const Array<bool>& dynamic,
-                                            const Array<bool>& one_stay,
+                                            const Array<bool>& dynamic, const Array<bool>& one_stay,
                                             const Array<std::int32_t>& first_occupied,
                                             const Array<std::int32_t>& last_occupied,
                                             const ScanMesh& mesh, const Array<double>& pose,
@@ -164,75 +163,92 @@ std::unique_ptr<Detections> make_detections(const Array<float>& points, const Ar
   const PointMap map = as_points(points);
   const auto count = map.rows();
   check_mesh(mesh, count);
-  const PointEvidence evidence{as_flags(ground, count, "ground"), as_objects(objects, count),
-                               as_flags(dynamic, count, "dynamic"),
-                               as_flags(one_stay, count, "one_stay"),
-                               as_column(first_occupied, count, "first_occupied"),
-                               as_column(last_occupied, count, "last_occupied"),
-                               time_offset ? as_column(*time_offset, count, "time_offset") : nullptr};
+  const PointEvidence evidence{
+      as_flags(ground, count, "ground"),
+      as_objects(objects, count),
+      as_flags(dynamic, count, "dynamic"),
+      as_flags(one_stay, count, "one_stay"),
+      as_column(first_occupied, count, "first_occupied"),
+      as_column(last_occupied, count, "last_occupied"),
+      time_offset ? as_column(*time_offset, count, "time_offset") : nullptr};
   check_coordinates(points, "points of objects");
   const Pose T_world_lidar = as_pose(pose);
   const py::gil_scoped_release release;
   return std::make_unique<Detections>(detect_objects(map, evidence, mesh, T_world_lidar));
 }
 
-/// Detections as arrays: per object its first row, its points, how many of them are dynamic and
-/// how many samples it has, when its place was occupied first and last, (K, 6); its area, that of its dynamic points and that of free places,
-/// and its time offset, (K, 4); its box, (K, 6); all samples, (M, 3); their normals, (M, 3).
+/// Detections as arrays: per object its first row, its points, how many of them are dynamic, how
+/// many samples it has, when its place was occupied first and last, how many edges and hidden
+/// borders it has, (K, 8); its area, that of its dynamic points and that of free places, and its
+/// time offset, (K, 4); its box, (K, 6); all samples, (M, 3); their normals, (M, 3); the edges and
+/// hidden borders of each object, (B, 3).
 py::tuple arrays_of(const Detections& detections) {
   const auto count = static_cast<py::ssize_t>(detections.size());
   std::vector<std::uint32_t> numbers;
-  std::vector<float> areas, boxes, samples, normals;
+  std::vector<float> areas, boxes, samples, normals, borders;
   for (const Detection& object : detections) {
     numbers.insert(numbers.end(), {object.first, object.points, object.dynamic,
                                    static_cast<std::uint32_t>(object.samples().size()),
                                    static_cast<std::uint32_t>(object.first_occupied),
-                                   static_cast<std::uint32_t>(object.last_occupied)});
+                                   static_cast<std::uint32_t>(object.last_occupied),
+                                   static_cast<std::uint32_t>(object.edges.size()),
+                                   static_cast<std::uint32_t>(object.hidden.size())});
     areas.insert(areas.end(),
                  {object.area, object.dynamic_area, object.free_area, object.time_offset});
     append(object.box.low, boxes), append(object.box.high, boxes);
     for (const auto& point : object.samples()) append(point, samples);
     for (const auto& normal : object.surface.normals) append(normal, normals);
+    for (const auto& point : object.edges) append(point, borders);
+    for (const auto& point : object.hidden) append(point, borders);
   }
-  const auto all = static_cast<py::ssize_t>(samples.size() / 3);
+  const auto all = static_cast<py::ssize_t>(samples.size() / 3),
+             at_borders = static_cast<py::ssize_t>(borders.size() / 3);
   return py::make_tuple(
-      to_numpy(std::move(numbers), {count, 6}), to_numpy(std::move(areas), {count, 4}),
+      to_numpy(std::move(numbers), {count, 8}), to_numpy(std::move(areas), {count, 4}),
       to_numpy(std::move(boxes), {count, 6}), to_numpy(std::move(samples), {all, 3}),
-      to_numpy(std::move(normals), {all, 3}));
+      to_numpy(std::move(normals), {all, 3}), to_numpy(std::move(borders), {at_borders, 3}));
+}
+
+/// Take points off the front of the rest of an array.
+void take(const PointMap& points, Eigen::Index& row, std::uint32_t count, SampledPoints& into) {
+  if (row + count > points.rows())
+    throw std::invalid_argument("there are fewer samples than the detections say");
+  for (const Eigen::Index end = row + count; row < end; ++row)
+    into.push_back(points.row(row).transpose());
 }
 
 std::unique_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
                                           const Array<float>& areas, const Array<float>& boxes,
-                                          const Array<float>& samples,
-                                          const Array<float>& normals) {
-  const PointMap all = as_points(samples), directions = as_points(normals, "normals");
+                                          const Array<float>& samples, const Array<float>& normals,
+                                          const Array<float>& borders) {
+  const PointMap all = as_points(samples), directions = as_points(normals, "normals"),
+                 around = as_points(borders, "borders");
   check_coordinates(samples, "samples");
   check_coordinates(normals, "normals");
+  check_coordinates(borders, "borders");
   const std::vector<Extent> extents = as_extents(boxes);
   const auto count = static_cast<py::ssize_t>(extents.size());
   const auto is_table = [&](const auto& array, py::ssize_t columns) {
     return array.ndim() == 2 && array.shape(0) == count && array.shape(1) == columns;
   };
-  if (!is_table(numbers, 6) || !is_table(areas, 4) || directions.rows() != all.rows())
+  if (!is_table(numbers, 8) || !is_table(areas, 4) || directions.rows() != all.rows())
     throw std::invalid_argument(
-        "detections are numbers (K, 6), areas (K, 4), boxes (K, 6), samples and normals (M, 3)");
+        "detections are numbers (K, 8), areas (K, 4), boxes (K, 6), samples and normals (M, 3)");
   auto detections = std::make_unique<Detections>(extents.size());
-  Eigen::Index row = 0;
+  Eigen::Index row = 0, normal = 0, border = 0;
   for (std::size_t k = 0; k < extents.size(); ++k) {
     Detection& object = (*detections)[k];
-    const std::uint32_t* n = numbers.data() + 6 * k;
+    const std::uint32_t* n = numbers.data() + 8 * k;
     const float* a = areas.data() + 4 * k;
     object.first = n[0], object.points = n[1], object.dynamic = n[2];
     object.area = a[0], object.dynamic_area = a[1], object.free_area = a[2];
     object.first_occupied = std::int32_t(n[4]), object.last_occupied = std::int32_t(n[5]);
     object.time_offset = a[3];
     object.box = extents[k];
-    if (n[1] == 0 || n[3] == 0 || row + n[3] > all.rows())
-      throw std::invalid_argument("there are fewer samples than the detections say");
-    for (const Eigen::Index end = row + n[3]; row < end; ++row) {
-      object.surface.points.push_back(all.row(row).transpose());
-      object.surface.normals.push_back(directions.row(row).transpose());
-    }
+    if (n[1] == 0 || n[3] == 0) throw std::invalid_argument("a detection has points and samples");
+    take(all, row, n[3], object.surface.points),
+        take(directions, normal, n[3], object.surface.normals);
+    take(around, border, n[6], object.edges), take(around, border, n[7], object.hidden);
   }
   return detections;
 }
@@ -256,24 +272,26 @@ py::tuple sweep_of(TrackedSweep& sweep) {
 
 py::tuple object_of(const TrackedObject& object) {
   std::vector<std::int64_t> sweeps, points;
-  std::vector<double> poses, velocities;
+  std::vector<double> poses, velocities, deviations;
   for (const auto& place : object.places) {
     sweeps.push_back(place.sweep), points.push_back(place.points);
     const Eigen::Matrix<double, 4, 4, Eigen::RowMajor> T = place.T_world_object.matrix();
     poses.insert(poses.end(), T.data(), T.data() + T.size());
     velocities.insert(velocities.end(), place.velocity.data(), place.velocity.data() + 3);
+    deviations.push_back(place.deviation);
   }
   const auto count = static_cast<py::ssize_t>(object.places.size());
   const std::vector<double> size{object.size.x(), object.size.y(), object.size.z()};
   return py::make_tuple(to_numpy(std::move(sweeps), {count}), to_numpy(std::move(points), {count}),
                         to_numpy(std::move(poses), {count, 4, 4}),
                         to_numpy(std::move(velocities), {count, 3}),
+                        to_numpy(std::move(deviations), {count}),
                         to_numpy(std::vector<double>(size), {3}), object.rigid);
 }
 
 /// A list with a tuple a sweep: members (first row, track, whether it becomes dynamic), tracks of
-/// boxes and whether they move, boxes, dynamic voxels. And one with a tuple a track: sweeps, points, poses, velocities,
-/// size, whether it is rigid.
+/// boxes and whether they move, boxes, dynamic voxels. And one with a tuple a track: sweeps,
+/// points, poses, velocities, size, whether it is rigid.
 py::tuple track(const std::vector<const Detections*>& detections, const Array<double>& times,
                 const TrackParameters& parameters, int threads) {
   const auto count = static_cast<py::ssize_t>(detections.size());
@@ -339,10 +357,10 @@ void bind_objects(py::module_& m) {
         "dynamic_votes"_a, "T_world_lidar"_a, "boxes"_a, "voxels"_a, "dynamic"_a, "parameters"_a);
   py::class_<Detections>(m, "Detections")
       .def(py::init(&make_detections), "points"_a, "ground"_a, "objects"_a, "dynamic"_a,
-           "one_stay"_a, "first_occupied"_a,
-           "last_occupied"_a, "mesh"_a, "T_world_lidar"_a, "time_offset"_a = py::none())
-      .def_static("of", &detections_of, "numbers"_a, "areas"_a, "boxes"_a, "samples"_a,
-                  "normals"_a)
+           "one_stay"_a, "first_occupied"_a, "last_occupied"_a, "mesh"_a, "T_world_lidar"_a,
+           "time_offset"_a = py::none())
+      .def_static("of", &detections_of, "numbers"_a, "areas"_a, "extents"_a, "samples"_a,
+                  "normals"_a, "borders"_a)
       .def_property_readonly("arrays", &arrays_of);
   m.def("track_objects", &track, "detections"_a, "times"_a, "parameters"_a, "threads"_a = 0);
 }

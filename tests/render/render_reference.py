@@ -36,7 +36,8 @@ def moving_track(trajectory, position, velocity, size, of=1, kind="vehicle"):
     poses[:, :3, 3] = np.asarray(position) + seconds[:, None] * np.asarray(velocity, float)
     velocities = np.repeat(np.asarray(velocity, float)[None], len(seconds), axis=0)
     points = np.zeros(len(seconds), np.int64)
-    return Track(of, kind, trajectory.times, poses, velocities, np.asarray(size, float), points)
+    size = np.asarray(size, float)
+    return Track(of, kind, trajectory.times, poses, velocities, size, points, 0.0 * points)
 
 
 def followed(points, classid, index, trajectory, track, parameters=None, time_offset=None):

@@ -15,7 +15,7 @@ from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.moving_objects import TOUCH, objects_of
 from docdepth.render.selection import drawn_frames
-from docdepth.render.sightings import MOST_SIGHTINGS, View, sighted_objects
+from docdepth.render.sightings import MOST_SIGHTINGS, SOFT_SECONDS, View, sighted_objects
 from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS, near_vehicles, track_sweeps
 
 CORNERS = np.array([(x, y, z) for x in (-2, 2) for y in (-0.9, 0.9) for z in (0, 1.5)])
@@ -35,7 +35,7 @@ def turning_track(count=5):
     poses = np.array([pose(t * 1e-9) for t in times])
     velocities = 12 * poses[:, :3, 0]
     size, points = np.array((4, 1.8, 1.5)), np.zeros(count, np.int64)
-    return Track(3, "vehicle", times, poses, velocities, size, points), pose
+    return Track(3, "vehicle", times, poses, velocities, size, points, np.zeros(count)), pose
 
 
 def test_a_box_that_moves_and_turns_is_held_to_a_millimetre():
@@ -120,11 +120,13 @@ def test_sightings_are_placed_as_plain_matrices_say(kind):
     ((instance, extent, around, others, rays),) = objects
     assert extent == (*track.size[:2], 4.2 if kind == "vehicle" else 2.2)
     assert instance == 6
-    assert [number - 100 for *_, number in around] == list(range(4))
     if kind == "person":
+        near = [i for i in drawn.dynamic if abs(trajectory.times[i] - time) <= SOFT_SECONDS * 1e9]
+        assert [drawn.sighted[number - 100] for *_, number in around] == near
         assert not others
-        assert len(rays) == 4
+        assert len(rays) == len(near)
     else:
+        assert [number - 100 for *_, number in around] == list(range(4))
         assert 0 < len(others) <= MOST_SIGHTINGS - 4
     for core, owner, T_camera_sensor, number in around + others:
         sweep = drawn.sighted[number - 100]
@@ -159,9 +161,10 @@ def test_what_later_sweeps_saw_of_a_car_is_drawn_where_no_ray_looked():
     upper = (np.abs(y) < 0.7) & (z > -0.1) & (z < 0.3)
     assert upper.sum() > 100
     assert (np.abs(depth[upper] - here) < 0.1).mean() > 0.95
-    person = replace(track, kind="person")
-    alone = compose_depth(*asked, tracks={1: person})
-    assert (np.abs(alone[upper] - here) < 0.1).mean() < 0.2
+    vague = replace(track, deviations=np.full(len(track), 0.3))
+    for other in (replace(track, kind="person"), vague):
+        alone = compose_depth(*asked, tracks={1: other})
+        assert (np.abs(alone[upper] - here) < 0.1).mean() < 0.2
 
 
 def test_strays_stay_where_the_nearest_sweep_saw_them():

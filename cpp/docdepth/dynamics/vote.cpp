@@ -111,8 +111,13 @@ struct Tally {
   std::vector<std::uint16_t> statics, dynamics, seen_statics, seen_dynamics, stays, first, last;
 
   explicit Tally(std::size_t count)
-      : statics(count), dynamics(count), seen_statics(count), seen_dynamics(count), stays(count),
-        first(count, Votes::kNever), last(count, Votes::kNever) {}
+      : statics(count),
+        dynamics(count),
+        seen_statics(count),
+        seen_dynamics(count),
+        stays(count),
+        first(count, Votes::kNever),
+        last(count, Votes::kNever) {}
 
   /// Take note of the votes of a key frame on [begin, end).
   void note(std::size_t begin, std::size_t end, std::uint16_t key_frame) {
@@ -139,8 +144,7 @@ Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
     throw std::invalid_argument("vote needs one pose for each key frame");
   const auto count = static_cast<std::size_t>(points.rows());
   Votes votes{std::vector<std::uint16_t>(count), std::vector<std::uint16_t>(count),
-              std::vector<std::uint8_t>(count),
-              std::vector<std::uint16_t>(count, Votes::kNever),
+              std::vector<std::uint8_t>(count), std::vector<std::uint16_t>(count, Votes::kNever),
               std::vector<std::uint16_t>(count, Votes::kNever)};
   std::vector<RigidTransform> T_key_query;
   for (const Pose& pose : T_world_key) T_key_query.emplace_back(between(pose, T_world_lidar));

@@ -132,13 +132,18 @@ Vector most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float
 }
 
 bool refine_shift(const SampledPoints& a, const SampledPoints& b, Vector& shift) {
+  if (b.empty()) return false;
+  SampledPoints moved(a.size());
   for (const float radius : kRefineRadii) {
+    for (std::size_t i = 0; i < a.size(); ++i) moved[i] = a[i] + shift;
     Vector sum = Vector::Zero();
     std::size_t count = 0;
-    for (const Vector& p : a) {
-      const auto [squared, i] = nearest(b, p + shift);
+    for (std::size_t i = 0; i < moved.size(); ++i) {
+      const auto [squared, partner] = nearest(b, moved[i]);
       if (squared > radius * radius) continue;
-      sum += b[i] - (p + shift);
+      // What is hidden by now would pull towards the edge of what is not.
+      if (nearest(moved, b[partner]).second != i) continue;
+      sum += b[partner] - moved[i];
       ++count;
     }
     if (!count) return false;

@@ -228,8 +228,9 @@ void add_isolated_points(const Points& points, const bool* ground, const std::ui
 
 void add_points_inside(const Points& points, const bool* ground, const std::uint16_t* static_votes,
                        const std::uint16_t* dynamic_votes, const Pose& T_world_lidar,
-                       const std::vector<OrientedBox>& boxes, const std::vector<std::uint64_t>& voxels,
-                       const ObjectParameters& p, Flags& dynamic) {
+                       const std::vector<OrientedBox>& boxes,
+                       const std::vector<std::uint64_t>& voxels, const ObjectParameters& p,
+                       Flags& dynamic) {
   const RigidTransform T(T_world_lidar);
   std::vector<std::pair<Eigen::Vector3f, float>> spheres;  // around the boxes; far faster to test
   for (const OrientedBox& box : boxes)

@@ -41,7 +41,8 @@ void add_isolated_points(const Points& points, const bool* ground, const std::ui
 /// @param boxes, voxels  in the world of T_world_lidar (TrackedSweep)
 void add_points_inside(const Points& points, const bool* ground, const std::uint16_t* static_votes,
                        const std::uint16_t* dynamic_votes, const Pose& T_world_lidar,
-                       const std::vector<OrientedBox>& boxes, const std::vector<std::uint64_t>& voxels,
-                       const ObjectParameters& parameters, std::vector<std::uint8_t>& dynamic);
+                       const std::vector<OrientedBox>& boxes,
+                       const std::vector<std::uint64_t>& voxels, const ObjectParameters& parameters,
+                       std::vector<std::uint8_t>& dynamic);
 
 }  // namespace docdepth

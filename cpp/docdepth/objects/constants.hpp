@@ -20,10 +20,16 @@ constexpr float kMaxObjectWidth = 25.0f;
 constexpr float kObjectMargin = 0.2f;
 /// The place of an object was free if that of this share of its area was.
 constexpr float kMinFreeShare = 0.5f;
+/// Of an object that was always there edges seem free, at most this share of its area.
+constexpr float kFreeEdges = 0.15f;
 /// With a larger share of isolated returns it is porous: rays pass through twigs and fences.
 constexpr float kMaxIsolatedShare = 0.1f;
 /// An object is kept as at most this many samples.
 constexpr std::size_t kMaxSamples = 100;
+/// An object borders on what is this much nearer or farther [m]; that much apart are the samples of
+/// its borders [m], and so many are kept.
+constexpr float kMinBorderDepth = 0.5f, kBorderSpacing = 0.1f;
+constexpr std::size_t kMaxBorderSamples = 30;
 /// Spacing of the samples of objects wider than kMaxObjectWidth [m].
 constexpr float kWideSampleSpacing = 0.25f;
 
@@ -35,6 +41,10 @@ constexpr float kMinTrackedHeight = 0.15f;
 constexpr float kMinTrackedWidth = 0.3f;
 /// An object is searched this far around its predicted box [m].
 constexpr float kSearchMargin = 0.5f;
+/// Samples match exactly within this horizontal distance [m]: they are this far apart at most.
+constexpr float kLevelDistance = 0.2f;
+/// Weight of the samples that match beside those that match exactly: it decides between few.
+constexpr float kNearWeight = 0.1f;
 /// Share of an object's samples that have to match the track it belongs to.
 constexpr float kMinMemberShare = 0.6f;
 /// Share of min_distance that a track goes while votes call it dynamic.
@@ -43,6 +53,13 @@ constexpr float kMinVotedDistanceShare = 0.3f;
 constexpr float kSlow = 2;
 /// Slower objects stand; they may stay hidden for long [m/s].
 constexpr float kStanding = 0.5f;
+
+/// No road user speeds up, brakes or bends its path harder [m/s^2].
+constexpr float kMaxAcceleration = 8;
+/// Less than this share of an object's area is a part of it.
+constexpr float kPartialShare = 0.5f;
+/// How wrong a shift may be [m]; far away as much as rays are apart [rad]: 0.3 degrees.
+constexpr float kShiftError = 0.15f, kRaySpacing = 0.005f;
 
 // --- Motion of a track ---
 
@@ -64,8 +81,15 @@ constexpr double kShiftDeviation = 0.08, kHeightDeviation = 0.15;
 constexpr double kHorizontalChange = 3, kVerticalChange = 0.3;
 /// How much it changes its rate of turn in a second [rad/s^2].
 constexpr double kTurnChange = 1;
-/// Before anything is known of it: speed [m/s] and acceleration [m/s^2].
-constexpr double kFastest = 20, kStrongest = 3;
+/// This share of it remains when it stands: more cannot be told from noise.
+constexpr double kStandingTurn = 0.02;
+/// Before anything is known of it: speed [m/s], acceleration [m/s^2] and rate of turn [rad/s].
+constexpr double kFastest = 20, kStrongest = 3, kStrongestTurn = 0.5;
+/// How exactly the shifts tell the speed [m/s].
+constexpr double kShiftSpeedDeviation = 3;
+/// Measurements farther from the expected place are outliers [standard deviations]; they count
+/// this many times less.
+constexpr double kGate = 4, kOutlierFactor = 100;
 /// Above this speed an object's motion tells its heading [m/s]; a person's at half of it.
 constexpr double kMinHeadingSpeed = 1.5;
 /// No road is steeper [rad]: 20 degrees.
@@ -78,14 +102,26 @@ constexpr float kRegistrationRadii[] = {0.6f, 0.6f, 0.4f, 0.3f, 0.3f};
 /// Distance of samples from the plane of their partners [m]. It is that of noise and curvature,
 /// times ten, since neighbouring samples err alike.
 constexpr double kResidualDeviation = 0.2;
+/// From the middle of a car to its ends [m], which a wrong heading displaces.
+constexpr double kHalfLength = 2;
+/// An object ends where its outermost edge is, if it is no farther inside than this [m].
+constexpr float kEndMargin = 0.1f;
+/// Seen from the side, the ends of an object are known this exactly [m]: its side is seen if this
+/// share of its samples faces there.
+constexpr double kEndDeviation = 0.1;
+constexpr float kMinSideShare = 0.3f;
 /// Weight of the horizontal distance between partners, beside their distance across the surface.
-constexpr double kPointWeight = 0.03, kLonePointWeight = 0.3;
+constexpr double kPointWeight = 0.003, kLonePointWeight = 0.1;
 /// How exactly a guess tells the position [m] and the heading [rad].
 constexpr double kGuessDeviation = 0.3, kGuessHeadingDeviation = 0.05;
+/// Where a surface tells nothing: position [m] and heading [rad].
+constexpr double kUnknownPosition = 10, kUnknownHeading = 1;
 /// Surfaces are known this exactly at best [m].
 constexpr double kSurfaceDeviation = 0.02;
 /// A registration fails if a smaller share of the samples finds partners.
 constexpr float kMinRegisteredShare = 0.5f;
+/// After so many observations that lie beside the model a track goes on with something else.
+constexpr std::size_t kMaxMisses = 3;
 /// A model has at most so many voxels along the object.
 constexpr float kModelVoxels = 40;
 /// Part of an object is what so many sweeps saw,

@@ -1,6 +1,7 @@
 #include "docdepth/objects/detections.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/objects/constants.hpp"
@@ -39,6 +40,25 @@ SampledPoints normals_of(const Points& points, const bool* ground, const ScanMes
   return normals;
 }
 
+/// How each point borders on something else: bit 0 if farther, bit 1 if nearer.
+std::vector<std::uint8_t> borders_of(const Points& points, const PointEvidence& evidence,
+                                     const ScanMesh& mesh) {
+  std::vector<std::uint8_t> borders(points.rows());
+  for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
+    if (!mesh.discontinuity[t]) continue;
+    const auto& corners = mesh.triangles[t];
+    for (const auto i : corners)
+      for (const auto j : corners) {
+        if (evidence.ground[i] ||
+            (!evidence.ground[j] && evidence.objects[i] == evidence.objects[j]))
+          continue;
+        const float farther = points.row(j).norm() - points.row(i).norm();
+        if (std::fabs(farther) >= kMinBorderDepth) borders[i] |= farther > 0 ? 1 : 2;
+      }
+  }
+  return borders;
+}
+
 }  // namespace
 
 Detections detect_objects(const Points& points, const PointEvidence& evidence, const ScanMesh& mesh,
@@ -51,6 +71,7 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
   for (std::uint32_t i = 0; i < count; ++i)
     if (!ground[i]) ++size[objects[i]];
   const SampledPoints normals = normals_of(points, ground, mesh);
+  const std::vector<std::uint8_t> borders = borders_of(points, evidence, mesh);
   const Eigen::Matrix3f rotation = T_world_lidar.linear().cast<float>();
   Detections detections;
   std::vector<SampledSurface> members;
@@ -80,6 +101,8 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
     object.box.add({p, p});
     firsts[number[first]].push_back(first_occupied[i]);
     lasts[number[first]].push_back(last_occupied[i]);
+    if (borders[i] == 1) object.edges.push_back(p);
+    if (borders[i] & 2) object.hidden.push_back(p);
     members[number[first]].points.push_back(p);
     members[number[first]].normals.push_back(rotation * normals[i]);
   }
@@ -89,6 +112,8 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
       detections[k].free_area = 0;
     detections[k].first_occupied = median(firsts[k]);
     detections[k].last_occupied = median(lasts[k]);
+    for (SampledPoints* border : {&detections[k].edges, &detections[k].hidden})
+      *border = downsample(*border, kBorderSpacing, kMaxBorderSamples);
     detections[k].surface = sample(members[k], detections[k].box);
     for (Vector& normal : detections[k].surface.normals)
       if (!normal.isZero(0)) normal.normalize();

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <vector>
 
@@ -26,9 +27,11 @@ struct Detection {
   float free_area = 0;        ///< of those whose place was free before or after; 0 of porous things
   std::int32_t first_occupied = 0;  ///< median of the first sweeps that found a place occupied
   std::int32_t last_occupied = 0;   ///< the same of the last ones
-  float time_offset = 0;      ///< mean time of its points [s after the sweep's stamp]
-  Extent box{};               ///< in the world
-  SampledSurface surface;     ///< in the world
+  float time_offset = 0;            ///< mean time of its points [s after the sweep's stamp]
+  Extent box{};                     ///< in the world
+  SampledSurface surface;           ///< in the world
+  SampledPoints edges;              ///< beside which the background shows: there it ends
+  SampledPoints hidden;             ///< beside which something nearer hides how it goes on
 
   bool is_dynamic() const { return 2 * dynamic >= points; }
   /// Whether most of its place was free before or after.
@@ -38,6 +41,7 @@ struct Detection {
   float passing_share() const { return passing_area() / area; }
   /// Whether it is here for a while only, as far as the votes tell.
   bool is_passing() const { return is_dynamic() || was_free(); }
+  float range() const { return std::sqrt(area / float(points)); }  ///< of its points [m]
   const SampledPoints& samples() const { return surface.points; }
 };
 
@@ -51,7 +55,7 @@ struct PointEvidence {
   const bool* one_stay;                ///< its place was free before or after one stay (Votes)
   const std::int32_t* first_occupied;  ///< first and last sweep that found its place occupied
   const std::int32_t* last_occupied;
-  const float* time_offset;            ///< [s after the sweep's stamp]; may be null
+  const float* time_offset;  ///< [s after the sweep's stamp]; may be null
 };
 
 /// The objects of a sweep with at least kMinDetectionPoints points, ordered by their first point.

@@ -16,9 +16,11 @@ struct TrackObservation {
   Extent box;                          ///< around them
   Eigen::Vector3f shift;  ///< from where the last observation was: the samples registered [m]
   bool dynamic;           ///< whether most of it is passing by its votes
-  float area, free_area;  ///< of its points, and of those whose place was free (Detection)
+  bool voted;             ///< whether the votes call most of it dynamic
+  /// Of its points, of those that are passing, and of those whose place was free (Detection).
+  float area, passing_area, free_area;
 
-  bool was_free() const { return free_area >= kMinFreeShare * area; }
+  bool is_passing() const { return passing_area >= kMinFreeShare * area; }
 };
 
 struct Track {

@@ -6,13 +6,14 @@
 
 #include "docdepth/objects/constants.hpp"
 #include "docdepth/objects/registration.hpp"
-#include "docdepth/objects/smoothing.hpp"
 
 namespace docdepth {
 namespace {
 
 using Vector = Eigen::Vector3f;
 using Position = Eigen::Vector3d;
+
+const Position kChange(kHorizontalChange, kHorizontalChange, kVerticalChange);
 
 /// The value below which this share of the values lies.
 template <class Value>
@@ -22,7 +23,9 @@ Value quantile(std::vector<Value> values, double share) {
   return values[k];
 }
 
-double wrapped(double angle) { return std::remainder(angle, 2 * M_PI); }
+double wrapped(double angle) {
+  return std::remainder(angle, 2 * M_PI);
+}
 
 Pose standing_pose(const Position& position, double heading, double slope) {
   Pose T = Pose::Identity();
@@ -31,8 +34,6 @@ Pose standing_pose(const Position& position, double heading, double slope) {
   T.rotate(Eigen::AngleAxisd(-slope, Position::UnitY()));
   return T;
 }
-
-double heading_of(const Pose& T) { return std::atan2(T.linear()(1, 0), T.linear()(0, 0)); }
 
 /// Direction of the longest horizontal extent of points.
 double longest_direction(const SampledPoints& points) {
@@ -46,6 +47,27 @@ double longest_direction(const SampledPoints& points) {
   const Eigen::Vector2d axis =
       Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d>(spread).eigenvectors().col(1);
   return std::atan2(axis.y(), axis.x());
+}
+
+/// Whether most samples of a surface lie in triangles: those of others cannot be registered.
+bool has_normals(const SampledSurface& surface) {
+  const auto known = [](const Vector& normal) { return !normal.isZero(0); };
+  return 2 * std::count_if(surface.normals.begin(), surface.normals.end(), known) >=
+         std::ptrdiff_t(surface.normals.size());
+}
+
+/// Whether most of some points lie where the model is.
+bool lies_on(const SampledPoints& points, const SurfaceModel& model, const Pose& T_world_object) {
+  Extent box = extent_of(model.surface().points);
+  box.low -= Vector::Constant(kSearchMargin);
+  box.high += Vector::Constant(kSearchMargin);
+  const Eigen::Isometry3f T = T_world_object.inverse().cast<float>();
+  std::size_t inside = 0;
+  for (const Vector& point : points) {
+    const Vector p = T * point;
+    inside += (p.array() >= box.low.array()).all() && (p.array() <= box.high.array()).all();
+  }
+  return 2 * inside >= points.size();
 }
 
 Extent extent_in(const SampledPoints& points, const Pose& T_world_object) {
@@ -62,20 +84,24 @@ TrackPath::TrackPath(const Track& track, const std::vector<const Detections*>& d
     : track_(track), detections_(detections), times_(times), p_(p) {
   std::vector<float> widths;
   for (const TrackObservation& seen : track.observations) {
-    SampledSurface surface;
+    SeenSurface surface;
+    const auto append = [](SampledPoints& all, const SampledPoints& more) {
+      all.insert(all.end(), more.begin(), more.end());
+    };
     for (const auto k : seen.objects) {
-      const SampledSurface& part = (*detections[seen.sweep])[k].surface;
-      surface.points.insert(surface.points.end(), part.points.begin(), part.points.end());
-      surface.normals.insert(surface.normals.end(), part.normals.begin(), part.normals.end());
+      const Detection& part = (*detections[seen.sweep])[k];
+      append(surface.points, part.surface.points), append(surface.normals, part.surface.normals);
+      append(surface.edges, part.edges), append(surface.hidden, part.hidden);
     }
     seen_.push_back(std::move(surface));
     widths.push_back(seen.box.width());
   }
   rigid_ = quantile(widths, kRigidQuantile) >= kMinRigidWidth && track.observations.size() > 2;
+  end_ = seen_.size();
   measure_shifts();
   find_headings();
   if (rigid_) register_surfaces();
-  find_extents();
+  if (is_one_object()) find_extents();
   seen_.clear();
 }
 
@@ -100,10 +126,10 @@ void TrackPath::measure_shifts() {
     const double time = times_[seen.sweep] + offset / points;
     measured.push_back({time, {at.x(), at.y(), seen.box.low.z()}, variance.asDiagonal()});
   }
-  const auto motions = smooth_positions(measured, {kHorizontalChange, kHorizontalChange,
-                                                   kVerticalChange});
+  const auto motions = smooth_positions(measured, {measured.size(), kChange});
   for (std::size_t k = 0; k < measured.size(); ++k)
-    states_.push_back({measured[k].time, motions[k].position, motions[k].velocity, 0, 0});
+    states_.push_back({measured[k].time, motions[k].position, motions[k].velocity, 0, 0,
+                       std::sqrt(motions[k].covariance.topLeftCorner<2, 2>().trace())});
 }
 
 /// Along the motion where it moves; where it stands, as it comes or goes.
@@ -120,8 +146,7 @@ void TrackPath::find_headings() {
   for (const std::size_t k : moving) {
     const Position& v = states_[k].velocity;
     states_[k].heading = std::atan2(v.y(), v.x());
-    states_[k].slope =
-        std::clamp(std::atan2(v.z(), v.head<2>().norm()), -kSteepest, kSteepest);
+    states_[k].slope = std::clamp(std::atan2(v.z(), v.head<2>().norm()), -kSteepest, kSteepest);
   }
   std::size_t next = 0;
   for (std::size_t k = 0; k < states_.size(); ++k) {
@@ -137,78 +162,118 @@ void TrackPath::find_headings() {
         states_[k - 1].heading + wrapped(states_[k].heading - states_[k - 1].heading);
 }
 
-/// Register the surfaces of all observations, from the one that shows most of the object outward.
+/// Register the surfaces of all observations, from the one that shows most of the object outward:
+/// each where the motion so far leads. Then all once more onto the whole model.
 void TrackPath::register_surfaces() {
-  const std::size_t count = states_.size();
-  Vector largest = Vector::Zero();
-  std::size_t first = 0;
-  float most = 0;
-  for (std::size_t k = 0; k < count; ++k) {
-    largest = largest.cwiseMax(track_.observations[k].box.size());
-    float area = 0;
-    for (const auto i : track_.observations[k].objects)
-      area += (*detections_[track_.observations[k].sweep])[i].area;
-    if (area > most) most = area, first = k;
+  const auto& seen = track_.observations;
+  const auto smaller = [](const auto& a, const auto& b) { return a.area < b.area; };
+  const auto first =
+      std::size_t(std::max_element(seen.begin(), seen.end(), smaller) - seen.begin());
+  if (!has_normals(seen_[first])) return;  // the shifts have to do
+  float width = 0;
+  for (const TrackObservation& of : seen) width = std::max(width, of.box.width());
+  SurfaceModel model(std::max(kSampleSpacing, width / kModelVoxels));
+  Measurements measured{std::vector<MeasuredPosition>(states_.size()),
+                        std::vector<MeasuredPosition>(states_.size())};
+  const double exact = kSurfaceDeviation * kSurfaceDeviation;
+  measured.positions[first] = {states_[first].time, states_[first].position,
+                               Eigen::Matrix3d::Identity() * exact};
+  measured.headings[first] = {states_[first].time,
+                              {states_[first].heading, 0, 0},
+                              Eigen::Vector3d(exact, 1, 1).asDiagonal()};
+  model.add(seen_[first], pose_of(first));
+  end_ = register_from(first, 1, model, measured);
+  begin_ = register_from(first, -1, model, measured) + 1;
+  if (!is_one_object()) return;  // the others are something else
+  smooth(measured);
+  const ExpectedPose near{Pose::Identity(),
+                          Eigen::Matrix3d::Identity() * kGuessDeviation * kGuessDeviation,
+                          kGuessHeadingDeviation * kGuessHeadingDeviation};
+  for (std::size_t k = 0; k < states_.size(); ++k) {
+    const ExpectedPose expected{pose_of(k), near.covariance, near.heading_variance};
+    measured.set(k, register_surface(seen_[k], model, expected), states_[k]);
   }
-  SurfaceModel model(std::max(kSampleSpacing, largest.head<2>().norm() / kModelVoxels));
-  std::vector<Registration> found(count);
-  std::vector<std::uint8_t> known(count);
-  found[first] = {pose_of(first), Eigen::Matrix3d::Identity() * kSurfaceDeviation *
-                  kSurfaceDeviation, kGuessHeadingDeviation * kGuessHeadingDeviation, 1};
-  model.add(seen_[first], found[first].T_world_object);
-  const auto attempt = [&](std::size_t k, const Pose& guess) {
-    found[k] = register_surface(seen_[k], model, guess);
-    known[k] = found[k].share >= kMinRegisteredShare;
-    if (!known[k]) {
-      found[k].T_world_object = guess;
-      found[k].covariance =
-          Eigen::Matrix3d::Identity() * kGuessDeviation * kGuessDeviation;
-      found[k].heading_variance = kGuessHeadingDeviation * kGuessHeadingDeviation;
-    }
-  };
-  const auto follow = [&](std::size_t k, std::size_t from) {
-    // As the shifts say, relative to the neighbour that is registered.
-    const Pose guess = found[from].T_world_object * pose_of(from).inverse() * pose_of(k);
-    attempt(k, guess);
-    if (known[k]) model.add(seen_[k], found[k].T_world_object);
-  };
-  known[first] = 1;
-  for (std::size_t step = 1; step < count; ++step) {
-    if (first + step < count) follow(first + step, first + step - 1);
-    if (step <= first) follow(first - step, first - step + 1);
-  }
-  for (std::size_t k = 0; k < count; ++k) attempt(k, Pose(found[k].T_world_object));
+  smooth(measured);
+  find_extent(model);
+}
 
-  std::vector<MeasuredPosition> positions, headings;
-  double heading = heading_of(found[0].T_world_object);
-  for (std::size_t k = 0; k < count; ++k) {
-    const Pose& T = found[k].T_world_object;
-    positions.push_back({states_[k].time, T.translation(), found[k].covariance});
-    heading += wrapped(heading_of(T) - heading);
-    const double variance = found[k].heading_variance;
-    headings.push_back(
-        {states_[k].time, {heading, 0, 0}, Eigen::Vector3d(variance, 1, 1).asDiagonal()});
+/// Register surfaces onto the model from one observation on, forward or backward in time.
+/// @return the first observation that is something else
+std::size_t TrackPath::register_from(std::size_t first, int step, SurfaceModel& model,
+                                     Measurements& measured) {
+  MotionFilter motion, turn;
+  motion.start(measured.positions[first], states_[first].velocity, kShiftSpeedDeviation);
+  turn.start(measured.headings[first], Position::Zero(), kStrongestTurn);
+  std::size_t misses = 0, last = first;
+  Pose T_last = pose_of(first);
+  for (std::size_t k = first + std::size_t(step); k < states_.size(); k += std::size_t(step)) {
+    const double time = states_[k].time;
+    motion.predict(time, kChange), turn.predict(time, turn_change(k));
+    Pose guess = standing_pose(motion.position(), turn.position().x(), states_[k].slope);
+    ++misses;
+    if (lies_on(seen_[k].points, model, guess)) {
+      misses = 0;
+    } else {
+      // The motion has lost it: as the shifts say, if it can have gone there.
+      const Pose shifted = T_last * pose_of(last).inverse() * pose_of(k);
+      const double dt = time - states_[last].time;
+      const double reach = kSearchMargin + kMaxAcceleration * dt * dt / 2;
+      if ((shifted.translation() - guess.translation()).head<2>().norm() <= reach &&
+          lies_on(seen_[k].points, model, shifted))
+        guess = shifted, misses = 0;
+    }
+    if (misses == kMaxMisses) return k - (misses - 1) * std::size_t(step);
+    const Registration found =
+        register_surface(seen_[k], model, {guess, motion.covariance(), turn.covariance()(0, 0)});
+    measured.set(k, found, {time, {}, {}, turn.position().x(), 0});
+    MeasuredPosition& position = measured.positions[k];
+    if (!motion.expects(position)) position.covariance *= kOutlierFactor;
+    motion.update(position), turn.update(measured.headings[k]);
+    if (misses > 0) continue;
+    last = k, T_last = found.T_world_object;
+    if (found.share >= kMinRegisteredShare) model.add(seen_[k], found.T_world_object);
   }
-  const auto motions = smooth_positions(positions, {kHorizontalChange, kHorizontalChange,
-                                                    kVerticalChange});
-  const auto turns = smooth_positions(headings, Eigen::Vector3d::Constant(kTurnChange));
-  for (std::size_t k = 0; k < count; ++k) {
+  return step > 0 ? states_.size() : std::size_t(-1);
+}
+
+/// What a registration measured. Headings go on from that of the state, so that they do not jump by
+/// a turn.
+void TrackPath::Measurements::set(std::size_t k, const Registration& found, const State& state) {
+  const double factor = found.share >= kMinRegisteredShare ? 1 : kOutlierFactor;
+  const double heading = state.heading + wrapped(found.heading - state.heading);
+  positions[k] = {state.time, found.position, factor * found.covariance};
+  headings[k] = {state.time,
+                 {heading, 0, 0},
+                 Eigen::Vector3d(factor * found.heading_variance, 1, 1).asDiagonal()};
+}
+
+/// The motion through measured positions and headings.
+void TrackPath::smooth(const Measurements& measured) {
+  const auto& [positions, headings] = measured;
+  std::vector<Position> turn_changes;
+  for (std::size_t k = 0; k < states_.size(); ++k) turn_changes.push_back(turn_change(k));
+  const auto motions = smooth_positions(positions, {positions.size(), kChange});
+  const auto turns = smooth_positions(headings, turn_changes);
+  for (std::size_t k = 0; k < states_.size(); ++k) {
     states_[k].position = motions[k].position;
     states_[k].velocity = motions[k].velocity;
     states_[k].heading = turns[k].position.x();
+    const double of_position = motions[k].covariance.topLeftCorner<2, 2>().trace();
+    const double of_ends = kHalfLength * kHalfLength * turns[k].covariance(0, 0);
+    states_[k].deviation = std::sqrt(of_position + of_ends);
   }
-  std::vector<float> sides[6];
-  const int least = std::min<int>(kMinHits, 1 + int(count) / kMinHits);
-  for (std::size_t i = 0; i < model.hits().size(); ++i) {
-    if (model.hits()[i] < least) continue;
-    const Vector& p = model.surface().points[i];
-    for (int axis = 0; axis < 3; ++axis)
-      sides[axis].push_back(p[axis]), sides[3 + axis].push_back(p[axis]);
-  }
-  if (sides[0].empty()) return;
-  for (int axis = 0; axis < 3; ++axis) {
+}
+
+/// Around what several sweeps saw of the object.
+void TrackPath::find_extent(const SurfaceModel& model) {
+  std::vector<float> sides[3];
+  const int least = std::min<int>(kMinHits, 1 + int(states_.size()) / kMinHits);
+  for (std::size_t i = 0; i < model.hits().size(); ++i)
+    for (int axis = 0; axis < 3 && model.hits()[i] >= least; ++axis)
+      sides[axis].push_back(model.surface().points[i][axis]);
+  for (int axis = 0; axis < 3 && !sides[0].empty(); ++axis) {
     extent_.low[axis] = quantile(sides[axis], 1 - kExtentQuantile);
-    extent_.high[axis] = quantile(sides[3 + axis], kExtentQuantile);
+    extent_.high[axis] = quantile(sides[axis], kExtentQuantile);
   }
 }
 
@@ -226,7 +291,13 @@ void TrackPath::find_extents() {
       extent_.low[axis] = quantile(sides[axis], 1 - kRigidQuantile);
       extent_.high[axis] = quantile(sides[3 + axis], kRigidQuantile);
     }
-  for (std::size_t k = 0; k < states_.size(); ++k) boxes_.push_back(box(states_[k].time));
+}
+
+/// What stands does not turn.
+Position TrackPath::turn_change(std::size_t k) const {
+  const double speed = std::max(states_[k].velocity.head<2>().norm(),
+                                states_[k > 0 ? k - 1 : k].velocity.head<2>().norm());
+  return Position::Constant(kTurnChange * std::clamp(speed / kMinHeadingSpeed, kStandingTurn, 1.0));
 }
 
 Pose TrackPath::pose_of(std::size_t k) const {
@@ -257,7 +328,9 @@ Pose TrackPath::pose(double t) const {
   const std::size_t k = after(t);
   const State &a = states_[k - 1], &b = states_[k];
   const double share = (t - a.time) / (b.time - a.time);
-  const auto mix = [&](const auto& from, const auto& to) { return (1 - share) * from + share * to; };
+  const auto mix = [&](const auto& from, const auto& to) {
+    return (1 - share) * from + share * to;
+  };
   return standing_pose(mix(a.position, b.position), mix(a.heading, b.heading),
                        mix(a.slope, b.slope));
 }
@@ -277,8 +350,8 @@ OrientedBox TrackPath::box(double t) const {
   Extent around = extents_[nearest];
   Vector largest = around.size();
   for (int step : {-1, 1})
-    for (std::size_t i = nearest + std::size_t(step);
-         i < extents_.size() && distance(i) <= window; i += std::size_t(step)) {
+    for (std::size_t i = nearest + std::size_t(step); i < extents_.size() && distance(i) <= window;
+         i += std::size_t(step)) {
       around.add(extents_[i]);
       largest = largest.cwiseMax(extents_[i].size());
     }

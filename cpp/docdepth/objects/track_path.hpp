@@ -6,6 +6,8 @@
 #include "docdepth/geometry/sampled_points.hpp"
 #include "docdepth/objects/oriented_box.hpp"
 #include "docdepth/objects/parameters.hpp"
+#include "docdepth/objects/registration.hpp"
+#include "docdepth/objects/smoothing.hpp"
 #include "docdepth/objects/track.hpp"
 
 namespace docdepth {
@@ -31,10 +33,15 @@ class TrackPath {
   bool covers(double t) const;
   /// Around what was seen of it near a time.
   OrientedBox box(double t) const;
-  /// The same of an observation.
-  const OrientedBox& box_of(std::size_t observation) const { return boxes_[observation]; }
+  /// How well the place of its surface is known at an observation [m].
+  double deviation(std::size_t observation) const { return states_[observation].deviation; }
   /// Largest distance between two of its places, of all observations or of dynamic ones [m].
   float distance(bool dynamic) const;
+
+  /// The observations that are one object; of others nothing else is known.
+  std::size_t begin() const { return begin_; }
+  std::size_t end() const { return end_; }
+  bool is_one_object() const { return begin_ == 0 && end_ == states_.size(); }
 
   bool is_rigid() const { return rigid_; }
   /// Around all that was seen of it, in its own frame.
@@ -45,12 +52,25 @@ class TrackPath {
     double time;
     Eigen::Vector3d position, velocity;
     double heading, slope;  ///< of its x axis [rad]
+    double deviation = 0;   ///< of the surface [m]
+  };
+
+  /// Of each observation: the position, and the heading as the first coordinate.
+  struct Measurements {
+    std::vector<MeasuredPosition> positions, headings;
+
+    void set(std::size_t k, const Registration& found, const State& state);
   };
 
   void measure_shifts();
   void register_surfaces();
+  std::size_t register_from(std::size_t first, int step, SurfaceModel& model,
+                            Measurements& measured);
+  void smooth(const Measurements& measured);
+  void find_extent(const SurfaceModel& model);
   void find_headings();
   void find_extents();
+  Eigen::Vector3d turn_change(std::size_t k) const;
   Pose pose_of(std::size_t k) const;
   std::size_t after(double t) const;
 
@@ -59,11 +79,11 @@ class TrackPath {
   const std::vector<double>& times_;
   const TrackParameters& p_;
   bool rigid_ = false;
-  std::vector<SampledSurface> seen_;  ///< of each observation, in the world
+  std::size_t begin_ = 0, end_ = 0;
+  std::vector<SeenSurface> seen_;  ///< of each observation, in the world
   std::vector<State> states_;
   std::vector<Extent> extents_;  ///< of each observation, in the frame of the object
-  std::vector<OrientedBox> boxes_;
-  Extent extent_;
+  Extent extent_{Eigen::Vector3f::Zero(), Eigen::Vector3f::Zero()};
 };
 
 }  // namespace docdepth

@@ -20,6 +20,37 @@ struct Match {
   SampledPoints samples;
   Extent box;
   Vector largest;
+  bool hidden = false;  ///< partly, by something nearer
+  float range = 0;      ///< of the farthest of its objects [m]
+  float area = 0;       ///< of its objects
+};
+
+/// How wrong a shift of what is so far away may be [m].
+float shift_error(float range) {
+  return std::max(kShiftError, kRaySpacing * range);
+}
+
+/// Velocity at an end of a track: the mean of its shifts, the last ones most.
+struct Speed {
+  Vector velocity = Vector::Zero();
+  float error = 0;  ///< of it [m/s]
+  bool is_known = false;
+
+  void add(const Vector& shift, double dt, float range) {
+    const auto t = static_cast<float>(dt);
+    const Vector measured = shift / t;
+    const float its_error = shift_error(range) / std::fabs(t);
+    velocity = is_known ? Vector(0.5f * velocity + 0.5f * measured) : measured;
+    error = is_known ? 0.5f * error + 0.5f * its_error : its_error;
+    is_known = true;
+  }
+  /// Whether it can go so far within a duration [s]: no road user changes its speed faster.
+  bool allows(const Vector& shift, double dt, float range) const {
+    if (!is_known) return true;
+    const auto t = static_cast<float>(std::fabs(dt));
+    const float most = kMaxAcceleration * t * t / 2 + error * t + shift_error(range);
+    return (shift - velocity * float(dt)).head<2>().norm() <= most;
+  }
 };
 
 /// The end at which a track goes on.
@@ -29,8 +60,8 @@ struct End {
   SampledPoints last;     ///< of the last observation
   Vector largest;         ///< size of its objects
   double time;
-  Vector velocity = Vector::Zero();
-  bool has_velocity = false;
+  Speed speed;
+  float area = 0;  ///< that was seen of it when it was not partly hidden
 };
 
 bool can_be_tracked(const Detection& object) {
@@ -46,6 +77,20 @@ SampledPoints together(SampledPoints older, const Vector& shift, const SampledPo
   for (Vector& p : older) p += shift;
   append(older, newer);
   return downsample(older, kSampleSpacing, kMaxSamples);
+}
+
+/// Share of the shifted samples that have one of `others` beside them. Rings leave gaps above and
+/// below, so that only the horizontal distance tells exactly.
+float level_share(const SampledPoints& samples, const Vector& shift, const SampledPoints& others) {
+  std::size_t found = 0;
+  for (const Vector& sample : samples) {
+    const Vector p = sample + shift;
+    found += std::any_of(others.begin(), others.end(), [&](const Vector& q) {
+      return (q - p).head<2>().squaredNorm() < kLevelDistance * kLevelDistance &&
+             std::fabs(q.z() - p.z()) < kMatchDistance;
+    });
+  }
+  return float(found) / float(samples.size());
 }
 
 class Tracker {
@@ -80,17 +125,30 @@ class Tracker {
  private:
   void forward(std::size_t sweep) {
     const Detections& seen = *detections_[sweep];
-    go_on(sweep, [&](const End& end, Match&& match) { add(end.track, sweep, match, false); });
+    go_on(sweep, [&](const End& end, Match&& match) {
+      add(end.track, sweep, match, false);
+      last_speeds_[std::size_t(end.track)] = end.speed;
+    });
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       if (owners_[sweep][k] != kFree || !seen[k].is_passing() ||
           seen[k].samples().size() < kMinSamples)
         continue;
       const int track = int(tracks_.size());
       owners_[sweep][k] = track;
-      tracks_.push_back(
-          {{{sweep, {k}, seen[k].box, Vector::Zero(), true, seen[k].area, seen[k].passing_area()}}, 1});
+      tracks_.push_back({{{sweep,
+                           {k},
+                           seen[k].box,
+                           Vector::Zero(),
+                           true,
+                           seen[k].is_dynamic(),
+                           seen[k].area,
+                           seen[k].passing_area(),
+                           seen[k].free_area}},
+                         1});
+      last_speeds_.emplace_back();
       const SampledPoints& samples = seen[k].samples();
-      alive_.push_back({track, samples, samples, seen[k].box.size(), times_[sweep]});
+      alive_.push_back(
+          {track, samples, samples, seen[k].box.size(), times_[sweep], {}, seen[k].area});
     }
   }
 
@@ -134,7 +192,7 @@ class Tracker {
       if (std::fabs(dt) > max_gap(end)) continue;
       Match match = find(end, end.samples, sweep, dt);
       if (match.score == 0) match = find(end, end.last, sweep, dt);
-      if (match.score > 0) {
+      if (match.score > 0 && can_join(sweep, match, dt)) {
         move_on(end, sweep, match);
         take(end, std::move(match));
       }
@@ -144,28 +202,33 @@ class Tracker {
   }
 
   void move_on(End& end, std::size_t sweep, const Match& match) const {
-    const Vector velocity = match.shift / static_cast<float>(times_[sweep] - end.time);
-    end.velocity = end.has_velocity ? Vector(0.5f * end.velocity + 0.5f * velocity) : velocity;
-    end.has_velocity = true;
+    // What hides an object now may go away: all is kept that was seen of it.
+    const bool partial = match.hidden || match.area < kPartialShare * end.area;
+    const bool stands = end.speed.velocity.norm() < kStanding;
+    end.speed.add(match.shift, times_[sweep] - end.time, match.range);
+    if (!partial) end.area = match.area;
     end.time = times_[sweep];
-    // Of a standing object all is kept that was seen of it: what hides it now may go away.
-    const bool stands = end.velocity.norm() < kStanding;
-    end.samples = together(std::move(stands ? end.samples : end.last), match.shift, match.samples);
+    end.samples =
+        together(std::move(partial || stands ? end.samples : end.last), match.shift, match.samples);
     end.last = match.samples;
     end.largest = match.largest;
   }
 
   void add(int track, std::size_t sweep, const Match& match, bool at_front) {
     const Detections& seen = *detections_[sweep];
-    TrackObservation added{sweep, match.objects, match.box, match.shift, false, 0, 0};
-    std::uint32_t points = 0, of_dynamic = 0;
+    TrackObservation added{sweep, match.objects, match.box, match.shift, false, false, 0, 0, 0};
+    std::uint32_t points = 0, of_dynamic = 0, voted = 0;
     for (const auto k : match.objects) {
       owners_[sweep][k] = track;
       points += seen[k].points;
-      added.area += seen[k].area, added.free_area += seen[k].passing_area();
+      added.area += seen[k].area;
+      added.passing_area += seen[k].passing_area();
+      added.free_area += seen[k].free_area;
       if (seen[k].is_passing()) of_dynamic += seen[k].points;
+      if (seen[k].is_dynamic()) voted += seen[k].points;
     }
     added.dynamic = 2 * of_dynamic >= points;
+    added.voted = 2 * voted >= points;
     tracks_[track].dynamic += added.dynamic;
     auto& observations = tracks_[track].observations;
     if (at_front) {
@@ -185,14 +248,26 @@ class Tracker {
       for (const auto k : of.objects) append(samples, (*detections_[of.sweep])[k].samples());
       return samples;
     };
-    End end{track, {}, samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep]};
+    End end{track, {},          samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep],
+            {},    seen[0].area};
     for (const TrackObservation& of : seen) end.largest = end.largest.cwiseMax(of.box.size());
     end.samples = end.last;
     if (seen.size() == 1) return end;
     end.samples = together(samples_of(seen[1]), -seen[1].shift, end.last);
-    end.velocity = seen[1].shift / float(times_[seen[1].sweep] - end.time);
-    end.has_velocity = true;
+    float range = 0;
+    for (const auto k : seen[0].objects)
+      range = std::max(range, (*detections_[seen[0].sweep])[k].range());
+    end.speed.add(-seen[1].shift, end.time - times_[seen[1].sweep], range);
     return end;
+  }
+
+  /// Whether the earlier track that a match ends, if any, goes as fast as the match says.
+  bool can_join(std::size_t sweep, const Match& match, double dt) const {
+    for (const auto k : match.objects)
+      if (const int owner = owners_[sweep][k];
+          owner >= 0 && !last_speeds_[std::size_t(owner)].allows(-match.shift, -dt, match.range))
+        return false;
+    return true;
   }
 
   /// The track that ends with most of the objects of a match; -1 if they are free. The others are
@@ -212,7 +287,7 @@ class Tracker {
   }
 
   double max_gap(const End& end) const {
-    const bool stands = end.has_velocity && end.velocity.norm() < kStanding;
+    const bool stands = end.speed.is_known && end.speed.velocity.norm() < kStanding;
     const bool proven = tracks_[end.track].dynamic >= p_.min_detections;
     return (stands && proven ? p_.max_gap_standing : p_.max_gap) + kTimeTolerance;
   }
@@ -230,61 +305,89 @@ class Tracker {
     const Detections& seen = *detections_[sweep];
     const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
     Match best;
+    const Vector expected = end.speed.velocity * static_cast<float>(dt);
+    std::vector<Vector> tried;
     const auto attempt = [&](const Vector& start) {
-      Match match = match_from(end, samples, sweep, start, reach);
+      const auto is_same = [&](const Vector& other) {
+        return (other - start).norm() < kSampleSpacing;
+      };
+      if (std::any_of(tried.begin(), tried.end(), is_same)) return;
+      tried.push_back(start);
+      Match match = match_from(end, samples, sweep, start, expected, dt);
       if (match.score > best.score) best = std::move(match);
     };
-    if (end.has_velocity) {
-      attempt(end.velocity * static_cast<float>(dt));
+    Extent box = extent_of(samples);
+    if (end.speed.is_known) {
+      attempt(expected);
       attempt(Vector::Zero());
-      return best;
     }
-    const Extent box = extent_of(samples);
-    for (std::uint32_t k = 0; k < seen.size(); ++k)
-      if (is_free(sweep, k, end) && seen[k].is_passing() && seen[k].box.overlaps(box, reach))
-        attempt(most_frequent_shift(samples, seen[k].samples(), reach));
+    // Along a flat side every shift fits; its ends tell how far it went.
+    const Extent there{box.low + expected, box.high + expected};
+    for (std::uint32_t k = 0; k < seen.size(); ++k) {
+      if (!is_free(sweep, k, end) || !could_match(seen[k].box, end.largest)) continue;
+      const bool near = end.speed.is_known
+                            ? seen[k].box.overlaps(there, kSearchMargin)
+                            : seen[k].is_passing() && seen[k].box.overlaps(box, reach);
+      if (!near) continue;
+      for (const Vector& shift :
+           {Vector(seen[k].box.low - box.low), Vector(seen[k].box.high - box.high)})
+        if (shift.head<2>().norm() <= reach) attempt({shift.x(), shift.y(), 0});
+      if (!end.speed.is_known) attempt(most_frequent_shift(samples, seen[k].samples(), reach));
+    }
     return best;
   }
 
   /// The detections onto which the samples fall, with a shift that is refined from `start`.
   Match match_from(const End& end, const SampledPoints& samples, std::size_t sweep,
-                   const Vector& start, float reach) const {
+                   const Vector& start, const Vector& expected, double dt) const {
     const Detections& seen = *detections_[sweep];
+    const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
     Extent box = extent_of(samples);
-    const Vector size = box.size();
     box.low += start;
     box.high += start;
     std::vector<std::uint32_t> near;
+    float range = 0;
     SampledPoints there;
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       if (!seen[k].box.overlaps(box, kSearchMargin) || !is_free(sweep, k, end)) continue;
-      if (!end.has_velocity && !seen[k].is_passing()) continue;
-      if (!could_match(seen[k].box, size)) continue;
+      if (!end.speed.is_known && !seen[k].is_passing()) continue;
+      if (!could_match(seen[k].box, end.largest)) continue;
       near.push_back(k);
+      range = std::max(range, seen[k].range());
       append(there, seen[k].samples());
     }
     Match match;
     match.shift = start;
     match.largest = end.largest;
+    match.range = range;
     if (!refine_shift(samples, there, match.shift)) return {};
+    if (!end.speed.allows(match.shift, dt, range)) match.shift = start;
+    if (!end.speed.allows(match.shift, dt, range)) return {};
     for (const auto k : near) {
       if (matched_share(seen[k].samples(), -match.shift, samples) < kMinMemberShare) continue;
       if (match.objects.empty()) match.box = seen[k].box;
       match.objects.push_back(k);
       append(match.samples, seen[k].samples());
+      match.hidden |= !seen[k].hidden.empty();
+      match.area += seen[k].area;
       match.box.add(seen[k].box);
       match.largest = match.largest.cwiseMax(seen[k].box.size());
     }
     drop_neighbors(seen, match);
     // Together larger than one object: a pedestrian and what he walks away from.
     if (match.objects.empty() || !could_match(match.box, match.largest)) return {};
-    // Half of a track may be hidden, so twice its matched share counts.
-    const float track_share =
-                    std::min(1.0f, 2 * matched_share(samples, match.shift, match.samples)),
-                match_share = matched_share(match.samples, -match.shift, samples);
-    // Of two equal matches the nearer one is more likely.
-    match.score = track_share * match_share / (1 + match.shift.norm() / (2 * reach));
-    return match.score >= kMinMatchedShare ? match : Match{};
+    // Half of a track may be hidden, so twice its matched share counts. Of two equal matches the
+    // one nearer to where it is expected is more likely.
+    const auto score = [&](const auto& share) {
+      return std::min(1.0f, 2 * share(samples, match.shift, match.samples)) *
+             share(match.samples, -match.shift, samples) /
+             (1 + (match.shift - expected).norm() / (2 * reach));
+    };
+    const auto nearly = [](const auto&... of) { return matched_share(of...); };
+    const float share = score(nearly);
+    if (share < kMinMatchedShare) return {};
+    match.score = score(level_share) + kNearWeight * share;
+    return match;
   }
 
   /// Drop what was not free before or after where something else of a match was: what belongs
@@ -315,6 +418,7 @@ class Tracker {
   const TrackParameters& p_;
   std::vector<Track> tracks_;
   std::vector<std::vector<int>> owners_;  ///< of each detection of each sweep
+  std::vector<Speed> last_speeds_;        ///< of each track, at its last observation
   std::vector<End> alive_;
   std::vector<int> gone_, joined_;  ///< tracks that are followed on from another beginning
 };

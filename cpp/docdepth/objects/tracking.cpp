@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
+#include <optional>
 
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/objects/constants.hpp"
@@ -24,18 +26,15 @@ bool is_vehicle(const TrackPath& path) {
 /// A track and its path, and what both say about detections.
 class TrackEvidence {
  public:
-  TrackEvidence(const Track& track, const std::vector<const Detections*>& detections,
-                const std::vector<double>& times, const TrackParameters& p)
-      : track_(track), detections_(detections), times_(times), p_(p),
-        path_(track, detections, times, p) {
+  TrackEvidence(const Track& track, const TrackPath& path, const std::vector<double>& times,
+                const TrackParameters& p)
+      : track_(track), path_(path), times_(times), p_(p) {
     float total = 0;
     for (const TrackObservation& seen : track.observations) {
-      total += seen.free_area;
-      supported_ = std::max({supported_, seen.free_area, total / kTotalSupportDivisor});
+      total += seen.passing_area;
+      supported_ = std::max({supported_, seen.passing_area, total / kTotalSupportDivisor});
     }
   }
-
-  const TrackPath& path() const { return path_; }
 
   /// Whether the object moves at some time: by its path, or as it was not there before or after.
   bool moves() const {
@@ -44,6 +43,20 @@ class TrackEvidence {
         path_.distance(true) >= kMinVotedDistanceShare * p_.min_distance)
       return true;
     return is_vehicle(path_) && appears();
+  }
+
+  /// Whether it moved while the votes called it dynamic.
+  bool seen_to_move() const {
+    const auto& seen = track_.observations;
+    std::optional<Eigen::Vector3d> first;
+    double most = 0;
+    for (const TrackObservation& at : seen) {
+      if (!at.voted) continue;
+      const Eigen::Vector3d place = path_.pose(times_[at.sweep]).translation();
+      if (!first) first = place;
+      most = std::max(most, (place - *first).norm());
+    }
+    return most >= p_.min_distance;
   }
 
   /// Whether the track makes a detection of a sweep dynamic.
@@ -86,43 +99,54 @@ class TrackEvidence {
   bool was_free(const Detection& object, std::size_t sweep) {
     if (object.was_free()) return true;
     const Stay& stay = stay_at(path_.pose(times_[sweep]).translation());
-    return stay.free >= p_.min_detections && object.first_occupied >= stay.first &&
+    const bool free = stay.free_share >= kFreeEdges &&
+                      (seen_to_move() ? stay.free : stay.half_free) >= p_.min_detections;
+    const bool came = is_vehicle(path_) && seen_to_move();
+    return (free || came) && object.first_occupied >= stay.first &&
            object.last_occupied <= stay.last;
   }
 
-  /// The sweeps while the object covered half of a place, to the ends of the drive if it is there at
-  /// these.
+  /// The sweeps while the object covered half of a place, to the ends of the drive if it is there
+  /// at these.
   struct Stay {
     Eigen::Vector3d place;
-    int free, first, last;  ///< observations whose place was free before or after
+    int first, last;
+    int half_free = 0,
+        free = 0;          ///< observations that show that the place was free before or after
+    float free_share = 0;  ///< in the mean
   };
 
   const Stay& stay_at(const Eigen::Vector3d& place) {
     for (const Stay& stay : stays_)
       if ((stay.place - place).norm() <= kSamePlace / 2) return stay;
-    Stay stay{place, 0, int(times_.size()), -1};
+    Stay stay{place, int(times_.size()), -1};
+    int count = 0;
     const float half = path_.extent().size().head<2>().norm() / 2;
     const auto& seen = track_.observations;
     const auto distance = [&](const TrackObservation& at) {
       return (path_.pose(times_[at.sweep]).translation() - place).norm();
     };
     for (const TrackObservation& at : seen) {
-      stay.free += distance(at) <= kSamePlace && at.was_free();
+      if (distance(at) <= kSamePlace) {
+        const float share = at.free_area / at.area;
+        stay.half_free += at.is_passing();
+        stay.free += share >= kFreeEdges, stay.free_share += share, ++count;
+      }
       if (distance(at) > std::max(half, kSamePlace)) continue;
       stay.first = std::min(stay.first, int(at.sweep));
       stay.last = std::max(stay.last, int(at.sweep));
     }
     if (distance(seen.front()) <= kSamePlace) stay.first = 0;
     if (distance(seen.back()) <= kSamePlace) stay.last = int(times_.size());
+    stay.free_share /= float(std::max(count, 1));
     stays_.push_back(stay);
     return stays_.back();
   }
 
   const Track& track_;
-  const std::vector<const Detections*>& detections_;
+  const TrackPath& path_;
   const std::vector<double>& times_;
   const TrackParameters& p_;
-  TrackPath path_;
   std::deque<Stay> stays_;
   float supported_ = 0;  ///< area of static points that the track can make dynamic
 };
@@ -133,12 +157,12 @@ struct Findings {
   std::vector<std::pair<std::size_t, TrackBox>> boxes;
 };
 
-Findings findings_of(TrackEvidence& evidence, const Track& track, std::uint32_t number,
+Findings findings_of(const Track& track, const TrackPath& path, std::uint32_t number,
                      const std::vector<const Detections*>& detections,
                      const std::vector<double>& times, const TrackParameters& p) {
   Findings found;
+  TrackEvidence evidence(track, path, times, p);
   const bool moves = evidence.moves();
-  const TrackPath& path = evidence.path();
   std::size_t first = track.observations.front().sweep, last = track.observations.back().sweep;
   while (moves && first > 0 && path.covers(times[first - 1])) --first;
   while (moves && last + 1 < times.size() && path.covers(times[last + 1])) ++last;
@@ -166,15 +190,69 @@ TrackedObject object_of(const Track& track, const TrackPath& path,
   const Extent& extent = path.extent();
   const Vector middle = 0.5f * (extent.low + extent.high);
   TrackedObject object{{}, extent.size(), path.is_rigid()};
-  for (const TrackObservation& seen : track.observations) {
+  for (std::size_t n = 0; n < track.observations.size(); ++n) {
+    const TrackObservation& seen = track.observations[n];
     Pose T = path.pose(times[seen.sweep]);
     T.translate(Vector(middle.x(), middle.y(), extent.low.z()).cast<double>());
     std::uint32_t points = 0;
     for (const auto k : seen.objects) points += (*detections[seen.sweep])[k].points;
-    object.places.push_back(
-        {std::uint32_t(seen.sweep), points, T, path.velocity(times[seen.sweep])});
+    object.places.push_back({std::uint32_t(seen.sweep), points, T, path.velocity(times[seen.sweep]),
+                             path.deviation(n)});
   }
   return object;
+}
+
+/// The part of a track from one observation up to another.
+Track part_of(const Track& track, std::size_t begin, std::size_t end) {
+  Track part;
+  part.observations.assign(track.observations.begin() + std::ptrdiff_t(begin),
+                           track.observations.begin() + std::ptrdiff_t(end));
+  for (const TrackObservation& seen : part.observations) part.dynamic += seen.dynamic;
+  return part;
+}
+
+/// A track and where its object is.
+struct TrackAndPath {
+  TrackAndPath(Track of, const std::vector<const Detections*>& detections,
+               const std::vector<double>& times, const TrackParameters& p)
+      : track(std::move(of)), path(track, detections, times, p) {}
+  TrackAndPath(const TrackAndPath&) = delete;  // the path refers to the track
+  TrackAndPath& operator=(const TrackAndPath&) = delete;
+
+  Track track;
+  TrackPath path;
+};
+
+using Paths = std::vector<std::unique_ptr<const TrackAndPath>>;
+
+/// Tracks with enough dynamic observations, cut where their surfaces say that they went on with
+/// another object.
+Paths single_objects(std::vector<Track> tracks, const std::vector<const Detections*>& detections,
+                     const std::vector<double>& times, const TrackParameters& p, int threads) {
+  std::vector<Paths> parts(tracks.size());
+  parallel_for(tracks.size(), 1, threads, [&](std::size_t k, std::size_t) {
+    std::vector<Track> open{std::move(tracks[k])};
+    while (!open.empty()) {
+      Track next = std::move(open.back());
+      open.pop_back();
+      if (next.dynamic < p.min_detections) continue;
+      auto part = std::make_unique<const TrackAndPath>(std::move(next), detections, times, p);
+      const auto& [track, path] = *part;
+      if (path.is_one_object()) {
+        parts[k].push_back(std::move(part));
+        continue;
+      }
+      // In order of time: the earliest part is taken out first.
+      const std::size_t count = track.observations.size();
+      if (path.end() < count) open.push_back(part_of(track, path.end(), count));
+      open.push_back(part_of(track, path.begin(), path.end()));
+      if (path.begin() > 0) open.push_back(part_of(track, 0, path.begin()));
+    }
+  });
+  Paths single;
+  for (Paths& of : parts)
+    for (auto& part : of) single.push_back(std::move(part));
+  return single;
 }
 
 }  // namespace
@@ -190,18 +268,16 @@ bool TrackedSweep::claims(std::uint32_t first) const {
 TrackingResult track_objects(const std::vector<const Detections*>& detections,
                              const std::vector<double>& times, const TrackParameters& p,
                              int threads) {
-  std::vector<Track> tracks = follow_objects(detections, times, p);
-  tracks.erase(std::remove_if(tracks.begin(), tracks.end(),
-                              [&](const Track& track) { return track.dynamic < p.min_detections; }),
-               tracks.end());
-  std::vector<Findings> found(tracks.size());
+  const Paths followed =
+      single_objects(follow_objects(detections, times, p), detections, times, p, threads);
+  std::vector<Findings> found(followed.size());
   TrackingResult result;
   result.sweeps.resize(times.size());
-  result.objects.resize(tracks.size());
-  parallel_for(tracks.size(), 1, threads, [&](std::size_t k, std::size_t) {
-    TrackEvidence evidence(tracks[k], detections, times, p);
-    found[k] = findings_of(evidence, tracks[k], std::uint32_t(k + 1), detections, times, p);
-    result.objects[k] = object_of(tracks[k], evidence.path(), detections, times);
+  result.objects.resize(followed.size());
+  parallel_for(followed.size(), 1, threads, [&](std::size_t k, std::size_t) {
+    const auto& [track, path] = *followed[k];
+    found[k] = findings_of(track, path, std::uint32_t(k + 1), detections, times, p);
+    result.objects[k] = object_of(track, path, detections, times);
   });
   for (const Findings& of : found) {
     for (const auto& [sweep, member] : of.members) result.sweeps[sweep].members.push_back(member);

@@ -27,7 +27,7 @@ struct TrackBox {
 
 /// The tracks in one sweep.
 struct TrackedSweep {
-  std::vector<Member> members;        ///< by their rows
+  std::vector<Member> members;  ///< by their rows
   std::vector<TrackBox> boxes;
   std::vector<std::uint64_t> voxels;  ///< dynamic voxels, ascending (dynamic_voxels)
 
@@ -42,6 +42,7 @@ struct TrackedObject {
     Pose T_world_object;  ///< at the sweep's stamp; x forward, z up, origin in the middle of the
                           ///< bottom of the box
     Eigen::Vector3d velocity;
+    double deviation;  ///< of the position [m]
   };
   std::vector<Place> places;
   Eigen::Vector3f size;  ///< length, width and height [m]
@@ -56,8 +57,9 @@ struct TrackingResult {
 /// Find the objects that move at some time of the drive, and where they are in each sweep.
 ///
 /// A static detection becomes dynamic only if its place was free while the object was elsewhere,
-/// else it is another thing: a parked car that was passed, a pole, a wall. And as much of the object
-/// must have been dynamic before: a pedestrian of few points cannot be told from a static object.
+/// else it is another thing: a parked car that was passed, a pole, a wall. And as much of the
+/// object must have been dynamic before: a pedestrian of few points cannot be told from a static
+/// object.
 ///
 /// Between its observations, and a little before and after, an object is where its motion leads.
 ///

@@ -90,12 +90,21 @@ void assign_moved_edges(const Camera& camera, const float* depth, const Strip& s
       const float z = depth[std::size_t(v) * camera.width + u];
       Tally& tally = tallies[std::size_t(v) * Strip::kStride + (u - strip.begin)];
       if (!(z > 0) || tally.difference <= kAgree) continue;
-      const int left = u - (u - strip.begin) % Strip::kTile, top = v - v % Strip::kTile;
-      for (int row = top; row < std::min(top + Strip::kTile, strip.height); ++row)
-        for (int column = left; column < std::min(left + Strip::kTile, strip.end); ++column) {
+      const bool none = tally.mesh < 0;
+      int left = u - (u - strip.begin) % Strip::kTile, top = v - v % Strip::kTile;
+      int right = std::min(left + Strip::kTile, strip.end);
+      int bottom = std::min(top + Strip::kTile, strip.height);
+      if (none) {  // an object may go on farther than a tile
+        left = std::max(u - Strip::kTile, strip.begin), top = std::max(v - Strip::kTile, 0);
+        right = std::min(u + Strip::kTile, strip.end);
+        bottom = std::min(v + Strip::kTile, strip.height);
+      }
+      for (int row = top; row < bottom; ++row)
+        for (int column = left; column < right; ++column) {
           const Tally& one = drawn[std::size_t(row) * Strip::kStride + (column - strip.begin)];
           const float off = std::fabs(depth[std::size_t(row) * camera.width + column] - z) / z;
-          if (one.mesh < 0 || one.difference > kAgree || !(off < tally.difference)) continue;
+          if (one.mesh < 0 || (one.difference > kAgree && !none)) continue;
+          if (!(off < tally.difference)) continue;
           tally.difference = off, tally.mesh = one.mesh, tally.triangle = one.triangle;
         }
     }
@@ -181,7 +190,9 @@ Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const f
         Eigen::Map<Vector>(&layers.normal[3 * i]) = turned.dot(ray) > 0 ? Vector(-turned) : turned;
         if (with_seen) objects[i] = object_of_mesh[tally.mesh];
         layers.sweep[i] = placed.sweep;
-        layers.classid[i] = class_at(triangle, place);
+        // Between its returns an object goes on as what it is.
+        const bool of_object = std::size_t(tally.mesh) >= dynamic_objects;
+        layers.classid[i] = of_object ? std::uint8_t(kDynamic) : class_at(triangle, place);
         layers.instance[i] = placed.instance;
         layers.measured[i] = !placed.split;
         layers.range[i] = place.norm();

@@ -100,7 +100,7 @@ def packed(tracking: Tracking) -> list[NDArray[Any]]:
     arrays: list[NDArray[Any]] = [array for sweep in tracking.sweeps for array in sweep]
     for t in tracking.tracks:
         about = np.array([t.id, KINDS.index(t.kind)])
-        arrays += [about, t.times, t.poses, t.velocities, t.size, t.points]
+        arrays += [about, t.times, t.poses, t.velocities, t.size, t.points, t.deviations]
     return arrays
 
 
@@ -112,7 +112,7 @@ def unpacked(arrays: Sequence[NDArray[Any]], sweeps: int) -> Tracking:
     ValueError
         They are not of so many sweeps.
     """
-    of_sweep, of_track = len(TrackedSweep._fields), 6
+    of_sweep, of_track = len(TrackedSweep._fields), 7
     first = of_sweep * sweeps
     if len(arrays) < first or (len(arrays) - first) % of_track:
         raise ValueError(f"{len(arrays)} arrays are not the tracks of {sweeps} sweeps")
@@ -273,6 +273,7 @@ def _track(
     points: NDArray[np.int64],
     poses: NDArray[np.float64],
     velocities: NDArray[np.float64],
+    deviations: NDArray[np.float64],
     size: NDArray[np.float64],
     rigid: bool,
 ) -> Track:
@@ -280,7 +281,7 @@ def _track(
     size = np.maximum(size, MIN_SIZE)
     speed = float(np.linalg.norm(velocities, axis=1).max())
     kind = _kind(size, speed, rigid)
-    return Track(number, kind, times[sweeps], poses, velocities, size, points)
+    return Track(number, kind, times[sweeps], poses, velocities, size, points, deviations)
 
 
 def _kind(size: NDArray[np.float64], speed: float, rigid: bool) -> Kind:

@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import InputError
 from docdepth.evaluation.label_counts import HEADER, NOTE, LabelCounts, ignored, moving
-from docdepth.evaluation.objects import (
-    MOVING_SPEED,
-    SeenObject,
-    each_object,
-    instances,
-    median_speed,
-)
+from docdepth.evaluation.objects import MOVING_SPEED, SeenObject, each_object, instances
 from docdepth.evaluation.tables import Table, number, plain
 
 # Points of objects that stand at that moment and move at another: names and headings.
@@ -192,7 +186,7 @@ class LabelEvaluation:
                 stands = rows[standing[rows]]
                 counts = LabelCounts.of(truth[stands], dynamic[stands])
                 found = self._objects.setdefault(key, SeenObject())
-                found.add(median_speed(speeds[rows]), seconds, counts, self._min_speed)
+                found.add(float(np.median(speeds[rows])), seconds, counts, self._min_speed)
         now = counted & ~standing
         self._counts += LabelCounts.of(truth[now], dynamic[now])
         if ranges is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,8 +73,3 @@ class SeenObject:
     @property
     def seen_to_move(self) -> bool:
         return self.travel >= MIN_TRAVEL
-
-
-def median_speed(speeds: NDArray[Any]) -> float:
-    """Speed of an object from that of its points [m/s]."""
-    return float(np.median(speeds))

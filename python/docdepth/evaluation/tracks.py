@@ -18,7 +18,6 @@ from docdepth.evaluation.objects import (
     SeenObject,
     each_object,
     instances,
-    median_speed,
 )
 from docdepth.evaluation.tables import Table, number, percent, plain
 from docdepth.evaluation.track_errors import ErrorSums, Floats, box_errors
@@ -191,7 +190,7 @@ class TrackEvaluation:
         for key, rows in each_object(number_of.astype(np.uint32), moves & (number_of > 0)):
             person = int(labels[rows[0]] & 0xFFFF) in _PEOPLE
             self._kinds[key] = "person" if person else "vehicle"
-            speed = np.inf if speeds is None else median_speed(speeds[rows])
+            speed = np.inf if speeds is None else float(np.median(speeds[rows]))
             seen = self._objects.setdefault(key, SeenObject())
             seen.add(speed, seconds, LabelCounts(), MOVING_SPEED)
         # Points without a label, and moving ones of no object, say nothing.

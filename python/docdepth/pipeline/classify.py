@@ -215,7 +215,7 @@ class _FrameStore:
         if index in self._detections:
             return self._detections[index]
         with self.watch("read"):
-            return Detections.of(_read_arrays(self._kept(index), 9)[4:])
+            return Detections.of(_read_arrays(self._kept(index), 10)[4:])
 
     def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
         self.counts.append(count_classes(labels.classid))

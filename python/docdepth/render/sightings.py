@@ -19,15 +19,25 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.frame import Frame
 from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import DrawnFrames
-from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS
+from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS, lidar_range
 
-SOFT_SECONDS = 0.25
+SOFT_SECONDS = 0.12
 """Sweeps farther in time from the image tell nothing about what is not rigid [s]. A step of a
-person takes half a second."""
+person takes half a second, in which a leg swings forth and back."""
 
 MOST_SIGHTINGS = 24
 """Sweeps that an object is drawn from. Rings of one sweep lie up to a degree apart; two dozen, each
 with rings elsewhere on the object, leave gaps of a pixel."""
+
+MAX_DEVIATION = 0.06
+"""Where an object is known worse than this, other sweeps would blur it [m]."""
+
+FAR = 30.0
+"""Vehicles farther than this are drawn from the sweeps around the image alone [m]."""
+
+COARSER = 1.25
+"""Sweeps that saw a vehicle from so many times farther show less of it than those around the
+image."""
 
 REACH = 1.0
 """An object may reach this far beyond the box of its track [m]."""
@@ -96,9 +106,9 @@ def sighted_objects(
             continue
         around, others = (
             [_sighting(frames(one.sweep), one, T_camera_object) for one in some]
-            for some in _chosen(seen[instance], drawn, tracks[instance])
+            for some in _chosen(seen[instance], drawn, trajectory, tracks[instance], view.time)
         )
-        if around or others:
+        if around:  # else nobody knows where it is by now
             extent = _extent(tracks[instance])
             found.append((instance, extent, around, others, (around + others)[:MOST_RAYS]))
     return found
@@ -132,14 +142,26 @@ def _in_view(camera: Camera, T_camera_object: Floats, track: Track) -> bool:
     return True
 
 
-def _chosen(seen: list[_Seen], drawn: DrawnFrames, track: Track) -> tuple[list[_Seen], list[_Seen]]:
+def _chosen(
+    seen: list[_Seen], drawn: DrawnFrames, trajectory: Trajectory, track: Track, time: int
+) -> tuple[list[_Seen], list[_Seen]]:
     """The views of an object from the sweeps around the image, and from others."""
     around = sorted((view for view in seen if view.sweep in drawn.dynamic), key=_away)
     if track.kind != "vehicle":
         return [view for view in around if view.away <= SOFT_SECONDS * 1e9], []
-    others = sorted((view for view in seen if view.sweep not in drawn.dynamic), key=_away)
+    away = lidar_range(track, trajectory, time)
+    if track.deviation_at(time) > MAX_DEVIATION or away > FAR:
+        return around, []
+    stamp = {view.sweep: int(trajectory.times[view.sweep]) for view in seen}
+    known = [v for v in seen if track.deviation_at(stamp[v.sweep]) <= MAX_DEVIATION]
+    others = sorted((view for view in known if view.sweep not in drawn.dynamic), key=_away)
     further = [view for view in others if view.sweep in drawn.tracked][:MOST_TRACK_SWEEPS]
-    others = [view for view in others if view.sweep not in drawn.tracked]
+    others = [
+        view
+        for view in others
+        if view.sweep not in drawn.tracked
+        and lidar_range(track, trajectory, stamp[view.sweep]) <= COARSER * away
+    ]
     room = MOST_SIGHTINGS - len(around) - len(further)
     if len(others) > room:
         spread = np.linspace(0, len(others) - 1, room).round().astype(int)

@@ -15,9 +15,9 @@ from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.moving_objects import Tracks
 
-NEAR = 30.0
-"""Vehicles nearer than this are drawn from further sweeps [m]. Farther ones are seen whole by the
-sweeps around the image: there a beam 2 degrees up is 2.8 m high, and reaches over cars and vans."""
+HIGHEST = np.radians(2.0)
+"""Vehicles that reach above this elevation are drawn from further sweeps [rad]: many LiDARs have no
+beam above it. Lower ones are seen whole by the sweeps around the image."""
 
 MOST_TRACK_SWEEPS = 8
 """Further sweeps of a vehicle. One for each half octave of range and eighth of a turn makes a dozen
@@ -29,18 +29,25 @@ are apart, so that its mesh has neighbours all around."""
 
 
 def track_sweeps(trajectory: Trajectory, time: int, tracks: Tracks) -> list[int]:
-    """Sweeps that show the vehicles near the LiDAR at ``time`` [ns] from elsewhere, ascending.
+    """Sweeps that saw from elsewhere what is too high at ``time`` [ns] for some beams, ascending.
 
     The choice belongs to the tracks and not to the image, so consecutive images share it.
     """
-    here = trajectory.interpolate(time)[0][:3, 3]
+    T_lidar_world = inverse(trajectory.interpolate(time)[0])
     chosen: set[int] = set()
     for track in tracks.values():
         if track.kind != "vehicle" or not track.covers(time):
             continue
-        if np.linalg.norm(track.pose_at(time)[:3, 3] - here) < NEAR:
+        x, y, z, _ = T_lidar_world @ track.pose_at(time) @ (0, 0, track.size[2], 1)
+        if np.arctan2(z, np.hypot(x, y)) > HIGHEST:
             chosen.update(_views(track, trajectory))
     return sorted(chosen)
+
+
+def lidar_range(track: Track, trajectory: Trajectory, time: int) -> float:
+    """Distance from the LiDAR to an object at ``time`` [ns]."""
+    here = trajectory.interpolate(time)[0][:3, 3]
+    return float(np.linalg.norm(track.pose_at(time)[:3, 3] - here))
 
 
 def _views(track: Track, trajectory: Trajectory) -> list[int]:

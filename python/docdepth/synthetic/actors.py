@@ -12,6 +12,9 @@ from docdepth.geometry.track import Kind
 from docdepth.synthetic.mesh import Mesh
 from docdepth.synthetic.road import Floats, Road, resting_poses
 
+# SemanticKITTI: a moving bicyclist, person and motorcyclist.
+_PEOPLE = (253, 254, 255)
+
 Swing = Callable[[Floats, Floats, Floats], Floats]
 """Poses (n, 4, 4) in the actor's frame, from times [s], distances [m] and speeds [m/s], (n,)."""
 
@@ -204,7 +207,7 @@ class Actor:
     @property
     def kind(self) -> Kind:
         """What it is, by its SemanticKITTI class: person or cyclist, else a vehicle."""
-        return "person" if self.moving_label in (253, 254, 255) else "vehicle"
+        return "person" if self.moving_label in _PEOPLE else "vehicle"
 
     def speed(self, times: ArrayLike) -> Floats:
         """Speed at ``times`` [s], m/s, shape (n,)."""

@@ -205,11 +205,11 @@ class Drive:
     def tracks(self) -> list[Track]:
         """The exact tracks of all actors that move during the drive, at all stamps.
 
-        Its ids are the instances of the labels. How many returns each sweep has of an object is not
-        counted: ``points`` is 0.
+        Their ids are the instances of the labels. ``points`` is 0: no sweep is cast to count them.
         """
         seconds, count = self.times / _NS, len(self)
         span = (seconds[0] - 0.5 * self.sensor.period, seconds[-1] + 0.5 * self.sensor.period)
+        into_world, step = inverse(self.T_scene_world), 1e-3
         found = []
         for number, actor in enumerate(self.scene.actors, 1):
             if not actor.moves_between(*span):
@@ -217,14 +217,12 @@ class Drive:
             low, high = actor.box
             centre = np.eye(4)
             centre[:2, 3], centre[2, 3] = 0.5 * (low + high)[:2], low[2]
-            into_world = inverse(self.T_scene_world)
-            step = 1e-3
             ends = [into_world @ actor.path.poses(seconds + t) @ centre for t in (-step, step)]
             poses = into_world @ actor.path.poses(seconds) @ centre
             velocities = (ends[1] - ends[0])[:, :3, 3] / (2 * step)
-            points = np.zeros(count, np.int64)
-            size = high - low
-            found.append(Track(number, actor.kind, self.times, poses, velocities, size, points))
+            points, exact = np.zeros(count, np.int64), np.zeros(count)
+            about = (number, actor.kind, self.times, poses, velocities, high - low)
+            found.append(Track(*about, points, exact))
         return found
 
     def image(self, index: int) -> View:

@@ -30,7 +30,7 @@ CLOTHES: tuple[Colour, ...] = (
 )
 
 
-def hull(stations: NDArray[np.float64], paint: Paint) -> Mesh:
+def _hull(stations: NDArray[np.float64], paint: Paint) -> Mesh:
     """A body from stations (x, z_low, z_high, width_low, width_high), with bevelled edges."""
     x, low, high, below, above = stations.T
     bevel = 0.18 * (high - low)
@@ -107,9 +107,9 @@ def car(rng: Rng, label: int = 10) -> Mesh:
     ]
     return merged(
         [
-            hull(body, paint),
-            hull(cabin, glass),
-            hull(roof, paint),
+            _hull(body, paint),
+            _hull(cabin, glass),
+            _hull(roof, paint),
             *mirrors,
             wheels(label, (-0.58 * half, 0.62 * half), width - 0.04, 0.31),
             plates_and_lamps(label, 2 * half, width, 0.72),
@@ -139,7 +139,7 @@ def van(rng: Rng, label: int = 20) -> Mesh:
     )
     tyres = wheels(label, (-0.55 * half, 0.62 * half), width - 0.04, 0.34)
     trim = plates_and_lamps(label, 2 * half, width, 0.95)
-    return merged([hull(body, paint), hull(pane, glass), tyres, trim])
+    return merged([_hull(body, paint), _hull(pane, glass), tyres, trim])
 
 
 def truck(rng: Rng, label: int = 18, length: float = 9.0) -> Mesh:

@@ -160,7 +160,7 @@ def overtaking(seed: int) -> Scene:
         s += float(rng.uniform(-2.0, 2.0))
         street.send(kind, [(s, d), (s + 100.0, d)], Pace(speed))
         if kind == "truck" and s > 20.0:
-            tow(street, "lorry trailer", [(s, d), (s + 100.0, d)], Pace(speed), 9.8)
+            _tow(street, "lorry trailer", [(s, d), (s + 100.0, d)], Pace(speed), 9.8)
     for kind, s, d, speed in (
         ("truck", 70.0, 6.9, 20.0),
         ("car", 110.0, 3.4, 28.0),
@@ -174,16 +174,15 @@ def overtaking(seed: int) -> Scene:
     return street.scene("overtaking", seed, ego, 15.0, step=1.5)
 
 
-def tow(
+def _tow(
     street: Street,
     kind: str,
     points: list[tuple[float, float]],
     pace: Pace | Speeds,
     behind: float,
-    start: float = 0.0,
 ) -> None:
     """Add a trailer, an object of its own, whose centre is ``behind`` that of its vehicle [m]."""
-    street.send(kind, points, pace, start - behind, name=f"{kind} behind its vehicle")
+    street.send(kind, points, pace, -behind, name=f"{kind} behind its vehicle")
 
 
 def queue(seed: int) -> Scene:
@@ -235,7 +234,7 @@ def _queue_of_cars(street: Street, pace: Speeds) -> None:
         street.send(kind, line, pace.later(-s / _WAVE), name=f"{kind} in the queue")
     ahead = _QUEUE[1][1]
     line = [(ahead, -_LANE), (ahead + 100.0, -_LANE)]
-    tow(street, "trailer", line, pace.later(-ahead / _WAVE), 4.6)
+    _tow(street, "trailer", line, pace.later(-ahead / _WAVE), 4.6)
     for kind, s, speed in (("car", 14.0, 7.5), ("van", 130.0, 8.0), ("cyclist", 20.0, 4.5)):
         d = 3.2 if kind == "cyclist" else _LANE
         street.send(kind, [(s, d), (s - 60.0, d)], Pace(speed + float(street.rng.uniform(-1, 1))))
