@@ -11,6 +11,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.render import backends
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
+from docdepth.render.track_sweeps import seen_to_its_top
 
 CAMERA = Camera(np.array([[200.0, 0, 160], [0, 200, 80], [0, 0, 1]]), 320, 120)
 WALL, AHEAD = 36.0, 6.0  # places of the wall, and of the object before the ego [m]
@@ -24,7 +25,7 @@ def scene(top, azimuths=(-180.0, 180.0), gap=None, objects=True, ahead=AHEAD, tr
     gap : azimuths without rays since sweep 3 [deg]
     """
     trajectory = straight(9, spacing=2.0)
-    track = moving_track(trajectory, (ahead, 0, -1.7), (20, 0, 0), (0.5, 2, 2.0))
+    track = moving_track(trajectory, (ahead, 0, -1.7), (20, 0, 0), (0.5, 2, 4.0))
     e, a = np.meshgrid(np.arange(-20, HIGHEST, 0.4), np.arange(*azimuths, 0.3), indexing="ij")
     frames = []
     for i in range(9):
@@ -105,6 +106,24 @@ def test_the_world_beside_what_a_narrow_sensor_cuts_is_empty():
     # To the left the sensor looked.
     left = level & (RIGHT < -1.2 / AHEAD) & (RIGHT > -0.4)
     assert np.isfinite(depth[left]).mean() > 0.95
+
+
+def test_a_gap_inside_the_view_cuts_nothing():
+    """A rosette has gaps; the sensor looks into them with the next sweep."""
+    gap = {"azimuths": (-30.0, 30.0), "gap": (-12.0, -8.0), "top": 0.0}
+    depth, without = compose_depth(**scene(**gap)), compose_depth(**scene(**gap, objects=False))
+    level = np.abs(UP + 0.1) < 0.08
+    beside = level & (RIGHT > 1.1 / AHEAD) & (np.tan(np.radians(12)) > RIGHT)
+    assert np.isfinite(without[beside]).mean() > 0.9
+    assert np.isfinite(depth[beside]).mean() > 0.9
+
+
+def test_what_was_seen_to_its_top_is_as_high_as_its_box():
+    """A van beside us that was seen from 40 m is no truck."""
+    trajectory = straight(9, spacing=2.0)
+    for size, speed, known in ((2.2, 20, False), (2.2, 80, True), (4.0, 80, False)):
+        track = moving_track(trajectory, (6, 0, -1.7), (speed, 0, 0), (4, 2, size))
+        assert seen_to_its_top(track, trajectory) == known
 
 
 @pytest.mark.parametrize("name", ["egl", "surfaceless", "osmesa"])

@@ -67,7 +67,7 @@ class Continuation {
     for (const std::uint32_t i : aside)
       if (borders(i)) ends.push_back(point_at(i, 1 / body_[i]));
     continue_all(ends, up_, right, extent_.z());
-    continue_all(ends, -up_, right, extent_.z());
+    continue_all(ends, -up_, right, 0);  // the road ends it
     return std::move(pixels_);
   }
 

@@ -65,7 +65,7 @@ PlacedDynamicObject place(const Camera& camera, const SightedObject& object,
 
 }  // namespace
 
-MeshFrame::MeshFrame(const MeshParts& parts) {
+MeshFrame::MeshFrame(const MeshParts& parts) : field_of_view(parts.points, parts.ray_origins) {
   const Points& points = parts.points;
   const std::size_t owners = parts.motions.size() + 1;
   auto mesh = partition_mesh(points, parts.triangles, parts.discontinuity, parts.triangle_count,
@@ -73,7 +73,6 @@ MeshFrame::MeshFrame(const MeshParts& parts) {
   std::vector<std::uint8_t> moving;
   for (Eigen::Index i = 0; i < points.rows(); ++i) moving.push_back(parts.owner[i] != 0);
   rays = Rays(points, mesh.normals, parts.ray_origins, {}, parts.time_offset, moving.data());
-  field_of_view = FieldOfView(points, parts.ray_origins);
   std::vector<Vector>& vertices = mesh.vertices;
   std::vector<std::uint8_t> classes(vertices.size(), kNoClass);  // of vertices between returns
   for (Eigen::Index i = 0; i < points.rows(); ++i) classes[i] = class_of(parts.classid[i]);

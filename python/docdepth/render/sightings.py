@@ -19,7 +19,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.frame import Frame
 from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import DrawnFrames
-from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS, lidar_range
+from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS, lidar_range, seen_to_its_top
 
 SOFT_SECONDS = 0.12
 """Sweeps farther in time from the image tell nothing about what is not rigid [s]. A step of a
@@ -109,7 +109,7 @@ def sighted_objects(
             for some in _chosen(seen[instance], drawn, trajectory, tracks[instance], view.time)
         )
         if around:  # else nobody knows where it is by now
-            extent = _extent(tracks[instance])
+            extent = _extent(tracks[instance], trajectory)
             found.append((instance, extent, around, others, (around + others)[:MOST_RAYS]))
     return found
 
@@ -119,10 +119,12 @@ def _sighting(frame: Frame, seen: _Seen, T_camera_object: Floats) -> Sighting:
     return frame.dynamic_part[0], seen.owner, T_camera_sensor, seen.number
 
 
-def _extent(track: Track) -> Extent:
-    """How long, wide and high an object may be: only its height may never have been seen."""
+def _extent(track: Track, trajectory: Trajectory) -> Extent:
+    """How long, wide and high an object may be: its height may never have been seen."""
     length, width, height = track.size.tolist()
-    return length, width, max(height, PERSON_HEIGHT if track.kind == "person" else VEHICLE_HEIGHT)
+    if not seen_to_its_top(track, trajectory):
+        height = max(height, PERSON_HEIGHT if track.kind == "person" else VEHICLE_HEIGHT)
+    return length, width, height
 
 
 def _in_view(camera: Camera, T_camera_object: Floats, track: Track) -> bool:
