@@ -18,14 +18,17 @@ WALL, AHEAD = 36.0, 6.0  # places of the wall, and of the object before the ego 
 HIGHEST = 8.0  # beam [deg]
 
 
-def scene(top, azimuths=(-180.0, 180.0), gap=None, objects=True, ahead=AHEAD, tracked=True):
+def scene(
+    top, azimuths=(-180.0, 180.0), gap=None, objects=True, ahead=AHEAD, tracked=True, width=2.0
+):
     """Sweeps 2 m apart before a wall; from sweep 3 on an object drives ahead at our speed.
 
     The image is taken at sweep 6. Sweeps before it saw the wall above the highest beam of it.
     gap : azimuths without rays since sweep 3 [deg]
+    width : of the box of the track; the object is 2 m wide [m]
     """
     trajectory = straight(9, spacing=2.0)
-    track = moving_track(trajectory, (ahead, 0, -1.7), (20, 0, 0), (0.5, 2, 4.0))
+    track = moving_track(trajectory, (ahead, 0, -1.7), (20, 0, 0), (0.5, width, 4.0))
     e, a = np.meshgrid(np.arange(-20, HIGHEST, 0.4), np.arange(*azimuths, 0.3), indexing="ij")
     frames = []
     for i in range(9):
@@ -110,7 +113,7 @@ def test_the_world_beside_what_a_narrow_sensor_cuts_is_empty():
 
 def test_a_gap_inside_the_view_cuts_nothing():
     """A rosette has gaps; the sensor looks into them with the next sweep."""
-    gap = {"azimuths": (-30.0, 30.0), "gap": (-12.0, -8.0), "top": 0.0}
+    gap = {"azimuths": (-30.0, 30.0), "gap": (-12.0, -8.0), "top": 0.0, "width": 3.0}
     depth, without = compose_depth(**scene(**gap)), compose_depth(**scene(**gap, objects=False))
     level = np.abs(UP + 0.1) < 0.08
     beside = level & (RIGHT > 1.1 / AHEAD) & (np.tan(np.radians(12)) > RIGHT)

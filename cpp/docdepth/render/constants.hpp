@@ -44,8 +44,8 @@ constexpr double kRayCellSize = 1.6;
 /// Rays farther apart leave a gap in the view [rad]: half a ring more than the widest rings of
 /// common LiDARs, a degree.
 constexpr float kViewGap = 0.0262f;
-/// Nearer returns do not tell how far aside and up a sensor looks if the origins of their rays are unknown [m]: at
-/// 10 m half a metre of ego motion is 3 degrees.
+/// Nearer returns do not tell how far aside and up a sensor looks if the origins of their rays are
+/// unknown [m]: at 10 m half a metre of ego motion is 3 degrees.
 constexpr float kViewRange = 10;
 /// Rays at most this long before or after the shutter look at what the image shows [s]: a sweep of
 /// a common LiDAR.
