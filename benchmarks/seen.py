@@ -65,7 +65,12 @@ def main(arguments: list[str] | None = None) -> dict[str, Counts]:
         cells[cell.name] = counts(cell, parameters(args.preset), args.images, args.threads)
         print(*row(cell.name, cells[cell.name]), sep="  ", file=sys.stderr, flush=True)
     heading = ("cell", *(f"{p}: {s}" for p in ("all", "static", "moving") for s in STATES))
-    lines = [row("all", sum(cells.values(), np.zeros((2, 3, 2), np.int64)))]
+
+    def joined(ending: str) -> Counts:
+        some = [found for name, found in cells.items() if name.endswith(ending)]
+        return sum(some, np.zeros((2, len(STATES), 2), np.int64))
+
+    lines = [row("all", joined("")), *(row(s, joined(f"_{s}")) for s in args.sensors)]
     lines += [row(name, found) for name, found in cells.items()]
     title = f"share of pixels in each state %: of those more than 5 % off %, seed {args.seed}"
     print(Table(title, heading, tuple(lines)))
