@@ -90,6 +90,8 @@ constexpr double kShiftSpeedDeviation = 3;
 /// Measurements farther from the expected place are outliers [standard deviations]; they count
 /// this many times less.
 constexpr double kGate = 4, kOutlierFactor = 100;
+/// An object has surely moved by what it moved less so many standard deviations.
+constexpr double kSureDeviations = 2;
 /// Above this speed an object's motion tells its heading [m/s]; a person's at half of it.
 constexpr double kMinHeadingSpeed = 1.5;
 /// No road is steeper [rad]: 20 degrees.
@@ -110,6 +112,8 @@ constexpr float kEndMargin = 0.1f;
 /// share of its samples faces there.
 constexpr double kEndDeviation = 0.1;
 constexpr float kMinSideShare = 0.3f;
+/// Ends that are farther apart or closer than they should by more than this are those of a piece [m].
+constexpr float kMaxLengthError = 0.5f;
 /// Weight of the horizontal distance between partners, beside their distance across the surface.
 constexpr double kPointWeight = 0.003, kLonePointWeight = 0.1;
 /// How exactly a guess tells the position [m] and the heading [rad].

@@ -87,10 +87,17 @@ Equations equations_of(const SampledSurface& seen, const SampledSurface& model,
   return sum;
 }
 
+/// Whether both are of the whole object: a piece of a fence is shorter.
+bool have_one_length(const Ends& a, const Ends& b) {
+  if (!a.low || !a.high || !b.low || !b.high) return true;
+  return std::fabs((*a.high - *a.low) - (*b.high - *b.low)) <= kMaxLengthError;
+}
+
 /// The ends of a flat side tell where it is along itself.
 void add_ends(const SeenSurface& seen, const Ends& expected,
               const Eigen::Isometry3f& T_object_world, Equations& sum) {
   const Ends found = ends_of(seen, T_object_world);
+  if (!have_one_length(found, expected)) return;
   const double weight = (kResidualDeviation * kResidualDeviation) / (kEndDeviation * kEndDeviation);
   if (found.low && expected.low) sum.add({1, 0, 0, 0}, *found.low - *expected.low, weight);
   if (found.high && expected.high) sum.add({1, 0, 0, 0}, *found.high - *expected.high, weight);

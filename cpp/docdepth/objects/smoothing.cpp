@@ -18,8 +18,9 @@ void MotionFilter::start(const MeasuredPosition& at, const Eigen::Vector3d& velo
   mean_ << at.position, velocity, Eigen::Vector3d::Zero();
   covariance_.setZero();
   covariance_.topLeftCorner<3, 3>() = at.covariance;
-  covariance_.diagonal().segment<3>(3).setConstant(deviation * deviation);
-  covariance_.diagonal().tail<3>().setConstant(kStrongest * kStrongest);
+  const Eigen::Vector3d level_or_up(1, 1, kSteepest * kSteepest);
+  covariance_.diagonal().segment<3>(3) = deviation * deviation * level_or_up;
+  covariance_.diagonal().tail<3>() = kStrongest * kStrongest * level_or_up;
 }
 
 MotionFilter::Matrix9 MotionFilter::transition(double t) const {

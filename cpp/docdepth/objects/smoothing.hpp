@@ -24,7 +24,8 @@ class MotionFilter {
   using Vector9 = Eigen::Matrix<double, 9, 1>;  ///< position, velocity, acceleration
   using Matrix9 = Eigen::Matrix<double, 9, 9>;
 
-  /// Begin at a position with a velocity that is known within `deviation` [m/s].
+  /// Begin at a position with a velocity that is known within `deviation` [m/s]; upward within
+  /// kSteepest of that.
   void start(const MeasuredPosition& at, const Eigen::Vector3d& velocity, double deviation);
   /// Go to another time [s], earlier ones, too.
   /// @param change  how much each coordinate of the acceleration changes in a second [m/s^2]

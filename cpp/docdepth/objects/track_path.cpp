@@ -367,7 +367,9 @@ float TrackPath::distance(bool dynamic) const {
   for (std::size_t k = 0; k < states_.size(); ++k) {
     if (dynamic && !track_.observations[k].dynamic) continue;
     if (first == states_.size()) first = k;
-    most = std::max(most, (states_[k].position - states_[first].position).norm());
+    const State &a = states_[first], &b = states_[k];
+    const double unsure = kSureDeviations * std::hypot(a.deviation, b.deviation);
+    most = std::max(most, (b.position - a.position).head<2>().norm() - unsure);
   }
   return float(most);
 }

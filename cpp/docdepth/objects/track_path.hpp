@@ -35,7 +35,8 @@ class TrackPath {
   OrientedBox box(double t) const;
   /// How well the place of its surface is known at an observation [m].
   double deviation(std::size_t observation) const { return states_[observation].deviation; }
-  /// Largest distance between two of its places, of all observations or of dynamic ones [m].
+  /// How far it surely goes from its first place, level, in all observations or in dynamic ones [m].
+  /// What is seen of a bush goes up and down, and a fence shows no shift along it.
   float distance(bool dynamic) const;
 
   /// The observations that are one object; of others nothing else is known.

@@ -48,11 +48,11 @@ class TrackEvidence {
   /// Whether it moved while the votes called it dynamic.
   bool seen_to_move() const {
     const auto& seen = track_.observations;
-    std::optional<Eigen::Vector3d> first;
+    std::optional<Eigen::Vector2d> first;
     double most = 0;
     for (const TrackObservation& at : seen) {
       if (!at.voted) continue;
-      const Eigen::Vector3d place = path_.pose(times_[at.sweep]).translation();
+      const Eigen::Vector2d place = path_.pose(times_[at.sweep]).translation().head<2>();
       if (!first) first = place;
       most = std::max(most, (place - *first).norm());
     }
@@ -86,7 +86,7 @@ class TrackEvidence {
   }
 
   bool lies_there(const Detection& object, double time) const {
-    if (!(p_.window > 0) || path_.speed(time) >= kSlow) return false;
+    if (!(p_.window > 0)) return false;
     const OrientedBox box = path_.box(time);
     const auto inside = [&](const Vector& p) { return box.holds(p, kSearchMargin); };
     const float bottom = box.middle().z() - box.half.z();
