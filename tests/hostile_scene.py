@@ -47,7 +47,7 @@ class Scene:
         self.static_splats, self.dynamic_splats = [(frame, pose)] * 3, [(frame, pose)]
         self.static_meshes = [(mesh_frame, pose)] * 3
         sighting = (mesh_frame, 1, pose, 3)
-        self.sighted = [(7, [sighting], [sighting], [sighting])]
+        self.sighted = [(7, (4.0, 2.0, 4.2), [sighting], [sighting], [sighting])]
         self.good: dict[str, Any] = {
             "points": self.points,
             "queries": self.points[:50].copy(),
@@ -92,6 +92,8 @@ class Scene:
             "displacement": np.zeros((n, 3), np.float32),
             "visibility_sweeps": 15,
             "isolated_angle": 0.002,
+            "shutter_frames": [(mesh_frame, pose, 0.03)],
+            "seen": True,
             "crop": 300.0,
             "resolution": 0.01,
             "window": 5,

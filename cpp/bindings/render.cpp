@@ -88,16 +88,17 @@ std::unique_ptr<MeshFrame> make_mesh_frame(
 py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
                                const std::vector<PlacedFrame>& static_frames,
                                const std::vector<ObjectOf>& objects, int visibility_sweeps,
-                               int threads) {
+                               int threads, const std::vector<ShutterOf>& shutter_frames) {
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
   const auto sighted = as_objects(objects);
+  const auto shutter = as_shutter_frames(shutter_frames);
   in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
   threads = checked_threads(threads);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth = render_meshes(camera, frames, sighted, visibility_sweeps, threads);
+    depth = render_meshes(camera, frames, sighted, visibility_sweeps, shutter, threads);
   }
   return to_numpy(std::move(depth), {height, width});
 }
@@ -136,6 +137,11 @@ py::dict as_dict(Layers&& layers, int width, int height) {
   py::dict dict;
   if (!layers.normal.empty())
     dict["normal"] = to_numpy(std::move(layers.normal), {height, width, 3});
+  if (!layers.seen.empty()) {
+    std::vector<std::uint8_t> seen;
+    for (const Seen state : layers.seen) seen.push_back(static_cast<std::uint8_t>(state));
+    dict["seen"] = to_numpy(std::move(seen), shape);
+  }
   dict["sweep"] = to_numpy(std::move(layers.sweep), shape);
   dict["class"] = to_numpy(std::move(layers.classid), shape);
   dict["instance"] = to_numpy(std::move(layers.instance), shape);
@@ -172,18 +178,21 @@ py::dict splat_layers(const Array<double>& K, int width, int height,
 py::dict mesh_layers(const Array<double>& K, int width, int height,
                      const std::vector<PlacedFrame>& static_frames,
                      const std::vector<ObjectOf>& objects, int visibility_sweeps,
-                     const Array<float>& depth, int threads) {
+                     const Array<float>& depth, int threads,
+                     const std::vector<ShutterOf>& shutter_frames, bool seen) {
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
   const auto sighted = as_objects(objects);
+  const auto shutter = as_shutter_frames(shutter_frames);
   in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
   threads = checked_threads(threads);
   const float* z = as_depth(depth, width, height);
   std::optional<Layers> layers;
   {
     const py::gil_scoped_release release;
-    layers = layers_of_triangles(camera, compose_scene(camera, frames, sighted, visibility_sweeps),
-                                 z, threads);
+    layers = layers_of_triangles(camera,
+                                 compose_scene(camera, frames, sighted, visibility_sweeps, shutter),
+                                 z, seen, threads);
   }
   return as_dict(std::move(*layers), width, height);
 }
@@ -206,9 +215,10 @@ void bind_render(py::module_& m) {
       .def(py::init(&make_rays), "points"_a, "normals"_a, "ray_origins"_a = py::none())
       .def("query_visibility", &query_visibility, "points"_a);
   m.def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
-        "visibility_sweeps"_a, "threads"_a = 0);
+        "visibility_sweeps"_a, "threads"_a = 0, "shutter_frames"_a = py::list());
   m.def("mesh_layers", &mesh_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
-        "visibility_sweeps"_a, "depth"_a, "threads"_a = 0);
+        "visibility_sweeps"_a, "depth"_a, "threads"_a = 0, "shutter_frames"_a = py::list(),
+        "seen"_a = false);
   m.def("splat_layers", &splat_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "depth"_a, "threads"_a = 0);
   m.def("render_splats", &draw_splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,

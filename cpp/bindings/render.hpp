@@ -3,6 +3,7 @@
 
 #include <pybind11/stl.h>
 
+#include <limits>
 #include <tuple>
 
 #include "arrays.hpp"
@@ -70,12 +71,24 @@ inline std::vector<PlacedMeshFrame> as_mesh_frames(const std::vector<PlacedFrame
   return result;
 }
 
+/// A whole frame around the image, its pose, and the seconds from its stamp to the image.
+using ShutterOf = std::tuple<const MeshFrame*, Array<double>, double>;
+
+inline std::vector<ShutterFrame> as_shutter_frames(const std::vector<ShutterOf>& frames) {
+  constexpr double kMost = std::numeric_limits<float>::max();
+  std::vector<ShutterFrame> result;
+  for (const auto& [frame, pose, age] : frames)
+    result.push_back(
+        {{&present(frame), as_pose(pose)}, float(in_range(age, -kMost, kMost, "an age"))});
+  return result;
+}
+
 /// A frame, the number of the object in it, its pose, and the number of the sweep.
 using SightingOf = std::tuple<const MeshFrame*, int, Array<double>, int>;
-/// Instance, sightings of sweeps around the image and of others, and those whose rays tell where
-/// the object ends.
-using ObjectOf =
-    std::tuple<int, std::vector<SightingOf>, std::vector<SightingOf>, std::vector<SightingOf>>;
+/// Instance, extent, sightings of sweeps around the image and of others, and those whose rays tell
+/// where the object ends.
+using ObjectOf = std::tuple<int, std::tuple<double, double, double>, std::vector<SightingOf>,
+                            std::vector<SightingOf>, std::vector<SightingOf>>;
 
 inline std::vector<Sighting> as_sightings(const std::vector<SightingOf>& sightings) {
   std::vector<Sighting> result;
@@ -90,10 +103,15 @@ inline std::vector<Sighting> as_sightings(const std::vector<SightingOf>& sightin
 
 inline std::vector<SightedObject> as_objects(const std::vector<ObjectOf>& objects) {
   std::vector<SightedObject> result;
-  for (const auto& [instance, around, others, rays] : objects) {
+  for (const auto& [instance, extent, around, others, rays] : objects) {
     in_range(instance, 0, 0xFFFF, "an instance");
-    result.push_back(
-        {std::uint16_t(instance), as_sightings(around), as_sightings(others), as_sightings(rays)});
+    const auto& [length, width, height] = extent;
+    for (const double side : {length, width, height}) in_range(side, 0, 1e3, "an extent [m]");
+    result.push_back({std::uint16_t(instance),
+                      {float(length), float(width), float(height)},
+                      as_sightings(around),
+                      as_sightings(others),
+                      as_sightings(rays)});
   }
   return result;
 }

@@ -17,7 +17,9 @@ from docdepth._parameter_text import check_key_frames, explain
 from docdepth._parameter_text import parse_settings as parse_settings
 from docdepth.errors import ConfigError
 
-Layer = Literal["class", "instance", "time", "range", "support", "std", "normal", "confidence"]
+Layer = Literal[
+    "class", "instance", "time", "range", "support", "std", "normal", "confidence", "seen"
+]
 DepthFormat = Literal["png", "exr-half", "exr", "tiff", "npz", "npy"]
 
 Preset = Literal["default", "paper"]

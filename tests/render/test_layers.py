@@ -22,7 +22,7 @@ from docdepth.render.frame import Frame
 from docdepth.render.layers import _CONFIDENCE, LAYERS, compose_layers, confidence
 from docdepth.render.selection import static_frames
 
-OF_SPLATS = tuple(name for name in LAYERS if name not in ("normal", "instance"))
+OF_SPLATS = tuple(name for name in LAYERS if name not in ("normal", "instance", "seen"))
 GROUND, WALL = -1.7, 25.0
 
 
@@ -184,8 +184,9 @@ def test_confidence_equals_its_formula():
                     known.append(near[v - dv, u - du] + near[v + dv, u + du] - 2 * near[v, u])
             known = [abs(k) / near[v, u] for k in known if np.isfinite(k)]
             bend[v, u] = max(known) if known else 1
-    a, b, c = _CONFIDENCE["triangles"]
-    found = confidence(depth, support, measures)
+    seen = rng.integers(0, 3, depth.shape).astype(np.uint8)
+    a, b, c, d = _CONFIDENCE["triangles"]
+    found = confidence(depth, support, measures, seen)
     for v in range(20):
         for u in range(30):
             if np.isnan(depth[v, u]):
@@ -195,7 +196,7 @@ def test_confidence_equals_its_formula():
             edge = np.log10(min(max(worst, 1e-3), 1)) / 3 + 1
             s, m = int(support[v, u]), int(measures[v, u])
             odds = max((s + 0.25) / (m - s + 1), 0.25)
-            expected = 1 / (1 + np.exp(-(a + b * np.log(odds) - c * edge)))
+            expected = 1 / (1 + np.exp(-(a + b * np.log(odds) - c * edge - d * (seen[v, u] != 1))))
             assert found[v, u] == pytest.approx(expected, abs=2e-4)
 
 

@@ -117,7 +117,8 @@ def test_sightings_are_placed_as_plain_matrices_say(kind):
     T_camera_world = AXES @ inverse(trajectory.interpolate(time)[0])
     view = View(small_camera(), T_camera_world, time)
     objects = sighted_objects(view, trajectory, frames.__getitem__, drawn, {6: track}, 100)
-    ((instance, around, others, rays),) = objects
+    ((instance, extent, around, others, rays),) = objects
+    assert extent == (*track.size[:2], 4.2 if kind == "vehicle" else 2.2)
     assert instance == 6
     if kind == "person":
         near = [i for i in drawn.dynamic if abs(trajectory.times[i] - time) <= SOFT_SECONDS * 1e9]

@@ -286,7 +286,8 @@ std::vector<float> DepthHypotheses::resolve(const Camera& camera,
 
 void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const Camera& camera,
                         const ObjectImages& object, const std::vector<PlacedRays>& rays,
-                        std::vector<float>& inverse_depth) {
+                        std::uint16_t number, std::vector<float>& inverse_depth,
+                        std::vector<std::uint16_t>& owners) {
   const VisibilityQueries queries(columns, camera, rays);
   std::vector<PixelHypotheses> seen, continued;
   for (int v = bounds.begin_v; v < bounds.end_v; ++v)
@@ -294,9 +295,9 @@ void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const
       const std::size_t at = columns.at(u, v);
       const float trusted = object.trusted[at], other = object.others[at];
       const float beyond = object.continued[at], here = inverse_depth[at];
-      if (trusted > 0)
-        inverse_depth[at] = std::max(trusted, here);
-      else if (other > here)
+      if (trusted > 0) {
+        if (trusted > here) inverse_depth[at] = trusted, owners[at] = number;
+      } else if (other > here)
         seen.push_back({u, v, {other, beyond}});
       else if (beyond > here)
         continued.push_back({u, v, {beyond}});
@@ -307,18 +308,19 @@ void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const
   std::vector<float> found = queries.score(behind, 0, kContradictedScore);
   for (std::size_t i = 0; i < seen.size(); ++i) {
     const auto& [u, v, depths] = seen[i];
+    const std::size_t at = columns.at(u, v);
     if (found[i] > -kContradictedScore)
-      inverse_depth[columns.at(u, v)] = depths[0];
-    else if (depths[1] > inverse_depth[columns.at(u, v)])
+      inverse_depth[at] = depths[0], owners[at] = number;
+    else if (depths[1] > inverse_depth[at])
       continued.push_back({u, v, {depths[1]}});
   }
   found = queries.score(continued, 0);
   for (std::size_t i = 0; i < continued.size(); ++i) {
-    float& here = inverse_depth[columns.at(continued[i].u, continued[i].v)];
+    const std::size_t at = columns.at(continued[i].u, continued[i].v);
     if (found[i] > kCloseScore)
-      here = continued[i].hypotheses[0];
+      inverse_depth[at] = continued[i].hypotheses[0], owners[at] = number;
     else if (found[i] > -kUnsureScore)
-      here = 0;
+      inverse_depth[at] = 0, owners[at] = 0;
   }
 }
 

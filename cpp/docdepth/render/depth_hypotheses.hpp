@@ -61,8 +61,11 @@ struct ObjectImages {
 /// and what they passed through, pixels stay empty.
 /// @param bounds  of its pixels; columns as in `columns`
 /// @param rays    placed so that the object stands still among them
+/// @param number  of the object, from 1 on
+/// @param owners  number of the object that each pixel shows; 0 for none
 void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const Camera& camera,
                         const ObjectImages& object, const std::vector<PlacedRays>& rays,
-                        std::vector<float>& inverse_depth);
+                        std::uint16_t number, std::vector<float>& inverse_depth,
+                        std::vector<std::uint16_t>& owners);
 
 }  // namespace docdepth

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "docdepth/render/camera.hpp"
+#include "docdepth/render/seen.hpp"
 #include "docdepth/render/splats.hpp"
 #include "docdepth/render/triangles.hpp"
 
@@ -22,13 +23,16 @@ struct Layers {
   std::vector<std::uint16_t> measures;  ///< all measurements of the pixel
   std::vector<float> deviation;  ///< standard deviation of the support [m]; NaN of less than two
 
+  std::vector<Seen> seen;  ///< empty unless asked for; none of splats
+
   Layers(const Camera& camera, bool with_normals);
 };
 
 /// Layers of a depth map that any renderer drew from the same sweeps. Each sweep measures a pixel
 /// once; the depth comes from the surface nearest to it.
+/// @param with_seen  whether `seen` is asked for, too
 Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const float* depth,
-                           int threads);
+                           bool with_seen, int threads);
 
 /// The same for splats. Each splat that covers a pixel is a measurement.
 Layers layers_of_splats(const Camera& camera, const std::vector<PlacedCloud>& clouds,

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
+#include <limits>
 #include <utility>
 
 #include "docdepth/render/object_rays.hpp"
@@ -25,7 +27,9 @@ void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
   triangles.push_back({first, first + 2, first + 3});
 }
 
-PlacedDynamicObject place(const Camera& camera, const SightedObject& object) {
+/// @param age  of the rays of a sweep [s], by its number
+PlacedDynamicObject place(const Camera& camera, const SightedObject& object,
+                          const std::function<float(int)>& age) {
   PlacedDynamicObject placed;
   const auto add = [&](std::vector<PlacedMesh>& list, const PatchMesh& mesh, const Sighting& from,
                        bool split) {
@@ -46,18 +50,29 @@ PlacedDynamicObject place(const Camera& camera, const SightedObject& object) {
   for (const Sighting& from : object.others) add(placed.others, meshes(from).whole, from, false);
   for (const Sighting& from : object.rays)
     placed.rays.push_back({&from.placed.frame->dynamic_meshes[from.owner - 1].rays,
-                           from.placed.T_camera_frame, kMovedRayBlur});
+                           from.placed.T_camera_frame, kMovedRayBlur, age(from.sweep)});
+  if (object.instance == 0) return placed;
+  placed.extent = object.extent;
+  for (const auto* sightings : {&object.around, &object.others})
+    for (const Sighting& from : *sightings) {
+      const Pose& T = from.placed.T_camera_frame;
+      if (placed.T_camera_sensor.empty())
+        placed.velocity = (T.linear() * meshes(from).velocity.cast<double>()).cast<float>();
+      placed.T_camera_sensor.push_back(T);
+    }
   return placed;
 }
 
 }  // namespace
 
-MeshFrame::MeshFrame(const MeshParts& parts) {
+MeshFrame::MeshFrame(const MeshParts& parts) : field_of_view(parts.points, parts.ray_origins) {
   const Points& points = parts.points;
   const std::size_t owners = parts.motions.size() + 1;
   auto mesh = partition_mesh(points, parts.triangles, parts.discontinuity, parts.triangle_count,
                              parts.owner, owners);
-  rays = Rays(points, mesh.normals, parts.ray_origins);
+  std::vector<std::uint8_t> moving;
+  for (Eigen::Index i = 0; i < points.rows(); ++i) moving.push_back(parts.owner[i] != 0);
+  rays = Rays(points, mesh.normals, parts.ray_origins, {}, parts.time_offset, moving.data());
   std::vector<Vector>& vertices = mesh.vertices;
   std::vector<std::uint8_t> classes(vertices.size(), kNoClass);  // of vertices between returns
   for (Eigen::Index i = 0; i < points.rows(); ++i) classes[i] = class_of(parts.classid[i]);
@@ -77,11 +92,13 @@ MeshFrame::MeshFrame(const MeshParts& parts) {
   for (std::size_t k = 1; k < owners; ++k)
     dynamic_meshes.push_back({PatchMesh(all, mesh.parts[k].whole),
                               PatchMesh(all, mesh.parts[k].inner),
-                              PatchMesh(all, mesh.parts[k].outer), std::move(near[k - 1])});
+                              PatchMesh(all, mesh.parts[k].outer), std::move(near[k - 1]),
+                              parts.motions[k - 1].velocity});
 }
 
 MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>& static_frames,
-                        const std::vector<SightedObject>& objects, int visibility_sweeps) {
+                        const std::vector<SightedObject>& objects, int visibility_sweeps,
+                        const std::vector<ShutterFrame>& shutter_frames) {
   MeshScene scene;
   const auto count = static_cast<int>(static_frames.size());
   for (int i = 0; i < count; ++i)
@@ -89,8 +106,15 @@ MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>
         .push_back({&static_frames[i].frame->static_mesh, static_frames[i].T_camera_frame, i});
   for (int i = 0; i < std::min(count, visibility_sweeps); ++i)
     scene.rays.push_back({&static_frames[i].frame->rays, static_frames[i].T_camera_frame});
+  for (const auto& [placed, age] : shutter_frames)
+    scene.shutter_rays.push_back({&placed.frame->rays, placed.T_camera_frame, kRayBlur, age});
+  if (!shutter_frames.empty()) scene.field_of_view = &shutter_frames[0].placed.frame->field_of_view;
+  const auto age = [&](int sweep) {  // others were taken long before or after
+    const bool around = sweep >= count && std::size_t(sweep - count) < shutter_frames.size();
+    return around ? shutter_frames[sweep - count].age : std::numeric_limits<float>::infinity();
+  };
   for (const SightedObject& object : objects) {
-    PlacedDynamicObject placed = place(camera, object);
+    PlacedDynamicObject placed = place(camera, object, age);
     if (!placed.bounds.empty()) scene.dynamic_objects.push_back(std::move(placed));
   }
   return scene;
@@ -99,9 +123,10 @@ MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>
 std::vector<float> render_meshes(const Camera& camera,
                                  const std::vector<PlacedMeshFrame>& static_frames,
                                  const std::vector<SightedObject>& objects, int visibility_sweeps,
-                                 int threads) {
-  return render_triangles(camera, compose_scene(camera, static_frames, objects, visibility_sweeps),
-                          threads);
+                                 const std::vector<ShutterFrame>& shutter_frames, int threads) {
+  return render_triangles(
+      camera, compose_scene(camera, static_frames, objects, visibility_sweeps, shutter_frames),
+      threads);
 }
 
 }  // namespace docdepth

@@ -31,6 +31,17 @@ std::vector<const PlacedMesh*> meshes_of(const MeshScene& scene) {
   return meshes;
 }
 
+/// The dynamic object of each mesh in the order of meshes_of(); -1 of static ones.
+std::vector<std::int32_t> objects_of_meshes(const MeshScene& scene) {
+  std::vector<std::int32_t> objects(scene.trusted.size() + scene.others.size(), -1);
+  for (std::size_t k = 0; k < scene.dynamic_objects.size(); ++k) {
+    const PlacedDynamicObject& object = scene.dynamic_objects[k];
+    const auto meshes = object.trusted.size() + object.others.size() + object.continued.size();
+    objects.insert(objects.end(), meshes, std::int32_t(k));
+  }
+  return objects;
+}
+
 /// Draws each mesh alone and compares it with the depth map.
 struct CountMeasurements {
   DOCDEPTH_KERNEL static void run(const Camera& camera,
@@ -150,10 +161,12 @@ Layers::Layers(const Camera& camera, bool with_normals) {
 }
 
 Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const float* depth,
-                           int threads) {
+                           bool with_seen, int threads) {
   const auto meshes = meshes_of(scene);
   const std::size_t dynamic_objects = scene.trusted.size() + scene.others.size();
   Layers layers(camera, true);
+  const std::vector<std::int32_t> object_of_mesh = objects_of_meshes(scene);
+  std::vector<std::int32_t> objects(with_seen ? layers.sweep.size() : 0, -1);
   parallel_for(camera.width, kStrip, threads, [&](std::size_t begin, std::size_t end) {
     Strip strip(static_cast<int>(begin), static_cast<int>(end), camera.height);
     strip.numbers.resize(strip.inverse_depth.size());
@@ -175,6 +188,7 @@ Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const f
         const Vector turned =
             (placed.T_camera_mesh.linear() * normal.normalized().cast<double>()).cast<float>();
         Eigen::Map<Vector>(&layers.normal[3 * i]) = turned.dot(ray) > 0 ? Vector(-turned) : turned;
+        if (with_seen) objects[i] = object_of_mesh[tally.mesh];
         layers.sweep[i] = placed.sweep;
         // Between its returns an object goes on as what it is.
         const bool of_object = std::size_t(tally.mesh) >= dynamic_objects;
@@ -187,6 +201,7 @@ Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const f
         layers.deviation[i] = deviation_of(tally, depth[i]);
       }
   });
+  if (with_seen) layers.seen = seen_pixels(camera, scene, depth, objects, threads);
   return layers;
 }
 

@@ -70,12 +70,16 @@ std::vector<Rays> object_rays(const MeshParts& parts, const std::vector<Vector>&
     const ObjectMotion& motion = parts.motions[result.size()];
     Matrix ends(rows.size(), 3), origins = Matrix::Zero(ends.rows(), 3);
     std::vector<Vector> across;
+    std::vector<float> times;
+    std::vector<std::uint8_t> own;
     for (std::size_t k = 0; k < rows.size(); ++k) {
       const Eigen::Index i = rows[k];
       const auto to = Eigen::Index(k);
       if (parts.ray_origins) origins.row(to) = parts.ray_origins->row(i);
       ends.row(to) = points.row(i);
       across.push_back(normals[i]);
+      own.push_back(parts.owner[i] == result.size() + 1);
+      times.push_back(parts.time_offset ? parts.time_offset[i] : 0.0f);
       if (!parts.time_offset) continue;
       const Vector moved = motion.velocity * (motion.time - parts.time_offset[i]);
       origins.row(to) += moved.transpose(), ends.row(to) += moved.transpose();
@@ -83,8 +87,8 @@ std::vector<Rays> object_rays(const MeshParts& parts, const std::vector<Vector>&
     std::int32_t first = around.centre.azimuth + around.left;
     if (first < -kTurn / 2) first += kTurn;
     const Points moved_origins = origins;
-    result.emplace_back(ends, across, &moved_origins,
-                        Sector{first, around.right - around.left + 1});
+    result.emplace_back(ends, across, &moved_origins, Sector{first, around.right - around.left + 1},
+                        times.data(), own.data());
   }
   return result;
 }

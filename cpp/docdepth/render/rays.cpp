@@ -175,7 +175,7 @@ struct ScoreVisibility {
 }  // namespace
 
 Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Points* ray_origins,
-           const Sector& sector) {
+           const Sector& sector, const float* time_offset, const std::uint8_t* moving) {
   using Matrix = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
   const std::vector<Direction> directions =
       ray_origins ? directions_of(Matrix(points - *ray_origins)) : directions_of(points);
@@ -208,6 +208,8 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Point
     cells_.azimuth[to] = float(directions[i].azimuth);
     cells_.elevation[to] = float(directions[i].elevation);
     cells_.ends[to] = {known ? Vector(n / offset) : Vector(p / squared), range};
+    cells_.time[to] = time_offset ? time_offset[i] : 0.0f;
+    cells_.moving[to] = moving && moving[i];
   }
 }
 
@@ -227,7 +229,12 @@ void Rays::make_cells(const std::vector<std::uint32_t>& rows, int low, int high,
   cells_.start.assign(std::size_t(cells_.used) * cells_.rows + 1, 0);
   for (auto* column : {&cells_.azimuth, &cells_.elevation, &cells_.left, &cells_.up})
     column->resize(rows.size());
-  cells_.ends.resize(rows.size());
+  cells_.ends.resize(rows.size()), cells_.time.resize(rows.size());
+  cells_.moving.resize(rows.size());
+}
+
+float Rays::Cells::spacing() const {
+  return float(side) / float(kRayCellSize) * kRadiansPerUnit;
 }
 
 /// Offset of the origin of ray `to` from the sensor, across the ray to the left and up.

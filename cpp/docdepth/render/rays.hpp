@@ -32,8 +32,11 @@ class Rays {
   /// @param normals      of the surface at each point, of any length; zero if unknown
   /// @param ray_origins  where each ray starts, near the origin; null for the origin itself
   /// @param sector       azimuths of all rays
+  /// @param time_offset  when each was measured [s after the sweep's stamp]; null for the stamp
+  /// @param moving       1 if it ended on a dynamic object; null if none did
   Rays(const Points& points, const std::vector<Eigen::Vector3f>& normals,
-       const Points* ray_origins = nullptr, const Sector& sector = {});
+       const Points* ray_origins = nullptr, const Sector& sector = {},
+       const float* time_offset = nullptr, const std::uint8_t* moving = nullptr);
 
   /// Add the score of the nearest ray to the score of each point (frame of the sweep).
   ///
@@ -55,13 +58,18 @@ class Rays {
     std::vector<float> azimuth, elevation;         ///< of each ray; integers
     std::vector<float> left, up;                   ///< offset of the ray's origin [units * m]
     std::vector<End> ends;
+    std::vector<float> time;           ///< of each ray [s after the sweep's stamp]
+    std::vector<std::uint8_t> moving;  ///< 1 if the ray ended on a dynamic object
 
+    float spacing() const;  ///< mean distance between returns [rad]
     /// Where a column is kept; `used` if it is not.
     int place(int column) const {
       const int after = column < first ? column - first + columns : column - first;
       return std::min(after, used);
     }
   };
+
+  const Cells& cells() const { return cells_; }
 
  private:
   void make_cells(const std::vector<std::uint32_t>& rows, int low, int high, const Sector& sector);
@@ -75,6 +83,7 @@ struct PlacedRays {
   const Rays* rays;
   Pose T_camera_rays;
   float blur = kRayBlur;  ///< how exactly their position is known [m]
+  float age = 0;          ///< from the sweep's stamp to the image [s]
 };
 
 }  // namespace docdepth

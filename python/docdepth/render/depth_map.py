@@ -124,8 +124,11 @@ def core_arguments(
         }
     view = View(camera, T_camera_world, int(time))
     objects = sighted_objects(view, trajectory, frames, drawn, tracks or {}, len(static))
+    ages = (np.int64(time) - trajectory.times[drawn.dynamic]) * 1e-9
+    around = [placed(i, [frames(i).dynamic_part])[0] for i in drawn.dynamic]
     return image | {
         "static_frames": static,
+        "shutter_frames": [(*part, float(age)) for part, age in zip(around, ages, strict=True)],
         "objects": objects,
         "visibility_sweeps": p.visibility_sweeps,
     }

@@ -19,7 +19,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.frame import Frame
 from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import DrawnFrames
-from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS, lidar_range
+from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS, lidar_range, seen_to_its_top
 
 SOFT_SECONDS = 0.12
 """Sweeps farther in time from the image tell nothing about what is not rigid [s]. A step of a
@@ -42,15 +42,20 @@ image."""
 REACH = 1.0
 """An object may reach this far beyond the box of its track [m]."""
 
+VEHICLE_HEIGHT, PERSON_HEIGHT = 4.2, 2.2
+"""Road vehicles, and persons or cyclists, are no higher above the ground [m]: bridges on European
+roads let 4.2 to 4.5 m pass."""
+
 MOST_RAYS = 8
 """Sweeps whose rays tell where an object ends: those around the image and as many others."""
 
 Floats: TypeAlias = NDArray[np.float64]
 Sighting: TypeAlias = "tuple[_core.Frame | _core.MeshFrame, int, Floats, int]"
 """A frame, the number of the object in it, ``T_camera_sensor``, and the number of the sweep."""
-SightedObject: TypeAlias = "tuple[int, list[Sighting], list[Sighting], list[Sighting]]"
-"""Instance, sightings of sweeps around the image and of others, and those whose rays tell where the
-object ends."""
+Extent: TypeAlias = tuple[float, float, float]
+SightedObject: TypeAlias = "tuple[int, Extent, list[Sighting], list[Sighting], list[Sighting]]"
+"""Instance, how long, wide and high it may be [m], sightings of sweeps around the image and of
+others, and those whose rays tell where the object ends."""
 
 
 class _Seen(NamedTuple):
@@ -94,7 +99,7 @@ def sighted_objects(
         T_camera_lidar = view.T_camera_world @ trajectory.poses[one.sweep]
         core, T_lidar_sensor = frames(one.sweep).dynamic_part
         placed = [(core, one.owner, T_camera_lidar @ T_lidar_sensor, one.number)]
-        found.append((0, placed, [], placed))
+        found.append((0, (0.0, 0.0, 0.0), placed, [], placed))
     for instance in sorted(seen):
         T_camera_object = view.T_camera_world @ tracks[instance].pose_at(view.time)
         if not _in_view(view.camera, T_camera_object, tracks[instance]):
@@ -104,13 +109,22 @@ def sighted_objects(
             for some in _chosen(seen[instance], drawn, trajectory, tracks[instance], view.time)
         )
         if around:  # else nobody knows where it is by now
-            found.append((instance, around, others, (around + others)[:MOST_RAYS]))
+            extent = _extent(tracks[instance], trajectory)
+            found.append((instance, extent, around, others, (around + others)[:MOST_RAYS]))
     return found
 
 
 def _sighting(frame: Frame, seen: _Seen, T_camera_object: Floats) -> Sighting:
     T_camera_sensor = T_camera_object @ frame.T_object_sensor[seen.owner - 1]
     return frame.dynamic_part[0], seen.owner, T_camera_sensor, seen.number
+
+
+def _extent(track: Track, trajectory: Trajectory) -> Extent:
+    """How long, wide and high an object may be: its height may never have been seen."""
+    length, width, height = track.size.tolist()
+    if not seen_to_its_top(track, trajectory):
+        height = max(height, PERSON_HEIGHT if track.kind == "person" else VEHICLE_HEIGHT)
+    return length, width, height
 
 
 def _in_view(camera: Camera, T_camera_object: Floats, track: Track) -> bool:

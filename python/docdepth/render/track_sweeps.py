@@ -6,6 +6,8 @@ LiDAR saw it whole.
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,9 +17,15 @@ from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.moving_objects import Tracks
 
+Floats: TypeAlias = NDArray[np.float64]
+
 HIGHEST = np.radians(2.0)
 """Vehicles that reach above this elevation are drawn from further sweeps [rad]: many LiDARs have no
 beam above it. Lower ones are seen whole by the sweeps around the image."""
+
+TOP_MARGIN = np.radians(0.5)
+"""Boxes that end so far below the highest beam were not cut by it [rad]: a ring of a LiDAR whose
+highest beam is as low as ``HIGHEST``."""
 
 MOST_TRACK_SWEEPS = 8
 """Further sweeps of a vehicle. One for each half octave of range and eighth of a turn makes a dozen
@@ -50,16 +58,29 @@ def lidar_range(track: Track, trajectory: Trajectory, time: int) -> float:
     return float(np.linalg.norm(track.pose_at(time)[:3, 3] - here))
 
 
-def _views(track: Track, trajectory: Trajectory) -> list[int]:
-    """One sweep for each half octave of range and eighth of a turn around the vehicle."""
+def seen_to_its_top(track: Track, trajectory: Trajectory) -> bool:
+    """Whether some sweep looked above an object, so that the height of its box is its own."""
+    _, lidar = _lidar_in_box(track, trajectory)
+    away = np.hypot(lidar[:, 0], lidar[:, 1])
+    elevation = np.arctan2(track.size[2] - lidar[:, 2], away)
+    return bool((elevation < HIGHEST - TOP_MARGIN).any())
+
+
+def _lidar_in_box(track: Track, trajectory: Trajectory) -> tuple[NDArray[np.int64], Floats]:
+    """The sweeps that saw an object, (n,), and where in its frame the LiDAR was, (n, 3)."""
     sweep = np.minimum(np.searchsorted(trajectory.times, track.times), len(trajectory) - 1)
     seen = trajectory.times[sweep] == track.times
     if track.points.any():
         seen &= track.points > 0
     sweep = sweep[seen]
+    return sweep, (inverse(track.poses[seen]) @ trajectory.poses[sweep])[:, :3, 3]
+
+
+def _views(track: Track, trajectory: Trajectory) -> list[int]:
+    """One sweep for each half octave of range and eighth of a turn around the vehicle."""
+    sweep, lidar = _lidar_in_box(track, trajectory)
     if not len(sweep):
         return []
-    lidar = (inverse(track.poses[seen]) @ trajectory.poses[sweep])[:, :3, 3]
     away = np.maximum(np.hypot(lidar[:, 0], lidar[:, 1]), 1.0)
     octave = np.floor(2 * np.log2(away)).astype(np.int64)
     side = np.round(np.arctan2(lidar[:, 1], lidar[:, 0]) / (np.pi / 4)).astype(np.int64) % 8
