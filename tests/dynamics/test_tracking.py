@@ -162,6 +162,19 @@ def test_a_car_that_arrives_and_parks_stays_dynamic_to_the_end():
     assert car == list(range(22, 50))
 
 
+def test_a_car_that_stands_when_it_is_last_seen_stays_there(monkeypatch):
+    """It is hidden for longer than a track is continued, and then seen for two sweeps."""
+    monkeypatch.setitem(globals(), "MEMORY", 200)
+    stop = waits((45, 5), 20)
+    lost = [*range(40, 96), *range(98, 110)]
+    car = Thing(CAR, lambda i: None if i in lost else stop(49 - i), range(22))
+    assert tracked([car], 110) == [[*range(22, 40), 96, 97]]
+    # What stands there then and was there all the time is another thing.
+    other = Thing(CAR, lambda i: stop(0) if i in (96, 97) else None, remembered=False)
+    gone = Thing(CAR, lambda i: None if i >= 40 else stop(49 - i), range(22))
+    assert tracked([gone, other], 110) == [list(range(22, 40)), []]
+
+
 def test_last_sweeps_without_votes():
     (car,) = tracked([Thing(CAR, passes(4), range(17))], 20)
     assert car == [17, 18, 19]

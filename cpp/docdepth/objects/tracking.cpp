@@ -41,6 +41,17 @@ class TrackEvidence {
       total += seen.passing_area;
       supported_ = std::max({supported_, seen.passing_area, total / kTotalSupportDivisor});
     }
+    std::size_t first = 0, last = track.observations.size() - 1;
+    while (first < last && path.deviation(first) > kSamePlace) ++first;
+    while (first < last && path.deviation(last) > kSamePlace) --last;
+    first_known_ = times[track.observations[first].sweep];
+    last_known_ = times[track.observations[last].sweep];
+  }
+
+  /// Whether it is known where the object is: it stays where it stands when it is last seen.
+  bool covers(double time) const {
+    return path_.covers(time) || (time < first_known_ && path_.speed(first_known_) < kStanding) ||
+           (time > last_known_ && path_.speed(last_known_) < kStanding);
   }
 
   /// Whether the object moves at some time: by its path, or as it was not there before or after.
@@ -70,11 +81,12 @@ class TrackEvidence {
   bool claims(std::size_t sweep, const Detection& object, bool is_member) {
     if (object.dynamic == object.points || object.box.width() < kMinTrackedWidth) return false;
     if (object.area - object.dynamic_area > supported_) return false;
-    if (is_member) return was_free(object, sweep);
-    if (!lies_there(object, times_[sweep])) return false;
-    // Where the track only passes, something else may stand.
-    const bool passes = path_.speed(times_[sweep]) >= kSlow;
-    return was_free(object, sweep) && (!passes || object.free_area >= kFreeEdges * object.area);
+    const double time = std::clamp(times_[sweep], first_known_, last_known_);
+    if (is_member) return was_free(object, time);
+    if (!lies_there(object, time) || !was_free(object, time)) return false;
+    // Where the track only passes, or is not seen any more, something else may stand.
+    const bool sure = path_.covers(times_[sweep]) && path_.speed(time) < kSlow;
+    return sure || object.free_area >= kFreeEdges * object.area;
   }
 
  private:
@@ -106,9 +118,9 @@ class TrackEvidence {
 
   /// Whether the place of a detection was free before or after: by its own votes, or as it was
   /// occupied only while the object stood there, which came or left.
-  bool was_free(const Detection& object, std::size_t sweep) {
+  bool was_free(const Detection& object, double time) {
     if (object.was_free()) return true;
-    const Stay& stay = stay_at(path_.pose(times_[sweep]).translation());
+    const Stay& stay = stay_at(path_.pose(time).translation());
     const bool free = stay.free_share >= kFreeEdges &&
                       (seen_to_move() ? stay.free : stay.half_free) >= p_.min_detections;
     const bool came = is_vehicle(path_) && seen_to_move();
@@ -146,8 +158,11 @@ class TrackEvidence {
       stay.first = std::min(stay.first, int(at.sweep));
       stay.last = std::max(stay.last, int(at.sweep));
     }
-    if (distance(seen.front()) <= kSamePlace) stay.first = 0;
-    if (distance(seen.back()) <= kSamePlace) stay.last = int(times_.size());
+    const auto distance_at = [&](double time) {
+      return (path_.pose(time).translation() - place).norm();
+    };
+    if (distance_at(first_known_) <= kSamePlace) stay.first = 0;
+    if (distance_at(last_known_) <= kSamePlace) stay.last = int(times_.size());
     stay.free_share /= float(std::max(count, 1));
     stays_.push_back(stay);
     return stays_.back();
@@ -159,6 +174,8 @@ class TrackEvidence {
   const TrackParameters& p_;
   std::deque<Stay> stays_;
   float supported_ = 0;  ///< area of static points that the track can make dynamic
+  double first_known_ = 0,
+         last_known_ = 0;  ///< when its place is known for the first and last time
 };
 
 /// What a track says of the sweeps in which it is known.
@@ -174,13 +191,13 @@ Findings findings_of(const Track& track, const TrackPath& path, std::uint32_t nu
   TrackEvidence evidence(track, path, times, p);
   const bool moves = evidence.moves();
   std::size_t first = track.observations.front().sweep, last = track.observations.back().sweep;
-  while (moves && first > 0 && path.covers(times[first - 1])) --first;
-  while (moves && last + 1 < times.size() && path.covers(times[last + 1])) ++last;
+  while (moves && first > 0 && evidence.covers(times[first - 1])) --first;
+  while (moves && last + 1 < times.size() && evidence.covers(times[last + 1])) ++last;
   auto seen = track.observations.begin();
   for (std::size_t i = first; i <= last; ++i) {
     while (seen != track.observations.end() && seen->sweep < i) ++seen;
     const bool is_seen = seen != track.observations.end() && seen->sweep == i;
-    if (!is_seen && (!moves || !path.covers(times[i]))) continue;
+    if (!is_seen && (!moves || !evidence.covers(times[i]))) continue;
     const Detections& objects = *detections[i];
     for (std::uint32_t k = 0; k < objects.size(); ++k) {
       const bool is_member = is_seen && std::find(seen->objects.begin(), seen->objects.end(), k) !=
@@ -188,7 +205,7 @@ Findings findings_of(const Track& track, const TrackPath& path, std::uint32_t nu
       const bool claimed = moves && evidence.claims(i, objects[k], is_member);
       if (is_member || claimed) found.members.push_back({i, {objects[k].first, number, claimed}});
     }
-    if (moves && p.window > 0)
+    if (moves && p.window > 0 && path.covers(times[i]))
       found.boxes.push_back({i, {number, path.speed(times[i]) >= kStanding, path.box(times[i])}});
   }
   return found;
