@@ -61,17 +61,17 @@ class Cell:
             raise RunError(f"{about.parent} holds another drive than {wanted}; delete it")
         return about.parent
 
-    def run(self) -> RunFolder:
+    def run(self, path: Path | None = None, parameters: Parameters | None = None) -> RunFolder:
         """Run folder of the drive with exact poses, ready for the classification."""
-        sequence = self.sequence()
-        path = self.folder / "run"
+        sequence, p = self.sequence(), parameters or Parameters()
+        path = path or self.folder / "run"
         run, source = RunFolder(path), {"poses": "exact"}
         if run.manifest:
             # Trials fill up their parameters from those of the run: these must be today's.
-            run.manifest |= {"source": source, "parameters": Parameters().model_dump()}
+            run.manifest |= {"source": source, "parameters": p.model_dump()}
             run.save()
         else:
-            run = RunFolder.create(path, source, Parameters())
+            run = RunFolder.create(path, source, p)
         dataset = open_dataset(sequence)
         run_odometry(run, dataset, dataset.poses)
         return run
@@ -99,6 +99,14 @@ class Lazy(Sequence[Item]):
         return self._item(range(self._count)[index])
 
 
+@dataclass(frozen=True)
+class ExactLabels:
+    """Class and instance of each point, uint16 of shape (N,)."""
+
+    classid: NDArray[np.uint16]
+    instance: NDArray[np.uint16]
+
+
 class ExactDrive:
     """The drive of a cell with its exact poses, classes and depth."""
 
@@ -112,10 +120,10 @@ class ExactDrive:
         self.camera = CameraStream("image_2", rig.camera, rig.T_camera_lidar, times, names)
 
     def scene(self, parameters: Parameters) -> Scene:
-        """The drive with exact classes, ready for rendering."""
+        """The drive with exact classes, instances and tracks, ready for rendering."""
         count = len(self.dataset)
-        sweeps, classes = Lazy(count, self._sweep), Lazy(count, self._classes)
-        return Scene(sweeps, self.trajectory, classes, parameters)
+        sweeps, labels = Lazy(count, self._sweep), Lazy(count, self._labels)
+        return Scene(sweeps, self.trajectory, labels, parameters, self.drive.tracks())
 
     def images(self, count: int, ends: bool = True) -> list[int]:
         """Indices of ``count`` images spread evenly over the drive, with or without its ends."""
@@ -123,13 +131,14 @@ class ExactDrive:
         spread = np.linspace(0, last, count) if ends else np.linspace(0, last, count + 2)[1:-1]
         return [int(k) for k in dict.fromkeys(spread.round().astype(int).tolist())]
 
-    def _classes(self, index: int) -> NDArray[np.uint16]:
+    def _labels(self, index: int) -> ExactLabels:
         """Ground, static and dynamic; dynamic is what moves at any time of the drive."""
         labels = self.dataset.labels(index)
         assert labels is not None
         classid = np.where(np.isin(labels & 0xFFFF, GROUND_LABELS), GROUND, STATIC)
         classid[moving(labels)] = DYNAMIC
-        return classid.astype(np.uint16)
+        instance = np.where(classid == DYNAMIC, labels >> 16, 0)
+        return ExactLabels(classid.astype(np.uint16), instance.astype(np.uint16))
 
     def _sweep(self, index: int) -> Sweep:
         """A sweep with the time of each point: moving objects are where they were at that time."""

@@ -5,7 +5,7 @@
 Poses and classes are exact; images are spread evenly over the drives, which are made if they are
 missing (see suite.py). A row of the table is a tenth of the scale of confidence: the share of
 pixels in it, their mean confidence, the share of them that is less than 5 % off, and their median
-error. ``--fit`` also prints the constants a, b and c of ``docdepth.render.layers.confidence`` that
+error. ``--fit`` also prints the constants a to d of ``docdepth.render.layers.confidence`` that
 fit these drives best.
 """
 
@@ -28,7 +28,7 @@ from docdepth.render.layers import confidence, confidence_features
 from docdepth.render.scene import render_depth, render_layers
 
 Columns = dict[str, NDArray[Any]]
-"""Arrays of shape (k,), one value per pixel: confidence, error, right, log_odds, edge."""
+"""Arrays of shape (k,), one value per pixel: confidence, error, right and the features."""
 
 
 def pixels(cell: Cell, p: Parameters, images: int, threads: int) -> Columns:
@@ -38,14 +38,15 @@ def pixels(cell: Cell, p: Parameters, images: int, threads: int) -> Columns:
     kept: list[Columns] = []
     for k in exact.images(images, ends=False):
         depth, truth = render_depth(scene, exact.camera, k, threads=threads), exact.drive.image(k)
-        names = ("support", "measures")
+        names = ["support", "measures"] + ["seen"] * (primitive == "triangles")
         layers = render_layers(scene, exact.camera, names, k, depth=depth, threads=threads)
-        measured = depth, layers["support"], layers["measures"], primitive
-        log_odds, edge = confidence_features(*measured)
+        measured = depth, layers["support"], layers["measures"], layers.get("seen")
+        log_odds, edge, unseen = confidence_features(*measured)
         known = np.isfinite(depth) & (truth.depth <= 80)
         error = np.abs(depth - truth.depth)
         columns = {"confidence": confidence(*measured), "error": error}
         columns |= {"right": error < 0.05 * truth.depth, "log_odds": log_odds, "edge": edge}
+        columns["unseen"] = unseen
         kept.append({name: values[known] for name, values in columns.items()})
     return {name: np.concatenate([c[name] for c in kept]) for name in kept[0]}
 
@@ -70,18 +71,22 @@ def joined(cells: dict[str, Columns]) -> Columns:
 
 
 def fit(cells: list[Columns]) -> NDArray[np.float64]:
-    """Constants a, b, c of the logistic function, by Newton's method; all drives weigh alike."""
+    """Constants a, b, c, d of the logistic function, by Newton's method; all drives weigh alike.
+
+    Of splats, whose pixels are all seen, d is 0.
+    """
     weight = np.concatenate([np.full(len(c["log_odds"]), 1 / len(c["log_odds"])) for c in cells])
-    rows = [(np.ones(len(c["log_odds"])), c["log_odds"], -c["edge"]) for c in cells]
+    rows = [(np.ones(len(c["edge"])), c["log_odds"], -c["edge"], -c["unseen"]) for c in cells]
     X = np.concatenate([np.stack(f, axis=1) for f in rows]).astype(np.float64)
     right = np.concatenate([c["right"] for c in cells])
-    constants = np.zeros(3)
+    used = X.any(axis=0)
+    X, constants = X[:, used], np.zeros(used.sum())
     for _ in range(30):
         probability = 1 / (1 + np.exp(-(X @ constants)))
         gradient = X.T @ (weight * (right - probability))
         hessian = (X * (weight * probability * (1 - probability))[:, None]).T @ X
         constants += np.linalg.solve(hessian, gradient)
-    return constants
+    return np.concatenate([constants, np.zeros(4 - len(constants))])
 
 
 def plot(cells: dict[str, Columns], path: Path) -> None:
@@ -134,7 +139,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Columns]:
     gap = 100 * sum(gaps) / len(tables)
     print(f"mean gap between confidence and the share within 5 %: {gap:.1f} percentage points")
     if args.fit:
-        print("a, b, c =", ", ".join(f"{c:.2f}" for c in fit(list(cells.values()))))
+        print("a, b, c, d =", ", ".join(f"{c:.2f}" for c in fit(list(cells.values()))))
     if args.out:
         plot(cells, args.out)
     return cells

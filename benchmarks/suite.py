@@ -153,6 +153,7 @@ def _depth_row(metrics: dict[str, Any]) -> Row:
     row |= {name: everywhere[name] for name in ("shifts", "too_near", "too_far")}
     row |= {"interior_mae": interior["mae"], "interior_rmse": interior["rmse"]}
     row |= {"moving_density": dynamic["density"], "moving_shifts": dynamic["shifts"]}
+    row["moving_rmse"] = metrics.get("dynamic_interior", {}).get("rmse")
     return {name: math.nan if value is None else value for name, value in row.items()}
 
 
@@ -191,6 +192,7 @@ DEPTH_COLUMNS = [
     Column("interior_rmse", "interior RMSE m", 3, -1),
     Column("moving_density", "moving: density %", 1),
     Column("moving_shifts", "moving: MAE in shifts", 2, -1),
+    Column("moving_rmse", "moving: interior RMSE m", 3, -1),
 ]
 
 

@@ -90,7 +90,8 @@ def _used(scene: Scene, made: Any) -> None:
     elif isinstance(made, _core.ScanMesh):
         of_mesh = made.triangles, made.discontinuity, made.isolated
         if len(of_mesh[0]) and max(of_mesh[0].max(), len(of_mesh[2])) < len(scene.points):
-            _core.MeshFrame(scene.points, good["classid"], *of_mesh, 0.002)
+            of_objects = good["isolated_angle"], good["owner"], good["motion"]
+            _core.MeshFrame(scene.points, good["classid"], *of_mesh, *of_objects)
     elif isinstance(made, _core.KeyFrame):
         _core.vote(scene.points, good["ground"], np.eye(4), [made], np.eye(4)[None], 1)
     elif isinstance(made, _core.Frame):
@@ -99,9 +100,11 @@ def _used(scene: Scene, made: Any) -> None:
         _core.splat_layers(*camera, placed, placed, (50.0, 3.0), (80.0, 35.0), depth, 1)
     elif isinstance(made, _core.MeshFrame):
         statics = [*scene.static_meshes[:1], (made, np.eye(4))]
-        moving = [(made, np.eye(4), 0.05), *scene.dynamic_meshes, (made, np.eye(4), -0.1)]
-        depth = _core.render_meshes(*camera, statics, moving, 50.0, 3, 1)
-        _core.mesh_layers(*camera, statics, moving, 50.0, 3, depth, 1)
+        sightings = [(made, k + 1, np.eye(4), 4) for k in range(min(made.objects, 9))]
+        moving = [*scene.sighted, (3, (4.0, 2.0, 4.2), sightings, sightings, sightings)]
+        around = [(made, np.eye(4), 0.0)]
+        depth = _core.render_meshes(*camera, statics, moving, 3, 1, around)
+        _core.mesh_layers(*camera, statics, moving, 3, depth, 1, around, True)
     elif isinstance(made, _core.Rays):
         made.query_visibility(scene.points)
     elif isinstance(made, _core.Detections):

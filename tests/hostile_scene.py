@@ -34,16 +34,20 @@ class Scene:
         frame = _core.Frame(self.points, classid, 300.0)
         isolated = np.array(mesh.isolated)
         of_mesh = (np.array(mesh.triangles), np.array(mesh.discontinuity), isolated)
-        mesh_frame = _core.MeshFrame(self.points, classid, *of_mesh, 0.002)
+        owner = np.where(classid == 100, 1, 0).astype(np.uint16)
+        motion = np.array([[5, 0, 0, 0.01]], np.float32)
+        of_objects = (0.002, owner, motion)
+        mesh_frame = _core.MeshFrame(self.points, classid, *of_mesh, *of_objects)
         image = _core.RangeImage(self.points, ground, 0.01, 5, 0.2)
-        detections = _core.Detections(self.points, ground, objects, dynamic, pose)
-        numbers, boxes, samples = detections.arrays
+        stays = (dynamic, np.zeros(n, np.int32), np.full(n, 3, np.int32))
+        detections = _core.Detections(self.points, ground, objects, dynamic, *stays, mesh, pose)
+        numbers, areas, extents, samples, _, borders = detections.arrays
+        box = np.r_[np.eye(4)[:3].ravel(), 2, 1, 1].astype(np.float32)
         self.mesh_image = _core.MeshImage(self.points, ground, mesh, _core.MeshImageParameters())
         self.static_splats, self.dynamic_splats = [(frame, pose)] * 3, [(frame, pose)]
-        self.static_meshes, self.dynamic_meshes = (
-            [(mesh_frame, pose)] * 3,
-            [(mesh_frame, pose, 0.1)],
-        )
+        self.static_meshes = [(mesh_frame, pose)] * 3
+        sighting = (mesh_frame, 1, pose, 3)
+        self.sighted = [(7, (4.0, 2.0, 4.2), [sighting], [sighting], [sighting])]
         self.good: dict[str, Any] = {
             "points": self.points,
             "queries": self.points[:50].copy(),
@@ -64,9 +68,16 @@ class Scene:
             "T_world_lidar": pose,
             "poses": np.stack([pose, pose]),
             "key_frames": [image, self.mesh_image],
-            "boxes": boxes,
+            "one_stay": stays[0],
+            "first_occupied": stays[1],
+            "last_occupied": stays[2],
+            "earlier": 1,
+            "boxes": np.stack([box, box]),
+            "extents": extents,
+            "areas": areas,
             "numbers": numbers,
             "samples": samples,
+            "borders": borders,
             "voxels": np.arange(9, dtype=np.uint64),
             "detections": [detections] * 4,
             "times": np.arange(4) * 0.1,
@@ -76,9 +87,13 @@ class Scene:
             "depth": r.uniform(1, 50, (24, 32)).astype(np.float32),
             "static_size": (50.0, 3.0),
             "dynamic_size": (80.0, 35.0),
-            "max_speed": 50.0,
+            "owner": owner,
+            "motion": motion,
+            "displacement": np.zeros((n, 3), np.float32),
             "visibility_sweeps": 15,
             "isolated_angle": 0.002,
+            "shutter_frames": [(mesh_frame, pose, 0.03)],
+            "seen": True,
             "crop": 300.0,
             "resolution": 0.01,
             "window": 5,
@@ -115,6 +130,8 @@ class Scene:
         if argument in ("static_frames", "dynamic_frames"):
             which = "splats" if "splat" in name else "meshes"
             return getattr(self, argument.replace("frames", which))
+        if argument == "objects" and "mesh" in name.rpartition(".")[2]:
+            return self.sighted
         return self.good[argument]
 
     def spoiled(self, value: Any) -> tuple[str, Any]:
@@ -202,9 +219,10 @@ class Scene:
         return "of fewer points", {
             "ScanMesh": lambda: _core.ScanMesh(fewer, _core.MeshParameters()),
             "Detections": lambda: _core.Detections.of(
-                np.zeros((0, 4), np.uint32),
+                np.zeros((0, 8), np.uint32),
+                np.zeros((0, 4), np.float32),
                 np.zeros((0, 6), np.float32),
-                np.zeros((0, 3), np.float32),
+                *np.zeros((3, 0, 3), np.float32),
             ),
         }.get(kind.__name__, lambda: None)()
 

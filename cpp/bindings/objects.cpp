@@ -1,6 +1,7 @@
 #include <pybind11/stl.h>
 
 #include <memory>
+#include <optional>
 
 #include "arrays.hpp"
 #include "docdepth/objects/classification.hpp"
@@ -23,7 +24,7 @@ const std::uint32_t* as_objects(const Array<std::uint32_t>& array, py::ssize_t s
 }
 
 /// Boxes as low and high corners, (K, 6).
-std::vector<Extent> as_boxes(const Array<float>& array) {
+std::vector<Extent> as_extents(const Array<float>& array) {
   if (array.ndim() != 2 || array.shape(1) != 6)
     throw std::invalid_argument("boxes are low and high corners, (K, 6)");
   std::vector<Extent> boxes(array.shape(0));
@@ -35,9 +36,31 @@ std::vector<Extent> as_boxes(const Array<float>& array) {
   return boxes;
 }
 
-void append_box(const Extent& box, std::vector<float>& corners) {
-  for (const auto* corner : {&box.low, &box.high})
-    corners.insert(corners.end(), corner->data(), corner->data() + 3);
+constexpr py::ssize_t kBoxValues = 15;  // T_box_world, row after row, and half of the size
+using Rows3x4 = Eigen::Matrix<float, 3, 4, Eigen::RowMajor>;
+
+std::vector<OrientedBox> as_oriented_boxes(const Array<float>& array) {
+  if (array.ndim() != 2 || array.shape(1) != kBoxValues)
+    throw std::invalid_argument("boxes are T_box_world (3, 4) and half of the size, (K, 15)");
+  check_coordinates(array, "boxes");
+  std::vector<OrientedBox> boxes;
+  for (py::ssize_t k = 0; k < array.shape(0); ++k) {
+    const float* values = array.data() + kBoxValues * k;
+    OrientedBox box{Eigen::Isometry3f::Identity(), Eigen::Map<const Eigen::Vector3f>(values + 12)};
+    box.T_box_world.affine() = Eigen::Map<const Rows3x4>(values);
+    boxes.push_back(box);
+  }
+  return boxes;
+}
+
+void append_oriented_box(const OrientedBox& box, std::vector<float>& values) {
+  const Rows3x4 rows = box.T_box_world.affine();
+  values.insert(values.end(), rows.data(), rows.data() + rows.size());
+  values.insert(values.end(), box.half.data(), box.half.data() + 3);
+}
+
+void append(const Eigen::Vector3f& vector, std::vector<float>& values) {
+  values.insert(values.end(), vector.data(), vector.data() + 3);
 }
 
 /// The points of a sweep and what is known about each, checked.
@@ -118,101 +141,178 @@ py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bo
                                       const ObjectParameters& parameters) {
   const VotedSweep sweep(points, ground, static_votes, dynamic_votes);
   const Pose T_world_lidar = as_pose(pose);
-  const std::vector<Extent> extents = as_boxes(boxes);
+  const std::vector<OrientedBox> oriented = as_oriented_boxes(boxes);
   const std::vector<std::uint64_t> sorted(voxels.data(), voxels.data() + voxels.size());
   const ObjectParameters used = checked(parameters);
   std::vector<std::uint8_t> result = copy_flags(dynamic, sweep.points.rows(), "dynamic");
   {
     const py::gil_scoped_release release;
     add_points_inside(sweep.points, sweep.ground, sweep.static_votes, sweep.dynamic_votes,
-                      T_world_lidar, extents, sorted, used, result);
+                      T_world_lidar, oriented, sorted, used, result);
   }
   return to_numpy(std::move(result), {static_cast<py::ssize_t>(sweep.points.rows())});
 }
 
 std::unique_ptr<Detections> make_detections(const Array<float>& points, const Array<bool>& ground,
                                             const Array<std::uint32_t>& objects,
-                                            const Array<bool>& dynamic, const Array<double>& pose) {
+                                            const Array<bool>& dynamic, const Array<bool>& one_stay,
+                                            const Array<std::int32_t>& first_occupied,
+                                            const Array<std::int32_t>& last_occupied,
+                                            const ScanMesh& mesh, const Array<double>& pose,
+                                            const std::optional<Array<float>>& time_offset) {
   const PointMap map = as_points(points);
-  const bool* flags = as_flags(ground, map.rows(), "ground");
-  const std::uint32_t* first = as_objects(objects, map.rows());
-  const bool* moves = as_flags(dynamic, map.rows(), "dynamic");
+  const auto count = map.rows();
+  check_mesh(mesh, count);
+  const PointEvidence evidence{
+      as_flags(ground, count, "ground"),
+      as_objects(objects, count),
+      as_flags(dynamic, count, "dynamic"),
+      as_flags(one_stay, count, "one_stay"),
+      as_column(first_occupied, count, "first_occupied"),
+      as_column(last_occupied, count, "last_occupied"),
+      time_offset ? as_column(*time_offset, count, "time_offset") : nullptr};
   check_coordinates(points, "points of objects");
   const Pose T_world_lidar = as_pose(pose);
   const py::gil_scoped_release release;
-  return std::make_unique<Detections>(detect_objects(map, flags, first, moves, T_world_lidar));
+  return std::make_unique<Detections>(detect_objects(map, evidence, mesh, T_world_lidar));
 }
 
-/// Detections as arrays: per object its first row, its points, how many of them are dynamic and
-/// how many sampled points it has, (K, 4); its box, (K, 6); all sampled points, (M, 3).
+/// Detections as arrays: per object its first row, its points, how many of them are dynamic, how
+/// many samples it has, when its place was occupied first and last, how many edges and hidden
+/// borders it has, (K, 8); its area, that of its dynamic points and that of free places, and its
+/// time offset, (K, 4); its box, (K, 6); all samples, (M, 3); their normals, (M, 3); the edges and
+/// hidden borders of each object, (B, 3).
 py::tuple arrays_of(const Detections& detections) {
   const auto count = static_cast<py::ssize_t>(detections.size());
   std::vector<std::uint32_t> numbers;
-  std::vector<float> boxes, samples;
+  std::vector<float> areas, boxes, samples, normals, borders;
   for (const Detection& object : detections) {
     numbers.insert(numbers.end(), {object.first, object.points, object.dynamic,
-                                   static_cast<std::uint32_t>(object.samples.size())});
-    append_box(object.box, boxes);
-    for (const auto& point : object.samples)
-      samples.insert(samples.end(), point.data(), point.data() + 3);
+                                   static_cast<std::uint32_t>(object.samples().size()),
+                                   static_cast<std::uint32_t>(object.first_occupied),
+                                   static_cast<std::uint32_t>(object.last_occupied),
+                                   static_cast<std::uint32_t>(object.edges.size()),
+                                   static_cast<std::uint32_t>(object.hidden.size())});
+    areas.insert(areas.end(),
+                 {object.area, object.dynamic_area, object.free_area, object.time_offset});
+    append(object.box.low, boxes), append(object.box.high, boxes);
+    for (const auto& point : object.samples()) append(point, samples);
+    for (const auto& normal : object.surface.normals) append(normal, normals);
+    for (const auto& point : object.edges) append(point, borders);
+    for (const auto& point : object.hidden) append(point, borders);
   }
-  const auto all = static_cast<py::ssize_t>(samples.size() / 3);
-  return py::make_tuple(to_numpy(std::move(numbers), {count, 4}),
-                        to_numpy(std::move(boxes), {count, 6}),
-                        to_numpy(std::move(samples), {all, 3}));
+  const auto all = static_cast<py::ssize_t>(samples.size() / 3),
+             at_borders = static_cast<py::ssize_t>(borders.size() / 3);
+  return py::make_tuple(
+      to_numpy(std::move(numbers), {count, 8}), to_numpy(std::move(areas), {count, 4}),
+      to_numpy(std::move(boxes), {count, 6}), to_numpy(std::move(samples), {all, 3}),
+      to_numpy(std::move(normals), {all, 3}), to_numpy(std::move(borders), {at_borders, 3}));
+}
+
+/// Take points off the front of the rest of an array.
+void take(const PointMap& points, Eigen::Index& row, std::uint32_t count, SampledPoints& into) {
+  if (row + count > points.rows())
+    throw std::invalid_argument("there are fewer samples than the detections say");
+  for (const Eigen::Index end = row + count; row < end; ++row)
+    into.push_back(points.row(row).transpose());
 }
 
 std::unique_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
-                                          const Array<float>& boxes, const Array<float>& samples) {
-  const PointMap all = as_points(samples);
+                                          const Array<float>& areas, const Array<float>& boxes,
+                                          const Array<float>& samples, const Array<float>& normals,
+                                          const Array<float>& borders) {
+  const PointMap all = as_points(samples), directions = as_points(normals, "normals"),
+                 around = as_points(borders, "borders");
   check_coordinates(samples, "samples");
-  if (numbers.ndim() != 2 || numbers.shape(1) != 4 || boxes.ndim() != 2 || boxes.shape(1) != 6 ||
-      boxes.shape(0) != numbers.shape(0))
+  check_coordinates(normals, "normals");
+  check_coordinates(borders, "borders");
+  const std::vector<Extent> extents = as_extents(boxes);
+  const auto count = static_cast<py::ssize_t>(extents.size());
+  const auto is_table = [&](const auto& array, py::ssize_t columns) {
+    return array.ndim() == 2 && array.shape(0) == count && array.shape(1) == columns;
+  };
+  if (!is_table(numbers, 8) || !is_table(areas, 4) || directions.rows() != all.rows())
     throw std::invalid_argument(
-        "detections are numbers (K, 4), boxes (K, 6) and sampled points (M, 3)");
-  const std::vector<Extent> extents = as_boxes(boxes);
+        "detections are numbers (K, 8), areas (K, 4), boxes (K, 6), samples and normals (M, 3)");
   auto detections = std::make_unique<Detections>(extents.size());
-  Eigen::Index row = 0;
+  Eigen::Index row = 0, normal = 0, border = 0;
   for (std::size_t k = 0; k < extents.size(); ++k) {
     Detection& object = (*detections)[k];
-    const std::uint32_t* n = numbers.data() + 4 * k;
+    const std::uint32_t* n = numbers.data() + 8 * k;
+    const float* a = areas.data() + 4 * k;
     object.first = n[0], object.points = n[1], object.dynamic = n[2];
+    object.area = a[0], object.dynamic_area = a[1], object.free_area = a[2];
+    object.first_occupied = std::int32_t(n[4]), object.last_occupied = std::int32_t(n[5]);
+    object.time_offset = a[3];
     object.box = extents[k];
-    if (n[3] == 0 || row + n[3] > all.rows())
-      throw std::invalid_argument("there are fewer sampled points than the detections say");
-    for (const Eigen::Index end = row + n[3]; row < end; ++row)
-      object.samples.push_back(all.row(row).transpose());
+    if (n[1] == 0 || n[3] == 0) throw std::invalid_argument("a detection has points and samples");
+    take(all, row, n[3], object.surface.points),
+        take(directions, normal, n[3], object.surface.normals);
+    take(around, border, n[6], object.edges), take(around, border, n[7], object.hidden);
   }
   return detections;
 }
 
-/// A tuple a sweep: rows of dynamic objects, boxes of moving objects, dynamic voxels.
-py::list track(const std::vector<const Detections*>& detections, const Array<double>& times,
-               const TrackParameters& parameters, int threads) {
+py::tuple sweep_of(TrackedSweep& sweep) {
+  std::vector<std::uint32_t> members, tracks;
+  std::vector<float> boxes;
+  for (const Member& member : sweep.members)
+    members.insert(members.end(), {member.first, member.track, std::uint32_t(member.dynamic)});
+  for (const TrackBox& box : sweep.boxes) {
+    tracks.insert(tracks.end(), {box.track, std::uint32_t(box.moving)});
+    append_oriented_box(box.box, boxes);
+  }
+  const auto rows = static_cast<py::ssize_t>(sweep.members.size()),
+             count = static_cast<py::ssize_t>(sweep.boxes.size()),
+             voxels = static_cast<py::ssize_t>(sweep.voxels.size());
+  return py::make_tuple(
+      to_numpy(std::move(members), {rows, 3}), to_numpy(std::move(tracks), {count, 2}),
+      to_numpy(std::move(boxes), {count, kBoxValues}), to_numpy(std::move(sweep.voxels), {voxels}));
+}
+
+py::tuple object_of(const TrackedObject& object) {
+  std::vector<std::int64_t> sweeps, points;
+  std::vector<double> poses, velocities, deviations;
+  for (const auto& place : object.places) {
+    sweeps.push_back(place.sweep), points.push_back(place.points);
+    const Eigen::Matrix<double, 4, 4, Eigen::RowMajor> T = place.T_world_object.matrix();
+    poses.insert(poses.end(), T.data(), T.data() + T.size());
+    velocities.insert(velocities.end(), place.velocity.data(), place.velocity.data() + 3);
+    deviations.push_back(place.deviation);
+  }
+  const auto count = static_cast<py::ssize_t>(object.places.size());
+  const std::vector<double> size{object.size.x(), object.size.y(), object.size.z()};
+  return py::make_tuple(to_numpy(std::move(sweeps), {count}), to_numpy(std::move(points), {count}),
+                        to_numpy(std::move(poses), {count, 4, 4}),
+                        to_numpy(std::move(velocities), {count, 3}),
+                        to_numpy(std::move(deviations), {count}),
+                        to_numpy(std::vector<double>(size), {3}), object.rigid);
+}
+
+/// A list with a tuple a sweep: members (first row, track, whether it becomes dynamic), tracks of
+/// boxes and whether they move, boxes, dynamic voxels. And one with a tuple a track: sweeps,
+/// points, poses, velocities, size, whether it is rigid.
+py::tuple track(const std::vector<const Detections*>& detections, const Array<double>& times,
+                const TrackParameters& parameters, int threads) {
   const auto count = static_cast<py::ssize_t>(detections.size());
   const double* t = as_column(times, count, "times");
   for (const Detections* sweep : detections)
     if (!sweep) throw std::invalid_argument("tracking needs the detections of each sweep");
-  for (py::ssize_t i = 0; i < count; ++i) in_range(t[i], -1e12, 1e12, "a time in seconds");
+  for (py::ssize_t i = 0; i < count; ++i) {
+    in_range(t[i], -1e12, 1e12, "a time in seconds");
+    if (i > 0 && !(t[i] > t[i - 1])) throw std::invalid_argument("times must increase");
+  }
   const TrackParameters used = checked(parameters);
   threads = checked_threads(threads);
-  std::vector<TrackingResult> tracked;
+  TrackingResult tracked;
   {
     const py::gil_scoped_release release;
     tracked = track_objects(detections, {t, t + count}, used, threads);
   }
-  py::list result;
-  for (TrackingResult& sweep : tracked) {
-    std::vector<float> corners;
-    for (const Extent& box : sweep.boxes) append_box(box, corners);
-    const auto objects = static_cast<py::ssize_t>(sweep.objects.size()),
-               boxes = static_cast<py::ssize_t>(sweep.boxes.size()),
-               voxels = static_cast<py::ssize_t>(sweep.voxels.size());
-    result.append(py::make_tuple(to_numpy(std::move(sweep.objects), {objects}),
-                                 to_numpy(std::move(corners), {boxes, 6}),
-                                 to_numpy(std::move(sweep.voxels), {voxels})));
-  }
-  return result;
+  py::list sweeps, objects;
+  for (TrackedSweep& sweep : tracked.sweeps) sweeps.append(sweep_of(sweep));
+  for (const TrackedObject& object : tracked.objects) objects.append(object_of(object));
+  return py::make_tuple(sweeps, objects);
 }
 
 void bind_parameters(py::module_& m) {
@@ -257,8 +357,10 @@ void bind_objects(py::module_& m) {
         "dynamic_votes"_a, "T_world_lidar"_a, "boxes"_a, "voxels"_a, "dynamic"_a, "parameters"_a);
   py::class_<Detections>(m, "Detections")
       .def(py::init(&make_detections), "points"_a, "ground"_a, "objects"_a, "dynamic"_a,
-           "T_world_lidar"_a)
-      .def_static("of", &detections_of, "numbers"_a, "boxes"_a, "samples"_a)
+           "one_stay"_a, "first_occupied"_a, "last_occupied"_a, "mesh"_a, "T_world_lidar"_a,
+           "time_offset"_a = py::none())
+      .def_static("of", &detections_of, "numbers"_a, "areas"_a, "extents"_a, "samples"_a,
+                  "normals"_a, "borders"_a)
       .def_property_readonly("arrays", &arrays_of);
   m.def("track_objects", &track, "detections"_a, "times"_a, "parameters"_a, "threads"_a = 0);
 }

@@ -4,6 +4,7 @@
 #include <limits>
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "docdepth/render/layers.hpp"
 
@@ -38,52 +39,66 @@ py::array_t<float> draw_splats(const Array<double>& K, int width, int height,
   return to_numpy(std::move(depth), {height, width});
 }
 
-/// Ray origins, one per point; the points themselves if there are none.
-PointMap origins_of(const std::optional<Array<float>>& ray_origins, const PointMap& points) {
-  const PointMap map = ray_origins ? as_points(*ray_origins, "ray_origins") : points;
+/// A row for each point; the points themselves if there are none.
+PointMap rows_of(const std::optional<Array<float>>& rows, const PointMap& points,
+                 const char* name) {
+  const PointMap map = rows ? as_points(*rows, name) : points;
   if (map.rows() != points.rows())
-    throw std::invalid_argument("ray_origins must be as many as the points");
+    throw std::invalid_argument(std::string(name) + " must be as many as the points");
   return map;
 }
 
-std::unique_ptr<MeshFrame> make_mesh_frame(const Array<float>& points,
-                                           const Array<std::uint16_t>& classid,
-                                           const Array<std::uint32_t>& triangles,
-                                           const Array<std::uint8_t>& discontinuity,
-                                           const Array<std::uint32_t>& isolated,
-                                           float isolated_angle,
-                                           const std::optional<Array<float>>& time_offset,
-                                           const std::optional<Array<float>>& ray_origins) {
+std::unique_ptr<MeshFrame> make_mesh_frame(
+    const Array<float>& points, const Array<std::uint16_t>& classid,
+    const Array<std::uint32_t>& triangles, const Array<std::uint8_t>& discontinuity,
+    const Array<std::uint32_t>& isolated, float isolated_angle, const Array<std::uint16_t>& owner,
+    const Array<float>& motion, const std::optional<Array<float>>& time_offset,
+    const std::optional<Array<float>>& displacement,
+    const std::optional<Array<float>>& ray_origins) {
   const PointMap map = as_points(points);
-  const Points from = origins_of(ray_origins, map);
+  const Points from = rows_of(ray_origins, map, "ray_origins");
+  const Points moved = rows_of(displacement, map, "displacement");
   const std::uint16_t* classes = as_column(classid, map.rows(), "classid");
+  const std::uint16_t* owners = as_column(owner, map.rows(), "owner");
+  const float* times = time_offset ? as_column(*time_offset, map.rows(), "time_offset") : nullptr;
+  if (motion.ndim() != 2 || motion.shape(1) != 4)
+    throw std::invalid_argument("motion must be a float32 array of shape (objects, 4)");
+  in_range(double(motion.shape(0)), 0, 0xFFFF, "the number of objects");
+  std::vector<ObjectMotion> motions;
+  for (py::ssize_t k = 0; k < motion.shape(0); ++k)
+    motions.push_back({{motion.at(k, 0), motion.at(k, 1), motion.at(k, 2)}, motion.at(k, 3)});
+  for (py::ssize_t i = 0; i < map.rows(); ++i)
+    in_range(owners[i], 0, double(motions.size()), "an owner");
   if (triangles.ndim() != 2 || triangles.shape(1) != 3)
     throw std::invalid_argument("triangles must be a uint32 array of shape (M, 3)");
   const py::ssize_t count = triangles.shape(0);
   const std::uint8_t* jumps = as_column(discontinuity, count, "discontinuity");
-  const float* times = time_offset ? as_column(*time_offset, map.rows(), "time_offset") : nullptr;
   const auto* corners =
       reinterpret_cast<const std::uint32_t (*)[3]>(as_rows(triangles, map.rows(), "triangles"));
   const std::uint32_t* alone = as_rows(isolated, map.rows(), "isolated");
   in_range(isolated_angle, 0, 1, "isolated_angle");
   const py::gil_scoped_release release;
-  return std::make_unique<MeshFrame>(map, corners, jumps, count, alone, isolated.size(),
-                                     isolated_angle, classes, times, ray_origins ? &from : nullptr);
+  const Points all = map;
+  return std::make_unique<MeshFrame>(
+      MeshParts{all, corners, jumps, std::size_t(count), alone, std::size_t(isolated.size()),
+                isolated_angle, classes, owners, motions, times, displacement ? &moved : nullptr,
+                ray_origins ? &from : nullptr});
 }
 
 py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
                                const std::vector<PlacedFrame>& static_frames,
-                               const std::vector<DynamicFrame>& dynamic_frames, float max_speed,
-                               int visibility_sweeps, int threads) {
+                               const std::vector<ObjectOf>& objects, int visibility_sweeps,
+                               int threads, const std::vector<ShutterOf>& shutter_frames) {
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
-  const DynamicSweeps motion = as_motion(dynamic_frames, max_speed);
+  const auto sighted = as_objects(objects);
+  const auto shutter = as_shutter_frames(shutter_frames);
   in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
   threads = checked_threads(threads);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth = render_meshes(camera, frames, motion, visibility_sweeps, threads);
+    depth = render_meshes(camera, frames, sighted, visibility_sweeps, shutter, threads);
   }
   return to_numpy(std::move(depth), {height, width});
 }
@@ -91,7 +106,7 @@ py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
 std::unique_ptr<Rays> make_rays(const Array<float>& points, const Array<float>& normals,
                                 const std::optional<Array<float>>& ray_origins) {
   const PointMap map = as_points(points), directions = as_points(normals, "normals");
-  const Points from = origins_of(ray_origins, map);
+  const Points from = rows_of(ray_origins, map, "ray_origins");
   if (directions.rows() != map.rows())
     throw std::invalid_argument("normals must be as many as the points");
   const py::gil_scoped_release release;
@@ -122,8 +137,14 @@ py::dict as_dict(Layers&& layers, int width, int height) {
   py::dict dict;
   if (!layers.normal.empty())
     dict["normal"] = to_numpy(std::move(layers.normal), {height, width, 3});
+  if (!layers.seen.empty()) {
+    std::vector<std::uint8_t> seen;
+    for (const Seen state : layers.seen) seen.push_back(static_cast<std::uint8_t>(state));
+    dict["seen"] = to_numpy(std::move(seen), shape);
+  }
   dict["sweep"] = to_numpy(std::move(layers.sweep), shape);
   dict["class"] = to_numpy(std::move(layers.classid), shape);
+  dict["instance"] = to_numpy(std::move(layers.instance), shape);
   dict["measured"] = to_numpy(std::move(layers.measured), shape);
   dict["range"] = to_numpy(std::move(layers.range), shape);
   dict["support"] = to_numpy(std::move(layers.support), shape);
@@ -156,19 +177,22 @@ py::dict splat_layers(const Array<double>& K, int width, int height,
 
 py::dict mesh_layers(const Array<double>& K, int width, int height,
                      const std::vector<PlacedFrame>& static_frames,
-                     const std::vector<DynamicFrame>& dynamic_frames, float max_speed,
-                     int visibility_sweeps, const Array<float>& depth, int threads) {
+                     const std::vector<ObjectOf>& objects, int visibility_sweeps,
+                     const Array<float>& depth, int threads,
+                     const std::vector<ShutterOf>& shutter_frames, bool seen) {
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
-  const DynamicSweeps motion = as_motion(dynamic_frames, max_speed);
+  const auto sighted = as_objects(objects);
+  const auto shutter = as_shutter_frames(shutter_frames);
   in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
   threads = checked_threads(threads);
   const float* z = as_depth(depth, width, height);
   std::optional<Layers> layers;
   {
     const py::gil_scoped_release release;
-    layers = layers_of_triangles(
-        camera, compose_scene(camera, frames, motion, visibility_sweeps, threads), z, threads);
+    layers = layers_of_triangles(camera,
+                                 compose_scene(camera, frames, sighted, visibility_sweeps, shutter),
+                                 z, seen, threads);
   }
   return as_dict(std::move(*layers), width, height);
 }
@@ -185,15 +209,16 @@ void bind_render(py::module_& m) {
                              [](const Frame& frame) { return frame.dynamic_points.size(); });
   py::class_<MeshFrame>(m, "MeshFrame")
       .def(py::init(&make_mesh_frame), "points"_a, "classid"_a, "triangles"_a, "discontinuity"_a,
-           "isolated"_a, "isolated_angle"_a, "time_offset"_a = py::none(),
-           "ray_origins"_a = py::none());
+           "isolated"_a, "isolated_angle"_a, "owner"_a, "motion"_a, "time_offset"_a = py::none(),
+           "displacement"_a = py::none(), "ray_origins"_a = py::none());
   py::class_<Rays>(m, "Rays")
       .def(py::init(&make_rays), "points"_a, "normals"_a, "ray_origins"_a = py::none())
       .def("query_visibility", &query_visibility, "points"_a);
-  m.def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a,
-        "dynamic_frames"_a, "max_speed"_a, "visibility_sweeps"_a, "threads"_a = 0);
-  m.def("mesh_layers", &mesh_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
-        "dynamic_frames"_a, "max_speed"_a, "visibility_sweeps"_a, "depth"_a, "threads"_a = 0);
+  m.def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
+        "visibility_sweeps"_a, "threads"_a = 0, "shutter_frames"_a = py::list());
+  m.def("mesh_layers", &mesh_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
+        "visibility_sweeps"_a, "depth"_a, "threads"_a = 0, "shutter_frames"_a = py::list(),
+        "seen"_a = false);
   m.def("splat_layers", &splat_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "depth"_a, "threads"_a = 0);
   m.def("render_splats", &draw_splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,

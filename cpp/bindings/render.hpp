@@ -3,6 +3,7 @@
 
 #include <pybind11/stl.h>
 
+#include <limits>
 #include <tuple>
 
 #include "arrays.hpp"
@@ -70,15 +71,49 @@ inline std::vector<PlacedMeshFrame> as_mesh_frames(const std::vector<PlacedFrame
   return result;
 }
 
-/// A frame, its pose, and the time from its stamp to the image [s].
-using DynamicFrame = std::tuple<const MeshFrame*, Array<double>, float>;
+/// A whole frame around the image, its pose, and the seconds from its stamp to the image.
+using ShutterOf = std::tuple<const MeshFrame*, Array<double>, double>;
 
-inline DynamicSweeps as_motion(const std::vector<DynamicFrame>& dynamic_frames, float max_speed) {
-  DynamicSweeps motion{{}, in_range(max_speed, 0, 1e4, "max_speed")};
-  for (const auto& [frame, pose, age] : dynamic_frames)
-    motion.sweeps.push_back({{&present(frame), as_pose(pose)},
-                             in_range(age, -kMaxDuration, kMaxDuration, "an age in seconds")});
-  return motion;
+inline std::vector<ShutterFrame> as_shutter_frames(const std::vector<ShutterOf>& frames) {
+  constexpr double kMost = std::numeric_limits<float>::max();
+  std::vector<ShutterFrame> result;
+  for (const auto& [frame, pose, age] : frames)
+    result.push_back(
+        {{&present(frame), as_pose(pose)}, float(in_range(age, -kMost, kMost, "an age"))});
+  return result;
+}
+
+/// A frame, the number of the object in it, its pose, and the number of the sweep.
+using SightingOf = std::tuple<const MeshFrame*, int, Array<double>, int>;
+/// Instance, extent, sightings of sweeps around the image and of others, and those whose rays tell
+/// where the object ends.
+using ObjectOf = std::tuple<int, std::tuple<double, double, double>, std::vector<SightingOf>,
+                            std::vector<SightingOf>, std::vector<SightingOf>>;
+
+inline std::vector<Sighting> as_sightings(const std::vector<SightingOf>& sightings) {
+  std::vector<Sighting> result;
+  for (const auto& [frame, owner, pose, sweep] : sightings) {
+    const auto owners = static_cast<double>(present(frame).dynamic_meshes.size());
+    in_range(owner, 1, owners, "the number of an object in its frame");
+    in_range(sweep, 0, kMaxRows, "the number of a sweep");
+    result.push_back({{frame, as_pose(pose)}, std::uint32_t(owner), sweep});
+  }
+  return result;
+}
+
+inline std::vector<SightedObject> as_objects(const std::vector<ObjectOf>& objects) {
+  std::vector<SightedObject> result;
+  for (const auto& [instance, extent, around, others, rays] : objects) {
+    in_range(instance, 0, 0xFFFF, "an instance");
+    const auto& [length, width, height] = extent;
+    for (const double side : {length, width, height}) in_range(side, 0, 1e3, "an extent [m]");
+    result.push_back({std::uint16_t(instance),
+                      {float(length), float(width), float(height)},
+                      as_sightings(around),
+                      as_sightings(others),
+                      as_sightings(rays)});
+  }
+  return result;
 }
 
 }  // namespace docdepth::bindings

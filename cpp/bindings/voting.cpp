@@ -35,9 +35,11 @@ std::unique_ptr<MeshImage> make_mesh_image(const Array<float>& points, const Arr
 py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
                   const Array<double>& T_world_lidar,
                   const std::vector<const KeyFrame*>& key_frames, const Array<double>& poses,
-                  int threads) {
+                  int threads, py::ssize_t earlier) {
   const PointMap map = as_points(points);
   const bool* flags = as_flags(ground, map.rows(), "ground");
+  in_range(double(key_frames.size()), 0, Votes::kNever, "the number of key frames");
+  in_range(double(earlier), 0, double(key_frames.size()), "earlier");
   const Pose pose = as_pose(T_world_lidar);
   const std::vector<Pose> T_world_key = as_poses(poses);
   for (const KeyFrame* key_frame : key_frames)
@@ -46,11 +48,14 @@ py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
   Votes votes;
   {
     const py::gil_scoped_release release;
-    votes = vote(map, flags, pose, key_frames, T_world_key, threads);
+    votes = vote(map, flags, pose, key_frames, T_world_key, threads, std::size_t(earlier));
   }
   const py::ssize_t count = map.rows();
   return py::make_tuple(to_numpy(std::move(votes.statics), {count}),
-                        to_numpy(std::move(votes.dynamics), {count}));
+                        to_numpy(std::move(votes.dynamics), {count}),
+                        to_numpy(std::move(votes.one_stay), {count}),
+                        to_numpy(std::move(votes.first_occupied), {count}),
+                        to_numpy(std::move(votes.last_occupied), {count}));
 }
 
 }  // namespace
@@ -80,7 +85,7 @@ void bind_voting(py::module_& m) {
   py::class_<MeshImage, KeyFrame>(m, "MeshImage")
       .def(py::init(&make_mesh_image), "points"_a, "ground"_a, "mesh"_a, "parameters"_a);
   m.def("vote", &vote_on, "points"_a, "ground"_a, "T_world_lidar"_a, "key_frames"_a, "poses"_a,
-        "threads"_a = 0);
+        "threads"_a = 0, "earlier"_a = 0);
 }
 
 }  // namespace docdepth::bindings

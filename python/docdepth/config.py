@@ -17,7 +17,9 @@ from docdepth._parameter_text import check_key_frames, explain
 from docdepth._parameter_text import parse_settings as parse_settings
 from docdepth.errors import ConfigError
 
-Layer = Literal["class", "time", "range", "support", "std", "normal", "confidence"]
+Layer = Literal[
+    "class", "instance", "time", "range", "support", "std", "normal", "confidence", "seen"
+]
 DepthFormat = Literal["png", "exr-half", "exr", "tiff", "npz", "npy"]
 
 Preset = Literal["default", "paper"]
@@ -185,10 +187,6 @@ class DynamicsParameters(_Stage):
         check_key_frames("fine", self.fine_spacing, self.fine_radius)
         check_key_frames("coarse", self.coarse_spacing, self.coarse_radius)
         return self
-
-    def voting(self) -> dict[str, Any]:
-        """The values that votes depend on: all but those that make classes of votes."""
-        return self.model_dump(exclude={"evidence"})
 
 
 class RenderParameters(_Stage):

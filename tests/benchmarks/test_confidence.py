@@ -26,11 +26,12 @@ def test_bins_and_fitted_constants_of_made_up_pixels():
     rng = np.random.default_rng(4)
     n = 200_000
     log_odds, edge = rng.normal(1, 1.5, n), rng.uniform(0, 1, n)
-    confidence = 1 / (1 + np.exp(-(1.5 + 0.7 * log_odds - 2.0 * edge)))
+    unseen = (rng.uniform(size=n) < 0.2).astype(np.float32)
+    confidence = 1 / (1 + np.exp(-(1.5 + 0.7 * log_odds - 2.0 * edge - 1.2 * unseen)))
     right = rng.uniform(size=n) < confidence
-    columns = {"log_odds": log_odds, "edge": edge, "confidence": confidence}
+    columns = {"log_odds": log_odds, "edge": edge, "confidence": confidence, "unseen": unseen}
     columns |= {"right": right, "error": 1 - confidence}
-    np.testing.assert_allclose(fit([columns, columns]), (1.5, 0.7, 2.0), atol=0.05)
+    np.testing.assert_allclose(fit([columns, columns]), (1.5, 0.7, 2.0, 1.2), atol=0.05)
     rows = reliability(joined({"a": columns, "b": columns}))
     assert sum(share for share, *_ in rows) == pytest.approx(1)
     for _, promised, kept, error in rows:
@@ -60,4 +61,4 @@ def test_the_benchmark_runs(tmp_path, capsys):
     assert (tmp_path / "plot.png").is_file()
     output = capsys.readouterr().out
     assert "within 5 % of the truth %" in output
-    assert "a, b, c = " in output
+    assert "a, b, c, d = " in output

@@ -71,11 +71,13 @@ def test_depth_maps_of_a_run_folder(raw_run, tmp_path) -> None:
     dataset = open_dataset(raw_run)
     check(dataset, "run")
     assert dataset.sweep(3).relative_time is not None
-    _check_depth(raw_run, run(raw_run, tmp_path / "run").path)
+    # Times of points pass through another unit, so that moving ones are a rounding apart: one step.
+    _check_depth(raw_run, run(raw_run, tmp_path / "run").path, step=1 / 256)
 
 
-def _check_depth(one: Path, two: Path) -> None:
+def _check_depth(one: Path, two: Path, step: float = 0) -> None:
     maps, again = _depth_maps(one), _depth_maps(two)
     assert len(maps) == len(again) > 8
     for a, b in zip(maps, again, strict=True):
-        np.testing.assert_array_equal(a, b)
+        np.testing.assert_allclose(a, b, rtol=0, atol=step)
+        assert (a == b).sum() >= (1 - 1e-5) * np.isfinite(a).sum()

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from docdepth.errors import InputError, RunError
+from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.geometry.track import Track
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.kitti_tracking import write_kitti_tracking
 from docdepth.io.tracks import COLUMNS, read_tracks, write_tracks
 from docdepth.synthetic import Drive, scene, sensor
 
@@ -24,7 +27,7 @@ def circling(kind="vehicle", number=7):
     poses[:, :3, :3] = turn @ rotation_exp((0.0, -0.05, 0.0))
     velocities = 8 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
     size, points = np.array([4.2, 1.8, 1.5]), np.array([9, 8, 7, 6])
-    return Track(number, kind, times, poses, velocities, size, points)
+    return Track(number, kind, times, poses, velocities, size, points, 0.01 * points)
 
 
 def test_a_track_is_interpolated_and_goes_on():
@@ -51,14 +54,14 @@ def test_tracks_are_read_as_they_were_written(tmp_path: Path):
         assert (read.id, read.kind) == (track.id, track.kind)
         np.testing.assert_array_equal(read.times, track.times)
         np.testing.assert_array_equal(read.points, track.points)
-        for name in ("poses", "velocities", "size"):
+        for name in ("poses", "velocities", "size", "deviations"):
             np.testing.assert_allclose(getattr(read, name), getattr(track, name), atol=1e-3)
 
 
 @pytest.mark.parametrize(
     "content",
-    ["", "frame,id\n0,1\n", "\xff", ",".join(COLUMNS) + "\n0,0,1,lorry" + ",1" * 12 + "\n",
-     ",".join(COLUMNS) + "\n0,0,1,vehicle" + ",nan" * 11 + ",1\n"],
+    ["", "frame,id\n0,1\n", "\xff", ",".join(COLUMNS) + "\n0,0,1,lorry" + ",1" * 13 + "\n",
+     ",".join(COLUMNS) + "\n0,0,1,vehicle" + ",nan" * 12 + ",1\n"],
 )  # fmt: skip
 def test_files_that_are_no_tracks_are_refused(tmp_path: Path, content):
     path = tmp_path / "tracks.csv"
@@ -73,7 +76,8 @@ def test_files_that_are_no_tracks_are_refused(tmp_path: Path, content):
 def test_wrong_tracks_are_refused():
     track = circling()
     for changed in ({"id": 0}, {"id": 1 << 16}, {"kind": "lorry"}, {"size": np.zeros(3)},
-                    {"times": track.times[::-1]}, {"points": track.points[1:]}):  # fmt: skip
+                    {"times": track.times[::-1]}, {"points": track.points[1:]},
+                    {"deviations": track.deviations[1:]}):  # fmt: skip
         fields = {name: getattr(track, name) for name in track.__dataclass_fields__} | changed
         with pytest.raises(InputError):
             Track(**fields)
@@ -92,3 +96,55 @@ def test_exact_tracks_hold_the_points_of_their_objects():
         assert (np.abs(inside - (0, 0, 0.5 * track.size[2])) <= limit).all()
         found += len(own)
     assert found > 300
+
+
+def kitti_corners(row):
+    """Corners of a label in the camera frame, by the devkit's formula (its readme, and
+    computeBox3D.m)."""
+    height, width, length, *place, turn = map(float, row[10:17])
+    x = length / 2 * np.array([1, 1, -1, -1, 1, 1, -1, -1])
+    y = height * np.array([0, 0, 0, 0, -1, -1, -1, -1])
+    z = width / 2 * np.array([1, -1, -1, 1, 1, -1, -1, 1])
+    rotation = np.array(
+        [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
+    )
+    return (rotation @ [x, y, z]).T + place
+
+
+def test_boxes_are_labels_of_kittis_tracking_benchmark(tmp_path: Path):
+    """A level car, seen from a level camera that looks along x from 20 m behind it."""
+    camera = Camera(np.array([[700.0, 0, 600], [0, 700, 180], [0, 0, 1]]), 1242, 375)
+    T_world_camera = np.eye(4)
+    T_world_camera[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    T_world_camera[:3, 3] = (-20, 0, 1.6)
+    away = T_world_camera.copy()
+    away[:3, :3] = T_world_camera[:3, :3] @ np.diag([-1.0, 1, -1])  # looks back
+    tracks = [circling("person", 9), circling()]
+    for track in tracks:
+        track.poses[:, :3, :3] = rotation_exp((0.3 * np.arange(4))[:, None] * (0.0, 0.0, 1.0))
+    stamps = np.array([0, 50, 150, 420]) * 1_000_000
+    poses = Trajectory(stamps, np.array([T_world_camera, T_world_camera, away, T_world_camera]))
+    path = tmp_path / "tracks.txt"
+    write_kitti_tracking(path, tracks, camera, poses, np.array([3, 5, 6, 7]))
+    rows = [line.split() for line in path.read_text().splitlines()]
+    assert [row[:5] for row in rows] == [
+        ["3", "7", "Car", "0", "3"],
+        ["3", "9", "Pedestrian", "0", "3"],
+        ["5", "7", "Car", "0", "3"],
+        ["5", "9", "Pedestrian", "0", "3"],
+    ]
+    for row, time in ((rows[0], stamps[0]), (rows[2], stamps[1])):
+        assert len(row) == 17
+        box = tracks[1].size * [[a, b, c] for a in (-0.5, 0.5) for b in (-0.5, 0.5) for c in (0, 1)]
+        pose = np.linalg.inv(T_world_camera) @ tracks[1].pose_at(time)
+        exact = box @ pose[:3, :3].T + pose[:3, 3]
+        corners = kitti_corners(row)
+        distances = np.linalg.norm(corners[:, None] - exact, axis=2)
+        np.testing.assert_allclose(distances.min(1), 0, atol=1e-3)
+        front = exact[4:].mean(0) - exact[:4].mean(0)  # the corners of the formula begin in front
+        assert (corners[[0, 1]].mean(0) - corners[[2, 3]].mean(0)) @ front > 0
+        pixels = exact / exact[:, 2:] @ camera.K[:2].T
+        np.testing.assert_allclose(list(map(float, row[6:8])), pixels.min(0), atol=1e-2)
+        np.testing.assert_allclose(list(map(float, row[8:10])), pixels.max(0), atol=1e-2)
+        x, z, turn, alpha = (float(row[k]) for k in (13, 15, 16, 5))
+        assert alpha == pytest.approx(turn - np.arctan2(x, z), abs=1e-3)

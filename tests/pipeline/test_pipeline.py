@@ -12,9 +12,9 @@ import pytest
 
 from command_line import cli
 from docdepth.datasets import open_dataset
-from docdepth.dynamics import voting
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.tracks import read_tracks
 from docdepth.pipeline import classify as classes
 from docdepth.pipeline import depth_files
 from docdepth.visualization import pictures as visualize
@@ -35,11 +35,16 @@ def test_outputs_of_a_run(drive, finished):
         assert depth.shape == (375, 1242)
         assert (depth > 0).mean() > 0.2
         assert (run / "report" / f"{name}.jpg").is_file()
+    tracks = {track.id for track in read_tracks(run / "tracks.csv")}
+    assert tracks
     for sweep in sorted((drive / "velodyne").glob("*.bin")):
         rows = sweep.stat().st_size // 16
         labels = np.fromfile(run / "labels" / f"{sweep.stem}.label", np.uint32)
         assert len(labels) == rows
-        assert set(np.unique(labels)) <= {9, 251}
+        assert set(np.unique(labels & 0xFFFF)) <= {9, 251}
+        followed = labels[labels >> 16 > 0]
+        assert set((followed & 0xFFFF).tolist()) <= {251}
+        assert set((followed >> 16).tolist()) <= tracks
     for name in ("traj_odometry.ply", "traj_camera.ply", "calib.json", "calib_lidar_ref_cam.txt"):
         assert (run / name).is_file()
     assert not list(run.rglob("*.part"))
@@ -77,29 +82,6 @@ def test_interrupted_run_goes_on_and_ends_the_same(drive, finished, tmp_path, mo
     for folder in ("frames", "labels", "depth"):
         for path in sorted((finished[0] / folder).iterdir()):
             assert path.read_bytes() == (run / folder / path.name).read_bytes(), path.name
-
-
-def test_votes_are_kept_when_only_their_use_changes(finished, tmp_path, monkeypatch):
-    kept, again = tmp_path / "kept", tmp_path / "again"
-    asked = []
-    vote = voting.vote
-
-    def counted(*arguments, **named):
-        asked.append(1)
-        return vote(*arguments, **named)
-
-    monkeypatch.setattr(voting, "vote", counted)
-    for run in (kept, again):
-        shutil.copytree(finished[0], run)
-    assert cli("classify", kept, "--set", "dynamics.evidence=objects").exit_code == 0
-    assert not asked
-    # The same from votes that are cast anew: a change there and back.
-    assert cli("classify", again, "--set", "dynamics.tolerance=0.3").exit_code == 0
-    settings = ("--set", "dynamics.evidence=objects", "--set", "dynamics.tolerance=0.2")
-    assert cli("classify", again, *settings).exit_code == 0
-    assert len(asked) == 2 * FRAMES
-    for path in sorted((kept / "frames").iterdir()):
-        assert path.read_bytes() == (again / "frames" / path.name).read_bytes()
 
 
 def test_several_cameras_in_several_formats(drive, finished, tmp_path):

@@ -263,7 +263,8 @@ def test_status_tells_the_state_and_why(root):
         assert stage["seconds"] > 0
     frames = sum(p.stat().st_size for p in (root / "run" / "frames").iterdir())
     labels = sum(p.stat().st_size for p in (root / "run" / "labels").iterdir())
-    assert by_name["classify"]["size"] == frames + labels
+    tracks = (root / "run" / "tracks.csv").stat().st_size
+    assert by_name["classify"]["size"] == frames + labels + tracks
     (root / "run" / "labels" / "000001.label").unlink()
     text = " ".join(cli("status", root / "run").stdout.split())
     assert "classify incomplete 3/4" in text

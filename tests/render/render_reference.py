@@ -6,8 +6,10 @@ import numpy as np
 
 from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.frame import Frame
+from docdepth.render.moving_objects import objects_of
 from docdepth.render.selection import dynamic_frame, static_frames
 
 # Camera axes in the LiDAR frame: x right = -y, y down = -z, z forward = x.
@@ -25,6 +27,25 @@ def straight(n, spacing=1.0, dt=100_000_000):
     poses = np.repeat(np.eye(4)[None], n, axis=0)
     poses[:, 0, 3] = np.arange(n) * spacing
     return Trajectory(np.arange(n) * dt, poses)
+
+
+def moving_track(trajectory, position, velocity, size, of=1, kind="vehicle"):
+    """A track that moves straight on: ``position`` at the first stamp."""
+    seconds = (trajectory.times - trajectory.times[0]) * 1e-9
+    poses = np.repeat(np.eye(4)[None], len(seconds), axis=0)
+    poses[:, :3, 3] = np.asarray(position) + seconds[:, None] * np.asarray(velocity, float)
+    velocities = np.repeat(np.asarray(velocity, float)[None], len(seconds), axis=0)
+    points = np.zeros(len(seconds), np.int64)
+    size = np.asarray(size, float)
+    return Track(of, kind, trajectory.times, poses, velocities, size, points, 0.0 * points)
+
+
+def followed(points, classid, index, trajectory, track, parameters=None, time_offset=None):
+    """The frame of a sweep whose dynamic points are all of one track."""
+    instance = np.where(classid >= 100, track.id, 0).astype(np.uint16)
+    pose, time = trajectory.poses[index], int(trajectory.times[index])
+    of = objects_of(points, classid, time, pose, instance, {track.id: track}, time_offset)
+    return Frame(points, classid, parameters, time_offset, objects=of)
 
 
 def reference(camera, clouds):

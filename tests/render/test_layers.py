@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, PAPER, TRIANGLES, drive, small_camera, straight
+from render_reference import (
+    AXES,
+    PAPER,
+    TRIANGLES,
+    drive,
+    followed,
+    moving_track,
+    small_camera,
+    straight,
+)
 
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.layers import _CONFIDENCE, LAYERS, compose_layers, confidence
-from docdepth.render.selection import DYNAMIC_FRAMES, static_frames
+from docdepth.render.selection import static_frames
 
-OF_SPLATS = tuple(name for name in LAYERS if name != "normal")
+OF_SPLATS = tuple(name for name in LAYERS if name not in ("normal", "instance", "seen"))
 GROUND, WALL = -1.7, 25.0
 
 
@@ -91,14 +100,15 @@ def sweep_at(x, box_at=None):
 def street(box=False):
     trajectory, time = straight(5), 50_000_000
     sweeps = [sweep_at(float(i), 10.0 + i if box else None) for i in range(5)]
-    frames = [Frame(points, classid, TRIANGLES) for points, classid in sweeps]
+    track = moving_track(trajectory, (10.5, 0, -1.2), (10, 0, 0), (1, 2, 1.4), of=7)
+    frames = [followed(*seen, i, trajectory, track, TRIANGLES) for i, seen in enumerate(sweeps)]
     camera = Camera(np.array([[200.0, 0, 160], [0, 200, 50], [0, 0, 1]]), 320, 120)
     scene = (camera, AXES, trajectory, time, frames.__getitem__, TRIANGLES)
-    return scene, compose_depth(*scene)
+    return scene, compose_depth(*scene, tracks={7: track}), {7: track}
 
 
 def test_layers_of_an_exact_street():
-    scene, depth = street()
+    scene, depth, _ = street()
     _, _, trajectory, time, *_ = scene
     found, again = (compose_layers(LAYERS, depth, *scene, threads=t) for t in (1, 3))
     for name in LAYERS:
@@ -132,19 +142,23 @@ def test_layers_of_an_exact_street():
 
 
 def test_support_of_a_moving_box_comes_from_dynamic_points():
-    scene, depth = street(box=True)
-    found = compose_layers(("class", "support", "range"), depth, *scene)
+    scene, depth, tracks = street(box=True)
+    names = ("class", "instance", "support", "range")
+    found = compose_layers(names, depth, *scene, tracks=tracks)
     box = np.abs(depth - 10.0) < 0.2
     box &= found["class"] == 100
     assert box.sum() > 200
-    assert found["support"][box].max() == DYNAMIC_FRAMES
-    assert (found["support"][box] == DYNAMIC_FRAMES).mean() > 0.5
+    # All five sweeps saw the box: those around the image, and one more.
+    assert found["support"][box].max() == 5
+    assert (found["support"][box] == 5).mean() > 0.5
+    assert (found["instance"][box] == 7).all()
+    assert (found["instance"][found["class"] != 100] == 0).all()
     # The box stays 10 m ahead of the sensor.
     assert np.abs(found["range"][box] - 10).max() < 1
 
 
 def test_unknown_layers_are_refused():
-    scene, depth = street()
+    scene, depth, _ = street()
     with pytest.raises(InputError, match="unknown layer 'colour'; there are class,"):
         compose_layers(("colour",), depth, *scene)
     with pytest.raises(InputError, match="of shape \\(120, 320\\)"):
@@ -170,8 +184,9 @@ def test_confidence_equals_its_formula():
                     known.append(near[v - dv, u - du] + near[v + dv, u + du] - 2 * near[v, u])
             known = [abs(k) / near[v, u] for k in known if np.isfinite(k)]
             bend[v, u] = max(known) if known else 1
-    a, b, c = _CONFIDENCE["triangles"]
-    found = confidence(depth, support, measures)
+    seen = rng.integers(0, 3, depth.shape).astype(np.uint8)
+    a, b, c, d = _CONFIDENCE["triangles"]
+    found = confidence(depth, support, measures, seen)
     for v in range(20):
         for u in range(30):
             if np.isnan(depth[v, u]):
@@ -181,7 +196,7 @@ def test_confidence_equals_its_formula():
             edge = np.log10(min(max(worst, 1e-3), 1)) / 3 + 1
             s, m = int(support[v, u]), int(measures[v, u])
             odds = max((s + 0.25) / (m - s + 1), 0.25)
-            expected = 1 / (1 + np.exp(-(a + b * np.log(odds) - c * edge)))
+            expected = 1 / (1 + np.exp(-(a + b * np.log(odds) - c * edge - d * (seen[v, u] != 1))))
             assert found[v, u] == pytest.approx(expected, abs=2e-4)
 
 

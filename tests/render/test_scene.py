@@ -13,9 +13,12 @@ from render_reference import AXES, PAPER, TRIANGLES, small_camera, straight
 from command_line import cli
 from docdepth.config import Parameters, parameters
 from docdepth.datasets import CameraStream, Sweep, open_dataset
+from docdepth.dynamics.classes import Labels
+from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.render_plan import tracks_of
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.scene import Scene, render_depth, render_layers
@@ -36,8 +39,13 @@ def scene_of(run, drive):
         points[record.index], classes[record.index] = record.points, classid
         rig, times = raw.sensor_rig, raw.relative_time
         sweeps.append(Sweep(points, raw.name, raw.time, None, times, rig, motion_compensated=True))
-        labels.append(classes)
-    return Scene(sweeps, folder.trajectory(), labels, folder.parameters), recording
+        instance = np.zeros(len(raw.points), np.uint16)
+        if record.instance is not None:
+            instance[record.index] = record.instance
+        nobody = Votes(instance, instance)
+        labels.append(Labels(classes, nobody, instance))
+    tracks = list(tracks_of(folder).values())
+    return Scene(sweeps, folder.trajectory(), labels, folder.parameters, tracks), recording
 
 
 @pytest.mark.parametrize("preset", ["default", "paper"])
@@ -107,7 +115,7 @@ def asked_scene(count=60, render=TRIANGLES):
 def test_frames_are_made_when_needed_and_forgotten_when_not(render):
     near = render.model_copy(update={"ahead": 5.0, "behind": 2.0})
     scene, camera = asked_scene(render=near), camera_of([1_000_000_000, 1_020_000_000, 10**9 * 4])
-    needed = [needed_frames(scene.trajectory, int(t), near) for t in camera.times]
+    needed = [set(needed_frames(scene.trajectory, int(t), near)) for t in camera.times]
     assert scene.sweeps.asked == []
     render_depth(scene, camera, 0)
     assert sorted(scene.sweeps.asked) == sorted(needed[0])
@@ -117,7 +125,7 @@ def test_frames_are_made_when_needed_and_forgotten_when_not(render):
     assert sorted(scene.sweeps.asked) == sorted(needed[0]) + sorted(needed[1] - needed[0])
     render_depth(scene, camera, 2)
     assert set(scene.frames_at(int(camera.times[2]))) == needed[2]
-    assert set(scene._cache._frames) == needed[2]
+    assert {i for i, _ in scene._cache._frames} == needed[2]
 
 
 def test_images_from_many_threads():

@@ -43,14 +43,23 @@ class KeyFrame {
 /// How many key frames saw a surface at each point (statics) or through it (dynamics).
 struct Votes {
   std::vector<std::uint16_t> statics, dynamics;
+  /// 1 if the place was free, and was occupied in one stretch of time only, around the sweep. So it
+  /// is where something arrives, leaves or passes. Twigs and fences are found free and occupied in
+  /// turn.
+  std::vector<std::uint8_t> one_stay;
+  /// The first and the last key frame that found the place occupied; kNever if none did.
+  std::vector<std::uint16_t> first_occupied, last_occupied;
+  static constexpr std::uint16_t kNever = 0xffff;
 };
 
 /// Let every key frame vote on every point. Points that are no returns (not finite or at the
 /// origin) get no votes; ground points only from key frames that vote on ground.
 /// @param ground       one flag per point
+/// @param key_frames   in order of time
 /// @param T_world_key  pose of each key frame
+/// @param earlier      how many of them came before the sweep
 Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
            const std::vector<const KeyFrame*>& key_frames, const std::vector<Pose>& T_world_key,
-           int threads);
+           int threads, std::size_t earlier = 0);
 
 }  // namespace docdepth

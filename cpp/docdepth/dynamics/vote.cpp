@@ -82,6 +82,9 @@ class Batch {
     key_frame_->vote(points(), pixels_, statics + begin_, dynamics + begin_);
   }
 
+  std::size_t begin() const { return begin_; }
+  std::size_t end() const { return begin_ + size_; }
+
  private:
   QueryPoints points() const { return {size_, x_, y_, z_, range_, ground_}; }
 
@@ -93,20 +96,61 @@ class Batch {
   std::int32_t pixels_[QueryPoints::kMax];
 };
 
+/// What key frames, one after the other, found at a place.
+constexpr std::uint16_t kNothing = 0, kFree = 1, kOccupied = 2, kLeft = 3, kInTurn = 4;
+
+inline std::uint16_t after_free(std::uint16_t stay) {
+  return stay == kOccupied ? kLeft : stay == kNothing ? kFree : stay;
+}
+inline std::uint16_t after_occupied(std::uint16_t stay) {
+  return stay <= kOccupied ? kOccupied : kInTurn;
+}
+
+/// The votes on points so far, and what they say in order of time.
+struct Tally {
+  std::vector<std::uint16_t> statics, dynamics, seen_statics, seen_dynamics, stays, first, last;
+
+  explicit Tally(std::size_t count)
+      : statics(count),
+        dynamics(count),
+        seen_statics(count),
+        seen_dynamics(count),
+        stays(count),
+        first(count, Votes::kNever),
+        last(count, Votes::kNever) {}
+
+  /// Take note of the votes of a key frame on [begin, end).
+  void note(std::size_t begin, std::size_t end, std::uint16_t key_frame) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const bool occupied = statics[i] != seen_statics[i], free = dynamics[i] != seen_dynamics[i];
+      seen_statics[i] = statics[i], seen_dynamics[i] = dynamics[i];
+      if (occupied) stays[i] = after_occupied(stays[i]), last[i] = key_frame;
+      if (occupied && first[i] == Votes::kNever) first[i] = key_frame;
+      if (free) stays[i] = after_free(stays[i]);
+    }
+  }
+  /// The sweep itself found all its points occupied.
+  void note_sweep(std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) stays[i] = after_occupied(stays[i]);
+  }
+};
+
 }  // namespace
 
 Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
            const std::vector<const KeyFrame*>& key_frames, const std::vector<Pose>& T_world_key,
-           int threads) {
+           int threads, std::size_t earlier) {
   if (key_frames.size() != T_world_key.size())
     throw std::invalid_argument("vote needs one pose for each key frame");
   const auto count = static_cast<std::size_t>(points.rows());
-  Votes votes{std::vector<std::uint16_t>(count), std::vector<std::uint16_t>(count)};
+  Votes votes{std::vector<std::uint16_t>(count), std::vector<std::uint16_t>(count),
+              std::vector<std::uint8_t>(count), std::vector<std::uint16_t>(count, Votes::kNever),
+              std::vector<std::uint16_t>(count, Votes::kNever)};
   std::vector<RigidTransform> T_key_query;
   for (const Pose& pose : T_world_key) T_key_query.emplace_back(between(pose, T_world_lidar));
 
   const auto vote_on = [&](const BlockPoints& query, bool of_ground) {
-    std::vector<std::uint16_t> statics(query.size()), dynamics(query.size());
+    Tally tally(query.size());
     const std::size_t batch_count = (query.size() + QueryPoints::kMax - 1) / QueryPoints::kMax;
     Batch batches[2];
     for (std::size_t n = 0; n <= batch_count * key_frames.size(); ++n) {
@@ -115,11 +159,18 @@ Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
       if (n < batch_count * key_frames.size())
         next.find(query, n % batch_count * QueryPoints::kMax, *key_frames[n / batch_count],
                   T_key_query[n / batch_count], of_ground);
-      if (n > 0) last.vote(statics.data(), dynamics.data());
+      if (n == 0) continue;
+      last.vote(tally.statics.data(), tally.dynamics.data());
+      if ((n - 1) / batch_count == earlier) tally.note_sweep(last.begin(), last.end());
+      tally.note(last.begin(), last.end(), std::uint16_t((n - 1) / batch_count));
     }
+    if (earlier >= key_frames.size()) tally.note_sweep(0, query.size());
     for (std::size_t i = 0; i < query.size(); ++i) {
-      votes.statics[query.index[i]] = statics[i];
-      votes.dynamics[query.index[i]] = dynamics[i];
+      votes.statics[query.index[i]] = tally.statics[i];
+      votes.dynamics[query.index[i]] = tally.dynamics[i];
+      votes.one_stay[query.index[i]] = tally.dynamics[i] > 0 && tally.stays[i] != kInTurn;
+      votes.first_occupied[query.index[i]] = tally.first[i];
+      votes.last_occupied[query.index[i]] = tally.last[i];
     }
   };
   const bool with_ground = !key_frames.empty() && key_frames.front()->votes_on_ground();

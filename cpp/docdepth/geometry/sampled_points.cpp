@@ -42,6 +42,17 @@ std::pair<float, std::size_t> nearest(const SampledPoints& points, const Vector&
   return found;
 }
 
+/// Call visit(i, number of its voxel) for each point; voxels are numbered as they come.
+template <class Visit>
+void for_each_voxel(const SampledPoints& points, float size, const Visit& visit) {
+  KeyNumbers number_of(points.size());
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const Vector& p = points[i];
+    visit(i, number_of[voxel_key(voxel_coordinate(p.x(), size), voxel_coordinate(p.y(), size),
+                                 voxel_coordinate(p.z(), size))]);
+  }
+}
+
 }  // namespace
 
 Extent extent_of(const SampledPoints& points) {
@@ -64,22 +75,27 @@ std::int64_t voxel_coordinate(float value, float size) {
 }
 
 SampledPoints downsample(const SampledPoints& points, float size) {
-  KeyNumbers number_of(points.size());
   SampledPoints sums;
   std::vector<float> counts;
-  for (const Vector& p : points) {
-    const auto number =
-        number_of[voxel_key(voxel_coordinate(p.x(), size), voxel_coordinate(p.y(), size),
-                            voxel_coordinate(p.z(), size))];
+  for_each_voxel(points, size, [&](std::size_t i, std::size_t number) {
     if (number == sums.size()) {
       sums.push_back(Vector::Zero());
       counts.push_back(0);
     }
-    sums[number] += p;
+    sums[number] += points[i];
     ++counts[number];
-  }
+  });
   for (std::size_t i = 0; i < sums.size(); ++i) sums[i] /= counts[i];
   return sums;
+}
+
+SampledSurface downsample(const SampledSurface& surface, float size) {
+  SampledSurface result{downsample(surface.points, size), {}};
+  result.normals.assign(result.points.size(), Vector::Zero());
+  for_each_voxel(surface.points, size, [&](std::size_t i, std::size_t number) {
+    result.normals[number] += surface.normals[i];
+  });
+  return result;
 }
 
 SampledPoints downsample(const SampledPoints& points, float size, std::size_t most) {
@@ -116,13 +132,18 @@ Vector most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float
 }
 
 bool refine_shift(const SampledPoints& a, const SampledPoints& b, Vector& shift) {
+  if (b.empty()) return false;
+  SampledPoints moved(a.size());
   for (const float radius : kRefineRadii) {
+    for (std::size_t i = 0; i < a.size(); ++i) moved[i] = a[i] + shift;
     Vector sum = Vector::Zero();
     std::size_t count = 0;
-    for (const Vector& p : a) {
-      const auto [squared, i] = nearest(b, p + shift);
+    for (std::size_t i = 0; i < moved.size(); ++i) {
+      const auto [squared, partner] = nearest(b, moved[i]);
       if (squared > radius * radius) continue;
-      sum += b[i] - (p + shift);
+      // What is hidden by now would pull towards the edge of what is not.
+      if (nearest(moved, b[partner]).second != i) continue;
+      sum += b[partner] - moved[i];
       ++count;
     }
     if (!count) return false;

@@ -43,11 +43,20 @@ SampledPoints downsample(const SampledPoints& points, float size);
 /// The same with voxels that grow until there are at most `most` means.
 SampledPoints downsample(const SampledPoints& points, float size, std::size_t most);
 
+/// Points of a surface with its normals, of any length; zero where the normal is unknown.
+struct SampledSurface {
+  SampledPoints points, normals;
+};
+
+/// The same for points and normals.
+SampledSurface downsample(const SampledSurface& surface, float size);
+
 /// The horizontal shift up to `reach` that explains most of the differences b - a.
 Eigen::Vector3f most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach);
 
-/// Refine a shift so that the points of a fall onto the nearest points of b (horizontal ICP).
-/// @return false if no point of b is near
+/// Refine a shift so that points of a and b that are each other's nearest coincide (horizontal
+/// ICP).
+/// @return false if no two points are near
 bool refine_shift(const SampledPoints& a, const SampledPoints& b, Eigen::Vector3f& shift);
 
 /// Share of the shifted points that have one of `others` within `distance`.

@@ -7,6 +7,7 @@
 #include "docdepth/geometry/sampled_points.hpp"
 #include "docdepth/geometry/types.hpp"
 #include "docdepth/mesh/scan_mesh.hpp"
+#include "docdepth/objects/oriented_box.hpp"
 #include "docdepth/objects/parameters.hpp"
 
 namespace docdepth {
@@ -37,10 +38,11 @@ void add_isolated_points(const Points& points, const bool* ground, const std::ui
 /// Add points above the ground inside boxes of moving objects or inside dynamic voxels, unless many
 /// more of their votes are static than dynamic.
 ///
-/// @param boxes, voxels  in the world of T_world_lidar (TrackingResult)
+/// @param boxes, voxels  in the world of T_world_lidar (TrackedSweep)
 void add_points_inside(const Points& points, const bool* ground, const std::uint16_t* static_votes,
                        const std::uint16_t* dynamic_votes, const Pose& T_world_lidar,
-                       const std::vector<Extent>& boxes, const std::vector<std::uint64_t>& voxels,
-                       const ObjectParameters& parameters, std::vector<std::uint8_t>& dynamic);
+                       const std::vector<OrientedBox>& boxes,
+                       const std::vector<std::uint64_t>& voxels, const ObjectParameters& parameters,
+                       std::vector<std::uint8_t>& dynamic);
 
 }  // namespace docdepth

@@ -18,8 +18,18 @@ constexpr float kPieceDistanceGrowth = 0.03f;
 constexpr float kMaxObjectWidth = 25.0f;
 /// Isolated points this near to a dynamic object belong to it [m].
 constexpr float kObjectMargin = 0.2f;
+/// The place of an object was free if that of this share of its area was.
+constexpr float kMinFreeShare = 0.5f;
+/// Of an object that was always there edges seem free, at most this share of its area.
+constexpr float kFreeEdges = 0.15f;
+/// With a larger share of isolated returns it is porous: rays pass through twigs and fences.
+constexpr float kMaxIsolatedShare = 0.1f;
 /// An object is kept as at most this many samples.
 constexpr std::size_t kMaxSamples = 100;
+/// An object borders on what is this much nearer or farther [m]; that much apart are the samples of
+/// its borders [m], and so many are kept.
+constexpr float kMinBorderDepth = 0.5f, kBorderSpacing = 0.1f;
+constexpr std::size_t kMaxBorderSamples = 30;
 /// Spacing of the samples of objects wider than kMaxObjectWidth [m].
 constexpr float kWideSampleSpacing = 0.25f;
 
@@ -31,6 +41,10 @@ constexpr float kMinTrackedHeight = 0.15f;
 constexpr float kMinTrackedWidth = 0.3f;
 /// An object is searched this far around its predicted box [m].
 constexpr float kSearchMargin = 0.5f;
+/// Samples match exactly within this horizontal distance [m]: they are this far apart at most.
+constexpr float kLevelDistance = 0.2f;
+/// Weight of the samples that match beside those that match exactly: it decides between few.
+constexpr float kNearWeight = 0.1f;
 /// Share of an object's samples that have to match the track it belongs to.
 constexpr float kMinMemberShare = 0.6f;
 /// Share of min_distance that a track goes while votes call it dynamic.
@@ -40,30 +54,100 @@ constexpr float kSlow = 2;
 /// Slower objects stand; they may stay hidden for long [m/s].
 constexpr float kStanding = 0.5f;
 
+/// No road user speeds up, brakes or bends its path harder [m/s^2].
+constexpr float kMaxAcceleration = 8;
+/// Less than this share of an object's area is a part of it.
+constexpr float kPartialShare = 0.5f;
+/// How wrong a shift may be [m]; far away as much as rays are apart [rad]: 0.3 degrees.
+constexpr float kShiftError = 0.15f, kRaySpacing = 0.005f;
+
 // --- Motion of a track ---
 
 /// One object never looks larger than its size times the factor, plus the margin [m].
 constexpr float kMaxSizeFactor = 1.5f, kMaxSizeMargin = 0.5f;
-/// A velocity is the mean of this many pairs of observations before and after.
-constexpr std::size_t kVelocityPairs = 3;
+/// A track supports as much static area as was passing in one sweep, or in all sweeps together
+/// divided by this.
+constexpr float kTotalSupportDivisor = 8;
 /// The box of a standing object is collected over this many times the window.
 constexpr double kStandingWindowFactor = 3;
-/// A track supports as many static points as it had dynamic points in one sweep, or as in all
-/// sweeps together divided by this.
-constexpr std::size_t kTotalSupportDivisor = 8;
+/// Objects this wide in this share of their observations are rigid [m]: wider than a person.
+constexpr float kMinRigidWidth = 1.4f;
+constexpr double kRigidQuantile = 0.75;
+/// How exactly a shift from sweep to sweep, and the height of the lowest point, tell the position
+/// [m].
+constexpr double kShiftDeviation = 0.08, kHeightDeviation = 0.15;
+/// How much a road user changes its acceleration in a second [m/s^2]: firm braking is 4. Roads
+/// bend far less up and down.
+constexpr double kHorizontalChange = 3, kVerticalChange = 0.3;
+/// How much it changes its rate of turn in a second [rad/s^2].
+constexpr double kTurnChange = 1;
+/// This share of it remains when it stands: more cannot be told from noise.
+constexpr double kStandingTurn = 0.02;
+/// Before anything is known of it: speed [m/s], acceleration [m/s^2] and rate of turn [rad/s].
+constexpr double kFastest = 20, kStrongest = 3, kStrongestTurn = 0.5;
+/// How exactly the shifts tell the speed [m/s].
+constexpr double kShiftSpeedDeviation = 3;
+/// Measurements farther from the expected place are outliers [standard deviations]; they count
+/// this many times less.
+constexpr double kGate = 4, kOutlierFactor = 100;
+/// An object has surely moved by what it moved less so many standard deviations.
+constexpr double kSureDeviations = 2;
+/// Above this speed an object's motion tells its heading [m/s]; a person's at half of it.
+constexpr double kMinHeadingSpeed = 1.5;
+/// No road is steeper [rad]: 20 degrees.
+constexpr double kSteepest = 0.35;
 
-// --- Whether a place was free while the object was elsewhere ---
+// --- Registration of the surfaces of a track ---
 
-/// Samples farther from the box of the object are outside of it [m].
-constexpr float kOutsideMargin = 0.1f;
-/// An observation is elsewhere if this share of the samples lies outside of its box.
-constexpr float kMinOutsideShare = 0.7f;
-/// A sample is occupied by a static object within this distance [m].
-constexpr float kOccupiedDistance = 0.25f;
-/// A place is occupied if this share of its samples is.
-constexpr float kMinOccupiedShare = 0.4f;
-/// Every second observation is tested, and at most ten.
-constexpr std::size_t kFreeTestStride = 2, kMaxFreeTests = 10;
+/// Partners are looked for within these distances, step by step [m].
+constexpr float kRegistrationRadii[] = {0.6f, 0.6f, 0.4f, 0.3f, 0.3f};
+/// Distance of samples from the plane of their partners [m]. It is that of noise and curvature,
+/// times ten, since neighbouring samples err alike.
+constexpr double kResidualDeviation = 0.2;
+/// From the middle of a car to its ends [m], which a wrong heading displaces.
+constexpr double kHalfLength = 2;
+/// An object ends where its outermost edge is, if it is no farther inside than this [m].
+constexpr float kEndMargin = 0.1f;
+/// Seen from the side, the ends of an object are known this exactly [m]: its side is seen if this
+/// share of its samples faces there.
+constexpr double kEndDeviation = 0.1;
+constexpr float kMinSideShare = 0.3f;
+/// Ends that are farther apart or closer than they should by more than this are those of a piece
+/// [m].
+constexpr float kMaxLengthError = 0.5f;
+/// Weight of the horizontal distance between partners, beside their distance across the surface.
+constexpr double kPointWeight = 0.003, kLonePointWeight = 0.1;
+/// How exactly a guess tells the position [m] and the heading [rad].
+constexpr double kGuessDeviation = 0.3, kGuessHeadingDeviation = 0.05;
+/// Where a surface tells nothing: position [m] and heading [rad].
+constexpr double kUnknownPosition = 10, kUnknownHeading = 1;
+/// Surfaces are known this exactly at best [m].
+constexpr double kSurfaceDeviation = 0.02;
+/// A registration fails if a smaller share of the samples finds partners.
+constexpr float kMinRegisteredShare = 0.5f;
+/// After so many observations that lie beside the model a track goes on with something else.
+constexpr std::size_t kMaxMisses = 3;
+/// A model has at most so many voxels along the object.
+constexpr float kModelVoxels = 40;
+/// Part of an object is what so many sweeps saw,
+constexpr int kMinHits = 3;
+/// but for the outermost samples.
+constexpr double kExtentQuantile = 0.99;
+
+/// Smaller parts of a match than this share of the area of another one are its fragments.
+constexpr float kFragmentShare = 0.25f;
+/// Two parts belong together if their shares that are passing differ by less than this factor.
+constexpr float kTogetherShare = 0.35f;
+/// An object that is never seen to move stands where for so long [s] this share of it was free, in
+/// the mean.
+constexpr double kFreeWindow = 2;
+constexpr float kMeanFreeShare = 0.4f;
+/// A vehicle is at least this wide from any side, and this high [m].
+constexpr float kMinVehicleWidth = 0.5f, kMinVehicleHeight = 0.6f;
+/// Longer than a motorcycle with its rider [m].
+constexpr float kMinRailLength = 2.5f;
+/// An object that is less far from where it was stands at the same place [m].
+constexpr float kSamePlace = 0.5f;
 
 // --- Dynamic voxels ---
 

@@ -1,50 +1,123 @@
 #include "docdepth/objects/detections.hpp"
 
+#include <algorithm>
+#include <cmath>
+
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/objects/constants.hpp"
 
 namespace docdepth {
 namespace {
 
-/// Samples of samples where downsample(points, size, most) would start from the points again: much
-/// faster, and as even.
-SampledPoints sample(const SampledPoints& points, const Extent& box) {
-  if (box.width() > kMaxObjectWidth) return downsample(points, kWideSampleSpacing);
+using Vector = Eigen::Vector3f;
+
+/// Samples of samples where each size would start from the points again: much faster, and as even.
+SampledSurface sample(const SampledSurface& surface, const Extent& box) {
+  if (box.width() > kMaxObjectWidth) return downsample(surface, kWideSampleSpacing);
   float size = kSampleSpacing;
-  SampledPoints samples = downsample(points, size);
-  while (samples.size() > kMaxSamples) samples = downsample(samples, size *= kSampleSpacingGrowth);
+  SampledSurface samples = downsample(surface, size);
+  while (samples.points.size() > kMaxSamples)
+    samples = downsample(samples, size *= kSampleSpacingGrowth);
   return samples;
+}
+
+std::int32_t median(std::vector<std::int32_t>& values) {
+  const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+/// Normals at the points above the ground, of any length.
+SampledPoints normals_of(const Points& points, const bool* ground, const ScanMesh& mesh) {
+  SampledPoints normals(points.rows(), Vector::Zero());
+  for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
+    const auto [i, j, k] = mesh.triangles[t];
+    if (mesh.discontinuity[t] || (ground[i] && ground[j] && ground[k])) continue;
+    const Vector p = points.row(i), q = points.row(j), r = points.row(k);
+    const Vector normal = (q - p).cross(r - p);
+    for (const auto corner : {i, j, k}) normals[corner] += normal;
+  }
+  return normals;
+}
+
+/// How each point borders on something else: bit 0 if farther, bit 1 if nearer.
+std::vector<std::uint8_t> borders_of(const Points& points, const PointEvidence& evidence,
+                                     const ScanMesh& mesh) {
+  std::vector<std::uint8_t> borders(points.rows());
+  for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
+    if (!mesh.discontinuity[t]) continue;
+    const auto& corners = mesh.triangles[t];
+    for (const auto i : corners)
+      for (const auto j : corners) {
+        if (evidence.ground[i] ||
+            (!evidence.ground[j] && evidence.objects[i] == evidence.objects[j]))
+          continue;
+        const float farther = points.row(j).norm() - points.row(i).norm();
+        if (std::fabs(farther) >= kMinBorderDepth) borders[i] |= farther > 0 ? 1 : 2;
+      }
+  }
+  return borders;
 }
 
 }  // namespace
 
-Detections detect_objects(const Points& points, const bool* ground, const std::uint32_t* objects,
-                          const bool* dynamic, const Pose& T_world_lidar) {
+Detections detect_objects(const Points& points, const PointEvidence& evidence, const ScanMesh& mesh,
+                          const Pose& T_world_lidar) {
+  const auto& [ground, objects, dynamic, one_stay, first_occupied, last_occupied, time_offset] =
+      evidence;
   const auto count = static_cast<std::uint32_t>(points.rows());
   constexpr std::uint32_t kUnseen = 0xffffffff;
   std::vector<std::uint32_t> size(count, 0), number(count, kUnseen);
   for (std::uint32_t i = 0; i < count; ++i)
     if (!ground[i]) ++size[objects[i]];
+  const SampledPoints normals = normals_of(points, ground, mesh);
+  const std::vector<std::uint8_t> borders = borders_of(points, evidence, mesh);
+  const Eigen::Matrix3f rotation = T_world_lidar.linear().cast<float>();
   Detections detections;
-  std::vector<SampledPoints> members;
+  std::vector<SampledSurface> members;
+  std::vector<std::vector<std::int32_t>> firsts, lasts;
+  std::vector<std::uint32_t> porous;  // isolated returns of each object
+  std::vector<std::uint8_t> isolated(count);
+  for (const auto i : mesh.isolated) isolated[i] = 1;
   const RigidTransform T(T_world_lidar);
   for (std::uint32_t i = 0; i < count; ++i) {
     const std::uint32_t first = objects[i];
     if (ground[i] || size[first] < kMinDetectionPoints) continue;
-    const Eigen::Vector3f p = T * Eigen::Vector3f(points(i, 0), points(i, 1), points(i, 2));
+    const Vector here = points.row(i), p = T * here;
     if (number[first] == kUnseen) {
       number[first] = static_cast<std::uint32_t>(detections.size());
-      detections.push_back({first, 0, 0, {p, p}, {}});
-      members.emplace_back().reserve(size[first]);
+      detections.emplace_back();
+      detections.back().first = first;
+      detections.back().box = {p, p};
+      members.emplace_back(), porous.push_back(0), firsts.emplace_back(), lasts.emplace_back();
     }
     Detection& object = detections[number[first]];
-    ++object.points;
-    object.dynamic += dynamic[i];
+    const float area = here.squaredNorm();
+    ++object.points, object.area += area;
+    if (dynamic[i]) ++object.dynamic, object.dynamic_area += area;
+    if (one_stay[i]) object.free_area += area;
+    porous[number[first]] += isolated[i];
+    if (time_offset) object.time_offset += time_offset[i];
     object.box.add({p, p});
-    members[number[first]].push_back(p);
+    firsts[number[first]].push_back(first_occupied[i]);
+    lasts[number[first]].push_back(last_occupied[i]);
+    if (borders[i] == 1) object.edges.push_back(p);
+    if (borders[i] & 2) object.hidden.push_back(p);
+    members[number[first]].points.push_back(p);
+    members[number[first]].normals.push_back(rotation * normals[i]);
   }
-  for (std::size_t k = 0; k < detections.size(); ++k)
-    detections[k].samples = sample(members[k], detections[k].box);
+  for (std::size_t k = 0; k < detections.size(); ++k) {
+    detections[k].time_offset /= float(detections[k].points);
+    if (float(porous[k]) > kMaxIsolatedShare * float(detections[k].points))
+      detections[k].free_area = 0;
+    detections[k].first_occupied = median(firsts[k]);
+    detections[k].last_occupied = median(lasts[k]);
+    for (SampledPoints* border : {&detections[k].edges, &detections[k].hidden})
+      *border = downsample(*border, kBorderSpacing, kMaxBorderSamples);
+    detections[k].surface = sample(members[k], detections[k].box);
+    for (Vector& normal : detections[k].surface.normals)
+      if (!normal.isZero(0)) normal.normalize();
+  }
   return detections;
 }
 

@@ -17,18 +17,15 @@ struct SampleCount {
 std::vector<std::uint64_t> voxels_of_sweep(std::size_t sweep,
                                            const std::vector<const Detections*>& detections,
                                            const std::vector<double>& times,
-                                           const std::vector<TrackingResult>& tracked,
+                                           const std::vector<TrackedSweep>& tracked,
                                            double window) {
   std::unordered_map<std::uint64_t, SampleCount> counts;
   for (const bool dynamic : {true, false})
     for (std::size_t i = 0; i < times.size(); ++i) {
       if (i == sweep || std::fabs(times[i] - times[sweep]) > window + kTimeTolerance) continue;
-      const auto& rows = tracked[i].objects;
       for (const Detection& object : *detections[i]) {
-        const bool is_dynamic =
-            object.is_dynamic() || std::binary_search(rows.begin(), rows.end(), object.first);
-        if (is_dynamic != dynamic) continue;
-        for (const Eigen::Vector3f& sample : object.samples) {
+        if ((object.is_dynamic() || tracked[i].claims(object.first)) != dynamic) continue;
+        for (const Eigen::Vector3f& sample : object.samples()) {
           if (dynamic) {
             ++counts[voxel_of(sample)].dynamic;
           } else if (const auto found = counts.find(voxel_of(sample)); found != counts.end()) {
@@ -56,7 +53,7 @@ std::uint64_t voxel_of(const Eigen::Vector3f& point) {
 
 std::vector<std::vector<std::uint64_t>> dynamic_voxels(
     const std::vector<const Detections*>& detections, const std::vector<double>& times,
-    const std::vector<TrackingResult>& tracked, double window, int threads) {
+    const std::vector<TrackedSweep>& tracked, double window, int threads) {
   std::vector<std::vector<std::uint64_t>> result(detections.size());
   if (!(window > 0)) return result;
   parallel_for(detections.size(), 1, threads, [&](std::size_t i, std::size_t) {

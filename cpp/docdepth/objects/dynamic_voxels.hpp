@@ -21,6 +21,6 @@ std::uint64_t voxel_of(const Eigen::Vector3f& point);
 /// @param window   sweeps within this time of a sweep are used [s]; 0 gives no voxels
 std::vector<std::vector<std::uint64_t>> dynamic_voxels(
     const std::vector<const Detections*>& detections, const std::vector<double>& times,
-    const std::vector<TrackingResult>& tracked, double window, int threads);
+    const std::vector<TrackedSweep>& tracked, double window, int threads);
 
 }  // namespace docdepth

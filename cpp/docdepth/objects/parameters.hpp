@@ -1,4 +1,4 @@
-// Parameters of clustering and of the classification of objects. Beyond the paper.
+// Parameters of clustering, of the classification of objects and of tracking. Beyond the paper.
 #pragma once
 
 namespace docdepth {
@@ -44,6 +44,22 @@ struct ObjectParameters {
   /// An isolated point inside a dynamic object belongs to it, if its static votes exceed its
   /// dynamic votes by at most this many.
   int isolated_votes = 2;
+};
+
+struct TrackParameters {
+  /// A track is dynamic if the votes call it dynamic in this many sweeps,
+  int min_detections = 3;
+  /// and if it went this far [m].
+  float min_distance = 1.0f;
+  /// Fastest road user [m/s].
+  float max_speed = 40.0f;
+  /// A moving object that is hidden for longer is lost [s].
+  float max_gap = 1.0f;
+  /// The same for a standing object [s].
+  float max_gap_standing = 5.0f;
+  /// The extent of an object, and the dynamic voxels of a sweep, come from the sweeps within this
+  /// time [s]. 0: only detections that belong to a track become dynamic.
+  double window = 0.3;
 };
 
 }  // namespace docdepth

@@ -2,247 +2,319 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
+#include <optional>
 
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/objects/constants.hpp"
 #include "docdepth/objects/dynamic_voxels.hpp"
-#include "docdepth/objects/track_motion.hpp"
+#include "docdepth/objects/tracker.hpp"
 
 namespace docdepth {
 namespace {
 
 using Vector = Eigen::Vector3f;
-using Flags = std::vector<std::uint8_t>;
 
-struct Track {
-  SampledPoints samples;  ///< of the last two observations: each may see another part
-  SampledPoints last;     ///< of the last observation
-  Vector largest;         ///< size of its objects
-  double time;
-  std::vector<TrackObservation> observations;
-  Vector velocity = Vector::Zero();
-  int dynamic = 1;               ///< observations that are dynamic by their votes
-  std::size_t last_dynamic = 0;  ///< the last of them
-
-  bool has_velocity() const { return observations.size() > 1; }
-};
-
-/// The continuation of a track in a sweep.
-struct Match {
-  float score = 0;
-  Vector shift = Vector::Zero();
-  std::vector<std::uint32_t> objects;
-  SampledPoints samples;
-  Extent box;
-  Vector largest;
-};
-
-bool can_be_tracked(const Detection& object) {
-  return object.box.size().z() >= kMinTrackedHeight && object.box.width() <= kMaxObjectWidth;
+/// Whether it is large and solid enough for what comes and goes without being seen to move. Pieces
+/// of walls that show behind something are flat.
+bool is_vehicle(const TrackPath& path) {
+  const Vector size = path.extent().size();
+  return path.is_rigid() && size.head<2>().minCoeff() >= kMinVehicleWidth &&
+         size.z() >= kMinVehicleHeight;
 }
 
-void append(SampledPoints& samples, const SampledPoints& more) {
-  samples.insert(samples.end(), more.begin(), more.end());
+/// Whether it is a long, thin thing that seems to go along itself. What is seen of a guard rail
+/// goes along with us, or with a car that hides the rest.
+bool is_rail(const TrackPath& path) {
+  const Vector size = path.extent().size();
+  return path.is_rigid() && size.x() >= kMinRailLength && size.y() < kMinVehicleWidth;
 }
 
-/// Tracks objects from sweep to sweep, forward or backward in time.
-class Tracker {
+/// A track and its path, and what both say about detections.
+class TrackEvidence {
  public:
-  Tracker(const std::vector<const Detections*>& detections, const std::vector<double>& times,
-          const TrackParameters& p)
-      : detections_(detections), times_(times), p_(p) {}
+  TrackEvidence(const Track& track, const TrackPath& path, const std::vector<double>& times,
+                const TrackParameters& p)
+      : track_(track), path_(path), times_(times), p_(p) {
+    float total = 0;
+    for (const TrackObservation& seen : track.observations) {
+      total += seen.passing_area;
+      supported_ = std::max({supported_, seen.passing_area, total / kTotalSupportDivisor});
+    }
+    std::size_t first = 0, last = track.observations.size() - 1;
+    while (first < last && path.deviation(first) > kSamePlace) ++first;
+    while (first < last && path.deviation(last) > kSamePlace) --last;
+    first_known_ = times[track.observations[first].sweep];
+    last_known_ = times[track.observations[last].sweep];
+  }
 
-  std::vector<Track> run(bool backward) {
-    const std::size_t count = detections_.size();
-    for (std::size_t k = 0; k < count; ++k) advance(backward ? count - 1 - k : k);
-    for (Track& track : alive_) done_.push_back(std::move(track));
-    return std::move(done_);
+  /// Whether it is known where the object is: it stays where it stands when it is last seen.
+  bool covers(double time) const {
+    return path_.covers(time) || (time < first_known_ && path_.speed(first_known_) < kStanding) ||
+           (time > last_known_ && path_.speed(last_known_) < kStanding);
+  }
+
+  /// Whether the object moves at some time: by its path, or as it was not there before or after.
+  bool moves() const {
+    if (track_.dynamic < p_.min_detections || is_rail(path_)) return false;
+    if (path_.distance(false) >= p_.min_distance &&
+        path_.distance(true) >= kMinVotedDistanceShare * p_.min_distance)
+      return true;
+    return is_vehicle(path_) && appears();
+  }
+
+  /// Whether it moved while the votes called it dynamic.
+  bool seen_to_move() const {
+    const auto& seen = track_.observations;
+    std::optional<Eigen::Vector2d> first;
+    double most = 0;
+    for (const TrackObservation& at : seen) {
+      if (!at.voted) continue;
+      const Eigen::Vector2d place = path_.pose(times_[at.sweep]).translation().head<2>();
+      if (!first) first = place;
+      most = std::max(most, (place - *first).norm());
+    }
+    return most >= p_.min_distance;
+  }
+
+  /// Whether the track makes a detection of a sweep dynamic.
+  bool claims(std::size_t sweep, const Detection& object, bool is_member) {
+    if (object.dynamic == object.points || object.box.width() < kMinTrackedWidth) return false;
+    if (object.area - object.dynamic_area > supported_) return false;
+    const double time = std::clamp(times_[sweep], first_known_, last_known_);
+    if (is_member) return was_free(object, time);
+    if (!lies_there(object, time) || !was_free(object, time)) return false;
+    // Where the track only passes, or is not seen any more, something else may stand.
+    const bool sure = path_.covers(times_[sweep]) && path_.speed(time) < kSlow;
+    return sure || object.free_area >= kFreeEdges * object.area;
   }
 
  private:
-  void advance(std::size_t sweep) {
-    const Detections& seen = *detections_[sweep];
-    Flags taken(seen.size());
-    for (std::size_t k = 0; k < seen.size(); ++k) taken[k] = !can_be_tracked(seen[k]);
-    // The longest track chooses first.
-    std::stable_sort(alive_.begin(), alive_.end(), [](const Track& a, const Track& b) {
-      return a.observations.size() > b.observations.size();
-    });
-    std::vector<Track> alive;
-    for (Track& track : alive_) {
-      const double dt = times_[sweep] - track.time;
-      Match match = find(track, track.samples, seen, taken, dt);
-      if (match.score == 0) match = find(track, track.last, seen, taken, dt);
-      if (match.score > 0) add(track, sweep, std::move(match), taken);
-      auto& to = std::fabs(times_[sweep] - track.time) <= max_gap(track) ? alive : done_;
-      to.push_back(std::move(track));
+  /// Whether for a while much of it was found where nothing was before or after.
+  bool appears() const {
+    const auto& seen = track_.observations;
+    float share = 0;
+    std::size_t first = 0;
+    for (std::size_t k = 0; k < seen.size(); ++k) {
+      share += seen[k].free_area / seen[k].area;
+      while (times_[seen[k].sweep] - times_[seen[first].sweep] > kFreeWindow + kTimeTolerance)
+        share -= seen[first].free_area / seen[first].area, ++first;
+      const auto count = float(k + 1 - first);
+      if (times_[seen[k].sweep] - times_[seen[first].sweep] >= kFreeWindow / 2 &&
+          share >= kMeanFreeShare * count && int(count) >= p_.min_detections)
+        return true;
     }
-    alive_ = std::move(alive);
-    for (std::uint32_t k = 0; k < seen.size(); ++k) {
-      const auto& [first, points, dynamic, box, samples] = seen[k];
-      if (!taken[k] && seen[k].is_dynamic() && samples.size() >= kMinSamples)
-        alive_.push_back(
-            {samples, samples, box.size(), times_[sweep], {{sweep, {k}, box, dynamic}}});
-    }
+    return false;
   }
 
-  double max_gap(const Track& track) const {
-    const bool stands = track.has_velocity() && track.velocity.norm() < kStanding;
-    return (stands && track.dynamic >= p_.min_detections ? p_.max_gap_standing : p_.max_gap) +
-           kTimeTolerance;
+  bool lies_there(const Detection& object, double time) const {
+    if (!(p_.window > 0)) return false;
+    const OrientedBox box = path_.box(time);
+    const auto inside = [&](const Vector& p) { return box.holds(p, kSearchMargin); };
+    const float bottom = box.middle().z() - box.half.z();
+    return object.box.high.z() >= bottom + kMinTrackedHeight &&
+           std::all_of(object.samples().begin(), object.samples().end(), inside);
   }
 
-  /// The best match of these samples of a track.
-  Match find(const Track& track, const SampledPoints& samples, const Detections& seen,
-             const Flags& taken, double dt) const {
-    const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
-    Match best;
-    const auto attempt = [&](const Vector& start) {
-      Match match = match_from(track, samples, seen, taken, start, reach);
-      if (match.score > best.score) best = std::move(match);
+  /// Whether the place of a detection was free before or after: by its own votes, or as it was
+  /// occupied only while the object stood there, which came or left.
+  bool was_free(const Detection& object, double time) {
+    if (object.was_free()) return true;
+    const Stay& stay = stay_at(path_.pose(time).translation());
+    const bool free = stay.free_share >= kFreeEdges &&
+                      (seen_to_move() ? stay.free : stay.half_free) >= p_.min_detections;
+    const bool came = is_vehicle(path_) && seen_to_move();
+    return (free || came) && object.first_occupied >= stay.first &&
+           object.last_occupied <= stay.last;
+  }
+
+  /// The sweeps while the object covered half of a place, to the ends of the drive if it is there
+  /// at these.
+  struct Stay {
+    Eigen::Vector3d place;
+    int first, last;
+    int half_free = 0,
+        free = 0;          ///< observations that show that the place was free before or after
+    float free_share = 0;  ///< in the mean
+  };
+
+  const Stay& stay_at(const Eigen::Vector3d& place) {
+    for (const Stay& stay : stays_)
+      if ((stay.place - place).norm() <= kSamePlace / 2) return stay;
+    Stay stay{place, int(times_.size()), -1};
+    int count = 0;
+    const float half = path_.extent().size().head<2>().norm() / 2;
+    const auto& seen = track_.observations;
+    const auto distance = [&](const TrackObservation& at) {
+      return (path_.pose(times_[at.sweep]).translation() - place).norm();
     };
-    if (track.has_velocity()) {
-      attempt(track.velocity * static_cast<float>(dt));
-      attempt(Vector::Zero());
-      return best;
+    for (const TrackObservation& at : seen) {
+      if (distance(at) <= kSamePlace) {
+        const float share = at.free_area / at.area;
+        stay.half_free += at.is_passing();
+        stay.free += share >= kFreeEdges, stay.free_share += share, ++count;
+      }
+      if (distance(at) > std::max(half, kSamePlace)) continue;
+      stay.first = std::min(stay.first, int(at.sweep));
+      stay.last = std::max(stay.last, int(at.sweep));
     }
-    const Extent box = extent_of(samples);
-    for (std::size_t k = 0; k < seen.size(); ++k)
-      if (!taken[k] && seen[k].is_dynamic() && seen[k].box.overlaps(box, reach))
-        attempt(most_frequent_shift(samples, seen[k].samples, reach));
-    return best;
+    const auto distance_at = [&](double time) {
+      return (path_.pose(time).translation() - place).norm();
+    };
+    if (distance_at(first_known_) <= kSamePlace) stay.first = 0;
+    if (distance_at(last_known_) <= kSamePlace) stay.last = int(times_.size());
+    stay.free_share /= float(std::max(count, 1));
+    stays_.push_back(stay);
+    return stays_.back();
   }
 
-  /// The detections onto which the samples fall, with a shift that is refined from `start`.
-  Match match_from(const Track& track, const SampledPoints& samples, const Detections& seen,
-                   const Flags& taken, const Vector& start, float reach) const {
-    Extent box = extent_of(samples);
-    const Vector size = box.size();
-    box.low += start;
-    box.high += start;
-    std::vector<std::uint32_t> near;
-    SampledPoints there;
-    for (std::uint32_t k = 0; k < seen.size(); ++k) {
-      if (taken[k] || !seen[k].box.overlaps(box, kSearchMargin)) continue;
-      if (!track.has_velocity() && !seen[k].is_dynamic()) continue;
-      if (!could_match(seen[k].box, size)) continue;
-      near.push_back(k);
-      append(there, seen[k].samples);
-    }
-    Match match;
-    match.shift = start;
-    match.largest = track.largest;
-    if (!refine_shift(samples, there, match.shift)) return {};
-    for (const auto k : near) {
-      if (matched_share(seen[k].samples, -match.shift, samples) < kMinMemberShare) continue;
-      if (match.objects.empty()) match.box = seen[k].box;
-      match.objects.push_back(k);
-      append(match.samples, seen[k].samples);
-      match.box.add(seen[k].box);
-      match.largest = match.largest.cwiseMax(seen[k].box.size());
-    }
-    // Together larger than one object: a pedestrian and what he walks away from.
-    if (match.objects.empty() || !could_match(match.box, match.largest)) return {};
-    // Half of a track may be hidden, so twice its matched share counts.
-    const float track_share =
-                    std::min(1.0f, 2 * matched_share(samples, match.shift, match.samples)),
-                match_share = matched_share(match.samples, -match.shift, samples);
-    // Of two equal matches the nearer one is more likely.
-    match.score = track_share * match_share / (1 + match.shift.norm() / (2 * reach));
-    return match.score >= kMinMatchedShare ? match : Match{};
-  }
-
-  void add(Track& track, std::size_t sweep, Match&& match, Flags& taken) const {
-    const Detections& seen = *detections_[sweep];
-    const Vector velocity = match.shift / static_cast<float>(times_[sweep] - track.time);
-    track.velocity = track.has_velocity() ? 0.5f * track.velocity + 0.5f * velocity : velocity;
-    track.time = times_[sweep];
-    std::uint32_t points = 0, of_dynamic = 0, dynamic_points = 0;
-    for (const auto k : match.objects) {
-      taken[k] = 1;
-      points += seen[k].points;
-      dynamic_points += seen[k].dynamic;
-      if (seen[k].is_dynamic()) of_dynamic += seen[k].points;
-    }
-    const bool is_dynamic = 2 * of_dynamic >= points;
-    track.dynamic += is_dynamic;
-    if (is_dynamic) track.last_dynamic = track.observations.size();
-    SampledPoints both = std::move(track.last);
-    for (Vector& p : both) p += match.shift;
-    append(both, match.samples);
-    track.samples = downsample(both, kSampleSpacing, kMaxSamples);
-    track.last = std::move(match.samples);
-    track.largest = match.largest;
-    track.observations.push_back({sweep, std::move(match.objects), match.box, dynamic_points});
-  }
-
-  const std::vector<const Detections*>& detections_;
+  const Track& track_;
+  const TrackPath& path_;
   const std::vector<double>& times_;
   const TrackParameters& p_;
-  std::vector<Track> alive_, done_;
+  std::deque<Stay> stays_;
+  float supported_ = 0;  ///< area of static points that the track can make dynamic
+  double first_known_ = 0,
+         last_known_ = 0;  ///< when its place is known for the first and last time
 };
 
-bool is_dynamic(const Track& track, const TrackParameters& p) {
-  const auto& seen = track.observations;
-  const auto distance_to = [&](const TrackObservation& to) {
-    return (to.center() - seen.front().center()).norm();
-  };
-  return track.dynamic >= p.min_detections && distance_to(seen.back()) >= p.min_distance &&
-         distance_to(seen[track.last_dynamic]) >= kMinVotedDistanceShare * p.min_distance;
-}
+/// What a track says of the sweeps in which it is known.
+struct Findings {
+  std::vector<std::pair<std::size_t, Member>> members;  ///< by sweep
+  std::vector<std::pair<std::size_t, TrackBox>> boxes;
+};
 
-/// Whether an object lies in the box, and not flat on the ground below it.
-bool lies_inside(const Detection& object, const Extent& box) {
-  return (object.box.low.array() >= box.low.array() - kSearchMargin).all() &&
-         (object.box.high.array() <= box.high.array() + kSearchMargin).all() &&
-         object.box.high.z() >= box.low.z() + kMinTrackedHeight;
-}
-
-/// Add a track to the result of a sweep.
-void add_track(const TrackMotion& motion, std::size_t sweep, double time,
-               const std::vector<const Detections*>& detections, const TrackParameters& p,
-               TrackingResult& result) {
-  const Extent box = motion.box(time);
-  const float speed = motion.speed(time);
-  const Detections& seen = *detections[sweep];
-  for (std::uint32_t k = 0; k < seen.size(); ++k) {
-    const bool there = p.window > 0 && speed < kSlow && lies_inside(seen[k], box);
-    if (seen[k].dynamic < seen[k].points && seen[k].box.width() >= kMinTrackedWidth &&
-        motion.can_support(seen[k]) && (there || motion.contains(sweep, k)) &&
-        motion.was_free(seen[k].samples, sweep, detections))
-      result.objects.push_back(seen[k].first);
+Findings findings_of(const Track& track, const TrackPath& path, std::uint32_t number,
+                     const std::vector<const Detections*>& detections,
+                     const std::vector<double>& times, const TrackParameters& p) {
+  Findings found;
+  TrackEvidence evidence(track, path, times, p);
+  const bool moves = evidence.moves();
+  std::size_t first = track.observations.front().sweep, last = track.observations.back().sweep;
+  while (moves && first > 0 && evidence.covers(times[first - 1])) --first;
+  while (moves && last + 1 < times.size() && evidence.covers(times[last + 1])) ++last;
+  auto seen = track.observations.begin();
+  for (std::size_t i = first; i <= last; ++i) {
+    while (seen != track.observations.end() && seen->sweep < i) ++seen;
+    const bool is_seen = seen != track.observations.end() && seen->sweep == i;
+    if (!is_seen && (!moves || !evidence.covers(times[i]))) continue;
+    const Detections& objects = *detections[i];
+    for (std::uint32_t k = 0; k < objects.size(); ++k) {
+      const bool is_member = is_seen && std::find(seen->objects.begin(), seen->objects.end(), k) !=
+                                            seen->objects.end();
+      const bool claimed = moves && evidence.claims(i, objects[k], is_member);
+      if (is_member || claimed) found.members.push_back({i, {objects[k].first, number, claimed}});
+    }
+    if (moves && p.window > 0 && path.covers(times[i]))
+      found.boxes.push_back({i, {number, path.speed(times[i]) >= kStanding, path.box(times[i])}});
   }
-  if (p.window > 0 && speed >= kStanding) result.boxes.push_back(box);
+  return found;
+}
+
+TrackedObject object_of(const Track& track, const TrackPath& path,
+                        const std::vector<const Detections*>& detections,
+                        const std::vector<double>& times) {
+  const Extent& extent = path.extent();
+  const Vector middle = 0.5f * (extent.low + extent.high);
+  TrackedObject object{{}, extent.size(), path.is_rigid()};
+  for (std::size_t n = 0; n < track.observations.size(); ++n) {
+    const TrackObservation& seen = track.observations[n];
+    Pose T = path.pose(times[seen.sweep]);
+    T.translate(Vector(middle.x(), middle.y(), extent.low.z()).cast<double>());
+    std::uint32_t points = 0;
+    for (const auto k : seen.objects) points += (*detections[seen.sweep])[k].points;
+    object.places.push_back({std::uint32_t(seen.sweep), points, T, path.velocity(times[seen.sweep]),
+                             path.deviation(n)});
+  }
+  return object;
+}
+
+/// The part of a track from one observation up to another.
+Track part_of(const Track& track, std::size_t begin, std::size_t end) {
+  Track part;
+  part.observations.assign(track.observations.begin() + std::ptrdiff_t(begin),
+                           track.observations.begin() + std::ptrdiff_t(end));
+  for (const TrackObservation& seen : part.observations) part.dynamic += seen.dynamic;
+  return part;
+}
+
+/// A track and where its object is.
+struct TrackAndPath {
+  TrackAndPath(Track of, const std::vector<const Detections*>& detections,
+               const std::vector<double>& times, const TrackParameters& p)
+      : track(std::move(of)), path(track, detections, times, p) {}
+  TrackAndPath(const TrackAndPath&) = delete;  // the path refers to the track
+  TrackAndPath& operator=(const TrackAndPath&) = delete;
+
+  Track track;
+  TrackPath path;
+};
+
+using Paths = std::vector<std::unique_ptr<const TrackAndPath>>;
+
+/// Tracks with enough dynamic observations, cut where their surfaces say that they went on with
+/// another object.
+Paths single_objects(std::vector<Track> tracks, const std::vector<const Detections*>& detections,
+                     const std::vector<double>& times, const TrackParameters& p, int threads) {
+  std::vector<Paths> parts(tracks.size());
+  parallel_for(tracks.size(), 1, threads, [&](std::size_t k, std::size_t) {
+    std::vector<Track> open{std::move(tracks[k])};
+    while (!open.empty()) {
+      Track next = std::move(open.back());
+      open.pop_back();
+      if (next.dynamic < p.min_detections) continue;
+      auto part = std::make_unique<const TrackAndPath>(std::move(next), detections, times, p);
+      const auto& [track, path] = *part;
+      if (path.is_one_object()) {
+        parts[k].push_back(std::move(part));
+        continue;
+      }
+      // In order of time: the earliest part is taken out first.
+      const std::size_t count = track.observations.size();
+      if (path.end() < count) open.push_back(part_of(track, path.end(), count));
+      open.push_back(part_of(track, path.begin(), path.end()));
+      if (path.begin() > 0) open.push_back(part_of(track, 0, path.begin()));
+    }
+  });
+  Paths single;
+  for (Paths& of : parts)
+    for (auto& part : of) single.push_back(std::move(part));
+  return single;
 }
 
 }  // namespace
 
-std::vector<TrackingResult> track_objects(const std::vector<const Detections*>& detections,
-                                          const std::vector<double>& times,
-                                          const TrackParameters& p, int threads) {
-  std::vector<TrackingResult> directions[2];
-  parallel_for(2, 1, threads, [&](std::size_t backward, std::size_t) {
-    auto& results = directions[backward];
-    results.resize(times.size());
-    for (const Track& track : Tracker(detections, times, p).run(backward != 0)) {
-      if (!is_dynamic(track, p)) continue;
-      const TrackMotion motion(track.observations, times, p);
-      for (std::size_t i = 0; i < times.size(); ++i)
-        if (motion.covers(times[i])) add_track(motion, i, times[i], detections, p, results[i]);
-    }
+bool TrackedSweep::claims(std::uint32_t first) const {
+  const auto before = [](const Member& member, std::uint32_t row) { return member.first < row; };
+  auto member = std::lower_bound(members.begin(), members.end(), first, before);
+  for (; member != members.end() && member->first == first; ++member)
+    if (member->dynamic) return true;
+  return false;
+}
+
+TrackingResult track_objects(const std::vector<const Detections*>& detections,
+                             const std::vector<double>& times, const TrackParameters& p,
+                             int threads) {
+  const Paths followed =
+      single_objects(follow_objects(detections, times, p), detections, times, p, threads);
+  std::vector<Findings> found(followed.size());
+  TrackingResult result;
+  result.sweeps.resize(times.size());
+  result.objects.resize(followed.size());
+  parallel_for(followed.size(), 1, threads, [&](std::size_t k, std::size_t) {
+    const auto& [track, path] = *followed[k];
+    found[k] = findings_of(track, path, std::uint32_t(k + 1), detections, times, p);
+    result.objects[k] = object_of(track, path, detections, times);
   });
-  std::vector<TrackingResult> result = std::move(directions[0]);
-  for (std::size_t i = 0; i < result.size(); ++i) {
-    const TrackingResult& backward = directions[1][i];
-    auto& rows = result[i].objects;
-    rows.insert(rows.end(), backward.objects.begin(), backward.objects.end());
-    std::sort(rows.begin(), rows.end());
-    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
-    auto& boxes = result[i].boxes;
-    boxes.insert(boxes.end(), backward.boxes.begin(), backward.boxes.end());
+  for (const Findings& of : found) {
+    for (const auto& [sweep, member] : of.members) result.sweeps[sweep].members.push_back(member);
+    for (const auto& [sweep, box] : of.boxes) result.sweeps[sweep].boxes.push_back(box);
   }
-  auto voxels = dynamic_voxels(detections, times, result, p.window, threads);
-  for (std::size_t i = 0; i < result.size(); ++i) result[i].voxels = std::move(voxels[i]);
+  for (TrackedSweep& sweep : result.sweeps)
+    std::stable_sort(sweep.members.begin(), sweep.members.end(),
+                     [](const Member& a, const Member& b) { return a.first < b.first; });
+  auto voxels = dynamic_voxels(detections, times, result.sweeps, p.window, threads);
+  for (std::size_t i = 0; i < times.size(); ++i) result.sweeps[i].voxels = std::move(voxels[i]);
   return result;
 }
 

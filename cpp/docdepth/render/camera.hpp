@@ -20,6 +20,19 @@ struct Box {
   Eigen::Vector3f extent = Eigen::Vector3f::Zero();  ///< half the edges
 };
 
+/// Pixels [begin_u, end_u) x [begin_v, end_v) of an image.
+struct PixelBounds {
+  int begin_u = 0, end_u = 0, begin_v = 0, end_v = 0;
+
+  bool empty() const { return begin_u >= end_u || begin_v >= end_v; }
+  PixelBounds unite(const PixelBounds& other) const;
+  PixelBounds intersect(const PixelBounds& other) const;
+};
+
+/// Bounds of the pixels that may show something of a box; all of the image if it reaches behind the
+/// near plane.
+PixelBounds bounds_of(const Camera& camera, const Pose& T_camera_box, const Box& box);
+
 /// The five planes of a camera's view, in the frame of the points.
 class Frustum {
  public:

@@ -39,6 +39,25 @@ constexpr float kMovedRayBlur = 0.05f;
 /// around a point, which then reach both of two rings ten times farther apart than their returns.
 constexpr double kRayCellSize = 1.6;
 
+// --- Field of view, and what the sensor did not look at ---
+
+/// Rays farther apart leave a gap in the view [rad]: half a ring more than the widest rings of
+/// common LiDARs, a degree.
+constexpr float kViewGap = 0.0262f;
+/// Nearer returns do not tell how far aside and up a sensor looks if the origins of their rays are
+/// unknown [m]: at 10 m half a metre of ego motion is 3 degrees.
+constexpr float kViewRange = 10;
+/// Rays at most this long before or after the shutter look at what the image shows [s]: a sweep of
+/// a common LiDAR.
+constexpr float kShutter = 0.1f;
+/// Rays around a point are near if they lie within so many mean distances between returns, to each
+/// side and up and down: both of two rings ten times farther apart than their returns.
+constexpr float kNearRays = 4;
+/// A surface may hide what is drawn within so many mean distances between returns beside it, and at
+/// most so many pixels.
+constexpr float kFrontRays = 2;
+constexpr int kMostFront = 32;
+
 // --- Depth hypotheses ---
 
 /// Depths that differ by a smaller share are one surface.
@@ -58,48 +77,34 @@ constexpr float kSureSurfaceScore = 1350.0f;
 constexpr float kCloseScore = 100.0f;
 /// Pixels at edges with a lower score are left empty: no ray within 25 cm, blur included.
 constexpr float kMinEdgeScore = 15.0f;
-/// Rays that pass through such a part count this many times, since the part is a guess.
-constexpr float kObjectFreeWeight = 1.5f;
-
-// --- Dynamic objects of a sweep ---
-
-/// Returns in neighbouring cells of this edge are one object [m].
-constexpr float kObjectCell = 0.5f;
-/// An object has at most so many samples.
-constexpr std::size_t kMaxObjectSamples = 300;
-/// So many samples tell whether an object is where its velocity takes it.
-constexpr std::size_t kReassociationSamples = 75;
-/// Farther from where its velocity takes it an object is not found again [m].
-constexpr float kMaxReassociationError = 0.3f;
-/// A match is dropped if more than this share of its place belongs to another object.
-constexpr float kMaxOccupiedShare = 0.5f;
-/// Velocities are matched with this many sweeps.
-constexpr std::size_t kMatchedSweeps = 2;
-/// An object may reach this far beyond its returns [m].
-constexpr float kObjectReach = 2.0f;
-
-// --- Verification of velocities by rays ---
-
-/// So many samples of an object are verified.
-constexpr std::size_t kVerifiedSamples = 50;
-/// A ray tells about a sample with a score above this: within 23 cm.
-constexpr float kVerifyingScore = 16;
-/// A velocity with this mean score of -1 to 1 is verified.
-constexpr float kVerifiedScore = 0.9f;
-/// A proposal has to be better by this much.
-constexpr float kScoreGain = 0.05f;
-/// Score that a proposal has to beat for an object that was not found again.
-constexpr float kMinScore = 0.3f;
-/// Velocities that differ less are the same [m/s].
-constexpr float kSameVelocity = 0.3f;
-/// Objects this near may be parts of one [m].
-constexpr float kPartDistance = 3;
 
 // --- Partition of a mesh into static surface and objects ---
 
-/// Beyond its last return an object goes on for this share of the way to the next return: a little
-/// past the middle, since the rays of other sweeps tell where it ends.
-constexpr float kContinuedShare = 0.6f;
+/// Over a discontinuity of its own an object goes on for this share of the way to the next return:
+/// a little past the middle, so that no crack is left.
+constexpr float kInnerShare = 0.6f;
+/// The same beyond its last return. Rays tell where it ends: almost at the next one if the rays of
+/// other sweeps that passed beside it passed there.
+constexpr float kOuterShare = 0.98f;
+
+// --- Rays around objects ---
+
+/// Rays that pass this far behind a measured surface of an object contradict it [m]. Nearer, a ray
+/// may have passed just above a roof that it saw at a grazing angle.
+constexpr float kWithinObject = 0.15f;
+/// They do with a score below this, without its sign: five rays within a few centimetres, or more
+/// farther off. What a sweep measured takes that much, since rays that returned nothing, as those
+/// through glass, cannot speak for it.
+constexpr float kContradictedScore = 2000.0f;
+/// Where an object is continued beyond its returns, pixels show what is behind only with a score
+/// below this, without its sign: a ray that passed within 2 cm, its blur not included, or some
+/// farther off. Nearer to the object its outline may lie beyond them.
+constexpr float kUnsureScore = 200.0f;
+
+/// Rays that pass within this distance of an object tell where it ends [m] ...
+constexpr float kOutlineReach = 1.0f;
+/// ... and within this angle [rad], 2.5 degrees: more than the rings of any LiDAR are apart.
+constexpr float kOutlineAngle = 0.044f;
 
 // --- Layers ---
 

@@ -124,19 +124,18 @@ class VisibilityQueries {
   }
 
   /// @param free    score below which free space is sure, without its sign
-  /// @param weight  of rays that pass through
   std::vector<float> score(const std::vector<PixelHypotheses>& pixels, int k,
-                           float free = kSureScore, float weight = 1) const {
+                           float free = kSureScore) const {
     std::vector<float> result(pixels.size(), 0.0f);
     for (std::size_t first = 0; first < pixels.size(); first += PointBatch::kMax)
       score_batch(&pixels[first], std::min(pixels.size() - first, PointBatch::kMax), k, free,
-                  weight, &result[first]);
+                  &result[first]);
     return result;
   }
 
  private:
   void score_batch(const PixelHypotheses* pixels, std::size_t count, int k, float free,
-                   float weight, float* result) const {
+                   float* result) const {
     Eigen::Vector3f targets[PointBatch::kMax];
     for (std::size_t i = 0; i < count; ++i) {
       const float depth = 1 / pixels[i].hypotheses[k];
@@ -156,9 +155,7 @@ class VisibilityQueries {
       rays_[j].rays->query_visibility(seen, rays_[j].blur, scores);
       std::size_t left = 0;
       for (std::size_t n = 0; n < seen.size; ++n) {
-        float& known = result[open[n]];
-        if (scores[n] < known) scores[n] += (weight - 1) * (scores[n] - known);
-        known = scores[n];
+        result[open[n]] = scores[n];
         if (scores[n] >= kSureSurfaceScore || scores[n] <= -free) continue;
         open[left] = open[n], scores[left++] = scores[n];
       }
@@ -287,29 +284,43 @@ std::vector<float> DepthHypotheses::resolve(const Camera& camera,
   return result;
 }
 
-void add_dynamic_object(const Columns& columns, const Camera& camera,
-                        const std::vector<float>& trusted, const std::vector<float>& others,
-                        const std::vector<PlacedRays>& rays, std::vector<float>& inverse_depth) {
-  std::vector<PixelHypotheses> pixels;
-  for (int v = 0; v < columns.height; ++v)
-    for (int u = 0; u < columns.width; ++u) {
+void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const Camera& camera,
+                        const ObjectImages& object, const std::vector<PlacedRays>& rays,
+                        std::uint16_t number, std::vector<float>& inverse_depth,
+                        std::vector<std::uint16_t>& owners) {
+  const VisibilityQueries queries(columns, camera, rays);
+  std::vector<PixelHypotheses> seen, continued;
+  for (int v = bounds.begin_v; v < bounds.end_v; ++v)
+    for (int u = bounds.begin_u; u < bounds.end_u; ++u) {
       const std::size_t at = columns.at(u, v);
-      const bool sure = trusted[at] > 0 || rays.empty();
-      const float object = trusted[at] > 0 ? trusted[at] : others[at];
-      if (!(object > inverse_depth[at])) continue;
-      if (sure)
-        inverse_depth[at] = object;
-      else
-        pixels.push_back({u, v, {object}});
+      const float trusted = object.trusted[at], other = object.others[at];
+      const float beyond = object.continued[at], here = inverse_depth[at];
+      if (trusted > 0) {
+        if (trusted > here) inverse_depth[at] = trusted, owners[at] = number;
+      } else if (other > here)
+        seen.push_back({u, v, {other, beyond}});
+      else if (beyond > here)
+        continued.push_back({u, v, {beyond}});
     }
-  const auto found =
-      VisibilityQueries(columns, camera, rays).score(pixels, 0, kSureScore, kObjectFreeWeight);
-  for (std::size_t i = 0; i < pixels.size(); ++i) {
-    float& here = inverse_depth[columns.at(pixels[i].u, pixels[i].v)];
+  std::vector<PixelHypotheses> behind = seen;
+  for (PixelHypotheses& pixel : behind)
+    pixel.hypotheses[0] = 1 / (1 / pixel.hypotheses[0] + kWithinObject);
+  std::vector<float> found = queries.score(behind, 0, kContradictedScore);
+  for (std::size_t i = 0; i < seen.size(); ++i) {
+    const auto& [u, v, depths] = seen[i];
+    const std::size_t at = columns.at(u, v);
+    if (found[i] > -kContradictedScore)
+      inverse_depth[at] = depths[0], owners[at] = number;
+    else if (depths[1] > inverse_depth[at])
+      continued.push_back({u, v, {depths[1]}});
+  }
+  found = queries.score(continued, 0);
+  for (std::size_t i = 0; i < continued.size(); ++i) {
+    const std::size_t at = columns.at(continued[i].u, continued[i].v);
     if (found[i] > kCloseScore)
-      here = pixels[i].hypotheses[0];
-    else if (found[i] > -kSureScore)
-      here = 0;
+      inverse_depth[at] = continued[i].hypotheses[0], owners[at] = number;
+    else if (found[i] > -kUnsureScore)
+      inverse_depth[at] = 0, owners[at] = 0;
   }
 }
 

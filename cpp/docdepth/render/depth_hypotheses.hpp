@@ -49,15 +49,23 @@ class DepthHypotheses {
   std::vector<float> hypotheses_[kMost];  // each differs from those before it; 0 if there is none
 };
 
-/// Draw a dynamic object over what is farther.
-///
-/// What only `others` saw of it is drawn where rays confirm it, and the background where rays
-/// confirm free space. Between these the pixels stay empty: objects are not rigid.
-/// @param trusted  inverse depth of the object as the nearest sweep saw it
-/// @param others   as other sweeps saw it
-/// @param rays     placed so that the object stands still among them
-void add_dynamic_object(const Columns& columns, const Camera& camera,
-                        const std::vector<float>& trusted, const std::vector<float>& others,
-                        const std::vector<PlacedRays>& rays, std::vector<float>& inverse_depth);
+/// Inverse depths of a dynamic object.
+struct ObjectImages {
+  std::vector<float> trusted;    ///< as the nearest sweep saw it
+  std::vector<float> others;     ///< as other sweeps saw it
+  std::vector<float> continued;  ///< beyond what any sweep saw
+};
+
+/// Draw a dynamic object over what is farther: what the nearest sweep saw, what other sweeps saw if
+/// rays do not contradict it, and what continues it if rays confirm it. Between what rays confirm
+/// and what they passed through, pixels stay empty.
+/// @param bounds  of its pixels; columns as in `columns`
+/// @param rays    placed so that the object stands still among them
+/// @param number  of the object, from 1 on
+/// @param owners  number of the object that each pixel shows; 0 for none
+void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const Camera& camera,
+                        const ObjectImages& object, const std::vector<PlacedRays>& rays,
+                        std::uint16_t number, std::vector<float>& inverse_depth,
+                        std::vector<std::uint16_t>& owners);
 
 }  // namespace docdepth

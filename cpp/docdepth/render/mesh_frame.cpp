@@ -2,10 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
+#include <limits>
+#include <utility>
 
-#include "docdepth/geometry/parallel.hpp"
+#include "docdepth/render/object_rays.hpp"
 #include "docdepth/render/partitioned_mesh.hpp"
-#include "docdepth/render/velocity_estimator.hpp"
 
 namespace docdepth {
 namespace {
@@ -25,131 +27,78 @@ void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
   triangles.push_back({first, first + 2, first + 3});
 }
 
-/// Which objects the camera may see, wherever they went since their sweep.
-std::vector<std::uint8_t> in_view(const Camera& camera, const Pose& T_camera_objects,
-                                  const DynamicObjects& objects, float reach) {
-  const Frustum frustum(camera, T_camera_objects);
-  std::vector<std::uint8_t> seen;
-  for (Box box : objects.boxes()) {
-    box.extent.array() += reach;
-    seen.push_back(frustum.touches(box));
+/// @param age  of the rays of a sweep [s], by its number
+PlacedDynamicObject place(const Camera& camera, const SightedObject& object,
+                          const std::function<float(int)>& age) {
+  PlacedDynamicObject placed;
+  const auto add = [&](std::vector<PlacedMesh>& list, const PatchMesh& mesh, const Sighting& from,
+                       bool split) {
+    const PixelBounds bounds = bounds_of(camera, from.placed.T_camera_frame, mesh.box());
+    if (!mesh.size() || bounds.empty()) return;
+    placed.bounds = placed.bounds.unite(bounds);
+    list.push_back({&mesh, from.placed.T_camera_frame, from.sweep, split, object.instance});
+  };
+  const auto meshes = [](const Sighting& from) -> const MeshFrame::DynamicMesh& {
+    return from.placed.frame->dynamic_meshes[from.owner - 1];
+  };
+  for (const Sighting& from : object.around) {
+    const bool nearest = &from == object.around.data();
+    add(nearest ? placed.trusted : placed.others, meshes(from).whole, from, false);
+    if (nearest) add(placed.trusted, meshes(from).inner, from, true);
+    add(placed.continued, meshes(from).outer, from, true);
   }
-  return seen;
+  for (const Sighting& from : object.others) add(placed.others, meshes(from).whole, from, false);
+  for (const Sighting& from : object.rays)
+    placed.rays.push_back({&from.placed.frame->dynamic_meshes[from.owner - 1].rays,
+                           from.placed.T_camera_frame, kMovedRayBlur, age(from.sweep)});
+  if (object.instance == 0) return placed;
+  placed.extent = object.extent;
+  for (const auto* sightings : {&object.around, &object.others})
+    for (const Sighting& from : *sightings) {
+      const Pose& T = from.placed.T_camera_frame;
+      if (placed.T_camera_sensor.empty())
+        placed.velocity = (T.linear() * meshes(from).velocity.cast<double>()).cast<float>();
+      placed.T_camera_sensor.push_back(T);
+    }
+  return placed;
 }
-
-/// The sweeps from which dynamic objects are drawn, as seen from the nearest one.
-class ObjectPlacer {
- public:
-  /// @param number  of the nearest sweep; the others have the next
-  ObjectPlacer(const Camera& camera, const DynamicSweeps& dynamic, int number, int threads)
-      : camera_(camera),
-        dynamic_(dynamic),
-        number_(number),
-        threads_(threads),
-        nearest_(dynamic.sweeps[0].mesh),
-        age_(dynamic.sweeps[0].age),
-        objects_(nearest_.frame->objects) {}
-
-  /// The objects at the time of the image, as the nearest sweep and, where their velocity is known,
-  /// the other sweeps saw them.
-  /// @param verify  velocities by rays
-  std::vector<PlacedDynamicObject> place(bool verify) const {
-    const std::vector<Vector> velocity = velocities(verify);
-    std::vector<PlacedDynamicObject> placed;
-    for (std::size_t k = 0; k < velocity.size(); ++k) {
-      Pose T = nearest_.T_camera_frame;
-      T.translate((velocity[k] * (age_ - objects_.time_offset[k])).cast<double>());
-      const auto& parts = nearest_.frame->dynamic_meshes[k];
-      placed.push_back({{{&parts.whole, T, number_}, {&parts.inner, T, number_, true}},
-                        {{&parts.outer, T, number_, true}},
-                        {}});
-      if (!velocity[k].isZero(0))
-        placed[k].rays.push_back({&nearest_.frame->rays, T, kMovedRayBlur});
-    }
-    add_other_sweeps(velocity, placed);
-    return placed;
-  }
-
- private:
-  RelativeMotion motion_to(const DynamicSweeps::Sweep& sweep) const {
-    return {nearest_.T_camera_frame.inverse() * sweep.mesh.T_camera_frame, age_ - sweep.age,
-            dynamic_.max_speed};
-  }
-
-  std::vector<Vector> velocities(bool verify) const {
-    const auto& sweeps = dynamic_.sweeps;
-    std::vector<VisibilitySweep> verifying;
-    for (std::size_t s = 1; verify && s < sweeps.size(); ++s)
-      verifying.push_back({&sweeps[s].mesh.frame->rays, motion_to(sweeps[s])});
-    const float reach = kObjectReach + dynamic_.max_speed * std::fabs(age_);
-    const auto wanted = in_view(camera_, nearest_.T_camera_frame, objects_, reach);
-    VelocityEstimator estimator(objects_, verifying, wanted, threads_);
-    for (std::size_t s = 1; s < std::min(sweeps.size(), kMatchedSweeps + 1); ++s)
-      estimator.propose(match_velocities(objects_, sweeps[s].mesh.frame->objects,
-                                         motion_to(sweeps[s]), threads_, estimator.unverified()));
-    estimator.propose_neighbors();
-    return estimator.velocities();
-  }
-
-  /// Add what the other sweeps saw of the objects whose velocity is known, and their rays.
-  void add_other_sweeps(const std::vector<Vector>& velocity,
-                        std::vector<PlacedDynamicObject>& placed) const {
-    const auto& sweeps = dynamic_.sweeps;
-    std::vector<std::vector<Reassociation>> found(sweeps.size());
-    parallel_for(found.size() - 1, 1, threads_, [&](std::size_t begin, std::size_t) {
-      const auto& sweep = sweeps[begin + 1];
-      found[begin + 1] =
-          reassociate(objects_, velocity, sweep.mesh.frame->objects, motion_to(sweep));
-    });
-    for (std::size_t s = 1; s < sweeps.size(); ++s) {
-      const MeshFrame& frame = *sweeps[s].mesh.frame;
-      for (std::size_t k = 0; k < velocity.size(); ++k) {
-        if (velocity[k].isZero(0)) continue;
-        Pose T = placed[k].trusted[0].T_camera_mesh;
-        T.translate(-found[s][k].shift.cast<double>());
-        T = T * motion_to(sweeps[s]).T_from_to;
-        for (const auto c : found[s][k].objects)
-          placed[k].others.push_back({&frame.dynamic_meshes[c].whole, T, number_ + int(s)});
-        placed[k].rays.push_back({&frame.rays, T, kMovedRayBlur});
-      }
-    }
-  }
-
-  const Camera& camera_;
-  const DynamicSweeps& dynamic_;
-  int number_, threads_;
-  const PlacedMeshFrame& nearest_;
-  float age_;
-  const DynamicObjects& objects_;
-};
 
 }  // namespace
 
-MeshFrame::MeshFrame(const Points& points, const std::uint32_t (*triangles)[3],
-                     const std::uint8_t* discontinuity, std::size_t triangle_count,
-                     const std::uint32_t* isolated, std::size_t isolated_count,
-                     float isolated_angle, const std::uint16_t* classid, const float* time_offset,
-                     const Points* ray_origins)
-    : objects(find_dynamic_objects(points, classid, time_offset)) {
-  auto [vertices, parts, normals] = partition_mesh(points, triangles, discontinuity, triangle_count,
-                                                   objects.owner, objects.samples.size() + 1);
-  rays = Rays(points, normals, ray_origins);
+MeshFrame::MeshFrame(const MeshParts& parts) : field_of_view(parts.points, parts.ray_origins) {
+  const Points& points = parts.points;
+  const std::size_t owners = parts.motions.size() + 1;
+  auto mesh = partition_mesh(points, parts.triangles, parts.discontinuity, parts.triangle_count,
+                             parts.owner, owners);
+  std::vector<std::uint8_t> moving;
+  for (Eigen::Index i = 0; i < points.rows(); ++i) moving.push_back(parts.owner[i] != 0);
+  rays = Rays(points, mesh.normals, parts.ray_origins, {}, parts.time_offset, moving.data());
+  std::vector<Vector>& vertices = mesh.vertices;
   std::vector<std::uint8_t> classes(vertices.size(), kNoClass);  // of vertices between returns
-  for (Eigen::Index i = 0; i < points.rows(); ++i) classes[i] = class_of(classid[i]);
-  for (std::size_t i = 0; i < isolated_count; ++i) {
-    add_diamond(points.row(isolated[i]), isolated_angle, vertices,
-                parts[objects.owner[isolated[i]]].whole);
-    classes.resize(vertices.size(), class_of(classid[isolated[i]]));
+  for (Eigen::Index i = 0; i < points.rows(); ++i) classes[i] = class_of(parts.classid[i]);
+  for (std::size_t i = 0; i < parts.isolated_count; ++i) {
+    const std::uint32_t alone = parts.isolated[i];
+    add_diamond(points.row(alone), parts.isolated_angle, vertices,
+                mesh.parts[parts.owner[alone]].whole);
+    classes.resize(vertices.size(), class_of(parts.classid[alone]));
+    mesh.sources.resize(vertices.size(), alone);
   }
+  if (parts.displacement)
+    for (std::size_t i = 0; i < vertices.size(); ++i)
+      vertices[i] += parts.displacement->row(mesh.sources[i]).transpose();
   MeshVertices all(vertices, classes);
-  static_mesh = PatchMesh(all, parts[0].whole);
-  for (std::size_t k = 1; k < parts.size(); ++k)
-    dynamic_meshes.push_back({PatchMesh(all, parts[k].whole), PatchMesh(all, parts[k].inner),
-                              PatchMesh(all, parts[k].outer)});
+  static_mesh = PatchMesh(all, mesh.parts[0].whole);
+  std::vector<Rays> near = object_rays(parts, mesh.normals);
+  for (std::size_t k = 1; k < owners; ++k)
+    dynamic_meshes.push_back({PatchMesh(all, mesh.parts[k].whole),
+                              PatchMesh(all, mesh.parts[k].inner),
+                              PatchMesh(all, mesh.parts[k].outer), std::move(near[k - 1]),
+                              parts.motions[k - 1].velocity});
 }
 
 MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>& static_frames,
-                        const DynamicSweeps& dynamic, int visibility_sweeps, int threads) {
+                        const std::vector<SightedObject>& objects, int visibility_sweeps,
+                        const std::vector<ShutterFrame>& shutter_frames) {
   MeshScene scene;
   const auto count = static_cast<int>(static_frames.size());
   for (int i = 0; i < count; ++i)
@@ -157,19 +106,27 @@ MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>
         .push_back({&static_frames[i].frame->static_mesh, static_frames[i].T_camera_frame, i});
   for (int i = 0; i < std::min(count, visibility_sweeps); ++i)
     scene.rays.push_back({&static_frames[i].frame->rays, static_frames[i].T_camera_frame});
-  if (!dynamic.sweeps.empty())
-    scene.dynamic_objects =
-        ObjectPlacer(camera, dynamic, count, threads).place(visibility_sweeps > 0);
-  if (visibility_sweeps == 0)
-    for (PlacedDynamicObject& object : scene.dynamic_objects) object.rays.clear();
+  for (const auto& [placed, age] : shutter_frames)
+    scene.shutter_rays.push_back({&placed.frame->rays, placed.T_camera_frame, kRayBlur, age});
+  if (!shutter_frames.empty()) scene.field_of_view = &shutter_frames[0].placed.frame->field_of_view;
+  const auto age = [&](int sweep) {  // others were taken long before or after
+    const bool around = sweep >= count && std::size_t(sweep - count) < shutter_frames.size();
+    return around ? shutter_frames[sweep - count].age : std::numeric_limits<float>::infinity();
+  };
+  for (const SightedObject& object : objects) {
+    PlacedDynamicObject placed = place(camera, object, age);
+    if (!placed.bounds.empty()) scene.dynamic_objects.push_back(std::move(placed));
+  }
   return scene;
 }
 
 std::vector<float> render_meshes(const Camera& camera,
                                  const std::vector<PlacedMeshFrame>& static_frames,
-                                 const DynamicSweeps& dynamic, int visibility_sweeps, int threads) {
+                                 const std::vector<SightedObject>& objects, int visibility_sweeps,
+                                 const std::vector<ShutterFrame>& shutter_frames, int threads) {
   return render_triangles(
-      camera, compose_scene(camera, static_frames, dynamic, visibility_sweeps, threads), threads);
+      camera, compose_scene(camera, static_frames, objects, visibility_sweeps, shutter_frames),
+      threads);
 }
 
 }  // namespace docdepth

@@ -5,37 +5,51 @@
 #include <vector>
 
 #include "docdepth/render/camera.hpp"
-#include "docdepth/render/motion.hpp"
+#include "docdepth/render/field_of_view.hpp"
 #include "docdepth/render/patch_mesh.hpp"
 #include "docdepth/render/rays.hpp"
 #include "docdepth/render/triangles.hpp"
 
 namespace docdepth {
 
+/// How an object moves in the frame of the sensor.
+struct ObjectMotion {
+  Eigen::Vector3f velocity;  ///< [m/s]
+  float time;                ///< at which the object is held [s after the sweep's stamp]
+};
+
+/// What a mesh frame is made of: the scan mesh of a sweep, and to whom each return belongs.
+struct MeshParts {
+  const Points& points;
+  const std::uint32_t (*triangles)[3];  ///< corners as rows of points
+  const std::uint8_t* discontinuity;    ///< 1 for each triangle across a depth jump
+  std::size_t triangle_count;
+  const std::uint32_t* isolated;  ///< rows of isolated returns; each is drawn as a small diamond
+  std::size_t isolated_count;
+  float isolated_angle;          ///< half the diagonal of the diamond as the sensor sees it [rad]
+  const std::uint16_t* classid;  ///< ClassId of every point
+  const std::uint16_t* owner;    ///< of every point: 0 the static surface, 1, 2, ... objects
+  const std::vector<ObjectMotion>& motions;  ///< of object 1, 2, ...
+  const float* time_offset;    ///< of every point [s after the sweep's stamp]; may be null
+  const Points* displacement;  ///< moves every point to the time of its object; may be null
+  const Points* ray_origins;   ///< where the ray of every point starts; may be null
+};
+
 /// The mesh of a sweep made ready to be drawn, each dynamic object apart.
 struct MeshFrame {
   struct DynamicMesh {
-    PatchMesh whole;  ///< measured surface and isolated returns
-    PatchMesh inner;  ///< continues it over its own discontinuities
-    PatchMesh outer;  ///< continues it towards its surroundings
+    PatchMesh whole;           ///< measured surface and isolated returns
+    PatchMesh inner;           ///< continues it over its own discontinuities
+    PatchMesh outer;           ///< continues it towards its surroundings
+    Rays rays;                 ///< near it, as object_rays() moves them
+    Eigen::Vector3f velocity;  ///< in the frame of the sensor [m/s]
   };
-  PatchMesh static_mesh;  ///< measured surface and isolated returns
-  Rays rays;
-  DynamicObjects objects;
-  std::vector<DynamicMesh> dynamic_meshes;  ///< of each object
+  PatchMesh static_mesh;                    ///< measured surface and isolated returns
+  Rays rays;                                ///< as they were measured
+  std::vector<DynamicMesh> dynamic_meshes;  ///< of owner 1, 2, ...
+  FieldOfView field_of_view;
 
-  /// @param triangles       corners as rows of points
-  /// @param discontinuity   1 for each triangle across a depth jump
-  /// @param isolated        rows of isolated returns; each is drawn as a small diamond
-  /// @param isolated_angle  half the diagonal of the diamond as the sensor sees it [rad]
-  /// @param classid         ClassId of every point
-  /// @param time_offset     time of every point [s after the sweep's stamp]; may be null
-  /// @param ray_origins     where the ray of every point starts; may be null
-  MeshFrame(const Points& points, const std::uint32_t (*triangles)[3],
-            const std::uint8_t* discontinuity, std::size_t triangle_count,
-            const std::uint32_t* isolated, std::size_t isolated_count, float isolated_angle,
-            const std::uint16_t* classid, const float* time_offset,
-            const Points* ray_origins = nullptr);
+  explicit MeshFrame(const MeshParts& parts);
 };
 
 struct PlacedMeshFrame {
@@ -43,30 +57,43 @@ struct PlacedMeshFrame {
   Pose T_camera_frame;
 };
 
-/// Sweeps from which dynamic objects are drawn, the nearest in time first. The others tell how fast
-/// each object is.
-struct DynamicSweeps {
-  struct Sweep {
-    PlacedMeshFrame mesh;
-    float age;  ///< from the sweep's stamp to the image [s]
-  };
-  std::vector<Sweep> sweeps;
-  float max_speed;  ///< of objects [m/s]
+/// A whole sweep around the image.
+struct ShutterFrame {
+  PlacedMeshFrame placed;
+  float age;  ///< from the sweep's stamp to the image [s]
+};
+
+/// What a sweep saw of an object, placed where the object is at the time of the image.
+struct Sighting {
+  PlacedMeshFrame placed;
+  std::uint32_t owner;  ///< number of the object in the frame, from 1 on
+  int sweep;            ///< number of the sweep, chosen by the caller
+};
+
+/// A dynamic object as several sweeps saw it.
+struct SightedObject {
+  std::uint16_t instance;        ///< 0 if it is not followed
+  Eigen::Vector3f extent;        ///< how long, wide and high it may be [m]
+  std::vector<Sighting> around;  ///< sweeps around the image; the first is trusted
+  std::vector<Sighting> others;  ///< sweeps farther in time, which saw other parts of it
+  std::vector<Sighting> rays;    ///< that tell where it ends
 };
 
 /// Depth map of static surface and dynamic objects, row after row [m]; NaN if there is none.
 ///
 /// @param static_frames      sweeps in the order of trust, the nearest first
-/// @param dynamic            objects are moved to where they were at the time of the image
 /// @param visibility_sweeps  number of static_frames whose rays decide where sweeps differ. With 0
-///   the first sweep with a depth wins, and objects end a little past the middle between returns.
+///   the first sweep with a depth wins.
+/// @param shutter_frames     sweeps nearest in time to the image, the nearest first; these are the
+///   sweeps static_frames.size(), static_frames.size() + 1, ... of sightings
 std::vector<float> render_meshes(const Camera& camera,
                                  const std::vector<PlacedMeshFrame>& static_frames,
-                                 const DynamicSweeps& dynamic, int visibility_sweeps, int threads);
+                                 const std::vector<SightedObject>& objects, int visibility_sweeps,
+                                 const std::vector<ShutterFrame>& shutter_frames, int threads);
 
-/// What render_meshes() draws, for any rasteriser. Sweeps are numbered: static_frames from 0 on,
-/// then those of `dynamic`.
+/// What render_meshes() draws, for any rasteriser. static_frames are the sweeps from 0 on.
 MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>& static_frames,
-                        const DynamicSweeps& dynamic, int visibility_sweeps, int threads);
+                        const std::vector<SightedObject>& objects, int visibility_sweeps,
+                        const std::vector<ShutterFrame>& shutter_frames);
 
 }  // namespace docdepth

@@ -26,9 +26,20 @@ std::vector<const PlacedMesh*> meshes_of(const MeshScene& scene) {
   for (const auto* list : {&scene.trusted, &scene.others})
     for (const PlacedMesh& mesh : *list) meshes.push_back(&mesh);
   for (const PlacedDynamicObject& object : scene.dynamic_objects)
-    for (const auto* list : {&object.trusted, &object.others})
+    for (const auto* list : {&object.trusted, &object.others, &object.continued})
       for (const PlacedMesh& mesh : *list) meshes.push_back(&mesh);
   return meshes;
+}
+
+/// The dynamic object of each mesh in the order of meshes_of(); -1 of static ones.
+std::vector<std::int32_t> objects_of_meshes(const MeshScene& scene) {
+  std::vector<std::int32_t> objects(scene.trusted.size() + scene.others.size(), -1);
+  for (std::size_t k = 0; k < scene.dynamic_objects.size(); ++k) {
+    const PlacedDynamicObject& object = scene.dynamic_objects[k];
+    const auto meshes = object.trusted.size() + object.others.size() + object.continued.size();
+    objects.insert(objects.end(), meshes, std::int32_t(k));
+  }
+  return objects;
 }
 
 /// Draws each mesh alone and compares it with the depth map.
@@ -79,12 +90,21 @@ void assign_moved_edges(const Camera& camera, const float* depth, const Strip& s
       const float z = depth[std::size_t(v) * camera.width + u];
       Tally& tally = tallies[std::size_t(v) * Strip::kStride + (u - strip.begin)];
       if (!(z > 0) || tally.difference <= kAgree) continue;
-      const int left = u - (u - strip.begin) % Strip::kTile, top = v - v % Strip::kTile;
-      for (int row = top; row < std::min(top + Strip::kTile, strip.height); ++row)
-        for (int column = left; column < std::min(left + Strip::kTile, strip.end); ++column) {
+      const bool none = tally.mesh < 0;
+      int left = u - (u - strip.begin) % Strip::kTile, top = v - v % Strip::kTile;
+      int right = std::min(left + Strip::kTile, strip.end);
+      int bottom = std::min(top + Strip::kTile, strip.height);
+      if (none) {  // an object may go on farther than a tile
+        left = std::max(u - Strip::kTile, strip.begin), top = std::max(v - Strip::kTile, 0);
+        right = std::min(u + Strip::kTile, strip.end);
+        bottom = std::min(v + Strip::kTile, strip.height);
+      }
+      for (int row = top; row < bottom; ++row)
+        for (int column = left; column < right; ++column) {
           const Tally& one = drawn[std::size_t(row) * Strip::kStride + (column - strip.begin)];
           const float off = std::fabs(depth[std::size_t(row) * camera.width + column] - z) / z;
-          if (one.mesh < 0 || one.difference > kAgree || !(off < tally.difference)) continue;
+          if (one.mesh < 0 || (one.difference > kAgree && !none)) continue;
+          if (!(off < tally.difference)) continue;
           tally.difference = off, tally.mesh = one.mesh, tally.triangle = one.triangle;
         }
     }
@@ -135,15 +155,18 @@ std::uint8_t class_at(const Triangle& triangle, const Vector& place) {
 Layers::Layers(const Camera& camera, bool with_normals) {
   const std::size_t pixels = std::size_t(camera.width) * camera.height;
   sweep.resize(pixels, -1), classid.resize(pixels, kNoClass), measured.resize(pixels, 0);
+  instance.resize(pixels, 0);
   range.resize(pixels, kNaN), normal.resize(with_normals ? 3 * pixels : 0, kNaN);
   support.resize(pixels, 0), measures.resize(pixels, 0), deviation.resize(pixels, kNaN);
 }
 
 Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const float* depth,
-                           int threads) {
+                           bool with_seen, int threads) {
   const auto meshes = meshes_of(scene);
   const std::size_t dynamic_objects = scene.trusted.size() + scene.others.size();
   Layers layers(camera, true);
+  const std::vector<std::int32_t> object_of_mesh = objects_of_meshes(scene);
+  std::vector<std::int32_t> objects(with_seen ? layers.sweep.size() : 0, -1);
   parallel_for(camera.width, kStrip, threads, [&](std::size_t begin, std::size_t end) {
     Strip strip(static_cast<int>(begin), static_cast<int>(end), camera.height);
     strip.numbers.resize(strip.inverse_depth.size());
@@ -165,8 +188,12 @@ Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const f
         const Vector turned =
             (placed.T_camera_mesh.linear() * normal.normalized().cast<double>()).cast<float>();
         Eigen::Map<Vector>(&layers.normal[3 * i]) = turned.dot(ray) > 0 ? Vector(-turned) : turned;
+        if (with_seen) objects[i] = object_of_mesh[tally.mesh];
         layers.sweep[i] = placed.sweep;
-        layers.classid[i] = class_at(triangle, place);
+        // Between its returns an object goes on as what it is.
+        const bool of_object = std::size_t(tally.mesh) >= dynamic_objects;
+        layers.classid[i] = of_object ? std::uint8_t(kDynamic) : class_at(triangle, place);
+        layers.instance[i] = placed.instance;
         layers.measured[i] = !placed.split;
         layers.range[i] = place.norm();
         layers.support[i] = tally.support;
@@ -174,6 +201,7 @@ Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const f
         layers.deviation[i] = deviation_of(tally, depth[i]);
       }
   });
+  if (with_seen) layers.seen = seen_pixels(camera, scene, depth, objects, threads);
   return layers;
 }
 

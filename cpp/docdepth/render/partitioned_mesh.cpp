@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include "docdepth/render/constants.hpp"
 
@@ -19,12 +20,13 @@ class Splitter {
   /// @param i         the corner on its own side; j and k follow it around the triangle
   /// @param alone     receives the side of i; null drops it
   /// @param together  receives the side of j and k; null drops it
+  /// @param share     of the way to the other side that a surface goes on
   void split(std::uint32_t i, std::uint32_t j, std::uint32_t k, Triangles* alone,
-             Triangles* together) {
-    const Border to_j = border(i, j), to_k = border(i, k);
-    if (alone) alone->push_back({i, add(to_j.first), add(to_k.first)});
+             Triangles* together, float share) {
+    const Border to_j = border(i, j, share), to_k = border(i, k, share);
+    if (alone) alone->push_back({i, add(to_j.first, i), add(to_k.first, i)});
     if (!together) return;
-    const std::uint32_t beside_j = add(to_j.second), beside_k = add(to_k.second);
+    const std::uint32_t beside_j = add(to_j.second, j), beside_k = add(to_k.second, k);
     together->push_back({beside_j, j, k});
     together->push_back({beside_j, k, beside_k});
   }
@@ -42,7 +44,7 @@ class Splitter {
     return distance != 0 ? normal.dot(toward) / distance : 1 / mesh_.vertices[a].norm();
   }
 
-  Border border(std::uint32_t a, std::uint32_t b) const {
+  Border border(std::uint32_t a, std::uint32_t b, float most_share) const {
     const auto& vertices = mesh_.vertices;
     const float range_a = vertices[a].norm(), range_b = vertices[b].norm();
     const Vector toward_a = vertices[a] / range_a, toward_b = vertices[b] / range_b;
@@ -59,14 +61,15 @@ class Splitter {
     const float least = std::min(1 / range_a, 1 / range_b);
     const float most = std::max(1 / range_a, 1 / range_b);
     const auto last = [&](std::uint32_t from, const Vector& here, const Vector& there) -> Vector {
-      const Vector toward = (here * (1 - kContinuedShare) + there * kContinuedShare).normalized();
+      const Vector toward = (here * (1 - most_share) + there * most_share).normalized();
       return toward / std::clamp(plane_inverse_range(from, toward), least, most);
     };
     return {last(a, toward_a, toward_b), last(b, toward_b, toward_a)};
   }
 
-  std::uint32_t add(const Vector& vertex) {
+  std::uint32_t add(const Vector& vertex, std::uint32_t source) {
     mesh_.vertices.push_back(vertex);
+    mesh_.sources.push_back(source);
     return static_cast<std::uint32_t>(mesh_.vertices.size() - 1);
   }
 
@@ -77,7 +80,7 @@ class Splitter {
 /// The corner on its own side of the discontinuity: the one of another owner, else the nearest or
 /// the farthest, whichever differs more from the middle one.
 int corner_alone(const std::vector<Vector>& vertices, const std::uint32_t corner[3],
-                 const std::vector<std::uint32_t>& owner) {
+                 const std::uint16_t* owner) {
   for (int i = 0; i < 3; ++i)
     if (owner[corner[i]] != owner[corner[(i + 1) % 3]] &&
         owner[corner[(i + 1) % 3]] == owner[corner[(i + 2) % 3]])
@@ -94,10 +97,12 @@ int corner_alone(const std::vector<Vector>& vertices, const std::uint32_t corner
 
 PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*triangles)[3],
                                const std::uint8_t* discontinuity, std::size_t count,
-                               const std::vector<std::uint32_t>& owner, std::size_t owners) {
+                               const std::uint16_t* owner, std::size_t owners) {
   PartitionedMesh mesh;
   mesh.vertices.reserve(points.rows() + points.rows() / 2);
   for (Eigen::Index i = 0; i < points.rows(); ++i) mesh.vertices.push_back(points.row(i));
+  mesh.sources.resize(points.rows());
+  std::iota(mesh.sources.begin(), mesh.sources.end(), 0);
   mesh.normals.assign(points.rows(), Vector::Zero());
   mesh.parts.resize(owners);
   mesh.parts[0].whole.reserve(count);
@@ -123,7 +128,7 @@ PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*trian
       if (!of) return nullptr;
       return own ? &mesh.parts[of].inner : &mesh.parts[of].outer;
     };
-    splitter.split(i, j, k, part(owner[i]), part(owner[j]));
+    splitter.split(i, j, k, part(owner[i]), part(owner[j]), own ? kInnerShare : kOuterShare);
   }
   return mesh;
 }

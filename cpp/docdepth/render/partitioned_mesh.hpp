@@ -17,7 +17,8 @@ using Triangles = std::vector<std::array<std::uint32_t, 3>>;
 /// A triangle across a discontinuity or between two owners is no measured surface: an edge crosses
 /// it somewhere. For static surface other sweeps tell where, so the triangle is dropped. Objects
 /// have moved meanwhile, so their triangles are split. Each side continues the plane at its own
-/// corners until it meets the other plane, or a little past the middle if it never does.
+/// corners until it meets the other plane: within an object a little past the middle if it never
+/// does, and towards other owners almost to their return, since rays tell where the object ends.
 struct PartitionedMesh {
   struct Parts {
     Triangles whole;  ///< measured surface
@@ -25,6 +26,7 @@ struct PartitionedMesh {
     Triangles outer;  ///< continues an object towards other owners
   };
   std::vector<Eigen::Vector3f> vertices;  ///< the points, then the vertices of split triangles
+  std::vector<std::uint32_t> sources;     ///< the point whose surface a vertex continues
   std::vector<Parts> parts;               ///< by owner
   std::vector<Eigen::Vector3f> normals;   ///< at each point, of any length; zero if unknown
 };
@@ -35,6 +37,6 @@ struct PartitionedMesh {
 /// @param owners         number of objects plus one
 PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*triangles)[3],
                                const std::uint8_t* discontinuity, std::size_t count,
-                               const std::vector<std::uint32_t>& owner, std::size_t owners);
+                               const std::uint16_t* owner, std::size_t owners);
 
 }  // namespace docdepth

@@ -109,8 +109,9 @@ DOCDEPTH_KERNEL void find_nearest(const Rays::Cells& cells, const Toward& toward
   for (int k = turn; low <= high && k < turn + 3; ++k) {
     const int column = left + k % 3;
     const int turns = column < 0 ? -1 : column == cells.columns ? 1 : 0;
-    const std::uint32_t* start =
-        &cells.start[std::size_t(column - turns * cells.columns) * cells.rows];
+    const int place = cells.place(column - turns * cells.columns);
+    if (place == cells.used) continue;
+    const std::uint32_t* start = &cells.start[std::size_t(place) * cells.rows];
     const Floats from = azimuth - float(turns * kTurn);
     for (std::uint32_t i = start[low]; i < start[high + 1]; ++i) {
       const Floats u = (cells.azimuth[i] - from) * cosine + cells.left[i] * inverse_range;
@@ -173,7 +174,8 @@ struct ScoreVisibility {
 
 }  // namespace
 
-Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Points* ray_origins) {
+Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Points* ray_origins,
+           const Sector& sector, const float* time_offset, const std::uint8_t* moving) {
   using Matrix = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
   const std::vector<Direction> directions =
       ray_origins ? directions_of(Matrix(points - *ray_origins)) : directions_of(points);
@@ -185,10 +187,11 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Point
     rows.push_back(static_cast<std::uint32_t>(i));
   }
   if (rows.empty()) return;
-  make_cells(rows, low, high);
+  make_cells(rows, low, high, sector);
   const auto cell = [&](const Direction& d) {
     const auto column = std::int64_t(d.azimuth + kTurn / 2) * cells_.columns / kTurn;
-    return std::size_t(column) * cells_.rows + (d.elevation - cells_.low) / cells_.side;
+    const int place = std::min(cells_.place(int(column)), cells_.used - 1);
+    return std::size_t(place) * cells_.rows + (d.elevation - cells_.low) / cells_.side;
   };
   for (const auto i : rows) ++cells_.start[cell(directions[i]) + 1];
   for (std::size_t c = 1; c < cells_.start.size(); ++c) cells_.start[c] += cells_.start[c - 1];
@@ -205,21 +208,33 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Point
     cells_.azimuth[to] = float(directions[i].azimuth);
     cells_.elevation[to] = float(directions[i].elevation);
     cells_.ends[to] = {known ? Vector(n / offset) : Vector(p / squared), range};
+    cells_.time[to] = time_offset ? time_offset[i] : 0.0f;
+    cells_.moving[to] = moving && moving[i];
   }
 }
 
 /// Cells for these rays, with elevations from `low` to `high`, and memory for the rays.
-void Rays::make_cells(const std::vector<std::uint32_t>& rows, int low, int high) {
-  const double area = double(kTurn) * (high - low + 1);
+void Rays::make_cells(const std::vector<std::uint32_t>& rows, int low, int high,
+                      const Sector& sector) {
+  const double area = double(sector.span) * (high - low + 1);
   cells_.low = low;
   cells_.side = std::max(1, int(kRayCellSize * std::sqrt(area / double(rows.size()))));
   // With four columns neighbours are less than half a turn apart.
   cells_.columns = std::max(4, kTurn / cells_.side);
   cells_.rows = (high - low) / cells_.side + 1;
-  cells_.start.assign(std::size_t(cells_.columns) * cells_.rows + 1, 0);
+  const auto column_of = [&](std::int64_t azimuth) { return azimuth * cells_.columns / kTurn; };
+  const std::int64_t first = sector.first + kTurn / 2;
+  cells_.first = int(column_of(first));
+  cells_.used = std::min(cells_.columns, int(column_of(first + sector.span) - cells_.first) + 1);
+  cells_.start.assign(std::size_t(cells_.used) * cells_.rows + 1, 0);
   for (auto* column : {&cells_.azimuth, &cells_.elevation, &cells_.left, &cells_.up})
     column->resize(rows.size());
-  cells_.ends.resize(rows.size());
+  cells_.ends.resize(rows.size()), cells_.time.resize(rows.size());
+  cells_.moving.resize(rows.size());
+}
+
+float Rays::Cells::spacing() const {
+  return float(side) / float(kRayCellSize) * kRadiansPerUnit;
 }
 
 /// Offset of the origin of ray `to` from the sensor, across the ray to the left and up.

@@ -99,17 +99,19 @@ TEST_CASE("OpenGL draws the triangles of the processor, weighed alike") {
   Pose pose = Pose::Identity();
   pose.translation() << 0.3, -0.2, 1.7;
   const Rays rays = scattered_rays(5, 20000);
+  const PixelBounds all{0, 160, 0, 60};
   const std::vector<MeshScene> scenes{
       {{{&first, pose}}, {}, {}, {}},
       {{{&third, pose}}, {{&first, pose}, {&second, pose}, {&first, Pose::Identity()}}, {}, {}},
       {{},
        {{&second, pose}, {&first, pose}, {&third, pose}, {&first, pose}},
        {{&rays, pose}, {&rays, Pose::Identity()}},
-       {{{{&third, pose}}, {}, {}}}},
+       {{{{&third, pose}}, {}, {}, {}, all}}},
       {{{&first, pose}, {&third, pose}},
        {{&second, pose}},
        {{&rays, pose}},
-       {{{{&second, pose}}, {{&third, pose}}, {{&rays, pose}}}, {{{&third, pose}}, {}, {}}}},
+       {{{{&second, pose}}, {{&third, pose}}, {{&first, pose}}, {{&rays, pose}}, all},
+        {{{&third, pose}}, {}, {}, {}, all}}},
       MeshScene()};
   for (const Backend backend : kBackends) {
     const auto renderer = open(backend);

@@ -41,12 +41,15 @@ TEST_CASE("layers of triangles tell which mesh is seen, and how many agree") {
     }
   }
   // What moves is held against what moves; without depth there is nothing.
-  scene.dynamic_objects = {{{{&dynamic_mesh, T, 3}}, {{&other, T, 4}}, {}}};
+  scene.dynamic_objects = {
+      {{{&dynamic_mesh, T, 3}}, {{&other, T, 4, false, 7}}, {}, {}, {0, 21, 0, 21}}};
   std::vector<float> nearer(21 * 21, 4.02f);
   nearer[7] = NAN;
   const Layers layers = layers_of_triangles(kCamera, scene, nearer.data(), 2);
   CHECK(layers.sweep[0] == 4);
   CHECK(layers.classid[0] == kDynamic);
+  CHECK(layers.instance[0] == 7);
+  CHECK(layers.instance[7] == 0);
   CHECK(layers.support[0] == 2);
   CHECK(layers.measures[0] == 2);
   CHECK(layers.sweep[7] == -1);

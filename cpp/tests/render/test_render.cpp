@@ -133,7 +133,7 @@ TEST_CASE("without rays the first sweep with a depth wins, and dynamic objects h
     for (const PatchMesh* mesh : trusted) scene.trusted.push_back({mesh, T});
     for (const PatchMesh* mesh : others) scene.others.push_back({mesh, T});
     for (const PatchMesh* mesh : dynamic_meshes)
-      scene.dynamic_objects.push_back({{{mesh, T}}, {}, {}});
+      scene.dynamic_objects.push_back({{{mesh, T}}, {}, {}, {}, {0, 21, 0, 21}});
     return doctest::Approx(render_triangles(camera, scene, 1)[pixel]);
   };
   for (int i = 0; i < 21 * 21; ++i) {
@@ -221,35 +221,42 @@ TEST_CASE("rays are queried in the order of trust until the score is sure") {
   CHECK(middle({&met_close, &met_close, &passed}) == 5);
 }
 
-TEST_CASE("what moves is drawn where rays met it close by, unless it is trusted there") {
+TEST_CASE("an object goes on where rays met it close by, and other sweeps add what none denies") {
   const Camera camera{100, 100, 3, 3, 7, 7};
   const PatchMesh wall = square(10), dynamic_mesh = square(5);
   const float spacing = 0.5f;
   const Rays close = sweep(5, spacing, 0.06f), far = sweep(5, spacing, 0.15f),
              passed = sweep(10, spacing, 0.005f), aside = sweep(10, spacing, 0.04f);
   const Pose T = looking_ahead();
-  const auto middle = [&](const std::vector<PlacedRays>& rays, bool trusted) {
+  enum Kind { kTrusted, kOther, kContinued };
+  const auto middle = [&](const std::vector<PlacedRays>& rays, Kind kind) {
     MeshScene scene;
     scene.trusted.push_back({&wall, Pose::Identity()});
     const std::vector<PlacedMesh> meshes{{&dynamic_mesh, Pose::Identity()}}, none;
-    scene.dynamic_objects.push_back({trusted ? meshes : none, trusted ? none : meshes, rays});
+    scene.dynamic_objects.push_back({kind == kTrusted ? meshes : none,
+                                     kind == kOther ? meshes : none,
+                                     kind == kContinued ? meshes : none,
+                                     rays,
+                                     {0, 7, 0, 7}});
     return render_triangles(camera, scene, 1)[3 * 7 + 3];
   };
   const float shaky = 0.05f;
-  CHECK(middle({{&close, T}}, false) == doctest::Approx(5));
-  CHECK(std::isnan(middle({{&close, T, shaky}}, false)));  // it may have passed farther off
-  CHECK(middle({{&close, T, shaky}, {&close, T, shaky}}, false) == doctest::Approx(5));
-  CHECK(std::isnan(middle({{&far, T}}, false)));
-  CHECK(middle({{&passed, T}}, false) == doctest::Approx(10));
-  CHECK(std::isnan(middle({{&passed, T, shaky}}, false)));
-  CHECK(std::isnan(middle({{&aside, T}}, false)));
-  CHECK(std::isnan(middle({{&close, T}, {&aside, T}}, false)));
-  // One that passed four centimetres aside outweighs three that met six aside, not four.
-  const PlacedRays met{&close, T}, missed{&aside, T};
-  CHECK(std::isnan(middle({met, met, met, missed}, false)));
-  CHECK(middle({met, met, met, met, missed}, false) == doctest::Approx(5));
-  for (const Rays* rays : {&close, &far, &passed}) CHECK(middle({{rays, T}}, true) == 5);
-  CHECK(middle({}, false) == 5);  // no rays
+  CHECK(middle({{&close, T}}, kContinued) == doctest::Approx(5));
+  CHECK(std::isnan(middle({{&close, T, shaky}}, kContinued)));  // it may have passed farther off
+  CHECK(middle({{&close, T, shaky}, {&close, T, shaky}}, kContinued) == doctest::Approx(5));
+  CHECK(std::isnan(middle({{&far, T}}, kContinued)));
+  CHECK(std::isnan(middle({}, kContinued)));
+  CHECK(middle({{&passed, T}}, kContinued) == doctest::Approx(10));
+  CHECK(middle({{&passed, T, shaky}}, kContinued) == doctest::Approx(10));
+  CHECK(std::isnan(middle({{&aside, T, shaky}}, kContinued)));
+  // One that passed four centimetres aside outweighs one that met six aside.
+  CHECK(std::isnan(middle({{&close, T}, {&aside, T}}, kContinued)));
+  // What another sweep measured takes more than one ray to deny.
+  CHECK(middle({}, kOther) == doctest::Approx(5));
+  CHECK(middle({{&far, T}}, kOther) == doctest::Approx(5));
+  CHECK(middle({{&passed, T}}, kOther) == doctest::Approx(5));
+  CHECK(middle({{&passed, T}, {&passed, T}}, kOther) == doctest::Approx(10));
+  for (const Rays* rays : {&close, &far, &passed}) CHECK(middle({{rays, T}}, kTrusted) == 5);
 }
 
 TEST_CASE("other sweeps only fill what the trusted mesh of an object left empty") {
@@ -261,13 +268,18 @@ TEST_CASE("other sweeps only fill what the trusted mesh of an object left empty"
   for (const Rays* rays : {&met, &passed}) {
     MeshScene scene;
     scene.trusted.push_back({&wall, Pose::Identity()});
-    scene.dynamic_objects.push_back(
-        {{{&half, Pose::Identity()}}, {{&nearer, Pose::Identity()}}, {{rays, T}}});
+    scene.dynamic_objects.push_back({{{&half, Pose::Identity()}},
+                                     {{&nearer, Pose::Identity()}},
+                                     {},
+                                     {{rays, T}},
+                                     {0, 7, 0, 7}});
     const auto depth = render_triangles(camera, scene, 1);
     for (std::size_t i = 0; i < depth.size(); ++i)
       CHECK(depth[i] == doctest::Approx(i % 7 <= 3 ? 5 : rays == &met ? 4 : 10));
   }
 }
+
+using Owners = std::vector<std::uint16_t>;
 
 TEST_CASE(
     "a discontinuity of an object is split near the middle, each side at the range of its "
@@ -276,15 +288,17 @@ TEST_CASE(
   points << 10, 0, 0, 20, 1, 0, 20, 0, 1;
   const std::uint32_t triangle[1][3] = {{0, 1, 2}};
   const std::uint8_t whole = 0, cut = 1;
-  CHECK(partition_mesh(points, triangle, &whole, 1, {0, 0, 0}, 1).parts[0].whole.size() == 1);
+  CHECK(partition_mesh(points, triangle, &whole, 1, Owners{0, 0, 0}.data(), 1)
+            .parts[0]
+            .whole.size() == 1);
 
   // Static surface is not continued where nothing was measured.
-  const auto world = partition_mesh(points, triangle, &cut, 1, {0, 0, 0}, 1);
+  const auto world = partition_mesh(points, triangle, &cut, 1, Owners{0, 0, 0}.data(), 1);
   CHECK(world.parts[0].whole.empty());
   CHECK(world.parts[0].outer.empty());
   CHECK(world.vertices.size() == 3);
 
-  const auto split = partition_mesh(points, triangle, &cut, 1, {1, 1, 1}, 2);
+  const auto split = partition_mesh(points, triangle, &cut, 1, Owners{1, 1, 1}.data(), 2);
   CHECK(split.parts[1].whole.empty());
   CHECK(split.parts[1].outer.empty());
   REQUIRE(split.parts[1].inner.size() == 3);
@@ -295,7 +309,7 @@ TEST_CASE(
       CHECK(split.vertices[corner].norm() > 19.9);
 
   // Two owners are never joined, with or without a jump.
-  const auto border = partition_mesh(points, triangle, &whole, 1, {0, 1, 0}, 2);
+  const auto border = partition_mesh(points, triangle, &whole, 1, Owners{0, 1, 0}.data(), 2);
   CHECK(border.parts[0].whole.empty());
   CHECK(border.parts[1].whole.empty());
   CHECK(border.parts[1].inner.empty());
@@ -309,8 +323,7 @@ TEST_CASE("where two planes meet between their last returns, each goes on to the
   points << 4, -1, -2, 4, 1, -2, 6, 0, -2, 10, -1, 0, 10, 1, 0, 10, 0, 1;
   const std::uint32_t triangles[4][3] = {{0, 1, 2}, {3, 4, 5}, {2, 3, 4}, {1, 2, 4}};
   const std::uint8_t cut[4] = {0, 0, 1, 1};
-  const auto surface =
-      partition_mesh(points, triangles, cut, 4, std::vector<std::uint32_t>(6, 1), 2);
+  const auto surface = partition_mesh(points, triangles, cut, 4, Owners(6, 1).data(), 2);
   CHECK(surface.parts[1].whole.size() == 2);
   REQUIRE(surface.parts[1].inner.size() == 6);
   for (const auto& part : surface.parts[1].inner)

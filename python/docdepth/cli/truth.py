@@ -232,6 +232,32 @@ def labels(
 
 
 @verb(evaluate)
+def tracks(
+    run: RunPath,
+    truth: LabelFolder,
+    tracks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="True tracks, as synth writes them; tracks.csv beside the folder of labels if "
+            "left out.",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Compare instances and tracks with true ones.
+
+    Share of moving objects found and of points with the right instance, HOTA and CLEAR, errors of
+    boxes and velocities.
+    """
+    from docdepth.evaluation.runs import evaluate_tracks
+
+    with progress_bars() as progress:
+        result = evaluate_tracks(run, truth, tracks, partial(progress, "evaluate"))
+    show(result, as_json)
+
+
+@verb(evaluate)
 def depth(
     run: RunPath,
     truth: Annotated[

@@ -24,10 +24,13 @@ class Labels:
     classid : ndarray of uint16, shape (N,)
         0 ground, 50 static, 100 dynamic.
     votes : Votes
+    instance : ndarray of uint16, shape (N,), optional
+        Track of each dynamic point, 0 if it is of none; absent without tracks.
     """
 
     classid: NDArray[np.uint16]
     votes: Votes
+    instance: NDArray[np.uint16] | None = None
 
 
 def classify(

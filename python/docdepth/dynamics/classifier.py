@@ -12,7 +12,7 @@ from docdepth.config import Parameters
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.scheduling import classify_sweeps
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep
-from docdepth.dynamics.tracking import Detections, TrackingResult
+from docdepth.dynamics.tracking import Detections, Tracking
 from docdepth.errors import InputError
 from docdepth.geometry.points import DeskewedSweep, points_of, rig_of
 from docdepth.geometry.trajectory import Trajectory
@@ -83,16 +83,13 @@ class _Memory:
     def is_done(self, index: int) -> bool:
         return False
 
-    def tracks(self) -> list[TrackingResult] | None:
+    def tracks(self) -> Tracking | None:
         return None
 
-    def keep_tracks(self, found: list[TrackingResult]) -> None:
+    def keep_tracks(self, found: Tracking) -> None:
         pass
 
     def has_evidence(self, index: int) -> bool:
-        return False
-
-    def has_votes(self, index: int) -> bool:
         return False
 
     def read(self, index: int) -> InputSweep:

@@ -12,7 +12,7 @@ from docdepth.config import DynamicsParameters
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.look_ahead import LookAhead
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep, PreparedSweep, SweepClassifier
-from docdepth.dynamics.tracking import Detections, TrackingResult
+from docdepth.dynamics.tracking import Detections, Tracking
 from docdepth.dynamics.voting import KeyFrame
 from docdepth.geometry.trajectory import Trajectory
 
@@ -30,18 +30,14 @@ class SweepStore(Protocol):
         """Whether an earlier run left the labels of this sweep."""
         ...
 
-    def tracks(self) -> list[TrackingResult] | None:
+    def tracks(self) -> Tracking | None:
         """What an earlier run found of tracks; None if there are none."""
         ...
 
-    def keep_tracks(self, found: list[TrackingResult]) -> None: ...
+    def keep_tracks(self, found: Tracking) -> None: ...
 
     def has_evidence(self, index: int) -> bool:
         """Whether an interrupted run left the evidence of this sweep."""
-        ...
-
-    def has_votes(self, index: int) -> bool:
-        """Whether the sweep comes with votes."""
         ...
 
     def read(self, index: int) -> InputSweep: ...
@@ -113,19 +109,17 @@ def _vote(
     threads: int,
 ) -> None:
     """Classify sweeps by their own votes."""
-    with_votes = {index for index in left if store.has_votes(index)}
 
     def voters(index: int) -> list[int]:
-        return [] if index in with_votes else steps.key_frames[index].tolist()
+        keys: list[int] = steps.key_frames[index].tolist()
+        return keys
 
     def classify(
         index: int, made: Future[PreparedSweep], key_frames: list[Future[KeyFrame]]
     ) -> Future[None]:
         prepared = made.result()
         sweep = prepared.sweep
-        votes = sweep.votes if index in with_votes else None
-        if votes is None:
-            votes = steps.vote(index, sweep, [frame.result() for frame in key_frames])
+        votes = steps.vote(index, sweep, [frame.result() for frame in key_frames])
         if not steps.uses_tracks:
             labels = steps.classify(prepared, votes)
             return writers.submit(store.write, index, sweep, labels)
@@ -154,7 +148,7 @@ def _add_tracks(
     steps: SweepClassifier,
     store: SweepStore,
     left: list[int],
-    tracks: list[TrackingResult] | None,
+    tracks: Tracking | None,
     threads: int,
 ) -> None:
     """Classify objects that move at another time of the drive."""
@@ -163,7 +157,7 @@ def _add_tracks(
         # The sweep is read once more, since tracks are known when all sweeps have voted and a drive
         # may not fit into memory.
         sweep = store.read(index)
-        labels = steps.add_tracks(index, sweep, store.evidence(index), results[index])
+        labels = steps.add_tracks(index, sweep, store.evidence(index), results.sweeps[index])
         store.write(index, sweep, labels)
 
     with ThreadPoolExecutor(_FILE_THREADS) as pool:

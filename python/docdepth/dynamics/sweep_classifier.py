@@ -17,7 +17,9 @@ from docdepth.dynamics.clustering import cluster_objects
 from docdepth.dynamics.key_frames import key_frames
 from docdepth.dynamics.tracking import (
     Detections,
-    TrackingResult,
+    PointStays,
+    TrackedSweep,
+    Tracking,
     apply_tracks,
     local_poses,
     track_objects,
@@ -40,8 +42,8 @@ class InputSweep:
     ground : ndarray of bool, shape (N,)
     sensor_rig : SensorRig, optional
         Where it was measured from, if not from the origin.
-    votes : Votes, optional
-        Kept from an earlier run; cast anew when missing.
+    time_offset : ndarray of float32, shape (N,), optional
+        Seconds from the stamp to each measurement.
     record
         What the sweep's store needs to write its labels.
     """
@@ -49,7 +51,7 @@ class InputSweep:
     points: NDArray[np.float32]
     ground: NDArray[np.bool_]
     sensor_rig: SensorRig | None = None
-    votes: Votes | None = None
+    time_offset: NDArray[np.float32] | None = None
     record: Any = None
 
 
@@ -124,6 +126,7 @@ class SweepClassifier:
     def vote(self, index: int, sweep: InputSweep, key_frames: Sequence[KeyFrame]) -> Votes:
         """Let the key frames of sweep ``index`` vote on it, in one thread."""
         poses = self._trajectory.poses
+        earlier = int(np.searchsorted(self.key_frames[index], index))
         with self._watch("vote"):
             return voting.vote(
                 sweep.points,
@@ -132,6 +135,7 @@ class SweepClassifier:
                 key_frames,
                 poses[self.key_frames[index]],
                 threads=1,
+                earlier=earlier,
             )
 
     def classify(self, prepared: PreparedSweep, votes: Votes) -> Labels:
@@ -147,27 +151,30 @@ class SweepClassifier:
         """Labels of a sweep by its own votes, and the detections that tracks are made of."""
         sweep, mesh = prepared
         points, ground = sweep.points, sweep.ground
+        mesh = mesh or ScanMesh(points)
         with self._watch("objects"):
             objects = cluster_objects(points, ground, mesh)
             classid = classify(ground, votes, self._parameters, points, mesh, objects)
         with self._watch("detections"):
+            moving, pose = classid >= DYNAMIC, self._local_poses[index]
+            stays = PointStays.of(votes, self.key_frames[index], index)
             detections = Detections(
-                points, ground, objects, classid >= DYNAMIC, self._local_poses[index]
+                points, ground, objects, moving, stays, mesh, pose, sweep.time_offset
             )
         return Evidence(Labels(classid, votes), objects), detections
 
-    def track(self, detections: Sequence[Detections], threads: int = 0) -> list[TrackingResult]:
+    def track(self, detections: Sequence[Detections], threads: int = 0) -> Tracking:
         """Track objects through the drive, from the detections of all sweeps in order."""
         with self._watch("tracks"):
-            return track_objects(detections, self._trajectory.times, threads)
+            return track_objects(detections, self._trajectory, threads)
 
     def add_tracks(
-        self, index: int, sweep: InputSweep, evidence: Evidence, result: TrackingResult
+        self, index: int, sweep: InputSweep, evidence: Evidence, result: TrackedSweep
     ) -> Labels:
         """Labels of a sweep with what tracks found in it."""
         labels, objects = evidence
         if not result:
-            return labels
-        pose = self._local_poses[index]
-        classid = apply_tracks(sweep.points, objects, labels.votes, labels.classid, result, pose)
-        return Labels(classid, labels.votes)
+            return replace(labels, instance=np.zeros(len(objects), np.uint16))
+        votes, pose = labels.votes, self._local_poses[index]
+        found = apply_tracks(sweep.points, objects, votes, labels.classid, result, pose)
+        return Labels(found[0], votes, found[1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,10 +11,14 @@ from numpy.typing import NDArray
 
 from docdepth import _core
 from docdepth.dynamics.clustering import OBJECT_PARAMETERS
-from docdepth.dynamics.voting import Votes
+from docdepth.dynamics.voting import NEVER, Votes
 from docdepth.errors import InputError
 from docdepth.geometry.points import DYNAMIC, STATIC, check_sweep
+from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.track import KINDS, MAX_TRACKS, Kind, Track
 from docdepth.geometry.trajectory import Trajectory
+
+log = logging.getLogger(__name__)
 
 TRACK_PARAMETERS = _core.TrackParameters()
 """Constants of :func:`track_objects`: the defaults of the C++ structure."""
@@ -23,27 +28,126 @@ MAX_OCCUPIED_SHARE = 0.8
 observed occupied: it is another object that touches the first [-]."""
 
 
-class TrackingResult(NamedTuple):
+PERSON_SIZE = (2.2, 1.3, 2.2)
+"""A person or cyclist is at most this long, wide and high [m]."""
+
+MIN_PERSON_HEIGHT = 0.7
+"""Of which a child or the seen half of a person has at least this [m]."""
+
+MAX_CYCLING = 14.0
+"""Fastest cyclist [m/s], 50 km/h."""
+
+MIN_VEHICLE_HEIGHT = 0.6
+"""Lower things are no vehicle [m]."""
+
+BOX_MARGIN = 0.5
+"""A dynamic point without an object belongs to the box of a track up to this distance [m]."""
+
+MIN_SIZE = 0.1
+"""Least side of a box [m]."""
+
+
+class TrackedSweep(NamedTuple):
     """What :func:`track_objects` finds in a sweep.
 
     Attributes
     ----------
-    objects : ndarray of uint32, shape (n,)
-        Objects that are dynamic, too: their first rows, as :func:`cluster_objects` gives them.
-    boxes : ndarray of float32, shape (K, 6)
-        Low and high corners of tracked objects in the frame of :func:`local_poses`. Points above
-        the ground inside are dynamic unless their votes are clearly static.
+    members : ndarray of uint32, shape (n, 3)
+        Objects that belong to a track: first row (as :func:`cluster_objects` gives it), track, and
+        1 if the track makes it dynamic.
+    box_tracks : ndarray of uint32, shape (K, 2)
+        Track of each box, and 1 if it moves in this sweep.
+    boxes : ndarray of float32, shape (K, 15)
+        Objects in the frame of :func:`local_poses`: ``T_box_world`` (3, 4), row after row, and half
+        of the size. Points above the ground inside of a moving one are dynamic unless their votes
+        are clearly static.
     voxels : ndarray of uint64, shape (m,)
         Numbers of the voxels in which nearly everything moved in the sweeps just before and after;
         the same holds inside.
     """
 
-    objects: NDArray[np.uint32]
-    boxes: NDArray[np.float32]
+    members: NDArray[np.uint32] = np.zeros((0, 3), np.uint32)
+    box_tracks: NDArray[np.uint32] = np.zeros((0, 2), np.uint32)
+    boxes: NDArray[np.float32] = np.zeros((0, 15), np.float32)
     voxels: NDArray[np.uint64] = np.zeros(0, np.uint64)
 
     def __bool__(self) -> bool:
         return any(len(found) > 0 for found in self)
+
+    @property
+    def dynamic(self) -> NDArray[np.uint32]:
+        """First rows of the objects that tracks make dynamic."""
+        return self.members[self.members[:, 2] > 0, 0]
+
+
+class Tracking(NamedTuple):
+    """What :func:`track_objects` finds in a drive.
+
+    Attributes
+    ----------
+    sweeps : list of TrackedSweep
+        One for each sweep.
+    tracks : list of Track
+        Track ``k`` of the sweeps is ``tracks[k - 1]``.
+    """
+
+    sweeps: list[TrackedSweep]
+    tracks: list[Track]
+
+
+def packed(tracking: Tracking) -> list[NDArray[Any]]:
+    """All of it as arrays, to be written to a file."""
+    arrays: list[NDArray[Any]] = [array for sweep in tracking.sweeps for array in sweep]
+    for t in tracking.tracks:
+        about = np.array([t.id, KINDS.index(t.kind)])
+        arrays += [about, t.times, t.poses, t.velocities, t.size, t.points, t.deviations]
+    return arrays
+
+
+def unpacked(arrays: Sequence[NDArray[Any]], sweeps: int) -> Tracking:
+    """What :func:`packed` made these arrays of.
+
+    Raises
+    ------
+    ValueError
+        They are not of so many sweeps.
+    """
+    of_sweep, of_track = len(TrackedSweep._fields), 7
+    first = of_sweep * sweeps
+    if len(arrays) < first or (len(arrays) - first) % of_track:
+        raise ValueError(f"{len(arrays)} arrays are not the tracks of {sweeps} sweeps")
+    found = [TrackedSweep(*arrays[k : k + of_sweep]) for k in range(0, first, of_sweep)]
+    tracks = []
+    for k in range(first, len(arrays), of_track):
+        (number, kind), *rest = arrays[k : k + of_track]
+        tracks.append(Track(int(number), KINDS[int(kind)], *rest))
+    return Tracking(found, tracks)
+
+
+class PointStays(NamedTuple):
+    """When the place of each point of a sweep was occupied, as far as votes tell.
+
+    Attributes
+    ----------
+    once : ndarray of bool, shape (N,)
+        It was free at another time, and occupied in one stretch of time only.
+    first, last : ndarray of int32, shape (N,)
+        The first and the last sweep that found it occupied.
+    """
+
+    once: NDArray[np.bool_]
+    first: NDArray[np.int32]
+    last: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, votes: Votes, key_frames: NDArray[np.int64], sweep: int) -> PointStays:
+        """From the votes of key frames on a sweep, which found all its points occupied itself."""
+        if votes.stays is None:
+            raise InputError("tracking needs votes with their order; vote again")
+        index = np.full(NEVER + 1, sweep, np.int32)
+        index[: len(key_frames)] = key_frames
+        first = np.minimum(index[votes.stays.first], sweep, dtype=np.int32)
+        return cls(votes.stays.once, first, np.maximum(index[votes.stays.last], sweep))
 
 
 class Detections:
@@ -58,8 +162,13 @@ class Detections:
         From :func:`cluster_objects`.
     moving : ndarray of bool, shape (N,)
         Points that the votes on this sweep make dynamic.
+    stays : PointStays
+    mesh : ScanMesh
+        Of these points; tells the normals.
     T_world_lidar : ndarray of float64, shape (4, 4)
         From :func:`local_poses`.
+    time_offset : ndarray of float32, shape (N,), optional
+        Seconds from the stamp of the sweep to each measurement.
 
     Raises
     ------
@@ -73,10 +182,15 @@ class Detections:
         ground: NDArray[np.bool_],
         objects: NDArray[np.uint32],
         moving: NDArray[np.bool_],
+        stays: PointStays,
+        mesh: ScanMesh,
         T_world_lidar: NDArray[np.float64],
+        time_offset: NDArray[np.float32] | None = None,
     ) -> None:
         points, ground = check_sweep(points, ground)
-        self._core = _core.Detections(points, ground, objects, moving, T_world_lidar)
+        self._core = _core.Detections(
+            points, ground, objects, moving, *stays, mesh.core, T_world_lidar, time_offset
+        )
 
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
@@ -99,8 +213,8 @@ def local_poses(trajectory: Trajectory) -> NDArray[np.float64]:
 
 
 def track_objects(
-    detections: Sequence[Detections], times: NDArray[np.int64], threads: int = 0
-) -> list[TrackingResult]:
+    detections: Sequence[Detections], trajectory: Trajectory, threads: int = 0
+) -> Tracking:
     """Track dynamic objects through the drive, to find them also where votes do not.
 
     Tracks start at objects that the votes make dynamic and go forward and backward in time. An
@@ -109,8 +223,8 @@ def track_objects(
     object waits or parks, or no key frame looked.
 
     An object that a track adds must have been observed free while the tracked object was elsewhere;
-    otherwise it is another one: a parked car that was passed, a pole, a wall. It may also not have
-    more points than were seen to move at once, or an eighth of all that were.
+    otherwise it is another one: a parked car that was passed, a pole, a wall. It may also not show
+    more of its surface than was seen to move at once, or an eighth of all that was.
 
     Between its detections a tracked object is where its motion predicts it, even where its points
     are too few to be an object. The voxels of a result hold such points, too.
@@ -119,26 +233,63 @@ def track_objects(
     ----------
     detections : sequence of Detections
         Of every sweep, in order.
-    times : ndarray of int64, shape (n,)
-        Stamps of the sweeps, nanoseconds.
+    trajectory : Trajectory
+        Of the LiDAR; one pose a sweep.
     threads : int
         0 for all cores. The result does not depend on it.
 
     Returns
     -------
-    list of TrackingResult
-        One for each sweep.
+    Tracking
 
     Raises
     ------
     InputError
-        The numbers of detections and times differ.
+        The numbers of detections and poses differ.
     """
+    times = trajectory.times
     if len(detections) != len(times):
-        raise InputError(f"{len(detections)} detections and {len(times)} times; give one of each")
-    seconds = (np.asarray(times) - times[0]) * 1e-9 if len(times) else np.zeros(0)
-    found = _core.track_objects([of._core for of in detections], seconds, TRACK_PARAMETERS, threads)
-    return [TrackingResult(*sweep) for sweep in found]
+        raise InputError(f"{len(detections)} detections and {len(times)} poses; give one of each")
+    seconds = (times - times[0]) * 1e-9
+    sweeps, objects = _core.track_objects(
+        [of._core for of in detections], seconds, TRACK_PARAMETERS, threads
+    )
+    origin = trajectory.poses[0, :3, 3]
+    if len(objects) > MAX_TRACKS:
+        log.warning(
+            "%d objects move in this drive, more than ids; those after %d get instance 0",
+            len(objects), MAX_TRACKS,
+        )  # fmt: skip
+    followed = enumerate(objects[:MAX_TRACKS], 1)
+    tracks = [_track(k, times, origin, *of) for k, of in followed]
+    return Tracking([TrackedSweep(*sweep) for sweep in sweeps], tracks)
+
+
+def _track(
+    number: int,
+    times: NDArray[np.int64],
+    origin: NDArray[np.float64],
+    sweeps: NDArray[np.int64],
+    points: NDArray[np.int64],
+    poses: NDArray[np.float64],
+    velocities: NDArray[np.float64],
+    deviations: NDArray[np.float64],
+    size: NDArray[np.float64],
+    rigid: bool,
+) -> Track:
+    poses[:, :3, 3] += origin
+    size = np.maximum(size, MIN_SIZE)
+    speed = float(np.linalg.norm(velocities, axis=1).max())
+    kind = _kind(size, speed, rigid)
+    return Track(number, kind, times[sweeps], poses, velocities, size, points, deviations)
+
+
+def _kind(size: NDArray[np.float64], speed: float, rigid: bool) -> Kind:
+    """What an object is by its size [m] and its highest speed [m/s]."""
+    length, width, height = size
+    if length <= PERSON_SIZE[0] and width <= PERSON_SIZE[1] and height <= PERSON_SIZE[2]:
+        return "person" if height >= MIN_PERSON_HEIGHT and speed <= MAX_CYCLING else "other"
+    return "vehicle" if rigid and height >= MIN_VEHICLE_HEIGHT else "other"
 
 
 def apply_tracks(
@@ -146,10 +297,10 @@ def apply_tracks(
     objects: NDArray[np.uint32],
     votes: Votes,
     classid: NDArray[np.uint16],
-    result: TrackingResult,
+    result: TrackedSweep,
     T_world_lidar: NDArray[np.float64],
-) -> NDArray[np.uint16]:
-    """Add to the classes of a sweep what tracks found in it.
+) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    """Add to the classes of a sweep what tracks found in it, and tell which track each point is of.
 
     Parameters
     ----------
@@ -160,17 +311,18 @@ def apply_tracks(
     votes : Votes
     classid : ndarray of uint16, shape (N,)
         By the votes on this sweep.
-    result : TrackingResult
+    result : TrackedSweep
         Of this sweep.
     T_world_lidar : ndarray of float64, shape (4, 4)
         From :func:`local_poses`.
 
     Returns
     -------
-    ndarray of uint16, shape (N,)
+    classid, instance : ndarray of uint16, shape (N,)
+        The instance is the track of each dynamic point, 0 if it is of none.
     """
     moving, ground = classid >= DYNAMIC, classid < STATIC
-    moving[_tracked_rows(objects, result.objects, votes, moving)] = True
+    moving[_tracked_rows(objects, result.dynamic, votes, moving)] = True
     static, dynamic = votes.static, votes.dynamic
     inside = _core.add_points_inside(
         points,
@@ -178,7 +330,7 @@ def apply_tracks(
         static,
         dynamic,
         T_world_lidar,
-        result.boxes,
+        result.boxes[result.box_tracks[:, 1] > 0],
         result.voxels,
         moving,
         OBJECT_PARAMETERS,
@@ -186,7 +338,33 @@ def apply_tracks(
     every = _core.add_isolated_points(
         points, ground, objects, static, dynamic, inside, OBJECT_PARAMETERS
     )
-    return np.where(every, np.uint16(DYNAMIC), classid)
+    classid = np.where(every, np.uint16(DYNAMIC), classid)
+    return classid, _instances(points, objects, classid >= DYNAMIC, result, T_world_lidar)
+
+
+def _instances(
+    points: NDArray[np.float32],
+    objects: NDArray[np.uint32],
+    dynamic: NDArray[np.bool_],
+    result: TrackedSweep,
+    T_world_lidar: NDArray[np.float64],
+) -> NDArray[np.uint16]:
+    """The track of each dynamic point: that of its object, else that of the nearest box."""
+    track_of = np.zeros(len(objects), np.uint32)
+    first, tracks, _ = result.members.T
+    track_of[first[::-1]] = tracks[::-1]  # the longest track has the lowest number
+    instance = np.where(dynamic, track_of[objects], 0)
+    loose = np.flatnonzero(dynamic & (instance == 0))
+    if len(loose) and len(result.boxes):
+        places = points[loose] @ T_world_lidar[:3, :3].T + T_world_lidar[:3, 3]
+        T = result.boxes[:, :12].reshape(-1, 3, 4)
+        inside = np.einsum("kij,nj->kni", T[:, :, :3], places) + T[:, None, :, 3]
+        off = np.abs(inside) - result.boxes[:, None, 12:]
+        distance = np.linalg.norm(np.maximum(off, 0), axis=2)
+        nearest = distance.argmin(axis=0)
+        near = distance[nearest, np.arange(len(loose))] <= BOX_MARGIN
+        instance[loose[near]] = result.box_tracks[nearest[near], 0]
+    return np.where(instance <= MAX_TRACKS, instance, 0).astype(np.uint16)
 
 
 def _tracked_rows(

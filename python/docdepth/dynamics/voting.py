@@ -16,6 +16,29 @@ from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
 from docdepth.geometry.se3 import check_rigid
 from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 
+NEVER = 65535
+"""Stands for a key frame where there was none."""
+
+
+@dataclass(frozen=True)
+class Stays:
+    """What the votes on the points of a sweep say in order of time.
+
+    Attributes
+    ----------
+    once : ndarray of bool, shape (N,)
+        The place was free at some time, and was occupied in one stretch of time only, around the
+        sweep: something arrived there, left or passed. Twigs and fences are found free and occupied
+        in turn.
+    first, last : ndarray of uint16, shape (N,)
+        The first and the last key frame that found the place occupied, by its number among those
+        that voted; :data:`NEVER` if none did.
+    """
+
+    once: NDArray[np.bool_]
+    first: NDArray[np.uint16]
+    last: NDArray[np.uint16]
+
 
 @dataclass(frozen=True)
 class Votes:
@@ -27,10 +50,13 @@ class Votes:
         Key frames that measured a surface at the point.
     dynamic : ndarray of uint16, shape (N,)
         Key frames that looked through the point.
+    stays : Stays, optional
+        Not kept in frames.
     """
 
     static: NDArray[np.uint16]
     dynamic: NDArray[np.uint16]
+    stays: Stays | None = None
 
 
 class KeyFrame:
@@ -87,6 +113,7 @@ def vote(
     key_frames: Sequence[KeyFrame],
     poses: NDArray[np.float64],
     threads: int = 0,
+    earlier: int = 0,
 ) -> Votes:
     """Let key frames vote on every point of a sweep (Algorithm 1).
 
@@ -102,10 +129,13 @@ def vote(
     T_world_lidar : ndarray of float64, shape (4, 4)
         Pose of the sweep.
     key_frames : sequence of KeyFrame, length k
+        In order of time.
     poses : ndarray of float64, shape (k, 4, 4)
         ``T_world_lidar`` of each key frame.
     threads : int
         0 for all cores. The votes do not depend on it.
+    earlier : int
+        How many of the key frames came before the sweep.
 
     Returns
     -------
@@ -132,15 +162,19 @@ def vote(
         for frame, T_world_key in zip(key_frames, poses, strict=True)
         for core, T_lidar_sensor in frame._views
     ]
-    static, dynamic = _core.vote(
+    static, dynamic, once, first, last = _core.vote(
         points,
         ground,
         pose,
         [core for core, _ in voters],
         np.array([T for _, T in voters]).reshape(-1, 4, 4),
         threads,
+        sum(len(frame._views) for frame in key_frames[:earlier]),
     )
-    return Votes(static, dynamic)
+    views = [len(frame._views) for frame in key_frames]
+    number = np.full(NEVER + 1, NEVER, np.uint16)
+    number[: sum(views)] = np.repeat(np.arange(len(views)), views)
+    return Votes(static, dynamic, Stays(once.view(np.bool_), number[first], number[last]))
 
 
 def _range_image(

@@ -7,6 +7,9 @@ Labels
 Depth
     the error metrics of KITTI's development kit, density, and errors by range and region.
 
+Tracks
+    share of moving objects found, points with the right instance, HOTA, CLEAR, and errors of boxes.
+
 Shares of points and pixels (SA, DA, density, ...) are percentages; precision, F1 and IoU lie in
 0..1. A metric without a point or pixel to compute it from is NaN, not zero.
 """
@@ -23,6 +26,7 @@ from docdepth.evaluation.map_protocols import (
 from docdepth.evaluation.pixels import depth_edges, fill_background
 from docdepth.evaluation.static_map import MapEvaluation, MapResult
 from docdepth.evaluation.tables import Table
+from docdepth.evaluation.tracks import TrackEvaluation, TrackResult
 
 __all__ = [
     "DepthErrors",
@@ -36,6 +40,8 @@ __all__ = [
     "PreservationRejection",
     "RegionErrors",
     "Table",
+    "TrackEvaluation",
+    "TrackResult",
     "depth_edges",
     "fill_background",
     "ignored",

@@ -74,8 +74,8 @@ class DepthResult:
     all, interior : RegionErrors
         All pixels, and those farther than 3 pixels from a depth edge of the ground truth. The
         interior is meaningful only for dense ground truth.
-    dynamic : RegionErrors, optional
-        Pixels of moving objects; None without a mask.
+    dynamic, dynamic_interior : RegionErrors, optional
+        Pixels of moving objects, and their interior; None without a mask.
     point_to_point : float
         Mean distance between the 3D points that true and predicted depth give a pixel [m]; NaN
         without camera matrices.
@@ -92,6 +92,7 @@ class DepthResult:
     all: RegionErrors
     interior: RegionErrors
     dynamic: RegionErrors | None = None
+    dynamic_interior: RegionErrors | None = None
     point_to_point: float = math.nan
     by_range: tuple[RangeErrors, ...] = field(default=())
 
@@ -111,6 +112,8 @@ class DepthResult:
         }
         if self.dynamic is not None:
             result["dynamic"] = self.dynamic.as_dict()
+        if self.dynamic_interior is not None:
+            result["dynamic_interior"] = self.dynamic_interior.as_dict()
         result["by_range"] = [
             {"near": row.near, "far": row.far, **row.errors.as_dict()} for row in self.by_range
         ]
@@ -121,6 +124,8 @@ class DepthResult:
         rows = [("all", *self.all.cells()), ("interior", *self.interior.cells())]
         if self.dynamic is not None:
             rows.append(("moving objects", *self.dynamic.cells()))
+        if self.dynamic_interior is not None:
+            rows.append(("their interior", *self.dynamic_interior.cells()))
         for row in self.by_range:
             rows.append((f"{row.near:g}..{row.far:g} m", *row.errors.cells()))
         title = (
@@ -259,6 +264,9 @@ class DepthEvaluation:
             all=self._sums.errors(),
             interior=self._sums.errors(interior=1),
             dynamic=self._sums.errors(dynamic=1) if self._with_dynamic else None,
+            dynamic_interior=(
+                self._sums.errors(interior=1, dynamic=1) if self._with_dynamic else None
+            ),
             point_to_point=ratio(self._distance, self._distances),
             by_range=tuple(
                 RangeErrors(near, far, self._sums.errors(ranges=k))

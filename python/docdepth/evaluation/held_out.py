@@ -28,6 +28,7 @@ from docdepth.geometry.sensor_rig import lidar_views
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.render import load_frame
+from docdepth.pipeline.render_plan import tracks_of
 from docdepth.pipeline.run_inputs import camera_parameters
 from docdepth.pipeline.run_state import require
 from docdepth.render.depth_map import compose_depth
@@ -164,7 +165,8 @@ class _HeldOutViews:
         self._trajectory, depths = folder.trajectory(), folder.depth_folder(camera)
         self._parameters = camera_parameters(folder, folder.camera_in(depths))
         self._camera, self._T_camera_lidar, _ = folder.calibration(depths)
-        self._frames: dict[int, Frame] = {}
+        self._tracks = tracks_of(folder)
+        self._frames: dict[tuple[int, bool], Frame] = {}
 
     def compare(self, index: int, max_range: float) -> _Comparison:
         """Returns of sweep ``index``, at most ``max_range`` metres deep, against the others."""
@@ -187,12 +189,15 @@ class _HeldOutViews:
         kept = np.delete(np.arange(len(trajectory)), index)
         others = Trajectory(trajectory.times[kept], trajectory.poses[kept])
         time = int(trajectory.times[index])
-        needed = sorted(needed_frames(others, time, self._parameters.render))
+        p, tracks = self._parameters, self._tracks
+        needed = needed_frames(others, time, p.render, tracks)
+        wanted = {(int(kept[k]), whole): k for k, whole in sorted(needed.items())}
         self._frames = {
-            k: self._frames.get(k) or load_frame(self._folder, trajectory, k, self._parameters)
-            for k in kept[needed].tolist()
+            (k, whole): self._frames.get((k, whole))
+            or load_frame(self._folder, trajectory, k, p, tracks, whole)
+            for k, whole in wanted
         }
-        frames = {k: self._frames[int(kept[k])] for k in needed}
+        frames = {k: self._frames[at] for at, k in wanted.items()}
         # The renderer interpolates the pose between the neighbours; the estimated one is better.
         T_lidar_interpolated = inverse(trajectory.poses[index]) @ others.interpolate(time)[0]
         return compose_depth(
@@ -201,6 +206,7 @@ class _HeldOutViews:
             others,
             time,
             frames.__getitem__,
-            self._parameters.render,
+            p.render,
             self._threads,
+            tracks=tracks,
         )

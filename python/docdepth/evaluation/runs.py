@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.datasets import open_dataset
 from docdepth.errors import DatasetError
 from docdepth.evaluation.depth import DepthEvaluation, DepthResult, Mode
 from docdepth.evaluation.label_counts import moving
 from docdepth.evaluation.labels import LabelEvaluation, LabelResult
+from docdepth.evaluation.objects import instances
+from docdepth.evaluation.tracks import TrackEvaluation, TrackResult
 from docdepth.geometry.points import DYNAMIC
+from docdepth.geometry.track import Track
+from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.tracks import TRACKS, read_tracks
 from docdepth.pipeline.run_state import require
 
 log = logging.getLogger(__name__)
@@ -52,10 +58,8 @@ def evaluate_labels(
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
     require(folder, "classify")
     labels = _truth_folder(labels, "labels", folder)
-    speeds = labels.parent / "speeds"
     evaluation = LabelEvaluation(poses=_poses(folder))
     times = folder.trajectory().times
-    seconds = float(np.median(np.diff(times))) * 1e-9 if len(times) > 1 else 0.0
     for index in range(len(times)):
         record, classid = folder.classified_frame(index)
         truth = _read(labels / f"{record.name}.label", record.input_points)
@@ -63,12 +67,85 @@ def evaluate_labels(
         dynamic[record.index] = classid >= DYNAMIC
         ranges = np.full(record.input_points, np.nan)
         ranges[record.index] = np.linalg.norm(record.points, axis=1)
-        speed = speeds / f"{record.name}.npy"
-        known = np.load(speed).astype(np.float32) if speed.is_file() else None
-        evaluation.add(truth, dynamic, ranges, known, seconds)
+        evaluation.add(truth, dynamic, ranges, _speeds(labels, record.name), _seconds(times))
         if progress:
             progress(index + 1, len(times))
     return evaluation.result()
+
+
+def evaluate_tracks(
+    run: Path | RunFolder,
+    labels: Path,
+    tracks: Path | Sequence[Track] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> TrackResult:
+    """Compare the instances and tracks of a run with true ones.
+
+    Parameters
+    ----------
+    run : Path or RunFolder
+        Run folder with classified frames.
+    labels : Path
+        Folder of ``NAME.label`` files with instances, or its parent with a folder ``labels``. A
+        folder ``speeds`` beside it tells which objects travel, ``poses.txt`` the true poses.
+    tracks : Path or sequence of Track, optional
+        True tracks; ``tracks.csv`` beside the folder of labels if left out. Without such a file
+        boxes are not compared.
+    progress : callable, optional
+        Called with the number of finished sweeps and the number of all sweeps.
+
+    Raises
+    ------
+    DatasetError
+        The folder or a label file is missing, or a file has another number of points.
+    RunError
+        A sweep is not classified, or a file of tracks is damaged.
+    MissingExtraError
+        motrics or scipy is not installed.
+    """
+    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    require(folder, "classify")
+    labels = _truth_folder(labels, "labels", folder)
+    made = folder.path / TRACKS
+    if tracks is None and (labels.parent / TRACKS).is_file():
+        tracks = labels.parent / TRACKS
+    true_tracks = read_tracks(tracks) if isinstance(tracks, Path) else tracks or ()
+    made_tracks = read_tracks(made) if made.is_file() else ()
+    trajectory = folder.trajectory()
+    truth = _true_trajectory(labels.parent) or trajectory
+    evaluation = TrackEvaluation(true_tracks, made_tracks, _poses(folder))
+    for index, time in enumerate(trajectory.times.tolist()):
+        record = folder.frame(index)
+        name, points = f"{record.name}.label", record.input_points
+        true, found = (_read(at / name, points) for at in (labels, folder.path / "labels"))
+        pose = truth.interpolate(int(np.clip(time, truth.times[0], truth.times[-1])))[0]
+        evaluation.add(
+            *(true, instances(found), _speeds(labels, record.name), _seconds(trajectory.times)),
+            time=time,
+            T_true_lidar=pose,
+            T_made_lidar=trajectory.poses[index],
+        )
+        if progress:
+            progress(index + 1, len(trajectory))
+    return evaluation.result()
+
+
+def _true_trajectory(sequence: Path) -> Trajectory | None:
+    """True poses of the sequence that holds the labels, if it has any."""
+    if not (sequence / "poses.txt").is_file():
+        return None
+    dataset = open_dataset(sequence)
+    return None if dataset.poses is None else Trajectory(dataset.times, dataset.poses)
+
+
+def _speeds(labels: Path, name: str) -> NDArray[np.float32] | None:
+    path = labels.parent / "speeds" / f"{name}.npy"
+    return np.load(path).astype(np.float32) if path.is_file() else None
+
+
+def _seconds(times: NDArray[np.int64]) -> float:
+    """Time from sweep to sweep [s]."""
+    return float(np.median(np.diff(times))) * 1e-9 if len(times) > 1 else 0.0
 
 
 def evaluate_depth(

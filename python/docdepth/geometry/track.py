@@ -41,6 +41,8 @@ class Track:
         Length, width and height of the box [m].
     points : ndarray of int64, shape (n,)
         Returns of each sweep; 0 where the sweep did not see it.
+    deviations : ndarray of float64, shape (n,)
+        How well the place of its surface is known: the standard deviation [m].
 
     Raises
     ------
@@ -55,6 +57,7 @@ class Track:
     velocities: NDArray[np.float64]
     size: NDArray[np.float64]
     points: NDArray[np.int64]
+    deviations: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         count = len(self.times)
@@ -63,11 +66,16 @@ class Track:
                 f"track {self.id}, {self.kind!r}: ids go from 1 to {MAX_TRACKS}, kinds are "
                 f"{', '.join(KINDS)}"
             )
-        if self.velocities.shape != (count, 3) or self.points.shape != (count,):
+        if self.velocities.shape != (count, 3):
             raise InputError(
-                f"track {self.id}: {count} times need velocities ({count}, 3) and points "
-                f"({count},), got {self.velocities.shape} and {self.points.shape}"
+                f"track {self.id}: {count} times need velocities ({count}, 3), got "
+                f"{self.velocities.shape}"
             )
+        for name, of in (("points", self.points), ("deviations", self.deviations)):
+            if of.shape != (count,):
+                raise InputError(
+                    f"track {self.id}: {count} times need {name} ({count},), got {of.shape}"
+                )
         if self.size.shape != (3,) or not (self.size > 0).all():
             raise InputError(f"track {self.id}: its size is {self.size}; give three lengths")
         self._path  # noqa: B018 - checks times and poses
@@ -101,9 +109,15 @@ class Track:
 
     def velocity_at(self, time: int) -> NDArray[np.float64]:
         """Velocity (3,) at ``time`` [ns] in the world frame [m/s], linear between stamps."""
+        return np.array([self._between(time, of_axis) for of_axis in self.velocities.T])
+
+    def deviation_at(self, time: int) -> float:
+        """How well the place is known at ``time`` [ns]: standard deviation [m]."""
+        return self._between(time, self.deviations)
+
+    def _between(self, time: int, values: NDArray[np.float64]) -> float:
         elapsed = (self.times - self.times[0]).astype(np.float64)
-        at = float(int(time) - int(self.times[0]))
-        return np.array([np.interp(at, elapsed, v) for v in self.velocities.T])
+        return float(np.interp(float(int(time) - int(self.times[0])), elapsed, values))
 
     def turn_rate_at(self, time: int) -> NDArray[np.float64]:
         """Rotation vector a second (3,) at ``time`` [ns], world frame [rad/s]."""

@@ -25,6 +25,7 @@ _TRAJECTORY = np.dtype(
 
 _OPTIONAL = {
     "classid": "<u2",
+    "instance": "<u2",
     "votes_static": "<u2",
     "votes_dynamic": "<u2",
     "time_offset": "<f4",
@@ -51,6 +52,8 @@ class FrameRecord:
         Rows of the input sweep.
     classid : ndarray of uint16, shape (N,), optional
         Below 50 ground, 50 to 99 static, 100 and above dynamic.
+    instance : ndarray of uint16, shape (N,), optional
+        Track of each dynamic point, 0 if it is of none.
     votes_static, votes_dynamic : ndarray of uint16, shape (N,), optional
     time_offset : ndarray of float32, shape (N,), optional
         When each point was measured, seconds after the sweep's stamp.
@@ -63,6 +66,7 @@ class FrameRecord:
     name: str
     input_points: int
     classid: NDArray[np.uint16] | None = None
+    instance: NDArray[np.uint16] | None = None
     votes_static: NDArray[np.uint16] | None = None
     votes_dynamic: NDArray[np.uint16] | None = None
     time_offset: NDArray[np.float32] | None = None

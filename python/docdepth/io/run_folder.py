@@ -52,8 +52,9 @@ class RunFolder(RecordedFolder):
     - ``traj_odometry.ply``: LiDAR poses; ``frames/frame_NNNNNN.ply``: deskewed sweeps, with classes
       once they are classified; ``sensors.npz``: where the LiDARs or their lasers sit;
     - ``labels/NAME.label``: a SemanticKITTI label for each point of the input;
-    - ``calib.json``, ``calib_lidar_ref_cam.txt``, ``traj_camera.ply``: the camera; of further
-      cameras in ``cameras/NAME/``;
+    - ``tracks.csv``: where each moving object is over time;
+    - ``calib.json``, ``calib_lidar_ref_cam.txt``, ``traj_camera.ply``, ``tracks_kitti.txt``: the
+      camera, and the moving objects that it sees; of further cameras in ``cameras/NAME/``;
     - ``depth/``: depth maps; of further cameras in ``depth/NAME/``.
 
     A file has its final name only when it is whole. ``.docdepth/records`` tells which files

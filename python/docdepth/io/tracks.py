@@ -18,7 +18,20 @@ from docdepth.io.atomic import WriteFile, write_atomically
 TRACKS = "tracks.csv"
 """Name of the file in a run and in a synthetic drive."""
 
-_NUMBERS = ("x", "y", "z", "yaw", "pitch", "length", "width", "height", "vx", "vy", "vz")
+_NUMBERS = (
+    "x",
+    "y",
+    "z",
+    "yaw",
+    "pitch",
+    "length",
+    "width",
+    "height",
+    "vx",
+    "vy",
+    "vz",
+    "deviation",
+)
 COLUMNS = ("frame", "time_ns", "id", "kind", *_NUMBERS, "points")
 
 
@@ -47,7 +60,7 @@ def write_tracks(
         pitch = np.arctan2(forward[:, 2], np.hypot(forward[:, 0], forward[:, 1]))
         for k, frame in enumerate(frames.tolist()):
             place = (*track.poses[k, :3, 3], yaw[k], pitch[k], *track.size, *track.velocities[k])
-            numbers = [f"{value:.4f}" for value in place]
+            numbers = [f"{value:.4f}" for value in (*place, track.deviations[k])]
             row = [frame, int(track.times[k]), track.id, track.kind, *numbers]
             rows.append([*row, int(track.points[k])])
     rows.sort(key=lambda row: (row[0], row[2]))
@@ -93,6 +106,8 @@ def _track(number: int, rows: list[dict[str, str]]) -> Track:
     times = np.array([int(row["time_ns"]) for row in rows], np.int64)
     points = np.array([int(row["points"]) for row in rows], np.int64)
     try:
-        return Track(number, kind, times, poses, values[:, 8:11], values[0, 5:8], points)
+        return Track(
+            number, kind, times, poses, values[:, 8:11], values[0, 5:8], points, values[:, 11]
+        )
     except InputError as error:
         raise ValueError(str(error)) from None

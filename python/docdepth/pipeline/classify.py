@@ -14,14 +14,15 @@ from docdepth.concurrency import Watch, unwatched
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.scheduling import classify_sweeps
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep
-from docdepth.dynamics.tracking import Detections, TrackingResult
+from docdepth.dynamics.tracking import Detections, Tracking, packed, unpacked
 from docdepth.dynamics.voting import Votes
-from docdepth.errors import DamagedFileError
+from docdepth.errors import DamagedFileError, InputError
 from docdepth.geometry.points import DYNAMIC, MOVING_LABEL, OUTLIER_LABEL, STATIC_LABEL
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import chunk_progress, chunks, label_chunk
 from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.io.tracks import TRACKS, write_tracks
 from docdepth.pipeline.graph import classify_parts, label_files
 from docdepth.pipeline.sanity import count_classes, warn_of_classes
 from docdepth.pipeline.stage import Profile, Progress, is_outdated, progress_callback, stage
@@ -32,9 +33,7 @@ again. What an interrupted stage goes on with lies in the last."""
 
 
 def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = None) -> None:
-    """Write ground, votes and class of every point into ``frames/``, and ``labels/``.
-
-    Votes in ``frames/`` are kept when only parameters have changed that make classes of them.
+    """Write ground, votes, class and track of every point into ``frames/``, ``labels/`` and tracks.
 
     Parameters
     ----------
@@ -55,12 +54,9 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         trajectory = run.trajectory()
         parts = classify_parts(run, run.stage("odometry").get("key"))
         made_of = parts["odometry"], p.ground.model_dump()
-        keys = {
-            "votes": stage_key(*made_of, p.dynamics.voting()),
-            "classify": stage_key(parts),
-        }
-        store = _FrameStore(run, keys, len(trajectory))
-        if all(store.is_done(i) for i in range(len(trajectory))):
+        key = {"classify": stage_key(parts)}
+        store = _FrameStore(run, key, trajectory)
+        if all(store.is_done(i) for i in range(len(trajectory))) and store.has_tracks():
             return
         with stage(run, "classify", parts, len(trajectory)) as profile:
             store.watch = profile.watch
@@ -70,9 +66,10 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             profile.frames = classify_sweeps(
                 store, trajectory, p.dynamics, told, threads, profile.watch
             )
+            store.write_tracks()
             warn_of_classes(store.counts)
             run.remove_tree(run.notes / _EVIDENCE)
-            _remove_outdated(run, ground_key, keys)
+            _remove_outdated(run, ground_key, key)
 
 
 def _grow_ground(
@@ -102,16 +99,17 @@ def _grow_ground(
     return ground
 
 
-def _remove_outdated(run: RunFolder, ground_key: dict[str, str], keys: dict[str, str]) -> None:
+def _remove_outdated(run: RunFolder, ground_key: dict[str, str], key: dict[str, str]) -> None:
     """Delete what was kept of other parameters, and labels of sweeps that are no more."""
-    for folder, key in (
+    for folder, made_of in (
         (run.notes / _GROUND, ground_key),
-        (run.notes / _TRACKS, {"classify": keys["classify"]}),
-        (run.path / "labels", {"classify": keys["classify"]}),
+        (run.notes / _TRACKS, key),
+        (run.path / "labels", key),
+        (run.path, key),
     ):
         records = run.records(folder)
         for name in records.names():
-            if is_outdated(records.recorded_key(name), key):
+            if is_outdated(records.recorded_key(name), made_of):
                 run.remove(folder / name)
         records.compact()
 
@@ -121,10 +119,9 @@ class _FrameStore:
 
     Parameters
     ----------
-    keys : dict
-        What votes and classes are made of.
-    count : int
-        Number of frames.
+    key : dict
+        What classes are made of.
+    trajectory : Trajectory
 
     Attributes
     ----------
@@ -135,8 +132,8 @@ class _FrameStore:
         Points of each sweep that was written, by class.
     """
 
-    def __init__(self, run: RunFolder, keys: dict[str, str], count: int) -> None:
-        self._run, self._keys, self._count = run, keys, count
+    def __init__(self, run: RunFolder, key: dict[str, str], trajectory: Trajectory) -> None:
+        self._run, self._key, self._trajectory = run, key, trajectory
         self._labels = label_files(run)
         # Only those that were made by an earlier run are read from their files.
         self._detections: dict[int, Detections] = {}
@@ -145,17 +142,15 @@ class _FrameStore:
         self.counts: list[tuple[int, int, int]] = []
 
     @property
-    def _key(self) -> dict[str, str]:
-        return {"classify": self._keys["classify"]}
-
-    @property
     def _tracks(self) -> Path:
         return self._run.notes / _TRACKS / "tracks.npy"
 
     def _kept(self, index: int) -> Path:
-        return self._run.notes / _EVIDENCE / self._keys["classify"] / f"{index:06d}.npy"
+        return self._run.notes / _EVIDENCE / self._key["classify"] / f"{index:06d}.npy"
 
     def is_done(self, index: int) -> bool:
+        if not self.has_tracks() and self._run.key(self._tracks) != self._key:
+            return False  # tracks are made of all sweeps
         labels = self._labels.get(index)
         wanted = self._key.items()
         return (
@@ -164,32 +159,42 @@ class _FrameStore:
             and wanted <= self._run.frame_key(index).items()
         )
 
-    def tracks(self) -> list[TrackingResult] | None:
+    def tracks(self) -> Tracking | None:
         if self._run.key(self._tracks) != self._key:
             return None
-        arrays = _read_arrays(self._tracks, 3 * self._count)
-        return [TrackingResult(*arrays[3 * i : 3 * i + 3]) for i in range(self._count)]
+        arrays = _read_arrays(self._tracks, None)
+        try:
+            return unpacked(arrays, len(self._trajectory))
+        except (InputError, ValueError) as error:
+            raise DamagedFileError(self._tracks, str(error)) from None
 
-    def keep_tracks(self, found: list[TrackingResult]) -> None:
-        arrays = [array for result in found for array in result]
-        _write_arrays(self._run, self._tracks, self._key, *arrays)
+    def keep_tracks(self, found: Tracking) -> None:
+        _write_arrays(self._run, self._tracks, self._key, *packed(found))
+
+    def has_tracks(self) -> bool:
+        """Whether the file of tracks is there, where there should be one."""
+        wanted = self._run.parameters.dynamics.evidence == "tracks"
+        return not wanted or self._run.key(self._run.path / TRACKS) == self._key
+
+    def write_tracks(self) -> None:
+        """Write the file of tracks, if it is not there."""
+        found = None if self.has_tracks() else self.tracks()
+        if found is not None:
+            write = self._run.writer(self._key)
+            write_tracks(self._run.path / TRACKS, found.tracks, self._trajectory.times, write)
 
     def has_evidence(self, index: int) -> bool:
         return self._run.key(self._kept(index)) == self._key
-
-    def has_votes(self, index: int) -> bool:
-        return self._run.frame_key(index).get("votes") == self._keys["votes"]
 
     def read(self, index: int) -> InputSweep:
         with self.watch("read"):
             record = self._run.frame(index)
             ground = np.unpackbits(self.ground[index], count=len(record.points))
-        static, dynamic = record.votes_static, record.votes_dynamic
         return InputSweep(
             record.points,
             ground.view(np.bool_),
             self._run.sensor_rig(record),
-            None if static is None or dynamic is None else Votes(static, dynamic),
+            record.time_offset,
             record,
         )
 
@@ -210,12 +215,12 @@ class _FrameStore:
         if index in self._detections:
             return self._detections[index]
         with self.watch("read"):
-            return Detections.of(_read_arrays(self._kept(index), 7)[4:])
+            return Detections.of(_read_arrays(self._kept(index), 10)[4:])
 
     def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
         self.counts.append(count_classes(labels.classid))
         with self.watch("write"):
-            _write_classified(self._run, index, sweep.record, self._keys, labels)
+            _write_classified(self._run, index, sweep.record, self._key, labels)
 
 
 def _write_arrays(run: RunFolder, path: Path, key: dict[str, str], *arrays: NDArray[Any]) -> None:
@@ -228,32 +233,41 @@ def _write_arrays(run: RunFolder, path: Path, key: dict[str, str], *arrays: NDAr
     run.write(path, write, key, sync=False)
 
 
-def _read_arrays(path: Path, count: int) -> list[NDArray[Any]]:
-    """Read the first arrays of a file."""
+def _read_arrays(path: Path, count: int | None) -> list[NDArray[Any]]:
+    """Read the first arrays of a file; None reads all."""
     try:
         with path.open("rb") as stream:
-            return [np.load(stream) for _ in range(count)]
+            if count is not None:
+                return [np.load(stream) for _ in range(count)]
+            size, arrays = path.stat().st_size, []
+            while stream.tell() < size:
+                arrays.append(np.load(stream))
+            return arrays
     except (OSError, EOFError, ValueError) as error:
         raise DamagedFileError(path, str(error)) from None
 
 
 def _write_classified(
-    run: RunFolder, index: int, record: FrameRecord, keys: dict[str, str], labels: Labels
+    run: RunFolder, index: int, record: FrameRecord, of: dict[str, str], labels: Labels
 ) -> None:
     """Write labels of all rows of the input, and the frame with votes and classes."""
     rows = np.full(record.input_points, OUTLIER_LABEL, np.uint32)
-    rows[record.index] = np.where(labels.classid >= DYNAMIC, MOVING_LABEL, STATIC_LABEL)
+    classes = np.where(labels.classid >= DYNAMIC, MOVING_LABEL, STATIC_LABEL).astype(np.uint32)
+    if labels.instance is not None:
+        classes |= labels.instance.astype(np.uint32) << 16
+    rows[record.index] = classes
     path = run.path / "labels" / f"{record.name}.label"
-    key = {"classify": keys["classify"], "frame": str(index)}
+    key = {**of, "frame": str(index)}
     if run.key(path) != key:
         run.write(path, lambda stream: stream.write(rows.tobytes()), key)
-    if keys.items() <= run.frame_key(index).items():
+    if of.items() <= run.frame_key(index).items():
         return  # only the labels were missing
     classified = replace(
         record,
         votes_static=labels.votes.static,
         votes_dynamic=labels.votes.dynamic,
         classid=labels.classid,
+        instance=labels.instance,
     )
     of_frame = {"odometry": run.recorded_key(run.frame_path(index)).get("odometry", "")}
-    run.write_frame(index, classified, {**of_frame, **keys})
+    run.write_frame(index, classified, {**of_frame, **of})

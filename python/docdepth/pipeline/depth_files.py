@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,14 @@ from docdepth import __version__
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import DatasetError
+from docdepth.geometry.se3 import inverse
+from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import npz_bytes
 from docdepth.io.calibration import EXTRINSICS, INTRINSICS, write_calibration
 from docdepth.io.depth import DESCRIPTION, FORMATS, encode_depth, read_depth
 from docdepth.io.frames import write_trajectory
+from docdepth.io.kitti_tracking import KITTI_TRACKS, write_kitti_tracking
 from docdepth.io.run_folder import RunFolder
 from docdepth.render.depth_map import NEAR
 from docdepth.visualization.pictures import overlay
@@ -66,7 +70,7 @@ class DepthFiles:
     def calibration(self) -> list[Path]:
         """Calibration and trajectory of the camera."""
         folder = self.run.calibration_folder(self.folder)
-        return [folder / name for name in (INTRINSICS, EXTRINSICS, "traj_camera.ply")]
+        return [folder / name for name in (INTRINSICS, EXTRINSICS, "traj_camera.ply", KITTI_TRACKS)]
 
     def is_of_image(self, index: int, identity: str) -> bool:
         """Whether the files of an image were made of the image that is there now."""
@@ -105,8 +109,11 @@ class DepthFiles:
                 if made_of not in (None, self.key):
                     self.run.remove(folder / name)
 
-    def write_camera(self, poses: Trajectory, indices: NDArray[np.int64]) -> None:
-        """Write the calibration, and the LiDAR's poses at the times of the images (paper V-A)."""
+    def write_camera(
+        self, poses: Trajectory, indices: NDArray[np.int64], tracks: Iterable[Track]
+    ) -> None:
+        """Write the calibration, the LiDAR's poses at the times of the images (paper V-A), and
+        where the images show tracks."""
         stream, write = self.stream, self.run.writer({"render": self.key})
         folder = self.run.calibration_folder(self.folder)
         distortion = stream.distortion_coefficients
@@ -114,6 +121,9 @@ class DepthFiles:
             folder, stream.camera, stream.T_camera_lidar, distortion, stream.model, write
         )
         write_trajectory(folder / "traj_camera.ply", poses, indices, write)
+        T_world_camera = Trajectory(poses.times, poses.poses @ inverse(stream.T_camera_lidar))
+        path = folder / KITTI_TRACKS
+        write_kitti_tracking(path, tracks, stream.camera, T_world_camera, indices, write)
 
     def write(
         self, index: int, depth: NDArray[np.float32], layers: dict[str, NDArray[Any]]

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import Dataset, Sweep
 from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.io.tracks import TRACKS
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.run_inputs import RunCamera
 
-_VERSIONS = {"odometry": 1, "classify": 1, "render": 1}
+_VERSIONS = {"odometry": 1, "classify": 2, "render": 2}
 """Counted up when a new version of docdepth makes other results of the same inputs."""
 
 State = Literal["done", "out of date", "incomplete", "damaged", "missing"]
@@ -168,14 +169,16 @@ class RunGraph:
         return self._state("odometry", self._odometry, key, [[f] for f in files], once)
 
     def classify(self) -> StageState:
-        """Classes of the frames, and label files."""
+        """Classes of the frames, label files, and tracks."""
         key = {"classify": stage_key(self._classify)}
         labels = label_files(self._run)
         files = [
             [self._run.frame_path(i), labels.get(i, self._run.path / "labels" / f"of frame {i}")]
             for i in range(self._frames)
         ]
-        return self._state("classify", self._classify, key, files)
+        tracked = self._run.parameters.dynamics.evidence == "tracks"
+        once = [self._run.path / TRACKS] if tracked else []
+        return self._state("classify", self._classify, key, files, once)
 
     def render(self, name: str) -> StageState:
         """Depth maps of a camera."""

@@ -24,7 +24,9 @@ from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.frame_cache import FrameCache
 from docdepth.render.layers import compose_layers
+from docdepth.render.moving_objects import Tracks, objects_of
 from docdepth.render.selection import needed_frames
+from docdepth.render.track_sweeps import near_vehicles
 from docdepth.visualization.report import index_is_whole, write_index
 
 
@@ -148,11 +150,12 @@ def _warn_of_depth(files: DepthFiles) -> None:
 
 
 def _write_cameras(plan: RenderPlan) -> None:
-    """Write calibration and interpolated poses (paper V-A) of each camera."""
+    """Write calibration, interpolated poses (paper V-A) and tracks of each camera."""
     for files in plan.files:
         indices = np.array([image.index for image in plan.images if image.files is files])
         times = files.stream.times[indices]
-        files.write_camera(Trajectory(times, plan.trajectory.interpolate(times)), indices)
+        poses = Trajectory(times, plan.trajectory.interpolate(times))
+        files.write_camera(poses, indices, plan.tracks.values())
 
 
 class _Job(NamedTuple):
@@ -169,16 +172,19 @@ def _render_images(job: _Job, images: list[ImageToRender], progress: Callable[[i
     """Render images in order; meanwhile the next is prepared and the last is written."""
     run, plan, watch = job.run, job.plan, job.watch
     trajectory, parameters = plan.trajectory, plan.parameters
-    cache = FrameCache(lambda i: load_frame(run, trajectory, i, parameters, watch))
+    tracks = plan.tracks
+    cache = FrameCache(lambda i, w: load_frame(run, trajectory, i, parameters, tracks, w, watch))
     progress(0)
     with ThreadPoolExecutor(2) as pool:
         writing: Future[None] | None = None
         for done, image in enumerate(images):
             now_and_next = images[done : done + 2]
-            needed = [needed_frames(trajectory, i.time, parameters.render) for i in now_and_next]
-            requested = cache.request(set().union(*needed), pool)
+            needed = [
+                needed_frames(trajectory, i.time, parameters.render, tracks) for i in now_and_next
+            ]
+            requested = cache.request({one for some in needed for one in some.items()}, pool)
             with watch("wait for frames"):
-                frames = {i: requested[i].result() for i in needed[0]}
+                frames = {i: requested[i, whole].result() for i, whole in needed[0].items()}
             depth, layers = _render_image(job, image, frames)
             if writing:
                 writing.result()
@@ -202,11 +208,11 @@ def _render_image(
         job.threads,
     )
     with job.watch("draw"):
-        depth = compose_depth(*scene, job.renderer)
+        depth = compose_depth(*scene, job.renderer, job.plan.tracks)
     if not parameters.output.layers:
         return depth, {}
     with job.watch("layers"):
-        return depth, compose_layers(parameters.output.layers, depth, *scene)
+        return depth, compose_layers(parameters.output.layers, depth, *scene, job.plan.tracks)
 
 
 def _write(
@@ -224,9 +230,11 @@ def load_frame(
     trajectory: Trajectory,
     index: int,
     parameters: Parameters,
+    tracks: Tracks | None = None,
+    whole: bool = True,
     watch: Stopwatch | None = None,
 ) -> Frame:
-    """Read a classified sweep of a run and prepare it for rendering.
+    """Read a classified sweep of a run and prepare it for rendering, or what is near vehicles.
 
     Raises
     ------
@@ -237,11 +245,15 @@ def load_frame(
     with watch("read"):
         record, classid = run.classified_frame(index)
     with watch("frames"):
-        return Frame(
-            record.points,
-            classid,
-            parameters.render,
-            record.time_offset,
-            run.sensor_rig(record),
-            trajectory.velocity(index),
-        )
+        points, instance, late = record.points, record.instance, record.time_offset
+        rig = run.sensor_rig(record)
+        if not whole:
+            kept = near_vehicles(points, classid, instance, tracks or {})
+            points, classid = points[kept], classid[kept]
+            instance = None if instance is None else instance[kept]
+            late = None if late is None else late[kept]
+            rig = None if rig is None else rig.select(kept)
+        time, pose = int(trajectory.times[index]), trajectory.poses[index]
+        objects = objects_of(points, classid, time, pose, instance, tracks, late)
+        velocity = trajectory.velocity(index)
+        return Frame(points, classid, parameters.render, late, rig, velocity, objects)

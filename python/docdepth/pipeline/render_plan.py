@@ -11,14 +11,17 @@ from numpy.typing import NDArray
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import DatasetError
+from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import check_format
 from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.io.tracks import TRACKS, read_tracks
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.graph import Parts, render_parts
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.run_inputs import RunCamera
 from docdepth.render.layers import check_layers
+from docdepth.render.moving_objects import Tracks, by_id
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,8 @@ class RenderPlan:
     parts : dict of str to dict
         By camera: what its depth maps are made of.
     trajectory : Trajectory
+    tracks : mapping of int to Track
+        By their ids.
     parameters : Parameters
         How frames are drawn; the same for all cameras.
     """
@@ -54,6 +59,7 @@ class RenderPlan:
     left_out: dict[str, list[str]]
     parts: dict[str, Parts]
     trajectory: Trajectory
+    tracks: Tracks
     parameters: Parameters
 
 
@@ -94,7 +100,14 @@ def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
         files.append(of_camera)
     inputs.save()
     images.sort(key=lambda image: image.time)
-    return RenderPlan(files, images, left_out, parts, trajectory, cameras[0].parameters)
+    parameters = cameras[0].parameters
+    return RenderPlan(files, images, left_out, parts, trajectory, tracks_of(run), parameters)
+
+
+def tracks_of(run: RunFolder) -> dict[int, Track]:
+    """The tracks of a run by their ids; none if it was classified without."""
+    path = run.path / TRACKS
+    return by_id(read_tracks(path)) if path.is_file() else {}
 
 
 def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:

@@ -16,14 +16,12 @@ from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.backends import Renderer
 from docdepth.render.frame import Frame, Part
+from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import drawn_frames
+from docdepth.render.sightings import View, sighted_objects
 
 NEAR = 0.1
 """Near plane of the core's renderers [m]: points closer to the image plane are not drawn."""
-
-MAX_SPEED = 50.0
-"""Triangles: the fastest motion of an object between its sweep and the image [m/s], 180 km/h.
-Matches that need a higher speed are rejected."""
 
 
 def compose_depth(
@@ -35,6 +33,7 @@ def compose_depth(
     parameters: RenderParameters | None = None,
     threads: int = 0,
     renderer: Renderer | None = None,
+    tracks: Tracks | None = None,
 ) -> NDArray[np.float32]:
     """Render the depth map of one image from many sweeps (paper V-B).
 
@@ -50,13 +49,16 @@ def compose_depth(
     time : int
         When the image was taken [ns]; within the trajectory.
     frames : callable
-        Returns the :class:`Frame` of a sweep by its index. Only the sweeps of
+        Returns the :class:`Frame` of a sweep by its index. Only those of
         :func:`~docdepth.render.selection.needed_frames` are asked for.
     parameters : RenderParameters, optional
     threads : int
         0 takes all cores. The result does not depend on it.
     renderer : Renderer, optional
         From :func:`docdepth.render.backends.choose`; the CPU if absent.
+    tracks : mapping of int to Track, optional
+        The tracks of the frames' objects by id. Objects without a track are drawn where the nearest
+        sweep saw them. Used by triangles only.
 
     Returns
     -------
@@ -74,7 +76,8 @@ def compose_depth(
     core = (renderer or Renderer()).core
     draw = core.render_splats if p.primitive == "splats" else core.render_meshes
     depth: NDArray[np.float32] = draw(
-        **core_arguments(camera, T_camera_lidar, trajectory, time, frames, p), threads=threads
+        **core_arguments(camera, T_camera_lidar, trajectory, time, frames, p, tracks),
+        threads=threads,
     )
     # The nearest depth wins, so cutting the map at the far plane is cutting the points.
     depth[depth > p.max_depth] = np.nan
@@ -88,6 +91,7 @@ def core_arguments(
     time: int,
     frames: Callable[[int], Frame],
     p: RenderParameters,
+    tracks: Tracks | None = None,
 ) -> dict[str, Any]:
     """Arguments that the core's functions for depth and for layers share.
 
@@ -96,7 +100,7 @@ def core_arguments(
     splats = p.primitive == "splats"
     kind = _core.Frame if splats else _core.MeshFrame
     T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
-    drawn = drawn_frames(trajectory, time, p)
+    drawn = drawn_frames(trajectory, time, p, tracks)
 
     def placed(index: int, parts: list[Part]) -> list[Part]:
         """The parts of a sweep with their poses ``T_camera_sensor``."""
@@ -108,19 +112,23 @@ def core_arguments(
         return [(core, T_camera_sweep @ T_lidar_sensor) for core, T_lidar_sensor in parts]
 
     static = [part for i in drawn.static for part in placed(i, frames(i).parts)]
-    dynamic = [part for i in drawn.dynamic for part in placed(i, [frames(i).dynamic_part])]
     image = {"K": camera.K, "width": camera.width, "height": camera.height}
     if splats:
         return image | {
             "static_frames": static,
-            "dynamic_frames": dynamic,
+            "dynamic_frames": [
+                part for i in drawn.dynamic for part in placed(i, [frames(i).dynamic_part])
+            ],
             "static_size": p.static_size,
             "dynamic_size": p.dynamic_size,
         }
-    seconds = (np.int64(time) - trajectory.times[drawn.dynamic]) * 1e-9
+    view = View(camera, T_camera_world, int(time))
+    objects = sighted_objects(view, trajectory, frames, drawn, tracks or {}, len(static))
+    ages = (np.int64(time) - trajectory.times[drawn.dynamic]) * 1e-9
+    around = [placed(i, [frames(i).dynamic_part])[0] for i in drawn.dynamic]
     return image | {
         "static_frames": static,
-        "dynamic_frames": [(*part, float(s)) for part, s in zip(dynamic, seconds, strict=True)],
-        "max_speed": MAX_SPEED,
+        "shutter_frames": [(*part, float(age)) for part, age in zip(around, ages, strict=True)],
+        "objects": objects,
         "visibility_sweeps": p.visibility_sweeps,
     }

@@ -14,6 +14,7 @@ from docdepth.errors import InputError
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
 from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.render.moving_objects import SweepObjects, objects_of
 
 ISOLATED_SIZE_DEG = 0.1
 """Triangles: half the diagonal of the square drawn for a return that belongs to no triangle, as the
@@ -39,14 +40,17 @@ class Frame:
         ``primitive`` and ``crop`` are used; give the same to
         :func:`~docdepth.render.depth_map.compose_depth`.
     time_offset : ndarray of float32, shape (N,), optional
-        Seconds from the sweep's time to each measurement. With it, dynamic objects are placed more
-        exactly. Used by triangles only.
+        Seconds from the sweep's time to each measurement. Used by triangles only.
     sensor_rig : SensorRig, optional
         Where each point was measured from; the origin if absent. Each of several LiDARs gets a mesh
         and rays of its own. Used by triangles only.
     velocity : array_like of float64, shape (3,), optional
         Velocity of the LiDAR in its own frame, m/s (:meth:`Trajectory.velocity`). Together with
         ``time_offset`` it gives each return its own ray origin.
+    objects : SweepObjects, optional
+        To which object each dynamic point belongs
+        (:func:`~docdepth.render.moving_objects.objects_of`). If absent, none is followed. Used by
+        triangles only.
 
     Attributes
     ----------
@@ -54,6 +58,10 @@ class Frame:
         The static points: one part for each LiDAR.
     dynamic_part : Part
         The dynamic points of all LiDARs.
+    objects : SweepObjects
+        Of the points that are drawn. Triangles only.
+    T_object_sensor : ndarray of float64, shape (objects, 4, 4)
+        From the sensor of the dynamic part to each object. Triangles only.
 
     Raises
     ------
@@ -63,6 +71,8 @@ class Frame:
 
     parts: list[Part]
     dynamic_part: Part
+    objects: SweepObjects
+    T_object_sensor: NDArray[np.float64]
 
     def __init__(
         self,
@@ -72,6 +82,7 @@ class Frame:
         time_offset: NDArray[np.float32] | None = None,
         sensor_rig: SensorRig | None = None,
         velocity: ArrayLike | None = None,
+        objects: SweepObjects | None = None,
     ) -> None:
         points, classid = _checked(points, classid)
         if time_offset is not None and time_offset.shape != (len(points),):
@@ -90,32 +101,36 @@ class Frame:
         if time_offset is not None and velocity is not None:
             rig = sensor_rig or SensorRig.single((0, 0, 0), len(points))
             sensor_rig = rig.with_ego_motion(velocity, time_offset)
-        if time_offset is not None:
-            time_offset = time_offset[drawn].astype(np.float32)
         if sensor_rig is not None:
             sensor_rig = sensor_rig.select(drawn)
-        self._triangulate(points.compress(drawn, axis=0), classid[drawn], time_offset, sensor_rig)
+        objects = objects or objects_of(points, classid, time_offset=time_offset)
+        if objects.owner.shape != (len(points),):
+            raise InputError(
+                f"objects are of {len(objects.owner)} points, but there are {len(points)}"
+            )
+        self.objects = objects.select(drawn)
+        self._triangulate(points.compress(drawn, axis=0), classid[drawn], sensor_rig)
 
     def _triangulate(
         self,
         points: NDArray[np.float32],
         classid: NDArray[np.uint16],
-        time_offset: NDArray[np.float32] | None,
         sensor_rig: SensorRig | None,
     ) -> None:
         # This mesh differs from the one that votes use: its ray origins move with the vehicle,
         # which changes which returns are neighbours, and points beyond the crop are missing.
         meshes = ScanMesh(points, sensor_rig=sensor_rig).parts
-        self.parts = [_part(mesh, classid, time_offset) for mesh in meshes]
+        self.parts = [_part(mesh, classid, self.objects) for mesh in meshes]
         self.dynamic_part = self.parts[0]
         if sensor_rig is not None and len(meshes) > 1:
-            # An object seen by two LiDARs must be one object: its motion is found by matching it as
-            # a whole with other sweeps and is tested with the rays of all LiDARs. So the returns of
-            # all are triangulated once more, as seen from the first LiDAR.
+            # An object seen by two LiDARs must be one object: its outline is found with the rays
+            # of all LiDARs. So the returns of all are triangulated once more, as seen from the
+            # first LiDAR.
             first = SensorRig.single(meshes[0].view.T_lidar_sensor[:3, 3], len(points))
             first = replace(first, ego_displacement=sensor_rig.ego_displacement)
             (whole,) = ScanMesh(points, sensor_rig=first).parts
-            self.dynamic_part = _part(whole, classid, time_offset)
+            self.dynamic_part = _part(whole, classid, self.objects)
+        self.T_object_sensor = self.objects.T_object_lidar @ self.dynamic_part[1]
 
 
 def _checked(
@@ -144,28 +159,33 @@ def _within_crop(
     return within | (np.isfinite(squared) & (classid >= DYNAMIC))
 
 
-def _part(
-    mesh: LidarMesh, classid: NDArray[np.uint16], time_offset: NDArray[np.float32] | None
-) -> Part:
+def _part(mesh: LidarMesh, classid: NDArray[np.uint16], objects: SweepObjects) -> Part:
     """The mesh of one LiDAR as the core draws it; rows of other LiDARs are NaN and left out."""
     points, ray_origins = mesh.view.points, mesh.view.ray_origins()
     triangles, isolated = mesh.core.triangles, mesh.core.isolated
+    turn = mesh.view.T_lidar_sensor[:3, :3].astype(np.float32)
+    motion = objects.motion.copy()
+    motion[:, :3] = motion[:, :3] @ turn
     if not np.isfinite(points).all():
-        own = np.isfinite(points).all(axis=1)
+        own = np.asarray(np.isfinite(points).all(axis=1))
         row = np.cumsum(own, dtype=np.uint32) - np.uint32(1)
-        points, classid = points[own], classid[own]
-        time_offset = None if time_offset is None else time_offset[own]
+        points, classid, objects = points[own], classid[own], objects.select(own)
         ray_origins = None if ray_origins is None else ray_origins[own]
         triangles, isolated = row[triangles], row[isolated]
-    half_diagonal = float(np.radians(ISOLATED_SIZE_DEG))
+    displacement = objects.displacement
+    if displacement is not None:
+        displacement = displacement @ turn
     core = _core.MeshFrame(
         points,
         classid,
         triangles,
         mesh.core.discontinuity,
         isolated,
-        half_diagonal,
-        time_offset,
+        float(np.radians(ISOLATED_SIZE_DEG)),
+        objects.owner,
+        motion,
+        objects.time_offset,
+        displacement,
         ray_origins,
     )
     return core, mesh.view.T_lidar_sensor

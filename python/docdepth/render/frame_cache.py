@@ -17,27 +17,30 @@ class FrameCache:
     Parameters
     ----------
     load : callable
-        Prepares the frame of a sweep by its index; called from the threads of an executor.
+        Prepares the frame of a sweep, given its index and whether it is needed whole; called from
+        the threads of an executor.
     """
 
-    def __init__(self, load: Callable[[int], Frame]) -> None:
+    def __init__(self, load: Callable[[int, bool], Frame]) -> None:
         self._load = load
-        self._frames: dict[int, Future[Frame]] = {}
+        self._frames: dict[tuple[int, bool], Future[Frame]] = {}
         self._lock = Lock()
 
-    def request(self, needed: Collection[int], executor: Executor) -> dict[int, Future[Frame]]:
+    def request(
+        self, needed: Collection[tuple[int, bool]], executor: Executor
+    ) -> dict[tuple[int, bool], Future[Frame]]:
         """Start to prepare the missing frames of ``needed``; forget all others.
 
         Returns
         -------
-        dict of int to Future
-            The needed frames by index. They stay valid when another thread requests others.
+        dict of (int, bool) to Future
+            The needed frames. They stay valid when another thread requests others.
         """
         with self._lock:
             kept = {i: frame for i, frame in self._frames.items() if i in needed}
             for i in sorted(needed):
                 if i not in kept or _failed(kept[i]):
-                    kept[i] = executor.submit(self._load, i)
+                    kept[i] = executor.submit(self._load, *i)
             self._frames = kept
             return dict(kept)
 

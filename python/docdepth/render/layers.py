@@ -2,6 +2,8 @@
 
 ``class``
     uint8: 0 ground, 50 static, 100 dynamic; 255 where there is no depth
+``instance``
+    uint16: id of the track of the moving object; 0 where there is none. Triangles only
 ``time``
     float32: seconds from the image to the sweep that the depth comes from; negative before it
 ``range``
@@ -15,6 +17,9 @@
     float32, x y z: surface normal in the camera frame, towards the camera. Triangles only
 ``confidence``
     float32, 0..1: probability that the depth is less than 5 % off, see :func:`confidence`
+``seen``
+    uint8: what rays within 0.1 s of the image say of the depth: 0 did not look there, 1 agree,
+    2 contradict; 255 where there is no depth. Triangles only
 
 Where there is no depth, floats are NaN and counts 0.
 """
@@ -35,13 +40,23 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import core_arguments
 from docdepth.render.frame import Frame
+from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import drawn_frames
 
 LAYERS: tuple[str, ...] = get_args(Layer)
 
-_CONFIDENCE = {"triangles": (4.47, 0.67, 2.79), "splats": (3.9, 1.0, 2.7)}
-"""Weights a, b and c of :func:`confidence` [-], fitted by ``benchmarks/confidence.py`` to the exact
-depth of synthetic drives."""
+NOT_LOOKED_AT, AGREED, CONTRADICTED = 0, 1, 2
+"""Values of the layer ``seen``."""
+
+_TRIANGLES_ONLY = {
+    "normal": "splats face the camera and have no normal",
+    "instance": "splats are not followed along tracks and have no instance",
+    "seen": "splats are no rays and tell nothing of what was seen",
+}
+
+_CONFIDENCE = {"triangles": (6.90, 0.46, 3.02, 2.32), "splats": (3.9, 1.0, 2.7, 0.0)}
+"""Weights a, b, c and d of :func:`confidence` [-], fitted by ``benchmarks/confidence.py`` to the
+exact depth of synthetic drives."""
 
 
 def compose_layers(
@@ -54,6 +69,7 @@ def compose_layers(
     frames: Callable[[int], Frame],
     parameters: RenderParameters | None = None,
     threads: int = 0,
+    tracks: Tracks | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Gather layers of a depth map of :func:`~docdepth.render.depth_map.compose_depth`.
 
@@ -67,7 +83,7 @@ def compose_layers(
         agree or not.
     depth : ndarray of float32, shape (h, w)
         Metres, NaN = none.
-    camera, T_camera_lidar, trajectory, time, frames, parameters, threads
+    camera, T_camera_lidar, trajectory, time, frames, parameters, threads, tracks
         The arguments that :func:`~docdepth.render.depth_map.compose_depth` was given.
 
     Returns
@@ -89,19 +105,23 @@ def compose_layers(
             f"image, got {depth.dtype} {depth.shape}"
         )
     gather = _core.splat_layers if p.primitive == "splats" else _core.mesh_layers
+    arguments = core_arguments(camera, T_camera_lidar, trajectory, time, frames, p, tracks)
+    if p.primitive == "triangles":
+        arguments["seen"] = "seen" in names or "confidence" in names
     found: dict[str, NDArray[Any]] = gather(
-        **core_arguments(camera, T_camera_lidar, trajectory, time, frames, p),
-        depth=np.ascontiguousarray(depth),
-        threads=threads,
+        **arguments, depth=np.ascontiguousarray(depth), threads=threads
     )
-    drawn = drawn_frames(trajectory, time, p)
+    drawn = drawn_frames(trajectory, time, p, tracks)
     # The core numbers parts: a sweep of several LiDARs has a number for each.
-    sweeps = [i for i in drawn.static for _ in frames(i).parts] + drawn.dynamic
+    sweeps = [i for i in drawn.static for _ in frames(i).parts]
+    sweeps += drawn.dynamic if p.primitive == "splats" else drawn.sighted
     delays = (trajectory.times[sweeps] - np.int64(time)).astype(np.float64) * 1e-9
     number = found["sweep"]
     found["time"] = np.where(number < 0, np.nan, delays[number]).astype(np.float32)
     if "confidence" in names:
-        found["confidence"] = confidence(depth, found["support"], found["measures"], p.primitive)
+        found["confidence"] = confidence(
+            depth, found["support"], found["measures"], found.get("seen")
+        )
     return {name: found[name] for name in names}
 
 
@@ -115,24 +135,25 @@ def check_layers(names: Sequence[str], parameters: RenderParameters) -> None:
     unknown = [name for name in names if name not in (*LAYERS, "measures")]
     if unknown:
         raise InputError(f"unknown layer {unknown[0]!r}; there are {', '.join(LAYERS)}")
-    if parameters.primitive == "splats" and "normal" in names:
-        raise InputError(
-            "splats face the camera and have no normal; leave the layer out, or draw triangles "
-            "(--set render.primitive=triangles)"
-        )
+    for name, reason in _TRIANGLES_ONLY.items():
+        if parameters.primitive == "splats" and name in names:
+            raise InputError(
+                f"{reason}; leave the layer {name} out, or draw triangles "
+                "(--set render.primitive=triangles)"
+            )
 
 
 def confidence(
     depth: NDArray[np.float32],
     support: NDArray[np.uint16],
     measures: NDArray[np.uint16],
-    primitive: str = "triangles",
+    seen: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.float32]:
     """Probability that the depth of each pixel is less than 5 % off.
 
-    A logistic regression on two features::
+    A logistic regression on three features::
 
-        confidence = 1 / (1 + exp(-(a + b * log_odds - c * edge)))
+        confidence = 1 / (1 + exp(-(a + b * log_odds - c * edge - d * unseen)))
 
     ``log_odds = ln((support + 1/4) / (measures - support + 1))`` grows with the measurements that
     agree with the depth and falls with those that do not. The constants 1/4 and 1 are the prior of
@@ -143,23 +164,25 @@ def confidence(
     difference of inverse depth within 3 pixels, on a logarithmic scale from 0.1 % to 100 %; planes
     have none, since their inverse depth is linear in the image.
 
+    ``unseen`` is 0 where rays around the image's time agree with the depth, else 1.
+
     Parameters
     ----------
     depth : ndarray of float32, shape (h, w)
         Metres, NaN = none.
     support, measures : ndarray of uint16, shape (h, w)
         Number of measurements that agree with the depth, and of all.
-    primitive : {"triangles", "splats"}
-        What the map was drawn from.
+    seen : ndarray of uint8, shape (h, w), optional
+        The layer, of a map drawn from triangles; absent for splats.
 
     Returns
     -------
     ndarray of float32, shape (h, w)
         NaN where there is no depth.
     """
-    a, b, c = _CONFIDENCE[primitive]
-    log_odds, edge = confidence_features(depth, support, measures, primitive)
-    probability = 1 / (1 + np.exp(-(a + b * log_odds - c * edge)))
+    a, b, c, d = _CONFIDENCE["splats" if seen is None else "triangles"]
+    log_odds, edge, unseen = confidence_features(depth, support, measures, seen)
+    probability = 1 / (1 + np.exp(-(a + b * log_odds - c * edge - d * unseen)))
     return np.where(np.isnan(depth), np.nan, probability).astype(np.float32)
 
 
@@ -167,15 +190,16 @@ def confidence_features(
     depth: NDArray[np.float32],
     support: NDArray[np.uint16],
     measures: NDArray[np.uint16],
-    primitive: str = "triangles",
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """``log_odds`` and ``edge`` of :func:`confidence`, each of shape (h, w)."""
+    seen: NDArray[np.uint8] | None = None,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """``log_odds``, ``edge`` and ``unseen`` of :func:`confidence`, each of shape (h, w)."""
     disagreeing = measures.astype(np.float32) - support
     log_odds = np.log((support.astype(np.float32) + 0.25) / (disagreeing + 1))
-    if primitive == "triangles":
+    if seen is not None:
         log_odds = np.maximum(log_odds, np.float32(np.log(0.25)))
     largest = cv2.dilate(_relative_curvature(depth), np.ones((7, 7), np.uint8))
-    return log_odds, np.log10(np.clip(largest, 1e-3, 1)) / 3 + 1
+    unseen = np.zeros(depth.shape) if seen is None else seen != AGREED
+    return log_odds, np.log10(np.clip(largest, 1e-3, 1)) / 3 + 1, unseen.astype(np.float32)
 
 
 def _relative_curvature(depth: NDArray[np.float32]) -> NDArray[np.float32]:

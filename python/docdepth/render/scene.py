@@ -16,17 +16,20 @@ from docdepth.datasets.base import CameraStream, Sweep
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.points import usable_points
+from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.frame_cache import FrameCache
 from docdepth.render.layers import check_layers, compose_layers
+from docdepth.render.moving_objects import by_id, objects_of
 from docdepth.render.selection import needed_frames
+from docdepth.render.track_sweeps import near_vehicles
 
 
 class HasClasses(Protocol):
-    """Labels of one sweep: ``classid`` is uint16 of shape (N,)."""
+    """Labels of one sweep: ``classid`` is uint16 of shape (N,); so is ``instance`` if it exists."""
 
     @property
     def classid(self) -> NDArray[np.uint16]: ...
@@ -54,9 +57,13 @@ class Scene:
     trajectory : Trajectory
         The pose of each sweep.
     labels : sequence of Labels, or of ndarray of uint16, shape (N,)
-        The class of each point: ground below 50, static below 100, dynamic from 100 on.
+        The class of each point: ground below 50, static below 100, dynamic from 100 on. Labels also
+        hold the instance of each point: the id of its track.
     parameters : Parameters, optional
         ``render`` is used.
+    tracks : sequence of Track
+        Objects that move. Dynamic points without a track are drawn where the nearest sweep saw
+        them.
 
     Raises
     ------
@@ -70,6 +77,7 @@ class Scene:
         trajectory: Trajectory,
         labels: Sequence[Classes],
         parameters: Parameters | None = None,
+        tracks: Sequence[Track] = (),
     ) -> None:
         if not len(sweeps) == len(trajectory) == len(labels):
             raise InputError(
@@ -78,6 +86,7 @@ class Scene:
             )
         self.sweeps, self.trajectory, self.labels = sweeps, trajectory, labels
         self.parameters = parameters or Parameters()
+        self.tracks = by_id(tracks)
         times = trajectory.times
         self._period = np.float32(np.median(np.diff(times)) * 1e-9 if len(times) > 1 else 0)
         self._cache = FrameCache(self._prepare)
@@ -105,12 +114,12 @@ class Scene:
                 f"{time} ns lies outside the trajectory, which goes from {first} to {last} ns; "
                 "poses are not extrapolated, so leave this image out"
             )
-        needed = needed_frames(self.trajectory, time, self.parameters.render)
+        needed = needed_frames(self.trajectory, time, self.parameters.render, self.tracks)
         with ThreadPoolExecutor(thread_count(threads)) as executor:
-            requested = self._cache.request(needed, executor)
-        return {i: frame.result() for i, frame in requested.items()}
+            requested = self._cache.request(needed.items(), executor)
+        return {i: frame.result() for (i, _), frame in requested.items()}
 
-    def _prepare(self, index: int) -> Frame:
+    def _prepare(self, index: int, whole: bool) -> Frame:
         with self._reading:  # datasets need not be safe to read from several threads
             sweep, classes = self.sweeps[index], self.labels[index]
         points = np.asarray(sweep.points if isinstance(sweep, Sweep) else sweep)
@@ -121,21 +130,23 @@ class Scene:
                 f"sweep {index}: points {points.shape} must have shape (N, 3), and their classes "
                 f"{classid.shape} shape (N,), one for each point"
             )
+        instance = getattr(classes, "instance", None)
         usable = usable_points(points)
+        if not whole:
+            usable = usable & near_vehicles(points, classid, instance, self.tracks)
         if isinstance(sweep, Sweep):
             if sweep.relative_time is not None:
                 time_offset = (self._period * sweep.relative_time)[usable]
             if sweep.sensor_rig is not None:
                 sensor_rig = sweep.sensor_rig.select(usable)
+        points, classid = points[usable], classid[usable]
+        instance = None if instance is None else instance[usable]
+        trajectory, p = self.trajectory, self.parameters.render
+        time, pose = int(trajectory.times[index]), trajectory.poses[index]
         try:
-            return Frame(
-                points[usable],
-                classid[usable],
-                self.parameters.render,
-                time_offset,
-                sensor_rig,
-                self.trajectory.velocity(index),
-            )
+            objects = objects_of(points, classid, time, pose, instance, self.tracks, time_offset)
+            velocity = trajectory.velocity(index)
+            return Frame(points, classid, p, time_offset, sensor_rig, velocity, objects)
         except InputError as error:
             raise InputError(f"sweep {index}: {error}") from None
 
@@ -177,7 +188,7 @@ def render_depth(
         The renderer failed.
     """
     image = _image(scene, camera, index, time, threads)
-    return compose_depth(*image, scene.parameters.render, threads, renderer)
+    return compose_depth(*image, scene.parameters.render, threads, renderer, scene.tracks)
 
 
 def render_layers(
@@ -214,8 +225,8 @@ def render_layers(
     check_layers(names, p)
     image = _image(scene, camera, index, time, threads)
     if depth is None:
-        depth = compose_depth(*image, p, threads)
-    return compose_layers(names, depth, *image, p, threads)
+        depth = compose_depth(*image, p, threads, None, scene.tracks)
+    return compose_layers(names, depth, *image, p, threads, scene.tracks)
 
 
 def _image(

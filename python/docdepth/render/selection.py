@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from docdepth.config import RenderParameters
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.moving_objects import Tracks
+from docdepth.render.track_sweeps import track_sweeps
 
 DYNAMIC_FRAMES = 4
-"""Triangles: sweeps that dynamic objects are drawn from. The nearest in time gives the objects; the
-others their velocity, and surfaces that the nearest did not see."""
+"""Triangles: sweeps around an image that tell what moves and where nothing is. An object hidden by
+a post in the nearest is seen by the next ones."""
 
 STEP_GROWTH = 0.22
 """Triangles: spacing of static sweeps over their distance to the image [-]. Seen from the camera,
@@ -32,27 +34,57 @@ class DrawnFrames(NamedTuple):
     static : list of int
         Sweeps whose static points (ground included) are drawn.
     dynamic : list of int
-        Sweeps that dynamic objects are drawn from, the nearest in time first.
+        Sweeps around the image, the nearest in time first.
+    tracked : list of int
+        Further sweeps of which only vehicles are drawn.
     """
 
     static: list[int]
     dynamic: list[int]
+    tracked: list[int]
+
+    @property
+    def sighted(self) -> list[int]:
+        """Sweeps that dynamic objects are drawn from: those around the image, then others."""
+        others = [i for i in self.static if i not in self.dynamic]
+        return self.dynamic + others + self.tracked
+
+    @property
+    def needed(self) -> dict[int, bool]:
+        """All sweeps, and whether they are needed whole or only what is near vehicles."""
+        return dict.fromkeys(self.tracked, False) | dict.fromkeys(self.static + self.dynamic, True)
 
 
 def drawn_frames(
-    trajectory: Trajectory, time: int, parameters: RenderParameters | None = None
+    trajectory: Trajectory,
+    time: int,
+    parameters: RenderParameters | None = None,
+    tracks: Tracks | None = None,
 ) -> DrawnFrames:
     """Select the sweeps of the image taken at ``time`` [ns]."""
     p = parameters or RenderParameters()
-    return DrawnFrames(static_frames(trajectory, time, p).tolist(), _dynamic(trajectory, time, p))
+    static, dynamic = static_frames(trajectory, time, p).tolist(), _dynamic(trajectory, time, p)
+    if p.primitive == "splats" or not tracks:
+        return DrawnFrames(static, dynamic, [])
+    tracked = [i for i in track_sweeps(trajectory, time, tracks) if i not in {*static, *dynamic}]
+    return DrawnFrames(static, dynamic, tracked)
 
 
 def needed_frames(
-    trajectory: Trajectory, time: int, parameters: RenderParameters | None = None
-) -> set[int]:
-    """All sweeps that :func:`~docdepth.render.depth_map.compose_depth` asks for."""
-    drawn = drawn_frames(trajectory, time, parameters)
-    return {*drawn.static, *drawn.dynamic}
+    trajectory: Trajectory,
+    time: int,
+    parameters: RenderParameters | None = None,
+    tracks: Tracks | None = None,
+) -> dict[int, bool]:
+    """All sweeps that :func:`~docdepth.render.depth_map.compose_depth` asks for.
+
+    Returns
+    -------
+    dict of int to bool
+        Whether a sweep is needed whole, or only what is near vehicles
+        (:func:`~docdepth.render.track_sweeps.near_vehicles`).
+    """
+    return drawn_frames(trajectory, time, parameters, tracks).needed
 
 
 def static_frames(

@@ -220,9 +220,9 @@ class Drive:
             ends = [into_world @ actor.path.poses(seconds + t) @ centre for t in (-step, step)]
             poses = into_world @ actor.path.poses(seconds) @ centre
             velocities = (ends[1] - ends[0])[:, :3, 3] / (2 * step)
-            points = np.zeros(count, np.int64)
-            size = high - low
-            found.append(Track(number, actor.kind, self.times, poses, velocities, size, points))
+            points, exact = np.zeros(count, np.int64), np.zeros(count)
+            about = (number, actor.kind, self.times, poses, velocities, high - low)
+            found.append(Track(*about, points, exact))
         return found
 
     def image(self, index: int) -> View:

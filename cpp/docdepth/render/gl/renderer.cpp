@@ -6,6 +6,7 @@
 #include <string>
 
 #include "docdepth/geometry/rigid.hpp"
+#include "docdepth/render/beyond_view.hpp"
 #include "docdepth/render/depth_hypotheses.hpp"
 #include "docdepth/render/gl/program.hpp"
 #include "docdepth/render/gl/shaders.hpp"
@@ -204,14 +205,19 @@ std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Mesh
     DepthHypotheses hypotheses(columns, drawn(scene.trusted));
     for (const auto& mesh : scene.others) hypotheses.add(drawn({mesh}).data());
     auto static_depth = hypotheses.resolve(camera, scene.rays);
+    std::vector<std::uint16_t> wide(static_depth.size(), 0), owners;
+    std::uint16_t number = 0;
     for (const auto& object : scene.dynamic_objects)
-      add_dynamic_object(columns, camera, drawn(object.trusted), drawn(object.others), object.rays,
-                         static_depth);
+      add_dynamic_object(columns, object.bounds, camera,
+                         {drawn(object.trusted), drawn(object.others), drawn(object.continued)},
+                         object.rays, ++number, static_depth, wide);
     std::vector<float> depth(std::size_t(camera.width) * camera.height);
     for (std::size_t i = 0; i < depth.size(); ++i) {
-      const float w = static_depth[i / camera.width * stride + i % camera.width];
-      depth[i] = w > 0 ? 1.0f / w : kNone;
+      const std::size_t from = i / camera.width * stride + i % camera.width;
+      depth[i] = static_depth[from] > 0 ? 1.0f / static_depth[from] : kNone;
+      owners.push_back(wide[from]);
     }
+    empty_beyond_view(camera, scene, owners, depth);
     return depth;
   });
 }

@@ -1,0 +1,34 @@
+// An object followed from sweep to sweep.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <vector>
+
+#include "docdepth/objects/detections.hpp"
+
+namespace docdepth {
+
+/// What one sweep saw of a track.
+struct TrackObservation {
+  std::size_t sweep;
+  std::vector<std::uint32_t> objects;  ///< indices of its detections
+  Extent box;                          ///< around them
+  Eigen::Vector3f shift;  ///< from where the last observation was: the samples registered [m]
+  bool dynamic;           ///< whether most of it is passing by its votes
+  bool voted;             ///< whether the votes call most of it dynamic
+  /// Of its points, of those that are passing, and of those whose place was free (Detection).
+  float area, passing_area, free_area;
+
+  bool is_passing() const { return passing_area >= kMinFreeShare * area; }
+};
+
+struct Track {
+  std::deque<TrackObservation> observations;  ///< ascending in time
+  int dynamic = 0;                            ///< how many of them are dynamic
+};
+
+/// Whether a box may be the same object as one that was seen with another size.
+bool could_match(const Extent& box, const Eigen::Vector3f& size);
+
+}  // namespace docdepth

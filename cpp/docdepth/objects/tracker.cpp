@@ -1,0 +1,438 @@
+#include "docdepth/objects/tracker.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "docdepth/objects/constants.hpp"
+
+namespace docdepth {
+namespace {
+
+using Vector = Eigen::Vector3f;
+
+constexpr int kFree = -1, kUntracked = -2;  // owners of a detection besides tracks
+
+/// The continuation of a track in a sweep.
+struct Match {
+  float score = 0;
+  Vector shift = Vector::Zero();
+  std::vector<std::uint32_t> objects;
+  SampledPoints samples;
+  Extent box;
+  Vector largest;
+  bool hidden = false;  ///< partly, by something nearer
+  float range = 0;      ///< of the farthest of its objects [m]
+  float area = 0;       ///< of its objects
+};
+
+/// How wrong a shift of what is so far away may be [m].
+float shift_error(float range) {
+  return std::max(kShiftError, kRaySpacing * range);
+}
+
+/// Velocity at an end of a track: the mean of its shifts, the last ones most.
+struct Speed {
+  Vector velocity = Vector::Zero();
+  float error = 0;  ///< of it [m/s]
+  bool is_known = false;
+
+  void add(const Vector& shift, double dt, float range) {
+    const auto t = static_cast<float>(dt);
+    const Vector measured = shift / t;
+    const float its_error = shift_error(range) / std::fabs(t);
+    velocity = is_known ? Vector(0.5f * velocity + 0.5f * measured) : measured;
+    error = is_known ? 0.5f * error + 0.5f * its_error : its_error;
+    is_known = true;
+  }
+  /// Whether it can go so far within a duration [s]: no road user changes its speed faster.
+  bool allows(const Vector& shift, double dt, float range) const {
+    if (!is_known) return true;
+    const auto t = static_cast<float>(std::fabs(dt));
+    const float most = kMaxAcceleration * t * t / 2 + error * t + shift_error(range);
+    return (shift - velocity * float(dt)).head<2>().norm() <= most;
+  }
+};
+
+/// The end at which a track goes on.
+struct End {
+  int track;
+  SampledPoints samples;  ///< of the last two observations: each may see another part
+  SampledPoints last;     ///< of the last observation
+  Vector largest;         ///< size of its objects
+  double time;
+  Speed speed;
+  float area = 0;  ///< that was seen of it when it was not partly hidden
+};
+
+bool can_be_tracked(const Detection& object) {
+  return object.box.size().z() >= kMinTrackedHeight && object.box.width() <= kMaxObjectWidth;
+}
+
+void append(SampledPoints& samples, const SampledPoints& more) {
+  samples.insert(samples.end(), more.begin(), more.end());
+}
+
+/// The samples of the last two observations, the older ones moved along.
+SampledPoints together(SampledPoints older, const Vector& shift, const SampledPoints& newer) {
+  for (Vector& p : older) p += shift;
+  append(older, newer);
+  return downsample(older, kSampleSpacing, kMaxSamples);
+}
+
+/// Share of the shifted samples that have one of `others` beside them. Rings leave gaps above and
+/// below, so that only the horizontal distance tells exactly.
+float level_share(const SampledPoints& samples, const Vector& shift, const SampledPoints& others) {
+  std::size_t found = 0;
+  for (const Vector& sample : samples) {
+    const Vector p = sample + shift;
+    found += std::any_of(others.begin(), others.end(), [&](const Vector& q) {
+      return (q - p).head<2>().squaredNorm() < kLevelDistance * kLevelDistance &&
+             std::fabs(q.z() - p.z()) < kMatchDistance;
+    });
+  }
+  return float(found) / float(samples.size());
+}
+
+class Tracker {
+ public:
+  Tracker(const std::vector<const Detections*>& detections, const std::vector<double>& times,
+          const TrackParameters& p)
+      : detections_(detections), times_(times), p_(p) {
+    for (const Detections* seen : detections) {
+      owners_.emplace_back();
+      for (const Detection& object : *seen)
+        owners_.back().push_back(can_be_tracked(object) ? kFree : kUntracked);
+    }
+  }
+
+  std::vector<Track> run() {
+    for (std::size_t i = 0; i < times_.size(); ++i) forward(i);
+    alive_.clear();
+    std::vector<std::vector<int>> begin(times_.size());  // tracks by their first sweep
+    for (std::size_t k = 0; k < tracks_.size(); ++k)
+      begin[tracks_[k].observations.front().sweep].push_back(int(k));
+    for (std::size_t i = times_.size(); i-- > 0;) {
+      backward(i);
+      for (const int k : begin[i])
+        if (!tracks_[k].observations.empty()) alive_.push_back(beginning(k));
+    }
+    std::vector<Track> found;
+    for (Track& track : tracks_)
+      if (!track.observations.empty()) found.push_back(std::move(track));
+    return found;
+  }
+
+ private:
+  void forward(std::size_t sweep) {
+    const Detections& seen = *detections_[sweep];
+    go_on(sweep, [&](const End& end, Match&& match) {
+      add(end.track, sweep, match, false);
+      last_speeds_[std::size_t(end.track)] = end.speed;
+    });
+    for (std::uint32_t k = 0; k < seen.size(); ++k) {
+      if (owners_[sweep][k] != kFree || !seen[k].is_passing() ||
+          seen[k].samples().size() < kMinSamples)
+        continue;
+      const int track = int(tracks_.size());
+      owners_[sweep][k] = track;
+      tracks_.push_back({{{sweep,
+                           {k},
+                           seen[k].box,
+                           Vector::Zero(),
+                           true,
+                           seen[k].is_dynamic(),
+                           seen[k].area,
+                           seen[k].passing_area(),
+                           seen[k].free_area}},
+                         1});
+      last_speeds_.emplace_back();
+      const SampledPoints& samples = seen[k].samples();
+      alive_.push_back(
+          {track, samples, samples, seen[k].box.size(), times_[sweep], {}, seen[k].area});
+    }
+  }
+
+  void backward(std::size_t sweep) {
+    go_on(sweep, [&](End& end, Match&& match) {
+      const int before = earlier_track(sweep, match);
+      if (before < 0) return add(end.track, sweep, match, true);
+      // What the two have in common is the last observation of the earlier track.
+      auto& later = tracks_[end.track].observations;
+      auto& earlier = tracks_[before].observations;
+      later.front().shift = -match.shift;
+      later.insert(later.begin(), earlier.begin(), earlier.end());
+      tracks_[end.track].dynamic += tracks_[before].dynamic;
+      for (const TrackObservation& seen : earlier)
+        for (const auto k : seen.objects) owners_[seen.sweep][k] = end.track;
+      earlier.clear();
+      gone_.push_back(end.track);  // it goes on at its new beginning
+    });
+    for (const int track : gone_) {
+      const auto is_it = [&](const End& end) { return end.track == track; };
+      alive_.erase(std::remove_if(alive_.begin(), alive_.end(), is_it), alive_.end());
+      joined_.push_back(track);
+    }
+    gone_.clear();
+    for (auto it = joined_.begin(); it != joined_.end();) {
+      const bool begins = tracks_[*it].observations.front().sweep == sweep;
+      if (begins) alive_.push_back(beginning(*it));
+      it = begins ? joined_.erase(it) : it + 1;
+    }
+  }
+
+  /// Let each living track find its continuation in a sweep; the longest chooses first.
+  template <class Take>
+  void go_on(std::size_t sweep, const Take& take) {
+    std::stable_sort(alive_.begin(), alive_.end(), [&](const End& a, const End& b) {
+      return tracks_[a.track].observations.size() > tracks_[b.track].observations.size();
+    });
+    std::vector<End> alive;
+    for (End& end : alive_) {
+      const double dt = times_[sweep] - end.time;
+      if (std::fabs(dt) > max_gap(end)) continue;
+      Match match = find(end, end.samples, sweep, dt);
+      if (match.score == 0) match = find(end, end.last, sweep, dt);
+      if (match.score > 0 && can_join(sweep, match, dt)) {
+        move_on(end, sweep, match);
+        take(end, std::move(match));
+      }
+      alive.push_back(std::move(end));
+    }
+    alive_ = std::move(alive);
+  }
+
+  void move_on(End& end, std::size_t sweep, const Match& match) const {
+    // What hides an object now may go away: all is kept that was seen of it.
+    const bool partial = match.hidden || match.area < kPartialShare * end.area;
+    const bool stands = end.speed.velocity.norm() < kStanding;
+    end.speed.add(match.shift, times_[sweep] - end.time, match.range);
+    if (!partial) end.area = match.area;
+    end.time = times_[sweep];
+    end.samples =
+        together(std::move(partial || stands ? end.samples : end.last), match.shift, match.samples);
+    end.last = match.samples;
+    end.largest = match.largest;
+  }
+
+  void add(int track, std::size_t sweep, const Match& match, bool at_front) {
+    const Detections& seen = *detections_[sweep];
+    TrackObservation added{sweep, match.objects, match.box, match.shift, false, false, 0, 0, 0};
+    std::uint32_t points = 0, of_dynamic = 0, voted = 0;
+    for (const auto k : match.objects) {
+      owners_[sweep][k] = track;
+      points += seen[k].points;
+      added.area += seen[k].area;
+      added.passing_area += seen[k].passing_area();
+      added.free_area += seen[k].free_area;
+      if (seen[k].is_passing()) of_dynamic += seen[k].points;
+      if (seen[k].is_dynamic()) voted += seen[k].points;
+    }
+    added.dynamic = 2 * of_dynamic >= points;
+    added.voted = 2 * voted >= points;
+    tracks_[track].dynamic += added.dynamic;
+    auto& observations = tracks_[track].observations;
+    if (at_front) {
+      observations.front().shift = -match.shift;
+      added.shift = Vector::Zero();
+      observations.push_front(std::move(added));
+    } else {
+      observations.push_back(std::move(added));
+    }
+  }
+
+  /// The beginning of a track, from which it is followed backward.
+  End beginning(int track) const {
+    const auto& seen = tracks_[track].observations;
+    const auto samples_of = [&](const TrackObservation& of) {
+      SampledPoints samples;
+      for (const auto k : of.objects) append(samples, (*detections_[of.sweep])[k].samples());
+      return samples;
+    };
+    End end{track, {},          samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep],
+            {},    seen[0].area};
+    for (const TrackObservation& of : seen) end.largest = end.largest.cwiseMax(of.box.size());
+    end.samples = end.last;
+    if (seen.size() == 1) return end;
+    end.samples = together(samples_of(seen[1]), -seen[1].shift, end.last);
+    float range = 0;
+    for (const auto k : seen[0].objects)
+      range = std::max(range, (*detections_[seen[0].sweep])[k].range());
+    end.speed.add(-seen[1].shift, end.time - times_[seen[1].sweep], range);
+    return end;
+  }
+
+  /// Whether the earlier track that a match ends, if any, goes as fast as the match says.
+  bool can_join(std::size_t sweep, const Match& match, double dt) const {
+    for (const auto k : match.objects)
+      if (const int owner = owners_[sweep][k];
+          owner >= 0 && !last_speeds_[std::size_t(owner)].allows(-match.shift, -dt, match.range))
+        return false;
+    return true;
+  }
+
+  /// The track that ends with most of the objects of a match; -1 if they are free. The others are
+  /// dropped from the match.
+  int earlier_track(std::size_t sweep, Match& match) const {
+    int found = -1;
+    std::uint32_t most = 0;
+    for (const auto k : match.objects)
+      if (owners_[sweep][k] >= 0 && (*detections_[sweep])[k].points > most)
+        found = owners_[sweep][k], most = (*detections_[sweep])[k].points;
+    if (found < 0) return found;
+    auto& objects = match.objects;
+    objects.erase(std::remove_if(objects.begin(), objects.end(),
+                                 [&](auto k) { return owners_[sweep][k] != found; }),
+                  objects.end());
+    return found;
+  }
+
+  double max_gap(const End& end) const {
+    const bool stands = end.speed.is_known && end.speed.velocity.norm() < kStanding;
+    const bool proven = tracks_[end.track].dynamic >= p_.min_detections;
+    return (stands && proven ? p_.max_gap_standing : p_.max_gap) + kTimeTolerance;
+  }
+
+  /// Whether a track may take a detection: it is nobody's, or the end of an earlier track.
+  bool is_free(std::size_t sweep, std::uint32_t k, const End& end) const {
+    const int owner = owners_[sweep][k];
+    if (owner < 0) return owner == kFree;
+    return owner != end.track && tracks_[end.track].observations.front().sweep > sweep &&
+           tracks_[owner].observations.back().sweep == sweep;
+  }
+
+  /// The best match of these samples of a track.
+  Match find(const End& end, const SampledPoints& samples, std::size_t sweep, double dt) const {
+    const Detections& seen = *detections_[sweep];
+    const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
+    Match best;
+    const Vector expected = end.speed.velocity * static_cast<float>(dt);
+    std::vector<Vector> tried;
+    const auto attempt = [&](const Vector& start) {
+      const auto is_same = [&](const Vector& other) {
+        return (other - start).norm() < kSampleSpacing;
+      };
+      if (std::any_of(tried.begin(), tried.end(), is_same)) return;
+      tried.push_back(start);
+      Match match = match_from(end, samples, sweep, start, expected, dt);
+      if (match.score > best.score) best = std::move(match);
+    };
+    Extent box = extent_of(samples);
+    if (end.speed.is_known) {
+      attempt(expected);
+      attempt(Vector::Zero());
+    }
+    // Along a flat side every shift fits; its ends tell how far it went.
+    const Extent there{box.low + expected, box.high + expected};
+    for (std::uint32_t k = 0; k < seen.size(); ++k) {
+      if (!is_free(sweep, k, end) || !could_match(seen[k].box, end.largest)) continue;
+      const bool near = end.speed.is_known
+                            ? seen[k].box.overlaps(there, kSearchMargin)
+                            : seen[k].is_passing() && seen[k].box.overlaps(box, reach);
+      if (!near) continue;
+      for (const Vector& shift :
+           {Vector(seen[k].box.low - box.low), Vector(seen[k].box.high - box.high)})
+        if (shift.head<2>().norm() <= reach) attempt({shift.x(), shift.y(), 0});
+      if (!end.speed.is_known) attempt(most_frequent_shift(samples, seen[k].samples(), reach));
+    }
+    return best;
+  }
+
+  /// The detections onto which the samples fall, with a shift that is refined from `start`.
+  Match match_from(const End& end, const SampledPoints& samples, std::size_t sweep,
+                   const Vector& start, const Vector& expected, double dt) const {
+    const Detections& seen = *detections_[sweep];
+    const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
+    Extent box = extent_of(samples);
+    box.low += start;
+    box.high += start;
+    std::vector<std::uint32_t> near;
+    float range = 0;
+    SampledPoints there;
+    for (std::uint32_t k = 0; k < seen.size(); ++k) {
+      if (!seen[k].box.overlaps(box, kSearchMargin) || !is_free(sweep, k, end)) continue;
+      if (!end.speed.is_known && !seen[k].is_passing()) continue;
+      if (!could_match(seen[k].box, end.largest)) continue;
+      near.push_back(k);
+      range = std::max(range, seen[k].range());
+      append(there, seen[k].samples());
+    }
+    Match match;
+    match.shift = start;
+    match.largest = end.largest;
+    match.range = range;
+    if (!refine_shift(samples, there, match.shift)) return {};
+    if (!end.speed.allows(match.shift, dt, range)) match.shift = start;
+    if (!end.speed.allows(match.shift, dt, range)) return {};
+    for (const auto k : near) {
+      if (matched_share(seen[k].samples(), -match.shift, samples) < kMinMemberShare) continue;
+      if (match.objects.empty()) match.box = seen[k].box;
+      match.objects.push_back(k);
+      append(match.samples, seen[k].samples());
+      match.hidden |= !seen[k].hidden.empty();
+      match.area += seen[k].area;
+      match.box.add(seen[k].box);
+      match.largest = match.largest.cwiseMax(seen[k].box.size());
+    }
+    drop_neighbors(seen, match);
+    // Together larger than one object: a pedestrian and what he walks away from.
+    if (match.objects.empty() || !could_match(match.box, match.largest)) return {};
+    // Half of a track may be hidden, so twice its matched share counts. Of two equal matches the
+    // one nearer to where it is expected is more likely.
+    const auto score = [&](const auto& share) {
+      return std::min(1.0f, 2 * share(samples, match.shift, match.samples)) *
+             share(match.samples, -match.shift, samples) /
+             (1 + (match.shift - expected).norm() / (2 * reach));
+    };
+    const auto nearly = [](const auto&... of) { return matched_share(of...); };
+    const float share = score(nearly);
+    if (share < kMinMatchedShare) return {};
+    match.score = score(level_share) + kNearWeight * share;
+    return match;
+  }
+
+  /// Drop what was not free before or after where something else of a match was: what belongs
+  /// together comes together. A parked car beside one that arrives.
+  static void drop_neighbors(const Detections& seen, Match& match) {
+    if (match.objects.empty()) return;
+    const auto most = *std::max_element(
+        match.objects.begin(), match.objects.end(),
+        [&](auto a, auto b) { return seen[a].passing_area() < seen[b].passing_area(); });
+    const Detection& best = seen[most];
+    const auto is_neighbor = [&](auto k) {
+      return seen[k].area > kFragmentShare * best.area &&
+             seen[k].passing_share() < kTogetherShare * best.passing_share();
+    };
+    auto& objects = match.objects;
+    if (!best.is_passing() || std::none_of(objects.begin(), objects.end(), is_neighbor)) return;
+    objects.erase(std::remove_if(objects.begin(), objects.end(), is_neighbor), objects.end());
+    match.samples.clear();
+    match.box = seen[objects[0]].box;
+    for (const auto k : objects) {
+      append(match.samples, seen[k].samples());
+      match.box.add(seen[k].box);
+    }
+  }
+
+  const std::vector<const Detections*>& detections_;
+  const std::vector<double>& times_;
+  const TrackParameters& p_;
+  std::vector<Track> tracks_;
+  std::vector<std::vector<int>> owners_;  ///< of each detection of each sweep
+  std::vector<Speed> last_speeds_;        ///< of each track, at its last observation
+  std::vector<End> alive_;
+  std::vector<int> gone_, joined_;  ///< tracks that are followed on from another beginning
+};
+
+}  // namespace
+
+bool could_match(const Extent& box, const Vector& size) {
+  const Vector most = size * kMaxSizeFactor + Vector::Constant(kMaxSizeMargin);
+  return (box.size().array() < most.array()).all();
+}
+
+std::vector<Track> follow_objects(const std::vector<const Detections*>& detections,
+                                  const std::vector<double>& times, const TrackParameters& p) {
+  return Tracker(detections, times, p).run();
+}
+
+}  // namespace docdepth

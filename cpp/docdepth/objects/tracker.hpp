@@ -1,0 +1,23 @@
+// Follows objects from sweep to sweep.
+#pragma once
+
+#include <vector>
+
+#include "docdepth/objects/parameters.hpp"
+#include "docdepth/objects/track.hpp"
+
+namespace docdepth {
+
+/// Follow the objects that the votes call dynamic, forward in time and then backward.
+///
+/// An object of the next sweep belongs to a track if it falls onto the track's shifted samples,
+/// unless together they are larger than the object ever looked. These samples are those of the last
+/// two sweeps, since a sensor of few beams or a rosette sees other parts in each sweep. So an
+/// object is followed to where it stands before or after, and to where no key frame looked. Two
+/// tracks become one where the later, followed backward, meets the end of the earlier.
+///
+/// @param times  of the sweeps [s]
+std::vector<Track> follow_objects(const std::vector<const Detections*>& detections,
+                                  const std::vector<double>& times, const TrackParameters& p);
+
+}  // namespace docdepth

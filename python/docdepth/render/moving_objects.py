@@ -1,0 +1,164 @@
+"""Objects that move: whose points a sweep holds, and where they are at the time of an image (ours).
+
+A track tells which points are one object and where it is at any time. What a sweep saw of it is
+carried along the track to the time of the image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.geometry.points import DYNAMIC
+from docdepth.geometry.se3 import inverse, rotation_exp
+from docdepth.geometry.track import Track
+
+Tracks = Mapping[int, Track]
+"""Tracks by id."""
+
+TOUCH = 0.2
+"""A dynamic point without an instance that is this near to the box of a track is carried with it
+[m]: boxes hold what was seen, so a mirror or a foot may stick out by as much."""
+
+
+@dataclass(frozen=True)
+class SweepObjects:
+    """The dynamic points of a sweep by object.
+
+    Attributes
+    ----------
+    owner : ndarray of uint16, shape (N,)
+        0 of static points, else the number of the point's object in this sweep, from 1 on.
+    instances : tuple of int
+        Of objects 1, 2, ...: the id of its track, or 0 of the points that are not followed.
+    times : tuple of int
+        The time at which each object is held: the mean time of its measurements [ns].
+    T_object_lidar : ndarray of float64, shape (objects, 4, 4)
+        From the LiDAR to each object at that time; not used of points that are not followed.
+    motion : ndarray of float32, shape (objects, 4)
+        Velocity of each object in the LiDAR frame [m/s], and its time [s after the stamp].
+    time_offset : ndarray of float32, shape (N,), optional
+        Seconds from the stamp to each measurement.
+    displacement : ndarray of float32, shape (N, 3), optional
+        Moves each point from where it was measured to where it is at the time of its object [m].
+    """
+
+    owner: NDArray[np.uint16]
+    instances: tuple[int, ...]
+    times: tuple[int, ...]
+    T_object_lidar: NDArray[np.float64]
+    motion: NDArray[np.float32]
+    time_offset: NDArray[np.float32] | None = None
+    displacement: NDArray[np.float32] | None = None
+
+    def select(self, rows: NDArray[np.bool_]) -> SweepObjects:
+        """The objects of some points."""
+        late = None if self.time_offset is None else self.time_offset[rows]
+        moved = None if self.displacement is None else self.displacement[rows]
+        return replace(self, owner=self.owner[rows], time_offset=late, displacement=moved)
+
+
+def objects_of(
+    points: NDArray[np.float32],
+    classid: NDArray[np.uint16],
+    time: int = 0,
+    T_world_lidar: NDArray[np.float64] | None = None,
+    instance: NDArray[np.uint16] | None = None,
+    tracks: Tracks | None = None,
+    time_offset: NDArray[np.float32] | None = None,
+) -> SweepObjects:
+    """Divide the dynamic points of a sweep into objects, each held at one time.
+
+    A sweep takes a tenth of a second, in which a car moves by metres. Each point is moved with its
+    track from the time of its measurement to the mean time of its object.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        LiDAR frame, deskewed with the motion of the LiDAR [m].
+    classid : ndarray of uint16, shape (N,)
+    time : int
+        Stamp of the sweep [ns].
+    T_world_lidar : ndarray of float64, shape (4, 4)
+        Pose at the stamp. It and ``time`` matter for tracks only.
+    instance : ndarray of uint16, shape (N,), optional
+        Id of the track of each point, 0 = none.
+    tracks : mapping of int to Track, optional
+    time_offset : ndarray of float32, shape (N,), optional
+        Seconds from the stamp to each measurement.
+    """
+    tracks = tracks or {}
+    rows = np.flatnonzero(classid >= DYNAMIC)
+    ids = np.zeros(len(rows), np.int64)
+    delay = np.zeros(len(rows)) if time_offset is None else time_offset[rows].astype(np.float64)
+    pose = np.eye(4) if T_world_lidar is None else T_world_lidar
+    world = points[rows].astype(np.float64)
+    if tracks:
+        world = world @ pose[:3, :3].T + pose[:3, 3]
+        if instance is not None:
+            ids = np.where(np.isin(instance[rows], list(tracks)), instance[rows], 0).astype(
+                np.int64
+            )
+        _carry_strays(ids, world, time, tracks)
+    instances, number = np.unique(ids, return_inverse=True)
+    owner = np.zeros(len(points), np.uint16)
+    owner[rows] = number + 1
+    count = len(instances)
+    times: list[int] = []
+    motion, T_object_lidar = np.zeros((count, 4), np.float32), np.repeat(np.eye(4)[None], count, 0)
+    displacement = np.zeros(points.shape, np.float32) if instances.any() else None
+    for k, of in enumerate(instances.tolist()):
+        own = number == k
+        late = float(delay[own].mean())
+        times.append(int(time) + round(late * 1e9))
+        motion[k, 3] = late
+        if not of or displacement is None:
+            continue
+        track = tracks[of]
+        T_object_lidar[k] = inverse(track.pose_at(times[k])) @ pose
+        motion[k, :3] = track.velocity_at(times[k]) @ pose[:3, :3]
+        moved = _held(world[own], late - delay[own], track, times[k])
+        displacement[rows[own]] = (moved - world[own]) @ pose[:3, :3]
+    return SweepObjects(
+        owner,
+        tuple(instances.tolist()),
+        tuple(times),
+        T_object_lidar,
+        motion,
+        None if time_offset is None else time_offset.astype(np.float32),
+        displacement,
+    )
+
+
+def _held(
+    world: NDArray[np.float64], earlier: NDArray[np.float64], track: Track, time: int
+) -> NDArray[np.float64]:
+    """Points measured ``earlier`` seconds before ``time``, as the object is at ``time``."""
+    velocity, centre = track.velocity_at(time), track.pose_at(time)[:3, 3]
+    turn = rotation_exp(earlier[:, None] * track.turn_rate_at(time))
+    then = centre - earlier[:, None] * velocity
+    return np.asarray(centre + np.einsum("nij,nj->ni", turn, world - then))
+
+
+def _carry_strays(
+    ids: NDArray[np.int64], world: NDArray[np.float64], time: int, tracks: Tracks
+) -> None:
+    """Give dynamic points without an instance to the track whose box they lie in or touch."""
+    strays = np.flatnonzero(ids == 0)
+    for of, track in tracks.items():
+        if not len(strays) or not track.covers(time):
+            continue
+        T = inverse(track.pose_at(time))
+        local = world[strays] @ T[:3, :3].T + T[:3, 3]
+        half = 0.5 * track.size + TOUCH
+        inside = (np.abs(local - (0, 0, 0.5 * track.size[2])) <= half).all(axis=1)
+        ids[strays[inside]] = of
+        strays = strays[~inside]
+
+
+def by_id(tracks: Sequence[Track]) -> dict[int, Track]:
+    """Tracks by their ids."""
+    return {track.id: track for track in tracks}

@@ -1,0 +1,175 @@
+"""What the sweeps of an image saw of the objects that move, placed at the time of the image (ours).
+
+A car is rigid, so every sweep that saw it tells about it. A person is not: only the sweeps around
+the image do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth import _core
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.track import Track
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.frame import Frame
+from docdepth.render.moving_objects import Tracks
+from docdepth.render.selection import DrawnFrames
+from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS, lidar_range, seen_to_its_top
+
+SOFT_SECONDS = 0.12
+"""Sweeps farther in time from the image tell nothing about what is not rigid [s]. A step of a
+person takes half a second, in which a leg swings forth and back."""
+
+MOST_SIGHTINGS = 24
+"""Sweeps that an object is drawn from. Rings of one sweep lie up to a degree apart; two dozen, each
+with rings elsewhere on the object, leave gaps of a pixel."""
+
+MAX_DEVIATION = 0.06
+"""Where an object is known worse than this, other sweeps would blur it [m]."""
+
+FAR = 30.0
+"""Vehicles farther than this are drawn from the sweeps around the image alone [m]."""
+
+COARSER = 1.25
+"""Sweeps that saw a vehicle from so many times farther show less of it than those around the
+image."""
+
+REACH = 1.0
+"""An object may reach this far beyond the box of its track [m]."""
+
+VEHICLE_HEIGHT, PERSON_HEIGHT = 4.2, 2.2
+"""Road vehicles, and persons or cyclists, are no higher above the ground [m]: bridges on European
+roads let 4.2 to 4.5 m pass."""
+
+MOST_RAYS = 8
+"""Sweeps whose rays tell where an object ends: those around the image and as many others."""
+
+Floats: TypeAlias = NDArray[np.float64]
+Sighting: TypeAlias = "tuple[_core.Frame | _core.MeshFrame, int, Floats, int]"
+"""A frame, the number of the object in it, ``T_camera_sensor``, and the number of the sweep."""
+Extent: TypeAlias = tuple[float, float, float]
+SightedObject: TypeAlias = "tuple[int, Extent, list[Sighting], list[Sighting], list[Sighting]]"
+"""Instance, how long, wide and high it may be [m], sightings of sweeps around the image and of
+others, and those whose rays tell where the object ends."""
+
+
+class _Seen(NamedTuple):
+    """An object in one sweep, ``away`` from the image in time [ns]."""
+
+    number: int
+    sweep: int
+    owner: int
+    away: int
+
+
+class View(NamedTuple):
+    """What is drawn and when: the camera at the time [ns] of the image."""
+
+    camera: Camera
+    T_camera_world: Floats
+    time: int
+
+
+def sighted_objects(
+    view: View,
+    trajectory: Trajectory,
+    frames: Callable[[int], Frame],
+    drawn: DrawnFrames,
+    tracks: Tracks,
+    first_number: int,
+) -> list[SightedObject]:
+    """The argument ``objects`` of the core's renderers.
+
+    Sweep ``k`` of ``drawn.sighted`` has the number ``first_number + k``.
+    """
+    seen: dict[int, list[_Seen]] = {}
+    for number, sweep in enumerate(drawn.sighted, first_number):
+        objects = frames(sweep).objects
+        for owner, instance in enumerate(objects.instances, 1):
+            away = abs(objects.times[owner - 1] - view.time)
+            seen.setdefault(instance, []).append(_Seen(number, sweep, owner, away))
+    found: list[SightedObject] = []
+    strays = [one for one in seen.pop(0, []) if one.sweep == drawn.dynamic[0]]
+    for one in strays:
+        T_camera_lidar = view.T_camera_world @ trajectory.poses[one.sweep]
+        core, T_lidar_sensor = frames(one.sweep).dynamic_part
+        placed = [(core, one.owner, T_camera_lidar @ T_lidar_sensor, one.number)]
+        found.append((0, (0.0, 0.0, 0.0), placed, [], placed))
+    for instance in sorted(seen):
+        T_camera_object = view.T_camera_world @ tracks[instance].pose_at(view.time)
+        if not _in_view(view.camera, T_camera_object, tracks[instance]):
+            continue
+        around, others = (
+            [_sighting(frames(one.sweep), one, T_camera_object) for one in some]
+            for some in _chosen(seen[instance], drawn, trajectory, tracks[instance], view.time)
+        )
+        if around:  # else nobody knows where it is by now
+            extent = _extent(tracks[instance], trajectory)
+            found.append((instance, extent, around, others, (around + others)[:MOST_RAYS]))
+    return found
+
+
+def _sighting(frame: Frame, seen: _Seen, T_camera_object: Floats) -> Sighting:
+    T_camera_sensor = T_camera_object @ frame.T_object_sensor[seen.owner - 1]
+    return frame.dynamic_part[0], seen.owner, T_camera_sensor, seen.number
+
+
+def _extent(track: Track, trajectory: Trajectory) -> Extent:
+    """How long, wide and high an object may be: its height may never have been seen."""
+    length, width, height = track.size.tolist()
+    if not seen_to_its_top(track, trajectory):
+        height = max(height, PERSON_HEIGHT if track.kind == "person" else VEHICLE_HEIGHT)
+    return length, width, height
+
+
+def _in_view(camera: Camera, T_camera_object: Floats, track: Track) -> bool:
+    """Whether the camera may see something of the object."""
+    radius = float(np.linalg.norm(track.size)) / 2 + REACH
+    x, y, z = T_camera_object[:3, :3] @ (0, 0, 0.5 * track.size[2]) + T_camera_object[:3, 3]
+    if z < -radius:
+        return False
+    for offset, focal, centre, pixels in (
+        (x, camera.K[0, 0], camera.K[0, 2], camera.width),
+        (y, camera.K[1, 1], camera.K[1, 2], camera.height),
+    ):
+        for normal, limit in ((focal, centre), (-focal, pixels - centre)):
+            # Distance to the plane through the camera and a border of the image.
+            if (normal * offset + limit * z) / np.hypot(normal, limit) < -radius:
+                return False
+    return True
+
+
+def _chosen(
+    seen: list[_Seen], drawn: DrawnFrames, trajectory: Trajectory, track: Track, time: int
+) -> tuple[list[_Seen], list[_Seen]]:
+    """The views of an object from the sweeps around the image, and from others."""
+    around = sorted((view for view in seen if view.sweep in drawn.dynamic), key=_away)
+    if track.kind != "vehicle":
+        return [view for view in around if view.away <= SOFT_SECONDS * 1e9], []
+    away = lidar_range(track, trajectory, time)
+    if track.deviation_at(time) > MAX_DEVIATION or away > FAR:
+        return around, []
+    stamp = {view.sweep: int(trajectory.times[view.sweep]) for view in seen}
+    known = [v for v in seen if track.deviation_at(stamp[v.sweep]) <= MAX_DEVIATION]
+    others = sorted((view for view in known if view.sweep not in drawn.dynamic), key=_away)
+    further = [view for view in others if view.sweep in drawn.tracked][:MOST_TRACK_SWEEPS]
+    others = [
+        view
+        for view in others
+        if view.sweep not in drawn.tracked
+        and lidar_range(track, trajectory, stamp[view.sweep]) <= COARSER * away
+    ]
+    room = MOST_SIGHTINGS - len(around) - len(further)
+    if len(others) > room:
+        spread = np.linspace(0, len(others) - 1, room).round().astype(int)
+        others = [others[i] for i in spread.tolist()]
+    return around, others + further
+
+
+def _away(view: _Seen) -> int:
+    return view.away

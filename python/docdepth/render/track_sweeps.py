@@ -1,0 +1,119 @@
+"""Sweeps that saw other parts of a vehicle than those around the image (ours).
+
+Beside us a lorry reaches above the highest beam; farther away, where it came from or goes to, the
+LiDAR saw it whole.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.geometry.points import DYNAMIC
+from docdepth.geometry.se3 import inverse
+from docdepth.geometry.track import Track
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.moving_objects import Tracks
+
+Floats: TypeAlias = NDArray[np.float64]
+
+HIGHEST = np.radians(2.0)
+"""Vehicles that reach above this elevation are drawn from further sweeps [rad]: many LiDARs have no
+beam above it. Lower ones are seen whole by the sweeps around the image."""
+
+TOP_MARGIN = np.radians(0.5)
+"""Boxes that end so far below the highest beam were not cut by it [rad]: a ring of a LiDAR whose
+highest beam is as low as ``HIGHEST``."""
+
+MOST_TRACK_SWEEPS = 8
+"""Further sweeps of a vehicle. One for each half octave of range and eighth of a turn makes a dozen
+of a vehicle that passes; neighbours of these show the same."""
+
+BESIDE = np.radians(3.0)
+"""Rays that pass this near to a vehicle are kept with it [rad]: more than the rings of any LiDAR
+are apart, so that its mesh has neighbours all around."""
+
+
+def track_sweeps(trajectory: Trajectory, time: int, tracks: Tracks) -> list[int]:
+    """Sweeps that saw from elsewhere what is too high at ``time`` [ns] for some beams, ascending.
+
+    The choice belongs to the tracks and not to the image, so consecutive images share it.
+    """
+    T_lidar_world = inverse(trajectory.interpolate(time)[0])
+    chosen: set[int] = set()
+    for track in tracks.values():
+        if track.kind != "vehicle" or not track.covers(time):
+            continue
+        x, y, z, _ = T_lidar_world @ track.pose_at(time) @ (0, 0, track.size[2], 1)
+        if np.arctan2(z, np.hypot(x, y)) > HIGHEST:
+            chosen.update(_views(track, trajectory))
+    return sorted(chosen)
+
+
+def lidar_range(track: Track, trajectory: Trajectory, time: int) -> float:
+    """Distance from the LiDAR to an object at ``time`` [ns]."""
+    here = trajectory.interpolate(time)[0][:3, 3]
+    return float(np.linalg.norm(track.pose_at(time)[:3, 3] - here))
+
+
+def seen_to_its_top(track: Track, trajectory: Trajectory) -> bool:
+    """Whether some sweep looked above an object, so that the height of its box is its own."""
+    _, lidar = _lidar_in_box(track, trajectory)
+    away = np.hypot(lidar[:, 0], lidar[:, 1])
+    elevation = np.arctan2(track.size[2] - lidar[:, 2], away)
+    return bool((elevation < HIGHEST - TOP_MARGIN).any())
+
+
+def _lidar_in_box(track: Track, trajectory: Trajectory) -> tuple[NDArray[np.int64], Floats]:
+    """The sweeps that saw an object, (n,), and where in its frame the LiDAR was, (n, 3)."""
+    sweep = np.minimum(np.searchsorted(trajectory.times, track.times), len(trajectory) - 1)
+    seen = trajectory.times[sweep] == track.times
+    if track.points.any():
+        seen &= track.points > 0
+    sweep = sweep[seen]
+    return sweep, (inverse(track.poses[seen]) @ trajectory.poses[sweep])[:, :3, 3]
+
+
+def _views(track: Track, trajectory: Trajectory) -> list[int]:
+    """One sweep for each half octave of range and eighth of a turn around the vehicle."""
+    sweep, lidar = _lidar_in_box(track, trajectory)
+    if not len(sweep):
+        return []
+    away = np.maximum(np.hypot(lidar[:, 0], lidar[:, 1]), 1.0)
+    octave = np.floor(2 * np.log2(away)).astype(np.int64)
+    side = np.round(np.arctan2(lidar[:, 1], lidar[:, 0]) / (np.pi / 4)).astype(np.int64) % 8
+    order = np.argsort(away, kind="stable")  # of each cell the nearest, which is the densest
+    _, first = np.unique((8 * octave + side)[order], return_index=True)
+    views = np.sort(sweep[order[first]])
+    if len(views) > MOST_TRACK_SWEEPS:
+        views = views[np.linspace(0, len(views) - 1, MOST_TRACK_SWEEPS).round().astype(np.int64)]
+    return [int(i) for i in views]
+
+
+def near_vehicles(
+    points: NDArray[np.float32],
+    classid: NDArray[np.uint16],
+    instance: NDArray[np.uint16] | None,
+    tracks: Tracks,
+) -> NDArray[np.bool_]:
+    """Which points of a sweep lie on or beside a vehicle as the LiDAR sees it; shape (N,)."""
+    kept = np.zeros(len(points), np.bool_)
+    if instance is None:
+        return kept
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    own = np.where(classid >= DYNAMIC, instance, 0)
+    for of in np.unique(own).tolist():
+        if of not in tracks or tracks[of].kind != "vehicle":
+            continue
+        rows = np.flatnonzero(own == of)
+        turn = (azimuth - azimuth[rows[0]] + np.pi) % (2 * np.pi) - np.pi
+        kept |= _between(turn, rows) & _between(elevation, rows)
+    return kept
+
+
+def _between(angle: NDArray[np.floating], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    low, high = angle[rows].min() - BESIDE, angle[rows].max() + BESIDE
+    return np.asarray((low <= angle) & (angle <= high))

@@ -1,0 +1,147 @@
+"""What a moving object hides beyond the edge of the sensor's view."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from render_reference import AXES, TRIANGLES, followed, moving_track, straight
+
+from docdepth.errors import BackendError
+from docdepth.geometry.camera import Camera
+from docdepth.render import backends
+from docdepth.render.depth_map import compose_depth
+from docdepth.render.frame import Frame
+from docdepth.render.track_sweeps import seen_to_its_top
+
+CAMERA = Camera(np.array([[200.0, 0, 160], [0, 200, 80], [0, 0, 1]]), 320, 120)
+WALL, AHEAD = 36.0, 6.0  # places of the wall, and of the object before the ego [m]
+HIGHEST = 8.0  # beam [deg]
+
+
+def scene(
+    top, azimuths=(-180.0, 180.0), gap=None, objects=True, ahead=AHEAD, tracked=True, width=2.0
+):
+    """Sweeps 2 m apart before a wall; from sweep 3 on an object drives ahead at our speed.
+
+    The image is taken at sweep 6. Sweeps before it saw the wall above the highest beam of it.
+    gap : azimuths without rays since sweep 3 [deg]
+    width : of the box of the track; the object is 2 m wide [m]
+    """
+    trajectory = straight(9, spacing=2.0)
+    track = moving_track(trajectory, (ahead, 0, -1.7), (20, 0, 0), (0.5, width, 4.0))
+    e, a = np.meshgrid(np.arange(-20, HIGHEST, 0.4), np.arange(*azimuths, 0.3), indexing="ij")
+    frames = []
+    for i in range(9):
+        fired = np.ones(a.shape, bool)
+        if gap is not None and i >= 3:
+            fired = (a < gap[0]) | (a > gap[1])
+        el, az = np.radians(e[fired]), np.radians(a[fired])
+        ray = np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)], -1)
+        with np.errstate(divide="ignore"):
+            ground = np.where(ray[:, 2] < 0, -1.7 / ray[:, 2], np.inf)
+            wall = np.where(ray[:, 0] > 0, (WALL - 2 * i) / ray[:, 0], 20.0)
+            near = np.where(ray[:, 0] > 0, ahead / ray[:, 0], np.inf)
+        far = np.minimum(ground, wall)
+        hit = (np.abs(near * ray[:, 1]) < 1) & (near * ray[:, 2] < top) & (near < far)
+        hit &= objects and i >= 3
+        points = (ray * np.where(hit, near, far)[:, None]).astype(np.float32)
+        classid = np.where(hit, 100, 50).astype(np.uint16)
+        frame = followed(points, classid, i, trajectory, track, TRIANGLES)
+        frames.append(frame if tracked else Frame(points, classid, TRIANGLES))
+    about = {"camera": CAMERA, "T_camera_lidar": AXES, "trajectory": trajectory}
+    about |= {"time": 600_000_000, "frames": frames.__getitem__, "parameters": TRIANGLES}
+    return about | {"tracks": {1: track}}
+
+
+def rows_and_columns():
+    u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
+    return (u - CAMERA.K[0, 2]) / 200, (CAMERA.K[1, 2] - v) / 200  # right and up of the axis
+
+
+RIGHT, UP = rows_and_columns()
+ABOVE = (np.tan(np.radians(HIGHEST)) + 0.01 < UP) & (UP < 0.17)
+BEHIND = np.abs(RIGHT) < 0.9 / AHEAD
+BESIDE = np.abs(RIGHT) > 1.2 / AHEAD
+
+
+def test_the_world_above_a_truck_that_the_highest_beam_cuts_is_empty():
+    depth = compose_depth(**scene(top=2.0))
+    assert np.isfinite(compose_depth(**scene(top=2.0, objects=False))[ABOVE]).mean() > 0.95
+    assert np.isnan(depth[ABOVE & BEHIND]).all()
+    assert np.isfinite(depth[ABOVE & BESIDE & (np.abs(RIGHT) < 0.5)]).mean() > 0.95
+
+
+def test_a_low_object_hides_nothing_above_it():
+    depth = compose_depth(**scene(top=0.2))
+    assert np.isfinite(depth[ABOVE & BEHIND]).mean() > 0.95
+    assert np.nanmin(depth[ABOVE & BEHIND]) > 20
+
+
+def test_what_is_not_followed_is_not_continued():
+    """It may be several objects."""
+    depth = compose_depth(**scene(top=2.0, tracked=False))
+    assert np.isfinite(depth[ABOVE & BEHIND]).mean() > 0.95
+
+
+def test_no_road_vehicle_is_higher_than_it_may_be():
+    """A bridge's pier cannot be a truck: 4.2 m above the road the world is seen again."""
+    ahead, columns = 16.0, np.abs(RIGHT) < 0.05
+    depth = compose_depth(**scene(top=9.0, ahead=ahead))
+    highest = (4.2 - 1.7) / ahead  # 1.7 m is the height of the sensor
+    hidden = columns & (np.tan(np.radians(HIGHEST)) + 0.003 < UP) & (highest - 0.004 > UP)
+    above = columns & (highest + 0.01 < UP) & (UP < 0.19)
+    assert min(hidden.sum(), above.sum()) >= 20
+    assert np.isnan(depth[hidden]).all()
+    assert np.isfinite(depth[above]).mean() > 0.95
+
+
+def test_the_world_beside_what_a_narrow_sensor_cuts_is_empty():
+    """The sensor looks 30 degrees to each side, but since sweep 3 only 1 degree to the right."""
+    narrow = {"azimuths": (-30.0, 30.0), "gap": (-30.0, -1.0), "top": 0.0}
+    depth, without = (
+        compose_depth(**scene(**narrow)),
+        compose_depth(**scene(**narrow, objects=False)),
+    )
+    level = np.abs(UP + 0.1) < 0.08
+    hidden = level & (RIGHT > 0.06) & BEHIND
+    assert np.isfinite(without[hidden]).mean() > 0.9
+    assert np.isnan(depth[hidden]).all()
+    # To the left the sensor looked.
+    left = level & (RIGHT < -1.2 / AHEAD) & (RIGHT > -0.4)
+    assert np.isfinite(depth[left]).mean() > 0.95
+
+
+def test_a_gap_inside_the_view_cuts_nothing():
+    """A rosette has gaps; the sensor looks into them with the next sweep."""
+    gap = {"azimuths": (-30.0, 30.0), "gap": (-18.0, -7.0), "top": 0.0, "width": 3.0}
+    depth, without = compose_depth(**scene(**gap)), compose_depth(**scene(**gap, objects=False))
+    level = np.abs(UP + 0.1) < 0.08
+    beside = level & (RIGHT > 1.1 / AHEAD) & (np.tan(np.radians(17)) > RIGHT)
+    assert np.isfinite(without[beside]).mean() > 0.9
+    assert np.isfinite(depth[beside]).mean() > 0.9
+
+
+def test_what_was_seen_to_its_top_is_as_high_as_its_box():
+    """A van beside us that was seen from 40 m is no truck."""
+    trajectory = straight(9, spacing=2.0)
+    for size, speed, known in ((2.2, 20, False), (2.2, 80, True), (4.0, 80, False)):
+        track = moving_track(trajectory, (6, 0, -1.7), (speed, 0, 0), (4, 2, size))
+        assert seen_to_its_top(track, trajectory) == known
+
+
+@pytest.mark.parametrize("name", ["egl", "surfaceless", "osmesa"])
+def test_every_renderer_empties_the_same_pixels(name):
+    try:
+        renderer = backends.Renderer(name)
+    except BackendError as error:
+        pytest.skip(str(error))
+    cut = scene(top=2.0)
+    depth, expected = compose_depth(**cut, renderer=renderer), compose_depth(**cut)
+    assert np.isnan(expected[ABOVE & BEHIND]).all()
+    assert (np.isnan(depth) == np.isnan(expected)).mean() > 0.999
+
+
+def test_the_result_does_not_depend_on_threads():
+    cut = scene(top=2.0)
+    one, three = (compose_depth(**cut, threads=t) for t in (1, 3))
+    np.testing.assert_array_equal(one, three)

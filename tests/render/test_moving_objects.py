@@ -1,0 +1,220 @@
+"""Points of moving objects: deskewed with their own motion, carried along their tracks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from render_reference import AXES, TRIANGLES, followed, moving_track, small_camera, straight
+
+from docdepth.geometry.se3 import inverse, rotation_exp
+from docdepth.geometry.track import Track
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.depth_map import compose_depth
+from docdepth.render.frame import Frame
+from docdepth.render.moving_objects import TOUCH, objects_of
+from docdepth.render.selection import drawn_frames
+from docdepth.render.sightings import MOST_SIGHTINGS, SOFT_SECONDS, View, sighted_objects
+from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS, near_vehicles, track_sweeps
+
+CORNERS = np.array([(x, y, z) for x in (-2, 2) for y in (-0.9, 0.9) for z in (0, 1.5)])
+
+
+def turning_track(count=5):
+    """A car that drives 12 m/s on a circle of 20 m, and the pose at any time [s]."""
+    rate, radius = 12 / 20, 20.0
+
+    def pose(t):
+        T = np.eye(4)
+        T[:3, :3] = rotation_exp(np.array((0, 0, rate * t)))
+        T[:3, 3] = 8 + radius * np.sin(rate * t), 3 - radius * np.cos(rate * t) + radius, -1.7
+        return T
+
+    times = 100_000_000 * np.arange(count, dtype=np.int64)
+    poses = np.array([pose(t * 1e-9) for t in times])
+    velocities = 12 * poses[:, :3, 0]
+    size, points = np.array((4, 1.8, 1.5)), np.zeros(count, np.int64)
+    return Track(3, "vehicle", times, poses, velocities, size, points, np.zeros(count)), pose
+
+
+def test_a_box_that_moves_and_turns_is_held_to_a_millimetre():
+    """Each corner is measured at its own time, up to 10 ms from the stamp."""
+    track, pose = turning_track()
+    ego = np.eye(4)
+    ego[:3, :3], ego[:3, 3] = rotation_exp(np.array((0.01, -0.02, 0.4))), (1, -2, 0.3)
+    late = np.linspace(-0.01, 0.01, len(CORNERS)).astype(np.float32)
+    stamp = int(track.times[2])
+    world = np.array(
+        [pose(stamp * 1e-9 + t) @ (*corner, 1) for t, corner in zip(late, CORNERS, strict=True)]
+    )
+    points = (world @ inverse(ego).T)[:, :3].astype(np.float32)
+    classid, instance = np.full(8, 100, np.uint16), np.full(8, 3, np.uint16)
+    of = objects_of(points, classid, stamp, ego, instance, {3: track}, late)
+    assert of.instances == (3,)
+    assert of.times[0] == pytest.approx(stamp + 1e9 * late.astype(float).mean(), abs=10)
+    held = np.c_[points + of.displacement, np.ones(8)] @ of.T_object_lidar[0].T
+    np.testing.assert_allclose(held[:, :3], CORNERS, atol=1e-3)
+    as_measured = np.c_[points, np.ones(8)] @ of.T_object_lidar[0].T
+    assert np.abs(as_measured[:, :3] - CORNERS).max() > 0.05
+
+
+def test_objects_of_a_sweep_equal_a_plain_loop():
+    rng = np.random.default_rng(4)
+    trajectory = straight(4)
+    tracks = {
+        k: moving_track(trajectory, (6.0 * k, 3 - k, 0), (k, -1, 0), (4, 2, 1.5), of=k)
+        for k in (1, 2, 5)
+    }
+    points = rng.uniform((-5, -8, -1), (35, 8, 3), (4000, 3)).astype(np.float32)
+    classid = rng.choice([0, 50, 100, 251], 4000).astype(np.uint16)
+    instance = rng.choice([0, 1, 2, 5, 9], 4000, p=[0.8, 0.05, 0.05, 0.05, 0.05]).astype(np.uint16)
+    stamp, pose = int(trajectory.times[2]), trajectory.poses[2]
+    of = objects_of(points, classid, stamp, pose, instance, tracks)
+    carried = 0
+    for i in range(len(points)):
+        expected = int(instance[i]) if instance[i] in tracks else 0
+        if expected == 0:
+            for k, track in tracks.items():
+                x, y, z, _ = inverse(track.pose_at(stamp)) @ pose @ (*points[i].astype(float), 1)
+                half = track.size / 2 + TOUCH
+                if (np.abs((x, y, z - track.size[2] / 2)) <= half).all():
+                    expected, carried = k, carried + (classid[i] >= 100)
+                    break
+        if classid[i] < 100:
+            assert of.owner[i] == 0
+        else:
+            assert of.instances[of.owner[i] - 1] == expected
+    assert carried > 20
+    shuffled = rng.permutation(4000)
+    again = objects_of(points[shuffled], classid[shuffled], stamp, pose, instance[shuffled], tracks)
+    np.testing.assert_array_equal(again.owner, of.owner[shuffled])
+    assert again.instances == of.instances
+
+
+def wall_and_box(index, trajectory, position, width=1.6):
+    """A sweep of a wall at x = 30 with the flat back of a box before it, at ``position`` (x, y)."""
+    azimuth, elevation = np.meshgrid(np.arange(-0.6, 0.6, 0.004), np.arange(-0.2, 0.1, 0.01))
+    ray = np.stack([np.ones_like(azimuth), np.tan(azimuth), np.tan(elevation)], -1).reshape(-1, 3)
+    x, y = position - trajectory.poses[index, :2, 3]
+    box = (np.abs(ray[:, 1] * x - y) < width / 2) & (np.abs(ray[:, 2] * x + 0.3) < 0.7)
+    ahead = np.where(box, x, 30 - trajectory.poses[index, 0, 3])
+    classid = np.where(box, 100, 50).astype(np.uint16)
+    return (ray * ahead[:, None]).astype(np.float32), classid
+
+
+@pytest.mark.parametrize("kind", ["vehicle", "person"])
+def test_sightings_are_placed_as_plain_matrices_say(kind):
+    trajectory = straight(40, spacing=0.5)
+    track = moving_track(trajectory, (10.5, -1, -1), (4, 0.5, 0), (1, 1.6, 1.4), of=6, kind=kind)
+    where = [track.poses[i, :2, 3] - (0.5, 0) for i in range(40)]
+    frames = [
+        followed(*wall_and_box(i, trajectory, where[i]), i, trajectory, track, TRIANGLES)
+        for i in range(40)
+    ]
+    time = 530_000_000
+    drawn = drawn_frames(trajectory, time, TRIANGLES)
+    T_camera_world = AXES @ inverse(trajectory.interpolate(time)[0])
+    view = View(small_camera(), T_camera_world, time)
+    objects = sighted_objects(view, trajectory, frames.__getitem__, drawn, {6: track}, 100)
+    ((instance, extent, around, others, rays),) = objects
+    assert extent == (*track.size[:2], 4.2 if kind == "vehicle" else 2.2)
+    assert instance == 6
+    if kind == "person":
+        near = [i for i in drawn.dynamic if abs(trajectory.times[i] - time) <= SOFT_SECONDS * 1e9]
+        assert [drawn.sighted[number - 100] for *_, number in around] == near
+        assert not others
+        assert len(rays) == len(near)
+    else:
+        assert [number - 100 for *_, number in around] == list(range(4))
+        assert 0 < len(others) <= MOST_SIGHTINGS - 4
+    for core, owner, T_camera_sensor, number in around + others:
+        sweep = drawn.sighted[number - 100]
+        assert core is frames[sweep].dynamic_part[0]
+        assert owner == 1
+        T_object_then = inverse(track.pose_at(int(trajectory.times[sweep])))
+        expected = T_camera_world @ track.pose_at(time) @ T_object_then @ trajectory.poses[sweep]
+        np.testing.assert_allclose(T_camera_sensor, expected, atol=1e-9)
+    behind = AXES @ np.diag((-1.0, -1, 1, 1)) @ inverse(trajectory.interpolate(time)[0])
+    view = view._replace(T_camera_world=behind)
+    assert not sighted_objects(view, trajectory, frames.__getitem__, drawn, {6: track}, 100)
+
+
+def test_what_later_sweeps_saw_of_a_car_is_drawn_where_no_ray_looked():
+    """The sweeps around the image see the lower half only: above, their rays returned nothing."""
+    trajectory = straight(60, spacing=1.0)
+    track = moving_track(trajectory, (12.5, 0, -1), (8, 0, 0), (1, 1.6, 1.4))
+    frames = []
+    for i in range(60):
+        points, classid = wall_and_box(i, trajectory, track.poses[i, :2, 3] - (0.5, 0))
+        if i < 20:
+            # Nothing higher returned: the highest beam.
+            low = points[:, 2] / points[:, 0] < -0.03
+            points, classid = points[low], classid[low]
+        frames.append(followed(points, classid, i, trajectory, track, TRIANGLES))
+    camera, time = small_camera(320, 120, 180.0), 1_040_000_000
+    asked = (camera, AXES, trajectory, time, frames.__getitem__, TRIANGLES)
+    depth = compose_depth(*asked, tracks={1: track})
+    here = track.pose_at(time)[0, 3] - 0.5 - trajectory.interpolate(time)[0][0, 3]
+    u, v = np.meshgrid(np.arange(320), np.arange(120))
+    y, z = ((camera.K[k, 2] - p) / camera.K[k, k] * here for k, p in ((0, u), (1, v)))
+    upper = (np.abs(y) < 0.7) & (z > -0.1) & (z < 0.3)
+    assert upper.sum() > 100
+    assert (np.abs(depth[upper] - here) < 0.1).mean() > 0.95
+    vague = replace(track, deviations=np.full(len(track), 0.3))
+    for other in (replace(track, kind="person"), vague):
+        alone = compose_depth(*asked, tracks={1: other})
+        assert (np.abs(alone[upper] - here) < 0.1).mean() < 0.2
+
+
+def test_strays_stay_where_the_nearest_sweep_saw_them():
+    rng = np.random.default_rng(0)
+    trajectory = Trajectory(straight(3).times, straight(3, spacing=0.0).poses)
+    points, classid = wall_and_box(1, trajectory, np.array((12.0, 1.0)))
+    order = rng.permutation(len(points))
+    depths = []
+    for some in (np.arange(len(points)), order):
+        frame = Frame(points[some], classid[some], TRIANGLES)
+        asked = (small_camera(), AXES, trajectory, 130_000_000, lambda _, f=frame: f, TRIANGLES)
+        depths.append(compose_depth(*asked))
+    np.testing.assert_array_equal(*depths)
+    assert (np.abs(depths[0] - 12) < 0.01).sum() > 40
+
+
+def test_further_sweeps_show_a_vehicle_from_elsewhere_and_belong_to_its_track():
+    trajectory = straight(200, spacing=2.0)
+    track = moving_track(trajectory, (60, 3.5, -1.7), (16, 0, 0), (9, 2.5, 3.6), of=2)
+    beside = 100_000_000 * 150  # 60 m ahead at first; the ego is 4 m/s faster
+    found = track_sweeps(trajectory, beside, {2: track})
+    assert 4 <= len(found) <= MOST_TRACK_SWEEPS
+    away = np.abs(60 + 1.6 * np.array(found) - 2.0 * np.array(found))
+    assert away.max() > 40
+    assert away.min() < 10
+    assert track_sweeps(trajectory, beside + 130_000_000, {2: track}) == found
+    assert not track_sweeps(trajectory, 0, {2: track})  # far: the sweeps around see it whole
+    person = replace(track, kind="person")
+    assert not track_sweeps(trajectory, beside, {2: person})
+    seen = replace(track, points=np.where(np.arange(200) < 20, 0, 9))
+    assert min(track_sweeps(trajectory, beside, {2: seen})) >= 20
+    drawn = drawn_frames(trajectory, beside, TRIANGLES, {2: track})
+    assert not {*drawn.tracked} & {*drawn.static, *drawn.dynamic}
+    assert {i for i, whole in drawn.needed.items() if not whole} == {*drawn.tracked}
+
+
+def test_near_a_vehicle_its_neighbours_are_kept_also_across_the_seam():
+    rng = np.random.default_rng(2)
+    trajectory = straight(2)
+    track = moving_track(trajectory, (-10, 0, -1), (1, 0, 0), (4, 2, 2))
+    points = rng.uniform((-40, -20, -2), (40, 20, 4), (5000, 3)).astype(np.float32)
+    box = np.array([(-8, y, z) for y in (-1, 0, 1) for z in (-1, 1)], np.float32)
+    points = np.concatenate([points, box])
+    of_box = np.arange(len(points)) >= 5000
+    classid = np.where(of_box, 100, 50).astype(np.uint16)
+    kept = near_vehicles(points, classid, of_box.astype(np.uint16), {1: track})
+    across, up = np.abs(points[:, 1] / points[:, 0]), points[:, 2] / -points[:, 0]
+    behind = points[:, 0] < 0
+    assert kept[of_box].all()
+    assert kept[behind & (across < 0.12) & (np.abs(up) < 0.12)].all()
+    assert not kept[~behind].any()
+    assert not kept[across > 0.2].any()
+    assert not near_vehicles(points, classid, None, {1: track}).any()
