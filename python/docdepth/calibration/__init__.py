@@ -1,0 +1,1 @@
+"""Calibration of a camera and a LiDAR from still checkerboards (paper III-A)."""
