@@ -252,8 +252,8 @@ def _descend(views: Sequence[_View], now: Solution, common: int) -> Solution:
         H, g = _normal_equations(views, now, values, common)
         before = _cost(values, now)
         for _ in range(8):
-            step: Floats = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9), -g)
-            moved = now.moved(step)
+            step = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9), -g)
+            moved = now.moved(np.asarray(step, np.float64))
             values = _values(views, moved)
             if _cost(values, moved) < before:
                 break

@@ -87,12 +87,12 @@ def find_extrinsic(
                 pairs, worth = _votes(T, T_camera_board, patches, board)
                 if worth > best[0]:
                     best = (worth, T, pairs)
-    T, pairs = best[1], best[2]
+    extrinsic, pairs = best[1], best[2]
     if len(pairs) >= 3:
         seen, swept = (np.stack(poses) for poses in zip(*pairs, strict=True))
         if normals_condition(seen[:, :3, 2]) > _VARIED:
-            T = solve_linear(seen, swept)
-    return T, len(pairs)
+            extrinsic = solve_linear(seen, swept)
+    return extrinsic, len(pairs)
 
 
 def _votes(
