@@ -24,6 +24,8 @@ class NpyDrive:
         self.files = sorted((path / "sweeps").glob("*.npy"))
         self.times = np.load(path / "times.npy")
         self.poses = None  # or T_world_lidar, float64 (n, 4, 4)
+        names = [file.stem for file in self.files]
+        self.lidars = {"lidar": docdepth.LidarStream("lidar", self.times, names)}
         self.cameras: dict[str, docdepth.CameraStream] = {}
 
     def __len__(self) -> int:

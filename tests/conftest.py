@@ -37,6 +37,15 @@ def kitti() -> Path:
 
 
 @pytest.fixture(scope="session")
+def recordings() -> Path:
+    """Folder of real recordings of other sensors, or skip."""
+    root = os.environ.get("DOCDEPTH_RECORDINGS")
+    if not root:
+        pytest.skip("DOCDEPTH_RECORDINGS is not set: no recordings of other sensors")
+    return Path(root)
+
+
+@pytest.fixture(scope="session")
 def drive_0005(kitti: Path) -> Path:
     """City drive with labelled moving points."""
     return kitti / "2011_09_26_drive_0005_sync"

@@ -2,8 +2,8 @@
 
 The public names, by stage:
 
-- recordings: :func:`open_dataset`, :class:`Dataset`, :class:`Sweep`, :class:`CameraStream`,
-  :class:`Camera`, :class:`SensorRig`, :class:`Trajectory`
+- recordings: :func:`open_dataset`, :class:`Dataset`, :class:`Sweep`, :class:`LidarStream`,
+  :class:`CameraStream`, :class:`Camera`, :class:`SensorRig`, :class:`Trajectory`
 - odometry (paper III-B): :func:`register_drive`, :class:`Odometry`
 - ground (IV-A): :func:`grow_ground`
 - dynamics (IV-B, IV-C): :func:`classify_drive`, :class:`Labels`
@@ -18,7 +18,7 @@ import logging
 
 from docdepth._core import __version__  # before the rooms, which write it into their files
 from docdepth.config import Parameters, parameters
-from docdepth.datasets import CameraStream, Dataset, Sweep, open_dataset
+from docdepth.datasets import CameraStream, Dataset, LidarStream, Sweep, open_dataset
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.classifier import classify_drive
 from docdepth.errors import DocDepthError
@@ -41,6 +41,7 @@ __all__ = [
     "Dataset",
     "DocDepthError",
     "Labels",
+    "LidarStream",
     "Odometry",
     "Parameters",
     "Renderer",

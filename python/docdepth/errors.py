@@ -48,7 +48,7 @@ class DamagedFileError(RunError):
     def __init__(self, path: Path, what: str) -> None:
         found = f"is damaged ({what})" if what else "is missing"
         super().__init__(f"{path} {found}; docdepth run RUN makes it again")
-        self.path = path
+        self.path, self.what = path, what
 
 
 class BackendError(DocDepthError):

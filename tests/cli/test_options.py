@@ -17,7 +17,6 @@ from docdepth.cli import app
 from docdepth.cli.config_file import read_config
 from docdepth.cli.names import FORMATS, LAYERS, LAYOUTS, PRESETS, RENDERERS, SCENE_NAMES
 from docdepth.config import Parameters, parameters
-from docdepth.datasets import _FORMATS as LAYOUT_CLASSES
 from docdepth.io.run_folder import RunFolder
 
 
@@ -57,10 +56,6 @@ def test_help_lists_the_values(docdepth, monkeypatch, verb, names):
     monkeypatch.setenv("COLUMNS", "300")
     text = docdepth(*verb.split(), "-h").out
     assert [name for name in names if name not in text] == []
-
-
-def test_layouts_are_those_of_datasets():
-    assert set(LAYOUTS) == set(LAYOUT_CLASSES)
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,11 @@ from typing import Any, get_args
 import typer
 
 from docdepth.config import DepthFormat, Layer, Preset
+from docdepth.datasets import format_names
 from docdepth.evaluation.depth import Mode
 from docdepth.synthetic import SCENES, sensors
 
-LAYOUTS = ("kitti_raw", "kitti_odometry", "semantic_kitti", "run")
+LAYOUTS = format_names()
 RENDERERS = ("auto", "cpu", "egl", "egl:N", "surfaceless", "osmesa")
 PRESETS: tuple[str, ...] = get_args(Preset)
 FORMATS: tuple[str, ...] = get_args(DepthFormat)

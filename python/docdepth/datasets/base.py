@@ -1,4 +1,4 @@
-"""The interface of a recording: :class:`Dataset` with its sweeps and cameras.
+"""The interface of a recording: :class:`Dataset` with its LiDARs, sweeps and cameras.
 
 Sweeps are read one at a time and not kept. They hold all rows of the file, unusable points too;
 :func:`usable_points` tells these.
@@ -6,18 +6,21 @@ Sweeps are read one at a time and not kept. They hold all rows of the file, unus
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.files import read_image
+from docdepth.datasets.images import ImageSource, read_image_of
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.sensor_rig import SensorRig
+
+LensModel = Literal["pinhole", "fisheye"]
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,8 @@ class Sweep:
     motion_compensated : bool
         Points are in the LiDAR frame at ``time``. Otherwise each point is in the LiDAR frame at
         its own time. Moving objects are where they were when they were measured either way.
+    ring : ndarray of uint16, shape (N,), optional
+        The laser of each point, as the recording numbers it.
     """
 
     points: NDArray[np.float32]
@@ -51,6 +56,28 @@ class Sweep:
     relative_time: NDArray[np.float32] | None = None
     sensor_rig: SensorRig | None = None
     motion_compensated: bool = False
+    ring: NDArray[np.uint16] | None = None
+
+
+@dataclass(frozen=True)
+class LidarStream:
+    """One LiDAR of the vehicle: when it measured, and where it sits.
+
+    Attributes
+    ----------
+    name : str
+    times : ndarray of int64, shape (m,)
+        Nanoseconds of each of its own sweeps, strictly increasing.
+    names : list of str
+        Of its own sweeps.
+    T_lidar_sensor : ndarray of float64, shape (4, 4)
+        Takes its points to the LiDAR frame of the recording; identity for the first LiDAR.
+    """
+
+    name: str
+    times: NDArray[np.int64]
+    names: list[str]
+    T_lidar_sensor: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
 
 
 @dataclass(frozen=True)
@@ -68,11 +95,13 @@ class CameraStream:
         Time of each image in nanoseconds, on the clock of the sweeps.
     names : list of str
         File names of the images without suffix; depth maps get the same names.
-    images : list of Path, optional
-        Empty when the images are not on disk.
+    images : sequence of Path or StoredImage, optional
+        Files, or images within files. Empty when the images are not on disk.
     distortion : ndarray of float64, shape (4,), (5,), (8,), (12,) or (14,), optional
-        Lens distortion of the images in OpenCV's order: k1 k2 p1 p2 [k3 ...]. Depth maps belong to
-        the rectified camera with the same K, ``cv2.undistort(image, K, distortion)``.
+        Lens distortion of the images in OpenCV's order: k1 k2 p1 p2 [k3 ...], of a fisheye
+        k1 k2 k3 k4. Depth maps belong to the rectified camera with the same K.
+    model : {"pinhole", "fisheye"}
+        Model of the lens distortion: Brown's as in ``cv2.undistort``, or that of ``cv2.fisheye``.
     """
 
     name: str
@@ -80,11 +109,14 @@ class CameraStream:
     T_camera_lidar: NDArray[np.float64]
     times: NDArray[np.int64]
     names: list[str]
-    images: list[Path] = field(default_factory=list)
+    images: Sequence[ImageSource] = field(default_factory=list)
     distortion: NDArray[np.float64] | None = None
+    model: LensModel = "pinhole"
 
     def __post_init__(self) -> None:
         d, lengths = self.distortion, [(n,) for n in (4, 5, 8, 12, 14)]
+        if self.model == "fisheye" and (d is None or d.shape != (4,)):
+            raise CalibrationError(f"{self.name}: the distortion of a fisheye is k1 k2 k3 k4")
         if d is not None and (d.shape not in lengths or not np.isfinite(d).all()):
             raise CalibrationError(
                 f"{self.name}: distortion must be 4, 5, 8, 12 or 14 numbers k1 k2 p1 p2 [k3 ...], "
@@ -117,15 +149,19 @@ class CameraStream:
         if not self.images:
             return None
         path, camera = self.images[index], self.camera
-        image = read_image(path)
+        image = read_image_of(path)
         if image.shape[:2] != (camera.height, camera.width):
             raise DatasetError(
                 f"{path} is {image.shape[1]}x{image.shape[0]} pixels, the others are "
                 f"{camera.width}x{camera.height}; replace or remove it"
             )
-        if self.distortion is not None:
-            image = np.asarray(cv2.undistort(image, camera.K, self.distortion), np.uint8)
-        return image
+        if self.distortion is None:
+            return image
+        if self.model == "fisheye":
+            image = cv2.fisheye.undistortImage(image, camera.K, self.distortion, Knew=camera.K)
+        else:
+            image = cv2.undistort(image, camera.K, self.distortion)
+        return np.asarray(image, np.uint8)
 
 
 @runtime_checkable
@@ -139,6 +175,15 @@ class Dataset(Protocol):
     poses: NDArray[np.float64] | None
     """``T_world_lidar`` (n, 4, 4) from the recording, or None."""
     cameras: dict[str, CameraStream]
+
+    @property
+    def lidars(self) -> dict[str, LidarStream]:
+        """The LiDARs by name.
+
+        A sweep has the points of all of them, in the frame of the first, whose times and names are
+        those of the sweeps.
+        """
+        ...
 
     def __len__(self) -> int: ...
 

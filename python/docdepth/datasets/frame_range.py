@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import CameraStream, Dataset, Sweep
+from docdepth.datasets.base import CameraStream, Dataset, LidarStream, Sweep
 from docdepth.errors import DatasetError
 
 
@@ -48,6 +49,11 @@ class FrameRange:
     def __len__(self) -> int:
         return len(self.indices)
 
+    @cached_property
+    def lidars(self) -> dict[str, LidarStream]:
+        """The LiDARs of the recording, cut to the range."""
+        return {name: self._part_of_lidar(lidar) for name, lidar in self.whole.lidars.items()}
+
     def sweep(self, index: int) -> Sweep:
         """Sweep ``index`` of the range."""
         return self.whole.sweep(self.indices[index])
@@ -62,16 +68,27 @@ class FrameRange:
 
     def part_of(self, stream: CameraStream) -> CameraStream:
         """A camera of the recording, cut to a sweep before the first and after the last one."""
-        all_times = self.whole.times
-        margin = int(np.median(np.diff(all_times))) if len(all_times) > 1 else 0
-        begin, end = self.times[0] - margin, self.times[-1] + margin
-        kept = np.flatnonzero((stream.times >= begin) & (stream.times <= end))
+        kept = self._within(stream.times)
         return replace(
             stream,
             times=stream.times[kept],
             names=[stream.names[k] for k in kept],
             images=[stream.images[k] for k in kept] if stream.images else [],
         )
+
+    def _part_of_lidar(self, lidar: LidarStream) -> LidarStream:
+        if np.array_equal(lidar.times, self.whole.times):
+            kept = np.arange(self.indices.start, self.indices.stop)
+        else:
+            kept = self._within(lidar.times)
+        return replace(lidar, times=lidar.times[kept], names=[lidar.names[k] for k in kept])
+
+    def _within(self, times: NDArray[np.int64]) -> NDArray[np.intp]:
+        """Which times lie between a sweep before the first and after the last one."""
+        all_times = self.whole.times
+        margin = int(np.median(np.diff(all_times))) if len(all_times) > 1 else 0
+        begin, end = self.times[0] - margin, self.times[-1] + margin
+        return np.flatnonzero((times >= begin) & (times <= end))
 
 
 def _parse(frames: str, count: int, path: Path) -> range:

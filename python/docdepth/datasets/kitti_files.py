@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.datasets.base import LidarStream
 from docdepth.datasets.files import is_there, read_bytes, read_image, read_lines, unreadable
 from docdepth.datasets.point_format import foreign_format
 from docdepth.errors import CalibrationError, Collector, DatasetError
@@ -41,6 +42,20 @@ def find_sweeps(folder: Path, problems: Collector) -> list[Path]:
         with problems.collected():
             _check_format(files[0], 0)
     return files
+
+
+def lidars(
+    sweeps: Sequence[Path],
+    times: NDArray[np.int64],
+    more: Sequence[tuple[Path, NDArray[np.float64]]] = (),
+) -> dict[str, LidarStream]:
+    """LiDARs that measure together: the first, and folder and ``T_lidar_sensor`` of the others."""
+    names = [file.stem for file in sweeps]
+    first = sweeps[0].parent if sweeps else Path("velodyne")
+    if first.name == "data":  # velodyne_points/data of KITTI raw
+        first = first.parent
+    every = [(first, np.eye(4)), *more]
+    return {folder.name: LidarStream(folder.name, times, names, T) for folder, T in every}
 
 
 def in_order(files: Iterable[Path]) -> list[Path]:

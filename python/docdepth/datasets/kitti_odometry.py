@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import kitti_files, kitti_lidar
 from docdepth.datasets.base import Sweep
 from docdepth.datasets.files import is_there, read_bytes, read_lines
+from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.kitti_odometry_cameras import REMEDY, read_cameras
 from docdepth.datasets.times import read_times_of
@@ -101,6 +102,7 @@ class KittiOdometry:
             self._more_lidars = _find_more_lidars(
                 self.path, calibration, T_camera_lidar, self.sweeps
             )
+            self.lidars = kitti_files.lidars(self.sweeps, self.times, self._more_lidars)
 
     def __len__(self) -> int:
         return len(self.sweeps)
@@ -245,3 +247,21 @@ def _settings(file: Path) -> dict[str, Any]:
     ):
         raise DatasetError(f"{file}: looks_from must be [x, y, z] in metres, got {place}")
     return known
+
+
+def _recognises(path: Path) -> bool:
+    return (path / "velodyne").is_dir()
+
+
+KITTI_ODOMETRY = Format(
+    "kitti_odometry",
+    "a sequence with velodyne/*.bin, calib.txt and times.txt",
+    _recognises,
+    KittiOdometry,
+)
+SEMANTIC_KITTI = Format(
+    "semantic_kitti",
+    "a sequence with velodyne/*.bin, labels/*.label, calib.txt, times.txt and poses.txt",
+    lambda path: _recognises(path) and (path / "labels").is_dir(),
+    lambda path, image_size: KittiOdometry(path, image_size, "semantic_kitti"),
+)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import kitti_files, kitti_lidar
 from docdepth.datasets.base import CameraStream, Sweep
 from docdepth.datasets.files import is_there, read_lines
+from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.times import read_times_of
 from docdepth.errors import CalibrationError, Collector
@@ -51,6 +52,7 @@ class KittiRaw:
         self.times = np.arange(len(self._sweeps))
         with problems.collected():
             self.times = _read_times(velodyne / "timestamps.txt", self._sweeps)
+        self.lidars = kitti_files.lidars(self._sweeps, self.times)
         self.cameras = _cameras(self.path, self._sweeps, self.times, image_size, problems)
         problems.raise_errors()
 
@@ -169,3 +171,12 @@ def _image_size(
                 f"{claimed[0]} x {claimed[1]} pixels; use the calibration of these images"
             )
     return size
+
+
+FORMAT = Format(
+    "kitti_raw",
+    "a drive DATE/DATE_drive_NNNN_sync with velodyne_points/data/*.bin and "
+    "velodyne_points/timestamps.txt, and DATE/calib_*.txt beside it",
+    lambda path: (path / "velodyne_points" / "data").is_dir(),
+    KittiRaw,
+)

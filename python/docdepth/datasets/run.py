@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import CameraStream, Sweep
+from docdepth.datasets.base import CameraStream, LidarStream, Sweep
+from docdepth.datasets.format import Format
+from docdepth.datasets.point_times import median_period
 from docdepth.geometry.points import DYNAMIC
-from docdepth.io.frames import read_trajectory
+from docdepth.io.frames import read_frame_name, read_trajectory
 from docdepth.io.run_folder import RunFolder
 
 _MOVING, _STATIC = 251, 9  # SemanticKITTI's labels of both
@@ -37,6 +40,7 @@ class RunDataset:
         trajectory = self._run.trajectory()
         self.times: NDArray[np.int64] = trajectory.times
         self.poses: NDArray[np.float64] | None = trajectory.poses
+        self._period = median_period(self.times)
         self.cameras: dict[str, CameraStream] = {}
         several = sorted(p.parent.name for p in self.path.glob("cameras/*/traj_camera.ply"))
         for name in ["", *several]:
@@ -54,18 +58,31 @@ class RunDataset:
                 distortion=np.array(distortion) if any(distortion) else None,
             )
 
+    def __reduce__(self) -> tuple[type[RunDataset], tuple[Path]]:
+        return RunDataset, (self.path,)  # the run keeps locks, which other processes cannot have
+
     def __len__(self) -> int:
         return len(self.times)
+
+    @cached_property
+    def lidars(self) -> dict[str, LidarStream]:
+        """The LiDARs of the recording as one: its frames do not tell when each measured."""
+        names = [read_frame_name(self._run.frame_path(k)) for k in range(len(self))]
+        return {"lidar": LidarStream("lidar", self.times, names)}
 
     def sweep(self, index: int) -> Sweep:
         """Frame ``index``: the usable returns of the original sweep, deskewed."""
         record = self._run.frame(index)
-        sensor_rig = self._run.sensor_rig(record)
+        relative_time = None
+        if record.time_offset is not None and self._period:
+            seconds = record.time_offset.astype(np.float64)
+            relative_time = (seconds / (self._period * 1e-9)).astype(np.float32)
         return Sweep(
             record.points,
             record.name,
             int(self.times[index]),
-            sensor_rig=sensor_rig,
+            relative_time=relative_time,
+            sensor_rig=self._run.sensor_rig(record),
             motion_compensated=True,
         )
 
@@ -79,3 +96,12 @@ class RunDataset:
         if classid is None:
             return None
         return np.where(classid >= DYNAMIC, _MOVING, _STATIC).astype(np.uint32)
+
+
+FORMAT: Format = Format(
+    "run",
+    "a run folder with frames/frame_000000.ply and traj_odometry.ply",
+    lambda path: (path / "frames").is_dir() and (path / "traj_odometry.ply").is_file(),
+    lambda path, image_size: RunDataset(path),
+    found_below=False,
+)

@@ -26,6 +26,7 @@ def write_calibration(
     camera: Camera,
     T_camera_lidar: NDArray[np.float64],
     distortion: Sequence[float] = (0.0,) * 5,
+    model: str = "pinhole",
     write_file: WriteFile = write_atomically,
 ) -> None:
     """Write both files.
@@ -38,6 +39,8 @@ def write_calibration(
     T_camera_lidar : ndarray of float64, shape (4, 4)
     distortion : sequence of float
         Of the images before they are rectified, in OpenCV's order.
+    model : str
+        Of the distortion; "fisheye" is that of ``cv2.fisheye``.
     write_file : callable
         Writes each file.
 
@@ -46,11 +49,13 @@ def write_calibration(
     RunError
         A file cannot be written.
     """
-    calibration = {
+    calibration: dict[str, object] = {
         "mtx": camera.K.tolist(),
         "dist": list(distortion),
         "size": [camera.width, camera.height],
     }
+    if model != "pinhole":
+        calibration["model"] = model
     intrinsics = json.dumps(calibration, indent=1).encode()
     rows = "\n".join(" ".join(repr(float(v)) for v in row) for row in T_camera_lidar) + "\n"
     write_file(folder / INTRINSICS, lambda stream: stream.write(intrinsics))

@@ -13,7 +13,7 @@ from docdepth.errors import DamagedFileError, InputError
 from docdepth.geometry.se3 import matrix_to_quaternion, poses_from, quaternion_to_matrix
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import WriteFile, write_atomically
-from docdepth.io.ply import read_vertices, write_vertices
+from docdepth.io.ply import read_comments, read_vertices, write_vertices
 
 _SECOND = 1_000_000_000  # nanoseconds
 
@@ -188,6 +188,11 @@ def _count(path: Path, text: str) -> int:
     if not text.isascii() or not text.isdigit() or len(text) > 18:
         raise DamagedFileError(path, f"input_points is {text[:20]!r}")
     return int(text)
+
+
+def read_frame_name(path: Path) -> str:
+    """Name of the sweep of a frame, from the header of its file."""
+    return _notes(read_comments(path)).get("name", path.stem)
 
 
 def _notes(comments: list[str]) -> dict[str, str]:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets import CameraStream, Dataset, Sweep, usable_points
 from docdepth.datasets.files import unreadable
+from docdepth.datasets.images import file_of
 from docdepth.errors import DatasetError
 from docdepth.pipeline.alignment import find_misalignment
 from docdepth.pipeline.check_sweeps import sample
@@ -55,7 +56,7 @@ def _check_images(stream: CameraStream, found: Findings) -> None:
             with found.collected():
                 if image.is_file():
                     raise DatasetError(f"{image} is empty; copy the image again or remove it")
-                raise unreadable(image, "put the image back")
+                raise unreadable(file_of(image), "put the image back")
             return
     for index in sample(len(stream.images), _IMAGES) if stream.images else []:
         with found.collected():

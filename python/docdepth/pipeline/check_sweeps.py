@@ -96,7 +96,7 @@ def _check_repeats(files: list[list[Path]], sizes: NDArray[np.int64], found: Fin
     repeated = [
         k
         for k in (np.flatnonzero(np.diff(sizes) == 0) + 1).tolist()
-        if files[k - 1] and files[k] and cmp(files[k - 1][0], files[k][0], shallow=False)
+        if files[k - 1] and files[k] and _are_copies(files[k - 1][0], files[k][0])
     ]
     if repeated:
         first = repeated[0]
@@ -105,6 +105,10 @@ def _check_repeats(files: list[list[Path]], sizes: NDArray[np.int64], found: Fin
             f"{_more(len(repeated) - 1)}; nothing moves between them: copy the recording again, "
             "or remove the sweeps and their times"
         )
+
+
+def _are_copies(one: Path, other: Path) -> bool:
+    return one != other and cmp(one, other, shallow=False)  # a bag holds many sweeps
 
 
 def _more(count: int) -> str:

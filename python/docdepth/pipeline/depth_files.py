@@ -110,7 +110,9 @@ class DepthFiles:
         stream, write = self.stream, self.run.writer({"render": self.key})
         folder = self.run.calibration_folder(self.folder)
         distortion = stream.distortion_coefficients
-        write_calibration(folder, stream.camera, stream.T_camera_lidar, distortion, write)
+        write_calibration(
+            folder, stream.camera, stream.T_camera_lidar, distortion, stream.model, write
+        )
         write_trajectory(folder / "traj_camera.ply", poses, indices, write)
 
     def write(

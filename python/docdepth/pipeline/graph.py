@@ -196,7 +196,7 @@ class RunGraph:
             identities = self._inputs.images(camera.stream)
             old = [k for k in inside if not files.is_of_image(int(k), identities[k])]
             if old:
-                name = camera.stream.images[old[0]].name
+                name = camera.stream.images[int(old[0])].name
                 why = f"{len(old)} images have changed, {name} first"
                 return _with(state, "out of date", why, len(images) - len(old))
         return state

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from docdepth.datasets.base import CameraStream, Dataset
+from docdepth.datasets.images import ImageSource, file_of
 from docdepth.errors import DatasetError
 from docdepth.io.run_folder import RunFolder, stage_key
 
@@ -65,16 +66,22 @@ class InputFiles:
         self._run.write(self._path, lambda stream: stream.write(text), {})
         self._before = {**self._before, **self._now}
 
-    def _identify(self, what: str, files: Iterable[Path], root: Path) -> str:
-        before, now = self._before.get(what, {}), {}
-        for file in files:
-            name = os.path.relpath(file, root)
+    def _identify(self, what: str, files: Iterable[ImageSource], root: Path) -> str:
+        before: _Known = self._before.get(what, {})
+        now: _Known = {}
+        hashes: dict[Path, str] = {}  # a bag holds many sweeps and images
+        for one in files:
+            name, file = os.path.relpath(one, root), file_of(one)
+            if name in now:
+                continue
             try:
                 known = file.stat()
                 entry: list[int | str] = [known.st_size, known.st_mtime_ns]
                 if self._hashed:
                     same = before.get(name, [])[:2] == entry and len(before[name]) > 2
-                    entry.append(before[name][2] if same else _hash(file))
+                    if not same and file not in hashes:
+                        hashes[file] = _hash(file)
+                    entry.append(before[name][2] if same else hashes[file])
             except OSError as error:
                 raise DatasetError(
                     f"{file} cannot be read: {error.strerror}; put it back"

@@ -1,0 +1,218 @@
+"""ROS 1, ROS 2 and MCAP bags read through rosbags: an index of messages, any message by itself."""
+
+from __future__ import annotations
+
+import os
+import struct
+import threading
+import weakref
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from docdepth.errors import DatasetError, MissingExtraError
+
+SUFFIXES = (".bag", ".mcap", ".db3")
+
+_MEND = "mend it with ros2 bag reindex, mcap recover or rosbag reindex, or copy it again"
+
+# Messages of drivers, for bags that carry no definitions: rosbag2 before Iron.
+_DEFINITIONS = {
+    "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
+    "velodyne_msgs/msg/VelodyneScan": (
+        "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets"
+    ),
+    **{
+        f"{package}/msg/{name}": text.replace("PACKAGE", package)
+        for package in ("livox_ros_driver", "livox_ros_driver2", "livox_interfaces")
+        for name, text in (
+            (
+                "CustomPoint",
+                "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\n"
+                "uint8 tag\nuint8 line",
+            ),
+            (
+                "CustomMsg",
+                "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\n"
+                "uint8[3] rsvd\nPACKAGE/CustomPoint[] points",
+            ),
+        )
+    },
+}
+
+
+class Message(NamedTuple):
+    """Where a message is, and what its header says.
+
+    Attributes
+    ----------
+    recorded : int
+        Nanoseconds at which it was recorded.
+    number : int
+        Which of those of its topic that were recorded at this very time.
+    stamp : int
+        Nanoseconds of its header; 0 if it has none.
+    frame : str
+        Frame of its header, without a leading ``/``.
+    """
+
+    recorded: int
+    number: int
+    stamp: int
+    frame: str
+
+
+class BagFile:
+    """A bag that is read from any thread, and opened again in another process.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.bag``, ``.mcap`` or ``.db3`` file, or a folder: of rosbag2, or with parts of one bag.
+
+    Attributes
+    ----------
+    files : list of Path
+        What the bag consists of.
+    topics : dict of str
+        Type of the messages of each topic.
+
+    Raises
+    ------
+    DatasetError
+        It is no whole bag.
+    MissingExtraError
+        rosbags is not installed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.files = bag_files(path)
+        self._lock = threading.Lock()
+        self._reader: Any = None
+        self._opened_by = 0
+        with self._lock:
+            reader = self._open()
+            self.topics = {c.topic: c.msgtype for c in reader.connections}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_lock": None, "_reader": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lock = threading.Lock()
+
+    def index(self, topics: Iterable[str]) -> dict[str, list[Message]]:
+        """The messages of these topics in the order of their recording."""
+        wanted = set(topics)
+        found: dict[str, list[Message]] = {topic: [] for topic in wanted}
+        if not wanted:
+            return found
+        with self._lock:
+            reader = self._open()
+            connections = [c for c in reader.connections if c.topic in wanted]
+            for connection, recorded, raw in self._messages(connections):
+                known = found[connection.topic]
+                number = 0
+                if known and known[-1].recorded == recorded:
+                    number = known[-1].number + 1
+                stamp, frame = _header(raw, reader.is2)
+                known.append(Message(recorded, number, stamp, frame))
+        return found
+
+    def read(self, topic: str, message: Message, where: str) -> Any:
+        """A message, decoded; ``where`` names it in errors."""
+        with self._lock:
+            reader = self._open()
+            connections = [c for c in reader.connections if c.topic == topic]
+            at = message.recorded
+            for number, (connection, _, raw) in enumerate(self._messages(connections, at, at + 1)):
+                if number == message.number:
+                    return self._decode(raw, connection.msgtype, where)
+        raise DatasetError(f"{where} has gone; copy the bag again")
+
+    def read_all(self, topic: str, most: int | None = None) -> list[Any]:
+        """All messages of a topic, or the first ones."""
+        found = []
+        with self._lock:
+            reader = self._open()
+            connections = [c for c in reader.connections if c.topic == topic]
+            for connection, _, raw in self._messages(connections):
+                found.append(self._decode(raw, connection.msgtype, f"{self.path}, {topic}"))
+                if len(found) == most:
+                    break
+        return found
+
+    def _open(self) -> Any:
+        """The reader of this process; the lock is held."""
+        if self._reader is None or self._opened_by != os.getpid():
+            self._reader, self._opened_by = _open_reader(self.path, self.files), os.getpid()
+            weakref.finalize(self, self._reader.close)
+        return self._reader
+
+    def _messages(
+        self,
+        connections: list[Any],
+        start: int | None = None,
+        stop: int | None = None,
+        where: str = "",
+    ) -> Iterator[tuple[Any, int, bytes]]:
+        try:
+            yield from self._reader.messages(connections, start=start, stop=stop)
+        except DatasetError:
+            raise
+        except Exception as error:  # rosbags lets errors of sqlite3, lz4, zstd and struct through
+            raise DatasetError(f"{where or self.path} is damaged ({error}); {_MEND}") from error
+
+    def _decode(self, raw: bytes, kind: str, where: str) -> Any:
+        try:
+            return self._reader.deserialize(raw, kind)
+        except Exception as error:
+            raise DatasetError(
+                f"{where}: a {kind} cannot be decoded ({error}); the bag is damaged, or holds no "
+                "definition of the message"
+            ) from error
+
+
+def bag_files(path: Path) -> list[Path]:
+    """The files of a bag."""
+    if path.is_file():
+        return [path]
+    return sorted(f for f in path.iterdir() if f.suffix in SUFFIXES and f.name[0] != ".")
+
+
+def _open_reader(path: Path, files: list[Path]) -> Any:
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError:
+        raise MissingExtraError("bags need rosbags: pip install 'docdepth[bags]'") from None
+    types = get_typestore(Stores.LATEST)
+    for name, text in _DEFINITIONS.items():
+        types.register(get_types_from_msg(text, name))
+    folder = path.is_dir() and (path / "metadata.yaml").is_file()
+    for parts in ([path], files) if folder else (files,):
+        # Without metadata.yaml, or with a wrong one, the files open by themselves.
+        reader = AnyReader(parts, default_typestore=types)
+        try:
+            reader.open()
+            return reader
+        except Exception as error:
+            problem = error
+    raise DatasetError(f"{path} cannot be opened ({problem}); {_MEND}") from problem
+
+
+def _header(raw: bytes, ros2: bool) -> tuple[int, str]:
+    """Stamp and frame of a message that begins with a header."""
+    try:
+        if ros2:  # CDR: its byte order, then seconds, nanoseconds, length and text of the frame
+            order = "<" if raw[1] & 1 else ">"
+            seconds, nanoseconds, length = struct.unpack_from(f"{order}iII", raw, 4)
+            begin = 16
+        else:
+            _, seconds, nanoseconds, length = struct.unpack_from("<IIII", raw)
+            begin = 16
+        frame = bytes(raw[begin : begin + length]).rstrip(b"\0").decode("utf-8", "replace")
+    except (struct.error, IndexError):
+        return 0, ""
+    return seconds * 10**9 + nanoseconds, frame.lstrip("/")

@@ -1,0 +1,88 @@
+"""One sweep of one LiDAR as a file or message holds it, whatever its fields are called."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.point_times import FIELD_NAMES as TIME_NAMES
+from docdepth.errors import DatasetError
+
+INTENSITY_NAMES = ("intensity", "i", "reflectivity", "reflectance", "remission", "signal")
+RING_NAMES = ("ring", "channel", "laser_number", "laser_id", "line", "beam")
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """The points of one LiDAR, a row for each row of the file.
+
+    Attributes
+    ----------
+    points : ndarray of float32 or float64, shape (N, 3)
+        Metres. Doubles are kept until points of the world are brought to the LiDAR frame.
+    intensity : ndarray of float32, shape (N,), optional
+    ring : ndarray of uint16, shape (N,), optional
+    times : ndarray, shape (N,), optional
+        As recorded, in any unit.
+    T_world_lidar : ndarray of float64, shape (4, 4), optional
+        The pose that comes with the sweep.
+    """
+
+    points: NDArray[Any]
+    intensity: NDArray[np.float32] | None = None
+    ring: NDArray[np.uint16] | None = None
+    times: NDArray[Any] | None = None
+    T_world_lidar: NDArray[np.float64] | None = None
+
+
+def cloud_from_fields(rows: NDArray[Any], where: str) -> Cloud:
+    """A cloud from rows with named fields.
+
+    Parameters
+    ----------
+    rows : structured ndarray, shape (N,)
+        Fields x, y, z; intensity, ring and time under any of their usual names.
+    where : str
+        File and frame, for messages.
+
+    Raises
+    ------
+    DatasetError
+        A coordinate is missing, or a field has several values a point.
+    """
+    names = {name.lower(): name for name in rows.dtype.names or ()}
+    lacking = [axis for axis in "xyz" if axis not in names]
+    if lacking:
+        raise DatasetError(
+            f"{where} has no field {lacking[0]}, only {', '.join(names) or 'none'}; points need "
+            "x, y and z in metres"
+        )
+    xyz = [rows[names[axis]] for axis in "xyz"]
+    doubles = any(column.dtype.itemsize > 4 for column in xyz)
+    points = np.stack([np.asarray(c, np.float64 if doubles else np.float32) for c in xyz], axis=-1)
+    if points.ndim != 2:
+        raise DatasetError(f"{where} has several values of x in a row; write one point a row")
+    intensity = _first(rows, names, INTENSITY_NAMES)
+    ring = _first(rows, names, RING_NAMES)
+    return Cloud(
+        np.ascontiguousarray(points),
+        None if intensity is None else np.ascontiguousarray(intensity, np.float32),
+        None if ring is None else _rings(ring),
+        _first(rows, names, TIME_NAMES),
+    )
+
+
+def _first(rows: NDArray[Any], names: dict[str, str], wanted: Sequence[str]) -> NDArray[Any] | None:
+    """The first of the wanted fields that is there."""
+    found = next((names[name] for name in wanted if name in names), None)
+    return None if found is None or rows[found].ndim != 1 else np.ascontiguousarray(rows[found])
+
+
+def _rings(values: NDArray[Any]) -> NDArray[np.uint16]:
+    """Numbers of lasers, which some drivers give as floats, NaN where nothing returned."""
+    whole = np.nan_to_num(values, nan=0, posinf=0, neginf=0) if values.dtype.kind == "f" else values
+    return np.clip(whole, 0, 0xFFFF).astype(np.uint16)

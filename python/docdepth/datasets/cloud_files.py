@@ -1,0 +1,192 @@
+"""Files of one sweep each: PCD, PLY, BIN, NPY, LAS and LAZ."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.cloud import Cloud, cloud_from_fields
+from docdepth.datasets.files import unreadable
+from docdepth.datasets.point_format import foreign_format
+from docdepth.errors import DamagedFileError, DatasetError, InputError, MissingExtraError, RunError
+from docdepth.geometry.se3 import poses_from, quaternion_to_matrix
+from docdepth.io.pcd import PcdError, PcdHeader, read_pcd, read_pcd_header
+from docdepth.io.ply import read_vertices
+
+KITTI_COLUMNS = ("x", "y", "z", "intensity")
+
+
+@dataclass(frozen=True)
+class RowFormat:
+    """What the rows of a file without names are, of BIN or NPY.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        Names of the values of a point; ``_`` for those that mean nothing.
+    dtype : str
+        Of each value in a BIN file, in numpy's words.
+    """
+
+    columns: tuple[str, ...] = KITTI_COLUMNS
+    dtype: str = "float32"
+
+
+def read_cloud(file: Path, frame: int, rows: RowFormat) -> Cloud:
+    """Read the sweep of a file.
+
+    Parameters
+    ----------
+    file : Path
+    frame : int
+        For messages.
+    rows : RowFormat
+        Of files that do not tell it themselves.
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be read.
+    MissingExtraError
+        The library that reads it is missing.
+    """
+    where = f"{file} (frame {frame})"
+    try:
+        return READERS[file.suffix.lower()](file, where, rows)
+    except OSError as error:
+        raise _with_frame(unreadable(file, "put the sweep back", error), where, file) from None
+    except PcdError as error:
+        raise DatasetError(f"{where} {error}; copy the sweep again") from None
+    except DamagedFileError as error:
+        found = f"is damaged ({error.what})" if error.what else "is missing"
+        raise DatasetError(f"{where} {found}; copy the sweep again") from None
+    except RunError as error:
+        raise DatasetError(f"{where}: {error}") from None
+
+
+def read_viewpoint(file: Path, frame: int) -> NDArray[np.float64]:
+    """The pose (4, 4) in the header of a PCD file.
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be read, or its viewpoint is no pose.
+    """
+    where = f"{file} (frame {frame})"
+    try:
+        return _pose_of(read_pcd_header(file), where)
+    except OSError as error:
+        raise _with_frame(unreadable(file, "put the sweep back", error), where, file) from None
+    except PcdError as error:
+        raise DatasetError(f"{where} {error}; copy the sweep again") from None
+
+
+def _with_frame(error: DatasetError, where: str, file: Path) -> DatasetError:
+    return DatasetError(str(error).replace(str(file), where, 1))
+
+
+def _pose_of(header: PcdHeader, where: str) -> NDArray[np.float64]:
+    w, x, y, z = header.viewpoint[3:]
+    try:
+        rotation = quaternion_to_matrix([x, y, z, w])
+    except InputError:
+        raise DatasetError(
+            f"{where}: VIEWPOINT is no pose; it is tx ty tz qw qx qy qz with a quaternion of "
+            "length 1"
+        ) from None
+    return poses_from([rotation], [header.viewpoint[:3]])[0]
+
+
+def _read_pcd(file: Path, where: str, rows: RowFormat) -> Cloud:
+    return cloud_from_fields(read_pcd(file)[0], where)
+
+
+def _read_ply(file: Path, where: str, rows: RowFormat) -> Cloud:
+    return cloud_from_fields(read_vertices(file)[0], where)
+
+
+def _read_bin(file: Path, where: str, rows: RowFormat) -> Cloud:
+    content = file.read_bytes()
+    step = np.dtype(rows.dtype).itemsize * len(rows.columns)
+    if not content or len(content) % step:
+        raise DatasetError(
+            f"{where} has {len(content)} bytes, which is not a multiple of {step} "
+            f"({' '.join(rows.columns)} as {rows.dtype}); copy it again, or say columns and dtype "
+            "in docdepth.yaml"
+        )
+    kitti = RowFormat()
+    other = foreign_format(content) if rows == kitti else None
+    if other:
+        raise DatasetError(
+            f"{where} looks like {other}, not like {' '.join(kitti.columns)} as 4 float32; say "
+            "columns in docdepth.yaml"
+        )
+    table = np.frombuffer(content, np.dtype(rows.dtype).newbyteorder("<"))
+    return cloud_from_fields(_named(table.reshape(-1, len(rows.columns)), rows, where), where)
+
+
+def _read_npy(file: Path, where: str, rows: RowFormat) -> Cloud:
+    try:
+        table = np.load(file, allow_pickle=False)
+    except ValueError as error:
+        raise DatasetError(f"{where} is no array of numpy ({error}); copy it again") from None
+    if not isinstance(table, np.ndarray):
+        raise DatasetError(f"{where} holds several arrays; write one array a sweep")
+    named = table if table.dtype.names else _named(table, rows, where)
+    return cloud_from_fields(named, where)
+
+
+def _named(table: NDArray[Any], rows: RowFormat, where: str) -> NDArray[Any]:
+    """Rows with a field for each column."""
+    columns = rows.columns
+    if table.ndim == 2 and table.shape[1] == 3 and columns == KITTI_COLUMNS:
+        columns = columns[:3]
+    if table.ndim != 2 or table.shape[1] != len(columns):
+        raise DatasetError(
+            f"{where} has shape {table.shape}, not (points, {len(columns)}) with the columns "
+            f"{' '.join(columns)}; say columns in docdepth.yaml"
+        )
+    kept = [(k, name) for k, name in enumerate(columns) if name != "_"]
+    named = np.empty(len(table), [(name, table.dtype) for _, name in kept])
+    for k, name in kept:
+        named[name] = table[:, k]
+    return named
+
+
+def _read_las(file: Path, where: str, rows: RowFormat) -> Cloud:
+    try:
+        import laspy
+    except ImportError:
+        raise MissingExtraError(
+            "LAS and LAZ files need laspy and lazrs: pip install 'docdepth[clouds]'"
+        ) from None
+    try:
+        las = laspy.read(file)
+    except (laspy.errors.LaspyException, ValueError, RuntimeError) as error:
+        raise DatasetError(f"{where} is no whole LAS file ({error}); copy it again") from None
+    columns: dict[str, NDArray[Any]] = {axis: np.asarray(las[axis], "f8") for axis in "xyz"}
+    columns["intensity"] = np.asarray(las.intensity, "f4")
+    if "gps_time" in las.point_format.dimension_names:
+        columns["gps_time"] = np.asarray(las.gps_time, "f8")
+    for name in las.point_format.extra_dimension_names:
+        columns[name.lower()] = np.asarray(las[name])
+    named = np.empty(len(las.x), [(name, column.dtype) for name, column in columns.items()])
+    for name, column in columns.items():
+        named[name] = column
+    return cloud_from_fields(named, where)
+
+
+READERS: dict[str, Callable[[Path, str, RowFormat], Cloud]] = {
+    ".pcd": _read_pcd,
+    ".ply": _read_ply,
+    ".bin": _read_bin,
+    ".npy": _read_npy,
+    ".las": _read_las,
+    ".laz": _read_las,
+}
+"""A reader for each suffix in small letters."""

@@ -1,0 +1,340 @@
+"""Folders of point clouds, one file a sweep, with a small ``docdepth.yaml`` beside them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from docdepth.datasets.base import CameraStream, LidarStream
+from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.cloud_files import (
+    KITTI_COLUMNS,
+    READERS,
+    RowFormat,
+    read_cloud,
+    read_viewpoint,
+)
+from docdepth.datasets.files import is_there, read_bytes
+from docdepth.datasets.format import Format
+from docdepth.datasets.kitti_files import image_files, image_size, in_order
+from docdepth.datasets.recording import Recording
+from docdepth.datasets.settings import (
+    FILE,
+    CameraSettings,
+    Numbers,
+    RecordingSettings,
+    Strict,
+    read_settings,
+    transform,
+)
+from docdepth.datasets.stamps import times_of_files
+from docdepth.datasets.times import read_times
+from docdepth.errors import CalibrationError, Collector, DatasetError
+from docdepth.io.poses import read_poses
+
+log = logging.getLogger(__name__)
+
+VIEWPOINT = "viewpoint"
+"""Entry ``poses`` that means the poses in the headers of PCD files."""
+
+_NAMELESS = {".bin", ".npy"}  # suffixes of files that need not be clouds
+
+
+class FolderCamera(CameraSettings):
+    """A camera with its images.
+
+    Attributes
+    ----------
+    images : str, optional
+        Their folder.
+    times : str, optional
+        File with a line an image; ``names``: they are the images' names; ``sweeps``: the camera
+        fires with the sweeps. Found beside the images, or in their names, if left out.
+    """
+
+    images: str | None = None
+    times: str | None = None
+
+
+class FolderLidar(Strict):
+    """One of several LiDARs.
+
+    Attributes
+    ----------
+    sweeps : str
+        Folder of its sweeps.
+    times : str, optional
+    T_lidar_sensor : list of float, optional
+        Takes its points to the frame of the first LiDAR; identity if left out.
+    """
+
+    sweeps: str
+    times: str | None = None
+    T_lidar_sensor: Numbers | None = None
+
+
+class FolderSettings(RecordingSettings):
+    """What ``docdepth.yaml`` of a folder of clouds may say.
+
+    Attributes
+    ----------
+    sweeps : str, optional
+        Folder of the sweeps.
+    times : str, optional
+        File with a line a sweep, or ``names``.
+    rate : float, optional
+        Sweeps a second, where there are no times. A number in the name of a file is that of its
+        sweep.
+    columns : tuple of str
+        Values of a point in BIN and NPY files; ``_`` for those that mean nothing.
+    dtype : str
+        Of the values in BIN files.
+    frame : {"lidar", "world"}
+        What the coordinates of the points are of.
+    labels : str
+        Folder of labels.
+    lidars : dict
+        Several LiDARs by name, instead of ``sweeps``; the first gives stamps and frame.
+    cameras : dict
+    """
+
+    sweeps: str | None = None
+    times: str | None = None
+    rate: float | None = None
+    columns: tuple[str, ...] = KITTI_COLUMNS
+    dtype: Literal["float32", "float64"] = "float32"
+    frame: Literal["lidar", "world"] = "lidar"
+    labels: str = "labels"
+    lidars: dict[str, FolderLidar] = Field(default_factory=dict)
+    cameras: dict[str, FolderCamera] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FileLidar:
+    """A LiDAR whose sweeps are files.
+
+    Attributes
+    ----------
+    stream : LidarStream
+    sweeps : list of Path
+    rows : RowFormat
+    """
+
+    stream: LidarStream
+    sweeps: list[Path]
+    rows: RowFormat
+
+    def read(self, index: int) -> Cloud:
+        """Own sweep ``index``."""
+        return read_cloud(self.sweeps[index], index, self.rows)
+
+    def files(self, index: int) -> list[Path]:
+        """Its file."""
+        return [self.sweeps[index]]
+
+
+class CloudFolder(Recording):
+    """A folder of PCD, PLY, BIN, NPY, LAS or LAZ files, one a sweep.
+
+    Parameters
+    ----------
+    path : Path
+        The folder; its ``docdepth.yaml`` has the entries of :class:`FolderSettings`.
+    image_size : (int, int), optional
+        Width and height in pixels of cameras of which no more is known.
+    name : str
+        Of the format.
+    usual : dict, optional
+        Entries that the format has where ``docdepth.yaml`` leaves them out.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        image_size: tuple[int, int] | None = None,
+        name: str = "folder",
+        usual: dict[str, Any] | None = None,
+    ) -> None:
+        settings, file = read_settings(path, FolderSettings, usual)
+        wanted = settings.lidars or {
+            "lidar": FolderLidar(sweeps=settings.sweeps or ".", times=settings.times)
+        }
+        rows = RowFormat(settings.columns, settings.dtype)
+        lidars = [
+            _lidar(path, one, lidar, rows, settings.rate, file) for one, lidar in wanted.items()
+        ]
+        problems, cameras = Collector(), {}
+        for one, camera in settings.cameras.items():
+            with problems.collected():
+                cameras[one] = _camera(
+                    path, one, camera, lidars[0].stream, image_size, f"{file}, {one}"
+                )
+        poses = None
+        with problems.collected():
+            poses = _poses(path, settings.poses, lidars[0].sweeps, file)
+        problems.raise_errors()
+        self._label_folder = path / settings.labels
+        super().__init__(
+            name, path, lidars, cameras, poses, settings.facts(settings.frame == "world")
+        )
+
+    def labels(self, index: int) -> NDArray[np.uint32] | None:
+        """Labels of every point of sweep ``index``, of ``labels/NAME.label``, or None."""
+        file = self._label_folder / f"{self._readers[0].stream.names[index]}.label"
+        if not is_there(file):
+            return None
+        labels = read_bytes(file, "copy the labels again")
+        if len(labels) != 4 * len(self.sweep(index).points):
+            raise DatasetError(
+                f"{file} (frame {index}) has {len(labels)} bytes for a sweep of "
+                f"{len(self.sweep(index).points)} points; labels are one uint32 for each point, "
+                "in the order of the sweep"
+            )
+        return np.frombuffer(labels, "<u4").astype(np.uint32)
+
+
+def cloud_files(folder: Path) -> list[Path]:
+    """The point clouds of a folder in the order of :func:`~.kitti_files.in_order`.
+
+    Raises
+    ------
+    DatasetError
+        There are none, or of several kinds.
+    """
+    files = [file for file in folder.glob("*") if file.suffix.lower() in READERS]
+    kinds = sorted({file.suffix.lower() for file in files})
+    if not files:
+        raise DatasetError(f"{folder} holds no point clouds ({', '.join(sorted(READERS))})")
+    if len(kinds) > 1:
+        raise DatasetError(
+            f"{folder} holds {' and '.join(kinds)} files; a folder has sweeps of one kind"
+        )
+    return in_order(files)
+
+
+def _lidar(
+    folder: Path,
+    name: str,
+    settings: FolderLidar,
+    rows: RowFormat,
+    rate: float | None,
+    file: Path,
+) -> FileLidar:
+    sweeps = cloud_files(folder / settings.sweeps)
+    if rate:
+        numbered = all(sweep.stem.isascii() and sweep.stem.isdigit() for sweep in sweeps)
+        numbers = [int(sweep.stem) if numbered else k for k, sweep in enumerate(sweeps)]
+        times = np.round(np.array(numbers) * 1e9 / rate).astype(np.int64)
+    else:
+        remedy = f"say times: FILE or rate: 10 (sweeps a second) in {file}"
+        times = times_of_files(sweeps, settings.times, folder, remedy)
+    T = np.eye(4)
+    if settings.T_lidar_sensor is not None:
+        T = transform(settings.T_lidar_sensor, f"{file}, {name}: T_lidar_sensor")
+    return FileLidar(LidarStream(name, times, [s.stem for s in sweeps], T), sweeps, rows)
+
+
+def _poses(
+    folder: Path, wanted: str | None, sweeps: list[Path], file: Path
+) -> NDArray[np.float64] | None:
+    """Poses of a file, or of the sweeps' own headers; None without any."""
+    if wanted not in (None, VIEWPOINT):
+        return read_poses(folder / str(wanted), len(sweeps))
+    if sweeps[0].suffix.lower() != ".pcd":
+        if wanted == VIEWPOINT:
+            raise DatasetError(f"{file}: {sweeps[0]} is no PCD file and has no VIEWPOINT")
+        return None
+    if wanted is None:
+        if not np.array_equal(read_viewpoint(sweeps[-1], len(sweeps) - 1), np.eye(4)):
+            log.warning(
+                "%s: PCD files hold poses (VIEWPOINT), which are not used; say poses: viewpoint, "
+                "and frame: world if their points are in the world, in %s",
+                folder, file,
+            )  # fmt: skip
+        return None
+    poses = np.stack([read_viewpoint(sweep, k) for k, sweep in enumerate(sweeps)])
+    if len(poses) > 1 and (poses == np.eye(4)).all():
+        raise DatasetError(
+            f"{folder}: VIEWPOINT is 0 0 0 1 0 0 0 in every file, which is no pose; say poses: "
+            f"FILE in {file}"
+        )
+    return poses
+
+
+def _camera(
+    folder: Path,
+    name: str,
+    settings: FolderCamera,
+    lidar: LidarStream,
+    asked: tuple[int, int] | None,
+    where: str,
+) -> CameraStream:
+    images = image_files(folder / settings.images) if settings.images else []
+    if settings.images and not images:
+        raise DatasetError(f"{where}: {folder / settings.images} holds no images (png, jpg)")
+    size = image_size(images[0]) if images else None
+    if size and settings.size and size != settings.size:
+        raise CalibrationError(
+            f"{where}: {images[0]} is {size} pixels, but size is {settings.size}"
+        )
+    times, names = _image_times(folder, settings, images, lidar, where)
+    return CameraStream(
+        name,
+        settings.camera(size or settings.size or asked, where),
+        settings.extrinsic(where),
+        times,
+        names,
+        images,
+        settings.lens(),
+        settings.model,
+    )
+
+
+def _image_times(
+    folder: Path,
+    settings: FolderCamera,
+    images: Sequence[Path],
+    lidar: LidarStream,
+    where: str,
+) -> tuple[NDArray[np.int64], list[str]]:
+    if settings.times == "sweeps" or not (images or settings.times):
+        if images and len(images) != len(lidar.times):
+            raise DatasetError(
+                f"{where}: times are those of the sweeps, but there are {len(images)} images for "
+                f"{len(lidar.times)} sweeps"
+            )
+        return lidar.times, [image.stem for image in images] or lidar.names
+    files = list(images)
+    if not files:
+        count = len(read_times(folder / str(settings.times)))
+        files = [Path(f"{k:06d}") for k in range(count)]
+    remedy = f"say times of {where}: a FILE with a line an image, or sweeps"
+    times = times_of_files(files, settings.times, folder, remedy)
+    return times, [image.stem for image in files]
+
+
+def _recognises(path: Path) -> bool:
+    """A folder with clouds, or one whose docdepth.yaml says where they are."""
+    if not path.is_dir():
+        return False
+    kinds = {file.suffix.lower() for file in path.iterdir() if not file.name.startswith(".")}
+    if (path / FILE).is_file():
+        return True
+    return bool(kinds & (READERS.keys() - _NAMELESS))
+
+
+FORMAT = Format(
+    "folder",
+    "a folder of .pcd, .ply, .las or .laz files, one a sweep, or with .bin or .npy files and a "
+    "docdepth.yaml",
+    _recognises,
+    CloudFolder,
+    found_below=False,
+)

@@ -1,0 +1,204 @@
+"""Times of points, whatever a recording calls and counts them: one place for all loaders.
+
+Drivers name the field t, time, timestamp, timestamps, stamps, offset_time or time_stamp. They count
+seconds, milli-, micro- or nanoseconds, from 1970, from the start of the LiDAR, or from the sweep's
+stamp, which lies at the sweep's start, middle or end. The unit follows from the span of the values,
+since a sweep lasts as long as stamps are apart. The origin follows from where the values lie.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+log = logging.getLogger(__name__)
+
+FIELD_NAMES = (
+    "t",
+    "time",
+    "timestamp",
+    "timestamps",
+    "stamps",
+    "offset_time",
+    "time_stamp",
+    "offset_ns",
+    "gps_time",
+)
+"""Names of the field, in small letters."""
+
+Instant = Literal["start", "middle", "end"]
+"""Which instant of a sweep its stamp is."""
+Unit = Literal["s", "ms", "us", "ns"]
+
+_NANOSECONDS: dict[Unit, int] = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+USUAL_PERIOD = 125_000_000
+"""Nanoseconds of a sweep of which no more is known; sweeps last 50 to 200 ms."""
+# Of the time between stamps that the points of a sweep may span: of a LiDAR that looks ahead, or a
+# little more than a revolution. Units are a thousand apart, so at most one fits.
+_SHORTEST, _LONGEST = 0.1, 1.6
+_SHARE = {"start": 0.0, "middle": 0.5, "end": 1.0}
+
+
+class TimeSample(NamedTuple):
+    """Times of the points of one sweep as recorded.
+
+    Attributes
+    ----------
+    values : ndarray, shape (N,)
+        Of any number type.
+    usable : ndarray of bool, shape (N,)
+        Which rows are returns; others often have time 0.
+    stamp : int
+        Nanoseconds.
+    """
+
+    values: NDArray[Any]
+    usable: NDArray[np.bool_]
+    stamp: int
+
+
+@dataclass(frozen=True)
+class PointTimes:
+    """How a recording counts the times of its points.
+
+    Attributes
+    ----------
+    unit : int
+        Nanoseconds of one count.
+    origin : {"stamp", "clock", "first"}
+        Times count from the sweep's stamp, on the clock of the stamps, or on another clock, of
+        which only the differences within a sweep are used.
+    shift : int
+        Nanoseconds to add, where the stamp is not at the instant the values count from.
+    period : int
+        Nanoseconds between sweeps.
+    """
+
+    unit: int
+    origin: Literal["stamp", "clock", "first"]
+    shift: int
+    period: int
+
+    def relative(self, sample: TimeSample) -> NDArray[np.float32] | None:
+        """When each point was measured, as :attr:`~docdepth.datasets.Sweep.relative_time`.
+
+        Rows that are no returns have any time or none: what cannot be a time of the sweep is 0
+        there. None if a return lies more than a sweep and a half from the stamp: then times are
+        wrong.
+
+        Parameters
+        ----------
+        sample : TimeSample
+        """
+        kept = sample.values[sample.usable]
+        if not len(kept):
+            return np.zeros(len(sample.values), np.float32)
+        if self.origin == "clock":
+            start: int | float = sample.stamp
+        else:
+            start = 0 if self.origin == "stamp" else _exact(kept.min()) * self.unit
+        late = _after(sample.values, start - self.shift, self.unit) / self.period
+        with np.errstate(invalid="ignore"):
+            right = np.abs(late) <= _LONGEST
+        if (np.isfinite(late) & ~right & sample.usable).any():
+            return None
+        return np.where(right | sample.usable, late, 0).astype(np.float32)
+
+
+def find_point_times(
+    samples: Sequence[TimeSample],
+    period: int | None,
+    where: str,
+    unit: Unit | None = None,
+    instant: Instant | None = None,
+) -> PointTimes | None:
+    """Find how a recording counts the times of its points.
+
+    Parameters
+    ----------
+    samples : sequence of TimeSample
+        Of a few sweeps from all over the recording: one unit and origin must fit all of them.
+    period : int, optional
+        Nanoseconds between sweeps; None if there is one sweep.
+    where : str
+        The recording, for warnings.
+    unit : {"s", "ms", "us", "ns"}, optional
+        As the user says; found if left out.
+    instant : {"start", "middle", "end"}, optional
+        Where the stamp lies in the sweep, as the user says. If left out the values tell, and start
+        is taken where they do not.
+
+    Returns
+    -------
+    PointTimes or None
+        None with a warning if the values cannot be times of the points of a sweep.
+    """
+    samples = [_finite(sample) for sample in samples]
+    samples = [sample for sample in samples if sample.usable.any()]
+    if not samples:
+        return None
+    kept = [sample.values[sample.usable] for sample in samples]
+    span = max(float(_exact(v.max()) - _exact(v.min())) for v in kept)
+    duration = period or USUAL_PERIOD
+    units = [unit] if unit else list(_NANOSECONDS)
+    fitting = [
+        u for u in units if _SHORTEST < span * _NANOSECONDS[u] / duration < _LONGEST or u == unit
+    ]
+    if not fitting or span == 0:
+        log.warning(
+            "%s: times of points span %g, which is no sweep of %.3g s in s, ms, us or ns; they are "
+            "ignored, and the sweeps stay as they were measured",
+            where, span, duration * 1e-9,
+        )  # fmt: skip
+        return None
+    count = _NANOSECONDS[fitting[0]]
+    first = [_exact(v.min()) * count for v in kept]
+    limit = _LONGEST * duration
+    shift = -round(_SHARE[instant or "start"] * span * count)
+    if all(abs(start) < limit for start in first):
+        # Declared: the values count from the first point, wherever the driver puts its stamp.
+        shift = shift - round(float(np.median(first))) if instant else 0
+        return PointTimes(count, "stamp", shift, duration)
+    if instant is None and all(
+        abs(start - sample.stamp) < limit for start, sample in zip(first, samples, strict=True)
+    ):
+        return PointTimes(count, "clock", 0, duration)
+    if instant is None:
+        log.warning(
+            "%s: times of points are on another clock than the stamps of the sweeps (%.3f s and "
+            "%.3f s); the stamp is taken for the time of the first point. Say stamp: start, middle "
+            "or end in docdepth.yaml",
+            where, first[0] * 1e-9, samples[0].stamp * 1e-9,
+        )  # fmt: skip
+    return PointTimes(count, "first", shift, duration)
+
+
+def median_period(times: NDArray[np.int64]) -> int | None:
+    """Nanoseconds between sweeps (median); None for a single sweep."""
+    return int(np.median(np.diff(times))) if len(times) > 1 else None
+
+
+def _finite(sample: TimeSample) -> TimeSample:
+    values = sample.values
+    if values.dtype.kind == "f":
+        return sample._replace(usable=sample.usable & np.isfinite(values))
+    return sample
+
+
+def _exact(value: Any) -> int | float:
+    """A number of numpy's as Python's, whose integers do not overflow."""
+    return value.item()
+
+
+def _after(values: NDArray[Any], start: int | float, unit: int) -> NDArray[np.float64]:
+    """Nanoseconds from ``start`` (ns) to each value; integers lose no digits."""
+    if values.dtype.kind in "iu" and float(start).is_integer():
+        if int(start) % unit == 0:
+            return (values.astype(np.int64) - int(start) // unit).astype(np.float64) * unit
+        return (values.astype(np.int64) * unit - int(start)).astype(np.float64)
+    return np.asarray(values, np.float64) * unit - start

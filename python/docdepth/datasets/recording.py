@@ -1,0 +1,271 @@
+"""A recording put together of LiDARs and cameras: what loaders of most formats return."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets import kitti_lidar
+from docdepth.datasets.base import CameraStream, LidarStream, Sweep
+from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.point_times import (
+    USUAL_PERIOD,
+    Instant,
+    PointTimes,
+    TimeSample,
+    Unit,
+    find_point_times,
+    median_period,
+)
+from docdepth.errors import DatasetError
+from docdepth.geometry.points import usable_points
+from docdepth.geometry.se3 import inverse
+from docdepth.geometry.sensor_rig import SensorRig
+
+log = logging.getLogger(__name__)
+
+_TOGETHER = 0.75  # of a sweep: LiDARs whose stamps are farther apart did not measure together
+
+
+class LidarReader(Protocol):
+    """Reads the sweeps of one LiDAR, in any order and from any thread."""
+
+    @property
+    def stream(self) -> LidarStream: ...
+
+    def read(self, index: int) -> Cloud:
+        """Own sweep ``index``; errors name file and frame."""
+        ...
+
+    def files(self, index: int) -> list[Path]:
+        """The files that ``read(index)`` reads."""
+        ...
+
+
+@dataclass(frozen=True)
+class RecordingFacts:
+    """What files may not tell of a recording; ``docdepth.yaml`` does.
+
+    Attributes
+    ----------
+    motion_compensated : bool, optional
+        None: not said, taken as False.
+    looks_from : tuple of float, optional
+        Where the rays of a single LiDAR begin, metres in the frame of its points.
+    unit, instant : str, optional
+        Of the times of points, see :func:`~.point_times.find_point_times`.
+    world : bool
+        Points are in the frame of the poses; they are brought to the LiDAR frame.
+    """
+
+    motion_compensated: bool | None = None
+    looks_from: tuple[float, float, float] | None = None
+    unit: Unit | None = None
+    instant: Instant | None = None
+    world: bool = False
+
+
+class _Part(NamedTuple):
+    """The points of one LiDAR in the frame of the sweep, and nanoseconds since its stamp."""
+
+    number: int
+    cloud: Cloud
+    points: NDArray[np.float32]
+    relative_time: NDArray[np.float32] | None
+    late: int
+
+
+class Recording:
+    """A dataset of one or more LiDARs.
+
+    The first LiDAR gives the stamps and the frame of the sweeps. The others' points are added to
+    the sweep that is nearest in time.
+
+    Parameters
+    ----------
+    name : str
+        Of the format.
+    path : Path
+    lidars : sequence of LidarReader
+    cameras : dict of CameraStream
+    poses : ndarray of float64, shape (n, 4, 4), optional
+        ``T_world_lidar`` of each sweep.
+    facts : RecordingFacts
+    labels : callable, optional
+        ``labels(index)`` gives the labels of a sweep, uint32 (N,), or None.
+
+    Raises
+    ------
+    DatasetError
+        There is no sweep, or one that was tried cannot be read.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        path: Path,
+        lidars: Sequence[LidarReader],
+        cameras: dict[str, CameraStream],
+        poses: NDArray[np.float64] | None = None,
+        facts: RecordingFacts | None = None,
+        labels: Callable[[int], NDArray[np.uint32] | None] | None = None,
+    ) -> None:
+        self.name, self.path, self.poses, self.cameras = name, path, poses, cameras
+        self.lidars = {lidar.stream.name: lidar.stream for lidar in lidars}
+        self._readers, self._labels = list(lidars), labels
+        self._facts = facts or RecordingFacts()
+        self.times: NDArray[np.int64] = lidars[0].stream.times
+        if not len(self.times):
+            raise DatasetError(f"{path} holds no sweep of {lidars[0].stream.name}")
+        self._period = median_period(self.times)
+        self._partners = [self._find_partners(lidar.stream) for lidar in lidars[1:]]
+        self._point_times: list[PointTimes | None] = []
+        self._is_kitti_lidar = False
+        self._look_at_points()
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def sweep(self, index: int) -> Sweep:
+        """Sweep ``index`` of all LiDARs, every row of the recording."""
+        index = range(len(self))[index]
+        parts = [self._part(0, index, index)]
+        for number, partners in enumerate(self._partners, start=1):
+            if partners[index] >= 0:
+                parts.append(self._part(number, int(partners[index]), index))
+        return Sweep(
+            np.concatenate([part.points for part in parts]),
+            self._readers[0].stream.names[index],
+            int(self.times[index]),
+            _joined([part.cloud.intensity for part in parts]),
+            self._relative_time(parts),
+            self._rig(parts),
+            self._facts.motion_compensated or False,
+            _joined([part.cloud.ring for part in parts]),
+        )
+
+    def sweep_files(self, index: int) -> list[Path]:
+        """The files of sweep ``index`` of each LiDAR."""
+        index = range(len(self))[index]
+        files = self._readers[0].files(index)
+        for reader, partners in zip(self._readers[1:], self._partners, strict=True):
+            files = files + (reader.files(int(partners[index])) if partners[index] >= 0 else [])
+        return list(dict.fromkeys(files))
+
+    def labels(self, index: int) -> NDArray[np.uint32] | None:
+        """Labels of every point of sweep ``index``; None without a file."""
+        return None if self._labels is None else self._labels(index)
+
+    def _find_partners(self, other: LidarStream) -> NDArray[np.int64]:
+        """For each sweep the nearest one of another LiDAR; -1 where there is none."""
+        after = np.searchsorted(other.times, self.times).clip(0, max(len(other.times) - 1, 0))
+        before = (after - 1).clip(0)
+        if not len(other.times):
+            return np.full(len(self), -1)
+        nearer = np.abs(other.times[before] - self.times) < np.abs(other.times[after] - self.times)
+        nearest = np.where(nearer, before, after)
+        if self._period is not None:
+            far = np.abs(other.times[nearest] - self.times) > _TOGETHER * self._period
+            nearest = np.where(far, -1, nearest)
+        if (nearest < 0).any():
+            log.warning(
+                "%s: %d of %d sweeps have no points of %s, whose sweeps are at other times",
+                self.path, (nearest < 0).sum(), len(self), other.name,
+            )  # fmt: skip
+        return nearest
+
+    def _look_at_points(self) -> None:
+        """Find how times of points count, and whether the LiDAR is KITTI's."""
+        for number, reader in enumerate(self._readers):
+            stamps = reader.stream.times
+            indices = sorted({0, len(stamps) // 2, len(stamps) - 1}) if len(stamps) else []
+            clouds = [reader.read(k) for k in indices]
+            points = [self._in_lidar_frame(c, k) for c, k in zip(clouds, indices, strict=True)]
+            if len(self._readers) == 1 and self._facts.looks_from is None:
+                self._is_kitti_lidar = kitti_lidar.is_kitti_lidar(points)
+            samples = [
+                TimeSample(cloud.times, usable_points(own), int(stamps[k]))
+                for cloud, own, k in zip(clouds, points, indices, strict=True)
+                if cloud.times is not None
+            ]
+            where = f"{self.path}, {reader.stream.name}" if number else str(self.path)
+            facts = self._facts
+            found = find_point_times(samples, self._period, where, facts.unit, facts.instant)
+            self._point_times.append(found)
+            if not samples and facts.motion_compensated is None:
+                log.warning(
+                    "%s: points have no times, so sweeps are not deskewed; say in docdepth.yaml "
+                    "motion_compensated: true if they are already, else false",
+                    where,
+                )
+
+    def _part(self, number: int, own: int, index: int) -> _Part:
+        reader, point_times = self._readers[number], self._point_times[number]
+        cloud, stream = reader.read(own), reader.stream
+        points, relative = self._in_lidar_frame(cloud, own), None
+        if cloud.times is not None and point_times is not None:
+            stamp = int(stream.times[own])
+            relative = point_times.relative(TimeSample(cloud.times, usable_points(points), stamp))
+            if relative is None:
+                log.warning(
+                    "%s (frame %d): points are measured more than a sweep and a half from the "
+                    "stamp; their times are ignored, and the sweep stays as it was measured",
+                    reader.files(own)[0], own,
+                )  # fmt: skip
+        if number:
+            T = stream.T_lidar_sensor
+            points = (points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+        return _Part(number, cloud, points, relative, int(stream.times[own] - self.times[index]))
+
+    def _in_lidar_frame(self, cloud: Cloud, own: int) -> NDArray[np.float32]:
+        """Points in the frame of the LiDAR that measured them, float32 (N, 3)."""
+        points = cloud.points
+        if self._facts.world:
+            pose = cloud.T_world_lidar
+            if pose is None:
+                if self.poses is None:
+                    raise DatasetError(
+                        f"{self.path}: points are in the world, but there are no poses to bring "
+                        "them to the LiDAR; say poses in docdepth.yaml"
+                    )
+                pose = self.poses[own]
+            T = inverse(pose)
+            points = points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
+            points[(cloud.points == 0).all(axis=1)] = np.nan
+        return np.ascontiguousarray(points, np.float32)
+
+    def _relative_time(self, parts: Sequence[_Part]) -> NDArray[np.float32] | None:
+        if len(parts) == 1 and parts[0].relative_time is None:
+            if self._facts.motion_compensated and self._is_kitti_lidar:
+                return kitti_lidar.azimuth_relative_time(parts[0].points)
+            return None
+        if all(part.relative_time is None and part.late == 0 for part in parts):
+            return None
+        times, period = [], np.float64(self._period or USUAL_PERIOD)
+        for part in parts:
+            shares = part.relative_time
+            shares = np.zeros(len(part.points), np.float32) if shares is None else shares
+            times.append(shares + np.float32(part.late / period) if part.late else shares)
+        return np.concatenate(times)
+
+    def _rig(self, parts: Sequence[_Part]) -> SensorRig | None:
+        if len(self._readers) == 1:
+            points = parts[0].points
+            if self._facts.looks_from is not None:
+                return SensorRig.single(self._facts.looks_from, len(points))
+            return kitti_lidar.sensor_rig(points) if self._is_kitti_lidar else None
+        poses = np.stack([reader.stream.T_lidar_sensor for reader in self._readers])
+        numbers = np.array([part.number for part in parts], np.uint8)
+        return SensorRig(np.repeat(numbers, [len(part.points) for part in parts]), poses)
+
+
+def _joined(columns: Sequence[NDArray[Any] | None]) -> NDArray[Any] | None:
+    """One column of those of all LiDARs; None unless all have it."""
+    present = [column for column in columns if column is not None]
+    return np.concatenate(present) if len(present) == len(columns) else None

@@ -1,0 +1,179 @@
+"""Finds the format of a recording, by name or by its files, and opens it."""
+
+from __future__ import annotations
+
+import logging
+import os
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+
+from docdepth.datasets import (
+    argoverse2,
+    bag,
+    dgp,
+    dynamic_map,
+    folder,
+    kitti_odometry,
+    kitti_raw,
+    nuscenes,
+    ouster,
+    run,
+    velodyne,
+)
+from docdepth.datasets.base import Dataset
+from docdepth.datasets.format import ENTRY_POINTS, Format
+from docdepth.datasets.frame_range import FrameRange
+from docdepth.errors import DatasetError
+
+log = logging.getLogger(__name__)
+
+_DEEPEST = 3  # levels below a folder that are searched: KITTI's ROOT/DATE/DRIVE, OUT/sequences/00
+_MOST_NAMED = 8  # recordings in an error
+
+# The first that recognises a path has it.
+_OWN: tuple[Format, ...] = (
+    kitti_raw.FORMAT,
+    kitti_odometry.SEMANTIC_KITTI,
+    kitti_odometry.KITTI_ODOMETRY,
+    run.FORMAT,
+    nuscenes.FORMAT,
+    argoverse2.FORMAT,
+    dgp.FORMAT,
+    ouster.FORMAT,
+    velodyne.FORMAT,
+    bag.FORMAT,
+    dynamic_map.FORMAT,
+    folder.FORMAT,
+)
+
+
+def format_names() -> tuple[str, ...]:
+    """Names of all formats: docdepth's own, and those of installed packages."""
+    own = tuple(known.name for known in _OWN)
+    return own + tuple(sorted({point.name for point in _foreign()} - set(own)))
+
+
+def open_dataset(
+    path: Path | str,
+    format: str | None = None,
+    image_size: tuple[int, int] | None = None,
+    frames: str | None = None,
+) -> Dataset:
+    """Open a recording.
+
+    Parameters
+    ----------
+    path : Path
+        The folder or file of one recording, or a folder that holds a single one.
+    format : str, optional
+        Name of its format; found by its files if left out.
+    image_size : (int, int), optional
+        Width and height of the images in pixels, if no file tells them.
+    frames : str, optional
+        ``A:B``, sweeps A to B - 1 alone; all if left out.
+
+    Raises
+    ------
+    DatasetError
+        There is no such path or format, the path is of no known format, or a file is missing or
+        broken. All problems of a recording are told together.
+    CalibrationError
+        The calibration is missing or contradicts the images.
+    """
+    path = Path(path)
+    wanted = None if format is None else _named(format.replace("-", "_"))
+    try:
+        place, found = _find_recording(path, wanted)
+        recording = found.open(place, image_size)
+    except OSError as error:
+        raise DatasetError(
+            f"{error.filename or path} cannot be read ({error.strerror}); "
+            "check that it is there and that you may read it"
+        ) from None
+    return FrameRange(recording, frames) if frames else recording
+
+
+def _foreign() -> list[EntryPoint]:
+    return list(entry_points(group=ENTRY_POINTS))
+
+
+def _load(point: EntryPoint) -> Format:
+    """The format of another package.
+
+    Raises
+    ------
+    DatasetError
+        It cannot be imported, or is no format of this name.
+    """
+    try:
+        found = point.load()
+    except Exception as error:
+        raise DatasetError(
+            f"the loader {point.name} ({point.value}) cannot be imported: {error}; "
+            "mend or remove the package that brings it"
+        ) from error
+    if not isinstance(found, Format) or found.name != point.name:
+        raise DatasetError(
+            f"the loader {point.name} ({point.value}) is no docdepth.datasets.Format of this name"
+        )
+    return found
+
+
+def _named(name: str) -> Format:
+    own = {known.name: known for known in _OWN}
+    if name in own:
+        return own[name]
+    for point in _foreign():
+        if point.name == name:
+            return _load(point)
+    raise DatasetError(f"unknown dataset {name!r}; there are {', '.join(format_names())}")
+
+
+def _all() -> list[Format]:
+    """All formats; those of other packages come first, since they know their files better."""
+    own, formats = {known.name for known in _OWN}, []
+    for point in _foreign():
+        if point.name not in own:
+            try:
+                formats.append(_load(point))
+            except DatasetError as error:
+                log.warning("%s", error)
+    return [*formats, *_OWN]
+
+
+def _find_recording(path: Path, wanted: Format | None) -> tuple[Path, Format]:
+    """Where the recording is, and its format."""
+    formats = _all() if wanted is None else [wanted]
+    for known in formats:
+        if known.recognises(path):
+            return path, known
+    if not path.exists():  # one that is recognised may be a part of the folder above
+        raise DatasetError(f"{path} is not there")
+    below = _recordings_below(path, _DEEPEST, formats) if path.is_dir() else []
+    if len(below) == 1:
+        return below[0]
+    if below:
+        names = ", ".join(str(folder) for folder, _ in below[:_MOST_NAMED])
+        more = f" and {len(below) - _MOST_NAMED} more" if len(below) > _MOST_NAMED else ""
+        raise DatasetError(f"{path} holds {len(below)} recordings; name one of {names}{more}")
+    if wanted is not None:
+        raise DatasetError(f"{path} is no recording of {wanted.name} ({wanted.expected})")
+    names = ", ".join(known.name for known in formats)
+    raise DatasetError(
+        f"{path} is no recording that docdepth reads ({names}); name the format that it should be, "
+        "to be told what is missing"
+    )
+
+
+def _recordings_below(path: Path, levels: int, formats: list[Format]) -> list[tuple[Path, Format]]:
+    """Recordings in the folders of a folder."""
+    found: list[tuple[Path, Format]] = []
+    if not levels or not os.access(path, os.R_OK | os.X_OK):
+        return found
+    for child in sorted(path.iterdir()):
+        known = next((f for f in formats if f.recognises(child)), None)
+        if known is None:
+            found += _recordings_below(child, levels - 1, formats) if child.is_dir() else []
+        elif known.found_below:
+            found.append((child, known))
+    return found

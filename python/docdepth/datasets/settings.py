@@ -1,0 +1,205 @@
+"""``docdepth.yaml``: what the files of a recording do not tell.
+
+It lies in the folder of a recording, or beside a recording that is a single file. Unknown entries
+are errors, so that no word in it is ignored.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
+
+from docdepth.datasets.files import is_there, read_lines
+from docdepth.datasets.point_times import Instant, Unit
+from docdepth.datasets.recording import RecordingFacts
+from docdepth.errors import CalibrationError, DatasetError, InputError
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import check_rigid, nearest_rigid
+
+FILE = "docdepth.yaml"
+
+_WHOLE = 1e-9  # of a rotation's numbers; larger errors come of missing digits
+_MOST_METRES = 100.0  # of a sensor from the origin of its frame; more is a mistake of units
+
+
+def _flat(value: Any) -> Any:
+    """Matrices may be written row by row or as one list."""
+    if isinstance(value, list) and value and all(isinstance(row, list) for row in value):
+        return [number for row in value for number in row]
+    return value
+
+
+Numbers = Annotated[list[float], BeforeValidator(_flat)]
+
+
+class Strict(BaseModel):
+    """Unknown entries are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class CameraSettings(Strict):
+    """A camera, or what is missing of it.
+
+    Attributes
+    ----------
+    K : list of float, optional
+        fx 0 cx 0 fy cy 0 0 1, or fx fy cx cy, pixels.
+    size : (int, int), optional
+        Width and height in pixels.
+    distortion : list of float, optional
+        As :attr:`~docdepth.datasets.CameraStream.distortion`.
+    model : {"pinhole", "fisheye"}
+    T_camera_lidar : list of float, optional
+        Matrix of 4 x 4 or 3 x 4, row by row.
+    """
+
+    K: Numbers | None = None
+    size: tuple[int, int] | None = None
+    distortion: Numbers | None = None
+    model: Literal["pinhole", "fisheye"] = "pinhole"
+    T_camera_lidar: Numbers | None = None
+
+    def camera(self, size: tuple[int, int] | None, where: str) -> Camera:
+        """The pinhole camera.
+
+        Raises
+        ------
+        CalibrationError
+            K or the size is missing, or K is none.
+        """
+        if self.K is None or len(self.K) not in (4, 9):
+            raise CalibrationError(f"{where}: K must be 4 numbers fx fy cx cy, or 9; got {self.K}")
+        if size is None:
+            raise CalibrationError(f"{where} has neither images nor size: [width, height]")
+        if len(self.K) == 4:
+            fx, fy, cx, cy = self.K
+            return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), *size)
+        return Camera(np.array(self.K).reshape(3, 3), *size)
+
+    def lens(self) -> NDArray[np.float64] | None:
+        """The distortion; None without one. Zeros are none for a pinhole, not for a fisheye."""
+        numbers = self.distortion or ()
+        return np.array(numbers) if self.model == "fisheye" or any(numbers) else None
+
+    def extrinsic(self, where: str) -> NDArray[np.float64]:
+        """``T_camera_lidar``, (4, 4).
+
+        Raises
+        ------
+        CalibrationError
+            It is missing or no rigid transform.
+        """
+        return transform(self.T_camera_lidar, f"{where}: T_camera_lidar")
+
+
+class RecordingSettings(Strict):
+    """Entries that every format takes.
+
+    Attributes
+    ----------
+    motion_compensated : bool, optional
+        Whether the sweeps are deskewed already.
+    looks_from : (float, float, float), optional
+        Where the rays of the LiDAR begin, metres in the frame of its points.
+    stamp : {"start", "middle", "end"}, optional
+        Which instant of a sweep its time is.
+    point_time_unit : {"s", "ms", "us", "ns"}, optional
+    poses : str, optional
+        File of LiDAR poses, TUM or KITTI; or ``viewpoint``, those in the headers of PCD files.
+    """
+
+    motion_compensated: bool | None = None
+    looks_from: tuple[float, float, float] | None = None
+    stamp: Instant | None = None
+    point_time_unit: Unit | None = None
+    poses: str | None = None
+
+    def facts(self, world: bool = False) -> RecordingFacts:
+        """What a recording wants to know of it."""
+        return RecordingFacts(
+            self.motion_compensated, self.looks_from, self.point_time_unit, self.stamp, world
+        )
+
+
+_Settings = TypeVar("_Settings", bound=RecordingSettings)
+
+
+def read_settings(
+    recording: Path, model: type[_Settings], usual: dict[str, Any] | None = None
+) -> tuple[_Settings, Path]:
+    """The settings of a recording, and the file they stand in or would stand in.
+
+    Parameters
+    ----------
+    recording : Path
+        Folder, or file beside which ``docdepth.yaml`` lies.
+    model : type
+        What the format takes.
+    usual : dict, optional
+        What entries are that are left out, where the format knows better than ``model``.
+
+    Raises
+    ------
+    DatasetError
+        The file is not YAML, or an entry is unknown or wrong.
+    """
+    file = (recording if recording.is_dir() else recording.parent) / FILE
+    if not is_there(file):
+        return model.model_validate(usual or {}), file
+    try:
+        given = yaml.safe_load("\n".join(read_lines(file, "write it again or remove it")))
+    except yaml.YAMLError as error:
+        raise DatasetError(f"{file} is not YAML: {error}") from None
+    try:
+        known = {**(usual or {}), **given} if isinstance(given, dict) else given or usual or {}
+        settings = model.model_validate(known)
+    except ValidationError as error:
+        raise DatasetError(f"{file}: {_reasons(error, model)}") from None
+    place = settings.looks_from
+    if place is not None and not all(abs(x) < _MOST_METRES for x in place):
+        raise DatasetError(f"{file}: looks_from must be [x, y, z] in metres, got {list(place)}")
+    return settings, file
+
+
+def transform(numbers: list[float] | None, where: str) -> NDArray[np.float64]:
+    """A rigid transform (4, 4) of 12 or 16 numbers, row by row.
+
+    Raises
+    ------
+    CalibrationError
+        They are missing or no rigid transform in metres.
+    """
+    if numbers is None or len(numbers) not in (12, 16):
+        raise CalibrationError(f"{where} must be 16 numbers, row by row; got {numbers}")
+    T = np.eye(4)
+    T[: len(numbers) // 4] = np.array(numbers).reshape(-1, 4)
+    try:
+        check_rigid(T[None])
+    except InputError:
+        raise CalibrationError(
+            f"{where} must be a rotation and a translation in metres; got {numbers}"
+        ) from None
+    if np.linalg.norm(T[:3, 3]) > _MOST_METRES:
+        raise CalibrationError(f"{where} moves by more than {_MOST_METRES:g} m; is it in metres?")
+    # A matrix printed with few digits is a rotation only nearly; a whole one is kept to the bit.
+    nearest = nearest_rigid(T)
+    return nearest if np.abs(nearest - T).max() > _WHOLE else T
+
+
+def _reasons(error: ValidationError, model: type[RecordingSettings]) -> str:
+    reasons = []
+    for one in error.errors():
+        entry = ".".join(str(part) for part in one["loc"])
+        if one["type"] == "extra_forbidden" and len(one["loc"]) == 1:
+            reasons.append(f"{entry} is unknown; there are {', '.join(model.model_fields)}")
+        elif one["type"] == "extra_forbidden":
+            reasons.append(f"{entry} is unknown")
+        else:
+            reasons.append(f"{entry or 'the file'}: {one['msg']}")
+    return "; ".join(reasons)

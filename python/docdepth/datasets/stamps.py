@@ -1,0 +1,90 @@
+"""Times of files: from a table, or from their names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.files import is_there
+from docdepth.datasets.kitti_files import check_increasing
+from docdepth.datasets.times import read_times_of
+from docdepth.errors import DatasetError
+
+_UNITS = {19: 1, 16: 10**3, 13: 10**6, 10: 10**9}
+"""Nanoseconds of one count, by the digits of a time since 1970."""
+_TABLES = ("times.txt", "timestamps.txt")
+
+
+def times_of_files(
+    files: Sequence[Path], table: str | None, folder: Path, remedy: str
+) -> NDArray[np.int64]:
+    """Nanoseconds of each file, strictly increasing.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        In order.
+    table : str, optional
+        File with a line for each, relative to ``folder``, or ``names``. If left out, a table beside
+        the files or their folder is taken, else their names.
+    folder : Path
+    remedy : str
+        What to do where nothing tells the times.
+
+    Raises
+    ------
+    DatasetError
+        Nothing tells them, a file has no time, or they do not increase.
+    """
+    if table not in (None, "names"):
+        return read_times_of(files, folder / str(table), "times", remedy)
+    if table is None:
+        near = files[0].parent
+        places = [near / name for name in _TABLES]
+        places += [near.parent / name for name in _TABLES if near != folder]
+        for place in places:
+            if is_there(place):
+                return read_times_of(files, place, "times", remedy)
+    stamps = [time_of_name(file.stem) for file in files]
+    times = np.array([stamp for stamp in stamps if stamp is not None], np.int64)
+    if len(times) < len(files):
+        name = next(file.name for file, stamp in zip(files, stamps, strict=True) if stamp is None)
+        raise DatasetError(f"{files[0].parent}: nothing tells the time of {name}; {remedy}")
+    check_increasing(times, [file.name for file in files], files[0].parent)
+    return times
+
+
+def times_of_names(files: Sequence[Path], unit: int, remedy: str) -> NDArray[np.int64]:
+    """Nanoseconds of files whose names are numbers of ``unit`` nanoseconds.
+
+    Raises
+    ------
+    DatasetError
+        A name is no number, or two are one.
+    """
+    for file in files:
+        if not (file.stem.isascii() and file.stem.isdigit()):
+            raise DatasetError(f"{file}: the name is no number; {remedy}")
+    times = np.array([int(file.stem) for file in files], np.int64) * unit
+    if files:
+        check_increasing(times, [file.name for file in files], files[0].parent)
+    return times
+
+
+def time_of_name(stem: str) -> int | None:
+    """Nanoseconds since 1970 in a name: a whole number, or seconds and a fraction.
+
+    ``1673400678101968885``, ``1547131046260961``, ``1583836591.18`` and
+    ``cloud_1583836591_182590976`` are understood. A number that begins with 0 only counts.
+    """
+    parts = re.search(r"(?<!\d)([1-9]\d{9})[._](\d{1,9})$", stem)
+    if parts:
+        fraction = parts[2].ljust(9, "0") if "." in parts[0] else parts[2]
+        return int(parts[1]) * 10**9 + int(fraction)
+    whole = re.search(r"(?<!\d)([1-9]\d+)$", stem)
+    unit = _UNITS.get(len(whole[1])) if whole else None
+    return int(whole[1]) * unit if whole and unit else None

@@ -1,0 +1,342 @@
+"""Bags of all kinds of drivers, and the ways in which bags are odd or broken."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from bags import BagWriter, padded_rows, write_drive
+from conformance import check, differences
+from made_up import DISTORTION, DRIVE, EMPTY, SIZE, K
+
+from docdepth.datasets import open_dataset, usable_points
+from docdepth.errors import CalibrationError, DatasetError
+from docdepth.geometry.se3 import poses_from, rotation_exp
+
+pytest.importorskip("rosbags")
+
+KINDS = ["ros1", "db3", "mcap"]
+T_OTHER = poses_from([rotation_exp([0.1, -0.05, 0.5])], [[0.3, 1.2, -0.4]])[0]
+
+
+def place(root: Path, kind: str) -> Path:
+    return root / ("drive.bag" if kind == "ros1" else "drive")
+
+
+def say(path: Path, **entries) -> None:
+    folder = path if path.is_dir() else path.parent
+    (folder / "docdepth.yaml").write_text(yaml.safe_dump(entries))
+
+
+def points_alone(path: Path, kind: str, message, **recorded) -> Path:
+    """A bag with ``message(bag, k, time)`` as /points for each sweep."""
+    with BagWriter(path, kind) as bag:
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/points", message(bag, k, time), recorded.get("recorded", time) + k)
+    return path
+
+
+# ---- layouts of points
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_big_endian_clouds(tmp_path: Path, kind: str) -> None:
+    path = place(tmp_path, kind)
+    points_alone(path, kind, lambda bag, k, t: bag.cloud(padded_rows(k), t, big_endian=True))
+    dataset = open_dataset(path)
+    check(dataset, "bag")
+    np.testing.assert_array_equal(dataset.sweep(1).points, DRIVE.points(1))
+
+
+def test_clouds_of_rows_with_padding(tmp_path: Path) -> None:
+    """Ouster's drivers send images of points: a row for each laser."""
+
+    def message(bag, k, time):
+        rows = padded_rows(k)[:400]
+        cloud = bag.cloud(rows, time)
+        lines = cloud.data.reshape(8, -1)
+        cloud.height, cloud.width, cloud.row_step = 8, 50, lines.shape[1] + 24
+        cloud.data = np.hstack([lines, np.full((8, 24), 77, np.uint8)]).ravel()
+        return cloud
+
+    dataset = open_dataset(points_alone(tmp_path / "drive", "db3", message))
+    check(dataset, "bag")
+    np.testing.assert_array_equal(dataset.sweep(2).points, DRIVE.points(2)[:400])
+    np.testing.assert_array_equal(dataset.sweep(2).ring, DRIVE.rows(2)["ring"][:400])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("package", ["livox_ros_driver", "livox_ros_driver2"])
+def test_livox_messages(tmp_path: Path, kind: str, package: str) -> None:
+    from rosbags.typesys import get_types_from_msg
+
+    from docdepth.datasets.bag_file import _DEFINITIONS
+
+    path = place(tmp_path, kind)
+    with BagWriter(path, kind) as bag:
+        for name in ("CustomPoint", "CustomMsg"):
+            text = _DEFINITIONS[f"{package}/msg/{name}"]
+            bag.types.register(get_types_from_msg(text, f"{package}/msg/{name}"))
+        for k, time in enumerate(DRIVE.times.tolist()):
+            rows = DRIVE.rows(k)[:-EMPTY]
+            late = np.round((rows["share"] + 0.5) * DRIVE.period).astype(int)
+            points = [
+                bag.make(f"{package}/msg/CustomPoint", int(ns), float(r["x"]), float(r["y"]),
+                         float(r["z"]), int(r["intensity"]), 0, int(r["ring"]))
+                for r, ns in zip(rows, late, strict=True)
+            ]  # fmt: skip
+            message = bag.make(
+                f"{package}/msg/CustomMsg", bag.header(time, "livox"), time, len(points), 0,
+                np.zeros(3, np.uint8), points,
+            )  # fmt: skip
+            bag.write("/livox/lidar", message, time)
+    dataset = open_dataset(path)
+    check(dataset, "bag")
+    sweep, rows = dataset.sweep(3), DRIVE.rows(3)[:-EMPTY]
+    np.testing.assert_array_equal(sweep.points, DRIVE.points(3)[:-EMPTY])
+    np.testing.assert_allclose(sweep.relative_time, rows["share"] + 0.5, atol=1e-6)
+    np.testing.assert_array_equal(sweep.ring, rows["ring"])
+    np.testing.assert_array_equal(sweep.intensity, rows["intensity"])
+
+
+def test_rows_without_return_keep_their_place(tmp_path: Path) -> None:
+    """NaN and zeros of organised clouds stay, with their times, so that nothing shifts."""
+    sweep = open_dataset(write_drive(tmp_path / "drive", "mcap")).sweep(0)
+    assert len(sweep.points) == len(sweep.relative_time) == len(sweep.ring) == 400
+    assert (~usable_points(sweep.points)).sum() == EMPTY
+
+
+# ---- images and cameras
+
+
+@pytest.mark.parametrize(
+    ("encoding", "code", "channels"),
+    [
+        ("rgb8", cv2.COLOR_BGR2RGB, 3),
+        ("bgra8", cv2.COLOR_BGR2BGRA, 4),
+        ("mono8", cv2.COLOR_BGR2GRAY, 1),
+    ],
+)
+def test_encodings_of_images(tmp_path: Path, encoding: str, code: int, channels: int) -> None:
+    with BagWriter(tmp_path / "drive", "db3") as bag:
+        bag.write("/points", bag.cloud(padded_rows(0), int(DRIVE.times[0])), 1)
+        bag.write("/points", bag.cloud(padded_rows(1), int(DRIVE.times[1])), 2)
+        time, image = int(DRIVE.image_times[0]), cv2.cvtColor(DRIVE.image(0), code)
+        bag.write("/cam/image_raw", bag.image(image, time, encoding=encoding), 3)
+        bag.write("/cam/camera_info", bag.camera_info(K, np.zeros(5), SIZE, time), 4)
+        message = bag.transform("camera", "lidar", np.linalg.inv(DRIVE.T_camera_lidar))
+        bag.write("/tf_static", message, 5)
+    read = open_dataset(tmp_path / "drive").cameras["cam"].rectified_image(0)
+    expected = DRIVE.image(0)
+    if encoding == "mono8":
+        expected = cv2.cvtColor(cv2.cvtColor(expected, code), cv2.COLOR_GRAY2BGR)
+    np.testing.assert_array_equal(read, expected)
+
+
+def test_compressed_images_and_a_fisheye(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/points", bag.cloud(padded_rows(k), time), time)
+        for k, time in enumerate(DRIVE.image_times.tolist()):
+            png = cv2.imencode(".png", DRIVE.image(k))[1].tobytes()
+            bag.write("/cam/image_raw/compressed", bag.compressed(png, time), time)
+            info = bag.camera_info(K, DISTORTION[:4], SIZE, time, "equidistant")
+            bag.write("/cam/camera_info", info, time)
+        message = bag.transform("lidar", "camera", DRIVE.T_camera_lidar)
+        bag.write("/tf_static", message, 1)
+    dataset = open_dataset(tmp_path / "drive")
+    check(dataset, "bag")
+    stream = dataset.cameras["cam"]
+    assert stream.model == "fisheye"
+    np.testing.assert_allclose(stream.T_camera_lidar, DRIVE.T_camera_lidar, atol=1e-12)
+    expected = cv2.fisheye.undistortImage(DRIVE.image(1), K, DISTORTION[:4], Knew=K)
+    np.testing.assert_array_equal(stream.rectified_image(1), expected)
+
+
+def test_a_camera_without_calibration_is_named_and_left_out(tmp_path: Path, caplog) -> None:
+    with BagWriter(tmp_path / "drive", "db3") as bag:
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/points", bag.cloud(padded_rows(k), time), time)
+            bag.write("/cam/image_raw", bag.image(DRIVE.image(k), time), time)
+    assert open_dataset(tmp_path / "drive").cameras == {}
+    assert "there is no CameraInfo" in caplog.text
+    say(tmp_path / "drive", cameras={"/cam/image_raw": {"K": [50, 51, 31.5, 24.25]}})
+    with pytest.raises(CalibrationError, match=r"no static transform connects.*there are none"):
+        open_dataset(tmp_path / "drive")
+    given = {"K": [50, 51, 31.5, 24.25], "T_camera_lidar": DRIVE.T_camera_lidar.tolist()}
+    say(tmp_path / "drive", cameras={"/cam/image_raw": given})
+    stream = open_dataset(tmp_path / "drive").cameras["cam"]
+    np.testing.assert_array_equal(stream.camera.K, K)
+    np.testing.assert_array_equal(stream.T_camera_lidar, DRIVE.T_camera_lidar)
+    say(tmp_path / "drive", cameras={"/other": given})
+    with pytest.raises(DatasetError, match=r"has no images of /other; there are /cam/image_raw"):
+        open_dataset(tmp_path / "drive")
+
+
+# ---- stamps
+
+
+def test_messages_that_arrive_out_of_order_are_sorted_by_their_stamps(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive", "db3") as bag:
+        for n, k in enumerate((1, 0, 3, 2, 4)):
+            bag.write("/points", bag.cloud(padded_rows(k), int(DRIVE.times[k])), n)
+    dataset = open_dataset(tmp_path / "drive")
+    check(dataset, "bag")
+    for k in range(5):
+        np.testing.assert_array_equal(dataset.sweep(k).points, DRIVE.points(k))
+
+
+def test_headers_without_stamps(tmp_path: Path) -> None:
+    path = points_alone(tmp_path / "drive", "db3", lambda bag, k, t: bag.cloud(padded_rows(k), 0))
+    with pytest.raises(DatasetError, match=r"/points: headers have no stamps; say stamps: record"):
+        open_dataset(path)
+    say(path, stamps="record")
+    np.testing.assert_array_equal(open_dataset(path).times, DRIVE.times + np.arange(5))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_two_messages_with_one_stamp(tmp_path: Path, kind: str) -> None:
+    path = points_alone(
+        place(tmp_path, kind), kind, lambda bag, k, t: bag.cloud(padded_rows(k), t - t % 10**9)
+    )
+    with pytest.raises(DatasetError, match=r"frames 0 and 1 have one stamp.*and 3 more"):
+        open_dataset(path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_messages_recorded_at_one_time_are_told_apart(tmp_path: Path, kind: str) -> None:
+    with BagWriter(place(tmp_path, kind), kind) as bag:
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/points", bag.cloud(padded_rows(k), time), 5)
+    dataset = open_dataset(place(tmp_path, kind))
+    for k in (3, 0, 4):
+        np.testing.assert_array_equal(dataset.sweep(k).points, DRIVE.points(k))
+
+
+def test_clocks_that_differ_are_named(tmp_path: Path, caplog) -> None:
+    boot = int(DRIVE.times[0]) - 5_000_000_000
+    with BagWriter(tmp_path / "drive", "db3") as bag:
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/points", bag.cloud(padded_rows(k), time - boot), time)
+        for k, time in enumerate(DRIVE.image_times.tolist()):
+            bag.write("/cam/image_raw", bag.image(DRIVE.image(k), time), time)
+            bag.write("/cam/camera_info", bag.camera_info(K, DISTORTION, SIZE, time), time)
+        bag.write("/tf_static", bag.transform("lidar", "camera", DRIVE.T_camera_lidar), 1)
+    open_dataset(tmp_path / "drive")
+    assert "are on different clocks; say stamps: record" in caplog.text
+    caplog.clear()
+    say(tmp_path / "drive", stamps="record")
+    dataset = open_dataset(tmp_path / "drive")
+    check(dataset, "bag")
+    np.testing.assert_array_equal(dataset.times, DRIVE.times)
+    assert not caplog.records
+
+
+# ---- several topics
+
+
+def two_lidars(path: Path) -> Path:
+    """A second LiDAR 20 ms later sees the same points, from another place."""
+    with BagWriter(path, "mcap") as bag:
+        message = bag.transform("right", "left", T_OTHER)
+        bag.write("/tf_static", message, 1)
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/left", bag.cloud(padded_rows(k), time, "left"), time)
+            rows = padded_rows(k)
+            own = (DRIVE.points(k).astype("f8") - T_OTHER[:3, 3]) @ T_OTHER[:3, :3]
+            rows["x"], rows["y"], rows["z"] = own.T
+            later = time + 20_000_000
+            bag.write("/right", bag.cloud(rows, later, "right"), later)
+    return path
+
+
+def test_several_topics_of_points_are_listed(tmp_path: Path) -> None:
+    with pytest.raises(
+        DatasetError,
+        match=r"several topics of points: /left \(sensor_msgs.*/right .*lidars: {/left: }",
+    ):
+        open_dataset(two_lidars(tmp_path / "drive"))
+
+
+def test_two_lidars_make_one_sweep(tmp_path: Path) -> None:
+    path = two_lidars(tmp_path / "drive")
+    say(path, lidars={"/left": None, "/right": None})
+    dataset = open_dataset(path)
+    check(dataset, "bag")
+    assert list(dataset.lidars) == ["/left", "/right"]
+    np.testing.assert_array_equal(dataset.lidars["/right"].times, DRIVE.times + 20_000_000)
+    np.testing.assert_allclose(dataset.lidars["/right"].T_lidar_sensor, T_OTHER, atol=1e-12)
+    sweep, n = dataset.sweep(2), len(DRIVE.rows(2))
+    assert len(sweep.points) == 2 * n
+    kept = DRIVE.usable(2)
+    np.testing.assert_array_equal(sweep.points[:n], DRIVE.points(2))
+    np.testing.assert_allclose(sweep.points[n:][kept], DRIVE.points(2)[kept], atol=2e-6)
+    np.testing.assert_array_equal(sweep.sensor_rig.index, np.repeat([0, 1], n))
+    shift = sweep.relative_time[n:][kept] - sweep.relative_time[:n][kept]
+    np.testing.assert_allclose(shift, 20e6 / DRIVE.period, atol=1e-5)
+    say(path, lidars={"/right": None})
+    assert len(open_dataset(path).sweep(2).points) == n
+    say(path, lidars={"/up": None})
+    with pytest.raises(DatasetError, match="no points of /up; there are /left, /right"):
+        open_dataset(path)
+
+
+# ---- odd and broken bags
+
+
+def test_a_bag_without_points(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive", "db3") as bag:
+        bag.write("/cam/image_raw", bag.image(DRIVE.image(0), 5), 5)
+    with pytest.raises(DatasetError, match=r"has no points .* its topics are /cam/image_raw"):
+        open_dataset(tmp_path / "drive")
+
+
+@pytest.mark.parametrize("kind", ["db3", "mcap"])
+@pytest.mark.parametrize("metadata", [None, "rosbag2_bagfile_information: {version: 5}\n"])
+def test_bags_without_or_with_broken_metadata(tmp_path: Path, kind: str, metadata) -> None:
+    path = write_drive(tmp_path / "drive", kind)
+    right = open_dataset(path)
+    (path / "metadata.yaml").unlink()
+    if metadata:
+        (path / "metadata.yaml").write_text(metadata)
+    again = open_dataset(path)
+    check(again, "bag")
+    assert differences(again.sweep(3), right.sweep(3)) == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_truncated_bags(tmp_path: Path, kind: str) -> None:
+    path = write_drive(place(tmp_path, kind), kind)
+    (file,) = [f for f in (path.iterdir() if path.is_dir() else [path]) if f.suffix != ".yaml"]
+    content = file.read_bytes()
+    for share in (0.05, 0.4, 0.8):
+        file.write_bytes(content[: int(share * len(content))])
+        with pytest.raises(DatasetError, match=f"{path.name}.*(reindex|copy)"):
+            [open_dataset(path).sweep(k) for k in range(5)]
+
+
+def test_bags_beside_each_other_are_recordings_of_their_own(tmp_path: Path) -> None:
+    for name in ("morning.bag", "evening.bag"):
+        write_drive(tmp_path / name, "ros1")
+    with pytest.raises(DatasetError, match=r"holds 2 recordings; name one of .*evening.bag, "):
+        open_dataset(tmp_path)
+
+
+def test_parts_of_a_bag_are_one_recording(tmp_path: Path) -> None:
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    for part, frames in enumerate(([0, 1, 2], [3, 4])):
+        with BagWriter(folder / f"2026-01-01_{part}.bag", "ros1") as bag:
+            for k in frames:
+                time = int(DRIVE.times[k])
+                bag.write("/points", bag.cloud(padded_rows(k), time), time)
+    dataset = open_dataset(folder)
+    check(dataset, "bag")
+    np.testing.assert_array_equal(dataset.times, DRIVE.times)
+    shutil.copy(folder / "2026-01-01_1.bag", folder / "2026-01-01_3.bag")
+    with pytest.raises(DatasetError, match="holds 3 recordings"):
+        open_dataset(folder)

@@ -1,0 +1,176 @@
+"""Captures of packets: what the LiDAR measured comes back, at its times."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from captures import (
+    COLUMNS,
+    FIRINGS,
+    PACKETS,
+    ROWS,
+    ouster_ranges,
+    velodyne_drive,
+    velodyne_ranges,
+    write_ouster,
+    write_velodyne,
+)
+from conformance import check
+from made_up import DRIVE
+
+from docdepth.datasets import open_dataset, usable_points
+from docdepth.errors import DatasetError
+
+
+def test_points_of_an_ouster(tmp_path: Path) -> None:
+    """Ranges from the centre of its lasers, rings and times of columns."""
+    write_ouster(tmp_path / "drive.pcap")
+    dataset = open_dataset(tmp_path / "drive.pcap")
+    sweep, ranges = dataset.sweep(1), ouster_ranges(1).ravel()
+    assert usable_points(sweep.points).tolist() == (ranges > 0).tolist()
+    centre = sweep.sensor_rig.T_lidar_sensor[0, :3, 3]
+    assert 0.03 < centre[2] < 0.05, "the lasers are above the origin of the sensor's frame"
+    distance = np.linalg.norm(sweep.points - centre, axis=1)[ranges > 0]
+    np.testing.assert_allclose(distance, ranges[ranges > 0] * 1e-3, atol=0.03)
+    np.testing.assert_array_equal(sweep.ring, np.repeat(np.arange(ROWS), COLUMNS))
+    np.testing.assert_array_equal(sweep.intensity, ranges % 200)
+    column = np.tile(np.arange(COLUMNS), ROWS)
+    share = column * (99_000_000 // COLUMNS) / DRIVE.period
+    np.testing.assert_allclose(sweep.relative_time[ranges > 0], share[ranges > 0], atol=1e-6)
+
+
+def test_columns_that_were_lost_have_no_points_and_the_rest_its_times(tmp_path: Path) -> None:
+    write_ouster(tmp_path / "drive.pcap", missing=slice(100, 200))
+    dataset = open_dataset(tmp_path / "drive.pcap")
+    check(dataset, "ouster")
+    sweep = dataset.sweep(2)
+    column = np.tile(np.arange(COLUMNS), ROWS)
+    lost = (column >= 96) & (column < 208)  # whole packets of 16 columns
+    assert not usable_points(sweep.points)[(column >= 100) & (column < 200)].any()
+    usable = usable_points(sweep.points) & ~lost
+    share = column * (99_000_000 // COLUMNS) / DRIVE.period
+    np.testing.assert_allclose(sweep.relative_time[usable], share[usable], atol=1e-6)
+
+
+def test_stamps_are_on_the_clock_of_the_lidar_where_that_is_unix_time(tmp_path: Path) -> None:
+    write_ouster(tmp_path / "drive.pcap", boot=False)
+    times = open_dataset(tmp_path / "drive.pcap").times
+    np.testing.assert_allclose(times, DRIVE.times - 40_000_000, atol=2000)
+
+
+def test_metadata_that_is_missing_or_of_another_sensor(tmp_path: Path) -> None:
+    write_ouster(tmp_path / "drive.pcap")
+    (tmp_path / "drive.json").rename(tmp_path / "sensor.json")
+    with pytest.raises(DatasetError, match=r"no metadata of its name.*files there: sensor.js"):
+        open_dataset(tmp_path / "drive.pcap", format="ouster")
+    (tmp_path / "docdepth.yaml").write_text(yaml.safe_dump({"metadata": "sensor.json"}))
+    assert len(open_dataset(tmp_path / "drive.pcap", format="ouster")) == DRIVE.count
+    (tmp_path / "sensor.json").write_text("{}")
+    with pytest.raises(DatasetError, match=r"drive.pcap with .*sensor.json is no capture"):
+        open_dataset(tmp_path / "drive.pcap", format="ouster")
+
+
+def test_an_empty_capture(recordings: Path) -> None:
+    pytest.importorskip("ouster.sdk")
+    with pytest.raises(DatasetError, match=r"empty_pcap.pcap holds no frame that fits"):
+        open_dataset(recordings / "ouster" / "empty_pcap.pcap")
+
+
+def test_a_real_capture(recordings: Path) -> None:
+    """Three revolutions of an OS1-128 that drives 0.25 m in each."""
+    pytest.importorskip("ouster.sdk")
+    from docdepth.odometry.odometry import estimate_poses
+
+    dataset = open_dataset(recordings / "ouster" / "OS-1-128_v2.3.0_1024x10_lb_n3.pcap")
+    check(dataset, "ouster")
+    assert len(dataset) == 3
+    assert (usable_points(dataset.sweep(1).points)).sum() == 107357
+    steps = np.diff(estimate_poses(dataset)[:, :3, 3], axis=0)
+    np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 0.25, atol=0.03)
+
+
+# ---- Velodyne
+
+
+def test_points_of_a_velodyne(tmp_path: Path) -> None:
+    """Ranges but for the lasers' heights, the turn from behind, times from the first packet on."""
+    write_velodyne(tmp_path / "drive.pcap", velodyne_drive())
+    dataset = open_dataset(tmp_path / "drive.pcap")
+    assert len(dataset) == DRIVE.count
+    np.testing.assert_allclose(dataset.times, DRIVE.times, atol=500)
+    sweep = dataset.sweep(2)
+    usable = usable_points(sweep.points)
+    ranges = np.concatenate([velodyne_ranges(2 * PACKETS + n).ravel() for n in range(PACKETS)])
+    found = np.sort(np.linalg.norm(sweep.points[usable], axis=1))
+    np.testing.assert_allclose(found, np.sort(ranges[ranges > 0]) * 2e-3, atol=4e-3)
+    x, y = sweep.points[usable, 0], sweep.points[usable, 1]
+    turned = np.mod(np.pi - np.arctan2(y, x), 2 * np.pi) / (2 * np.pi)  # clockwise from behind
+    late = sweep.relative_time[usable] * DRIVE.period / (PACKETS * FIRINGS * 55_296)
+    off = np.abs(turned - late)
+    assert np.quantile(np.minimum(off, 1 - off), 0.99) < 0.003
+    assert set(sweep.ring) == set(range(16))
+
+
+def test_parts_of_revolutions_at_the_ends_are_left_out(tmp_path: Path, caplog) -> None:
+    caplog.set_level("INFO")
+    write_velodyne(tmp_path / "drive.pcap", velodyne_drive()[50:-40])
+    dataset = open_dataset(tmp_path / "drive.pcap")
+    check(dataset, "velodyne")
+    assert len(dataset) == DRIVE.count - 2
+    assert "2 partial sweeps at its ends are left out" in caplog.text
+
+
+def test_two_velodynes_in_one_capture(tmp_path: Path) -> None:
+    dpkt = pytest.importorskip("dpkt")
+    write_velodyne(tmp_path / "a.pcap", velodyne_drive()[:20], "10.0.0.1")
+    write_velodyne(tmp_path / "b.pcap", velodyne_drive()[:20], "10.0.0.2")
+    with (tmp_path / "both.pcap").open("wb") as stream:
+        writer = dpkt.pcap.Writer(stream)
+        for name in "ab":
+            with (tmp_path / f"{name}.pcap").open("rb") as part:
+                for time, data in dpkt.pcap.Reader(part):
+                    writer.writepkt_time(data, time)
+    with pytest.raises(DatasetError, match=r"both.pcap holds packets of 2 LiDARs; keep"):
+        open_dataset(tmp_path / "both.pcap")
+
+
+@pytest.mark.parametrize("content", [b"", b"\n\r\r\n" + b"\0" * 400, b"\xd4\xc3\xb2\xa1" * 3])
+def test_captures_that_are_none(tmp_path: Path, content: bytes) -> None:
+    pytest.importorskip("velodyne_decoder")
+    (tmp_path / "drive.pcap").write_bytes(content)
+    with pytest.raises(DatasetError, match=r"drive.pcap is no pcap capture"):
+        open_dataset(tmp_path / "drive.pcap")
+
+
+def test_a_truncated_capture_gives_what_is_whole(tmp_path: Path) -> None:
+    write_velodyne(tmp_path / "drive.pcap", velodyne_drive())
+    content = (tmp_path / "drive.pcap").read_bytes()
+    (tmp_path / "drive.pcap").write_bytes(content[: int(0.7 * len(content))])
+    dataset = open_dataset(tmp_path / "drive.pcap")
+    check(dataset, "velodyne")
+    assert len(dataset) in (3, 4)
+
+
+def test_real_packets_in_a_capture_are_the_bag_s(recordings: Path, tmp_path: Path) -> None:
+    """The packets of four messages, written one after the other, cut anew behind the LiDAR."""
+    pytest.importorskip("rosbags")
+    from docdepth.datasets.bag_file import BagFile
+
+    path = recordings / "nebula" / "vlp16" / "1673400471837873222"
+    packets = [
+        (p.stamp.sec * 10**9 + p.stamp.nanosec, bytes(p.data))
+        for message in BagFile(path).read_all("/velodyne_packets")
+        for p in message.packets
+    ]
+    write_velodyne(tmp_path / "drive.pcap", packets)
+    dataset, bag = open_dataset(tmp_path / "drive.pcap"), open_dataset(path)
+    check(dataset, "velodyne")
+    ours = np.concatenate([dataset.sweep(k).points for k in range(len(dataset))])
+    theirs = np.concatenate([bag.sweep(k).points for k in range(len(bag))])
+    known = {point.tobytes() for point in theirs}
+    share = np.mean([point.tobytes() in known for point in ours])
+    assert share > 0.99, "points between packets are interpolated"
+    assert len(ours) > 0.97 * len(theirs)

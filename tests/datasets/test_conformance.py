@@ -1,0 +1,94 @@
+"""Every loader passes one test, on a recording written by the format's own library."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from conformance import check
+from formats import WRITERS, Written
+from made_up import DISTORTION, DRIVE, K
+
+from docdepth.datasets import Dataset, format_names, open_dataset, usable_points
+from docdepth.errors import DocDepthError
+
+
+def test_every_format_is_written_by_a_test() -> None:
+    assert {name for name, _ in WRITERS.values()} == set(format_names())
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("what", WRITERS)
+def test_loader(what: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    name, write = WRITERS[what]
+    written = write(tmp_path)
+    dataset = open_dataset(written.path)
+    check(dataset, name)
+    assert open_dataset(written.path, format=name).times.tolist() == dataset.times.tolist()
+    assert [r for r in caplog.records if r.name.startswith("docdepth.datasets")] == []
+    _check_content(dataset, written)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("what", WRITERS)
+def test_errors_name_file_and_frame(what: str, tmp_path: Path) -> None:
+    written = WRITERS[what][1](tmp_path)
+    if written.damage is None:
+        pytest.skip("nothing in the format tells it")
+    file = written.damage()
+    with pytest.raises(DocDepthError) as caught:
+        open_dataset(written.path).sweep(2)
+    assert file.name in str(caught.value)
+    assert "frame 2" in str(caught.value) or "frame_000002" in str(caught.value)
+
+
+def _check_content(dataset: Dataset, written: Written) -> None:
+    """What is read is what was written."""
+    if written.clock is None:
+        np.testing.assert_allclose(dataset.times, DRIVE.times, rtol=0, atol=500)
+    else:
+        np.testing.assert_array_equal(dataset.times, written.clock(DRIVE.times))
+    if not written.points:
+        return
+    for k in range(DRIVE.count):
+        sweep, rows, kept = dataset.sweep(k), DRIVE.rows(k), DRIVE.usable(k)
+        if written.reordered:
+            odd = np.argsort(rows["ring"][kept] % 2, kind="stable")
+            kept = np.flatnonzero(kept)[odd]
+        usable = usable_points(sweep.points)
+        assert usable.sum() == DRIVE.usable(k).sum()
+        if not written.tolerance:
+            np.testing.assert_array_equal(sweep.points[usable], DRIVE.points(k)[kept])
+        elif np.isfinite(written.tolerance):
+            np.testing.assert_allclose(
+                sweep.points[usable], DRIVE.points(k)[kept], atol=written.tolerance
+            )
+        for column in ("intensity", "ring"):
+            values = getattr(sweep, column)
+            if not written.reordered:
+                assert (values is not None) == (column in written.has), column
+            if values is not None and column in written.has:
+                np.testing.assert_array_equal(values[usable], rows[column][kept])
+        if "times" in written.has:
+            assert sweep.relative_time is not None
+            assert not sweep.motion_compensated
+            np.testing.assert_allclose(
+                sweep.relative_time[usable], rows["share"][kept], atol=1e-6, rtol=0
+            )
+    if "poses" in written.has:
+        assert dataset.poses is not None
+        np.testing.assert_allclose(dataset.poses, DRIVE.poses, atol=1e-9)
+    if "camera" in written.has:
+        (stream,) = dataset.cameras.values()
+        np.testing.assert_allclose(stream.T_camera_lidar, DRIVE.T_camera_lidar, atol=1e-9)
+        np.testing.assert_array_equal(stream.times, written.clock(DRIVE.image_times))
+        np.testing.assert_array_equal(stream.camera.K, K)
+        for k in range(DRIVE.images_count):
+            rectified = stream.rectified_image(k)
+            assert rectified is not None
+            expected = DRIVE.image(k)
+            if written.lens:
+                expected = cv2.undistort(expected, K, DISTORTION)
+            np.testing.assert_array_equal(rectified, expected)

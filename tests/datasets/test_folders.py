@@ -1,0 +1,373 @@
+"""Folders of point clouds: the layouts of PCD files, docdepth.yaml, several LiDARs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from conformance import check
+from made_up import DRIVE, START
+from writers import WRITERS, folder_rows, settings, write_beside, write_pcd
+
+from docdepth.datasets import open_dataset
+from docdepth.datasets.stamps import time_of_name
+from docdepth.errors import DatasetError, DocDepthError
+from docdepth.geometry.se3 import poses_from, rotation_exp
+from docdepth.io.pcd import PcdError, read_pcd
+from docdepth.io.poses import write_tum
+
+T_OTHER = poses_from([rotation_exp([0.1, -0.05, 0.5])], [[0.3, 1.2, -0.4]])[0]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return WRITERS["folder of ply"][1](tmp_path).path
+
+
+def change(folder: Path, **entries) -> None:
+    (folder / "docdepth.yaml").write_text(yaml.safe_dump(settings() | entries))
+
+
+# ---- PCD
+
+
+HEADER = (
+    "# .PCD v0.7\nVERSION 0.7\nFIELDS {fields}\nSIZE {size}\nTYPE {type}\nCOUNT {count}\n"
+    "WIDTH 3\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 3\nDATA binary\n"
+)
+
+
+def test_padding_of_no_values_means_natural_alignment(tmp_path: Path) -> None:
+    """Some recorders write their C struct and call the gaps fields of COUNT 0."""
+    rows = np.zeros(
+        3,
+        {
+            "names": ["x", "y", "z", "intensity", "time", "ring"],
+            "formats": ["<f4", "<f4", "<f4", "u1", "<f8", "<u2"],
+            "offsets": [0, 4, 8, 12, 16, 24],
+            "itemsize": 32,
+        },
+    )
+    rows["x"], rows["time"], rows["ring"], rows["intensity"] = [1, 2, 3], [0.1, 0.2, 0.3], 7, 9
+    header = HEADER.format(
+        fields="x y z intensity _ time ring _",
+        size="4 4 4 1 1 8 2 1",
+        type="F F F U U F U U",
+        count="1 1 1 1 0 1 1 0",
+    )
+    (tmp_path / "a.pcd").write_bytes(header.encode() + rows.tobytes())
+    found, _ = read_pcd(tmp_path / "a.pcd")
+    for name in rows.dtype.names:
+        np.testing.assert_array_equal(found[name], rows[name])
+
+
+def test_fields_of_several_values_and_padding_of_some(tmp_path: Path) -> None:
+    rows = np.zeros(
+        3, [("x", "<f4"), ("_", "u1", 3), ("normal", "<f4", 3), ("y", "<f4"), ("z", "<f4")]
+    )
+    rows["normal"], rows["z"] = np.arange(9).reshape(3, 3), [4, 5, 6]
+    header = HEADER.format(
+        fields="x _ normal y z", size="4 1 4 4 4", type="F U F F F", count="1 3 3 1 1"
+    )
+    (tmp_path / "a.pcd").write_bytes(header.encode() + rows.tobytes())
+    found, _ = read_pcd(tmp_path / "a.pcd")
+    np.testing.assert_array_equal(found["normal"], rows["normal"])
+    np.testing.assert_array_equal(found["z"], rows["z"])
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
+def test_damaged_pcd_files_are_refused(tmp_path: Path, encoding: str) -> None:
+    """Cut anywhere, or with a byte changed, a file is read or refused, and never more."""
+    file = tmp_path / "a.pcd"
+    write_pcd(file, folder_rows(0)[:40], encoding)
+    whole, rng = file.read_bytes(), np.random.default_rng(0)
+    refused = 0
+    for _ in range(300):
+        content = bytearray(whole)
+        if rng.random() < 0.5:
+            content = content[: rng.integers(len(content))]
+        else:
+            content[rng.integers(len(content))] = rng.integers(256)
+        file.write_bytes(content)
+        try:
+            rows, header = read_pcd(file)
+            assert len(rows) == header.count
+        except PcdError:
+            refused += 1
+    assert refused > 100
+
+
+def test_integers_of_an_ascii_file_keep_their_digits(tmp_path: Path) -> None:
+    text = HEADER.format(fields="x y z t", size="4 4 4 8", type="F F F U", count="1 1 1 1")
+    text = text.replace("binary", "ascii") + "1 2 nan 1700000000123456789\n" * 3
+    (tmp_path / "a.pcd").write_text(text)
+    assert read_pcd(tmp_path / "a.pcd")[0]["t"].tolist() == [1700000000123456789] * 3
+
+
+# ---- times
+
+
+@pytest.mark.parametrize(
+    ("name", "time"),
+    [
+        ("1673400678101968885", 1673400678101968885),
+        ("1547131046260961", 1547131046260961000),
+        ("1547131046260", 1547131046260000000),
+        ("cloud_1583836591_182590976", 1583836591182590976),
+        ("1583836591.18", 1583836591180000000),
+        ("1583836591_5", 1583836591000000005),
+        ("1234567890", 1234567890000000000),
+        ("0000000012", None),
+        ("000012", None),
+        ("pose", None),
+        ("15569195938203752", None),
+    ],
+)
+def test_times_in_names(name: str, time: int | None) -> None:
+    assert time_of_name(name) == time
+
+
+def test_times_of_names_rates_and_tables(folder: Path) -> None:
+    change(folder, times=None, poses=None)
+    with pytest.raises(DatasetError, match=r"nothing tells the time of 000000.ply; say times"):
+        open_dataset(folder)
+    change(folder, times=None, rate=20)
+    assert np.diff(open_dataset(folder).times).tolist() == [50_000_000] * 4
+    (folder / "stamps.txt").rename(folder / "times.txt")
+    change(folder, times=None)
+    np.testing.assert_array_equal(open_dataset(folder).times, DRIVE.times)
+    (folder / "times.txt").unlink()
+    for k, time in enumerate(DRIVE.times):
+        (folder / f"{k:06d}.ply").rename(folder / f"{time}.ply")
+    change(folder, times=None)
+    assert open_dataset(folder).sweep(1).name == str(DRIVE.times[1])
+    np.testing.assert_array_equal(open_dataset(folder).times, DRIVE.times)
+
+
+def test_a_declared_instant_moves_the_points(folder: Path) -> None:
+    """Times from the first point on, and a stamp at the end of the sweep."""
+    before = open_dataset(folder).sweep(1).relative_time
+    change(folder, stamp="end")
+    late = open_dataset(folder).sweep(1).relative_time[DRIVE.usable(1)]
+    assert -1 < late.min() < -0.95
+    assert abs(late.max()) < 0.01
+    shift = late - before[DRIVE.usable(1)]
+    np.testing.assert_allclose(shift, shift[0], atol=1e-6)
+
+
+def test_a_jump_of_the_points_clock_is_told(folder: Path, caplog) -> None:
+    from docdepth.io.ply import write_vertices
+
+    rows = folder_rows(3)
+    rows["time"] += 4.0
+    write_vertices(folder / "000003.ply", rows, [])
+    dataset = open_dataset(folder)
+    assert dataset.sweep(3).relative_time is None
+    assert "000003.ply (frame 3): points are measured more than a sweep and a half" in caplog.text
+
+
+# ---- poses, world, LiDARs
+
+
+def test_poses_of_the_user(folder: Path) -> None:
+    from docdepth.geometry.trajectory import Trajectory
+
+    write_tum(folder / "poses.tum", Trajectory(DRIVE.times, DRIVE.poses))
+    change(folder, poses="poses.tum")
+    np.testing.assert_allclose(open_dataset(folder).poses, DRIVE.poses, atol=1e-8)
+
+
+def test_points_of_the_world_come_to_the_lidar(folder: Path) -> None:
+    """Doubles of a map far away lose nothing."""
+    from docdepth.io.ply import write_vertices
+    from docdepth.io.poses import write_kitti
+
+    far = DRIVE.poses.copy()
+    far[:, :3, 3] += [431_000, 5_400_000, 120]
+    write_kitti(folder / "poses.txt", far)
+    for k in range(DRIVE.count):
+        rows = folder_rows(k)
+        wide = np.empty(
+            len(rows), [(n, "<f8" if n in "xyz" else rows.dtype[n]) for n in rows.dtype.names]
+        )
+        for name in rows.dtype.names:
+            wide[name] = rows[name]
+        moved = DRIVE.points(k).astype("f8") @ far[k, :3, :3].T + far[k, :3, 3]
+        empty = (DRIVE.points(k) == 0).all(axis=1)
+        for j, axis in enumerate("xyz"):
+            wide[axis] = np.where(empty, 0, moved[:, j])
+        write_vertices(folder / f"{k:06d}.ply", wide, [])
+    change(folder, frame="world")
+    dataset = open_dataset(folder)
+    check(dataset, "folder")
+    kept = DRIVE.usable(4)
+    np.testing.assert_allclose(dataset.sweep(4).points[kept], DRIVE.points(4)[kept], atol=1e-5)
+    change(folder, frame="world", poses=None)
+    with pytest.raises(DatasetError, match="points are in the world, but there are no poses"):
+        open_dataset(folder)
+
+
+def test_two_lidars(tmp_path: Path) -> None:
+    from docdepth.io.ply import write_vertices
+
+    clouds = tmp_path / "clouds"
+    for name in ("front", "rear"):
+        (clouds / name).mkdir(parents=True)
+        for k in range(DRIVE.count):
+            rows = folder_rows(k)
+            if name == "rear":
+                own = (DRIVE.points(k).astype("f8") - T_OTHER[:3, 3]) @ T_OTHER[:3, :3]
+                rows["x"], rows["y"], rows["z"] = own.T
+            write_vertices(clouds / name / f"{k:06d}.ply", rows, [])
+    (clouds / "front_times.txt").write_text("")
+    lidars = {
+        "front": {"sweeps": "front", "times": "stamps.txt"},
+        "rear": {"sweeps": "rear", "times": "stamps.txt", "T_lidar_sensor": T_OTHER.tolist()},
+    }
+    (clouds / "front_times.txt").unlink()
+    (clouds / "images").mkdir()
+    write_beside(clouds / "images", lidars=lidars)
+    for file in ("stamps.txt", "poses.txt", "docdepth.yaml", "front.txt"):
+        (clouds / "images" / file).rename(clouds / file)
+    entries = yaml.safe_load((clouds / "docdepth.yaml").read_text())
+    entries["cameras"]["front"]["images"] = "images/front"
+    del entries["times"]
+    (clouds / "docdepth.yaml").write_text(yaml.safe_dump(entries))
+    dataset = open_dataset(clouds)
+    check(dataset, "folder")
+    n, kept = len(DRIVE.rows(0)), DRIVE.usable(0)
+    sweep = dataset.sweep(0)
+    np.testing.assert_allclose(sweep.points[n:][kept], DRIVE.points(0)[kept], atol=2e-6)
+    np.testing.assert_array_equal(sweep.sensor_rig.T_lidar_sensor[1], T_OTHER)
+
+
+def test_labels_beside_the_sweeps(folder: Path) -> None:
+    (folder / "labels").mkdir()
+    labels = np.arange(401, dtype="<u4")
+    labels.tofile(folder / "labels" / "000001.label")
+    dataset = open_dataset(folder)
+    np.testing.assert_array_equal(dataset.labels(1), labels)
+    assert dataset.labels(0) is None
+    labels[:-1].tofile(folder / "labels" / "000001.label")
+    with pytest.raises(DatasetError, match=r"000001.label \(frame 1\) has 1600 bytes.* 401 points"):
+        dataset.labels(1)
+
+
+def test_where_the_lidar_looks_from(folder: Path) -> None:
+    change(folder, looks_from=[0.1, 0, 0.2])
+    rig = open_dataset(folder).sweep(1).sensor_rig
+    np.testing.assert_array_equal(rig.T_lidar_sensor[0, :3, 3], [0.1, 0, 0.2])
+    change(folder, looks_from=[0, 0, 1e4])
+    with pytest.raises(DatasetError, match=r"looks_from must be \[x, y, z\] in metres"):
+        open_dataset(folder)
+
+
+# ---- mistakes in docdepth.yaml
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"motion_compansated": True}, "motion_compansated is unknown; there are motion_comp"),
+        ({"cameras": {"a": {"k": [1]}}}, "cameras.a.k is unknown"),
+        ({"stamp": "begin"}, "stamp: Input should be 'start', 'middle' or 'end'"),
+        ({"times": "gone.txt"}, r"gone.txt is missing; say times: FILE or rate: 10"),
+        ({"sweeps": "gone"}, r"gone holds no point clouds \(.bin, .las, .laz, .npy, .pcd, .ply\)"),
+        ({"poses": "gone.txt"}, "gone.txt is missing; give the file of the poses"),
+        ({"cameras": {"a": {"K": [1, 2]}}}, "a: K must be 4 numbers fx fy cx cy, or 9"),
+        ({"cameras": {"a": {"K": [9, 9, 5, 5]}}}, r"a has neither images nor size"),
+        (
+            {"cameras": {"a": {"K": [9, 9, 5, 5], "size": [10, 10]}}},
+            "T_camera_lidar must be 16 numbers",
+        ),
+        (
+            {"cameras": {"a": {"K": [9, 9, 5, 5], "size": [10, 10], "T_camera_lidar": [2.0] * 16}}},
+            "T_camera_lidar must be a rotation and a translation in metres",
+        ),
+        ({"cameras": {"a": {"images": "gone"}}}, "a: .*gone holds no images"),
+    ],
+)
+def test_wrong_entries_are_named(folder: Path, entries: dict, message: str) -> None:
+    change(folder, **entries)
+    with pytest.raises(DocDepthError, match=message) as caught:
+        open_dataset(folder)
+    assert "docdepth.yaml" in str(caught.value) or "gone" in str(caught.value)
+
+
+def test_a_file_that_is_not_yaml(folder: Path) -> None:
+    (folder / "docdepth.yaml").write_text("times: [")
+    with pytest.raises(DatasetError, match=r"docdepth.yaml is not YAML"):
+        open_dataset(folder)
+
+
+def test_columns_that_do_not_fit(tmp_path: Path) -> None:
+    written = WRITERS["folder of bin"][1](tmp_path)
+    entries = yaml.safe_load((written.path / "docdepth.yaml").read_text())
+    (written.path / "docdepth.yaml").write_text(
+        yaml.safe_dump(entries | {"columns": [*"xyz____"], "dtype": "float32"})
+    )
+    with pytest.raises(
+        DatasetError, match=r"000000.bin \(frame 0\).*a multiple of 28 \(x y z _ _ _ _ as fl"
+    ):
+        open_dataset(written.path)
+
+
+def test_a_folder_of_two_kinds(folder: Path) -> None:
+    write_pcd(folder / "000000.pcd", folder_rows(0))
+    with pytest.raises(DatasetError, match=r"holds .pcd and .ply files"):
+        open_dataset(folder)
+
+
+def test_stamps_that_do_not_rise(folder: Path) -> None:
+    lines = (folder / "stamps.txt").read_text().splitlines()
+    (folder / "stamps.txt").write_text("\n".join([lines[1], lines[0], *lines[2:]]))
+    with pytest.raises(DatasetError, match=r"time of frame 1 \(000001.ply\) is not after"):
+        open_dataset(folder)
+    assert str(START)[:5] in lines[0]
+
+
+# ---- poses in VIEWPOINT
+
+
+def test_classes_of_dynamicmap_benchmark_are_labels_and_no_intensity(tmp_path: Path) -> None:
+    dataset = open_dataset(WRITERS["DynamicMap_Benchmark"][1](tmp_path).path)
+    rings = DRIVE.rows(1)["ring"][DRIVE.usable(1)]
+    np.testing.assert_array_equal(dataset.labels(1), np.where(rings == 3, 251, 9))
+    assert dataset.sweep(1).intensity is None
+    assert dataset.sweep(1).motion_compensated
+
+
+def test_a_viewpoint_that_was_never_written_is_refused(tmp_path: Path) -> None:
+    path = WRITERS["folder of binary pcd"][1](tmp_path).path
+    change(path, poses="viewpoint", frame="world")
+    with pytest.raises(DatasetError, match=r"VIEWPOINT is 0 0 0 1 0 0 0 in every file"):
+        open_dataset(path)
+    write_pcd(path / "000004.pcd", folder_rows(4), viewpoint=[1, 2, 3, 0, 0, 0, 0])
+    with pytest.raises(DatasetError, match=r"000004.pcd \(frame 4\): VIEWPOINT is no pose"):
+        open_dataset(path)
+
+
+def test_poses_in_headers_are_told_and_used_when_asked_for(tmp_path: Path, caplog) -> None:
+    path = WRITERS["folder of binary pcd"][1](tmp_path).path
+    for k in range(5):
+        viewpoint = [k, 0, 0.5, 1, 0, 0, 0]
+        write_pcd(path / f"{k:06d}.pcd", folder_rows(k), viewpoint=viewpoint)
+    change(path, poses=None)
+    assert open_dataset(path).poses is None
+    assert "PCD files hold poses (VIEWPOINT), which are not used; say poses: view" in caplog.text
+    change(path, poses="viewpoint")
+    dataset = open_dataset(path)
+    np.testing.assert_array_equal(dataset.poses[:, :3, 3], [[k, 0, 0.5] for k in range(5)])
+    np.testing.assert_array_equal(dataset.sweep(2).points, DRIVE.points(2))
+
+
+@pytest.mark.parametrize(("model", "kept"), [("fisheye", True), ("pinhole", False)])
+def test_zeros_are_a_lens_of_a_fisheye_only(folder: Path, model: str, kept: bool) -> None:
+    """A fisheye without coefficients is equidistant, which no pinhole is."""
+    camera = settings()["cameras"]["front"]
+    change(folder, cameras={"front": camera | {"model": model, "distortion": [0.0] * 4}})
+    stream = open_dataset(folder).cameras["front"]
+    assert stream.model == model
+    assert (stream.distortion is not None) == kept
