@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 from calibration_scenes import A0, CAMERA, random_extrinsic, random_pose, shoot
 
-from docdepth.calibration.calibrate import BoardPair, solve
+from docdepth.calibration.bundle import solve_bundle
+from docdepth.calibration.calibrate import BoardPair, find
 from docdepth.calibration.quality import difference
 from docdepth.errors import CalibrationError
 from docdepth.synthetic import sensors
@@ -38,11 +39,12 @@ def trial(name: str, seed: int, boards: int) -> dict[str, dict[str, float]]:
     for way, lens in (("K given", CAMERA), ("K estimated", None)):
         start = time.perf_counter()
         try:
-            solution, used, _ = solve(A0, pairs, (CAMERA.width, CAMERA.height), lens)
+            used, begin, _ = find(A0, pairs, (CAMERA.width, CAMERA.height), lens)
         except CalibrationError as error:
             print(f"{name}, seed {seed}, {way}: {error}", flush=True)
             found[way] = {"degrees": 180.0, "centimetres": 1e3, "found": 0.0, "K": 1.0}
             continue
+        solution = solve_bundle(A0, used, begin, lens is None)
         degrees, centimetres = difference(solution.T_camera_lidar, T)
         focal = np.diag(solution.lens.K)[:2] / np.diag(CAMERA.K)[:2]
         found[way] = {

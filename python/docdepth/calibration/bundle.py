@@ -17,26 +17,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from docdepth.calibration.board import Board
 from docdepth.calibration.lens import Lens
 from docdepth.calibration.outline import crossings, rays_near
 from docdepth.calibration.sweeps import BoardSweep
-from docdepth.geometry.se3 import inverse, rotation_exp
+from docdepth.geometry.se3 import inverse, rotation_exp, rotation_log
 
 Floats = NDArray[np.float64]
 
 _BLURS = (0.002, 0.003, 0.004, 0.006, 0.009, 0.013, 0.02)
 """Standard deviations of the place where a beam stops seeing a board [m]; the data tell which."""
 
+_SHARED = 7  # unknowns before those of lens and boards: turn, shift, growth
+_LENS = 8  # fx, fy, cx, cy and four of the distortion
+
 TANGENTIAL = 3e-4
 """Standard deviation of Brown's p1 and p2 of lenses. Free, they trade against the principal point,
 and this against the rotation."""
-
-SCALE = 1e-3
-"""Standard deviation of ranges and of the board's size, as a share. Without it, an error of either
-would go into the focal length."""
 
 AT_EDGE = (0.08, 0.04, 0.04)
 """Distance from the outline within which rays count [m], in each round of the bundle."""
@@ -48,6 +48,7 @@ _INSIDE = 0.03  # metres; returns at the edge may be of what is behind, so they 
 _OUTLIER = 3.0  # standard deviations, from which on errors count less
 _LEAST_NOISE = (0.05, 0.003)  # pixels, metres; nothing is better
 _MOST_RETURNS = 2000  # on a board for its plane; more take time and tell no more
+_LEFT_OPEN = 0.1  # metres; how uncertain the place of a board is that a sweep tells nothing of
 _STEP = 1e-6  # radians and metres, of derivatives
 _MOST_STEPS = 25
 _CONVERGED = 1e-6  # of the cost
@@ -87,8 +88,6 @@ class Solution:
     T_camera_board : ndarray of float64, shape (n, 4, 4)
     growth : float
         How far the board seems to reach beyond its edge [m].
-    scale : float
-        By which share the ranges of the LiDAR seem too short for the board's size.
     lens : Lens
     blur : float
         Standard deviation of the place where a beam stops seeing a board [m].
@@ -102,21 +101,19 @@ class Solution:
     T_camera_board: Floats
     lens: Lens
     growth: float = 0.0
-    scale: float = 0.0
     blur: float = _BLURS[-2]
     corner_noise: float = 0.0
     range_noise: float = 0.0
 
     def moved(self, step: Floats) -> Solution:
-        """Other unknowns: turn and shift of the extrinsic, growth, scale, lens, boards (n, 6)."""
+        """Other unknowns: turn and shift of the extrinsic, growth, lens, boards (n, 6)."""
         boards = 6 * len(self.T_camera_board)
         common = len(step) - boards
         return replace(
             self,
             T_camera_lidar=_motion(step[:6]) @ self.T_camera_lidar,
             growth=self.growth + float(step[6]),
-            scale=self.scale + float(step[7]),
-            lens=self.lens.moved(step[8:common]) if common > 8 else self.lens,
+            lens=self.lens.moved(step[_SHARED:common]) if common > _SHARED else self.lens,
             T_camera_board=self.T_camera_board @ _motion(step[common:].reshape(-1, 6)),
         )
 
@@ -166,7 +163,7 @@ def solve_bundle(
         if reach < AT_EDGE[0]:
             blurs = [replace(now, blur=blur) for blur in _BLURS]
             now = min(blurs, key=lambda at: sum(v.edge_cost(at, p) for v, p in poses))
-        now = _descend(views, now, 16 if free_lens else 8)
+        now = _descend(views, now, _SHARED + (_LENS if free_lens else 0))
     return now
 
 
@@ -196,7 +193,7 @@ class _View:
     def residuals(self, at: Solution, T_camera_board: Floats) -> Floats:
         """Corners, returns and rays at the outline, in standard deviations."""
         corners = self.corner_errors(at.lens, T_camera_board).ravel() / at.corner_noise
-        return np.concatenate([corners, self._lidar_part(at, T_camera_board)])
+        return np.concatenate([corners, self.lidar_part(at, T_camera_board)])
 
     def corner_errors(self, lens: Lens, T_camera_board: Floats) -> Floats:
         """Pixels (n, 2) from the corners found."""
@@ -206,20 +203,20 @@ class _View:
     def heights(self, at: Solution, T_camera_board: Floats) -> Floats:
         """Distance of the returns from the plane of the board [m]."""
         T = inverse(T_camera_board) @ at.T_camera_lidar
-        return np.asarray((1 + at.scale) * (self._flat @ T[2, :3]) + T[2, 3])
+        return np.asarray(self._flat @ T[2, :3] + T[2, 3])
 
     def jacobian(self, at: Solution, pose: Floats, before: Floats, common: int) -> Floats:
         """By differences, shape (n, common + 6): what all share, then the pose of the board."""
         J = np.zeros((common + 6, len(before)))
         corners = self._corners.size
         alone = replace(at, T_camera_board=pose[None])
-        for k in range(8):
-            moved = alone.moved(_STEP * np.eye(14)[k])
-            J[k, corners:] = self._lidar_part(moved, pose) - before[corners:]
-        for k in range(common - 8):
-            lens = at.lens.moved(_STEP * np.eye(8)[k])
-            J[8 + k, :corners] = self.corner_errors(lens, pose).ravel() / at.corner_noise
-            J[8 + k, :corners] -= before[:corners]
+        for k in range(_SHARED):
+            moved = alone.moved(_STEP * np.eye(_SHARED + 6)[k])
+            J[k, corners:] = self.lidar_part(moved, pose) - before[corners:]
+        for k in range(common - _SHARED):
+            lens = at.lens.moved(_STEP * np.eye(_LENS)[k])
+            J[_SHARED + k, :corners] = self.corner_errors(lens, pose).ravel() / at.corner_noise
+            J[_SHARED + k, :corners] -= before[:corners]
         for k in range(6):
             J[common + k] = self.residuals(at, pose @ _motion(_STEP * np.eye(6)[k])) - before
         return (J / _STEP).T
@@ -229,16 +226,56 @@ class _View:
         errors = self._edge_part(at, T_camera_board)
         return float(errors @ errors)
 
-    def _lidar_part(self, at: Solution, T_camera_board: Floats) -> Floats:
+    def lidar_part(self, at: Solution, T_camera_board: Floats) -> Floats:
+        """Returns and rays at the outline, in standard deviations."""
         heights = self.heights(at, T_camera_board) / at.range_noise
         return np.concatenate([heights, self._edge_part(at, T_camera_board)])
 
     def _edge_part(self, at: Solution, T_camera_board: Floats) -> Floats:
-        T_board_lidar, larger = inverse(T_camera_board) @ at.T_camera_lidar, 1 + at.scale
-        places, _ = crossings(larger * self._ends, larger * self._starts, T_board_lidar)
+        T_board_lidar = inverse(T_camera_board) @ at.T_camera_lidar
+        places, _ = crossings(self._ends, self._starts, T_board_lidar)
         distance = np.nan_to_num(self._board.distance(places))
         chance = ndtr(self._side * (at.growth - distance) / at.blur)
         return np.asarray(np.sqrt(-2.0 * np.log(_STRAY + (1 - _STRAY) * chance)))
+
+
+def pose_by_sweep(
+    board: Board, observation: Observation, at: Solution, T_camera_board: Floats
+) -> Floats:
+    """Where the sweep alone has a board, told in the camera's frame by a calibration.
+
+    Parameters
+    ----------
+    board : Board
+    observation : Observation
+    at : Solution
+        Of other boards.
+    T_camera_board : ndarray of float64, shape (4, 4)
+        Where the camera has it. What few rays leave open, stays as here.
+
+    Returns
+    -------
+    ndarray of float64, shape (4, 4)
+    """
+    lever = _LEFT_OPEN / np.array((*[0.5 * board.diagonal] * 3, 1.0, 1.0, 1.0))
+    best: tuple[float, Floats] = (np.inf, T_camera_board)
+    for start in (T_camera_board, at.T_camera_lidar @ observation.T_lidar_board):
+        view = _View(board, observation, at.T_camera_lidar, start, _AROUND)
+
+        def errors(step: Floats, start: Floats = start, view: _View = view) -> Floats:
+            pose = start @ _motion(step)
+            away = inverse(T_camera_board) @ pose
+            moved = np.concatenate([rotation_log(away[:3, :3]), away[:3, 3]])
+            found = view.lidar_part(at, pose)
+            robust = _OUTLIER * np.sqrt(np.log1p((found / _OUTLIER) ** 2))
+            return np.concatenate([robust, moved / lever])
+
+        fit = least_squares(errors, np.zeros(6), x_scale=lever)
+        # The rays of both starts are not the same, so their number counts, too.
+        cost = 2.0 * fit.cost / len(fit.fun)
+        if cost < best[0]:
+            best = (cost, start @ _motion(fit.x))
+    return best[1]
 
 
 def _descend(views: Sequence[_View], now: Solution, common: int) -> Solution:
@@ -282,10 +319,8 @@ def _normal_equations(
         rows = np.r_[0:common, first : first + 6]
         H[np.ix_(rows, rows)] += J.T @ weighted
         g[rows] += weighted.T @ value
-    H[7, 7] += 1.0 / SCALE**2
-    g[7] += at.scale / SCALE**2
-    if common > 8 and at.lens.model == "pinhole":
-        rows = np.arange(14, 16)
+    if common > _SHARED and at.lens.model == "pinhole":
+        rows = np.arange(common - 2, common)
         H[rows, rows] += 1.0 / TANGENTIAL**2
         g[rows] += at.lens.distortion[2:4] / TANGENTIAL**2
     return H, g
@@ -294,7 +329,6 @@ def _normal_equations(
 def _cost(values: Sequence[Floats], at: Solution) -> float:
     """Half of minus the logarithm of the probability, but for a constant factor."""
     cost = sum(float(np.log1p((v / _OUTLIER) ** 2).sum()) for v in values) * _OUTLIER**2
-    cost += (at.scale / SCALE) ** 2
     if at.lens.model == "pinhole":
         cost += float(((at.lens.distortion[2:4] / TANGENTIAL) ** 2).sum())
     return cost

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,24 +110,23 @@ def calibrate(
     CalibrationError
         Too few boards, too parallel ones, or another board than the one described.
     """
-    solution, observations, left_out = solve(board, pairs, size, lens, model, progress)
-    free_lens = lens is None
-    dropped = 0
+    observations, start, left_out = find(board, pairs, size, lens, model, progress)
+    count, free_lens = len(observations), lens is None
     while True:
-        boards = leave_one_out(board, observations, solution)
-        worst = max(boards, key=lambda one: one.metres)
-        usual = float(np.median([one.metres for one in boards]))
-        if worst.metres <= max(_DISAGREES, _TIMES_MEDIAN * usual):
-            break
-        dropped += 1
-        left_out[worst.name] = (
-            f"LiDAR and camera disagree by {100 * worst.metres:.0f} cm about its place, usual are "
-            f"{100 * usual:.1f} cm; did it move between image and sweep?"
-        )
-        observations = [o for o in observations if o.name != worst.name]
-        _check_count(observations, dropped, left_out)
-        start = _start(observations, solution.T_camera_lidar, solution.lens)
         solution = solve_bundle(board, observations, start, free_lens)
+        boards = leave_one_out(board, observations, solution)
+        bad = _that_disagree(boards)
+        if not bad:
+            break
+        left_out |= bad
+        kept = [k for k, o in enumerate(observations) if o.name not in bad]
+        observations = [observations[k] for k in kept]
+        start = replace(start.of(kept), T_camera_lidar=solution.T_camera_lidar)
+        if len(kept) < FEWEST_BOARDS or count - len(kept) > _MOST_DISAGREE * count:
+            raise CalibrationError(
+                f"the boards disagree with each other, and leaving out {count - len(kept)} does "
+                "not help: " + "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
+            )
     turn, shift = uncertainty(boards)
     return Calibration(
         solution.lens,
@@ -142,20 +141,21 @@ def calibrate(
     )
 
 
-def solve(
+def find(
     board: Board,
     pairs: Sequence[BoardPair],
     size: tuple[int, int],
     lens: Lens | None = None,
     model: str = "pinhole",
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[Solution, list[Observation], dict[str, str]]:
-    """Find all boards and solve for K and the extrinsic, without a judgement of the result.
+) -> tuple[list[Observation], Solution, dict[str, str]]:
+    """Find all boards; the parameters are those of :func:`calibrate`.
 
     Returns
     -------
-    solution : Solution
     observations : list of Observation
+    start : Solution
+        K of the images alone and the extrinsic of planes alone, for the bundle.
     left_out : dict of str to str
         Pairs that were not used, and why.
     """
@@ -192,22 +192,21 @@ def solve(
     check_varied(np.stack([s.T_camera_board[:3, 2] for s in seen]), "in the images")
     observations, T_lidar_camera, missing = find_boards(board, seen, progress)
     check_size(board, observations, T_lidar_camera)
-    start = _start(observations, inverse(T_lidar_camera), known)
-    solution = solve_bundle(board, observations, start, lens is None)
-    return solution, observations, left_out | missing
+    poses = np.stack([o.T_camera_board for o in observations])
+    return observations, Solution(inverse(T_lidar_camera), poses, known), left_out | missing
 
 
-def _start(observations: Sequence[Observation], T_camera_lidar: Floats, lens: Lens) -> Solution:
-    return Solution(T_camera_lidar, np.stack([o.T_camera_board for o in observations]), lens)
+def _that_disagree(boards: Sequence[LeftOutBoard]) -> dict[str, str]:
+    """Why boards are left out that lie far from where the others put them.
 
-
-def _check_count(
-    observations: Sequence[Observation], dropped: int, left_out: dict[str, str]
-) -> None:
-    if len(observations) < FEWEST_BOARDS or dropped > _MOST_DISAGREE * (
-        len(observations) + dropped
-    ):
-        raise CalibrationError(
-            f"the boards disagree with each other, and leaving out {dropped} does not help: "
-            + "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
-        )
+    A bad board moves the extrinsic of all others, so only the worst ones are told at once.
+    """
+    usual = float(np.median([one.metres for one in boards]))
+    worst = max(one.metres for one in boards)
+    limit = max(_DISAGREES, _TIMES_MEDIAN * usual, 0.5 * worst)
+    return {
+        one.name: f"LiDAR and camera disagree by {100 * one.metres:.0f} cm about its place, usual "
+        f"are {100 * usual:.1f} cm; did it move between image and sweep?"
+        for one in boards
+        if one.metres > limit
+    }

@@ -1,7 +1,7 @@
 """How good a calibration is: boards left out one by one, independent halves, size of the board.
 
-K is held meanwhile. The residual of the boards that were used tells little: planes fit to millimetres where halves of
-the same boards differ by centimetres.
+K is held meanwhile. The residual of the boards that were used tells little: planes fit to
+millimetres where halves of the same boards differ by centimetres.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.calibration.board import Board
-from docdepth.calibration.bundle import AT_EDGE, Observation, Solution, solve_bundle
+from docdepth.calibration.bundle import AT_EDGE, Observation, Solution, pose_by_sweep, solve_bundle
+from docdepth.calibration.corners import board_pose
 from docdepth.calibration.find import FEWEST_BOARDS
 from docdepth.calibration.linear import solve_scale
 from docdepth.calibration.outline import rays_near
@@ -73,11 +74,10 @@ def leave_one_out(
         others = solve_bundle(
             board, [observations[j] for j in rest], solution.of(rest), False, AT_EDGE[-1:]
         )
-        T = others.T_camera_lidar @ observation.T_lidar_board
-        swept = board.outline @ T[:3, :3].T + T[:3, 3]
-        T = observation.T_camera_board
-        seen = board.outline @ T[:3, :3].T + T[:3, 3]
-        lens = others.lens
+        pose, lens = board_pose(observation.corners, board, others.lens)[0], others.lens
+        seen = board.outline @ pose[:3, :3].T + pose[:3, 3]
+        pose = pose_by_sweep(board, observation, others, pose)
+        swept = board.outline @ pose[:3, :3].T + pose[:3, 3]
         left_out.append(
             LeftOutBoard(
                 observation.name,
