@@ -1,7 +1,8 @@
 """Accuracy of ``docdepth calibrate`` on simulated boards: ``python benchmarks/calibration.py``.
 
-Each trial has ten A0 boards in rooms and streets, a new extrinsic, and corners with 0.3 px of noise;
-boards are found in whole sweeps. Printed are the median and what 90 % of the trials stay below.
+Each trial has ten A0 boards in rooms and streets, a new extrinsic, and corners with 0.3 px of
+noise; boards are found in whole sweeps. Printed are the median and what 90 % of the trials stay
+below.
 """
 
 from __future__ import annotations

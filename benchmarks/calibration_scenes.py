@@ -1,8 +1,8 @@
 """Simulated calibration scenes: a board in a room or a street, seen by a LiDAR and a camera.
 
 The board stands on a tripod or is held by a person, wholly in view of both sensors. The room has
-walls and boxes, the street houses and parked cars. The LiDAR models are those of ``docdepth synth``.
-Nothing here uses the code that finds boards.
+walls and boxes, the street houses and parked cars. The LiDAR models are those of
+``docdepth synth``. Nothing here uses the code that finds boards.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from scipy.spatial import cKDTree
 
 from docdepth.calibration.board import Board
 from docdepth.calibration.lens import Lens
-from docdepth.calibration.sweeps import BoardSweep, ray_origins
+from docdepth.calibration.sweeps import BoardSweep, board_sweep
+from docdepth.datasets import kitti_lidar
 from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.synthetic import Mesh, Paint, Sensor, box, pose_of
 from docdepth.synthetic.casting import Rays, World
@@ -136,7 +137,8 @@ def shoot(
     if rng.random() < 0.5:
         corners = corners[::-1]  # a detector begins at either end
     noisy = corners + pixels * rng.normal(size=corners.shape)
-    return Shot(BoardSweep(points, ray_origins(points)), noisy, T_lidar_board)
+    rig = kitti_lidar.sensor_rig(points) if kitti_lidar.is_kitti_lidar([points]) else None
+    return Shot(board_sweep(points, rig), noisy, T_lidar_board)
 
 
 def picture(board: Board, lens: Lens, T_camera_board: Floats, rng: Rng) -> NDArray[np.uint8]:
@@ -225,7 +227,7 @@ def _holder(board: Board, T_lidar_board: Floats, rng: Rng) -> Mesh:
     return merged(parts)
 
 
-def _sweep(sensor: Sensor, scene: Mesh, rng: Rng) -> Floats:
+def _sweep(sensor: Sensor, scene: Mesh, rng: Rng) -> NDArray[np.float32]:
     """Returns (N, 3) of a still LiDAR, LiDAR frame [m]."""
     pattern = sensor.pattern(int(rng.integers(1000)))
     origins = pattern.ray_origins
@@ -237,4 +239,4 @@ def _sweep(sensor: Sensor, scene: Mesh, rng: Rng) -> Floats:
     kept = sensor.returned(hits.range, world.reflectivity[hits.face], hits.cosine, rng)
     measured = hits.range[kept] + sensor.noise * rng.normal(size=int(kept.sum()))
     points = origins[kept] + measured[:, None] * pattern.directions[kept]
-    return points.astype(np.float32).astype(np.float64)
+    return points.astype(np.float32)

@@ -4,10 +4,10 @@ It minimises, in standard deviations,
 
 * corners in the images: reprojection,
 * returns on the board: distance from its plane,
-* rays at its outline: those that it stopped lie inside, those that went past lie outside. The chance
-  that a ray at distance s from the outline is stopped is Phi((growth - s) / blur): a beam has a
-  width, so the board looks larger to the LiDAR than it is, by one free number for all boards. A
-  few rays meet hands and other things, wherever the outline is.
+* rays at its outline: those that it stopped lie inside, those that went past lie outside. The
+  chance that a ray at distance s from the outline is stopped is Phi((growth - s) / blur): a beam
+  has a width, so the board looks larger to the LiDAR than it is, by one free number for all boards.
+  A few rays meet hands and other things, wherever the outline is.
 """
 
 from __future__ import annotations
@@ -237,6 +237,20 @@ class _View:
         distance = np.nan_to_num(self._board.distance(places))
         chance = ndtr(self._side * (at.growth - distance) / at.blur)
         return np.asarray(np.sqrt(-2.0 * np.log(_STRAY + (1 - _STRAY) * chance)))
+
+
+def residuals(
+    board: Board, observations: Sequence[Observation], at: Solution
+) -> list[tuple[float, float]]:
+    """What each board leaves: RMS of its corners [px], and of its returns from the plane [m]."""
+    found = []
+    for observation, pose in zip(observations, at.T_camera_board, strict=True):
+        view = _View(board, observation, at.T_camera_lidar, pose, AT_EDGE[-1])
+        errors, heights = view.corner_errors(at.lens, pose), view.heights(at, pose)
+        pixels = float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+        metres = float(np.sqrt(np.mean(heights**2))) if len(heights) else float("nan")
+        found.append((pixels, metres))
+    return found
 
 
 def pose_by_sweep(

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.calibration.board import Board
-from docdepth.calibration.bundle import Observation, Solution, solve_bundle
+from docdepth.calibration.bundle import Observation, Solution, residuals, solve_bundle
 from docdepth.calibration.corners import board_pose
-from docdepth.calibration.find import FEWEST_BOARDS, SeenBoard, check_varied, find_boards
+from docdepth.calibration.find import (
+    FEWEST_BOARDS,
+    Progress,
+    SeenBoard,
+    check_varied,
+    find_boards,
+)
 from docdepth.calibration.lens import Lens, estimate_lens
 from docdepth.calibration.quality import (
     Halves,
@@ -22,6 +28,7 @@ from docdepth.calibration.quality import (
     uncertainty,
 )
 from docdepth.calibration.sweeps import BoardSweep
+from docdepth.datasets.images import ImageSource
 from docdepth.errors import CalibrationError
 from docdepth.geometry.se3 import inverse
 
@@ -43,11 +50,13 @@ class BoardPair:
     corners : ndarray of float64, shape (n, 2), or None
         Pixels of the inner corners; None where they were not found.
     sweep : BoardSweep
+    image : Path or StoredImage, optional
     """
 
     name: str
     corners: Floats | None
     sweep: BoardSweep
+    image: ImageSource | None = None
 
 
 @dataclass(frozen=True)
@@ -61,6 +70,8 @@ class Calibration:
     observations : list of Observation
         The boards that were used.
     solution : Solution
+    residuals : list of (float, float)
+        What each board leaves: RMS of its corners [px], and of its returns from the plane [m].
     boards : list of LeftOutBoard
         What the others say about each board.
     halves : Halves or None
@@ -75,6 +86,7 @@ class Calibration:
     T_camera_lidar: Floats
     observations: list[Observation]
     solution: Solution
+    residuals: list[tuple[float, float]]
     boards: list[LeftOutBoard]
     halves: Halves | None
     turn_deg: Floats
@@ -88,7 +100,7 @@ def calibrate(
     size: tuple[int, int],
     lens: Lens | None = None,
     model: str = "pinhole",
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Calibration:
     """Calibrate a camera and a LiDAR.
 
@@ -103,7 +115,7 @@ def calibrate(
     model : {"pinhole", "fisheye"}
         Of the lens, if it is estimated.
     progress : callable, optional
-        Called with the number of sweeps searched and the number of all.
+        ``progress(stage, done, total)``.
 
     Raises
     ------
@@ -114,7 +126,7 @@ def calibrate(
     count, free_lens = len(observations), lens is None
     while True:
         solution = solve_bundle(board, observations, start, free_lens)
-        boards = leave_one_out(board, observations, solution)
+        boards = leave_one_out(board, observations, solution, progress)
         bad = _that_disagree(boards)
         if not bad:
             break
@@ -133,8 +145,9 @@ def calibrate(
         solution.T_camera_lidar,
         observations,
         solution,
+        residuals(board, observations, solution),
         boards,
-        halves(board, observations, solution),
+        halves(board, observations, solution, progress),
         turn,
         shift,
         left_out,
@@ -147,7 +160,7 @@ def find(
     size: tuple[int, int],
     lens: Lens | None = None,
     model: str = "pinhole",
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[list[Observation], Solution, dict[str, str]]:
     """Find all boards; the parameters are those of :func:`calibrate`.
 
@@ -169,8 +182,8 @@ def find(
     if len(in_image) < FEWEST_BOARDS:
         names = f": not in {', '.join(left_out)}" if left_out else ""
         raise CalibrationError(
-            f"too few boards: the checkerboard was found in {len(in_image)} of {len(pairs)} images, "
-            f"at least {FEWEST_BOARDS} are needed, 10 or more are better{names}"
+            f"too few boards: the checkerboard was found in {len(in_image)} of {len(pairs)} "
+            f"images, at least {FEWEST_BOARDS} are needed, 10 or more are better{names}"
         )
     known = lens or estimate_lens(board, [corners for _, corners in in_image], size, model)[0]
     seen = []

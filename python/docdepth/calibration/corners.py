@@ -14,14 +14,20 @@ _SUBPIXEL = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _FEWEST = (3, 3)  # corners of the smallest board that OpenCV looks for
 
 
-def find_corners(image: NDArray[np.uint8], board: Board) -> Floats | None:
+def find_corners(image: NDArray[np.uint8], board: Board, thorough: bool = True) -> Floats | None:
     """Inner corners of the board in an image (h, w, 3), pixels (n, 2); None if it is not there.
+
+    ``thorough`` takes seconds for an image without a board.
 
     The corners run along the rows of the board. They begin at either end: a board looks the same
     after half a turn.
     """
     gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-    found, corners = cv2.findChessboardCornersSB(gray, (board.columns, board.rows), _SUBPIXEL)
+    found, corners = cv2.findChessboardCornersSB(
+        gray, (board.columns, board.rows), _SUBPIXEL if thorough else cv2.CALIB_CB_ACCURACY
+    )
+    if not found and not thorough:
+        return None
     if not found:
         # Where this search fails, that for boards of any size may find this one whole.
         corners, counts = _any_board(gray)

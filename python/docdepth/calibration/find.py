@@ -1,4 +1,4 @@
-"""The board in every sweep: searched in a few, then looked for where camera and extrinsic put it."""
+"""The board in every sweep: searched in a few, then looked for where it is expected."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ from docdepth.errors import CalibrationError
 from docdepth.geometry.se3 import inverse
 
 Floats = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
 
 FEWEST_BOARDS = 4
 """Boards without which nothing is calibrated: three planes fix the extrinsic, one checks it."""
 
 LEAST_CONDITION = 0.1
-"""Smallest singular value of the boards' normals, as a share of the largest: 0 for parallel ones."""
+"""Smallest singular value of the boards' normals by the largest: 0 for parallel boards."""
 
 _LEVER_ARMS = (0.7, 2.5)  # metres between camera and LiDAR; the nearer is tried first
 _FIRST_SEARCHED = 6  # sweeps; three that agree are enough
@@ -73,7 +74,7 @@ def check_varied(normals: Floats, where: str) -> None:
 
 
 def find_boards(
-    board: Board, seen: Sequence[SeenBoard], progress: Callable[[int, int], None] | None = None
+    board: Board, seen: Sequence[SeenBoard], progress: Progress | None = None
 ) -> tuple[list[Observation], Floats, dict[str, str]]:
     """Find the board in all sweeps.
 
@@ -82,7 +83,7 @@ def find_boards(
     board : Board
     seen : sequence of SeenBoard
     progress : callable, optional
-        Called with the number of sweeps searched and the number of all.
+        ``progress("sweeps", searched, all)``.
 
     Returns
     -------
@@ -111,9 +112,7 @@ def find_boards(
     return found, T_lidar_camera, left_out
 
 
-def _first_extrinsic(
-    board: Board, seen: Sequence[SeenBoard], progress: Callable[[int, int], None] | None
-) -> Floats:
+def _first_extrinsic(board: Board, seen: Sequence[SeenBoard], progress: Progress | None) -> Floats:
     """``T_lidar_camera`` out of free patches: in some sweeps first, then in all."""
     best = 0
     for lever_arm in _LEVER_ARMS:
@@ -124,7 +123,7 @@ def _first_extrinsic(
             limits = (away - lever_arm, away + lever_arm)
             patches[k] = find_patches(seen[k].sweep, board, limits)
             if progress is not None:
-                progress(done, len(seen))
+                progress("sweeps", done, len(seen))
             if done < min(_FIRST_SEARCHED, len(seen)):
                 continue
             cameras = [s.T_camera_board for s in seen]
@@ -136,8 +135,8 @@ def _first_extrinsic(
         f"the board was not found in the sweeps: no extrinsic puts more than {best} of {len(seen)} "
         f"boards on a flat, free patch of {board.width} x {board.height} m. Are the sizes of board "
         "and squares right, in metres, and K? Do images and sweeps belong together? The board "
-        f"must stand {100 * PAST:.0f} cm or more in front of walls and people; else crop the "
-        "sweeps to the place where it is held (--box)"
+        f"must stand {100 * PAST:.0f} cm or more in front of walls and people; else say where "
+        "it is (--box)"
     )
 
 
@@ -172,20 +171,20 @@ def why_missing(board: Board, sweep: BoardSweep, expected: Floats) -> str:
     inside, around = distance < -0.03, (distance > 0.05) & (distance < 0.25)
     if inside.sum() < 25:
         return (
-            f"the LiDAR has {inside.sum()} returns where the board should be: it stands outside its "
-            "field of view, or too far away"
+            f"the LiDAR has {inside.sum()} returns where the board should be: it stands outside "
+            "its field of view, or too far away"
         )
     if (height[inside] < -_EXPECTED).mean() > 0.3:
         return "something in front of the board hides it from the LiDAR"
     if (np.abs(height[inside]) < _EXPECTED).mean() < 0.5:
         return (
-            "no board stands where the others expect it; did it move between image and sweep, or do "
-            "they not belong together?"
+            "no board stands where the others expect it; did it move between image and sweep, or "
+            "do they not belong together?"
         )
     if (np.abs(height[around]) < PAST).mean() > 0.3:
         return (
-            f"a wall or person less than {100 * PAST:.0f} cm from the board hides its edges; hold it "
-            "free, or crop the sweeps (--box)"
+            f"a wall or person less than {100 * PAST:.0f} cm from the board hides its edges; hold "
+            "it free, or say where it is (--box)"
         )
     return "what stands there is not of the board's size, or not flat"
 

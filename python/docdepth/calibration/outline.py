@@ -92,7 +92,10 @@ def rays_near(
     near_sight = sweep.around(centre, 0.5 * board.diagonal + margin + _OFFSET)
     points, origins = near_sight.points, near_sight.origins
     places, height = crossings(points, origins, T_board_lidar)
-    on = np.abs(height) < flat
+    on, past = np.abs(height) < flat, height > PAST
+    if near_sight.may_be_board is not None:
+        past |= ~near_sight.may_be_board & (height > -flat)
+        on &= near_sight.may_be_board
     with np.errstate(invalid="ignore"):
-        kept = (board.distance(places) < margin) & (on | (height > PAST))
+        kept = (board.distance(places) < margin) & (on | past)
     return BoardRays(points, origins, on, places).select(kept)

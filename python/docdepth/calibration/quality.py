@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from docdepth.calibration.board import Board
 from docdepth.calibration.bundle import AT_EDGE, Observation, Solution, pose_by_sweep, solve_bundle
 from docdepth.calibration.corners import board_pose
-from docdepth.calibration.find import FEWEST_BOARDS
+from docdepth.calibration.find import FEWEST_BOARDS, Progress
 from docdepth.calibration.linear import solve_scale
 from docdepth.calibration.outline import rays_near
 from docdepth.errors import CalibrationError
@@ -65,11 +65,16 @@ class Halves:
 
 
 def leave_one_out(
-    board: Board, observations: Sequence[Observation], solution: Solution
+    board: Board,
+    observations: Sequence[Observation],
+    solution: Solution,
+    progress: Progress | None = None,
 ) -> list[LeftOutBoard]:
     """Calibrate without each board in turn, and compare what LiDAR and camera say of it."""
     left_out = []
     for k, observation in enumerate(observations):
+        if progress is not None:
+            progress("each left out", k + 1, len(observations))
         rest = [j for j in range(len(observations)) if j != k]
         others = solve_bundle(
             board, [observations[j] for j in rest], solution.of(rest), False, AT_EDGE[-1:]
@@ -89,13 +94,20 @@ def leave_one_out(
     return left_out
 
 
-def halves(board: Board, observations: Sequence[Observation], solution: Solution) -> Halves | None:
+def halves(
+    board: Board,
+    observations: Sequence[Observation],
+    solution: Solution,
+    progress: Progress | None = None,
+) -> Halves | None:
     """Compare calibrations of random halves; None for too few boards."""
     count, rng = len(observations), np.random.default_rng(0)
     if count < 2 * FEWEST_BOARDS:
         return None
     found = []
-    for _ in range(_SPLITS):
+    for k in range(_SPLITS):
+        if progress is not None:
+            progress("halves", k + 1, _SPLITS)
         order = rng.permutation(count)
         pair = []
         for rows in (np.sort(order[: count // 2]), np.sort(order[count // 2 :])):
@@ -147,8 +159,9 @@ def check_size(board: Board, observations: Sequence[Observation], T_lidar_camera
     scale, spread = solve_scale(seen, swept, T_lidar_camera)
     if abs(scale - 1.0) > _LEAST_SCALE + 3.0 * spread:
         raise CalibrationError(
-            f"the distances of the LiDAR say that squares measure {board.square * scale:.4f} m, not "
-            f"{board.square} m; measure them. If they do, K is wrong by {100 * abs(scale - 1):.0f} %"
+            f"the distances of the LiDAR say that squares measure {board.square * scale:.4f} m, "
+            f"not {board.square} m; measure them. If they are right, K is wrong by "
+            f"{100 * abs(scale - 1):.0f} %"
         )
 
 

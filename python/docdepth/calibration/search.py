@@ -69,7 +69,10 @@ def find_patches(
     fewest_score : float
         Patches with a lower score are left out.
     """
-    points = sweep.points[(sweep.ranges > distance[0]) & (sweep.ranges < distance[1])]
+    wanted = (sweep.ranges > distance[0]) & (sweep.ranges < distance[1])
+    if sweep.may_be_board is not None:
+        wanted &= sweep.may_be_board
+    points = sweep.points[wanted]
     points = points[_first_of_each(points, _THINNING)]
     if len(points) < _FEWEST:
         return []
