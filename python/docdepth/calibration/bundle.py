@@ -284,7 +284,7 @@ def pose_by_sweep(
             robust = _OUTLIER * np.sqrt(np.log1p((found / _OUTLIER) ** 2))
             return np.concatenate([robust, moved / lever])
 
-        fit = least_squares(errors, np.zeros(6), x_scale=lever)
+        fit = least_squares(errors, np.zeros(6), method="lm", x_scale=lever, xtol=1e-4)
         # The rays of both starts are not the same, so their number counts, too.
         cost = 2.0 * fit.cost / len(fit.fun)
         if cost < best[0]:

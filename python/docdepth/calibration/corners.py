@@ -11,6 +11,7 @@ from docdepth.calibration.lens import Lens
 
 Floats = NDArray[np.float64]
 _SUBPIXEL = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+_MISCOUNTS = ((0, 1), (1, 0), (1, 1))  # too many columns and rows; most have counted the squares
 _FEWEST = (3, 3)  # corners of the smallest board that OpenCV looks for
 
 
@@ -37,10 +38,26 @@ def find_corners(image: NDArray[np.uint8], board: Board, thorough: bool = True) 
     return pixels if _right_handed(pixels, board) else _mirrored(pixels, board)
 
 
-def counted_corners(image: NDArray[np.uint8]) -> tuple[int, int] | None:
-    """Columns and rows of inner corners of any checkerboard in an image; None without one."""
+def counted_corners(image: NDArray[np.uint8], board: Board) -> tuple[int, int] | None:
+    """Inner corners of a checkerboard in an image that has others than ``board``.
+
+    None where it has these, or there is no checkerboard. The search for a board finds it as a part
+    of a larger one, too.
+    """
     gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-    return _any_board(gray)[1]
+    told = (board.columns, board.rows)
+    found, _, meta = cv2.findChessboardCornersSBWithMeta(
+        gray, told, _SUBPIXEL | cv2.CALIB_CB_LARGER
+    )
+    if found:
+        counts = (int(meta.shape[1]), int(meta.shape[0]))
+        larger = counts[0] * counts[1] > told[0] * told[1]
+        return counts if larger else None
+    for columns, rows in _MISCOUNTS:
+        counts = (told[0] - columns, told[1] - rows)
+        if min(counts) >= 3 and cv2.findChessboardCornersSB(gray, counts, _SUBPIXEL)[0]:
+            return counts
+    return None
 
 
 def board_pose(corners: Floats, board: Board, lens: Lens) -> tuple[Floats, float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -25,7 +24,7 @@ _STEP = 0.4  # seconds between the images of such a recording that are looked at
 _STILL = 2.0  # pixels that corners move at most while the board stands
 _FEWEST_STILL = 3  # images looked at in a row
 _APART = 0.1  # seconds between image and sweep of a moment
-_COUNTED = 5  # images in which checkerboards of other sizes are looked for
+_COUNTED = 3  # images in which checkerboards of other sizes are looked for
 
 
 def board_pairs(
@@ -76,8 +75,8 @@ def board_pairs(
     corners, sizes = _corners_of(stream, board, together, progress, stills)
     _check_sizes(stream, together, sizes)
     found = [k for k, one in enumerate(corners) if one is not None]
-    if len(found) < FEWEST_BOARDS:
-        _check_count(stream, together, board)
+    shown = together if len(found) < FEWEST_BOARDS else [together[k] for k in found]
+    _check_count(stream, shown, board)
     if not stills:
         kept = _standing(corners)
         if len(kept) < FEWEST_BOARDS <= len(found):
@@ -195,14 +194,15 @@ def _check_sizes(
 def _check_count(stream: ImageStream, together: Sequence[tuple[int, int]], board: Board) -> None:
     """Refuse images of another checkerboard."""
     few = np.linspace(0, len(together) - 1, min(len(together), _COUNTED)).astype(int)
-    images = [stream.images[together[k][0]] for k in np.unique(few)]
-    counts = [counted_corners(read_image_of(image)) for image in images]
-    (count, times), *_ = Counter(counts).most_common(1)
-    if count is not None and times > 1 and sorted(count) != [*sorted((board.columns, board.rows))]:
-        raise CalibrationError(
-            f"the images show a checkerboard of {count[0]}x{count[1]} inner corners, not "
-            f"{board.columns}x{board.rows}; count the points where four squares meet (--corners)"
-        )
+    for k in np.unique(few).tolist():
+        image = stream.images[together[k][0]]
+        count = counted_corners(read_image_of(image), board)
+        if count is not None:
+            raise CalibrationError(
+                f"{image} shows a checkerboard of {count[0]}x{count[1]} inner corners, not "
+                f"{board.columns}x{board.rows}; count the points where four squares meet, not the "
+                "squares (--corners)"
+            )
 
 
 def _standing(corners: Sequence[Floats | None]) -> list[int]:

@@ -113,7 +113,7 @@ def halves(
         for rows in (np.sort(order[: count // 2]), np.sort(order[count // 2 :])):
             part = [observations[j] for j in rows.tolist()]
             start = solution.of(rows.tolist())
-            pair.append(solve_bundle(board, part, start, False, AT_EDGE[:2]).T_camera_lidar)
+            pair.append(solve_bundle(board, part, start, False, AT_EDGE[-1:]).T_camera_lidar)
         found.append(difference(*pair))
     degrees, centimetres = np.array(found).T
     return Halves(degrees, centimetres)
