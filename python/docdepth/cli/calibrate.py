@@ -25,57 +25,66 @@ if TYPE_CHECKING:
 LENSES = ("pinhole", "fisheye")
 
 
+BoardRecording = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RECORDING",
+        help="Images and sweeps of a checkerboard in 10 poses or more: a folder with "
+        "docdepth.yaml, or a bag.",
+    ),
+]
+Corners = Annotated[
+    str, typer.Option(metavar="CxR", help="Inner corners of the checkerboard: columns, rows.")
+]
+Square = Annotated[float, typer.Option(metavar="M", help="Side of a square, metres.")]
+Outline = Annotated[
+    str,
+    typer.Option(
+        metavar="WxH",
+        help="Outline of the board along the columns and along the rows, metres; the checkerboard "
+        "is in its middle.",
+    ),
+]
+ResultFolder = Annotated[
+    Path,
+    typer.Option("-o", "--output", metavar="DIR", help="Folder for the result; created."),
+]
+OneOfSeveral = Annotated[
+    str | None,
+    typer.Option("--camera", metavar="NAME", help="Camera; needed where there are several."),
+]
+LensName = Annotated[
+    str | None,
+    typer.Option(
+        "--lens",
+        help="Estimate K and the distortion of such a lens: pinhole or fisheye. If absent, those "
+        "of the recording are taken, or those of a pinhole estimated if it has none.",
+        **one_of(LENSES),
+    ),
+]
+Boxes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--box",
+        metavar="[IMAGE:]X,X,Y,Y,Z,Z",
+        help="Least and greatest x, y and z of the board in the LiDAR frame, metres, of one image "
+        "or of all: where a wall or a person is too near behind it.",
+    ),
+]
+
+
 @verb(app)
 def calibrate(
-    dataset: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RECORDING",
-            help="Images and sweeps of a checkerboard in 10 poses or more: a folder with "
-            "docdepth.yaml, or a bag.",
-        ),
-    ],
-    corners: Annotated[
-        str,
-        typer.Option(metavar="CxR", help="Inner corners of the checkerboard: columns, rows."),
-    ],
-    square: Annotated[float, typer.Option(metavar="M", help="Side of a square, metres.")],
-    board: Annotated[
-        str,
-        typer.Option(
-            metavar="WxH",
-            help="Outline of the board along the columns and along the rows, metres; the "
-            "checkerboard is in its middle.",
-        ),
-    ],
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder for the result; created."),
-    ],
+    dataset: BoardRecording,
+    corners: Corners,
+    square: Square,
+    board: Outline,
+    output: ResultFolder,
     layout: Layout = None,
-    camera: Annotated[
-        str | None,
-        typer.Option("--camera", metavar="NAME", help="Camera; needed where there are several."),
-    ] = None,
+    camera: OneOfSeveral = None,
     frames: Frames = None,
-    lens: Annotated[
-        str | None,
-        typer.Option(
-            "--lens",
-            help="Estimate K and the distortion of such a lens: pinhole or fisheye. If absent, "
-            "those of the recording are taken, or those of a pinhole estimated if it has none.",
-            **one_of(LENSES),
-        ),
-    ] = None,
-    box: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--box",
-            metavar="[IMAGE:]X,X,Y,Y,Z,Z",
-            help="Least and greatest x, y and z of the board in the LiDAR frame, metres, of one "
-            "image or of all: where a wall or a person is too near behind it.",
-        ),
-    ] = None,
+    lens: LensName = None,
+    box: Boxes = None,
     as_json: Json = False,
 ) -> None:
     """Find K, the distortion and the place of a camera from a checkerboard.
