@@ -40,14 +40,15 @@ def write(folder: Path, images, sweeps, image_times=None, sweep_times=None, size
     return open_dataset(folder)
 
 
-def pair_up(recording, monkeypatch, corners=None, boxes=None):
+def pair_up(recording, monkeypatch, corners=None, counts=None):
     """Names of images, and numbers of their sweeps; ``corners`` gives them by the first pixel."""
     corners = corners or (lambda k: GRID + 10.0 * k)
+    monkeypatch.setattr(pairs_module, "counted_corners", lambda image, board, found: counts)
     monkeypatch.setattr(
         pairs_module, "find_corners", lambda image, board, thorough: corners(int(image[0, 0, 0]))
     )
     stream = image_streams(recording)["front"]
-    found, size = board_pairs(recording, stream, BOARD, boxes)
+    found, size = board_pairs(recording, stream, BOARD)
     assert size == (32, 24)
     return [(pair.name, round(pair.sweep.points[0, 0]) - 1) for pair in found]
 
@@ -117,13 +118,10 @@ def test_clocks_that_differ(tmp_path, monkeypatch):
 def test_another_checkerboard(tmp_path, monkeypatch):
     names = [f"{k:06d}" for k in range(4)]
     recording = write(tmp_path, names, names)
-    monkeypatch.setattr(pairs_module, "counted_corners", lambda image, board: (6, 9))
-    with pytest.raises(
-        CalibrationError, match="shows a checkerboard of 6x9 inner corners, not 4x3"
-    ):
-        pair_up(recording, monkeypatch, lambda k: None)
+    with pytest.raises(CalibrationError, match="a checkerboard of 6x9 inner corners, not 4x3"):
+        pair_up(recording, monkeypatch, lambda k: None, (6, 9))
     with pytest.raises(CalibrationError, match="count the points where four squares meet"):
-        pair_up(recording, monkeypatch)  # found, but as a part of a larger one
+        pair_up(recording, monkeypatch, None, (6, 9))  # found, but as a part of a larger one
 
 
 def test_images_of_two_sizes(tmp_path, monkeypatch):

@@ -124,6 +124,12 @@ def test_options_that_cannot_be(images, tmp_path, more, message):
     assert not (tmp_path / "out").exists()
 
 
+def test_pictures_do_not_replace_images(images, tmp_path):
+    boards = write(tmp_path / "boards", images[:4])
+    ended = cli("calibrate", boards, *BOARD_OPTIONS, "-o", boards / "images")
+    assert "holds the images of front; choose another folder" in str(ended.exception)
+
+
 def test_a_recording_without_images(tmp_path):
     (tmp_path / "boards").mkdir()
     np.save(tmp_path / "boards" / "a.npy", np.full((5, 3), 3.0, np.float32))

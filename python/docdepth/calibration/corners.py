@@ -11,7 +11,9 @@ from docdepth.calibration.lens import Lens
 
 Floats = NDArray[np.float64]
 _SUBPIXEL = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-_MISCOUNTS = ((0, 1), (1, 0), (1, 1))  # too many columns and rows; most have counted the squares
+# Columns and rows more than told, the largest first: it has the smaller ones as parts.
+_MORE = ((2, 2), (1, 1), (0, 1), (1, 0))
+_LESS = ((0, -1), (-1, 0), (-1, -1), (-2, -2))
 _FEWEST = (3, 3)  # corners of the smallest board that OpenCV looks for
 
 
@@ -38,23 +40,24 @@ def find_corners(image: NDArray[np.uint8], board: Board, thorough: bool = True) 
     return pixels if _right_handed(pixels, board) else _mirrored(pixels, board)
 
 
-def counted_corners(image: NDArray[np.uint8], board: Board) -> tuple[int, int] | None:
-    """Inner corners of a checkerboard in an image that has others than ``board``.
+def counted_corners(image: NDArray[np.uint8], board: Board, found: bool) -> tuple[int, int] | None:
+    """Inner corners of the checkerboard in an image, if they are miscounted by one or two.
 
-    None where it has these, or there is no checkerboard. The search for a board finds it as a part
-    of a larger one, too.
+    Parameters
+    ----------
+    image : ndarray of uint8, shape (h, w, 3)
+    board : Board
+    found : bool
+        It was found, but it may be a part of a larger one.
+
+    Returns
+    -------
+    (int, int) or None
+        None where there is no such checkerboard.
     """
     gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-    told = (board.columns, board.rows)
-    found, _, meta = cv2.findChessboardCornersSBWithMeta(
-        gray, told, _SUBPIXEL | cv2.CALIB_CB_LARGER
-    )
-    if found:
-        counts = (int(meta.shape[1]), int(meta.shape[0]))
-        larger = counts[0] * counts[1] > told[0] * told[1]
-        return counts if larger else None
-    for columns, rows in _MISCOUNTS:
-        counts = (told[0] - columns, told[1] - rows)
+    for columns, rows in _MORE if found else _MORE + _LESS:
+        counts = (board.columns + columns, board.rows + rows)
         if min(counts) >= 3 and cv2.findChessboardCornersSB(gray, counts, _SUBPIXEL)[0]:
             return counts
     return None

@@ -29,6 +29,7 @@ LEAST_CONDITION = 0.1
 
 _LEVER_ARMS = (0.7, 2.5)  # metres between camera and LiDAR; the nearer is tried first
 _FIRST_SEARCHED = 6  # sweeps; three that agree are enough
+_MOST_SEARCHED = 12  # sweeps; what so many do not hold, more will not
 _FEWEST_VOTES = 3
 _LEAST_SCORE = 0.6
 _EXPECTED = 0.15  # metres between the plane of a board and where it is expected
@@ -114,29 +115,29 @@ def find_boards(
 
 def _first_extrinsic(board: Board, seen: Sequence[SeenBoard], progress: Progress | None) -> Floats:
     """``T_lidar_camera`` out of free patches: in some sweeps first, then in all."""
-    best = 0
+    best = searched = 0
     for lever_arm in _LEVER_ARMS:
         patches: list[list[Patch]] = [[] for _ in seen]
         order = np.argsort(np.arange(len(seen)) * _FIRST_SEARCHED % len(seen), kind="stable")
-        for done, k in enumerate(order.tolist(), 1):
+        for done, k in enumerate(order.tolist()[:_MOST_SEARCHED], 1):
             away = float(np.linalg.norm(seen[k].T_camera_board[:3, 3]))
             limits = (away - lever_arm, away + lever_arm)
             patches[k] = find_patches(seen[k].sweep, board, limits)
             if progress is not None:
-                progress("sweeps", done, len(seen))
+                progress("sweeps", done, min(len(seen), _MOST_SEARCHED))
             if done < min(_FIRST_SEARCHED, len(seen)):
                 continue
             cameras = [s.T_camera_board for s in seen]
             T, votes = find_extrinsic(cameras, patches, board, lever_arm)
             if T is not None and votes >= max(_FEWEST_VOTES, done // 2):
                 return T
-            best = max(best, votes)
+            best, searched = max(best, votes), done
     raise CalibrationError(
-        f"the board was not found in the sweeps: no extrinsic puts more than {best} of {len(seen)} "
+        f"the board was not found in the sweeps: no extrinsic puts more than {best} of {searched} "
         f"boards on a flat, free patch of {board.width} x {board.height} m. Are the sizes of board "
-        "and squares right, in metres, and K? Do images and sweeps belong together? The board "
-        f"must stand {100 * PAST:.0f} cm or more in front of walls and people; else say where "
-        "it is (--box)"
+        "and squares right, in metres, and K? Do columns and width come before rows and height? Do "
+        "images and sweeps belong together? The board must stand "
+        f"{100 * PAST:.0f} cm or more in front of walls and people; else say where it is (--box)"
     )
 
 

@@ -75,8 +75,9 @@ def board_pairs(
     corners, sizes = _corners_of(stream, board, together, progress, stills)
     _check_sizes(stream, together, sizes)
     found = [k for k, one in enumerate(corners) if one is not None]
-    shown = together if len(found) < FEWEST_BOARDS else [together[k] for k in found]
-    _check_count(stream, shown, board)
+    enough = len(found) >= FEWEST_BOARDS
+    shown = [together[found[len(found) // 2]]] if enough else together
+    _check_count(stream, shown, board, enough)
     if not stills:
         kept = _standing(corners)
         if len(kept) < FEWEST_BOARDS <= len(found):
@@ -191,12 +192,14 @@ def _check_sizes(
             )
 
 
-def _check_count(stream: ImageStream, together: Sequence[tuple[int, int]], board: Board) -> None:
-    """Refuse images of another checkerboard."""
+def _check_count(
+    stream: ImageStream, together: Sequence[tuple[int, int]], board: Board, found: bool
+) -> None:
+    """Refuse images of a checkerboard with more corners, or less if it was not found."""
     few = np.linspace(0, len(together) - 1, min(len(together), _COUNTED)).astype(int)
     for k in np.unique(few).tolist():
         image = stream.images[together[k][0]]
-        count = counted_corners(read_image_of(image), board)
+        count = counted_corners(read_image_of(image), board, found)
         if count is not None:
             raise CalibrationError(
                 f"{image} shows a checkerboard of {count[0]}x{count[1]} inner corners, not "

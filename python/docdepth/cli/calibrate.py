@@ -103,6 +103,7 @@ def calibrate(
     target, boxes = parse_board(corners, square, board), _boxes(box)
     recording = open_dataset(dataset, layout, frames=frames)
     stream = _stream(recording, camera)
+    _check_output(output, stream)
     known = None if lens else _lens_of(stream)
     model = lens or stream.model
     with progress_bars() as progress:
@@ -133,6 +134,14 @@ def _stream(recording: Dataset, name: str | None) -> ImageStream:
             f"{recording.path} has {missing}; name one of {', '.join(streams)} (--camera)"
         )
     return streams[name]
+
+
+def _check_output(output: Path, stream: ImageStream) -> None:
+    """Pictures must not replace images: they have their names."""
+    from docdepth.errors import ConfigError
+
+    if any(image.parent.resolve() == output.resolve() for image in stream.images):
+        raise ConfigError(f"{output} holds the images of {stream.name}; choose another folder (-o)")
 
 
 def _lens_of(stream: ImageStream) -> Lens | None:
