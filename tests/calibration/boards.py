@@ -69,9 +69,9 @@ def corners_of(T_lidar_board: Floats, board: Board = BOARD) -> Floats:
 
 
 def sweep_of(T_lidar_board: Floats, board: Board = BOARD, wall: float | None = None) -> Floats:
-    """Points (N, 3) of a LiDAR of 64 rings, which looks ahead; ``wall`` is metres behind the board,
+    """Points (N, 3) of a LiDAR of 56 rings, which looks ahead; ``wall`` is metres behind the board,
     parallel to it, 3 m wide."""
-    azimuth, elevation = np.radians(np.arange(-40, 40, 0.4)), np.radians(np.linspace(18, -27, 64))
+    azimuth, elevation = np.radians(np.arange(-32, 32, 0.5)), np.radians(np.linspace(16, -27, 56))
     a, e = (x.ravel() for x in np.meshgrid(azimuth, elevation))
     rays = np.stack([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)], axis=1)
     reach = np.full(len(rays), np.inf)

@@ -87,12 +87,17 @@ def find_extrinsic(
                 pairs, worth = _votes(T, T_camera_board, patches, board)
                 if worth > best[0]:
                     best = (worth, T, pairs)
-    extrinsic, pairs = best[1], best[2]
-    if len(pairs) >= 3:
-        seen, swept = (np.stack(poses) for poses in zip(*pairs, strict=True))
-        if normals_condition(seen[:, :3, 2]) > _VARIED:
-            extrinsic = solve_linear(seen, swept)
-    return extrinsic, len(pairs)
+    # Together they tell it better than one patch does, unless one of them is no board.
+    while len(best[2]) >= 3:
+        seen, swept = (np.stack(poses) for poses in zip(*best[2], strict=True))
+        if normals_condition(seen[:, :3, 2]) <= _VARIED:
+            break
+        T = solve_linear(seen, swept)
+        pairs, worth = _votes(T, T_camera_board, patches, board)
+        if worth <= best[0]:
+            break
+        best = (worth, T, pairs)
+    return best[1], len(best[2])
 
 
 def _votes(
