@@ -16,7 +16,8 @@ from docdepth.visualization.pictures import Picture, overlay
 Floats = NDArray[np.float64]
 
 _NEAR, _FAR = 1.5, 30.0  # metres of the first and the last colour
-_POINT = 600  # of the image's width is the side of a point
+_POINT = 1 / 1500  # half the side of a point, as a share of the image's width
+_LINE = 1 / 640  # width of lines, as a share of the image's width
 _OUTLINE = (255, 255, 255)
 _CORNER = (80, 255, 80)
 _ALONG = 20  # points of each side of the outline, which a lens may bend
@@ -36,7 +37,7 @@ def points_on_image(image: Picture, board: Board, pair: BoardPair, solution: Sol
     """
     lens, T = solution.lens, solution.T_camera_lidar
     points = pair.sweep.points @ T[:3, :3].T + T[:3, 3]
-    side = max(lens.width // _POINT, 1)
+    side, thick = (max(round(share * lens.width), 1) for share in (_POINT, _LINE))
     depth = np.full((lens.height, lens.width), np.inf, np.float32)
     seen = _in_view(lens, points)
     pixels = np.rint(lens.project(points[seen])).astype(int)
@@ -54,9 +55,9 @@ def points_on_image(image: Picture, board: Board, pair: BoardPair, solution: Sol
         sides = [a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)]
         outline = np.concatenate(sides) @ pose[:3, :3].T + pose[:3, 3]
         line = np.rint(lens.project(outline)).astype(np.int32)
-        cv2.polylines(picture, [line], True, _OUTLINE, side, cv2.LINE_AA)
+        cv2.polylines(picture, [line], True, _OUTLINE, thick, cv2.LINE_AA)
         for u, v in np.rint(pair.corners).astype(int).tolist():
-            cv2.circle(picture, (u, v), 2 * side, _CORNER, side, cv2.LINE_AA)
+            cv2.circle(picture, (u, v), thick, _CORNER, 1, cv2.LINE_AA)
     return picture
 
 
