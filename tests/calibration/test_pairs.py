@@ -98,6 +98,11 @@ def test_moments_of_a_drive_at_which_the_board_stands(tmp_path, monkeypatch):
     for k, (name, sweep) in enumerate(found):
         assert int(name) == sweep
         assert 3 * k < times[sweep] < 3 * k + 2
+    # Images that are slower than the sweeps, and come between them.
+    slow = np.arange(0.02, 12, 0.4)
+    rare = write(tmp_path / "slow", [f"{k:06d}" for k in range(30)], names, slow, times)
+    found = pair_up(rare, monkeypatch, lambda k: corners(2 * k))
+    assert [round(slow[int(name)] - times[sweep], 3) for name, sweep in found] == [0.02] * 4
 
 
 def test_a_board_that_never_stands_still(tmp_path, monkeypatch):

@@ -9,6 +9,8 @@ from docdepth.geometry.se3 import nearest_rotation
 
 Floats = NDArray[np.float64]
 
+_LEAST_NOISE = 0.005  # metres of a board's plane; few boards fit any scale
+
 
 def solve_linear(T_camera_board: Floats, T_lidar_board: Floats) -> Floats:
     """``T_lidar_camera`` (4, 4) from the planes of boards, seen by both.
@@ -42,7 +44,8 @@ def solve_scale(
     A = np.column_stack([n_l, np.einsum("ij,ij->i", n_l, p_c)])
     solution = np.linalg.lstsq(A, d_l, rcond=None)[0]
     variance = float(np.mean((A @ solution - d_l) ** 2)) * len(A) / max(len(A) - 4, 1)
-    return float(solution[3]), float(np.sqrt(variance * np.linalg.pinv(A.T @ A)[3, 3]))
+    noise = max(float(np.sqrt(variance)), _LEAST_NOISE)
+    return float(solution[3]), noise * float(np.sqrt(np.linalg.pinv(A.T @ A)[3, 3]))
 
 
 def normals_condition(normals: Floats) -> float:

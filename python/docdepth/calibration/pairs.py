@@ -20,7 +20,7 @@ from docdepth.errors import CalibrationError, DatasetError
 Floats = NDArray[np.float64]
 
 _STILLS = 0.8  # seconds between sweeps; if they are closer, some show how the board is moved
-_STEP = 0.4  # seconds between the images of such a recording that are looked at
+_STEP = 0.39  # seconds between the images of such a recording that are looked at
 _STILL = 2.0  # pixels that corners move at most while the board stands
 _FEWEST_STILL = 3  # images looked at in a row
 _APART = 0.1  # seconds between image and sweep of a moment
@@ -141,10 +141,13 @@ def _number(name: str) -> int | None:
 
 
 def _moments(recording: Dataset, stream: ImageStream) -> list[tuple[int, int]]:
-    """Image and sweep every ``_STEP`` seconds."""
-    steps = (recording.times - recording.times[0]) // int(1e9 * _STEP)
-    first = np.unique(steps, return_index=True)[1]
-    return _by_time(recording, stream, first.tolist(), 1e9 * _APART)
+    """Image and sweep about every ``_STEP`` seconds."""
+    kept: list[tuple[int, int]] = []
+    for image, sweep in _by_time(recording, stream, range(len(recording)), 1e9 * _APART):
+        since = stream.times[image] - stream.times[kept[-1][0]] if kept else np.inf
+        if since >= 1e9 * _STEP:
+            kept.append((image, sweep))
+    return kept
 
 
 def _by_time(
