@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from boards import BOARD, LENS, all_poses, corners_of, pair, pairs, pose, sweep_of
 
+from docdepth.calibration import calibrate as module
 from docdepth.calibration.board import Board
 from docdepth.calibration.calibrate import BoardPair, _that_disagree, find
 from docdepth.calibration.quality import LeftOutBoard
@@ -147,6 +148,17 @@ def test_boards_that_disagree_by_centimetres_are_named_the_worst_first():
     told = _that_disagree([*alike, board("a", 0.09), board("b", 0.3), board("c", 0.2)])
     assert list(told) == ["b", "c"], "a bad board moves the extrinsic of the others"
     assert "disagree by 30 cm about its place, usual are 1.0 cm" in told["b"]
+
+
+def test_boards_that_all_disagree(calibrated, monkeypatch):
+    found = calibrated.observations
+    left_out = [LeftOutBoard(o.name, 1.0, 0.3 if k < 3 else 0.01, np.eye(4))
+                for k, o in enumerate(found)]  # fmt: skip
+    monkeypatch.setattr(module, "find", lambda *_: (found, calibrated.solution, {}))
+    monkeypatch.setattr(module, "solve_bundle", lambda *_: calibrated.solution)
+    monkeypatch.setattr(module, "leave_one_out", lambda *_: left_out)
+    with pytest.raises(CalibrationError, match=r"disagree with each other, and leaving out 3 does"):
+        module.calibrate(BOARD, [], SIZE, LENS)
 
 
 def test_a_turned_board_is_no_other_board(exact_pairs):

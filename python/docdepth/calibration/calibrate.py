@@ -139,6 +139,7 @@ def calibrate(
                 f"the boards disagree with each other, and leaving out {count - len(kept)} does "
                 "not help: " + "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
             )
+        check_varied(start.T_camera_board[:, :3, 2], "that agree")
     turn, shift = uncertainty(boards)
     return Calibration(
         solution.lens,
