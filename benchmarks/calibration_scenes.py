@@ -35,9 +35,6 @@ CAMERA = Lens(
     1920,
     1200,
 )
-FISHEYE = Lens(
-    "fisheye", CAMERA.K * (0.7, 0.7, 1.0), np.array((-0.02, 0.01, -0.01, 0.002)), 1920, 1200
-)
 
 _PLAIN = Paint(50, (0.7, 0.7, 0.68), 0.35)
 _FLOOR = Paint(40, (0.5, 0.5, 0.5), 0.25)

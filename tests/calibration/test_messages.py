@@ -33,9 +33,9 @@ def test_too_few_boards(exact_pairs):
 
 def test_a_board_out_of_the_picture(exact_pairs):
     cut = replace(exact_pairs[4], corners=None)
-    found, _, left_out = find_all(with_other(exact_pairs, 4, cut))
+    found, _, not_used = find_all(with_other(exact_pairs, 4, cut))
     assert len(found) == 7
-    assert "partly out of the picture" in left_out["pose4"]
+    assert "partly out of the picture" in not_used["pose4"]
 
 
 def test_parallel_boards():
@@ -65,8 +65,8 @@ def test_a_board_of_quite_another_size(exact_pairs):
 
 def test_another_checkerboard_in_one_image(exact_pairs):
     other = replace(exact_pairs[2], corners=np.roll(exact_pairs[2].corners, 3, axis=0))
-    _, _, left_out = find_all(with_other(exact_pairs, 2, other))
-    assert "miss the checkerboard by" in left_out["pose2"]
+    _, _, not_used = find_all(with_other(exact_pairs, 2, other))
+    assert "miss the checkerboard by" in not_used["pose2"]
 
 
 def test_wrong_k(exact_pairs):
@@ -83,15 +83,15 @@ def test_corners_of_another_checkerboard(exact_pairs):
 
 def test_a_wall_behind_the_board_and_a_box(exact_pairs):
     T = all_poses()[3]
-    found, _, left_out = find_all(with_other(exact_pairs, 3, pair("pose3", T, wall=0.04)))
+    found, _, not_used = find_all(with_other(exact_pairs, 3, pair("pose3", T, wall=0.04)))
     assert len(found) == 7
-    assert "a wall or person less than 15 cm from the board" in left_out["pose3"]
-    assert "--box" in left_out["pose3"]
+    assert "a wall or person less than 15 cm from the board" in not_used["pose3"]
+    assert "--box" in not_used["pose3"]
     corners = BOARD.outline @ T[:3, :3].T + T[:3, 3]
     box = np.stack([corners.min(axis=0) - 0.02, corners.max(axis=0) + 0.02], axis=1)
     boxed = with_other(exact_pairs, 3, pair("pose3", T, wall=0.04, box=box))
-    found, _, left_out = find_all(boxed)
-    assert left_out == {}
+    found, _, not_used = find_all(boxed)
+    assert not_used == {}
     np.testing.assert_allclose(found[3].T_lidar_board[:3, 3], T[:3, 3], atol=0.05)
 
 
@@ -105,16 +105,16 @@ def test_a_board_that_moved_far(exact_pairs):
     T = all_poses()[5]
     swept = T.copy()
     swept[:3, 3] += (0.1, 0.6, 0.0)
-    _, _, left_out = find_all(with_other(exact_pairs, 5, pair("pose5", T, swept)))
-    assert "did it move between image and sweep" in left_out["pose5"]
+    _, _, not_used = find_all(with_other(exact_pairs, 5, pair("pose5", T, swept)))
+    assert "did it move between image and sweep" in not_used["pose5"]
 
 
 def test_a_board_outside_the_view_of_the_lidar(exact_pairs):
     points = sweep_of(all_poses()[6])
     cut = np.where((points[:, 1] > 0)[:, None], np.nan, points).astype(np.float32)
     cut = BoardPair("pose6", exact_pairs[6].corners, board_sweep(cut))
-    _, _, left_out = find_all(with_other(exact_pairs, 6, cut))
-    assert "outside its field of view" in left_out["pose6"]
+    _, _, not_used = find_all(with_other(exact_pairs, 6, cut))
+    assert "outside its field of view" in not_used["pose6"]
 
 
 def test_a_board_hidden_from_the_lidar(exact_pairs):
@@ -127,8 +127,8 @@ def test_a_board_hidden_from_the_lidar(exact_pairs):
     rays = two[0] / np.linalg.norm(two[0], axis=1, keepdims=True)
     hidden = board_sweep((rays * first[:, None]).astype(np.float32))
     hidden = BoardPair("pose7", corners_of(T), hidden)
-    _, _, left_out = find_all(with_other(exact_pairs, 7, hidden))
-    assert "something in front of the board hides it" in left_out["pose7"]
+    _, _, not_used = find_all(with_other(exact_pairs, 7, hidden))
+    assert "something in front of the board hides it" in not_used["pose7"]
 
 
 def test_images_and_sweeps_that_do_not_belong_together():
@@ -161,10 +161,28 @@ def test_boards_that_all_disagree(calibrated, monkeypatch):
         module.calibrate(BOARD, [], SIZE, LENS)
 
 
+def test_k_of_images_of_another_size(exact_pairs):
+    half = replace(LENS, width=LENS.width // 2, height=LENS.height // 2)
+    with pytest.raises(CalibrationError, match=r"images of 320x200 pixels, these have 640x400"):
+        find_all(exact_pairs, lens=half)
+
+
+def test_a_lens_of_another_kind_is_told_by_the_corners_near_the_border(caplog):
+    names, usual = ["a", "b", "c", "d"], [(0.2, 0.01)] * 3
+    module._warn_of_lens(names, [*usual, (0.75, 0.01)], LENS, True)
+    assert caplog.text == "", "less may be blur"
+    module._warn_of_lens(names, [*usual, (1.8, 0.01)], LENS, True)
+    assert "corners of d miss by 1.8 px, usual are 0.2 px" in caplog.text
+    assert "try --lens fisheye" in caplog.text
+    caplog.clear()
+    module._warn_of_lens(names, [*usual, (1.8, 0.01)], LENS, False)
+    assert "have them estimated (--lens)" in caplog.text
+
+
 def test_a_turned_board_is_no_other_board(exact_pairs):
     """Half a turn in its plane changes nothing that can be seen."""
     T = all_poses()[1].copy()
     T[:3, :3] = T[:3, :3] @ rotation_exp((0.0, 0.0, np.pi))
-    found, _, left_out = find_all(with_other(exact_pairs, 1, pair("pose1", T)))
+    found, _, not_used = find_all(with_other(exact_pairs, 1, pair("pose1", T)))
     assert len(found) == 8
-    assert left_out == {}
+    assert not_used == {}

@@ -124,6 +124,13 @@ def test_options_that_cannot_be(images, tmp_path, more, message):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_fisheye_needs_its_distortion(images, tmp_path):
+    """Where K is given; else both are estimated."""
+    boards = write(tmp_path / "boards", images[:4], model="fisheye", K=LENS.K.tolist())
+    ended = cli("calibrate", boards, *BOARD_OPTIONS, "-o", tmp_path / "out")
+    assert "front: the distortion of a fisheye is k1 k2 k3 k4" in str(ended.exception)
+
+
 def test_pictures_do_not_replace_images(images, tmp_path):
     boards = write(tmp_path / "boards", images[:4])
     ended = cli("calibrate", boards, *BOARD_OPTIONS, "-o", boards / "images")

@@ -140,6 +140,7 @@ def test_the_extrinsic_may_stand_beside_k(drive, tmp_path):
         ({"model": "omni"}, "model is 'omni', not pinhole or fisheye"),
         ({"mtx": [[1, 2], [3]]}, "calib.json is damaged"),
         ({"T_camera_lidar": [[1, 0, 0, 0]]}, "must hold a 4x4 matrix"),
+        ({"T_camera_lidar": [[1, 0, 0, 0], [0]]}, "calib.json is damaged"),
         ({"T_camera_lidar": (2 * np.eye(4)).tolist()}, "a rotation and a translation in metres"),
     ],
 )

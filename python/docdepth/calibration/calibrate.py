@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,7 +19,7 @@ from docdepth.calibration.find import (
     check_varied,
     find_boards,
 )
-from docdepth.calibration.lens import Lens, estimate_lens
+from docdepth.calibration.lens import MODELS, Lens, estimate_lens
 from docdepth.calibration.quality import (
     Halves,
     LeftOutBoard,
@@ -32,11 +33,14 @@ from docdepth.datasets.images import ImageSource
 from docdepth.errors import CalibrationError
 from docdepth.geometry.se3 import inverse
 
+log = logging.getLogger(__name__)
+
 Floats = NDArray[np.float64]
 
 _DISAGREES = 0.03  # metres at the corners of the outline; less may be noise
 _TIMES_MEDIAN = 4.0  # a board that disagrees by so many times what is usual is left out
 _MOST_DISAGREE = 1 / 3  # of the boards; if more disagree, nothing tells which are right
+_MISFIT = 1.0  # pixels RMS; corners that miss by more, and by _TIMES_MEDIAN, tell of the lens
 _MOST_PIXELS = 3.0  # RMS of the corners of one image; above, they are not of the board
 
 
@@ -65,8 +69,6 @@ class Calibration:
 
     Attributes
     ----------
-    lens : Lens
-    T_camera_lidar : ndarray of float64, shape (4, 4)
     observations : list of Observation
         The boards that were used.
     solution : Solution
@@ -78,12 +80,10 @@ class Calibration:
         None for too few boards.
     turn_deg, shift_cm : ndarray of float64, shape (3,)
         Standard deviations about the camera's axes.
-    left_out : dict of str to str
+    not_used : dict of str to str
         Pairs that were not used, and why.
     """
 
-    lens: Lens
-    T_camera_lidar: Floats
     observations: list[Observation]
     solution: Solution
     residuals: list[tuple[float, float]]
@@ -91,7 +91,16 @@ class Calibration:
     halves: Halves | None
     turn_deg: Floats
     shift_cm: Floats
-    left_out: dict[str, str]
+    not_used: dict[str, str]
+
+    @property
+    def lens(self) -> Lens:
+        return self.solution.lens
+
+    @property
+    def T_camera_lidar(self) -> Floats:
+        """Shape (4, 4)."""
+        return self.solution.T_camera_lidar
 
 
 def calibrate(
@@ -122,7 +131,7 @@ def calibrate(
     CalibrationError
         Too few boards, too parallel ones, or another board than the one described.
     """
-    observations, start, left_out = find(board, pairs, size, lens, model, progress)
+    observations, start, not_used = find(board, pairs, size, lens, model, progress)
     count, free_lens = len(observations), lens is None
     while True:
         solution = solve_bundle(board, observations, start, free_lens)
@@ -130,28 +139,28 @@ def calibrate(
         bad = _that_disagree(boards)
         if not bad:
             break
-        left_out |= bad
+        not_used |= bad
         kept = [k for k, o in enumerate(observations) if o.name not in bad]
         observations = [observations[k] for k in kept]
         start = replace(start.of(kept), T_camera_lidar=solution.T_camera_lidar)
         if len(kept) < FEWEST_BOARDS or count - len(kept) > _MOST_DISAGREE * count:
             raise CalibrationError(
                 f"the boards disagree with each other, and leaving out {count - len(kept)} does "
-                "not help: " + "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
+                "not help: " + "; ".join(f"{name}: {reason}" for name, reason in not_used.items())
             )
         check_varied(start.T_camera_board[:, :3, 2], "that agree")
     turn, shift = uncertainty(boards)
+    errors = residuals(board, observations, solution)
+    _warn_of_lens([o.name for o in observations], errors, solution.lens, free_lens)
     return Calibration(
-        solution.lens,
-        solution.T_camera_lidar,
         observations,
         solution,
-        residuals(board, observations, solution),
+        errors,
         boards,
         halves(board, observations, solution, progress),
         turn,
         shift,
-        left_out,
+        not_used,
     )
 
 
@@ -170,10 +179,10 @@ def find(
     observations : list of Observation
     start : Solution
         K of the images alone and the extrinsic of planes alone, for the bundle.
-    left_out : dict of str to str
+    not_used : dict of str to str
         Pairs that were not used, and why.
     """
-    left_out = {
+    not_used = {
         pair.name: f"no whole checkerboard of {board.columns}x{board.rows} inner corners in the "
         "image: it is partly out of the picture, blurred or hidden"
         for pair in pairs
@@ -181,17 +190,22 @@ def find(
     }
     in_image = [(pair, pair.corners) for pair in pairs if pair.corners is not None]
     if len(in_image) < FEWEST_BOARDS:
-        names = f": not in {', '.join(left_out)}" if left_out else ""
+        names = f": not in {', '.join(not_used)}" if not_used else ""
         raise CalibrationError(
             f"too few boards: the checkerboard was found in {len(in_image)} of {len(pairs)} "
             f"images, at least {FEWEST_BOARDS} are needed, 10 or more are better{names}"
+        )
+    if lens is not None and (lens.width, lens.height) != size:
+        raise CalibrationError(
+            f"K is of images of {lens.width}x{lens.height} pixels, these have {size[0]}x{size[1]}; "
+            "say K of this size, or have it estimated (--lens)"
         )
     known = lens or estimate_lens(board, [corners for _, corners in in_image], size, model)[0]
     seen = []
     for pair, corners in in_image:
         pose, error = board_pose(corners, board, known)
         if error > _MOST_PIXELS:
-            left_out[pair.name] = (
+            not_used[pair.name] = (
                 f"its corners miss the checkerboard by {error:.1f} px (RMS): another board, or the "
                 "wrong K"
             )
@@ -207,7 +221,7 @@ def find(
     observations, T_lidar_camera, missing = find_boards(board, seen, progress)
     check_size(board, observations, T_lidar_camera)
     poses = np.stack([o.T_camera_board for o in observations])
-    return observations, Solution(inverse(T_lidar_camera), poses, known), left_out | missing
+    return observations, Solution(inverse(T_lidar_camera), poses, known), not_used | missing
 
 
 def _that_disagree(boards: Sequence[LeftOutBoard]) -> dict[str, str]:
@@ -224,3 +238,19 @@ def _that_disagree(boards: Sequence[LeftOutBoard]) -> dict[str, str]:
         for one in boards
         if one.metres > limit
     }
+
+
+def _warn_of_lens(
+    names: Sequence[str], errors: Sequence[tuple[float, float]], lens: Lens, estimated: bool
+) -> None:
+    """A lens that fits most corners but not those near the border is of another kind."""
+    pixels = np.array([error for error, _ in errors])
+    worst, usual = int(np.argmax(pixels)), float(np.median(pixels))
+    if pixels[worst] > max(_MISFIT, _TIMES_MEDIAN * usual):
+        other = next(model for model in MODELS if model != lens.model)
+        log.warning(
+            "the corners of %s miss by %.1f px, usual are %.1f px: %s",
+            names[worst], pixels[worst], usual,
+            f"a {lens.model} lens does not take them so; try --lens {other}" if estimated
+            else "K and distortion do not hold there; have them estimated (--lens)",
+        )  # fmt: skip

@@ -91,7 +91,7 @@ def find_boards(
     observations : list of Observation
     T_lidar_camera : ndarray of float64, shape (4, 4)
         From planes alone.
-    left_out : dict of str to str
+    not_used : dict of str to str
         Why the board was not found, by name.
 
     Raises
@@ -101,16 +101,16 @@ def find_boards(
     """
     T_lidar_camera = _first_extrinsic(board, seen, progress)
     for _ in range(_ROUNDS):
-        found, left_out = _expected_boards(board, seen, T_lidar_camera)
+        found, not_used = _expected_boards(board, seen, T_lidar_camera)
         if len(found) < FEWEST_BOARDS:
             raise CalibrationError(
                 f"the board was found in {len(found)} of {len(seen)} sweeps, at least "
-                f"{FEWEST_BOARDS} are needed: {_listed(left_out)}"
+                f"{FEWEST_BOARDS} are needed: {_listed(not_used)}"
             )
         swept = np.stack([o.T_lidar_board for o in found])
         check_varied(swept[:, :3, 2], "found in the sweeps")
         T_lidar_camera = solve_linear(np.stack([o.T_camera_board for o in found]), swept)
-    return found, T_lidar_camera, left_out
+    return found, T_lidar_camera, not_used
 
 
 def _first_extrinsic(board: Board, seen: Sequence[SeenBoard], progress: Progress | None) -> Floats:
@@ -145,23 +145,23 @@ def _expected_boards(
     board: Board, seen: Sequence[SeenBoard], T_lidar_camera: Floats
 ) -> tuple[list[Observation], dict[str, str]]:
     found: list[Observation] = []
-    left_out: dict[str, str] = {}
+    not_used: dict[str, str] = {}
     for view in seen:
         expected = T_lidar_camera @ view.T_camera_board
         patch = fit_patch(view.sweep, board, expected, _EXPECTED)
         pose = None if patch is None else nearest_turn(patch.T_lidar_board, expected, board)
         if patch is None or pose is None or patch.score < _LEAST_SCORE:
-            left_out[view.name] = why_missing(board, view.sweep, expected)
+            not_used[view.name] = why_missing(board, view.sweep, expected)
         elif not agrees(pose, expected):
             away = float(np.linalg.norm(pose[:3, 3] - expected[:3, 3]))
-            left_out[view.name] = (
+            not_used[view.name] = (
                 f"its board stands {away:.2f} m from where the others put it; did it move between "
                 "image and sweep, or do they not belong together?"
             )
         else:
             near = view.sweep.around(pose[:3, 3], board.diagonal)
             found.append(Observation(view.name, view.corners, view.T_camera_board, pose, near))
-    return found, left_out
+    return found, not_used
 
 
 def why_missing(board: Board, sweep: BoardSweep, expected: Floats) -> str:
@@ -190,9 +190,9 @@ def why_missing(board: Board, sweep: BoardSweep, expected: Floats) -> str:
     return "what stands there is not of the board's size, or not flat"
 
 
-def _listed(left_out: dict[str, str]) -> str:
+def _listed(not_used: dict[str, str]) -> str:
     """Each reason once, with the names."""
     reasons: dict[str, list[str]] = {}
-    for name, reason in left_out.items():
+    for name, reason in not_used.items():
         reasons.setdefault(reason, []).append(name)
     return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in reasons.items())

@@ -109,7 +109,7 @@ def estimate_lens(
     if len(corners) < FEWEST_IMAGES:
         raise CalibrationError(
             f"K needs the board in at least {FEWEST_IMAGES} images, it was found in "
-            f"{len(corners)}; take more images, or give K with --intrinsics"
+            f"{len(corners)}; take more images, or say K in docdepth.yaml"
         )
     places = [board.corners[None].astype(np.float32) for _ in corners]
     pixels = [c[None].astype(np.float32) for c in corners]
@@ -125,7 +125,7 @@ def estimate_lens(
         raise CalibrationError(
             f"K of a {model} lens cannot be estimated from {len(corners)} images "
             f"({' '.join(str(failure).split())[-120:]}); take images of the board tilted in all "
-            "directions and in all parts of the picture, or give K with --intrinsics"
+            "directions and in all parts of the picture, or say K in docdepth.yaml"
         ) from None
     distortion = np.asarray(D, np.float64).ravel()
     if not np.isfinite(K).all() or error > _MOST_ERROR:

@@ -37,7 +37,7 @@ def quality_of(found: Calibration) -> dict[str, Any]:
     }
     quality: dict[str, Any] = {
         "boards": boards,
-        "not_used": found.left_out,
+        "not_used": found.not_used,
         "left_out_px": round(float(np.median([one.pixels for one in found.boards])), 2),
         "uncertainty_deg": np.round(found.turn_deg, 4).tolist(),
         "uncertainty_cm": np.round(found.shift_cm, 3).tolist(),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import Dataset, LensModel
+from docdepth.datasets.base import Dataset, LensModel, check_distortion
 from docdepth.datasets.frame_range import FrameRange
 from docdepth.datasets.images import ImageSource
 from docdepth.geometry.camera import Camera
@@ -38,6 +38,10 @@ class ImageStream:
     camera: Camera | None = None
     distortion: NDArray[np.float64] | None = None
     model: LensModel = "pinhole"
+
+    def __post_init__(self) -> None:
+        if self.camera is not None:
+            check_distortion(self.name, self.distortion, self.model)
 
 
 def image_streams(recording: Dataset) -> dict[str, ImageStream]:

@@ -130,7 +130,7 @@ def read_camera_calibration(file: Path) -> CameraCalibration:
     if model not in ("pinhole", "fisheye"):
         raise CalibrationError(f"{file}: model is {model!r}, not pinhole or fisheye")
     if "T_camera_lidar" in entries:
-        T = _rigid(np.asarray(entries["T_camera_lidar"]), file, remedy)
+        T = _read(file, _own_extrinsic, remedy)
     else:
         T = _read(file.parent / EXTRINSICS, _extrinsic, remedy)
     return CameraCalibration(T, str(entries.get("camera", "")), camera, distortion, model)
@@ -146,6 +146,10 @@ def _camera(text: str) -> tuple[Camera, list[float]]:
 
 def _extrinsic(text: str) -> NDArray[np.float64]:
     return np.loadtxt(text.splitlines(), ndmin=2)
+
+
+def _own_extrinsic(text: str) -> NDArray[np.float64]:
+    return np.array(json.loads(text)["T_camera_lidar"], dtype=np.float64)
 
 
 def _read(file: Path, parse: Callable[[str], _Parsed], remedy: str) -> _Parsed:
