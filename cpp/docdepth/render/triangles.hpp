@@ -22,25 +22,25 @@ struct PlacedMesh {
 
 /// A dynamic object at the time of the image, as one or more sweeps saw it.
 struct PlacedDynamicObject {
-  std::vector<PlacedMesh> trusted;    ///< drawn as they are
-  std::vector<PlacedMesh> others;     ///< drawn where no ray contradicts them
-  std::vector<PlacedMesh> continued;  ///< continue both; drawn where rays confirm them
-  std::vector<PlacedRays> rays;       ///< placed so that the object stands still among them
-  PixelBounds bounds;                 ///< all of it lies within
-  std::vector<Pose> T_camera_sensor;  ///< of all sweeps that saw it, placed like the rays
-  Eigen::Vector3f extent{0, 0, 0};    ///< how long, wide and high it may be [m]
-  Eigen::Vector3f velocity{0, 0, 0};  ///< in the frame of the camera [m/s]; zero if not followed
+  std::vector<PlacedMesh> trusted;      ///< drawn as they are
+  std::vector<PlacedMesh> others;       ///< drawn where no ray contradicts them
+  std::vector<PlacedMesh> continued;    ///< continue both; drawn where rays confirm them
+  std::vector<PlacedRays> rays;         ///< placed so that the object stands still among them
+  PixelBounds bounds;                   ///< all of it lies within
+  std::vector<Pose> T_camera_sensor{};  ///< of all sweeps that saw it, placed like the rays
+  Eigen::Vector3f extent{0, 0, 0};      ///< how long, wide and high it may be [m]
+  Eigen::Vector3f velocity{0, 0, 0};    ///< in the frame of the camera [m/s]; zero if not followed
 };
 
 /// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all
 /// surfaces would be the one with the most noise and the widest silhouette.
 struct MeshScene {
-  std::vector<PlacedMesh> trusted;       ///< drawn as they are, except at their edges
-  std::vector<PlacedMesh> others;        ///< fill what is left empty, and are hypotheses at edges
-  std::vector<PlacedRays> rays;          ///< decide between hypotheses
-  std::vector<PlacedRays> shutter_rays;  ///< of the sweeps nearest in time to the image
-  const FieldOfView* field_of_view = nullptr;        ///< of the nearest of these
+  std::vector<PlacedMesh> trusted;  ///< drawn as they are, except at their edges
+  std::vector<PlacedMesh> others;   ///< fill what is left empty, and are hypotheses at edges
+  std::vector<PlacedRays> rays;     ///< decide between hypotheses
   std::vector<PlacedDynamicObject> dynamic_objects;  ///< hide what is farther
+  std::vector<PlacedRays> shutter_rays{};            ///< of the sweeps nearest in time to the image
+  const FieldOfView* field_of_view = nullptr;        ///< of the nearest of these
 };
 
 /// Depth of the surface at each pixel, row after row [m]; NaN if there is none. Triangles with a

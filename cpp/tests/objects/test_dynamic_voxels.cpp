@@ -9,10 +9,15 @@ using namespace docdepth;
 TEST_CASE("the window says which sweeps feed the dynamic voxels") {
   // Five sweeps at 5 Hz. Only the last one, 0.4 s after the middle one, saw a dynamic object.
   const SampledPoints samples(4, Eigen::Vector3f(0.5f, 0.5f, 0.5f));
-  const Detections none, object{{0, 10, 10, extent_of(samples), samples}};
+  Detection seen;
+  seen.points = seen.dynamic = 10;
+  seen.area = seen.dynamic_area = 10;
+  seen.box = extent_of(samples);
+  seen.surface.points = samples;
+  const Detections none, object{seen};
   const std::vector<const Detections*> detections{&none, &none, &none, &none, &object};
   const std::vector<double> times{0, 0.2, 0.4, 0.6, 0.8};
-  const std::vector<TrackingResult> tracked(5);
+  const std::vector<TrackedSweep> tracked(5);
   const auto voxels = [&](double window) {
     std::vector<std::size_t> counts;
     for (const auto& sweep : dynamic_voxels(detections, times, tracked, window, 1))
@@ -24,5 +29,5 @@ TEST_CASE("the window says which sweeps feed the dynamic voxels") {
   CHECK(voxels(0) == std::vector<std::size_t>{0, 0, 0, 0, 0});
   TrackParameters parameters;
   parameters.window = 0.6;
-  CHECK(track_objects(detections, times, parameters, 1)[1].voxels.size() == 1);
+  CHECK(track_objects(detections, times, parameters, 1).sweeps[1].voxels.size() == 1);
 }

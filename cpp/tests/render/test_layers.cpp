@@ -27,7 +27,7 @@ TEST_CASE("layers of triangles tell which mesh is seen, and how many agree") {
   scene.others = {{&again, T, 1}, {&near, T, 2}, {&near, T, 0, true}};
   const std::vector<float> depth(21 * 21, 10.0f);
   for (const int threads : {1, 3}) {
-    const Layers layers = layers_of_triangles(kCamera, scene, depth.data(), threads);
+    const Layers layers = layers_of_triangles(kCamera, scene, depth.data(), false, threads);
     for (int i = 0; i < 21 * 21; ++i) {
       REQUIRE(layers.sweep[i] == 0);
       REQUIRE(layers.classid[i] == kStatic);
@@ -45,7 +45,7 @@ TEST_CASE("layers of triangles tell which mesh is seen, and how many agree") {
       {{{&dynamic_mesh, T, 3}}, {{&other, T, 4, false, 7}}, {}, {}, {0, 21, 0, 21}}};
   std::vector<float> nearer(21 * 21, 4.02f);
   nearer[7] = NAN;
-  const Layers layers = layers_of_triangles(kCamera, scene, nearer.data(), 2);
+  const Layers layers = layers_of_triangles(kCamera, scene, nearer.data(), false, 2);
   CHECK(layers.sweep[0] == 4);
   CHECK(layers.classid[0] == kDynamic);
   CHECK(layers.instance[0] == 7);
