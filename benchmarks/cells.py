@@ -143,7 +143,7 @@ class ExactDrive:
     def _sweep(self, index: int) -> Sweep:
         """A sweep with the time of each point: moving objects are where they were at that time."""
         sweep = self.dataset.sweep(index)
-        if self.drive.sensor.name == "Avia":  # does not spin
+        if sweep.relative_time is not None:
             return sweep
         x, y = sweep.points[:, 0], sweep.points[:, 1]
         relative_time = (-np.arctan2(y, x) / (2 * np.pi)).astype(np.float32)

@@ -101,9 +101,10 @@ def _used(scene: Scene, made: Any) -> None:
     elif isinstance(made, _core.MeshFrame):
         statics = [*scene.static_meshes[:1], (made, np.eye(4))]
         sightings = [(made, k + 1, np.eye(4), 4) for k in range(min(made.objects, 9))]
-        moving = [*scene.sighted, (3, (4.0, 2.0, 4.2), sightings, sightings, sightings)]
+        moving = [*scene.sighted, (3, sightings, sightings, sightings)]
         around = [(made, np.eye(4), 0.0)]
-        depth = _core.render_meshes(*camera, statics, moving, 3, 1, around)
+        boxes = [(np.eye(4), (4.0, 2.0, 4.2))]
+        depth = _core.render_meshes(*camera, statics, moving, 3, 1, around, boxes)
         _core.mesh_layers(*camera, statics, moving, 3, depth, 1, around, True)
     elif isinstance(made, _core.Rays):
         made.query_visibility(scene.points)

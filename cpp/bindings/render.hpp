@@ -10,6 +10,7 @@
 #include "docdepth/render/camera.hpp"
 #include "docdepth/render/cloud.hpp"
 #include "docdepth/render/mesh_frame.hpp"
+#include "docdepth/render/seen.hpp"
 #include "docdepth/render/splats.hpp"
 
 namespace docdepth::bindings {
@@ -83,12 +84,25 @@ inline std::vector<ShutterFrame> as_shutter_frames(const std::vector<ShutterOf>&
   return result;
 }
 
+/// ``T_camera_box`` of a box, and its length, width and height.
+using BoxOf = std::pair<Array<double>, std::tuple<double, double, double>>;
+
+inline std::vector<PlacedBox> as_boxes(const std::vector<BoxOf>& boxes) {
+  std::vector<PlacedBox> result;
+  for (const auto& [pose, size] : boxes) {
+    const auto& [length, width, height] = size;
+    for (const double side : {length, width, height}) in_range(side, 0, 1e3, "a side of a box [m]");
+    result.push_back({as_pose(pose), {float(length), float(width), float(height)}});
+  }
+  return result;
+}
+
 /// A frame, the number of the object in it, its pose, and the number of the sweep.
 using SightingOf = std::tuple<const MeshFrame*, int, Array<double>, int>;
-/// Instance, extent, sightings of sweeps around the image and of others, and those whose rays tell
-/// where the object ends.
-using ObjectOf = std::tuple<int, std::tuple<double, double, double>, std::vector<SightingOf>,
-                            std::vector<SightingOf>, std::vector<SightingOf>>;
+/// Instance, sightings of sweeps around the image and of others, and those whose rays tell where
+/// the object ends.
+using ObjectOf =
+    std::tuple<int, std::vector<SightingOf>, std::vector<SightingOf>, std::vector<SightingOf>>;
 
 inline std::vector<Sighting> as_sightings(const std::vector<SightingOf>& sightings) {
   std::vector<Sighting> result;
@@ -103,15 +117,10 @@ inline std::vector<Sighting> as_sightings(const std::vector<SightingOf>& sightin
 
 inline std::vector<SightedObject> as_objects(const std::vector<ObjectOf>& objects) {
   std::vector<SightedObject> result;
-  for (const auto& [instance, extent, around, others, rays] : objects) {
+  for (const auto& [instance, around, others, rays] : objects) {
     in_range(instance, 0, 0xFFFF, "an instance");
-    const auto& [length, width, height] = extent;
-    for (const double side : {length, width, height}) in_range(side, 0, 1e3, "an extent [m]");
-    result.push_back({std::uint16_t(instance),
-                      {float(length), float(width), float(height)},
-                      as_sightings(around),
-                      as_sightings(others),
-                      as_sightings(rays)});
+    result.push_back(
+        {std::uint16_t(instance), as_sightings(around), as_sightings(others), as_sightings(rays)});
   }
   return result;
 }

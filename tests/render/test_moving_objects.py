@@ -15,7 +15,13 @@ from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.moving_objects import TOUCH, objects_of
 from docdepth.render.selection import drawn_frames
-from docdepth.render.sightings import MOST_SIGHTINGS, SOFT_SECONDS, View, sighted_objects
+from docdepth.render.sightings import (
+    MOST_SIGHTINGS,
+    SOFT_SECONDS,
+    View,
+    boxes_in_view,
+    sighted_objects,
+)
 from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS, near_vehicles, track_sweeps
 
 CORNERS = np.array([(x, y, z) for x in (-2, 2) for y in (-0.9, 0.9) for z in (0, 1.5)])
@@ -117,8 +123,10 @@ def test_sightings_are_placed_as_plain_matrices_say(kind):
     T_camera_world = AXES @ inverse(trajectory.interpolate(time)[0])
     view = View(small_camera(), T_camera_world, time)
     objects = sighted_objects(view, trajectory, frames.__getitem__, drawn, {6: track}, 100)
-    ((instance, extent, around, others, rays),) = objects
-    assert extent == (*track.size[:2], 4.2 if kind == "vehicle" else 2.2)
+    ((instance, around, others, rays),) = objects
+    ((T_camera_box, size),) = boxes_in_view(view, trajectory, {6: track})
+    assert size == (*track.size[:2], 4.2 if kind == "vehicle" else 2.2)
+    np.testing.assert_allclose(T_camera_box, T_camera_world @ track.pose_at(time))
     assert instance == 6
     if kind == "person":
         near = [i for i in drawn.dynamic if abs(trajectory.times[i] - time) <= SOFT_SECONDS * 1e9]

@@ -41,15 +41,14 @@ constexpr double kRayCellSize = 1.6;
 
 // --- Field of view, and what the sensor did not look at ---
 
-/// Rays farther apart leave a gap in the view [rad]: half a ring more than the widest rings of
-/// common LiDARs, a degree.
-constexpr float kViewGap = 0.0262f;
-/// Nearer returns do not tell how far aside and up a sensor looks if the origins of their rays are
-/// unknown [m]: at 10 m half a metre of ego motion is 3 degrees.
-constexpr float kViewRange = 10;
 /// Rays at most this long before or after the shutter look at what the image shows [s]: a sweep of
 /// a common LiDAR.
 constexpr float kShutter = 0.1f;
+/// An object may reach this far beyond the box of its track [m]: what was seen of it is not all.
+constexpr float kBoxMargin = 0.05f;
+/// Behind the box of an object a point was seen if so many of the nearest rays around it, one in
+/// each quadrant of direction, ended there. Outside a corner of the object three do.
+constexpr int kMinEnded = 3;
 /// Rays around a point are near if they lie within so many mean distances between returns, to each
 /// side and up and down: both of two rings ten times farther apart than their returns.
 constexpr float kNearRays = 4;

@@ -51,21 +51,12 @@ PlacedDynamicObject place(const Camera& camera, const SightedObject& object,
   for (const Sighting& from : object.rays)
     placed.rays.push_back({&from.placed.frame->dynamic_meshes[from.owner - 1].rays,
                            from.placed.T_camera_frame, kMovedRayBlur, age(from.sweep)});
-  if (object.instance == 0) return placed;
-  placed.extent = object.extent;
-  for (const auto* sightings : {&object.around, &object.others})
-    for (const Sighting& from : *sightings) {
-      const Pose& T = from.placed.T_camera_frame;
-      if (placed.T_camera_sensor.empty())
-        placed.velocity = (T.linear() * meshes(from).velocity.cast<double>()).cast<float>();
-      placed.T_camera_sensor.push_back(T);
-    }
   return placed;
 }
 
 }  // namespace
 
-MeshFrame::MeshFrame(const MeshParts& parts) : field_of_view(parts.points, parts.ray_origins) {
+MeshFrame::MeshFrame(const MeshParts& parts) {
   const Points& points = parts.points;
   const std::size_t owners = parts.motions.size() + 1;
   auto mesh = partition_mesh(points, parts.triangles, parts.discontinuity, parts.triangle_count,
@@ -92,13 +83,13 @@ MeshFrame::MeshFrame(const MeshParts& parts) : field_of_view(parts.points, parts
   for (std::size_t k = 1; k < owners; ++k)
     dynamic_meshes.push_back({PatchMesh(all, mesh.parts[k].whole),
                               PatchMesh(all, mesh.parts[k].inner),
-                              PatchMesh(all, mesh.parts[k].outer), std::move(near[k - 1]),
-                              parts.motions[k - 1].velocity});
+                              PatchMesh(all, mesh.parts[k].outer), std::move(near[k - 1])});
 }
 
 MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>& static_frames,
                         const std::vector<SightedObject>& objects, int visibility_sweeps,
-                        const std::vector<ShutterFrame>& shutter_frames) {
+                        const std::vector<ShutterFrame>& shutter_frames,
+                        const std::vector<PlacedBox>& boxes) {
   MeshScene scene;
   const auto count = static_cast<int>(static_frames.size());
   for (int i = 0; i < count; ++i)
@@ -108,7 +99,7 @@ MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>
     scene.rays.push_back({&static_frames[i].frame->rays, static_frames[i].T_camera_frame});
   for (const auto& [placed, age] : shutter_frames)
     scene.shutter_rays.push_back({&placed.frame->rays, placed.T_camera_frame, kRayBlur, age});
-  if (!shutter_frames.empty()) scene.field_of_view = &shutter_frames[0].placed.frame->field_of_view;
+  scene.boxes = boxes;
   const auto age = [&](int sweep) {  // others were taken long before or after
     const bool around = sweep >= count && std::size_t(sweep - count) < shutter_frames.size();
     return around ? shutter_frames[sweep - count].age : std::numeric_limits<float>::infinity();
@@ -123,9 +114,11 @@ MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>
 std::vector<float> render_meshes(const Camera& camera,
                                  const std::vector<PlacedMeshFrame>& static_frames,
                                  const std::vector<SightedObject>& objects, int visibility_sweeps,
-                                 const std::vector<ShutterFrame>& shutter_frames, int threads) {
+                                 const std::vector<ShutterFrame>& shutter_frames,
+                                 const std::vector<PlacedBox>& boxes, int threads) {
   return render_triangles(
-      camera, compose_scene(camera, static_frames, objects, visibility_sweeps, shutter_frames),
+      camera,
+      compose_scene(camera, static_frames, objects, visibility_sweeps, shutter_frames, boxes),
       threads);
 }
 

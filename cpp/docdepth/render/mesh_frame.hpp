@@ -5,7 +5,6 @@
 #include <vector>
 
 #include "docdepth/render/camera.hpp"
-#include "docdepth/render/field_of_view.hpp"
 #include "docdepth/render/patch_mesh.hpp"
 #include "docdepth/render/rays.hpp"
 #include "docdepth/render/triangles.hpp"
@@ -38,16 +37,14 @@ struct MeshParts {
 /// The mesh of a sweep made ready to be drawn, each dynamic object apart.
 struct MeshFrame {
   struct DynamicMesh {
-    PatchMesh whole;           ///< measured surface and isolated returns
-    PatchMesh inner;           ///< continues it over its own discontinuities
-    PatchMesh outer;           ///< continues it towards its surroundings
-    Rays rays;                 ///< near it, as object_rays() moves them
-    Eigen::Vector3f velocity;  ///< in the frame of the sensor [m/s]
+    PatchMesh whole;  ///< measured surface and isolated returns
+    PatchMesh inner;  ///< continues it over its own discontinuities
+    PatchMesh outer;  ///< continues it towards its surroundings
+    Rays rays;        ///< near it, as object_rays() moves them
   };
   PatchMesh static_mesh;                    ///< measured surface and isolated returns
   Rays rays;                                ///< as they were measured
   std::vector<DynamicMesh> dynamic_meshes;  ///< of owner 1, 2, ...
-  FieldOfView field_of_view;
 
   explicit MeshFrame(const MeshParts& parts);
 };
@@ -73,7 +70,6 @@ struct Sighting {
 /// A dynamic object as several sweeps saw it.
 struct SightedObject {
   std::uint16_t instance;        ///< 0 if it is not followed
-  Eigen::Vector3f extent;        ///< how long, wide and high it may be [m]
   std::vector<Sighting> around;  ///< sweeps around the image; the first is trusted
   std::vector<Sighting> others;  ///< sweeps farther in time, which saw other parts of it
   std::vector<Sighting> rays;    ///< that tell where it ends
@@ -86,14 +82,17 @@ struct SightedObject {
 ///   the first sweep with a depth wins.
 /// @param shutter_frames     sweeps nearest in time to the image, the nearest first; these are the
 ///   sweeps static_frames.size(), static_frames.size() + 1, ... of sightings
+/// @param boxes              around objects that move; see empty_behind_boxes()
 std::vector<float> render_meshes(const Camera& camera,
                                  const std::vector<PlacedMeshFrame>& static_frames,
                                  const std::vector<SightedObject>& objects, int visibility_sweeps,
-                                 const std::vector<ShutterFrame>& shutter_frames, int threads);
+                                 const std::vector<ShutterFrame>& shutter_frames,
+                                 const std::vector<PlacedBox>& boxes, int threads);
 
 /// What render_meshes() draws, for any rasteriser. static_frames are the sweeps from 0 on.
 MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>& static_frames,
                         const std::vector<SightedObject>& objects, int visibility_sweeps,
-                        const std::vector<ShutterFrame>& shutter_frames);
+                        const std::vector<ShutterFrame>& shutter_frames,
+                        const std::vector<PlacedBox>& boxes);
 
 }  // namespace docdepth

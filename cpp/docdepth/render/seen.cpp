@@ -165,6 +165,12 @@ class ShutterRays {
 
 using Sweeps = std::vector<ShutterRays>;
 
+Vector point_at(const Camera& camera, std::size_t pixel, float z) {
+  const auto u = float(pixel % camera.width), v = float(pixel / camera.width);
+  return {(u - float(camera.cx)) / float(camera.fx) * z,
+          (v - float(camera.cy)) / float(camera.fy) * z, z};
+}
+
 Sweeps within_shutter(const std::vector<PlacedRays>& rays) {
   Sweeps sweeps;
   for (const PlacedRays& placed : rays) {
@@ -185,6 +191,13 @@ bool all(const Corners& corners, Verdict verdict) {
                      [&](const Corner& corner) { return corner.verdict == verdict; });
 }
 
+/// Whether rays around a point ended there. Where an edge passes by, some do not.
+bool most_ended(const Corners& corners) {
+  return std::count_if(corners.begin(), corners.end(), [](const Corner& corner) {
+           return corner.verdict == Verdict::kEnded;
+         }) >= kMinEnded;
+}
+
 /// Whether another surface, whose returns lie beside the pixel, may hide its point from the camera.
 /// @param front  the nearest point of the image beside the pixel
 bool may_be_hidden(const Sweeps& sweeps, const Vector& point, const Vector& front,
@@ -196,6 +209,40 @@ bool may_be_hidden(const Sweeps& sweeps, const Vector& point, const Vector& fron
   return std::any_of(before.begin(), before.end(),
                      [](const Corner& corner) { return corner.verdict == Verdict::kEnded; });
 }
+
+/// A box as the camera sees it.
+class SeenBox {
+ public:
+  SeenBox(const Camera& camera, const PlacedBox& box)
+      : low_(-box.size.x() / 2 - kBoxMargin, -box.size.y() / 2 - kBoxMargin, 0),
+        high_(box.size.x() / 2 + kBoxMargin, box.size.y() / 2 + kBoxMargin,
+              box.size.z() + kBoxMargin),
+        bounds_(bounds_of(camera, box.T_camera_box, {(low_ + high_) / 2, (high_ - low_) / 2})) {
+    const Pose T = box.T_camera_box.inverse();
+    rotation_ = T.linear().cast<float>();
+    start_ = T.translation().cast<float>();
+  }
+
+  const PixelBounds& bounds() const { return bounds_; }
+
+  /// Whether a point in the frame of the camera lies behind it.
+  bool hides(const Vector& point) const {
+    const Vector along = rotation_ * point;
+    float enter = 0, leave = 1;  // of the way to the point
+    for (int k = 0; k < 3; ++k) {
+      const float a = (low_[k] - start_[k]) / along[k], b = (high_[k] - start_[k]) / along[k];
+      enter = std::max(enter, std::min(a, b));
+      leave = std::min(leave, std::max(a, b));
+    }
+    return enter < leave && leave < 1;
+  }
+
+ private:
+  Vector low_, high_;
+  PixelBounds bounds_;
+  Eigen::Matrix3f rotation_;
+  Vector start_;
+};
 
 /// The camera stands beside the sensor: what ends before the point for one of them may not hide it
 /// from the other.
@@ -249,11 +296,6 @@ std::vector<Seen> seen_pixels(const Camera& camera, const MeshScene& scene, cons
   for (const PlacedDynamicObject& object : scene.dynamic_objects)
     moved.push_back(within_shutter(object.rays));
   const auto front = nearest_beside(camera, depth, front_radius(camera, scene.shutter_rays));
-  const auto point_at = [&](std::size_t i) {
-    const auto u = float(i % camera.width), v = float(i / camera.width);
-    return Vector((u - float(camera.cx)) / float(camera.fx) * depth[i],
-                  (v - float(camera.cy)) / float(camera.fy) * depth[i], depth[i]);
-  };
   std::vector<Seen> seen(objects.size(), Seen::kNoDepth);
   parallel_for(camera.height, 8, threads, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin * camera.width; i < end * camera.width; ++i) {
@@ -261,10 +303,34 @@ std::vector<Seen> seen_pixels(const Camera& camera, const MeshScene& scene, cons
       const std::int32_t k = objects[i];
       const Sweeps& sweeps = k < 0 ? still : moved[k];
       const Kind kind = k < 0 ? Kind::kStatic : Kind::kMoving;
-      seen[i] = seen_at(sweeps, point_at(i), kind, point_at(front[i]));
+      seen[i] = seen_at(sweeps, point_at(camera, i, depth[i]), kind,
+                        point_at(camera, front[i], depth[front[i]]));
     }
   });
   return seen;
+}
+
+void empty_behind_boxes(const Camera& camera, const MeshScene& scene,
+                        const std::vector<std::uint16_t>& owners, std::vector<float>& depth,
+                        int threads) {
+  if (scene.boxes.empty()) return;
+  const Sweeps sweeps = within_shutter(scene.shutter_rays);
+  for (const PlacedBox& placed : scene.boxes) {
+    const SeenBox box(camera, placed);
+    const PixelBounds& bounds = box.bounds();
+    if (bounds.empty()) continue;
+    const auto rows = std::size_t(bounds.end_v - bounds.begin_v);
+    parallel_for(rows, 8, threads, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t row = begin; row < end; ++row)
+        for (int u = bounds.begin_u; u < bounds.end_u; ++u) {
+          const std::size_t i = (bounds.begin_v + row) * camera.width + u;
+          if (!(depth[i] > 0) || (!owners.empty() && owners[i] != 0)) continue;
+          const Vector point = point_at(camera, i, depth[i]);
+          if (box.hides(point) && !most_ended(corners_around(sweeps, point, Kind::kStatic)))
+            depth[i] = std::numeric_limits<float>::quiet_NaN();
+        }
+    });
+  }
 }
 
 }  // namespace docdepth

@@ -4,9 +4,9 @@
 #include <utility>
 
 #include "docdepth/geometry/parallel.hpp"
-#include "docdepth/render/beyond_view.hpp"
 #include "docdepth/render/depth_hypotheses.hpp"
 #include "docdepth/render/raster.hpp"
+#include "docdepth/render/seen.hpp"
 
 namespace docdepth {
 namespace {
@@ -80,7 +80,7 @@ std::vector<float> render_triangles(const Camera& camera, const MeshScene& scene
         if (!owners.empty()) owners[to] = drawn[from];
       }
   });
-  empty_beyond_view(camera, scene, owners, depth);
+  empty_behind_boxes(camera, scene, owners, depth, threads);
   return depth;
 }
 

@@ -5,7 +5,6 @@
 #include <vector>
 
 #include "docdepth/render/camera.hpp"
-#include "docdepth/render/field_of_view.hpp"
 #include "docdepth/render/patch_mesh.hpp"
 #include "docdepth/render/rays.hpp"
 
@@ -22,14 +21,17 @@ struct PlacedMesh {
 
 /// A dynamic object at the time of the image, as one or more sweeps saw it.
 struct PlacedDynamicObject {
-  std::vector<PlacedMesh> trusted;      ///< drawn as they are
-  std::vector<PlacedMesh> others;       ///< drawn where no ray contradicts them
-  std::vector<PlacedMesh> continued;    ///< continue both; drawn where rays confirm them
-  std::vector<PlacedRays> rays;         ///< placed so that the object stands still among them
-  PixelBounds bounds;                   ///< all of it lies within
-  std::vector<Pose> T_camera_sensor{};  ///< of all sweeps that saw it, placed like the rays
-  Eigen::Vector3f extent{0, 0, 0};      ///< how long, wide and high it may be [m]
-  Eigen::Vector3f velocity{0, 0, 0};    ///< in the frame of the camera [m/s]; zero if not followed
+  std::vector<PlacedMesh> trusted;    ///< drawn as they are
+  std::vector<PlacedMesh> others;     ///< drawn where no ray contradicts them
+  std::vector<PlacedMesh> continued;  ///< continue both; drawn where rays confirm them
+  std::vector<PlacedRays> rays;       ///< placed so that the object stands still among them
+  PixelBounds bounds;                 ///< all of it lies within
+};
+
+/// The box around an object that moves, at the time of the image.
+struct PlacedBox {
+  Pose T_camera_box;  ///< x forward, z up; the origin is the centre of the bottom
+  Eigen::Vector3f size;
 };
 
 /// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all
@@ -40,7 +42,7 @@ struct MeshScene {
   std::vector<PlacedRays> rays;     ///< decide between hypotheses
   std::vector<PlacedDynamicObject> dynamic_objects;  ///< hide what is farther
   std::vector<PlacedRays> shutter_rays{};            ///< of the sweeps nearest in time to the image
-  const FieldOfView* field_of_view = nullptr;        ///< of the nearest of these
+  std::vector<PlacedBox> boxes{};  ///< the static world behind is drawn where these saw it
 };
 
 /// Depth of the surface at each pixel, row after row [m]; NaN if there is none. Triangles with a

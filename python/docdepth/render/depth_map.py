@@ -18,7 +18,7 @@ from docdepth.render.backends import Renderer
 from docdepth.render.frame import Frame, Part
 from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import drawn_frames
-from docdepth.render.sightings import View, sighted_objects
+from docdepth.render.sightings import View, boxes_in_view, sighted_objects
 
 NEAR = 0.1
 """Near plane of the core's renderers [m]: points closer to the image plane are not drawn."""
@@ -75,10 +75,12 @@ def compose_depth(
     p = parameters or RenderParameters()
     core = (renderer or Renderer()).core
     draw = core.render_splats if p.primitive == "splats" else core.render_meshes
-    depth: NDArray[np.float32] = draw(
-        **core_arguments(camera, T_camera_lidar, trajectory, time, frames, p, tracks),
-        threads=threads,
-    )
+    arguments = core_arguments(camera, T_camera_lidar, trajectory, time, frames, p, tracks)
+    if p.primitive == "triangles" and tracks:
+        T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
+        view = View(camera, T_camera_world, int(time))
+        arguments["boxes"] = boxes_in_view(view, trajectory, tracks)
+    depth: NDArray[np.float32] = draw(**arguments, threads=threads)
     # The nearest depth wins, so cutting the map at the far plane is cutting the points.
     depth[depth > p.max_depth] = np.nan
     return depth

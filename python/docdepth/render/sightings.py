@@ -39,6 +39,10 @@ COARSER = 1.25
 """Sweeps that saw a vehicle from so many times farther show less of it than those around the
 image."""
 
+GONE = 500_000_000
+"""Before it is seen for the first time, and after the last, it is known for so long where an object
+is [ns]: braking hard it is a metre off then."""
+
 REACH = 1.0
 """An object may reach this far beyond the box of its track [m]."""
 
@@ -53,9 +57,9 @@ Floats: TypeAlias = NDArray[np.float64]
 Sighting: TypeAlias = "tuple[_core.Frame | _core.MeshFrame, int, Floats, int]"
 """A frame, the number of the object in it, ``T_camera_sensor``, and the number of the sweep."""
 Extent: TypeAlias = tuple[float, float, float]
-SightedObject: TypeAlias = "tuple[int, Extent, list[Sighting], list[Sighting], list[Sighting]]"
-"""Instance, how long, wide and high it may be [m], sightings of sweeps around the image and of
-others, and those whose rays tell where the object ends."""
+SightedObject: TypeAlias = "tuple[int, list[Sighting], list[Sighting], list[Sighting]]"
+"""Instance, sightings of sweeps around the image and of others, and those whose rays tell where the
+object ends."""
 
 
 class _Seen(NamedTuple):
@@ -99,7 +103,7 @@ def sighted_objects(
         T_camera_lidar = view.T_camera_world @ trajectory.poses[one.sweep]
         core, T_lidar_sensor = frames(one.sweep).dynamic_part
         placed = [(core, one.owner, T_camera_lidar @ T_lidar_sensor, one.number)]
-        found.append((0, (0.0, 0.0, 0.0), placed, [], placed))
+        found.append((0, placed, [], placed))
     for instance in sorted(seen):
         T_camera_object = view.T_camera_world @ tracks[instance].pose_at(view.time)
         if not _in_view(view.camera, T_camera_object, tracks[instance]):
@@ -109,8 +113,20 @@ def sighted_objects(
             for some in _chosen(seen[instance], drawn, trajectory, tracks[instance], view.time)
         )
         if around:  # else nobody knows where it is by now
-            extent = _extent(tracks[instance], trajectory)
-            found.append((instance, extent, around, others, (around + others)[:MOST_RAYS]))
+            found.append((instance, around, others, (around + others)[:MOST_RAYS]))
+    return found
+
+
+def boxes_in_view(
+    view: View, trajectory: Trajectory, tracks: Tracks
+) -> list[tuple[Floats, Extent]]:
+    """Where objects are that the camera may see: ``T_camera_box`` and how large each may be [m]."""
+    found = []
+    for track in tracks.values():
+        if track.times[0] - GONE <= view.time <= track.times[-1] + GONE:
+            T_camera_object = view.T_camera_world @ track.pose_at(view.time)
+            if _in_view(view.camera, T_camera_object, track):
+                found.append((T_camera_object, _extent(track, trajectory)))
     return found
 
 

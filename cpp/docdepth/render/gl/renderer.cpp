@@ -6,10 +6,10 @@
 #include <string>
 
 #include "docdepth/geometry/rigid.hpp"
-#include "docdepth/render/beyond_view.hpp"
 #include "docdepth/render/depth_hypotheses.hpp"
 #include "docdepth/render/gl/program.hpp"
 #include "docdepth/render/gl/shaders.hpp"
+#include "docdepth/render/seen.hpp"
 
 namespace docdepth::gl {
 namespace {
@@ -217,7 +217,7 @@ std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Mesh
       depth[i] = static_depth[from] > 0 ? 1.0f / static_depth[from] : kNone;
       owners.push_back(wide[from]);
     }
-    empty_beyond_view(camera, scene, owners, depth);
+    empty_behind_boxes(camera, scene, owners, depth, 0);
     return depth;
   });
 }

@@ -1,4 +1,4 @@
-"""What a moving object hides beyond the edge of the sensor's view."""
+"""Behind the box of a moving object the world is drawn only where the LiDAR saw it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.render import backends
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
+from docdepth.render.layers import AGREED, compose_layers
 from docdepth.render.track_sweeps import seen_to_its_top
 
 CAMERA = Camera(np.array([[200.0, 0, 160], [0, 200, 80], [0, 0, 1]]), 320, 120)
@@ -19,16 +20,17 @@ HIGHEST = 8.0  # beam [deg]
 
 
 def scene(
-    top, azimuths=(-180.0, 180.0), gap=None, objects=True, ahead=AHEAD, tracked=True, width=2.0
+    top, azimuths=(-180.0, 180.0), gap=None, objects=True, ahead=AHEAD, tracked=True, known=None
 ):
     """Sweeps 2 m apart before a wall; from sweep 3 on an object drives ahead at our speed.
 
     The image is taken at sweep 6. Sweeps before it saw the wall above the highest beam of it.
+    The object and the box of its track are 2 m wide; it ends ``top`` above the LiDAR [m].
     gap : azimuths without rays since sweep 3 [deg]
-    width : of the box of the track; the object is 2 m wide [m]
+    known : height of the box, if it is not that of the object [m]
     """
     trajectory = straight(9, spacing=2.0)
-    track = moving_track(trajectory, (ahead, 0, -1.7), (20, 0, 0), (0.5, width, 4.0))
+    track = moving_track(trajectory, (ahead, 0, -1.7), (20, 0, 0), (0.5, 2.0, known or top + 1.7))
     e, a = np.meshgrid(np.arange(-20, HIGHEST, 0.4), np.arange(*azimuths, 0.3), indexing="ij")
     frames = []
     for i in range(9):
@@ -50,7 +52,7 @@ def scene(
         frames.append(frame if tracked else Frame(points, classid, TRIANGLES))
     about = {"camera": CAMERA, "T_camera_lidar": AXES, "trajectory": trajectory}
     about |= {"time": 600_000_000, "frames": frames.__getitem__, "parameters": TRIANGLES}
-    return about | {"tracks": {1: track}}
+    return about | {"tracks": {1: track} if tracked and objects else {}}
 
 
 def rows_and_columns():
@@ -72,13 +74,12 @@ def test_the_world_above_a_truck_that_the_highest_beam_cuts_is_empty():
 
 
 def test_a_low_object_hides_nothing_above_it():
-    depth = compose_depth(**scene(top=0.2))
+    depth = compose_depth(**scene(top=-0.2))
     assert np.isfinite(depth[ABOVE & BEHIND]).mean() > 0.95
     assert np.nanmin(depth[ABOVE & BEHIND]) > 20
 
 
-def test_what_is_not_followed_is_not_continued():
-    """It may be several objects."""
+def test_what_is_not_followed_has_no_box():
     depth = compose_depth(**scene(top=2.0, tracked=False))
     assert np.isfinite(depth[ABOVE & BEHIND]).mean() > 0.95
 
@@ -86,7 +87,7 @@ def test_what_is_not_followed_is_not_continued():
 def test_no_road_vehicle_is_higher_than_it_may_be():
     """A bridge's pier cannot be a truck: 4.2 m above the road the world is seen again."""
     ahead, columns = 16.0, np.abs(RIGHT) < 0.05
-    depth = compose_depth(**scene(top=9.0, ahead=ahead))
+    depth = compose_depth(**scene(top=9.0, ahead=ahead, known=3.9))
     highest = (4.2 - 1.7) / ahead  # 1.7 m is the height of the sensor
     hidden = columns & (np.tan(np.radians(HIGHEST)) + 0.003 < UP) & (highest - 0.004 > UP)
     above = columns & (highest + 0.01 < UP) & (UP < 0.19)
@@ -111,14 +112,35 @@ def test_the_world_beside_what_a_narrow_sensor_cuts_is_empty():
     assert np.isfinite(depth[left]).mean() > 0.95
 
 
-def test_a_gap_inside_the_view_cuts_nothing():
-    """A rosette has gaps; the sensor looks into them with the next sweep."""
-    gap = {"azimuths": (-30.0, 30.0), "gap": (-18.0, -7.0), "top": 0.0, "width": 3.0}
+def test_a_gap_inside_an_object_does_not_show_the_world():
+    """A rosette has gaps of degrees; other sweeps saw the wall there before the object came."""
+    gap = {"azimuths": (-30.0, 30.0), "gap": (-6.0, -2.0), "top": 0.0}
     depth, without = compose_depth(**scene(**gap)), compose_depth(**scene(**gap, objects=False))
     level = np.abs(UP + 0.1) < 0.08
-    beside = level & (RIGHT > 1.1 / AHEAD) & (np.tan(np.radians(17)) > RIGHT)
-    assert np.isfinite(without[beside]).mean() > 0.9
-    assert np.isfinite(depth[beside]).mean() > 0.9
+    inside = level & (np.tan(np.radians(2.5)) < RIGHT) & (np.tan(np.radians(5.5)) > RIGHT)
+    assert (without[inside] > AHEAD + 1).mean() > 0.9
+    assert not (depth[inside] > AHEAD + 1).any()
+    # Beside the box the world is drawn, whether the sensor looked there or not.
+    gap |= {"gap": (-18.0, -10.5)}
+    beside = level & (RIGHT > 1.15 / AHEAD) & (np.tan(np.radians(17)) > RIGHT)
+    assert np.isfinite(compose_depth(**scene(**gap))[beside]).mean() > 0.9
+
+
+def test_only_pixels_behind_the_box_that_rays_do_not_agree_with_are_emptied(monkeypatch):
+    cut = scene(top=2.0)
+    box, emptied = cut["tracks"][1], compose_depth(**cut)
+    monkeypatch.setattr("docdepth.render.depth_map.boxes_in_view", lambda *_: [])
+    whole = compose_depth(**cut)
+    seen = compose_layers(("seen",), whole, **cut)["seen"]
+    missing = np.isnan(emptied) & np.isfinite(whole)
+    assert missing.sum() > 500
+    assert not (missing & (seen == AGREED)).any()
+    # Points along the ray of each pixel, in the frame of the box.
+    T = np.linalg.inv(box.pose_at(cut["time"])) @ cut["trajectory"].poses[6] @ np.linalg.inv(AXES)
+    z = np.linspace(0.1, 1, 2000)[:, None] * whole[missing]
+    rays = np.stack([RIGHT[missing] * z, -UP[missing] * z, z], -1) @ T[:3, :3].T + T[:3, 3]
+    low, high = np.array((-0.25, -1, 0)) - 0.06, np.array((0.25, 1, 4.2)) + 0.06
+    assert ((low < rays) & (rays < high)).all(-1).any(0).all()
 
 
 def test_what_was_seen_to_its_top_is_as_high_as_its_box():
