@@ -146,6 +146,9 @@ constexpr float kMeanFreeShare = 0.4f;
 constexpr float kMinVehicleWidth = 0.5f, kMinVehicleHeight = 0.6f;
 /// Longer than a motorcycle with its rider [m].
 constexpr float kMinRailLength = 2.5f;
+/// A place belongs to another track if this share of an object would lie in its box: in a queue
+/// vehicles stand where others stood.
+constexpr float kQueueShare = 0.25f;
 /// An object that is less far from where it was stands at the same place [m].
 constexpr float kSamePlace = 0.5f;
 

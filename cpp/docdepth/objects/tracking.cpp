@@ -33,9 +33,11 @@ bool is_rail(const TrackPath& path) {
 /// A track and its path, and what both say about detections.
 class TrackEvidence {
  public:
-  TrackEvidence(const Track& track, const TrackPath& path, const std::vector<double>& times,
-                const TrackParameters& p)
-      : track_(track), path_(path), times_(times), p_(p) {
+  /// @param tracked  with the boxes of all tracks
+  TrackEvidence(const Track& track, const TrackPath& path, std::uint32_t number,
+                const std::vector<double>& times, const TrackParameters& p,
+                const std::vector<TrackedSweep>& tracked)
+      : track_(track), path_(path), number_(number), times_(times), p_(p), tracked_(tracked) {
     float total = 0;
     for (const TrackObservation& seen : track.observations) {
       total += seen.passing_area;
@@ -118,14 +120,30 @@ class TrackEvidence {
 
   /// Whether the place of a detection was free before or after: by its own votes, or as it was
   /// occupied only while the object stood there, which came or left.
+  /// In a queue others that move stood there before or after.
   bool was_free(const Detection& object, double time) {
     if (object.was_free()) return true;
     const Stay& stay = stay_at(path_.pose(time).translation());
     const bool free = stay.free_share >= kFreeEdges &&
                       (seen_to_move() ? stay.free : stay.half_free) >= p_.min_detections;
     const bool came = is_vehicle(path_) && seen_to_move();
-    return (free || came) && object.first_occupied >= stay.first &&
-           object.last_occupied <= stay.last;
+    if (!free && !came) return false;
+    return (object.first_occupied >= stay.first ||
+            (came && is_of_another(object, object.first_occupied))) &&
+           (object.last_occupied <= stay.last ||
+            (came && is_of_another(object, object.last_occupied)));
+  }
+
+  /// Whether much of the place of a detection belongs to another track that moves in a sweep.
+  bool is_of_another(const Detection& object, std::int32_t sweep) const {
+    const auto& samples = object.samples();
+    return std::any_of(
+        tracked_[std::size_t(sweep)].boxes.begin(), tracked_[std::size_t(sweep)].boxes.end(),
+        [&](const TrackBox& other) {
+          const auto inside = [&](const Vector& p) { return other.box.holds(p, kSearchMargin); };
+          return other.track != number_ && std::count_if(samples.begin(), samples.end(), inside) >=
+                                               kQueueShare * float(samples.size());
+        });
   }
 
   /// The sweeps while the object covered half of a place, to the ends of the drive if it is there
@@ -170,26 +188,37 @@ class TrackEvidence {
 
   const Track& track_;
   const TrackPath& path_;
+  const std::uint32_t number_;
   const std::vector<double>& times_;
   const TrackParameters& p_;
+  const std::vector<TrackedSweep>& tracked_;
   std::deque<Stay> stays_;
   float supported_ = 0;  ///< area of static points that the track can make dynamic
   double first_known_ = 0,
          last_known_ = 0;  ///< when its place is known for the first and last time
 };
 
-/// What a track says of the sweeps in which it is known.
-struct Findings {
-  std::vector<std::pair<std::size_t, Member>> members;  ///< by sweep
-  std::vector<std::pair<std::size_t, TrackBox>> boxes;
-};
+using Boxes = std::vector<std::pair<std::size_t, TrackBox>>;  ///< by sweep
+using Members = std::vector<std::pair<std::size_t, Member>>;  ///< by sweep
 
-Findings findings_of(const Track& track, const TrackPath& path, std::uint32_t number,
-                     const std::vector<const Detections*>& detections,
-                     const std::vector<double>& times, const TrackParameters& p) {
-  Findings found;
-  TrackEvidence evidence(track, path, times, p);
-  const bool moves = evidence.moves();
+/// Where the object of a track that moves is in the sweeps in which that is known.
+Boxes boxes_of(const Track& track, const TrackPath& path, std::uint32_t number,
+               const std::vector<double>& times) {
+  Boxes boxes;
+  std::size_t first = track.observations.front().sweep, last = track.observations.back().sweep;
+  while (first > 0 && path.covers(times[first - 1])) --first;
+  while (last + 1 < times.size() && path.covers(times[last + 1])) ++last;
+  for (std::size_t i = first; i <= last; ++i)
+    if (path.covers(times[i]))
+      boxes.push_back({i, {number, path.speed(times[i]) >= kStanding, path.box(times[i])}});
+  return boxes;
+}
+
+/// The detections that belong to a track.
+Members members_of(TrackEvidence& evidence, const Track& track, bool moves, std::uint32_t number,
+                   const std::vector<const Detections*>& detections,
+                   const std::vector<double>& times) {
+  Members members;
   std::size_t first = track.observations.front().sweep, last = track.observations.back().sweep;
   while (moves && first > 0 && evidence.covers(times[first - 1])) --first;
   while (moves && last + 1 < times.size() && evidence.covers(times[last + 1])) ++last;
@@ -203,12 +232,10 @@ Findings findings_of(const Track& track, const TrackPath& path, std::uint32_t nu
       const bool is_member = is_seen && std::find(seen->objects.begin(), seen->objects.end(), k) !=
                                             seen->objects.end();
       const bool claimed = moves && evidence.claims(i, objects[k], is_member);
-      if (is_member || claimed) found.members.push_back({i, {objects[k].first, number, claimed}});
+      if (is_member || claimed) members.push_back({i, {objects[k].first, number, claimed}});
     }
-    if (moves && p.window > 0 && path.covers(times[i]))
-      found.boxes.push_back({i, {number, path.speed(times[i]) >= kStanding, path.box(times[i])}});
   }
-  return found;
+  return members;
 }
 
 TrackedObject object_of(const Track& track, const TrackPath& path,
@@ -297,19 +324,29 @@ TrackingResult track_objects(const std::vector<const Detections*>& detections,
                              int threads) {
   const Paths followed =
       single_objects(follow_objects(detections, times, p), detections, times, p, threads);
-  std::vector<Findings> found(followed.size());
   TrackingResult result;
   result.sweeps.resize(times.size());
   result.objects.resize(followed.size());
+  std::vector<std::unique_ptr<TrackEvidence>> evidence(followed.size());
+  std::vector<std::uint8_t> moves(followed.size());
+  std::vector<Boxes> boxes(followed.size());
+  std::vector<Members> members(followed.size());
   parallel_for(followed.size(), 1, threads, [&](std::size_t k, std::size_t) {
     const auto& [track, path] = *followed[k];
-    found[k] = findings_of(track, path, std::uint32_t(k + 1), detections, times, p);
+    const auto number = std::uint32_t(k + 1);
+    evidence[k] = std::make_unique<TrackEvidence>(track, path, number, times, p, result.sweeps);
+    moves[k] = evidence[k]->moves();
+    if (moves[k] && p.window > 0) boxes[k] = boxes_of(track, path, number, times);
     result.objects[k] = object_of(track, path, detections, times);
   });
-  for (const Findings& of : found) {
-    for (const auto& [sweep, member] : of.members) result.sweeps[sweep].members.push_back(member);
-    for (const auto& [sweep, box] : of.boxes) result.sweeps[sweep].boxes.push_back(box);
-  }
+  for (const Boxes& of : boxes)
+    for (const auto& [sweep, box] : of) result.sweeps[sweep].boxes.push_back(box);
+  parallel_for(followed.size(), 1, threads, [&](std::size_t k, std::size_t) {
+    members[k] = members_of(*evidence[k], followed[k]->track, moves[k], std::uint32_t(k + 1),
+                            detections, times);
+  });
+  for (const Members& of : members)
+    for (const auto& [sweep, member] : of) result.sweeps[sweep].members.push_back(member);
   for (TrackedSweep& sweep : result.sweeps)
     std::stable_sort(sweep.members.begin(), sweep.members.end(),
                      [](const Member& a, const Member& b) { return a.first < b.first; });

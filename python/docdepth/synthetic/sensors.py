@@ -61,6 +61,8 @@ class Sensor:
         Duration of a sweep [s].
     height : float
         Height above the ground [m].
+    spins : bool
+        The azimuth of a return tells its time.
     blooming : float
         Ghost returns appear around retro-reflectors, up to this angle from them [rad].
     """
@@ -74,6 +76,7 @@ class Sensor:
     bias: float = 0.0
     period: float = 0.1
     height: float = 1.73
+    spins: bool = True
     blooming: float = 0.0
 
     def returned(
@@ -196,6 +199,7 @@ def sensors() -> dict[str, Callable[[], Sensor]]:
             "Avia",
             _rosette(24000, 6, np.radians(35.2), np.radians(38.6)),
             *(100.0, 1.0, 190.0, 0.02),
+            spins=False,
         ),
     }
 
