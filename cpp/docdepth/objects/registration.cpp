@@ -13,6 +13,12 @@ using Vector = Eigen::Vector3f;
 using Vector4 = Eigen::Vector4d;  // x, y, z, heading
 using Matrix4 = Eigen::Matrix4d;
 
+float median(std::vector<float> values) {
+  const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
 /// Normal equations of the residuals of one step.
 struct Equations {
   Matrix4 hessian = Matrix4::Zero();
@@ -93,14 +99,17 @@ bool have_one_length(const Ends& a, const Ends& b) {
   return std::fabs((*a.high - *a.low) - (*b.high - *b.low)) <= kMaxLengthError;
 }
 
-/// The ends of a flat side tell where it is along itself.
+/// The ends of a flat side tell where it is along itself. What looks like an end far from it is
+/// that of a piece: another object hides the rest.
 void add_ends(const SeenSurface& seen, const Ends& expected,
               const Eigen::Isometry3f& T_object_world, Equations& sum) {
   const Ends found = ends_of(seen, T_object_world);
   if (!have_one_length(found, expected)) return;
   const double weight = (kResidualDeviation * kResidualDeviation) / (kEndDeviation * kEndDeviation);
-  if (found.low && expected.low) sum.add({1, 0, 0, 0}, *found.low - *expected.low, weight);
-  if (found.high && expected.high) sum.add({1, 0, 0, 0}, *found.high - *expected.high, weight);
+  for (const auto& [end, known] :
+       {std::pair(found.low, expected.low), std::pair(found.high, expected.high)})
+    if (end && known && std::fabs(*end - *known) <= kMaxLengthError)
+      sum.add({1, 0, 0, 0}, *end - *known, weight);
 }
 
 }  // namespace
@@ -110,7 +119,7 @@ void SurfaceModel::add(const SeenSurface& seen, const Pose& T_world_object) {
   ++added_;
   const Ends ends = ends_of(seen, T);
   for (int side : {0, 1})
-    if (const auto& end = side ? ends.high : ends.low) end_sums_[side] += *end, ++end_counts_[side];
+    if (const auto& end = side ? ends.high : ends.low) ends_[side].push_back(*end);
   for (std::size_t i = 0; i < seen.points.size(); ++i) {
     const Vector p = T * seen.points[i];
     const auto key = voxel_key(voxel_coordinate(p.x(), voxel_), voxel_coordinate(p.y(), voxel_),
@@ -130,8 +139,8 @@ void SurfaceModel::add(const SeenSurface& seen, const Pose& T_world_object) {
 
 Ends SurfaceModel::ends() const {
   Ends ends;
-  if (end_counts_[0]) ends.low = end_sums_[0] / float(end_counts_[0]);
-  if (end_counts_[1]) ends.high = end_sums_[1] / float(end_counts_[1]);
+  if (!ends_[0].empty()) ends.low = median(ends_[0]);
+  if (!ends_[1].empty()) ends.high = median(ends_[1]);
   return ends;
 }
 
@@ -150,9 +159,10 @@ Registration register_surface(const SeenSurface& seen, const SurfaceModel& model
   const double information = 1 / (kResidualDeviation * kResidualDeviation);
   Vector4 moved = Vector4::Zero();
   Equations last;
+  const Ends model_ends = model.ends();
   for (const float radius : kRegistrationRadii) {
     last = equations_of(seen, model.surface(), T_object_world.cast<float>(), radius);
-    add_ends(seen, model.ends(), T_object_world.cast<float>(), last);
+    add_ends(seen, model_ends, T_object_world.cast<float>(), last);
     const Vector4 gradient = information * last.gradient + prior * moved;
     const Vector4 step = -(information * last.hessian + prior).ldlt().solve(gradient);
     moved += step;

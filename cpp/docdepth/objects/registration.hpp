@@ -33,7 +33,7 @@ class SurfaceModel {
   const SampledSurface& surface() const { return surface_; }
   /// How many surfaces met the voxel of each sample.
   const std::vector<int>& hits() const { return hits_; }
-  /// The mean of the ends of all surfaces that showed them.
+  /// The median of the ends of all surfaces that showed them.
   Ends ends() const;
 
  private:
@@ -42,8 +42,7 @@ class SurfaceModel {
   std::vector<int> hits_, last_;  // of each sample: surfaces, and the number of the last
   std::unordered_map<std::uint64_t, std::size_t> numbers_;
   int added_ = 0;
-  float end_sums_[2] = {0, 0};
-  int end_counts_[2] = {0, 0};
+  std::vector<float> ends_[2];  ///< low and high, of each surface that showed them
 };
 
 /// Where an object may be before its surface is looked at.
