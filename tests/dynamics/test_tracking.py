@@ -199,6 +199,17 @@ def test_a_parked_car_that_is_passed_closely_stays_static():
     assert tracked([parked, mover], 40, joined={(0, 1): range(20, 25)})[0] == []
 
 
+def test_a_piece_within_a_lorry_that_passes_is_the_lorry():
+    """In one sweep its rear is an object of its own, whose place other vehicles took before."""
+    at = passes(4, speed=5.0, start=6.0)
+    front = Thing((4.0, 2.4, 2.5), lambda i: (at(i)[0] + 2, 4), range(40))
+    rear = Thing((4.0, 2.4, 2.5), lambda i: (at(i)[0] - 2, 4), [i for i in range(40) if i != 20])
+    rear.stay = lambda i, count: (False, i, i) if i == 20 else Thing.stay(rear, i, count)
+    kerb = Thing((3.0, 0.4, 0.3), lambda _: (at(20)[0], 2.1, 0.15))
+    whole = {(0, 1): [i for i in range(40) if i != 20]}
+    assert tracked([front, rear, kerb], 40, joined=whole) == [[], [20], []]
+
+
 def test_a_parked_car_where_another_one_stopped_stays_static():
     """Its place was occupied while the other one came, so it is not the same car."""
     parked = Thing(CAR, parked_at(8, 4))

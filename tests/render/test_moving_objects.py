@@ -175,6 +175,35 @@ def test_what_later_sweeps_saw_of_a_car_is_drawn_where_no_ray_looked():
         assert (np.abs(alone[upper] - here) < 0.1).mean() < 0.2
 
 
+def test_through_a_window_the_car_is_not_drawn_where_rays_pass():
+    """Around the image rays pass through the upper half to the wall; later the glass returns."""
+    trajectory = straight(60, spacing=1.0)
+    track = moving_track(trajectory, (12.5, 0, -1), (8, 0, 0), (1, 1.6, 1.4))
+    clear = []
+    for i in range(60):
+        points, classid = wall_and_box(i, trajectory, track.poses[i, :2, 3] - (0.5, 0))
+        if i < 20:
+            upper = (classid == 100) & (points[:, 2] > -0.3)
+            ahead = 30 - trajectory.poses[i, 0, 3]
+            points[upper] *= ahead / points[upper, :1]
+            classid[upper] = 50
+        clear.append(followed(points, classid, i, trajectory, track, TRIANGLES))
+    camera, time = small_camera(320, 120, 180.0), 1_040_000_000
+    depth = compose_depth(
+        camera, AXES, trajectory, time, clear.__getitem__, TRIANGLES, tracks={1: track}
+    )
+    ego = trajectory.interpolate(time)[0][0, 3]
+    here = track.pose_at(time)[0, 3] - 0.5 - ego
+    u, v = np.meshgrid(np.arange(320), np.arange(120))
+    y, z = ((camera.K[k, 2] - p) / camera.K[k, k] * here for k, p in ((0, u), (1, v)))
+    window = (np.abs(y) < 0.7) & (z > -0.2) & (z < 0.3)
+    body = (np.abs(y) < 0.7) & (z > -0.9) & (z < -0.4)
+    assert window.sum() > 100
+    assert (np.abs(depth[body] - here) < 0.1).mean() > 0.99
+    assert not (np.abs(depth[window] - here) < 0.1).any()
+    assert (np.isnan(depth[window]) | (np.abs(depth[window] - (30 - ego)) < 0.1)).all()
+
+
 def test_strays_stay_where_the_nearest_sweep_saw_them():
     rng = np.random.default_rng(0)
     trajectory = Trajectory(straight(3).times, straight(3, spacing=0.0).poses)

@@ -85,10 +85,12 @@ class TrackEvidence {
     if (object.area - object.dynamic_area > supported_) return false;
     const double time = std::clamp(times_[sweep], first_known_, last_known_);
     if (is_member) return was_free(object, time);
-    if (!lies_there(object, time) || !was_free(object, time)) return false;
-    // Where the track only passes, or is not seen any more, something else may stand.
-    const bool sure = path_.covers(times_[sweep]) && path_.speed(time) < kSlow;
-    return sure || object.free_area >= kFreeEdges * object.area;
+    if (!lies_there(object, time, kSearchMargin) || !was_free(object, time)) return false;
+    if (object.free_area >= kFreeEdges * object.area) return true;
+    // Beside where it only passes, and where it is not seen any more, something else may stand.
+    if (!path_.covers(times_[sweep])) return false;
+    return path_.speed(time) < kSlow ||
+           (path_.is_rigid() && lies_there(object, time, kObjectMargin));
   }
 
  private:
@@ -109,10 +111,10 @@ class TrackEvidence {
     return false;
   }
 
-  bool lies_there(const Detection& object, double time) const {
+  bool lies_there(const Detection& object, double time, float margin) const {
     if (!(p_.window > 0)) return false;
     const OrientedBox box = path_.box(time);
-    const auto inside = [&](const Vector& p) { return box.holds(p, kSearchMargin); };
+    const auto inside = [&](const Vector& p) { return box.holds(p, margin); };
     const float bottom = box.middle().z() - box.half.z();
     return object.box.high.z() >= bottom + kMinTrackedHeight &&
            std::all_of(object.samples().begin(), object.samples().end(), inside);

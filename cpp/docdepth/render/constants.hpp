@@ -92,9 +92,11 @@ constexpr float kOuterShare = 0.98f;
 /// may have passed just above a roof that it saw at a grazing angle.
 constexpr float kWithinObject = 0.15f;
 /// They do with a score below this, without its sign: five rays within a few centimetres, or more
-/// farther off. What a sweep measured takes that much, since rays that returned nothing, as those
-/// through glass, cannot speak for it.
+/// farther off. Then what is behind is seen.
 constexpr float kContradictedScore = 2000.0f;
+/// With a score below this, without its sign, nobody knows: two rays within 2 cm, or more farther
+/// off. Glass returns some rays and lets others pass.
+constexpr float kDoubtedScore = 400.0f;
 /// Where an object is continued beyond its returns, pixels show what is behind only with a score
 /// below this, without its sign: a ray that passed within 2 cm, its blur not included, or some
 /// farther off. Nearer to the object its outline may lie beyond them.

@@ -305,12 +305,24 @@ void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const
   std::vector<PixelHypotheses> behind = seen;
   for (PixelHypotheses& pixel : behind)
     pixel.hypotheses[0] = 1 / (1 / pixel.hypotheses[0] + kWithinObject);
-  std::vector<float> found = queries.score(behind, 0, kContradictedScore);
+  // Rays of the sweeps nearest in time come first: what they pass through is doubted, whatever
+  // others say.
+  std::vector<float> found = queries.score(behind, 0, kDoubtedScore);
+  std::vector<PixelHypotheses> doubted;
   for (std::size_t i = 0; i < seen.size(); ++i) {
     const auto& [u, v, depths] = seen[i];
     const std::size_t at = columns.at(u, v);
-    if (found[i] > -kContradictedScore)
+    if (found[i] > -kDoubtedScore)
       inverse_depth[at] = depths[0], owners[at] = number;
+    else
+      doubted.push_back(behind[i]);
+  }
+  found = queries.score(doubted, 0, kContradictedScore);
+  for (std::size_t i = 0; i < doubted.size(); ++i) {
+    const auto& [u, v, depths] = doubted[i];
+    const std::size_t at = columns.at(u, v);
+    if (found[i] > -kContradictedScore)
+      inverse_depth[at] = 0, owners[at] = 0;
     else if (depths[1] > inverse_depth[at])
       continued.push_back({u, v, {depths[1]}});
   }
