@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from docdepth.cli.options import (
+    CalibrationFile,
     CameraNames,
     CameraTimes,
     Formats,
@@ -45,6 +46,7 @@ def check(
     frames: Frames = None,
     poses: PosesFile = None,
     camera_times: CameraTimes = None,
+    calibration: CalibrationFile = None,
     image_size: ImageSize = None,
     preset: PresetName = "default",
     settings: Settings = None,
@@ -66,6 +68,7 @@ def check(
         "camera": listed(camera),
         "poses": None if poses is None else str(poses),
         "camera_times": None if camera_times is None else str(camera_times),
+        "calibration": None if calibration is None else str(calibration),
         "image_size": image_size,
         "frames": frames,
     }

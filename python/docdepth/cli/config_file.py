@@ -12,7 +12,8 @@ from docdepth._parameter_text import read_yaml
 from docdepth.config import Parameters, Preset, parameters
 from docdepth.errors import ConfigError
 
-_INPUTS = ("dataset", "name", "camera", "poses", "camera_times", "image_size", "frames")
+_INPUTS = ("dataset", "name", "camera", "poses", "camera_times", "image_size", "frames",
+           "calibration")  # fmt: skip
 _STAGES = tuple(name for name in Parameters.model_fields if name != "preset")
 
 
@@ -44,6 +45,7 @@ class Given:
         camera_times: Path | None,
         image_size: str | None,
         frames: str | None,
+        calibration: Path | None = None,
     ) -> dict[str, Any]:
         """Arguments of :func:`docdepth.run`: those of the options, else of the file.
 
@@ -63,6 +65,7 @@ class Given:
             "camera_times": camera_times or self.source.get("camera_times"),
             "image_size": image_size or self.source.get("image_size"),
             "frames": frames or self.source.get("frames"),
+            "calibration": calibration or self.source.get("calibration"),
         }
 
 

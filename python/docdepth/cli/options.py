@@ -81,6 +81,15 @@ CameraTimes = Annotated[
         help="Times of the images in seconds, one per line; those of the recording if absent.",
     ),
 ]
+CalibrationFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration",
+        metavar="FILE",
+        help="calib.json of docdepth calibrate, or a text file with the 4x4 matrix T_camera_lidar: "
+        "taken in place of the recording's own calibration.",
+    ),
+]
 ImageSize = Annotated[
     str | None,
     typer.Option(

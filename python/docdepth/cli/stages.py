@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from docdepth.cli.options import (
+    CalibrationFile,
     CameraNames,
     CameraTimes,
     ChosenPreset,
@@ -68,6 +69,7 @@ def run(
     frames: Frames = None,
     poses: PosesFile = None,
     camera_times: CameraTimes = None,
+    calibration: CalibrationFile = None,
     image_size: ImageSize = None,
     preset: ChosenPreset = None,
     settings: Settings = None,
@@ -96,12 +98,15 @@ def run(
 
     drawn_by = choose(renderer)
     if output is None:
-        chosen = (config, layout, camera, frames, poses, camera_times, image_size, preset, settings,
-                  format, scale, layers, hash_inputs or None, force or None)  # fmt: skip
+        chosen = (config, layout, camera, frames, poses, camera_times, calibration, image_size,
+                  preset, settings, format, scale, layers,
+                  hash_inputs or None, force or None)  # fmt: skip
         folder = _continue(dataset, chosen, dry_run, threads, drawn_by)
         return show_states(folder, as_json) if dry_run else show_summary(folder, as_json)
     given = read_config(config) if config else Given()
-    inputs = given.inputs(dataset, layout, listed(camera), poses, camera_times, image_size, frames)
+    inputs = given.inputs(
+        dataset, layout, listed(camera), poses, camera_times, image_size, frames, calibration
+    )
     changes = given.settings | changes_of(settings) | output_of(format, scale, layers)
     with progress_bars() as progress:
         folder = run_all(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from docdepth.datasets.base import CameraStream, Dataset, LidarStream, Sweep
 from docdepth.datasets.format import Format
 from docdepth.datasets.frame_range import FrameRange
+from docdepth.datasets.image_stream import ImageStream, image_streams
 from docdepth.datasets.registry import format_names, open_dataset
 from docdepth.geometry.points import usable_points
 
@@ -13,9 +14,11 @@ __all__ = [
     "Dataset",
     "Format",
     "FrameRange",
+    "ImageStream",
     "LidarStream",
     "Sweep",
     "format_names",
+    "image_streams",
     "open_dataset",
     "usable_points",
 ]

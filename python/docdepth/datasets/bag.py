@@ -18,6 +18,7 @@ from docdepth.datasets.bag_file import SUFFIXES, BagFile, Message, bag_files
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud
 from docdepth.datasets.format import Format
+from docdepth.datasets.image_stream import ImageStream
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.ros_frames import StaticFrames
 from docdepth.datasets.ros_images import IMAGES
@@ -120,11 +121,14 @@ class BagRecording(Recording):
         frames = StaticFrames(message for topic in static for message in bag.read_all(topic))
         lidars = _lidars(bag, topics, index, settings, frames, file)
         where = BagRig(bag, frames, lidars[0].messages[0].frame, file)
-        cameras = _cameras(where, images, index, lidars[0].stream, settings)
+        streams = _cameras(where, images, index, lidars[0].stream, settings)
+        cameras = {n: s for n, s in streams.items() if isinstance(s, CameraStream)}
+        uncalibrated = {n: s for n, s in streams.items() if isinstance(s, ImageStream)}
         poses = None
         if settings.poses:
             poses = read_poses(file.parent / settings.poses, len(lidars[0].messages))
-        super().__init__("bag", path, lidars, cameras, poses, settings.facts())
+        facts = settings.facts()
+        super().__init__("bag", path, lidars, cameras, poses, facts, uncalibrated=uncalibrated)
 
 
 def _lidars(
@@ -156,14 +160,14 @@ def _cameras(
     index: dict[str, list[Message]],
     lidar: LidarStream,
     settings: BagSettings,
-) -> dict[str, CameraStream]:
+) -> dict[str, CameraStream | ImageStream]:
     unknown = sorted(settings.cameras.keys() - set(topics))
     if unknown:
         raise DatasetError(
             f"{rig.file}: {rig.bag.path} has no images of {unknown[0]}; there are "
             f"{', '.join(topics) or 'none'}"
         )
-    cameras: dict[str, CameraStream] = {}
+    cameras: dict[str, CameraStream | ImageStream] = {}
     for topic in topics:
         if not index[topic]:
             continue

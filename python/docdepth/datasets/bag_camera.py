@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.bag_file import BagFile, Message
 from docdepth.datasets.base import CameraStream
+from docdepth.datasets.image_stream import ImageStream
 from docdepth.datasets.images import StoredImage
 from docdepth.datasets.ros_frames import StaticFrames
 from docdepth.datasets.ros_images import CAMERA_INFO, camera_of, decode_image, is_photo
@@ -80,8 +81,10 @@ class BagRig:
         messages: list[Message],
         times: NDArray[np.int64],
         settings: CameraSettings | None,
-    ) -> CameraStream | None:
-        """A camera; None, with a warning, where the bag does not tell what it takes.
+    ) -> CameraStream | ImageStream | None:
+        """A camera; its images alone, with a warning, where the bag does not tell what it takes.
+
+        None for a topic that holds no photos.
 
         Parameters
         ----------
@@ -99,6 +102,12 @@ class BagRig:
         if settings is None and not is_photo(first):
             log.info("%s holds no photos and is left out", where)
             return None
+        names = [str(time) for time in times.tolist()]
+        images = [
+            StoredImage(bag.files[0], f"{topic} {stamp}", _ReadImage(bag, topic, message, k))
+            for k, (message, stamp) in enumerate(zip(messages, names, strict=True))
+        ]
+        known = ImageStream(name, times, names, images)
         try:
             info = self._info(topic)
             if given.K is not None:
@@ -110,21 +119,17 @@ class BagRig:
                 camera, distortion, model = camera_of(info, rectified, where)
             else:
                 raise CalibrationError(f"{where}: there is no CameraInfo")
-            frame = messages[0].frame or _frame_of(info)
-            T = self._extrinsic(given, frame, topic)
+            known = ImageStream(name, times, names, images, camera, distortion, model)
+            T = self._extrinsic(given, messages[0].frame or _frame_of(info), topic)
         except CalibrationError as error:
-            if settings is not None:
+            if (given.K and known.camera is None) or given.T_camera_lidar:
                 raise
             log.warning(
-                "%s; the camera is left out. Say K and T_camera_lidar of cameras: {%s: } in %s",
+                "%s; the camera gets no depth maps. Say K and T_camera_lidar of cameras: {%s: } in "
+                "%s, or find them by docdepth calibrate",
                 error, topic, self.file,
             )  # fmt: skip
-            return None
-        names = [str(time) for time in times.tolist()]
-        images = [
-            StoredImage(bag.files[0], f"{topic} {stamp}", _ReadImage(bag, topic, message, k))
-            for k, (message, stamp) in enumerate(zip(messages, names, strict=True))
-        ]
+            return known
         return CameraStream(name, camera, T, times, names, images, distortion, model)
 
     def _info(self, topic: str) -> Any:

@@ -80,6 +80,24 @@ class LidarStream:
     T_lidar_sensor: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
 
 
+def check_distortion(name: str, d: NDArray[np.float64] | None, model: LensModel) -> None:
+    """Refuse the distortion of a camera ``name`` that no lens has.
+
+    Raises
+    ------
+    CalibrationError
+    """
+    if model == "fisheye" and (d is None or d.shape != (4,)):
+        raise CalibrationError(f"{name}: the distortion of a fisheye is k1 k2 k3 k4")
+    if d is not None and (
+        d.shape not in [(n,) for n in (4, 5, 8, 12, 14)] or not np.isfinite(d).all()
+    ):
+        raise CalibrationError(
+            f"{name}: distortion must be 4, 5, 8, 12 or 14 numbers k1 k2 p1 p2 [k3 ...], "
+            f"got {d.tolist()}"
+        )
+
+
 @dataclass(frozen=True)
 class CameraStream:
     """One camera of the vehicle: calibration, time of each image, and the images if available.
@@ -114,14 +132,7 @@ class CameraStream:
     model: LensModel = "pinhole"
 
     def __post_init__(self) -> None:
-        d, lengths = self.distortion, [(n,) for n in (4, 5, 8, 12, 14)]
-        if self.model == "fisheye" and (d is None or d.shape != (4,)):
-            raise CalibrationError(f"{self.name}: the distortion of a fisheye is k1 k2 k3 k4")
-        if d is not None and (d.shape not in lengths or not np.isfinite(d).all()):
-            raise CalibrationError(
-                f"{self.name}: distortion must be 4, 5, 8, 12 or 14 numbers k1 k2 p1 p2 [k3 ...], "
-                f"got {d.tolist()}"
-            )
+        check_distortion(self.name, self.distortion, self.model)
 
     @property
     def distortion_coefficients(self) -> list[float]:

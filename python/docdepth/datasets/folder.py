@@ -23,6 +23,7 @@ from docdepth.datasets.cloud_files import (
 )
 from docdepth.datasets.files import is_there, read_bytes
 from docdepth.datasets.format import Format
+from docdepth.datasets.image_stream import ImageStream
 from docdepth.datasets.kitti_files import image_files, image_size, in_order
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import (
@@ -170,20 +171,21 @@ class CloudFolder(Recording):
         lidars = [
             _lidar(path, one, lidar, rows, settings.rate, file) for one, lidar in wanted.items()
         ]
-        problems, cameras = Collector(), {}
+        problems, cameras, uncalibrated = Collector(), {}, {}
         for one, camera in settings.cameras.items():
             with problems.collected():
-                cameras[one] = _camera(
-                    path, one, camera, lidars[0].stream, image_size, f"{file}, {one}"
-                )
+                found = _camera(path, one, camera, lidars[0].stream, image_size, f"{file}, {one}")
+                if isinstance(found, CameraStream):
+                    cameras[one] = found
+                else:
+                    uncalibrated[one] = found
         poses = None
         with problems.collected():
             poses = _poses(path, settings.poses, lidars[0].sweeps, file)
         problems.raise_errors()
         self._label_folder = path / settings.labels
-        super().__init__(
-            name, path, lidars, cameras, poses, settings.facts(settings.frame == "world")
-        )
+        facts = settings.facts(settings.frame == "world")
+        super().__init__(name, path, lidars, cameras, poses, facts, uncalibrated=uncalibrated)
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``, of ``labels/NAME.label``, or None."""
@@ -275,7 +277,7 @@ def _camera(
     lidar: LidarStream,
     asked: tuple[int, int] | None,
     where: str,
-) -> CameraStream:
+) -> CameraStream | ImageStream:
     images = image_files(folder / settings.images) if settings.images else []
     if settings.images and not images:
         raise DatasetError(f"{where}: {folder / settings.images} holds no images (png, jpg)")
@@ -285,6 +287,12 @@ def _camera(
             f"{where}: {images[0]} is {size} pixels, but size is {settings.size}"
         )
     times, names = _image_times(folder, settings, images, lidar, where)
+    if images and (settings.K is None or settings.T_camera_lidar is None):
+        lacks = "K" if settings.K is None else "T_camera_lidar"
+        log.warning("%s has no %s, so it gets no depth maps; docdepth calibrate finds it",
+                    where, lacks)  # fmt: skip
+        camera = None if settings.K is None else settings.camera(size, where)
+        return ImageStream(name, times, names, images, camera, settings.lens(), settings.model)
     return CameraStream(
         name,
         settings.camera(size or settings.size or asked, where),

@@ -6,12 +6,18 @@ import re
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, Dataset, LidarStream, Sweep
 from docdepth.errors import DatasetError
+
+if TYPE_CHECKING:
+    from docdepth.datasets.image_stream import ImageStream
+
+_Stream = TypeVar("_Stream", "CameraStream", "ImageStream")
 
 
 class FrameRange:
@@ -66,7 +72,7 @@ class FrameRange:
         """Labels of sweep ``index`` of the range; None without a file."""
         return self.whole.labels(self.indices[index])
 
-    def part_of(self, stream: CameraStream) -> CameraStream:
+    def part_of(self, stream: _Stream) -> _Stream:
         """A camera of the recording, cut to a sweep before the first and after the last one."""
         kept = self._within(stream.times)
         return replace(

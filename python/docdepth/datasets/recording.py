@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import kitti_lidar
 from docdepth.datasets.base import CameraStream, LidarStream, Sweep
 from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.image_stream import ImageStream
 from docdepth.datasets.point_times import (
     USUAL_PERIOD,
     Instant,
@@ -97,6 +98,8 @@ class Recording:
     poses : ndarray of float64, shape (n, 4, 4), optional
         ``T_world_lidar`` of each sweep.
     facts : RecordingFacts
+    uncalibrated : dict of ImageStream
+        Cameras whose K or place is not known; ``docdepth calibrate`` finds it.
     labels : callable, optional
         ``labels(index)`` gives the labels of a sweep, uint32 (N,), or None.
 
@@ -115,8 +118,10 @@ class Recording:
         poses: NDArray[np.float64] | None = None,
         facts: RecordingFacts | None = None,
         labels: Callable[[int], NDArray[np.uint32] | None] | None = None,
+        uncalibrated: dict[str, ImageStream] | None = None,
     ) -> None:
         self.name, self.path, self.poses, self.cameras = name, path, poses, cameras
+        self.uncalibrated = uncalibrated or {}
         self.lidars = {lidar.stream.name: lidar.stream for lidar in lidars}
         self._readers, self._labels = list(lidars), labels
         self._facts = facts or RecordingFacts()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,31 @@ EXTRINSICS = "calib_lidar_ref_cam.txt"
 """File of ``T_camera_lidar``, four lines of four numbers."""
 
 
+_Parsed = TypeVar("_Parsed")
+
+
+@dataclass(frozen=True)
+class CameraCalibration:
+    """What a file tells of a camera.
+
+    Attributes
+    ----------
+    T_camera_lidar : ndarray of float64, shape (4, 4)
+    name : str
+        Of the camera; empty if the file does not tell.
+    camera : Camera, optional
+        None in a file with the extrinsic alone.
+    distortion : list of float
+    model : {"pinhole", "fisheye"}
+    """
+
+    T_camera_lidar: NDArray[np.float64]
+    name: str = ""
+    camera: Camera | None = None
+    distortion: Sequence[float] = ()
+    model: Literal["pinhole", "fisheye"] = "pinhole"
+
+
 def write_calibration(
     folder: Path,
     camera: Camera,
@@ -28,6 +55,7 @@ def write_calibration(
     distortion: Sequence[float] = (0.0,) * 5,
     model: str = "pinhole",
     write_file: WriteFile = write_atomically,
+    more: dict[str, object] | None = None,
 ) -> None:
     """Write both files.
 
@@ -43,6 +71,8 @@ def write_calibration(
         Of the distortion; "fisheye" is that of ``cv2.fisheye``.
     write_file : callable
         Writes each file.
+    more : dict, optional
+        Further entries of the first file, ready for JSON.
 
     Raises
     ------
@@ -56,7 +86,7 @@ def write_calibration(
     }
     if model != "pinhole":
         calibration["model"] = model
-    intrinsics = json.dumps(calibration, indent=1).encode()
+    intrinsics = json.dumps(calibration | (more or {}), indent=1).encode()
     rows = "\n".join(" ".join(repr(float(v)) for v in row) for row in T_camera_lidar) + "\n"
     write_file(folder / INTRINSICS, lambda stream: stream.write(intrinsics))
     write_file(folder / EXTRINSICS, lambda stream: stream.write(rows.encode()))
@@ -73,27 +103,78 @@ def read_calibration(folder: Path, remedy: str) -> tuple[Camera, NDArray[np.floa
     CalibrationError
         A file is missing or damaged.
     """
-    intrinsic, extrinsic = folder / INTRINSICS, folder / EXTRINSICS
+    found = _read(folder / INTRINSICS, _camera, remedy)
+    return found[0], _read(folder / EXTRINSICS, _extrinsic, remedy), found[1]
+
+
+def read_camera_calibration(file: Path) -> CameraCalibration:
+    """The calibration of one camera, for a recording that has none or another.
+
+    Parameters
+    ----------
+    file : Path
+        ``calib.json``, whose extrinsic may stand in ``calib_lidar_ref_cam.txt`` beside it; or a
+        text file with the extrinsic alone.
+
+    Raises
+    ------
+    CalibrationError
+        A file is missing or damaged.
+    """
+    remedy = "name calib.json of docdepth calibrate, or a text file of a 4x4 matrix"
+    if file.suffix != ".json":
+        return CameraCalibration(_read(file, _extrinsic, remedy))
+    camera, distortion = _read(file, _camera, remedy)
+    entries = json.loads(file.read_text())
+    model = entries.get("model", "pinhole")
+    if model not in ("pinhole", "fisheye"):
+        raise CalibrationError(f"{file}: model is {model!r}, not pinhole or fisheye")
+    if "T_camera_lidar" in entries:
+        T = _read(file, _own_extrinsic, remedy)
+    else:
+        T = _read(file.parent / EXTRINSICS, _extrinsic, remedy)
+    return CameraCalibration(T, str(entries.get("camera", "")), camera, distortion, model)
+
+
+def _camera(text: str) -> tuple[Camera, list[float]]:
+    entries = json.loads(text)
+    K = np.array(entries["mtx"], dtype=np.float64)
+    width, height = entries.get("size") or np.round(2 * K[:2, 2]).astype(int).tolist()
+    distortion = np.ravel(entries.get("dist") or []).astype(float).tolist()
+    return Camera(K, int(width), int(height)), distortion
+
+
+def _extrinsic(text: str) -> NDArray[np.float64]:
+    return np.loadtxt(text.splitlines(), ndmin=2)
+
+
+def _own_extrinsic(text: str) -> NDArray[np.float64]:
+    return np.array(json.loads(text)["T_camera_lidar"], dtype=np.float64)
+
+
+def _read(file: Path, parse: Callable[[str], _Parsed], remedy: str) -> _Parsed:
+    """What a file holds, in the form that ``parse`` gives it."""
     try:
-        calibration = json.loads(intrinsic.read_text())
-        K = np.array(calibration["mtx"], dtype=np.float64)
-        width, height = calibration.get("size") or np.round(2 * K[:2, 2]).astype(int).tolist()
-        distortion = np.ravel(calibration.get("dist") or []).astype(float).tolist()
-        T_camera_lidar = np.loadtxt(extrinsic)
-    except FileNotFoundError as error:
-        raise CalibrationError(f"{error.filename} is missing; {remedy}") from None
+        found = parse(file.read_text())
+    except FileNotFoundError:
+        raise CalibrationError(f"{file} is missing; {remedy}") from None
     except OSError as error:
-        raise CalibrationError(
-            f"{error.filename} cannot be read ({error.strerror}); {remedy}"
-        ) from None
+        raise CalibrationError(f"{file} cannot be read ({error.strerror}); {remedy}") from None
     except (KeyError, TypeError, ValueError) as error:
-        raise CalibrationError(f"{intrinsic} or {extrinsic.name} is damaged: {error}") from None
-    if T_camera_lidar.shape != (4, 4):
-        raise CalibrationError(f"{extrinsic} must hold a 4x4 matrix")
+        raise CalibrationError(f"{file} is damaged: {error}") from None
+    if isinstance(found, np.ndarray):
+        _rigid(found, file, remedy)
+    return found
+
+
+def _rigid(T: NDArray[np.float64], file: Path, remedy: str) -> NDArray[np.float64]:
+    """A rigid transform, or an error that names the file."""
+    if T.shape != (4, 4):
+        raise CalibrationError(f"{file} must hold a 4x4 matrix")
     try:
-        check_rigid(T_camera_lidar[None])
+        check_rigid(T[None])
     except InputError:
         raise CalibrationError(
-            f"{extrinsic} must hold a rotation and a translation in metres; {remedy}"
+            f"{file} must hold a rotation and a translation in metres; {remedy}"
         ) from None
-    return Camera(K, int(width), int(height)), T_camera_lidar, distortion
+    return T

@@ -17,6 +17,7 @@ from docdepth.config import Parameters
 from docdepth.datasets import CameraStream, Dataset
 from docdepth.datasets.times import read_times
 from docdepth.errors import Collector, DatasetError
+from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.depth import check_format
 from docdepth.io.poses import read_poses
 from docdepth.pipeline.check_cameras import check_camera
@@ -130,6 +131,9 @@ def _check_files_of_options(source: dict[str, Any], found: Collector) -> None:
     with found.collected():
         if source["camera_times"]:
             read_times(Path(source["camera_times"]))
+    with found.collected():
+        if source.get("calibration"):
+            read_camera_calibration(Path(source["calibration"]))
     with found.collected():
         if source["poses"]:
             read_poses(Path(source["poses"]))

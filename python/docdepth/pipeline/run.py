@@ -48,6 +48,7 @@ def run(
     camera: str | Sequence[str] | None = None,
     poses: Path | str | None = None,
     camera_times: Path | str | None = None,
+    calibration: Path | str | None = None,
     image_size: str | None = None,
     frames: str | None = None,
     hash_inputs: bool = False,
@@ -79,6 +80,9 @@ def run(
         LiDAR poses ``T_world_lidar`` in TUM or KITTI format; estimated if absent.
     camera_times : Path, optional
         Image times in seconds, one a line; those of the recording if absent.
+    calibration : Path, optional
+        ``calib.json`` of :mod:`docdepth.calibration`, or a text file of ``T_camera_lidar``, taken
+        in place of the recording's own.
     image_size : str, optional
         ``WIDTHxHEIGHT`` in pixels, for recordings that do not tell it.
     frames : str, optional
@@ -116,6 +120,8 @@ def run(
         "image_size": image_size,
         "frames": frames,
     }
+    if calibration is not None:
+        inputs["calibration"] = _absolute(calibration)
     values, place = parameters or Parameters(), Path(output)
     recording, streams = _open(inputs, values, place)
     inputs["dataset"] = _absolute(recording.path)  # a folder that holds one recording may be given

@@ -1,8 +1,8 @@
 """The inputs of a run, opened as run.yaml names them: recording, cameras, poses.
 
 The entry ``source`` of run.yaml has ``dataset``, ``name``, ``camera`` (a name, a list of names or
-None), ``poses``, ``camera_times`` and ``image_size``, all plain values; ``frames`` (``A:B``) may be
-left out.
+None), ``poses``, ``camera_times`` and ``image_size``, all plain values; ``frames`` (``A:B``) and
+``calibration`` (a file) may be left out.
 """
 
 from __future__ import annotations
@@ -16,10 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.config import Parameters, replaced
-from docdepth.datasets import CameraStream, Dataset, FrameRange, open_dataset
+from docdepth.datasets import (
+    CameraStream,
+    Dataset,
+    FrameRange,
+    ImageStream,
+    image_streams,
+    open_dataset,
+)
+from docdepth.datasets.images import read_image_of
 from docdepth.datasets.times import read_times
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
+from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.poses import read_poses
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.virtual_camera import parse_size, virtual_stream
@@ -60,8 +69,47 @@ def open_inputs(source: dict[str, Any]) -> tuple[Dataset, list[CameraStream]]:
 
 def open_recording(source: dict[str, Any]) -> Dataset:
     """Open the recording of a run."""
-    size = parse_size(source.get("image_size"))
-    return open_dataset(Path(source["dataset"]), source["name"], size, source.get("frames"))
+    size, frames = parse_size(source.get("image_size")), source.get("frames")
+    recording = open_dataset(Path(source["dataset"]), source["name"], size)
+    if source.get("calibration"):
+        stream = _calibrated(recording, Path(source["calibration"]))
+        recording.cameras[stream.name] = stream
+    return FrameRange(recording, frames) if frames else recording
+
+
+def _calibrated(recording: Dataset, file: Path) -> CameraStream:
+    """The camera of a recording that a calibration is of, with that calibration."""
+    found = read_camera_calibration(file)
+    images = image_streams(recording)
+    streams: dict[str, CameraStream | ImageStream] = {**images, **recording.cameras}
+    name = found.name if found.name in streams or len(streams) != 1 else next(iter(streams))
+    if name not in streams:
+        raise CalibrationError(
+            f"{file} is of {f'the camera {name}' if name else 'a camera without a name'}, "
+            f"{recording.path} has {', '.join(streams) or 'no camera'}; say which it is in "
+            'calib.json, as in "camera": "front"'
+        )
+    stream = streams[name]
+    camera = found.camera or stream.camera
+    if camera is None:
+        raise CalibrationError(f"{file} has no K, and {recording.path} neither; name calib.json")
+    if stream.camera is not None:
+        width, height = stream.camera.width, stream.camera.height
+    else:
+        height, width = read_image_of(stream.images[0]).shape[:2]
+    if (camera.width, camera.height) != (width, height):
+        raise CalibrationError(
+            f"{file} is of images of {camera.width}x{camera.height} pixels, those of {name} in "
+            f"{recording.path} are {width}x{height}; calibrate images of this size"
+        )
+    distortion, model = stream.distortion, stream.model
+    if found.camera is not None:
+        numbers = np.array(found.distortion, np.float64)
+        distortion, model = (numbers if numbers.any() else None), found.model
+    return CameraStream(
+        name, camera, found.T_camera_lidar, stream.times, stream.names, stream.images, distortion,
+        model,
+    )  # fmt: skip
 
 
 def open_cameras(
@@ -159,7 +207,11 @@ def _camera_names(wanted: str | Sequence[str] | None, recording: Dataset) -> lis
     """Names of the wanted cameras; the left colour camera if none is named."""
     cameras = recording.cameras
     if not cameras:
-        raise CalibrationError(f"{recording.path} has no calibrated camera; add its calibration")
+        images = ", ".join(image_streams(recording))
+        raise CalibrationError(
+            f"{recording.path} has no calibrated camera; add its calibration"
+            + (f", or find that of {images} by docdepth calibrate" if images else "")
+        )
     if wanted is None:
         colour = [c for c in cameras if c in ("image_02", "image_2")]
         return [colour[0] if colour else next(iter(cameras))]

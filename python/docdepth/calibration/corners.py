@@ -1,0 +1,101 @@
+"""The checkerboard in images: corners to a fraction of a pixel, and the board's pose."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.calibration.board import Board
+from docdepth.calibration.lens import Lens
+
+Floats = NDArray[np.float64]
+_SUBPIXEL = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+# Columns and rows more than told, the largest first: it has the smaller ones as parts.
+_MORE = ((2, 2), (1, 1), (0, 1), (1, 0))
+_LESS = ((0, -1), (-1, 0), (-1, -1), (-2, -2))
+_FEWEST = (3, 3)  # corners of the smallest board that OpenCV looks for
+
+
+def find_corners(image: NDArray[np.uint8], board: Board, thorough: bool = True) -> Floats | None:
+    """Inner corners of the board in an image (h, w, 3), pixels (n, 2); None if it is not there.
+
+    ``thorough`` takes seconds for an image without a board.
+
+    The corners run along the rows of the board. They begin at either end: a board looks the same
+    after half a turn.
+    """
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    found, corners = cv2.findChessboardCornersSB(
+        gray, (board.columns, board.rows), _SUBPIXEL if thorough else cv2.CALIB_CB_ACCURACY
+    )
+    if not found and not thorough:
+        return None
+    if not found:
+        # Where this search fails, that for boards of any size may find this one whole.
+        corners, counts = _any_board(gray)
+        if counts != (board.columns, board.rows):
+            return None
+    pixels = np.asarray(corners, np.float64).reshape(-1, 2)
+    return pixels if _right_handed(pixels, board) else _mirrored(pixels, board)
+
+
+def counted_corners(image: NDArray[np.uint8], board: Board, found: bool) -> tuple[int, int] | None:
+    """Inner corners of the checkerboard in an image, if they are miscounted by one or two.
+
+    Parameters
+    ----------
+    image : ndarray of uint8, shape (h, w, 3)
+    board : Board
+    found : bool
+        It was found, but it may be a part of a larger one.
+
+    Returns
+    -------
+    (int, int) or None
+        None where there is no such checkerboard.
+    """
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    for columns, rows in _MORE if found else _MORE + _LESS:
+        counts = (board.columns + columns, board.rows + rows)
+        if min(counts) >= 3 and cv2.findChessboardCornersSB(gray, counts, _SUBPIXEL)[0]:
+            return counts
+    return None
+
+
+def board_pose(corners: Floats, board: Board, lens: Lens) -> tuple[Floats, float]:
+    """``T_camera_board`` (4, 4) from the corners in an image, and their error, RMS in pixels."""
+    places, rays = board.corners, lens.rays(corners)
+    _, vectors, shifts, _ = cv2.solvePnPGeneric(
+        places, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+    )
+    candidates = []
+    for vector, shift in zip(vectors, shifts, strict=True):
+        _, vector, shift = cv2.solvePnP(
+            places, rays, np.eye(3), None, vector.copy(), shift.copy(), useExtrinsicGuess=True
+        )
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(vector)[0], np.ravel(shift)
+        seen = lens.project(places @ pose[:3, :3].T + pose[:3, 3])
+        error = float(np.sqrt(np.mean(np.sum((seen - corners) ** 2, axis=1))))
+        candidates.append((np.inf if np.isnan(error) else error, pose))
+    error, pose = min(candidates, key=lambda candidate: candidate[0])
+    return pose, error
+
+
+def _right_handed(pixels: Floats, board: Board) -> bool:
+    """Whether rows follow columns clockwise in the image, as they do on the front of a board."""
+    grid = pixels.reshape(board.rows, board.columns, 2)
+    along, down = grid[:, -1] - grid[:, 0], grid[-1] - grid[0]
+    along, down = along.mean(axis=0), down.mean(axis=0)
+    return bool(along[0] * down[1] - along[1] * down[0] > 0)
+
+
+def _mirrored(pixels: Floats, board: Board) -> Floats:
+    return pixels.reshape(board.rows, board.columns, 2)[:, ::-1].reshape(-1, 2)
+
+
+def _any_board(gray: NDArray[np.uint8]) -> tuple[Floats, tuple[int, int] | None]:
+    flags = _SUBPIXEL | cv2.CALIB_CB_LARGER
+    found, corners, meta = cv2.findChessboardCornersSBWithMeta(gray, _FEWEST, flags)
+    return corners, (int(meta.shape[1]), int(meta.shape[0])) if found else None

@@ -1,0 +1,218 @@
+"""The verb that finds K and the place of a camera."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from docdepth.cli.names import one_of
+from docdepth.cli.options import Frames, Json, Layout
+from docdepth.cli.progress import progress_bars
+from docdepth.cli.summary import show_json
+from docdepth.cli.terminal import app, out, verb
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from docdepth.calibration.calibrate import Calibration
+    from docdepth.calibration.lens import Lens
+    from docdepth.datasets import Dataset, ImageStream
+
+LENSES = ("pinhole", "fisheye")
+
+
+BoardRecording = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RECORDING",
+        help="Images and sweeps of a checkerboard in 10 poses or more: a folder with "
+        "docdepth.yaml, or a bag.",
+    ),
+]
+Corners = Annotated[
+    str, typer.Option(metavar="CxR", help="Inner corners of the checkerboard: columns, rows.")
+]
+Square = Annotated[float, typer.Option(metavar="M", help="Side of a square, metres.")]
+Outline = Annotated[
+    str,
+    typer.Option(
+        metavar="WxH",
+        help="Outline of the board along the columns and along the rows, metres; the checkerboard "
+        "is in its middle.",
+    ),
+]
+ResultFolder = Annotated[
+    Path,
+    typer.Option("-o", "--output", metavar="DIR", help="Folder for the result; created."),
+]
+OneOfSeveral = Annotated[
+    str | None,
+    typer.Option("--camera", metavar="NAME", help="Camera; needed where there are several."),
+]
+LensName = Annotated[
+    str | None,
+    typer.Option(
+        "--lens",
+        help="Estimate K and the distortion of such a lens: pinhole or fisheye. If absent, those "
+        "of the recording are taken, or those of a pinhole estimated if it has none.",
+        **one_of(LENSES),
+    ),
+]
+Boxes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--box",
+        metavar="[IMAGE:]X,X,Y,Y,Z,Z",
+        help="Least and greatest x, y and z of the board in the LiDAR frame, metres, of one image "
+        "or of all: where a wall or a person is too near behind it.",
+    ),
+]
+
+
+@verb(app)
+def calibrate(
+    dataset: BoardRecording,
+    corners: Corners,
+    square: Square,
+    board: Outline,
+    output: ResultFolder,
+    layout: Layout = None,
+    camera: OneOfSeveral = None,
+    frames: Frames = None,
+    lens: LensName = None,
+    box: Boxes = None,
+    as_json: Json = False,
+) -> None:
+    """Find K, the distortion and the place of a camera from a checkerboard.
+
+    The board is found in the images and in the whole sweeps. docdepth run --calibration takes
+    calib.json; look at the pictures beside it first.
+
+      docdepth calibrate boards/ --corners 5x7 --square 0.095 --board 0.61x0.85 -o calibration
+    """
+    from docdepth.calibration.board import parse_board
+    from docdepth.calibration.calibrate import calibrate as calibrate_pairs
+    from docdepth.calibration.pairs import board_pairs
+    from docdepth.calibration.result import quality_of, write_result
+    from docdepth.datasets import open_dataset
+
+    target, boxes = parse_board(corners, square, board), _boxes(box)
+    recording = open_dataset(dataset, layout, frames=frames)
+    stream = _stream(recording, camera)
+    _check_output(output, stream)
+    known = None if lens else _lens_of(stream)
+    model = lens or stream.model
+    with progress_bars() as progress:
+        pairs, size = board_pairs(recording, stream, target, boxes, progress)
+        found = calibrate_pairs(target, pairs, size, known, model, progress)
+        write_result(output, stream.name, target, pairs, found, progress)
+    if as_json:
+        return show_json(quality_of(found))
+    _show(found, known is None, output)
+
+
+def _stream(recording: Dataset, name: str | None) -> ImageStream:
+    """The camera to calibrate."""
+    from docdepth.datasets import image_streams
+    from docdepth.errors import CalibrationError
+
+    streams = image_streams(recording)
+    if not streams:
+        raise CalibrationError(
+            f"{recording.path} has no images; for a folder say cameras: {{front: {{images: DIR, "
+            "times: sweeps}} in docdepth.yaml"
+        )
+    if name is None and len(streams) == 1:
+        return next(iter(streams.values()))
+    if name not in streams:
+        missing = f"no images of {name}" if name else f"images of {len(streams)} cameras"
+        raise CalibrationError(
+            f"{recording.path} has {missing}; name one of {', '.join(streams)} (--camera)"
+        )
+    return streams[name]
+
+
+def _check_output(output: Path, stream: ImageStream) -> None:
+    """Pictures must not replace images: they have their names."""
+    from docdepth.errors import ConfigError
+
+    if any(image.parent.resolve() == output.resolve() for image in stream.images):
+        raise ConfigError(f"{output} holds the images of {stream.name}; choose another folder (-o)")
+
+
+def _lens_of(stream: ImageStream) -> Lens | None:
+    """K and distortion of the recording, if it has them."""
+    import numpy as np
+
+    from docdepth.calibration.lens import Lens
+
+    if stream.camera is None:
+        return None
+    distortion = np.zeros(5) if stream.distortion is None else stream.distortion
+    camera = stream.camera
+    return Lens(stream.model, camera.K, distortion, camera.width, camera.height)
+
+
+def _boxes(texts: list[str] | None) -> dict[str, NDArray[np.float64]]:
+    """Boxes by the names of images; "" for all."""
+    import numpy as np
+
+    from docdepth.errors import ConfigError
+
+    boxes = {}
+    for text in texts or []:
+        name, _, numbers = text.rpartition(":")
+        try:
+            box = np.array([float(number) for number in numbers.split(",")]).reshape(3, 2)
+        except ValueError:
+            box = np.zeros((3, 2))
+        if not (box[:, 0] < box[:, 1]).all():
+            raise ConfigError(
+                f"--box {text!r} must be x,x,y,y,z,z, least and greatest of each, in metres, for "
+                "example 2.5,4,-1,1,-1.5,1; or with an image's name before it, pose3:2.5,4,..."
+            )
+        boxes[name] = box
+    return boxes
+
+
+def _show(found: Calibration, estimated: bool, output: Path) -> None:
+    from docdepth.calibration.result import quality_of
+    from docdepth.geometry.se3 import inverse
+
+    quality = quality_of(found)
+    table = Table("board", "corners px", "plane cm", "left out px", "left out cm", box=None)
+    for name, one in quality["boards"].items():
+        cells = (one[key] for key in ("corners_px", "plane_cm", "left_out_px", "left_out_cm"))
+        table.add_row(name, *(f"{cell:.2f}" for cell in cells))
+    out.print(table)
+    lines = [f"not used: {name}: {why}" for name, why in quality["not_used"].items()]
+    K, numbers = found.lens.K, " ".join(f"{k:.4f}" for k in found.lens.distortion)
+    lines.append(
+        f"{found.lens.model}, K {'estimated' if estimated else 'given'}: fx {K[0, 0]:.1f} fy "
+        f"{K[1, 1]:.1f} cx {K[0, 2]:.1f} cy {K[1, 2]:.1f}, distortion {numbers}"
+    )
+    place = " ".join(f"{x:.3f}" for x in inverse(found.T_camera_lidar)[:3, 3])
+    turn, shift = max(quality["uncertainty_deg"]), max(quality["uncertainty_cm"])
+    lines.append(
+        f"the camera is at {place} m in the LiDAR frame; one standard deviation is {turn:.2f} "
+        f"degrees, {shift:.1f} cm"
+    )
+    lines.append(
+        f"each board by the calibration of the others: off by {quality['left_out_px']:.1f} px in "
+        "the median"
+    )
+    if found.halves is not None:
+        degrees, centimetres = quality["halves_deg"], quality["halves_cm"]
+        lines.append(
+            f"halves without a common board differ by {degrees['median']:.2f} degrees and "
+            f"{centimetres['median']:.1f} cm in the median, by at most {degrees['most']:.2f} and "
+            f"{centimetres['most']:.1f}"
+        )
+    lines.append(f"look at the pictures in {output}, then: docdepth run DATASET --calibration "
+                 f"{output / 'calib.json'} -o RUN")  # fmt: skip
+    for line in lines:
+        out.print(line, soft_wrap=True, markup=False)

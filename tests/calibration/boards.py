@@ -1,0 +1,120 @@
+"""Boards in a bare hall, seen by a LiDAR and a camera without any noise.
+
+Rays are cut with planes here, by nothing that the code under test uses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.calibration.board import Board
+from docdepth.calibration.calibrate import BoardPair
+from docdepth.calibration.lens import Lens
+from docdepth.calibration.sweeps import board_sweep
+from docdepth.geometry.se3 import rotation_exp
+
+Floats = NDArray[np.float64]
+
+BOARD = Board(4, 6, 0.12, 0.68, 0.96)
+LENS = Lens(
+    "pinhole",
+    np.array([(420.0, 0.0, 318.0), (0.0, 421.0, 203.0), (0.0, 0.0, 1.0)]),
+    np.array((-0.1, 0.04, 0.0, 0.0, 0.0)),
+    640,
+    400,
+)
+T_CAMERA_LIDAR = np.eye(4)
+T_CAMERA_LIDAR[:3, :3] = rotation_exp((0.03, -0.05, 0.02)) @ np.array(
+    [(0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0)]
+)
+T_CAMERA_LIDAR[:3, 3] = (0.06, -0.12, -0.2)
+
+# Away, azimuth, height; tilt to the side, up, in the plane; metres and degrees.
+POSES = [
+    (2.6, 12, -0.3, 25, 5, 10),
+    (3.1, -15, -0.1, -28, 8, -20),
+    (3.6, 3, 0.2, 6, 27, 35),
+    (2.9, -5, -0.5, -8, -26, -8),
+    (4.2, 16, -0.2, 22, 18, 50),
+    (3.4, -18, 0.0, -18, -20, 15),
+    (3.9, 8, -0.4, 26, -14, -40),
+    (2.7, -1, -0.2, -24, 16, 70),
+]
+
+
+def pose(away: float, azimuth: float, z: float, side: float, up: float, turn: float) -> Floats:
+    """``T_lidar_board`` of a board whose front looks at the LiDAR but for its tilt."""
+    angle = np.radians(azimuth)
+    ahead = np.array((np.cos(angle), np.sin(angle), 0.0))
+    right, down = np.array((np.sin(angle), -np.cos(angle), 0.0)), np.array((0.0, 0.0, -1.0))
+    T = np.eye(4)
+    level = np.stack([right, down, ahead], axis=1)
+    tilt = rotation_exp(np.radians((0.0, side, 0.0))) @ rotation_exp(np.radians((up, 0.0, 0.0)))
+    T[:3, :3] = level @ tilt @ rotation_exp(np.radians((0.0, 0.0, turn)))
+    T[:3, 3] = away * ahead + (0.0, 0.0, z)
+    return T
+
+
+def all_poses() -> list[Floats]:
+    return [pose(*numbers) for numbers in POSES]
+
+
+def corners_of(T_lidar_board: Floats, board: Board = BOARD) -> Floats:
+    """Exact pixels of the inner corners."""
+    T = T_CAMERA_LIDAR @ T_lidar_board
+    return LENS.project(board.corners @ T[:3, :3].T + T[:3, 3])
+
+
+def sweep_of(T_lidar_board: Floats, board: Board = BOARD, wall: float | None = None) -> Floats:
+    """Points (N, 3) of a LiDAR of 56 rings, which looks ahead; ``wall`` is metres behind the board,
+    parallel to it, 3 m wide."""
+    azimuth, elevation = np.radians(np.arange(-32, 32, 0.5)), np.radians(np.linspace(16, -27, 56))
+    a, e = (x.ravel() for x in np.meshgrid(azimuth, elevation))
+    rays = np.stack([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)], axis=1)
+    reach = np.full(len(rays), np.inf)
+    # Floor, and walls ahead and on both sides.
+    planes = [((0, 0, -1), 1.6), ((1, 0, 0), 9.0), ((0, 1, 0), 6.0), ((0, -1, 0), 6.0)]
+    for normal, distance in planes:
+        with np.errstate(divide="ignore"):
+            away = distance / (rays @ np.array(normal, float))
+        reach = np.where(away > 0, np.minimum(reach, away), reach)
+    half = np.array((board.width, board.height)) / 2
+    _stop(rays, reach, T_lidar_board, half)
+    if wall is not None:
+        behind = T_lidar_board.copy()
+        behind[:3, 3] += wall * behind[:3, 2]
+        _stop(rays, reach, behind, np.array((1.5, 1.5)))
+    return rays * reach[:, None]
+
+
+def _stop(rays: Floats, reach: Floats, T: Floats, half: Floats) -> None:
+    """End rays at a rectangle, in place."""
+    away = (T[:3, 3] @ T[:3, 2]) / (rays @ T[:3, 2])
+    places = (away[:, None] * rays - T[:3, 3]) @ T[:3, :2]
+    hit = (away > 0) & (away < reach) & (np.abs(places) < half).all(axis=1)
+    reach[hit] = away[hit]
+
+
+def pair(
+    name: str,
+    T_lidar_board: Floats,
+    swept: Floats | None = None,
+    board: Board = BOARD,
+    wall: float | None = None,
+    box: Floats | None = None,
+) -> BoardPair:
+    """Image and sweep of a board; in the sweep it may be elsewhere."""
+    points = sweep_of(T_lidar_board if swept is None else swept, board, wall).astype(np.float32)
+    return BoardPair(name, corners_of(T_lidar_board, board), board_sweep(points, None, box))
+
+
+def pairs(poses: Sequence[Floats] | None = None) -> list[BoardPair]:
+    """All pairs, every second with its corners from the other end, as detectors give them."""
+    found = [pair(f"pose{k}", T) for k, T in enumerate(poses or all_poses())]
+    return [
+        BoardPair(p.name, p.corners[::-1] if k % 2 else p.corners, p.sweep)
+        for k, p in enumerate(found)
+    ]

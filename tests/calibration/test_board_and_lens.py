@@ -1,0 +1,110 @@
+"""The board as it is described, corners in images, and K from exact corners."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from boards import BOARD, LENS, T_CAMERA_LIDAR, all_poses, corners_of
+
+from docdepth.calibration.board import Board, parse_board
+from docdepth.calibration.corners import board_pose, counted_corners, find_corners
+from docdepth.calibration.lens import Lens, estimate_lens
+from docdepth.errors import CalibrationError, ConfigError
+
+SIZE = (LENS.width, LENS.height)
+
+
+def test_corners_run_along_the_columns():
+    board = Board(4, 3, 0.1, 0.6, 0.5)
+    assert board.corners[0].tolist() == pytest.approx([-0.15, -0.1, 0])
+    assert board.corners[1].tolist() == pytest.approx([-0.05, -0.1, 0])
+    assert board.corners[-1].tolist() == pytest.approx([0.15, 0.1, 0])
+
+
+def test_distance_from_the_outline_by_hand():
+    places = np.array([(0, 0), (0.3, 0), (0.34, 0), (0.44, 0.08), (0.44, 0.56)])
+    expected = [-0.34, -0.04, 0, 0.1, np.hypot(0.1, 0.08)]
+    np.testing.assert_allclose(BOARD.distance(places), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("corners", "square", "size", "message"),
+    [
+        ("5", 0.1, "1x1", "must be COLUMNSxROWS"),
+        ("5x7", 0.1, "841", "must be WIDTHxHEIGHT in metres"),
+        ("5x7", 0.1, "841x1189mm", "must be WIDTHxHEIGHT in metres"),
+        ("7x10", 100, "0.841x1.189", "do not fit on a board.*in the same order and in metres"),
+        ("10x7", 0.1, "0.841x1.189", "do not fit on a board"),
+        ("2x7", 0.1, "1x1", "at least 3x3"),
+        ("5x5", 0.1, "0.7x0.9", "looks the same after a quarter turn"),
+    ],
+)
+def test_boards_that_cannot_be(corners, square, size, message):
+    with pytest.raises(ConfigError, match=message):
+        parse_board(corners, square, size)
+
+
+def test_a_board_in_words():
+    assert parse_board(" 5X7", 0.095, "0.61x.85") == Board(5, 7, 0.095, 0.61, 0.85)
+
+
+def test_pose_of_exact_corners():
+    for T_lidar_board in all_poses():
+        pose, error = board_pose(corners_of(T_lidar_board), BOARD, LENS)
+        assert error < 1e-3
+        np.testing.assert_allclose(pose, T_CAMERA_LIDAR @ T_lidar_board, atol=1e-4)
+
+
+def test_rays_undo_the_projection():
+    fisheye = replace(LENS, model="fisheye", distortion=np.array((-0.02, 0.01, -0.01, 0.002)))
+    points = np.random.default_rng(0).uniform((-1.5, -1, 2), (1.5, 1, 4), (50, 3))
+    for lens in (LENS, fisheye):
+        rays = lens.rays(lens.project(points))
+        np.testing.assert_allclose(rays, points[:, :2] / points[:, 2:], atol=1e-4)
+    assert np.isnan(LENS.project(-points)).all()
+
+
+@pytest.mark.parametrize("model", ["pinhole", "fisheye"])
+def test_k_of_exact_corners(model):
+    true = LENS
+    if model == "fisheye":
+        numbers = np.array((-0.02, 0.01, -0.01, 0.002))
+        true = Lens("fisheye", LENS.K, numbers, *SIZE)
+    seen = []
+    for pose in all_poses():
+        T = T_CAMERA_LIDAR @ pose
+        seen.append(true.project(BOARD.corners @ T[:3, :3].T + T[:3, 3]))
+    lens, error = estimate_lens(BOARD, seen, SIZE, model)
+    assert error < 1e-3
+    np.testing.assert_allclose(lens.K, true.K, atol=0.05)
+    np.testing.assert_allclose(lens.distortion[:2], true.distortion[:2], atol=5e-3)
+
+
+def test_k_needs_images_of_this_board():
+    corners = [corners_of(pose) for pose in all_poses()]
+    with pytest.raises(CalibrationError, match="at least 3 images"):
+        estimate_lens(BOARD, corners[:2], SIZE)
+    noise = np.random.default_rng(0).normal(0, 20, (8, 24, 2))
+    with pytest.raises(CalibrationError, match=r"misses the corners by.*--lens"):
+        estimate_lens(BOARD, [c + n for c, n in zip(corners, noise, strict=True)], SIZE)
+
+
+def test_corners_are_found_to_a_fraction_of_a_pixel():
+    scenes = pytest.importorskip("calibration_scenes")
+    T_lidar_board = all_poses()[2]
+    T = T_CAMERA_LIDAR @ T_lidar_board
+    image = scenes.picture(BOARD, LENS, T, np.random.default_rng(1))
+    for thorough in (True, False):
+        found = find_corners(image, BOARD, thorough)
+        exact = corners_of(T_lidar_board)
+        exact = exact if np.abs(found - exact).max() < 5 else exact[::-1]
+        assert np.sqrt(np.mean((found - exact) ** 2)) < 0.2
+    assert counted_corners(image, replace(BOARD, columns=5, rows=7, square=0.1), False) == (4, 6)
+    less = replace(BOARD, columns=3, rows=5)
+    assert find_corners(image, less) is not None, "a part of the board"
+    assert counted_corners(image, less, True) == (4, 6)
+    assert counted_corners(image, BOARD, True) is None
+    assert counted_corners(np.full((100, 100, 3), 90, np.uint8), BOARD, False) is None
+    # A board that is partly out of the picture is not found, and no smaller one instead.
+    away = image[:, : int(exact[:, 0].mean())].copy()
+    assert find_corners(away, BOARD) is None
