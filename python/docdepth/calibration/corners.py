@@ -14,7 +14,7 @@ _SUBPIXEL = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 # Columns and rows more than told, the largest first: it has the smaller ones as parts.
 _MORE = ((2, 2), (1, 1), (0, 1), (1, 0))
 _LESS = ((0, -1), (-1, 0), (-1, -1), (-2, -2))
-_FEWEST = (3, 3)  # corners of the smallest board that OpenCV looks for
+_FEWEST = 3  # corners to each side of the smallest board that OpenCV looks for
 
 
 def find_corners(image: NDArray[np.uint8], board: Board, thorough: bool = True) -> Floats | None:
@@ -58,7 +58,7 @@ def counted_corners(image: NDArray[np.uint8], board: Board, found: bool) -> tupl
     gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
     for columns, rows in _MORE if found else _MORE + _LESS:
         counts = (board.columns + columns, board.rows + rows)
-        if min(counts) >= 3 and cv2.findChessboardCornersSB(gray, counts, _SUBPIXEL)[0]:
+        if min(counts) >= _FEWEST and cv2.findChessboardCornersSB(gray, counts, _SUBPIXEL)[0]:
             return counts
     return None
 
@@ -97,5 +97,5 @@ def _mirrored(pixels: Floats, board: Board) -> Floats:
 
 def _any_board(gray: NDArray[np.uint8]) -> tuple[Floats, tuple[int, int] | None]:
     flags = _SUBPIXEL | cv2.CALIB_CB_LARGER
-    found, corners, meta = cv2.findChessboardCornersSBWithMeta(gray, _FEWEST, flags)
+    found, corners, meta = cv2.findChessboardCornersSBWithMeta(gray, (_FEWEST, _FEWEST), flags)
     return corners, (int(meta.shape[1]), int(meta.shape[0])) if found else None

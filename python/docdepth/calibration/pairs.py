@@ -20,7 +20,9 @@ from docdepth.errors import CalibrationError, DatasetError
 Floats = NDArray[np.float64]
 
 _STILLS = 0.8  # seconds between sweeps; if they are closer, some show how the board is moved
-_STEP = 0.39  # seconds between the images of such a recording that are looked at
+# Seconds between the images of such a recording that are looked at: stamps of 10 Hz jitter, so that
+# every fourth one is a little less than 0.4 s later.
+_STEP = 0.39
 _STILL = 2.0  # pixels that corners move at most while the board stands
 _FEWEST_STILL = 3  # images looked at in a row
 _APART = 0.1  # seconds between image and sweep of a moment
@@ -198,7 +200,7 @@ def _check_sizes(
 def _check_count(
     stream: ImageStream, together: Sequence[tuple[int, int]], board: Board, found: bool
 ) -> None:
-    """Refuse images of a checkerboard with more corners, or less if it was not found."""
+    """Refuse images of a checkerboard with more corners, or fewer if it was not found."""
     few = np.linspace(0, len(together) - 1, min(len(together), _COUNTED)).astype(int)
     for k in np.unique(few).tolist():
         image = stream.images[together[k][0]]

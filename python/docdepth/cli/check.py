@@ -32,7 +32,7 @@ def check(
     dataset: Annotated[
         Path,
         typer.Argument(
-            metavar="DATASET", help="Folder of a recording (KITTI raw, KITTI odometry) or of a run."
+            metavar="DATASET", help="A recording (its folder, or a bag), or the folder of a run."
         ),
     ],
     output: Annotated[

@@ -57,8 +57,8 @@ def run(
         Path | None,
         typer.Argument(
             metavar="DATASET",
-            help="Folder of a recording (KITTI raw, KITTI odometry) or of a run; that of --config "
-            "if absent. A run alone, without -o, is brought up to date.",
+            help="A recording (its folder, or a bag), or the folder of a run; that of --config if "
+            "absent. A run alone, without -o, is brought up to date.",
             show_default=False,
         ),
     ] = None,

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,15 +124,14 @@ def read_camera_calibration(file: Path) -> CameraCalibration:
     remedy = "name calib.json of docdepth calibrate, or a text file of a 4x4 matrix"
     if file.suffix != ".json":
         return CameraCalibration(_read(file, _extrinsic, remedy))
-    camera, distortion = _read(file, _camera, remedy)
-    entries = json.loads(file.read_text())
+    camera, distortion, entries, T = _read(file, _camera_and_place, remedy)
     model = entries.get("model", "pinhole")
     if model not in ("pinhole", "fisheye"):
         raise CalibrationError(f"{file}: model is {model!r}, not pinhole or fisheye")
-    if "T_camera_lidar" in entries:
-        T = _read(file, _own_extrinsic, remedy)
-    else:
+    if T is None:
         T = _read(file.parent / EXTRINSICS, _extrinsic, remedy)
+    else:
+        _rigid(T, file, remedy)
     return CameraCalibration(T, str(entries.get("camera", "")), camera, distortion, model)
 
 
@@ -148,8 +147,14 @@ def _extrinsic(text: str) -> NDArray[np.float64]:
     return np.loadtxt(text.splitlines(), ndmin=2)
 
 
-def _own_extrinsic(text: str) -> NDArray[np.float64]:
-    return np.array(json.loads(text)["T_camera_lidar"], dtype=np.float64)
+def _camera_and_place(
+    text: str,
+) -> tuple[Camera, list[float], dict[str, Any], NDArray[np.float64] | None]:
+    """Camera, distortion, all entries, and ``T_camera_lidar`` if it is among them."""
+    entries = json.loads(text)
+    own = "T_camera_lidar" in entries
+    T = np.array(entries["T_camera_lidar"], dtype=np.float64) if own else None
+    return (*_camera(text), entries, T)
 
 
 def _read(file: Path, parse: Callable[[str], _Parsed], remedy: str) -> _Parsed:
