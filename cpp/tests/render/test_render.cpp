@@ -251,11 +251,15 @@ TEST_CASE("an object goes on where rays met it close by, and other sweeps add wh
   CHECK(std::isnan(middle({{&aside, T, shaky}}, kContinued)));
   // One that passed four centimetres aside outweighs one that met six aside.
   CHECK(std::isnan(middle({{&close, T}, {&aside, T}}, kContinued)));
-  // What another sweep measured takes more than one ray to deny.
+  // What another sweep measured takes more than one ray to doubt, and many to deny.
   CHECK(middle({}, kOther) == doctest::Approx(5));
   CHECK(middle({{&far, T}}, kOther) == doctest::Approx(5));
-  CHECK(middle({{&passed, T}}, kOther) == doctest::Approx(5));
-  CHECK(middle({{&passed, T}, {&passed, T}}, kOther) == doctest::Approx(10));
+  const PlacedRays denied{&passed, T, shaky}, confirmed{&close, T};
+  CHECK(middle({denied}, kOther) == doctest::Approx(5));
+  CHECK(std::isnan(middle({denied, denied}, kOther)));
+  CHECK(std::isnan(middle({denied, denied, confirmed, confirmed, confirmed}, kOther)));
+  CHECK(middle({confirmed, confirmed, denied, denied}, kOther) == doctest::Approx(5));
+  CHECK(middle(std::vector<PlacedRays>(7, denied), kOther) == doctest::Approx(10));
   for (const Rays* rays : {&close, &far, &passed}) CHECK(middle({{rays, T}}, kTrusted) == 5);
 }
 
