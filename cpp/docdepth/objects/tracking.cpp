@@ -136,16 +136,16 @@ class TrackEvidence {
             (came && is_of_another(object, object.last_occupied)));
   }
 
-  /// Whether much of the place of a detection belongs to another track that moves in a sweep.
+  /// Whether much of the place of a detection belongs to another vehicle that moves, in a sweep.
   bool is_of_another(const Detection& object, std::int32_t sweep) const {
     const auto& samples = object.samples();
-    return std::any_of(
-        tracked_[std::size_t(sweep)].boxes.begin(), tracked_[std::size_t(sweep)].boxes.end(),
-        [&](const TrackBox& other) {
-          const auto inside = [&](const Vector& p) { return other.box.holds(p, kSearchMargin); };
-          return other.track != number_ && std::count_if(samples.begin(), samples.end(), inside) >=
-                                               kQueueShare * float(samples.size());
-        });
+    const auto& boxes = tracked_[std::size_t(sweep)].boxes;
+    return std::any_of(boxes.begin(), boxes.end(), [&](const TrackBox& other) {
+      const auto inside = [&](const Vector& p) { return other.box.holds(p, kSearchMargin); };
+      return other.track != number_ && 2 * other.box.half.head<2>().maxCoeff() >= kMinRigidWidth &&
+             std::count_if(samples.begin(), samples.end(), inside) >=
+                 kQueueShare * float(samples.size());
+    });
   }
 
   /// The sweeps while the object covered half of a place, to the ends of the drive if it is there
