@@ -13,6 +13,7 @@ from docdepth.datasets import (
     dgp,
     dynamic_map,
     folder,
+    kitti_360,
     kitti_odometry,
     kitti_raw,
     nuscenes,
@@ -32,6 +33,7 @@ _MOST_NAMED = 8  # recordings in an error
 
 # The first that recognises a path has it.
 _OWN: tuple[Format, ...] = (
+    kitti_360.FORMAT,
     kitti_raw.FORMAT,
     kitti_odometry.SEMANTIC_KITTI,
     kitti_odometry.KITTI_ODOMETRY,

@@ -1,0 +1,213 @@
+"""Poses that do not cover a drive, and what files of long drives may get wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from formats import WRITERS
+from kitti_drives import R_RECT, numbers
+from long_drives import R_RECT_01, SEQUENCE, kitti_360_poses, rectified
+from made_up import DRIVE, K
+
+from docdepth.datasets import open_dataset
+from docdepth.datasets.pose_tables import poses_at, poses_of_angles, read_pose_table
+from docdepth.errors import CalibrationError, DatasetError, DocDepthError
+from docdepth.geometry.se3 import inverse
+from docdepth.geometry.trajectory import Trajectory
+
+
+@pytest.fixture
+def kitti_360(tmp_path: Path) -> Path:
+    """ROOT of KITTI-360."""
+    return WRITERS["KITTI-360"][1](tmp_path).path.parent.parent
+
+
+# ---- tables of poses
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_rows_of_a_pose_table(tmp_path: Path) -> None:
+    text = "GPSTime,x,y\n1326030975726043,1.5,-2\n1326030975726044,nan,0\n1326030975726050, 3,4\n"
+    stamps, rows = read_pose_table(write(tmp_path / "poses.csv", text), (2,), "copy it")
+    assert stamps.tolist() == [1326030975726043, 1326030975726050]
+    np.testing.assert_array_equal(rows, [[1.5, -2], [3, 4]])
+
+
+def test_rows_that_come_twice_or_late_are_sorted(tmp_path: Path) -> None:
+    stamps, rows = read_pose_table(write(tmp_path / "a", "5 1\n3 2\n5 9\n"), (1,), "copy it")
+    assert (stamps.tolist(), rows.ravel().tolist()) == ([3, 5], [2, 1])
+
+
+@pytest.mark.parametrize("line", ["7 1 2 3", "7.5 1 2", "x 1 2", "7 1 y", "NaN 1 2"])
+def test_a_line_of_something_else_is_named(tmp_path: Path, line: str) -> None:
+    file = write(tmp_path / "poses.csv", f"6 1 2\n{line}\n")
+    with pytest.raises(DatasetError, match=r"poses\.csv, line 2: .* 2 more numbers; copy it"):
+        read_pose_table(file, (2,), "copy it")
+
+
+def test_a_table_without_poses(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"poses\.csv holds no poses"):
+        read_pose_table(write(tmp_path / "poses.csv", "t,x\n1,nan\n"), (1,), "copy it")
+
+
+def test_angles_turn_about_x_then_y_then_z() -> None:
+    angles = np.array([[0.3, -0.2, 2.0]])
+    (pose,) = poses_of_angles(np.array([[1.0, 2, 3]]), angles)
+    (roll, pitch, yaw), p = angles[0], np.array([0.4, -0.7, 0.9])
+    p = np.array([p[0], np.cos(roll) * p[1] - np.sin(roll) * p[2],
+                  np.sin(roll) * p[1] + np.cos(roll) * p[2]])  # fmt: skip
+    p = np.array([np.cos(pitch) * p[0] + np.sin(pitch) * p[2], p[1],
+                  -np.sin(pitch) * p[0] + np.cos(pitch) * p[2]])  # fmt: skip
+    p = np.array([np.cos(yaw) * p[0] - np.sin(yaw) * p[1],
+                  np.sin(yaw) * p[0] + np.cos(yaw) * p[1], p[2]])  # fmt: skip
+    np.testing.assert_allclose(pose[:3, :3] @ [0.4, -0.7, 0.9], p, atol=1e-15)
+    np.testing.assert_array_equal(pose[:3, 3], [1, 2, 3])
+
+
+def _line(*seconds: float, speed: float) -> tuple[np.ndarray, np.ndarray]:
+    stamps = np.round(np.array(seconds) * 1e9).astype(np.int64)
+    poses = np.repeat(np.eye(4)[None], len(stamps), axis=0)
+    poses[:, 0, 3] = speed * np.array(seconds)
+    return stamps, poses
+
+
+def test_poses_at_times_of_sweeps() -> None:
+    times = np.array([0, 100_000_000, 150_000_000, 200_000_000, 300_000_000])
+    found = poses_at(*_line(0.1, 0.2, speed=10), times, Path("poses.csv"))
+    np.testing.assert_allclose(found[:, 0, 3], [np.nan, 1, 1.5, 2, np.nan])
+
+
+@pytest.mark.parametrize(("speed", "known"), [(0.2, True), (9.0, False)])
+def test_a_gap_is_bridged_where_the_vehicle_hardly_moved(speed: float, known: bool) -> None:
+    times = np.array([0, 10**9, 2 * 10**9])
+    found = poses_at(*_line(0, 2, 2.1, speed=speed), times, Path("poses.csv"))
+    assert np.isfinite(found).all(axis=(1, 2)).tolist() == [True, known, True]
+
+
+def test_poses_of_another_recording_are_refused() -> None:
+    with pytest.raises(DatasetError, match=r"poses\.csv has poses from .* recording\?"):
+        poses_at(*_line(0, 1, speed=1), np.array([5 * 10**9]), Path("poses.csv"))
+
+
+# ---- KITTI-360
+
+
+def test_kitti_360_is_found_from_its_root(kitti_360: Path) -> None:
+    assert open_dataset(kitti_360).path == kitti_360 / "data_3d_raw" / SEQUENCE
+
+
+def test_times_of_kitti_360s_points_are_those_of_kittis(kitti_360: Path) -> None:
+    sweep = open_dataset(kitti_360).sweep(1)
+    assert sweep.relative_time is not None
+    assert not sweep.motion_compensated
+    ahead, left = np.array([[5.0, 0, 0]]), np.array([[0.0, 5, 0]])
+    for point, late in ((ahead, 0.0), (left, -0.25)):  # it turns clockwise, ahead at its stamp
+        with (kitti_360 / "data_3d_raw" / SEQUENCE / "velodyne_points/data/0000000001.bin").open(
+            "wb"
+        ) as file:
+            np.column_stack([point, [[0]]]).astype("<f4").tofile(file)
+        np.testing.assert_allclose(open_dataset(kitti_360).sweep(1).relative_time, [late])
+
+
+def test_a_frame_without_a_pose_is_interpolated(kitti_360: Path) -> None:
+    kitti_360_poses(kitti_360 / "data_poses" / SEQUENCE, [0, 1, 3, 4])
+    poses = open_dataset(kitti_360).poses
+    assert poses is not None
+    others = [0, 1, 3, 4]
+    np.testing.assert_allclose(poses[others], DRIVE.poses[others], atol=1e-9)
+    between = Trajectory(DRIVE.times[others], DRIVE.poses[others]).interpolate(DRIVE.times[2:3])
+    np.testing.assert_allclose(poses[2], between[0], atol=1e-9)
+    np.testing.assert_allclose(poses[2], DRIVE.poses[2], atol=2e-3)
+
+
+def test_frames_before_the_first_pose_have_none(kitti_360: Path, caplog) -> None:
+    kitti_360_poses(kitti_360 / "data_poses" / SEQUENCE, [1, 2, 4])
+    assert open_dataset(kitti_360).poses is None
+    assert "1 of 5 sweeps have no pose" in caplog.text
+    assert "--frames 1:5 has poses" in caplog.text
+    assert open_dataset(kitti_360, frames="0:3").poses is None
+    part = open_dataset(kitti_360, frames="1:5").poses
+    assert part is not None
+    np.testing.assert_allclose(part[[0, 1, 3]], DRIVE.poses[[1, 2, 4]], atol=1e-9)
+
+
+def test_poses_of_the_camera_are_those_of_the_imu(kitti_360: Path) -> None:
+    folder = kitti_360 / "data_poses" / SEQUENCE
+    poses = open_dataset(kitti_360).poses
+    (folder / "poses.txt").unlink()
+    np.testing.assert_allclose(open_dataset(kitti_360).poses, poses, atol=1e-9)
+    (folder / "cam0_to_world.txt").unlink()
+    assert open_dataset(kitti_360).poses is None
+
+
+def test_poses_of_another_sequence(kitti_360: Path) -> None:
+    file = kitti_360 / "data_poses" / SEQUENCE / "poses.txt"
+    file.write_text(f"77 {numbers(np.eye(4)[:3])}\n")
+    with pytest.raises(DatasetError, match=r"poses\.txt has no pose of a sweep"):
+        open_dataset(kitti_360)
+
+
+def test_the_right_camera_of_kitti_360(kitti_360: Path) -> None:
+    file = kitti_360 / "calibration" / "perspective.txt"
+    P = np.hstack([K, [[-20.0], [0], [0]]])
+    file.write_text(
+        file.read_text()
+        + f"S_rect_01: 64 48\nR_rect_01: {numbers(R_RECT_01)}\nP_rect_01: {numbers(P)}\n"
+    )
+    cameras = open_dataset(kitti_360).cameras
+    assert list(cameras) == ["image_00", "image_01"]
+    from_left = inverse(cameras["image_00"].T_camera_lidar)
+    shift = np.eye(4)
+    shift[:3, 3] = -0.6, -0.01, 0.02
+    expected = rectified(R_RECT_01) @ shift @ inverse(rectified(R_RECT))
+    np.testing.assert_allclose(cameras["image_01"].T_camera_lidar @ from_left, expected, atol=1e-9)
+    assert cameras["image_01"].images == []
+    np.testing.assert_array_equal(cameras["image_01"].times, DRIVE.times)
+
+
+def test_fisheyes_are_left_out_with_a_warning(kitti_360: Path, caplog) -> None:
+    (kitti_360 / "data_2d_raw" / SEQUENCE / "image_02" / "data_rgb").mkdir(parents=True)
+    assert list(open_dataset(kitti_360).cameras) == ["image_00"]
+    assert "image_02: fisheyes that see" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "error"),
+    [
+        ("calib_cam_to_velo.txt", "1 2 3", "calib_cam_to_velo.txt must be 16 numbers"),
+        ("calib_cam_to_velo.txt", "a b c", "calib_cam_to_velo.txt must be 16 numbers"),
+        ("calib_cam_to_velo.txt", None, "calib_cam_to_velo.txt is missing; unpack"),
+        ("calib_cam_to_pose.txt", "image_01: 1 2", "has no line 'image_00:'"),
+        ("perspective.txt", "P_rect_02: 1", "perspective.txt has no camera"),
+        ("perspective.txt", None, "perspective.txt is missing; unpack"),
+    ],
+)
+def test_a_broken_calibration_of_kitti_360(
+    kitti_360: Path, name: str, text: str | None, error: str
+) -> None:
+    file = kitti_360 / "calibration" / name
+    file.unlink()
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(CalibrationError, match=error):
+        open_dataset(kitti_360 / "data_3d_raw" / SEQUENCE)
+
+
+def test_a_copy_among_sweeps_of_kitti_360_is_named(kitti_360: Path) -> None:
+    data = kitti_360 / "data_3d_raw" / SEQUENCE / "velodyne_points" / "data"
+    (data / "0000000004.bin").rename(data / "0000000003 (1).bin")
+    with pytest.raises(DatasetError, match=r"0000000003 \(1\).bin: the name is no number"):
+        open_dataset(kitti_360)
+
+
+def test_a_sweep_of_kitti_360_without_a_stamp(kitti_360: Path) -> None:
+    file = kitti_360 / "data_3d_raw" / SEQUENCE / "velodyne_points" / "timestamps.txt"
+    file.write_text("".join(file.read_text().splitlines(keepends=True)[:3]))
+    with pytest.raises(DocDepthError, match=r"timestamps\.txt has 3 stamps for 5 files"):
+        open_dataset(kitti_360)
