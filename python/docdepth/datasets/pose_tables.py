@@ -158,7 +158,7 @@ def whole_poses(partial: NDArray[np.float64] | None, path: Path) -> NDArray[np.f
     """
     if partial is None:
         return None
-    known: NDArray[np.bool_] = np.isfinite(partial).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(partial).all(axis=(1, 2)))
     if known.all():
         return partial
     ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]])))
