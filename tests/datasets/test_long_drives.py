@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from formats import WRITERS
 from kitti_drives import R_RECT, numbers
 from long_drives import COLUMNS_APART, R_RECT_01, SEQUENCE, kitti_360_poses, rectified
@@ -355,4 +356,21 @@ def test_a_broken_calibration_of_boreas(
     if text is not None:
         file.write_text(text)
     with pytest.raises(CalibrationError, match=f"{name} {error}"):
+        open_dataset(path)
+
+
+@pytest.mark.parametrize("what", ["MulRan", "NCLT", "HeLiPR, Ouster"])
+def test_a_camera_of_the_users(tmp_path: Path, what: str) -> None:
+    path = WRITERS[what][1](tmp_path).path
+    assert open_dataset(path).cameras == {}
+    camera = {
+        "K": K.ravel().tolist(),
+        "T_camera_lidar": DRIVE.T_camera_lidar.tolist(),
+        "times": "sweeps",
+    }
+    (path / "docdepth.yaml").write_text(yaml.safe_dump({"cameras": {"front": camera}}))
+    (stream,) = open_dataset(path, image_size=(64, 48)).cameras.values()
+    np.testing.assert_array_equal(stream.camera.K, K)
+    np.testing.assert_allclose(stream.times, DRIVE.times, atol=1000)
+    with pytest.raises(CalibrationError, match=r"docdepth\.yaml, front has neither images"):
         open_dataset(path)

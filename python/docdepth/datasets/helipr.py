@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.datasets.described_cameras import CameraRecordingSettings, described_cameras
 from docdepth.datasets.format import Format
 from docdepth.datasets.json_files import pose_of
 from docdepth.datasets.pose_tables import poses_at, read_pose_table
 from docdepth.datasets.recording import Recording
-from docdepth.datasets.settings import RecordingSettings, read_settings
+from docdepth.datasets.settings import read_settings
 from docdepth.datasets.stamped_files import NANOSECOND, packed, stamped_lidar
+from docdepth.errors import Collector
 
 _AEVA = packed(x="f4", y="f4", z="f4", reflectivity="f4", velocity="f4", offset_ns="i4", line="u1")
 _ROWS = {
@@ -39,17 +41,24 @@ class HeLiPR(Recording):
         ``SEQUENCE/LiDAR/NAME`` with ``STAMP.bin``; NAME is Ouster, Velodyne, Avia or Aeva. Poses
         are those of ``SEQUENCE/LiDAR_GT``, if there are any.
     image_size : (int, int), optional
-        Not used: there is no camera.
+        Width and height of cameras that ``docdepth.yaml`` describes without images.
     """
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        settings, _ = read_settings(path, RecordingSettings, {"motion_compensated": False})
+        settings, file = read_settings(path, CameraRecordingSettings, {"motion_compensated": False})
         name = path.absolute().name
         lidar = stamped_lidar(name.lower(), path, NANOSECOND, _ROWS[name])
         if name == "Aeva" and lidar.stream.times[0] > _LAST_SHORT_AEVA:
             lidar = stamped_lidar(name.lower(), path, NANOSECOND, _LATER_AEVA)
         poses = _poses(path.absolute().parent.parent / "LiDAR_GT", name, lidar.stream.times)
-        super().__init__("helipr", path, [lidar], {}, poses, settings.facts())
+        problems = Collector()
+        cameras, uncalibrated = described_cameras(
+            path, settings.cameras, lidar.stream, image_size, file, problems
+        )
+        problems.raise_errors()
+        super().__init__(
+            "helipr", path, [lidar], cameras, poses, settings.facts(), uncalibrated=uncalibrated
+        )
 
 
 def _poses(folder: Path, name: str, times: NDArray[np.int64]) -> NDArray[np.float64] | None:

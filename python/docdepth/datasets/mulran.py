@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.described_cameras import CameraRecordingSettings, described_cameras
 from docdepth.datasets.files import is_there
 from docdepth.datasets.format import Format
 from docdepth.datasets.pose_tables import (
@@ -19,8 +20,9 @@ from docdepth.datasets.pose_tables import (
     read_pose_table,
 )
 from docdepth.datasets.recording import Recording
-from docdepth.datasets.settings import RecordingSettings, read_settings
+from docdepth.datasets.settings import read_settings
 from docdepth.datasets.stamped_files import NANOSECOND, StampedLidar, packed, stamped_lidar
+from docdepth.errors import Collector
 from docdepth.geometry.se3 import inverse
 
 log = logging.getLogger(__name__)
@@ -58,20 +60,32 @@ class MulRan(Recording):
         Folder with ``sensor_data/Ouster/STAMP.bin`` or ``Ouster/STAMP.bin``, and
         ``global_pose.csv`` if there is one.
     image_size : (int, int), optional
-        Not used: there is no camera.
+        Width and height of cameras that ``docdepth.yaml`` describes without images.
     """
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
         usual = {"motion_compensated": False, "point_time_unit": "ns"}
-        settings, _ = read_settings(path, RecordingSettings, usual)
+        settings, file = read_settings(path, CameraRecordingSettings, usual)
         lidar = stamped_lidar("ouster", _sweeps(path), NANOSECOND, _ROWS, turned)
         _warn_of_short(lidar)
-        file, poses = path / "global_pose.csv", None
-        if is_there(file):
-            stamps, rows = read_pose_table(file, (12,), "copy global_pose.csv of MulRan again")
-            T = _T_VEHICLE_THEIRS @ inverse(_T_LIDAR_THEIRS)
-            poses = poses_at(stamps, poses_of_matrices(rows, file) @ T, lidar.stream.times, file)
-        super().__init__("mulran", path, [lidar], {}, poses, settings.facts())
+        poses = _poses(path / "global_pose.csv", lidar.stream.times)
+        problems = Collector()
+        cameras, uncalibrated = described_cameras(
+            path, settings.cameras, lidar.stream, image_size, file, problems
+        )
+        problems.raise_errors()
+        super().__init__(
+            "mulran", path, [lidar], cameras, poses, settings.facts(), uncalibrated=uncalibrated
+        )
+
+
+def _poses(file: Path, times: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    """``T_world_lidar``; None without the file."""
+    if not is_there(file):
+        return None
+    stamps, rows = read_pose_table(file, (12,), "copy global_pose.csv of MulRan again")
+    T = _T_VEHICLE_THEIRS @ inverse(_T_LIDAR_THEIRS)
+    return poses_at(stamps, poses_of_matrices(rows, file) @ T, times, file)
 
 
 def _warn_of_short(lidar: StampedLidar) -> None:

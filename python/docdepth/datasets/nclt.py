@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.described_cameras import CameraRecordingSettings, described_cameras
 from docdepth.datasets.files import is_there
 from docdepth.datasets.format import Format
 from docdepth.datasets.pose_tables import poses_at, poses_of_angles, read_pose_table
 from docdepth.datasets.recording import Recording
-from docdepth.datasets.settings import RecordingSettings, read_settings
+from docdepth.datasets.settings import read_settings
 from docdepth.datasets.stamped_files import MICROSECOND, packed, stamped_lidar
+from docdepth.errors import Collector
 from docdepth.geometry.se3 import inverse
 
 _ROWS = packed(x="u2", y="u2", z="u2", intensity="u1", laser="u1")
@@ -47,14 +49,21 @@ class Nclt(Recording):
         Folder ``DATE`` with ``velodyne_sync/STAMP.bin``. ``groundtruth_DATE.csv`` is looked for in
         it, beside it, and in a folder ``ground_truth`` beside it.
     image_size : (int, int), optional
-        Not used: cameras are not read.
+        Width and height of cameras that ``docdepth.yaml`` describes without images.
     """
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        settings, _ = read_settings(path, RecordingSettings, {"motion_compensated": True})
+        settings, file = read_settings(path, CameraRecordingSettings, {"motion_compensated": True})
         lidar = stamped_lidar("velodyne", path / "velodyne_sync", MICROSECOND, _ROWS, lifted)
         poses = _poses(path, lidar.stream.times)
-        super().__init__("nclt", path, [lidar], {}, poses, settings.facts())
+        problems = Collector()
+        cameras, uncalibrated = described_cameras(
+            path, settings.cameras, lidar.stream, image_size, file, problems
+        )
+        problems.raise_errors()
+        super().__init__(
+            "nclt", path, [lidar], cameras, poses, settings.facts(), uncalibrated=uncalibrated
+        )
 
 
 def _poses(path: Path, times: NDArray[np.int64]) -> NDArray[np.float64] | None:
