@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import gzip
+import io
+import json
+import pickle
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from kitti_drives import R_RECT, numbers
 from made_up import DRIVE, SIZE, K
 from vehicles import microseconds
-from writers import Written, truncate, writes
+from writers import Written, doubles, truncate, writes
 
 from docdepth.datasets.mulran import _T_VEHICLE_THEIRS as T_VEHICLE_OUSTER
+from docdepth.datasets.pandaset import T_camera_lidar
 from docdepth.geometry.se3 import inverse, matrix_to_quaternion, poses_from, rotation_exp
 
 T_IMU_CAMERA0 = poses_from([rotation_exp([1.2, -1.3, 1.1])], [[1.5, 0.3, -0.8]])[0]
@@ -275,3 +282,119 @@ def write_boreas(root: Path) -> Written:
     np.savetxt(sequence / "calib" / "T_applanix_lidar.txt", T_applanix_ours @ T_ours_theirs)
     file = sequence / "lidar" / f"{DRIVE.times[2] // 1000}.bin"
     return Written(sequence, lambda: truncate(file), tolerance=2e-6, clock=microseconds, lens=False)
+
+
+# ---- PandaSet
+
+
+@dataclass(frozen=True)
+class Named:
+    """A class or function that a pickle names; that of an old pandas need not exist here."""
+
+    module: str
+    name: str
+
+    def __call__(self) -> None:
+        """Pickle asks that functions can be called."""
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a pickle makes by a function, or of a class with a state."""
+
+    by: Named
+    arguments: tuple | None = None
+    state: object = None
+
+
+class OldPickler(pickle._Pickler):
+    """Writes :class:`Named` and :class:`Made` as a program with these classes would."""
+
+    def save(self, obj, save_persistent_id=True):
+        if isinstance(obj, Named):
+            self.write(f"c{obj.module}\n{obj.name}\n".encode())
+        elif isinstance(obj, Made) and obj.arguments is not None:
+            self.save(obj.by)
+            self.save(obj.arguments)
+            self.write(pickle.REDUCE)
+        elif isinstance(obj, Made):
+            self.save(obj.by)
+            self.write(pickle.EMPTY_TUPLE + pickle.NEWOBJ)
+            self.save(obj.state)
+            self.write(pickle.BUILD)
+        else:
+            super().save(obj, save_persistent_id)
+
+
+def write_table(file: Path, **columns: np.ndarray) -> None:
+    """As pandas 1.0 writes a table; PandaSet is of that time."""
+
+    def index(kind: str, values: np.ndarray, name: str | None) -> Made:
+        module = "base" if kind == "Index" else "numeric"
+        known = Named(f"pandas.core.indexes.{module}", kind)
+        make = Named("pandas.core.indexes.base", "_new_Index")
+        return Made(make, (known, {"data": values, "name": name}))
+
+    names = list(columns)
+    whole = [name for name in names if columns[name].dtype.kind == "i"]
+    blocks = []
+    for group in ([n for n in names if n not in whole], whole):
+        values = np.stack([columns[name] for name in group])
+        blocks.append((values, np.array([names.index(name) for name in group])))
+    rows = np.arange(len(columns[names[0]]))
+    axes = [index("Index", np.array(names, object), None), index("Int64Index", rows, "index")]
+    items = [
+        index("Index", np.array([names[k] for k in places], object), None) for _, places in blocks
+    ]
+    values = [values for values, _ in blocks]
+    modern = [
+        {"values": values, "mgr_locs": slice(int(places[0]), int(places[-1]) + 1, 1)}
+        for values, places in blocks
+    ]
+    state = (axes, values, items, {"0.14.1": {"axes": axes, "blocks": modern}})
+    manager = Made(Named("pandas.core.internals.managers", "BlockManager"), state=state)
+    table = {"_data": manager, "_typ": "dataframe", "_metadata": [], "attrs": {}}
+    stream = io.BytesIO()
+    frame = Made(Named("pandas.core.frame", "DataFrame"), state=table)
+    OldPickler(stream, protocol=4).dump(frame)
+    file.write_bytes(gzip.compress(stream.getvalue()))
+
+
+def panda_pose(T: np.ndarray) -> dict:
+    x, y, z, w = matrix_to_quaternion(T[:3, :3]).tolist()
+    heading = {"w": w, "x": x, "y": y, "z": z}
+    return {"position": dict(zip("xyz", T[:3, 3].tolist(), strict=True)), "heading": heading}
+
+
+@writes("PandaSet", "pandaset")
+def write_pandaset(root: Path) -> Written:
+    """Points in the world; the second LiDAR's are there, too."""
+    pytest.importorskip("pandas")
+    sequence = root / "pandaset" / "002"
+    front = sequence / "camera" / "front_camera"
+    for folder in (sequence / "lidar", front):
+        folder.mkdir(parents=True)
+    for k, time in enumerate(DRIVE.times.tolist()):
+        kept, pose = DRIVE.usable(k), DRIVE.poses[k]
+        points = DRIVE.points(k)[kept].astype("f8") @ pose[:3, :3].T + pose[:3, 3]
+        x, y, z = np.concatenate([points, points[:7] + 1]).T
+        rows = DRIVE.rows(k)[kept]
+        times = time * 1e-9 + rows["share"].astype("f8") * DRIVE.period * 1e-9
+        d = np.zeros(len(x), int)
+        d[-7:] = 1
+        write_table(
+            sequence / "lidar" / f"{k:02d}.pkl.gz", x=x, y=y, z=z,
+            i=np.append(rows["intensity"].astype("f8"), [1.0] * 7),
+            t=np.append(times, [time * 1e-9] * 7), d=d,
+        )  # fmt: skip
+        cv2.imwrite(str(front / f"{k:02d}.jpg"), DRIVE.image(k % 4))
+    poses = [panda_pose(T @ inverse(T_camera_lidar("front_camera"))) for T in DRIVE.poses]
+    (front / "poses.json").write_text(json.dumps(poses))
+    (front / "timestamps.json").write_text(json.dumps((DRIVE.times * 1e-9).tolist()))
+    intrinsics = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
+    (front / "intrinsics.json").write_text(json.dumps(intrinsics))
+    (sequence / "lidar" / "poses.json").write_text(json.dumps([panda_pose(np.eye(4))] * 5))
+    file = sequence / "lidar" / "02.pkl.gz"
+    return Written(
+        sequence, lambda: truncate(file), {"intensity", "poses"}, tolerance=2e-6, clock=doubles
+    )

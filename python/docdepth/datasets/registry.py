@@ -22,6 +22,7 @@ from docdepth.datasets import (
     nclt,
     nuscenes,
     ouster,
+    pandaset,
     run,
     velodyne,
 )
@@ -49,6 +50,7 @@ _OWN: tuple[Format, ...] = (
     mulran.FORMAT,
     nclt.FORMAT,
     boreas.FORMAT,
+    pandaset.FORMAT,
     ouster.FORMAT,
     velodyne.FORMAT,
     bag.FORMAT,
