@@ -104,6 +104,8 @@ def test_poses_of_another_recording_are_refused() -> None:
 
 def test_kitti_360_is_found_from_its_root(kitti_360: Path) -> None:
     assert open_dataset(kitti_360).path == kitti_360 / "data_3d_raw" / SEQUENCE
+    (kitti_360 / "data_3d_raw").rename(kitti_360 / "sweeps")
+    assert open_dataset(kitti_360 / "sweeps" / SEQUENCE).name == "kitti_360"
 
 
 def test_times_of_kitti_360s_points_are_those_of_kittis(kitti_360: Path) -> None:

@@ -13,7 +13,7 @@ from docdepth.datasets.base import CameraStream
 from docdepth.datasets.files import is_there, read_lines
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import Calibration
-from docdepth.datasets.kitti_raw import KittiRaw, image_size_of, image_times
+from docdepth.datasets.kitti_raw import KittiRaw, image_size_of, image_times, lies_in_kitti_360
 from docdepth.datasets.pose_tables import (
     poses_at,
     poses_of_matrices,
@@ -152,18 +152,10 @@ class Kitti360(KittiRaw):
         return poses_at(stamps, poses[posed], self.times, file)
 
 
-def _recognises(path: Path) -> bool:
-    """A sequence below data_3d_raw; KITTI's drives lie elsewhere."""
-    return (path / "velodyne_points" / "data").is_dir() and (
-        path.absolute().parent.name == "data_3d_raw"
-        or (path.absolute().parent.parent / "calibration" / "perspective.txt").is_file()
-    )
-
-
 FORMAT = Format(
     "kitti_360",
     "ROOT/data_3d_raw/2013_05_28_drive_NNNN_sync with velodyne_points/data/*.bin and "
     "velodyne_points/timestamps.txt, and ROOT/calibration",
-    _recognises,
+    lambda path: (path / "velodyne_points" / "data").is_dir() and lies_in_kitti_360(path),
     Kitti360,
 )

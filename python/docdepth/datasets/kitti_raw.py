@@ -178,10 +178,19 @@ def image_size_of(
     return size
 
 
+def lies_in_kitti_360(drive: Path) -> bool:
+    """Whether a drive lies where KITTI-360 has its own; they are laid out alike."""
+    folder = drive.absolute().parent
+    return (
+        folder.name == "data_3d_raw"
+        or (folder.parent / "calibration" / "perspective.txt").is_file()
+    )
+
+
 FORMAT = Format(
     "kitti_raw",
     "a drive DATE/DATE_drive_NNNN_sync with velodyne_points/data/*.bin and "
     "velodyne_points/timestamps.txt, and DATE/calib_*.txt beside it",
-    lambda path: (path / "velodyne_points" / "data").is_dir(),
+    lambda path: (path / "velodyne_points" / "data").is_dir() and not lies_in_kitti_360(path),
     KittiRaw,
 )

@@ -47,7 +47,7 @@ class Nclt(Recording):
     ----------
     path : Path
         Folder ``DATE`` with ``velodyne_sync/STAMP.bin``. ``groundtruth_DATE.csv`` is looked for in
-        it, beside it, and in a folder ``ground_truth`` beside it.
+        it, beside it, and in folders ``ground_truth`` there.
     image_size : (int, int), optional
         Width and height of cameras that ``docdepth.yaml`` describes without images.
     """
@@ -69,7 +69,8 @@ class Nclt(Recording):
 def _poses(path: Path, times: NDArray[np.int64]) -> NDArray[np.float64] | None:
     whole = path.absolute()
     name = f"groundtruth_{whole.name}.csv"
-    folders = (whole, whole.parent, whole.parent / "ground_truth")
+    near = (whole, whole.parent)
+    folders = (*near, *(folder / "ground_truth" for folder in near))
     file = next((folder / name for folder in folders if is_there(folder / name)), None)
     if file is None:
         return None

@@ -38,10 +38,10 @@ _MOST_NAMED = 8  # recordings in an error
 
 # The first that recognises a path has it.
 _OWN: tuple[Format, ...] = (
-    kitti_360.FORMAT,
     kitti_raw.FORMAT,
     kitti_odometry.SEMANTIC_KITTI,
     kitti_odometry.KITTI_ODOMETRY,
+    kitti_360.FORMAT,
     run.FORMAT,
     nuscenes.FORMAT,
     argoverse2.FORMAT,
