@@ -6,12 +6,22 @@ import gzip
 import pickle
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
+from conformance import check
 from formats import WRITERS
 from kitti_drives import R_RECT, numbers
-from long_drives import COLUMNS_APART, R_RECT_01, SEQUENCE, kitti_360_poses, rectified
+from long_drives import (
+    COLUMNS_APART,
+    R_RECT_01,
+    SEQUENCE,
+    T_IMU_CAMERA0,
+    date,
+    kitti_360_poses,
+    rectified,
+)
 from made_up import DRIVE, K
 
 from docdepth.datasets import open_dataset, usable_points
@@ -108,6 +118,14 @@ def test_kitti_360_is_found_from_its_root(kitti_360: Path) -> None:
     assert open_dataset(kitti_360 / "sweeps" / SEQUENCE).name == "kitti_360"
 
 
+def test_kitti_360_from_within_its_folder(kitti_360: Path, monkeypatch) -> None:
+    monkeypatch.chdir(kitti_360 / "data_3d_raw")
+    there = open_dataset(SEQUENCE)
+    assert there.name == "kitti_360"
+    assert there.poses is not None
+    assert len(there.cameras["image_00"].images) == DRIVE.images_count
+
+
 def test_times_of_kitti_360s_points_are_those_of_kittis(kitti_360: Path) -> None:
     sweep = open_dataset(kitti_360).sweep(1)
     assert sweep.relative_time is not None
@@ -177,10 +195,87 @@ def test_the_right_camera_of_kitti_360(kitti_360: Path) -> None:
     np.testing.assert_array_equal(cameras["image_01"].times, DRIVE.times)
 
 
-def test_fisheyes_are_left_out_with_a_warning(kitti_360: Path, caplog) -> None:
-    (kitti_360 / "data_2d_raw" / SEQUENCE / "image_02" / "data_rgb").mkdir(parents=True)
-    assert list(open_dataset(kitti_360).cameras) == ["image_00"]
-    assert "image_02: fisheyes that see" in caplog.text
+MEI = """%YAML:1.0
+---
+model_type: MEI
+camera_name: image_02
+image_width: 140
+image_height: 120
+mirror_parameters:
+   xi: 2.2134
+distortion_parameters:
+   k1: 1.6798e-02
+   k2: 1.6548e+00
+   p1: 4.2223e-03
+   p2: -8.2462e-03
+projection_parameters:
+   gamma1: 133.63
+   gamma2: 132.9
+   u0: 71.3
+   v0: 60.25
+"""
+
+
+def write_fisheye(root: Path) -> np.ndarray:
+    """Camera 02, which looks ahead here, and images whose colours tell their pixels."""
+    (root / "calibration" / "image_02.yaml").write_text(MEI)
+    T_camera = T_IMU_CAMERA0 @ inverse(rectified(R_RECT))  # as the rectified camera 00
+    file = root / "calibration" / "calib_cam_to_pose.txt"
+    lines = [line for line in file.read_text().splitlines() if not line.startswith("image_02")]
+    file.write_text("\n".join([*lines, f"image_02: {numbers(T_camera[:3])}"]) + "\n")
+    v, u = np.mgrid[:120, :140]
+    image = np.stack([u, v, u + v - 2], axis=-1).clip(0, 255).astype(np.uint8)
+    folder = root / "data_2d_raw" / SEQUENCE / "image_02"
+    (folder / "data_rgb").mkdir(parents=True)
+    for k in range(2):
+        cv2.imwrite(str(folder / "data_rgb" / f"{k:010d}.png"), image)
+    (folder / "timestamps.txt").write_text("".join(date(t) for t in DRIVE.image_times[:2]))
+    return image
+
+
+def test_fisheyes_of_kitti_360_are_rectified(kitti_360: Path) -> None:
+    image = write_fisheye(kitti_360)
+    dataset = open_dataset(kitti_360)
+    check(dataset, "kitti_360")
+    assert list(dataset.cameras) == ["image_00", "fisheye_02"]
+    stream = dataset.cameras["fisheye_02"]
+    left = dataset.cameras["image_00"].T_camera_lidar
+    np.testing.assert_allclose(stream.T_camera_lidar, left, atol=1e-9)
+    found, K = stream.rectified_image(1), stream.camera.K
+    assert found is not None
+    assert np.degrees(2 * np.arctan(70 / K[0, 0])) > 115
+    for x, y in [(0.0, 0.0), (1.4, 0.3), (-1.1, -1.3), (0.2, 1.2), (-1.5, 0.7)]:
+        norm = np.sqrt(x * x + y * y + 1)  # the data set's own arithmetic, point by point
+        mx, my = x / norm / (1 / norm + 2.2134), y / norm / (1 / norm + 2.2134)
+        r2 = mx**2 + my**2
+        radial = 1 + 1.6798e-2 * r2 + 1.6548 * r2**2
+        p1, p2 = 4.2223e-3, -8.2462e-3
+        px = 133.63 * (mx * radial + 2 * p1 * mx * my + p2 * (r2 + 2 * mx**2)) + 71.3
+        py = 132.9 * (my * radial + p1 * (r2 + 2 * my**2) + 2 * p2 * mx * my) + 60.25
+        u, v = K[0, 0] * x + K[0, 2], K[1, 1] * y + K[1, 2]
+        seen = cv2.remap(found, np.float32([[u]]), np.float32([[v]]), cv2.INTER_LINEAR)[0, 0]
+        np.testing.assert_allclose(seen[:2], [px, py], atol=1.3)
+    assert not np.array_equal(found, image)
+
+
+def test_an_image_of_a_fisheye_of_another_size(kitti_360: Path) -> None:
+    write_fisheye(kitti_360)
+    stream = open_dataset(kitti_360).cameras["fisheye_02"]
+    cv2.imwrite(str(stream.images[1].file), np.zeros((30, 20, 3), np.uint8))
+    with pytest.raises(DatasetError, match=r"0000000001\.png is 20x30 pixels, its calibration"):
+        stream.rectified_image(1)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [MEI.replace("xi", "pi"), MEI.replace("140", "w"), MEI.replace("71.3", "x"), "nothing", ""]
+    + ["%YAML:1.0\n{{[", "%YAML:1.0\n- 1\n"],
+)
+def test_a_broken_calibration_of_a_fisheye(kitti_360: Path, text: str) -> None:
+    write_fisheye(kitti_360)
+    (kitti_360 / "calibration" / "image_02.yaml").write_text(text)
+    with pytest.raises(CalibrationError, match=r"image_02\.yaml (has no number|is no YAML)"):
+        open_dataset(kitti_360)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from docdepth.datasets.files import is_there, read_lines
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.kitti_raw import KittiRaw, image_size_of, image_times, lies_in_kitti_360
+from docdepth.datasets.mei_camera import MeiCamera, read_mei
 from docdepth.datasets.pose_tables import (
     poses_at,
     poses_of_matrices,
@@ -26,19 +26,18 @@ from docdepth.errors import CalibrationError, Collector, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse
 
-log = logging.getLogger(__name__)
-
 _CALIBRATION = "unpack KITTI-360's 'Calibrations' again"
 _POSES = "unpack KITTI-360's 'Vehicle Poses' again"
 _PERSPECTIVE = ("00", "01")
-_FISHEYES = ("image_02", "image_03")
+_FISHEYES = ("02", "03")
 
 
 class Kitti360(KittiRaw):
     """A sequence ``ROOT/data_3d_raw/2013_05_28_drive_NNNN_sync``.
 
     Sweeps turn and are stamped as those of KITTI raw. Cameras are the rectified image_00 and
-    image_01. Poses are known where the vehicle moved; sweeps between them are interpolated.
+    image_01, and of the fisheyes the middle: fisheye_02 and fisheye_03. Poses are known where the
+    vehicle moved; sweeps between them are interpolated.
 
     Parameters
     ----------
@@ -67,12 +66,15 @@ class Kitti360(KittiRaw):
 
     @property
     def _root(self) -> Path:
-        return self.path.parent.parent
+        return self.path.absolute().parent.parent
+
+    def _beside(self, kind: str) -> Path:
+        """Where KITTI-360 keeps what else there is of this sequence."""
+        return self._root / kind / self.path.absolute().name
 
     def _read_cameras(
         self, image_size: tuple[int, int] | None, problems: Collector
     ) -> dict[str, CameraStream]:
-        """The rectified cameras; fisheyes are left out with a warning."""
         file = self._root / "calibration" / "perspective.txt"
         streams: dict[str, CameraStream] = {}
         with problems.collected():
@@ -81,7 +83,7 @@ class Kitti360(KittiRaw):
             if not numbers:
                 raise CalibrationError(f"{file} has no camera (P_rect_00); {_CALIBRATION}")
             for number in numbers:
-                folder = self._root / "data_2d_raw" / self.path.name / f"image_{number}"
+                folder = self._beside("data_2d_raw") / f"image_{number}"
                 images = kitti_files.image_files(folder / "data_rect")
                 times, names = image_times(folder, images, self._sweeps, self.times)
                 P = calibration.matrix(f"P_rect_{number}", 3, 4)
@@ -93,31 +95,40 @@ class Kitti360(KittiRaw):
                     names,
                     images,
                 )
-        fisheyes = [
-            name
-            for name in _FISHEYES
-            if (self._root / "data_2d_raw" / self.path.name / name).is_dir()
-        ]
-        if fisheyes:
-            log.warning(
-                "%s: %s: fisheyes that see more than half a sphere (Mei's model with a mirror) are "
-                "left out; docdepth has no such camera",
-                self.path, ", ".join(fisheyes),
-            )  # fmt: skip
+        for name in _FISHEYES:
+            with problems.collected():
+                calibration_file = file.with_name(f"image_{name}.yaml")
+                if is_there(calibration_file):
+                    stream = self._fisheye(name, read_mei(calibration_file, _CALIBRATION))
+                    streams[stream.name] = stream
         return streams
+
+    def _fisheye(self, number: str, lens: MeiCamera) -> CameraStream:
+        """The middle of a fisheye, as a pinhole camera."""
+        folder = self._beside("data_2d_raw") / f"image_{number}"
+        images = kitti_files.image_files(folder / "data_rgb")
+        times, names = image_times(folder, images, self._sweeps, self.times)
+        return CameraStream(
+            f"fisheye_{number}",
+            lens.pinhole,
+            inverse(self._T_imu_camera(number)) @ self._T_imu_lidar(),
+            times,
+            names,
+            [lens.rectified(image) for image in images],
+        )
+
+    def _T_imu_camera(self, number: str) -> NDArray[np.float64]:
+        file = self._root / "calibration" / "calib_cam_to_pose.txt"
+        return Calibration(file, _CALIBRATION).transform(f"image_{number}")
 
     def _rectified_lidar(self, perspective: Calibration, number: str) -> NDArray[np.float64]:
         """``T_camera_lidar`` of a rectified camera."""
-        T_imu_camera = Calibration(
-            self._root / "calibration" / "calib_cam_to_pose.txt", _CALIBRATION
-        ).transform(f"image_{number}")
         T_rectified_camera = perspective.transform_of(f"R_rect_{number}")
-        return T_rectified_camera @ inverse(T_imu_camera) @ self._T_imu_lidar()
+        return T_rectified_camera @ inverse(self._T_imu_camera(number)) @ self._T_imu_lidar()
 
     def _T_imu_lidar(self) -> NDArray[np.float64]:
         """The LiDAR's place; both it and the IMU are calibrated to camera 00."""
-        folder = self._root / "calibration"
-        file = folder / "calib_cam_to_velo.txt"
+        file = self._root / "calibration" / "calib_cam_to_velo.txt"
         try:
             numbers = [float(word) for word in " ".join(read_lines(file, _CALIBRATION)).split()]
         except ValueError:
@@ -125,14 +136,11 @@ class Kitti360(KittiRaw):
         except DatasetError as error:
             raise CalibrationError(str(error)) from None
         T_lidar_camera0 = transform(numbers or None, str(file))
-        T_imu_camera0 = Calibration(folder / "calib_cam_to_pose.txt", _CALIBRATION).transform(
-            "image_00"
-        )
-        return T_imu_camera0 @ inverse(T_lidar_camera0)
+        return self._T_imu_camera("00") @ inverse(T_lidar_camera0)
 
     def _read_poses(self) -> NDArray[np.float64] | None:
         """``T_world_lidar`` of each sweep, NaN where there is none; None without a file."""
-        folder = self._root / "data_poses" / self.path.name
+        folder = self._beside("data_poses")
         file = folder / "poses.txt"
         if is_there(file):
             T_theirs_lidar = self._T_imu_lidar()
