@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from docdepth.datasets.pose_tables import poses_at, poses_of_angles, read_pose_table
+from docdepth.datasets.pose_tables import poses_at, poses_of_angles, read_pose_table, rows_around
 from docdepth.errors import DatasetError
 
 
@@ -77,3 +77,25 @@ def test_a_gap_is_bridged_where_the_vehicle_hardly_moved(speed: float, known: bo
 def test_poses_of_another_recording_are_refused() -> None:
     with pytest.raises(DatasetError, match=r"poses\.csv has poses from .* recording\?"):
         poses_at(*_line(0, 1, speed=1), np.array([5 * 10**9]), Path("poses.csv"))
+
+
+def test_rows_around_sweeps_give_the_same_poses() -> None:
+    rng = np.random.default_rng(3)
+    stamps = np.cumsum(rng.integers(1, 9, 400) * 1_000_000)
+    rows = rng.normal(size=(400, 6)) * 0.2
+    times = np.sort(rng.integers(0, stamps[-1] + 20_000_000, 37))
+    times[5] = stamps[100]
+    few, kept = rows_around(stamps, rows, times)
+    assert len(few) < 80
+    whole, part = (
+        poses_at(s, poses_of_angles(r[:, :3], r[:, 3:]), times, Path("poses.csv"))
+        for s, r in ((stamps, rows), (few, kept))
+    )
+    np.testing.assert_array_equal(part, whole)
+    assert np.isnan(whole[-1]).all() or times[-1] <= stamps[-1]
+
+
+def test_a_stamp_may_be_written_as_a_power(tmp_path: Path) -> None:
+    text = "1.564718976161407e18 1\n1564718976161407002 2\n"
+    stamps, _ = read_pose_table(write(tmp_path / "poses.csv", text), (1,), "copy it")
+    assert stamps.tolist() == [1564718976161407000, 1564718976161407002]

@@ -15,7 +15,12 @@ from docdepth.datasets.cloud import Cloud, cloud_from_fields
 from docdepth.datasets.files import is_there, read_lines
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import image_files, image_size
-from docdepth.datasets.pose_tables import poses_at, poses_of_angles, read_pose_table
+from docdepth.datasets.pose_tables import (
+    poses_at,
+    poses_of_angles,
+    read_pose_table,
+    rows_around,
+)
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings, transform
 from docdepth.datasets.stamped_files import MICROSECOND, packed, stamped_lidar
@@ -72,10 +77,11 @@ def _poses(
     if not is_there(file):
         return None
     stamps, rows = read_pose_table(file, (12,), "download applanix of the sequence again")
+    stamps, rows = rows_around(stamps * MICROSECOND, rows, times)
     poses = poses_of_angles(rows[:, :3], rows[:, 6:9])
     # Boreas' roll, pitch and heading are those of the rotation from the world to the LiDAR.
     poses[:, :3, :3] = poses[:, :3, :3].transpose(0, 2, 1)
-    return poses_at(stamps * MICROSECOND, poses @ T_theirs_lidar, times, file)
+    return poses_at(stamps, poses @ T_theirs_lidar, times, file)
 
 
 def _camera(

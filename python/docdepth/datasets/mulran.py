@@ -18,6 +18,7 @@ from docdepth.datasets.pose_tables import (
     poses_of_angles,
     poses_of_matrices,
     read_pose_table,
+    rows_around,
 )
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import read_settings
@@ -84,6 +85,7 @@ def _poses(file: Path, times: NDArray[np.int64]) -> NDArray[np.float64] | None:
     if not is_there(file):
         return None
     stamps, rows = read_pose_table(file, (12,), "copy global_pose.csv of MulRan again")
+    stamps, rows = rows_around(stamps, rows, times)
     T = _T_VEHICLE_THEIRS @ inverse(_T_LIDAR_THEIRS)
     return poses_at(stamps, poses_of_matrices(rows, file) @ T, times, file)
 

@@ -12,7 +12,12 @@ from docdepth.datasets.cloud import Cloud
 from docdepth.datasets.described_cameras import CameraRecordingSettings, described_cameras
 from docdepth.datasets.files import is_there
 from docdepth.datasets.format import Format
-from docdepth.datasets.pose_tables import poses_at, poses_of_angles, read_pose_table
+from docdepth.datasets.pose_tables import (
+    poses_at,
+    poses_of_angles,
+    read_pose_table,
+    rows_around,
+)
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import read_settings
 from docdepth.datasets.stamped_files import MICROSECOND, packed, stamped_lidar
@@ -75,9 +80,10 @@ def _poses(path: Path, times: NDArray[np.int64]) -> NDArray[np.float64] | None:
     if file is None:
         return None
     stamps, rows = read_pose_table(file, (6,), "download the ground truth of NCLT again")
+    stamps, rows = rows_around(stamps * MICROSECOND, rows, times)
     T_theirs_body = poses_of_angles(rows[:, :3], rows[:, 3:])
     poses = _T_WORLD_THEIRS @ T_theirs_body @ _T_BODY_LIDAR
-    return poses_at(stamps * MICROSECOND, poses, times, file)
+    return poses_at(stamps, poses, times, file)
 
 
 FORMAT = Format(

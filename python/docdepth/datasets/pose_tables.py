@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from decimal import Decimal, InvalidOperation
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -58,8 +59,8 @@ def read_pose_table(
         if not words or words[0].startswith("#") or (n == 1 and words[0][0].isalpha()):
             continue
         try:
-            stamp, row = Decimal(words[0]), [float(word) for word in words[1:]]
-            if stamp != stamp.to_integral_value() or len(row) not in columns:
+            stamp, row = _whole(words[0]), [float(word) for word in words[1:]]
+            if len(row) not in columns:
                 raise ValueError
             if rows and len(row) != len(rows[0]):
                 raise ValueError
@@ -69,13 +70,43 @@ def read_pose_table(
                 f"{file}, line {n}: '{line.strip()[:60]}' is not a whole number and {counts} more "
                 f"numbers; {remedy}"
             ) from None
-        if np.isfinite(row).all():
-            stamps.append(int(stamp))
+        if all(map(isfinite, row)):
+            stamps.append(stamp)
             rows.append(row)
     if not rows:
         raise DatasetError(f"{file} holds no poses; {remedy}")
     increasing, first = np.unique(np.array(stamps, np.int64), return_index=True)
     return increasing, np.array(rows, np.float64)[first]
+
+
+def _whole(word: str) -> int:
+    """A whole number, also one that is written as 1.5e18."""
+    if word.isdigit():
+        return int(word)
+    number = Decimal(word)
+    if number != number.to_integral_value():
+        raise ValueError
+    return int(number)
+
+
+def rows_around(
+    stamps: NDArray[np.int64], rows: NDArray[np.float64], times: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The rows before and after each sweep, the first and the last: all that poses come from.
+
+    Tables have up to a million rows, of which few lie beside a sweep.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (n,)
+        Nanoseconds, increasing.
+    rows : ndarray of float64, shape (n, k)
+    times : ndarray of int64, shape (m,)
+        Nanoseconds of the sweeps.
+    """
+    after, last = np.searchsorted(stamps, times), len(stamps) - 1
+    kept = np.unique(np.concatenate([(after - 1).clip(0), after.clip(max=last), [0, last]]))
+    return stamps[kept], rows[kept]
 
 
 def poses_of_matrices(rows: NDArray[np.float64], file: Path) -> NDArray[np.float64]:
