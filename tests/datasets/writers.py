@@ -71,7 +71,7 @@ def seconds(times: np.ndarray) -> str:
     return "".join(f"{t // 10**9}.{t % 10**9:09d}\n" for t in times.tolist())
 
 
-def _doubles(times: np.ndarray) -> np.ndarray:
+def doubles(times: np.ndarray) -> np.ndarray:
     return np.round(times * 1e-9 * 1e9).astype(np.int64)
 
 
@@ -334,7 +334,7 @@ def _official(root: Path) -> Written:
     (root / "calib.json").write_text(json.dumps({"mtx": K.tolist(), "dist": [[0.0] * 5]}))
     np.savetxt(root / "calib_lidar_ref_cam.txt", DRIVE.T_camera_lidar)
     file = root / "frames" / "frame_000002.ply"
-    return Written(root, lambda: truncate(file), {"poses"}, clock=_doubles)
+    return Written(root, lambda: truncate(file), {"poses"}, clock=doubles)
 
 
 # ---- bags

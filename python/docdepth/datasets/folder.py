@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from docdepth.datasets.base import CameraStream, LidarStream
+from docdepth.datasets.base import LidarStream
 from docdepth.datasets.cloud import Cloud
 from docdepth.datasets.cloud_files import (
     KITTI_COLUMNS,
@@ -21,14 +20,13 @@ from docdepth.datasets.cloud_files import (
     read_cloud,
     read_viewpoint,
 )
+from docdepth.datasets.described_cameras import DescribedCamera, described_cameras
 from docdepth.datasets.files import is_there, read_bytes
 from docdepth.datasets.format import Format
-from docdepth.datasets.image_stream import ImageStream
-from docdepth.datasets.kitti_files import image_files, image_size, in_order
+from docdepth.datasets.kitti_files import in_order
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import (
     FILE,
-    CameraSettings,
     Numbers,
     RecordingSettings,
     Strict,
@@ -36,8 +34,7 @@ from docdepth.datasets.settings import (
     transform,
 )
 from docdepth.datasets.stamps import times_of_files
-from docdepth.datasets.times import read_times
-from docdepth.errors import CalibrationError, Collector, DatasetError
+from docdepth.errors import Collector, DatasetError
 from docdepth.io.poses import read_poses
 
 log = logging.getLogger(__name__)
@@ -46,22 +43,6 @@ VIEWPOINT = "viewpoint"
 """Entry ``poses`` that means the poses in the headers of PCD files."""
 
 _NAMELESS = {".bin", ".npy"}  # suffixes of files that need not be clouds
-
-
-class FolderCamera(CameraSettings):
-    """A camera with its images.
-
-    Attributes
-    ----------
-    images : str, optional
-        Their folder.
-    times : str, optional
-        File with a line an image; ``names``: they are the images' names; ``sweeps``: the camera
-        fires with the sweeps. Found beside the images, or in their names, if left out.
-    """
-
-    images: str | None = None
-    times: str | None = None
 
 
 class FolderLidar(Strict):
@@ -114,7 +95,7 @@ class FolderSettings(RecordingSettings):
     frame: Literal["lidar", "world"] = "lidar"
     labels: str = "labels"
     lidars: dict[str, FolderLidar] = Field(default_factory=dict)
-    cameras: dict[str, FolderCamera] = Field(default_factory=dict)
+    cameras: dict[str, DescribedCamera] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -171,14 +152,10 @@ class CloudFolder(Recording):
         lidars = [
             _lidar(path, one, lidar, rows, settings.rate, file) for one, lidar in wanted.items()
         ]
-        problems, cameras, uncalibrated = Collector(), {}, {}
-        for one, camera in settings.cameras.items():
-            with problems.collected():
-                found = _camera(path, one, camera, lidars[0].stream, image_size, f"{file}, {one}")
-                if isinstance(found, CameraStream):
-                    cameras[one] = found
-                else:
-                    uncalibrated[one] = found
+        problems = Collector()
+        cameras, uncalibrated = described_cameras(
+            path, settings.cameras, lidars[0].stream, image_size, file, problems
+        )
         poses = None
         with problems.collected():
             poses = _poses(path, settings.poses, lidars[0].sweeps, file)
@@ -268,64 +245,6 @@ def _poses(
             f"FILE in {file}"
         )
     return poses
-
-
-def _camera(
-    folder: Path,
-    name: str,
-    settings: FolderCamera,
-    lidar: LidarStream,
-    asked: tuple[int, int] | None,
-    where: str,
-) -> CameraStream | ImageStream:
-    images = image_files(folder / settings.images) if settings.images else []
-    if settings.images and not images:
-        raise DatasetError(f"{where}: {folder / settings.images} holds no images (png, jpg)")
-    size = image_size(images[0]) if images else None
-    if size and settings.size and size != settings.size:
-        raise CalibrationError(
-            f"{where}: {images[0]} is {size} pixels, but size is {settings.size}"
-        )
-    times, names = _image_times(folder, settings, images, lidar, where)
-    if images and (settings.K is None or settings.T_camera_lidar is None):
-        lacks = "K" if settings.K is None else "T_camera_lidar"
-        log.warning("%s has no %s, so it gets no depth maps; docdepth calibrate finds it",
-                    where, lacks)  # fmt: skip
-        camera = None if settings.K is None else settings.camera(size, where)
-        return ImageStream(name, times, names, images, camera, settings.lens(), settings.model)
-    return CameraStream(
-        name,
-        settings.camera(size or settings.size or asked, where),
-        settings.extrinsic(where),
-        times,
-        names,
-        images,
-        settings.lens(),
-        settings.model,
-    )
-
-
-def _image_times(
-    folder: Path,
-    settings: FolderCamera,
-    images: Sequence[Path],
-    lidar: LidarStream,
-    where: str,
-) -> tuple[NDArray[np.int64], list[str]]:
-    if settings.times == "sweeps" or not (images or settings.times):
-        if images and len(images) != len(lidar.times):
-            raise DatasetError(
-                f"{where}: times are those of the sweeps, but there are {len(images)} images for "
-                f"{len(lidar.times)} sweeps"
-            )
-        return lidar.times, [image.stem for image in images] or lidar.names
-    files = list(images)
-    if not files:
-        count = len(read_times(folder / str(settings.times)))
-        files = [Path(f"{k:06d}") for k in range(count)]
-    remedy = f"say times of {where}: a FILE with a line an image, or sweeps"
-    times = times_of_files(files, settings.times, folder, remedy)
-    return times, [image.stem for image in files]
 
 
 def _recognises(path: Path) -> bool:

@@ -49,7 +49,10 @@ class FrameRange:
         self.name: str = whole.name
         self.path: Path = whole.path
         self.times: NDArray[np.int64] = whole.times[part]
-        self.poses: NDArray[np.float64] | None = None if whole.poses is None else whole.poses[part]
+        # Loaders keep poses of some sweeps under this name; a part may have them all.
+        poses = whole.poses if whole.poses is not None else getattr(whole, "partial_poses", None)
+        own: NDArray[np.float64] | None = None if poses is None else poses[part]
+        self.poses = own if own is not None and np.isfinite(own).all() else None
         self.cameras = {name: self.part_of(stream) for name, stream in whole.cameras.items()}
 
     def __len__(self) -> int:

@@ -53,7 +53,7 @@ class KittiRaw:
         with problems.collected():
             self.times = _read_times(velodyne / "timestamps.txt", self._sweeps)
         self.lidars = kitti_files.lidars(self._sweeps, self.times)
-        self.cameras = _cameras(self.path, self._sweeps, self.times, image_size, problems)
+        self.cameras = self._read_cameras(image_size, problems)
         problems.raise_errors()
 
     def __len__(self) -> int:
@@ -72,6 +72,11 @@ class KittiRaw:
     def sweep_files(self, index: int) -> list[Path]:
         """The file of sweep ``index``."""
         return [self._sweeps[index]]
+
+    def _read_cameras(
+        self, image_size: tuple[int, int] | None, problems: Collector
+    ) -> dict[str, CameraStream]:
+        return _cameras(self.path, self._sweeps, self.times, image_size, problems)
 
     @cached_property
     def _is_kitti_lidar(self) -> bool:
@@ -116,8 +121,8 @@ def _cameras(
             P = camera_file.matrix(f"P_rect_{number}", 3, 4)
             folder = drive / f"image_{number}"
             images = kitti_files.image_files(folder / "data")
-            width, height = _image_size(camera_file, number, images, image_size)
-            times, names = _image_times(folder, images, sweeps, sweep_times)
+            width, height = image_size_of(camera_file, number, images, image_size)
+            times, names = image_times(folder, images, sweeps, sweep_times)
             streams[folder.name] = CameraStream(
                 name=folder.name,
                 camera=Camera(P[:, :3], width, height),
@@ -132,7 +137,7 @@ def _cameras(
     return streams
 
 
-def _image_times(
+def image_times(
     folder: Path, images: list[Path], sweeps: list[Path], sweep_times: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], list[str]]:
     """Times and names of the images; of the sweeps where the camera has no table."""
@@ -145,7 +150,7 @@ def _image_times(
     return sweep_times, [sweep.stem for sweep in sweeps]
 
 
-def _image_size(
+def image_size_of(
     calibration: Calibration, number: str, images: list[Path], asked: tuple[int, int] | None
 ) -> tuple[int, int]:
     """Size of the rectified images from all that tell it, which must agree."""
@@ -173,10 +178,19 @@ def _image_size(
     return size
 
 
+def lies_in_kitti_360(drive: Path) -> bool:
+    """Whether a drive lies where KITTI-360 has its own; they are laid out alike."""
+    folder = drive.absolute().parent
+    return (
+        folder.name == "data_3d_raw"
+        or (folder.parent / "calibration" / "perspective.txt").is_file()
+    )
+
+
 FORMAT = Format(
     "kitti_raw",
     "a drive DATE/DATE_drive_NNNN_sync with velodyne_points/data/*.bin and "
     "velodyne_points/timestamps.txt, and DATE/calib_*.txt beside it",
-    lambda path: (path / "velodyne_points" / "data").is_dir(),
+    lambda path: (path / "velodyne_points" / "data").is_dir() and not lies_in_kitti_360(path),
     KittiRaw,
 )

@@ -24,6 +24,7 @@ from docdepth.datasets.point_times import (
     find_point_times,
     median_period,
 )
+from docdepth.datasets.pose_tables import whole_poses
 from docdepth.errors import DatasetError
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.se3 import inverse
@@ -96,7 +97,8 @@ class Recording:
     lidars : sequence of LidarReader
     cameras : dict of CameraStream
     poses : ndarray of float64, shape (n, 4, 4), optional
-        ``T_world_lidar`` of each sweep.
+        ``T_world_lidar`` of each sweep; NaN where it is not known, which is kept as
+        ``partial_poses`` for ranges of frames.
     facts : RecordingFacts
     uncalibrated : dict of ImageStream
         Cameras whose K or place is not known; ``docdepth calibrate`` finds it.
@@ -120,7 +122,8 @@ class Recording:
         labels: Callable[[int], NDArray[np.uint32] | None] | None = None,
         uncalibrated: dict[str, ImageStream] | None = None,
     ) -> None:
-        self.name, self.path, self.poses, self.cameras = name, path, poses, cameras
+        self.name, self.path, self.cameras = name, path, cameras
+        self.partial_poses, self.poses = poses, whole_poses(poses, path)
         self.uncalibrated = uncalibrated or {}
         self.lidars = {lidar.stream.name: lidar.stream for lidar in lidars}
         self._readers, self._labels = list(lidars), labels

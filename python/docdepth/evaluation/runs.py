@@ -27,6 +27,9 @@ from docdepth.pipeline.run_state import require
 
 log = logging.getLogger(__name__)
 
+_COMPLETION = Path("proj_depth") / "groundtruth"
+"""Where a drive of KITTI's depth completion keeps its true depth maps, a folder a camera."""
+
 _OTHER_SCALE = 1.5
 """Factor between true and made depth, in the median, that no error of depth explains."""
 
@@ -164,7 +167,9 @@ def evaluate_depth(
         Run folder with depth maps.
     depth : Path
         Folder of depth maps in any format, or its parent with a folder ``depth_2``. A folder
-        ``class_2`` beside it marks the pixels of moving objects.
+        ``class_2`` beside it marks the pixels of moving objects. Or a drive of KITTI's depth
+        completion, with ``proj_depth/groundtruth``: it lacks maps at both ends, and images without
+        one are not compared.
     mode : {"valid", "kitti"}
         ``kitti`` fills empty pixels first, as KITTI's development kit does.
     max_range : float
@@ -181,15 +186,19 @@ def evaluate_depth(
     """
     folder = RunFolder.open(run)
     depth = _truth_folder(depth, "depth_2", folder)
-    classes = depth.parent / depth.name.replace("depth", "class")
     camera = folder.depth_folder(camera)
     require(folder, f"render {folder.camera_in(camera)}")
+    completion = (depth / _COMPLETION).is_dir()
+    depth = depth / _COMPLETION / folder.camera_in(camera) if completion else depth
+    classes = depth.parent / depth.name.replace("depth", "class")
     K = folder.calibration(camera)[0].K
     evaluation = DepthEvaluation(mode=mode, max_range=max_range, poses=_poses(folder))
     ratios: list[float] = []
     maps, truths = maps_in(run / "depth" / camera), maps_in(depth)
     if not maps:
         raise DatasetError(f"{run}/depth has no depth maps; run: docdepth render {run}")
+    if completion:
+        maps = _with_truth(maps, truths, depth)
     for done, (name, path) in enumerate(maps.items(), 1):
         if name not in truths:
             raise DatasetError(f"{depth} has no depth map {name}, {run} has {path.name}")
@@ -212,6 +221,21 @@ def evaluate_depth(
             ratio,
         )
     return evaluation.result()
+
+
+def _with_truth(maps: dict[str, Path], truths: dict[str, Path], depth: Path) -> dict[str, Path]:
+    """The maps that have a true one; the others are counted in a warning."""
+    found = {name: path for name, path in maps.items() if name in truths}
+    if not found:
+        raise DatasetError(
+            f"{depth} has no depth map of the {len(maps)} images of the run; is it of this drive?"
+        )
+    if len(found) < len(maps):
+        log.warning(
+            "%s has no depth map of %d of %d images; they are not compared",
+            depth, len(maps) - len(found), len(maps),
+        )  # fmt: skip
+    return found
 
 
 def _ratio(made: NDArray[np.float32], true: NDArray[np.float32]) -> float:

@@ -1,0 +1,209 @@
+"""Poses that a recording brings along: a table of stamped rows, brought to the times of its sweeps.
+
+Tables of data sets have their own times, more rows or fewer than there are sweeps, and no pose
+where the vehicle stood or where the satellites were lost.
+"""
+
+from __future__ import annotations
+
+import logging
+from decimal import Decimal, InvalidOperation
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.files import read_lines
+from docdepth.errors import DatasetError, InputError
+from docdepth.geometry.se3 import check_rigid, nearest_rigid, poses_from, rotation_exp
+from docdepth.geometry.trajectory import Trajectory
+
+log = logging.getLogger(__name__)
+
+# Between poses farther apart in time and in space, a sweep has none: what the vehicle did is open.
+_LONGEST_GAP = 250_000_000  # ns
+_FARTHEST = 1.0  # metres
+
+
+def read_pose_table(
+    file: Path, columns: tuple[int, ...], remedy: str
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Read rows of a whole number, such as a stamp, and further numbers.
+
+    Parameters
+    ----------
+    file : Path
+        Numbers between commas or blanks. A heading is left out, and so are rows with NaN: they are
+        times at which the pose is not known.
+    columns : tuple of int
+        How many numbers may follow the first one.
+    remedy : str
+        What to do if the file is missing or wrong.
+
+    Returns
+    -------
+    stamps : ndarray of int64, shape (n,)
+        Increasing; of rows with the same stamp the first one stays.
+    rows : ndarray of float64, shape (n, columns)
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be read, or a line is of something else.
+    """
+    stamps: list[int] = []
+    rows: list[list[float]] = []
+    for n, line in enumerate(read_lines(file, remedy), 1):
+        words = line.replace(",", " ").split()
+        if not words or words[0].startswith("#") or (n == 1 and words[0][0].isalpha()):
+            continue
+        try:
+            stamp, row = _whole(words[0]), [float(word) for word in words[1:]]
+            if len(row) not in columns:
+                raise ValueError
+            if rows and len(row) != len(rows[0]):
+                raise ValueError
+        except (ValueError, InvalidOperation):
+            counts = " or ".join(str(count) for count in columns)
+            raise DatasetError(
+                f"{file}, line {n}: '{line.strip()[:60]}' is not a whole number and {counts} more "
+                f"numbers; {remedy}"
+            ) from None
+        if all(map(isfinite, row)):
+            stamps.append(stamp)
+            rows.append(row)
+    if not rows:
+        raise DatasetError(f"{file} holds no poses; {remedy}")
+    increasing, first = np.unique(np.array(stamps, np.int64), return_index=True)
+    return increasing, np.array(rows, np.float64)[first]
+
+
+def _whole(word: str) -> int:
+    """A whole number, also one that is written as 1.5e18."""
+    if word.isdigit():
+        return int(word)
+    number = Decimal(word)
+    if number != number.to_integral_value():
+        raise ValueError
+    return int(number)
+
+
+def rows_around(
+    stamps: NDArray[np.int64], rows: NDArray[np.float64], times: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The rows before and after each sweep, the first and the last: all that poses come from.
+
+    Tables have up to a million rows, of which few lie beside a sweep.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (n,)
+        Nanoseconds, increasing.
+    rows : ndarray of float64, shape (n, k)
+    times : ndarray of int64, shape (m,)
+        Nanoseconds of the sweeps.
+    """
+    after, last = np.searchsorted(stamps, times), len(stamps) - 1
+    kept = np.unique(np.concatenate([(after - 1).clip(0), after.clip(max=last), [0, last]]))
+    return stamps[kept], rows[kept]
+
+
+def poses_of_matrices(rows: NDArray[np.float64], file: Path) -> NDArray[np.float64]:
+    """Poses (n, 4, 4) of rows with the upper 3x4, or all, of their matrices.
+
+    Raises
+    ------
+    DatasetError
+        A row is no pose.
+    """
+    matrices = rows.reshape(len(rows), -1, 4)
+    poses = poses_from(list(matrices[:, :3, :3]), matrices[:, :3, 3])
+    return nearest_rigid(_checked(poses, file))  # printed with few digits
+
+
+def poses_of_angles(
+    positions: NDArray[np.float64], roll_pitch_yaw: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Poses (n, 4, 4) of positions (n, 3) in metres and angles (n, 3) in radians.
+
+    The rotation is Rz(yaw) Ry(pitch) Rx(roll): it takes vectors of the vehicle to the world.
+    """
+    roll, pitch, yaw = (rotation_exp(roll_pitch_yaw * axis) for axis in np.eye(3))
+    return poses_from(list(yaw @ pitch @ roll), positions)
+
+
+def poses_at(
+    stamps: NDArray[np.int64],
+    poses: NDArray[np.float64],
+    times: NDArray[np.int64],
+    file: Path,
+) -> NDArray[np.float64]:
+    """Poses at the times of the sweeps, interpolated; NaN where they are not known.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (n,)
+        Nanoseconds of the poses, increasing.
+    poses : ndarray of float64, shape (n, 4, 4)
+    times : ndarray of int64, shape (m,)
+    file : Path
+        For messages.
+
+    Returns
+    -------
+    ndarray of float64, shape (m, 4, 4)
+        NaN before the first pose, after the last one, and between poses that are more than a
+        quarter of a second and a metre apart.
+
+    Raises
+    ------
+    DatasetError
+        No sweep lies between poses: they are of another recording.
+    """
+    trajectory = Trajectory(stamps, _checked(poses, file))
+    after = np.searchsorted(stamps, times).clip(1, max(len(stamps) - 1, 1)) % len(stamps)
+    before = (after - 1).clip(0)
+    moved = np.linalg.norm(poses[after, :3, 3] - poses[before, :3, 3], axis=1)
+    near = (stamps[after] - stamps[before] <= _LONGEST_GAP) | (moved <= _FARTHEST)
+    known = trajectory.covers(times) & (near | np.isin(times, stamps))
+    if not known.any():
+        raise DatasetError(
+            f"{file} has poses from {stamps[0]} to {stamps[-1]} ns, but the sweeps are from "
+            f"{times[0]} to {times[-1]} ns; is it the file of this recording?"
+        )
+    result = np.full((len(times), 4, 4), np.nan)
+    result[known] = trajectory.interpolate(times[known])
+    return result
+
+
+def whole_poses(partial: NDArray[np.float64] | None, path: Path) -> NDArray[np.float64] | None:
+    """The poses if every sweep has one, else None with a warning that says which sweeps do.
+
+    Parameters
+    ----------
+    partial : ndarray of float64, shape (n, 4, 4), optional
+        NaN where a pose is not known.
+    path : Path
+        The recording.
+    """
+    if partial is None:
+        return None
+    known = np.asarray(np.isfinite(partial).all(axis=(1, 2)))
+    if known.all():
+        return partial
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]])))
+    begin, end = max(ends.reshape(-1, 2).tolist(), key=lambda run: run[1] - run[0])
+    log.warning(
+        "%s: %d of %d sweeps have no pose, so the recording has none; --frames %d:%d has poses",
+        path, len(known) - known.sum(), len(known), begin, end,
+    )  # fmt: skip
+    return None
+
+
+def _checked(poses: NDArray[np.float64], file: Path) -> NDArray[np.float64]:
+    try:
+        check_rigid(poses)
+    except InputError as error:
+        raise DatasetError(f"{file}: {error}") from None
+    return poses

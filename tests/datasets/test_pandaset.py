@@ -1,0 +1,96 @@
+"""PandaSet: where its sensors sit, and pickles that are no tables."""
+
+from __future__ import annotations
+
+import gzip
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from formats import WRITERS
+from made_up import DRIVE
+
+from docdepth.datasets import open_dataset
+from docdepth.datasets.pandaset import T_camera_lidar, read_table
+from docdepth.errors import DatasetError, DocDepthError
+from docdepth.geometry.se3 import inverse
+
+
+@pytest.fixture
+def pandaset(tmp_path: Path) -> Path:
+    return WRITERS["PandaSet"][1](tmp_path).path
+
+
+@pytest.mark.parametrize(
+    ("name", "looks", "to_its_right"),
+    [
+        ("front_camera", [1, 0, 0], [0, -1, 0]),
+        ("back_camera", [-1, 0, 0], [0, 1, 0]),
+        ("left_camera", [0, 1, 0], [1, 0, 0]),
+        ("right_camera", [0, -1, 0], [-1, 0, 0]),
+        ("front_left_camera", [0.7, 0.7, 0], [0.7, -0.7, 0]),
+        ("front_right_camera", [0.7, -0.7, 0], [-0.7, -0.7, 0]),
+    ],
+)
+def test_cameras_of_pandaset_look_where_they_are_called(name, looks, to_its_right) -> None:
+    T = T_camera_lidar(name)
+    assert T[2, :3] @ looks > 0.94
+    assert T[0, :3] @ to_its_right > 0.94
+    centre = inverse(T)[:3, 3]
+    assert np.linalg.norm(centre) < 1.1
+    assert -0.4 < centre[2] < 0, "below the LiDAR on the roof"
+    assert centre @ looks > 0, "on the side to which it looks"
+
+
+def test_points_of_pandasets_front_lidar_are_left_out(pandaset: Path) -> None:
+    sweep = open_dataset(pandaset).sweep(3)
+    assert len(sweep.points) == DRIVE.usable(3).sum()
+    assert sweep.motion_compensated
+    assert sweep.relative_time is not None
+    shares = DRIVE.rows(3)["share"][DRIVE.usable(3)]
+    np.testing.assert_allclose(sweep.relative_time, shares, atol=1e-5)  # 0.2 µs in doubles
+
+
+def test_pandas_reads_the_table_that_the_test_writes(pandaset: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    table = pandas.read_pickle(pandaset / "lidar" / "03.pkl.gz")
+    assert list(table.columns) == ["x", "y", "z", "i", "t", "d"]
+    assert table.index.name == "index"
+    own = read_table(pandaset / "lidar" / "03.pkl.gz", "")
+    for name in table.columns:
+        np.testing.assert_array_equal(own[name], table[name])
+
+
+def test_a_pickle_that_would_run_a_program(pandaset: Path, tmp_path: Path) -> None:
+    class Program:
+        def __reduce__(self):
+            return Path.touch, (tmp_path / "ran",)
+
+    (pandaset / "lidar" / "01.pkl.gz").write_bytes(gzip.compress(pickle.dumps(Program())))
+    with pytest.raises(DatasetError, match=r"01\.pkl\.gz \(frame 1\) .*it asks for .*no table"):
+        open_dataset(pandaset).sweep(1)
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"nothing", gzip.compress(pickle.dumps([1, 2]))])
+def test_a_sweep_of_pandaset_that_is_no_table(pandaset: Path, content: bytes) -> None:
+    (pandaset / "lidar" / "01.pkl.gz").write_bytes(content)
+    with pytest.raises(DatasetError, match=r"01\.pkl\.gz \(frame 1\) .*table of pandas"):
+        open_dataset(pandaset).sweep(1)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "error"),
+    [
+        ("poses.json", "[]", "poses.json has 0 entries for 5 sweeps"),
+        ("poses.json", "[1, 2, 3, 4, 5]", "poses.json, entry 0 is no pose"),
+        ("timestamps.json", "[1, 2, 3, 3, 4]", "timestamps.json: the time of frame 3"),
+        ("timestamps.json", '[1, 2, 3, 3.5, "x"]', "timestamps.json must be seconds"),
+        ("intrinsics.json", "{}", "intrinsics.json has no fx"),
+    ],
+)
+def test_a_broken_table_of_pandaset(pandaset: Path, name: str, content: str, error: str) -> None:
+    (pandaset / "camera" / "front_camera" / name).write_text(content)
+    with pytest.raises(DocDepthError, match=error):
+        open_dataset(pandaset)

@@ -1,0 +1,51 @@
+"""Drives of KITTI's depth completion as truth: they lack maps at both ends."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from docdepth.errors import DatasetError
+from docdepth.evaluation.runs import evaluate_depth
+
+
+@pytest.fixture
+def annotated(drive: Path, tmp_path: Path) -> Path:
+    """True depth of images 1 and 2 of the synthetic street, as KITTI writes it."""
+    folder = tmp_path / "2011_09_26_drive_0001_sync" / "proj_depth" / "groundtruth" / "image_2"
+    folder.mkdir(parents=True)
+    for name in ("000001", "000002"):
+        depth = np.nan_to_num(np.load(drive / "depth_2" / f"{name}.npy"), posinf=0)
+        cv2.imwrite(str(folder / f"{name}.png"), np.round(depth * 256).astype(np.uint16))
+    return folder.parents[2]
+
+
+def test_images_without_a_true_map_are_not_compared(finished, drive, annotated, tmp_path, caplog):
+    result = evaluate_depth(finished[0], annotated)
+    assert result.images == 2
+    assert "has no depth map of 2 of 4 images; they are not compared" in caplog.text
+    plain = tmp_path / "plain"
+    shutil.copytree(annotated / "proj_depth" / "groundtruth" / "image_2", plain)
+    with pytest.raises(DatasetError, match="plain has no depth map 000000"):
+        evaluate_depth(finished[0], plain)
+    for name in ("000000", "000003"):  # no pixel of these has a true depth
+        cv2.imwrite(
+            str(plain / f"{name}.png"), np.zeros_like(cv2.imread(str(plain / "000001.png"), -1))
+        )
+    same = evaluate_depth(finished[0], plain)
+    assert same.all == result.all
+
+
+def test_an_annotated_drive_of_other_images(finished, annotated):
+    folder = annotated / "proj_depth" / "groundtruth" / "image_2"
+    for file in folder.iterdir():
+        file.rename(file.with_name(f"7{file.name}"))
+    with pytest.raises(DatasetError, match="of the 4 images of the run; is it of this drive"):
+        evaluate_depth(finished[0], annotated)
+    shutil.rmtree(folder)
+    with pytest.raises(DatasetError, match=r"image_2 has no depth map"):
+        evaluate_depth(finished[0], annotated)
