@@ -62,7 +62,7 @@ def inspect(
         given = known_poses(source, recording)
         result = inspect_recording(recording, given, opening=list(logged))
         pictures = list(pictures_of(recording, result))
-    findings = [(p.severity, p.text) for p in result.problems]
+    findings: list[tuple[str, str]] = [(p.severity, p.text) for p in result.problems]
     findings += [("note", text) for text in result.notes]
     write_inspection(output, result.figures, findings, pictures)
     if as_json:
@@ -82,7 +82,7 @@ def _show(result: Inspection, findings: list[tuple[str, str]]) -> None:
     for name, group in result.figures.items():
         entries = group if isinstance(group, list) else [group]
         for entry in entries:
-            text = f"{name.replace('_', ' ')}: {as_text(entry)}"
+            text = f"{name.replace('_', ' ')}: {'none' if entry is None else as_text(entry)}"
             out.print(text, soft_wrap=True, markup=False)
     for severity, text in findings:
         colour = {"error": "red", "warning": "yellow"}.get(severity, "cyan")

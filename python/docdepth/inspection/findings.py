@@ -78,8 +78,6 @@ def judge(recording: Dataset, result: Inspection, found: Findings) -> None:
     _judge_lidars(where, figures["lidars"], found)
     _judge_times(where, result, found)
     _judge_world(where, result, found)
-    if result.poses is not None:
-        _judge_poses(recording, result, found)
     if figures["ego"] is not None:
         result.notes.append(
             f"{figures['ego']['points']} points a sweep stay with the LiDAR, in the box x, y, z "
@@ -90,7 +88,10 @@ def judge(recording: Dataset, result: Inspection, found: Findings) -> None:
 def _judge_up(where: str, result: Inspection, found: Findings) -> None:
     ground = result.ground
     if ground is None:
-        result.notes.append("no plane of the ground was found in most sweeps")
+        result.notes.append(
+            "the ground is not one plane, or lies another way in each sweep, as seen by a "
+            "hand-held LiDAR: which way is up is not known"
+        )
         return
     if ground.tilt_deg <= _TILT_DEG:
         return
@@ -106,9 +107,7 @@ def _judge_up(where: str, result: Inspection, found: Findings) -> None:
     )
 
 
-def _judge_rows(
-    where: str, rows: dict[str, float], result: Inspection, found: Findings
-) -> None:
+def _judge_rows(where: str, rows: dict[str, float], result: Inspection, found: Findings) -> None:
     if rows["at_origin"] > _FEW_ROWS:
         result.notes.append(
             f"up to {100 * rows['at_origin']:.1f} % of the rows of a sweep are points at the "
@@ -157,8 +156,9 @@ def _judge_times(where: str, result: Inspection, found: Findings) -> None:
     first, last = times["span"]
     if times["span_s"] is not None and not _SPAN[0] < last - first < _SPAN[1]:
         found.warn(
-            f"{where}: points of a sweep are measured within {last - first:.2f} of the time between "
-            "sweeps; are sweeps missing or cut? Look at the stamps and at point_time_unit"
+            f"{where}: points of a sweep are measured within {last - first:.2f} of the time "
+            "between sweeps; are sweeps missing or cut? Look at the stamps, and say "
+            "point_time_unit in docdepth.yaml if the unit is wrong"
         )
     wide = bool(lidars) and lidars[0]["field_of_view_deg"]["horizontal"] > _WIDE_DEG
     if wide and times["turn_deg"] > _TURN_DEG:
@@ -185,9 +185,11 @@ def _judge_world(where: str, result: Inspection, found: Findings) -> None:
         )
 
 
-def _judge_poses(recording: Dataset, result: Inspection, found: Findings) -> None:
+def judge_poses(recording: Dataset, result: Inspection, found: Findings) -> bool:
+    """Warn of poses that are something else; True if there is something to warn of."""
     poses = result.poses
     assert poses is not None
+    before = len(found.warnings)
     if rotations_are_missing(poses):
         found.warn(
             f"{recording.path}: all poses have the same rotation, though their path turns; give "
@@ -197,3 +199,4 @@ def _judge_poses(recording: Dataset, result: Inspection, found: Findings) -> Non
     text = explain_misfit(result.windows, cameras)
     if text is not None:
         found.warn(f"{recording.path}: {text}")
+    return len(found.warnings) > before

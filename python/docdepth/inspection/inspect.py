@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters, Parameters
 from docdepth.datasets import Dataset, FrameRange, Sweep, usable_points
+from docdepth.datasets.recording import Recording
 from docdepth.errors import DocDepthError
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.inspection import findings
@@ -100,7 +101,7 @@ def inspect_recording(
             with found.collected():
                 result.poses = check_given_poses(recording, given, _ONE_PASS)
         result.windows = _register(recording, result.poses, result.notes)
-        _look_at_poses(recording, result, "file" if poses is not None else "recording")
+        _look_at_poses(recording, result, "file" if poses is not None else "recording", found)
         for stream in recording.cameras.values():
             check_camera(recording, stream, result.sweeps, found)
     for text in logged:
@@ -138,6 +139,13 @@ def _look_at_sweeps(recording: Dataset, result: Inspection) -> None:
     shares = [row_shares(sweep.points) for sweep in sweeps]
     figures["rows"] = {name: max(s[name] for s in shares) for name in shares[0]}
     figures["point_times"] = time_figures(middle, period)
+    whole = recording.whole if isinstance(recording, FrameRange) else recording
+    if figures["point_times"] is not None and isinstance(whole, Recording):
+        counts = [c for c in whole.point_times if c is not None]
+        figures["point_times"]["counted"] = [
+            {"from": count.origin, "unit_ns": count.unit, "shift_ns": count.shift}
+            for count in counts
+        ]
     result.ground = common_ground([find_ground(s.points[usable_points(s.points)]) for s in sweeps])
     figures["ground"] = None
     if result.ground is not None:
@@ -160,14 +168,14 @@ def _register(
         try:
             measured = estimate_poses(part, _ONE_PASS, threads=1)
         except DocDepthError as error:
-            notes.append(f"sweeps {frames.start} to {frames.stop - 1} cannot be registered: {error}")
+            notes.append(f"frames {frames.start} to {frames.stop - 1} are not registered: {error}")
             continue
         given = measured if poses is None else poses[frames.start : frames.stop]
         windows.append(Window(frames.start, given, measured))
     return windows
 
 
-def _look_at_poses(recording: Dataset, result: Inspection, source: str) -> None:
+def _look_at_poses(recording: Dataset, result: Inspection, source: str, found: Findings) -> None:
     """Figures of the poses, checks that a run makes of them, and the body of the vehicle."""
     poses, figures = result.poses, result.figures
     figures["poses"] = None
@@ -179,7 +187,8 @@ def _look_at_poses(recording: Dataset, result: Inspection, source: str) -> None:
     if poses is not None:
         figures["poses"] = {"source": source, **pose_figures(poses, recording.times)}
         warn_of_jumps(Trajectory(recording.times, poses))
-        warn_of_misfit(lambda k: recording.sweep(k).points, poses, _ONE_PASS)
+        if not findings.judge_poses(recording, result, found) and np.ptp(poses, axis=0).any():
+            warn_of_misfit(lambda k: recording.sweep(k).points, poses, _ONE_PASS)
     figures["ego"] = None
     if any(step > findings.MOVING for step in steps) and result.sweeps:
         figures["ego"] = ego_body([s.points for s in result.sweeps.values()], result.ground)

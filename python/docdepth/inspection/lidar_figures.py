@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,8 @@ _TAIL = 0.005  # share of the points that lie outside the vertical field of view
 _FEW_IN_A_DEGREE = 0.1  # of the usual number of points in a degree of azimuth; less is no view
 _BIN_DEG = 0.02  # of elevation, in which beams are told apart
 _SMOOTH_DEG = 0.04
-_FAR = 5.0  # metres; motion compensation hardly turns rays that are longer
-_PEAK = 0.25  # of the usual peak: less is no beam
+_FAR = 3.0  # metres; motion compensation hardly turns rays that are longer
+_PEAK = 0.1  # of the usual peak: less is no beam
 _VALLEY = 0.5  # of the peaks beside it: a higher valley does not tell beams apart
 _MOST_BEAMS = 256
 _SAME_RAY_DEG = 0.01
@@ -110,7 +111,7 @@ def beams_by_elevation(elevation: NDArray[np.float64]) -> int | None:
         return None
     high = np.quantile(smooth[peaks], 0.8)
     peaks = peaks[smooth[peaks] > _PEAK * high]
-    valleys = [smooth[a:b].min() for a, b in zip(peaks[:-1], peaks[1:], strict=True)]
+    valleys = [smooth[a:b].min() for a, b in pairwise(peaks)]
     beside = np.minimum(smooth[peaks[:-1]], smooth[peaks[1:]])
     told_apart = len(valleys) > 0 and float(np.median(valleys / beside)) < _VALLEY
     return len(peaks) if told_apart and len(peaks) <= _MOST_BEAMS else None

@@ -57,7 +57,8 @@ def _sweeps_over_each_other(
         path = _in_frame_of(poses, frames[0], result.ground)[frames]
         yield (
             clouds_in_plane(clouds, path, reach=_REACH),
-            f"the same close up: {_named(frames)}. Surfaces lie on each other if the poses are right",
+            f"the same close up: {_named(frames)}. Surfaces that do not move lie on each other if "
+            "the poses are right",
         )
     for window in result.windows[:1]:
         steps = sorted({0, len(window.measured) // 2, len(window.measured) - 1})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,7 +54,7 @@ def pose_figures(poses: Poses, times: NDArray[np.int64]) -> dict[str, Any]:
     speed = steps / (np.diff(times) * 1e-9) if len(poses) > 1 else np.zeros(1)
     turns = [
         np.degrees(np.linalg.norm(rotation_log(a[:3, :3].T @ b[:3, :3])))
-        for a, b in zip(poses[:-1], poses[1:], strict=True)
+        for a, b in pairwise(poses)
     ]
     return {
         "length_m": round(float(steps.sum()), 2),
@@ -86,7 +87,7 @@ def misfit(given: Poses, measured: Poses) -> float:
     The distance is that of a point ten metres away, so that it has the turn in it.
     """
     apart = inverse(_motion(measured)) @ _motion(given)
-    return float(np.linalg.norm(apart[:3, 3]) + _LEVER * np.linalg.norm(rotation_log(apart[:3, :3])))
+    return _length(apart)
 
 
 def explain_misfit(
@@ -118,7 +119,10 @@ def explain_misfit(
             best, best_text = after, text
     if best_text is None:
         return None
-    return f"{best_text} (sweeps then lie {best:.2f} m apart, not {before:.2f} m)"
+    return (
+        f"{best_text} (they then differ from the motion of {len(moving[0].given)} sweeps by "
+        f"{best / len(moving):.2f} m, now by {before / len(moving):.2f} m)"
+    )
 
 
 def rotations_are_missing(poses: Poses) -> bool:
@@ -137,14 +141,18 @@ def _motion(poses: Poses) -> Poses:
     return inverse(poses[0]) @ poses[-1]
 
 
+def _length(motion: Poses) -> float:
+    """Of a motion with its turn, metres."""
+    turn = float(np.linalg.norm(rotation_log(motion[:3, :3])))
+    return float(np.linalg.norm(motion[:3, 3])) + _LEVER * turn
+
+
 def _size(poses: Poses) -> float:
     return float(np.linalg.norm(_motion(poses)[:3, 3]))
 
 
 def _fits(given: Poses, measured: Poses) -> bool:
-    T = _motion(measured)
-    size = np.linalg.norm(T[:3, 3]) + _LEVER * np.linalg.norm(rotation_log(T[:3, :3]))
-    return misfit(given, measured) < _FIT[0] + _FIT[1] * size
+    return misfit(given, measured) < _FIT[0] + _FIT[1] * _length(_motion(measured))
 
 
 def _changes(cameras: dict[str, Poses], windows: Sequence[Window]) -> dict[str, Any]:

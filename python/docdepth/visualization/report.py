@@ -10,6 +10,7 @@ from docdepth import __version__
 from docdepth.io.run_folder import RunFolder
 from docdepth.visualization.page import head, table
 
+
 def index_is_whole(run: RunFolder) -> bool:
     """Whether the page is there as it was written."""
     return run.records(run.path / "report").state("index.html") == "whole"
