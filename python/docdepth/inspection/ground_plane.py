@@ -19,7 +19,10 @@ _SPREAD = 2.0  # metres, deviation of the ground's points along its shorter side
 _OTHER_DEG = 25.0  # from the ground: planes that are none
 _OTHER = 0.8  # of the ground's score that they may have, else nobody knows which one it is
 _LEAST_SHARE = 0.08  # of the points, on the ground
-_TURNED = 0.4  # of a plane's weight that goes with z: a facade is no ground, though flat
+_REFINED, _FITS = 40, 4  # planes of these that are fitted to their points, and how often
+_LEANING = (0.87, 0.5)  # cosine of the angle to z, up to 30 degrees and from 60 on
+_TURNED = 0.5  # weight of planes that are turned farther: a facade is no ground, though flat
+_MOUNTED, _HIGH = 3.5, 0.4  # metres: higher LiDARs are rare, and their planes have this weight
 _SAME_DEG = 10.0  # within which sweeps agree
 
 
@@ -49,7 +52,8 @@ class GroundPlane(NamedTuple):
 def find_ground(points: NDArray[np.float32]) -> GroundPlane | None:
     """The plane below the LiDAR with most points, below which there is next to nothing.
 
-    Of two planes that are as large, the one that is more level is taken: z is up in most frames.
+    Of two planes that are as large, the one that is more level and nearer is taken: z is up in
+    most frames, and facades are farther away than the ground.
 
     Parameters
     ----------
@@ -72,30 +76,47 @@ def find_ground(points: NDArray[np.float32]) -> GroundPlane | None:
     a, b, c = np.moveaxis(cloud[rng.integers(0, len(cloud), (_TRIALS, 3))], 1, 0)
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1)
-    normals, a = normals[lengths > 1e-6], a[lengths > 1e-6]
-    normals /= lengths[lengths > 1e-6, None]
-    offsets = (normals * a).sum(axis=1)
-    flip = np.where((cloud @ normals.T - offsets > 0).mean(axis=0) > 0.5, 1.0, -1.0)
-    normals, heights = normals * flip[:, None], -offsets * flip  # most points are above
-    scores = _scores(cloud, normals, heights)
+    normals, a = normals[lengths > 1e-6] / lengths[lengths > 1e-6, None], a[lengths > 1e-6]
+    ups, heights = _facing_points(cloud, normals, -(normals * a).sum(axis=1))
+    rough = np.argsort(_scores(cloud, ups, heights))[-_REFINED:]
+    ups, heights = _facing_points(cloud, *_refined(cloud, ups[rough], heights[rough]))
+    scores = _scores(cloud, ups, heights)
     best = int(np.argmax(scores))
-    up, height = normals[best], float(heights[best])
-    others = normals @ up < np.cos(np.radians(_OTHER_DEG))
-    if scores[others].max(initial=0.0) > _OTHER * scores[best]:
+    up, height = ups[best], float(heights[best])
+    others = ups @ up < np.cos(np.radians(_OTHER_DEG))
+    if scores[best] <= 0 or scores[others].max(initial=0.0) > _OTHER * scores[best]:
         return None
-    spread = 0.0
-    for _ in range(4):
-        on = cloud[np.abs(cloud @ up + height) < _NEAR_PLANE]
-        if len(on) < 3:
-            return None
-        _, lengths, axes = np.linalg.svd(on - on.mean(axis=0), full_matrices=False)
-        spread, fitted = float(lengths[1] / np.sqrt(len(on))), axes[2]
-        up = fitted if fitted @ up > 0 else -fitted
-        height = float(-(on @ up).mean())
-    share = float(np.mean(np.abs(cloud @ up + height) < _NEAR_PLANE))
-    if share < _LEAST_SHARE or spread < _SPREAD or not _HEIGHTS[0] < height < _HEIGHTS[1]:
+    on = np.abs(cloud @ up + height) < _NEAR_PLANE
+    lengths = np.linalg.svd(cloud[on] - cloud[on].mean(axis=0), compute_uv=False)
+    if on.mean() < _LEAST_SHARE or lengths[1] / np.sqrt(on.sum()) < _SPREAD:
         return None
-    return GroundPlane(up, height, share)
+    return GroundPlane(up, height, float(on.mean()))
+
+
+def _facing_points(
+    cloud: NDArray[np.float64], normals: NDArray[np.float64], heights: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Normals to the side on which most points are, and heights of the origin along them."""
+    above = cloud @ normals.T + heights
+    more_above = (above > _NEAR_PLANE).sum(axis=0) >= (above < -_NEAR_PLANE).sum(axis=0)
+    signs = np.where(more_above, 1.0, -1.0)
+    return normals * signs[:, None], heights * signs
+
+
+def _refined(
+    cloud: NDArray[np.float64], ups: NDArray[np.float64], heights: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Planes fitted to the points on them, a few times."""
+    ups, heights = ups.copy(), heights.copy()
+    for k in range(len(ups)):
+        for _ in range(_FITS):
+            on = cloud[np.abs(cloud @ ups[k] + heights[k]) < _NEAR_PLANE]
+            if len(on) < 3:
+                break
+            middle = on.mean(axis=0)
+            ups[k] = np.linalg.eigh((on - middle).T @ (on - middle))[1][:, 0]
+            heights[k] = -middle @ ups[k]
+    return ups, heights
 
 
 def _scores(
@@ -104,7 +125,8 @@ def _scores(
     above = cloud @ normals.T + heights
     on = (np.abs(above) < _NEAR_PLANE).mean(axis=0)
     below = (above < -_BELOW).mean(axis=0)
-    weight = 1 - _TURNED + _TURNED * normals[:, 2]
+    level = np.clip((normals[:, 2] - _LEANING[1]) / (_LEANING[0] - _LEANING[1]), 0, 1)
+    weight = (_TURNED + (1 - _TURNED) * level) * np.where(heights > _MOUNTED, _HIGH, 1.0)
     scores = (on - 2 * below) * weight
     impossible = (heights < _HEIGHTS[0]) | (heights > _HEIGHTS[1])
     return np.asarray(np.where(impossible, -1.0, scores))

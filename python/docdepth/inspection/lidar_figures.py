@@ -21,6 +21,9 @@ _FAR = 3.0  # metres; motion compensation hardly turns rays that are longer
 _PEAK = 0.1  # of the usual peak: less is no beam
 _VALLEY = 0.5  # of the peaks beside it: a higher valley does not tell beams apart
 _MOST_BEAMS = 256
+_SHARP = 0.1  # the same in all directions: beams were not moved
+_SECTORS = 12
+_FEWEST_POINTS = 500  # in which beams are looked for
 _SAME_RAY_DEG = 0.01
 _SAME_PLACE = 0.02  # metres between points that are one
 
@@ -64,7 +67,13 @@ def lidar_figures(sweep: Sweep, names: Sequence[str]) -> list[dict[str, Any]]:
                     "horizontal": horizontal_field(azimuth),
                     "vertical": [round(float(low), 1), round(float(high), 1)],
                 },
-                "beams": _beams(sweep, mine, view.lasers is not None, elevation[ranges > _FAR]),
+                "beams": _beams(
+                    sweep,
+                    mine,
+                    view.lasers is not None,
+                    azimuth[ranges > _FAR],
+                    elevation[ranges > _FAR],
+                ),
                 "spacing_deg": spacing(rays.astype(np.float32)),
                 "same_ray": round(same_ray, 4),
                 "same_point": round(same_point, 4),
@@ -74,7 +83,11 @@ def lidar_figures(sweep: Sweep, names: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def _beams(
-    sweep: Sweep, mine: NDArray[np.bool_], has_lasers: bool, elevation: NDArray[np.float64]
+    sweep: Sweep,
+    mine: NDArray[np.bool_],
+    has_lasers: bool,
+    azimuth: NDArray[np.float64],
+    elevation: NDArray[np.float64],
 ) -> int | None:
     """By their numbers in the recording, by the lasers of the rig, or by elevation."""
     if sweep.ring is not None:
@@ -85,7 +98,7 @@ def _beams(
         count = len(np.unique(sweep.sensor_rig.index[mine]))
         if count > 4:
             return count
-    return beams_by_elevation(elevation)
+    return beams_by_elevation(azimuth, elevation)
 
 
 def horizontal_field(azimuth: NDArray[np.float64]) -> int:
@@ -95,10 +108,30 @@ def horizontal_field(azimuth: NDArray[np.float64]) -> int:
     return int(seen.sum())
 
 
-def beams_by_elevation(elevation: NDArray[np.float64]) -> int | None:
-    """Number of beams, counted as peaks of the elevations [rad]; None where there are none."""
-    if len(elevation) < 500:
-        return None
+def beams_by_elevation(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> int | None:
+    """Number of beams, counted as peaks of the elevations; None where there are none.
+
+    Motion compensation moves each side of the beams another way: then the number is that of most
+    sectors.
+
+    Parameters
+    ----------
+    azimuth, elevation : ndarray of float64, shape (N,)
+        Radians.
+    """
+    count, valley = _peaks(elevation)
+    if valley > _SHARP:
+        sectors = np.floor(azimuth * _SECTORS / (2 * np.pi)).astype(np.int64) % _SECTORS
+        found = [_peaks(elevation[sectors == sector]) for sector in range(_SECTORS)]
+        told_apart = [peaks for peaks, valley in found if valley < _VALLEY]
+        count = int(np.bincount(told_apart).argmax()) if told_apart else 0
+    return count if 1 < count <= _MOST_BEAMS else None
+
+
+def _peaks(elevation: NDArray[np.float64]) -> tuple[int, float]:
+    """Number of peaks of elevations, and the valleys between them as a share of these (median)."""
+    if len(elevation) < _FEWEST_POINTS:
+        return 0, 1.0
     degrees = np.degrees(elevation)
     bins = np.arange(degrees.min() - 1, degrees.max() + 1, _BIN_DEG)
     counts = np.histogram(degrees, bins)[0].astype(np.float64)
@@ -108,13 +141,12 @@ def beams_by_elevation(elevation: NDArray[np.float64]) -> int | None:
     inner = smooth[1:-1]
     peaks = 1 + np.flatnonzero((inner > smooth[:-2]) & (inner >= smooth[2:]))
     if len(peaks) < 2:
-        return None
+        return 0, 1.0
     high = np.quantile(smooth[peaks], 0.8)
     peaks = peaks[smooth[peaks] > _PEAK * high]
     valleys = [smooth[a:b].min() for a, b in pairwise(peaks)]
     beside = np.minimum(smooth[peaks[:-1]], smooth[peaks[1:]])
-    told_apart = len(valleys) > 0 and float(np.median(valleys / beside)) < _VALLEY
-    return len(peaks) if told_apart and len(peaks) <= _MOST_BEAMS else None
+    return len(peaks), float(np.median(valleys / beside)) if len(valleys) else 1.0
 
 
 def spacing(rays: NDArray[np.float32]) -> list[float] | None:
