@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from exact_drive import Drive
 
 from docdepth.datasets import CameraStream, Sweep
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse, poses_from, rotation_exp
+from exact_drive import Drive
 
 COUNT = 10
 T_CAMERA_LIDAR = poses_from(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 _REACH = (1.5, 40.0)  # metres; farther away the ground is not one plane
 _VOXEL = 0.5  # metres; one point each, so that near surfaces do not outweigh the rest
-_MOST_POINTS = 5000
+_MOST_READ, _MOST_POINTS = 60_000, 5000  # before and after this
 _TRIALS = 600  # planes through three points; a quarter of all points on the ground gives nine
 _NEAR_PLANE = 0.15  # metres
 _BELOW = 0.4  # metres; nothing is measured below the ground but mirror images
@@ -67,7 +67,9 @@ def find_ground(points: NDArray[np.float32]) -> GroundPlane | None:
     """
     distance = np.linalg.norm(points, axis=1)
     near = points[(distance > _REACH[0]) & (distance < _REACH[1])].astype(np.float64)
-    _, first = np.unique(np.floor(near / _VOXEL).astype(np.int64), axis=0, return_index=True)
+    near = near[:: max(1, -(-len(near) // _MOST_READ))]
+    voxels = np.floor(near / _VOXEL).astype(np.int64) + 2**12
+    _, first = np.unique((voxels << [0, 16, 32]).sum(axis=1), return_index=True)
     cloud = near[np.sort(first)]
     cloud = cloud[:: max(1, -(-len(cloud) // _MOST_POINTS))]
     if len(cloud) < 50:

@@ -54,7 +54,7 @@ def clouds_in_plane(
         low, high = middle - reach, middle + reach
     scale = size / max(float((high - low).max()), 1.0)
     height, width = (max(round(float(s)), 60) for s in (high - low) * scale)
-    picture = np.full((height, width, 3), _BACKGROUND, np.int32)
+    picture = np.zeros((height, width, 3), np.int32)
     for cloud, color in zip(clouds, COLORS, strict=False):
         row = np.floor((high[0] - cloud[:, up]) * scale).astype(np.int64)
         column = np.floor((high[1] - cloud[:, left]) * scale).astype(np.int64)
@@ -63,6 +63,7 @@ def clouds_in_plane(
         mask[row[inside], column[inside]] = True
         picture[mask] += np.array(color)
     result = np.clip(picture, 0, 255).astype(np.uint8)
+    result[(picture == 0).all(axis=2)] = _BACKGROUND
     if path is not None:
         line = (high - path[:, [up, left]]) * scale
         cv2.polylines(
