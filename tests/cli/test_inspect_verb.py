@@ -64,11 +64,15 @@ def test_errors_of_poses_and_pages(tmp_path: Path) -> None:
     assert "is a folder" in str(cli("inspect", sequence, "-o", tmp_path).exception)
 
 
-@pytest.mark.parametrize("images", [True, False])
-def test_a_problem_ends_with_exit_code_2_after_the_page(tmp_path: Path, images: bool) -> None:
-    sequence = write_small_drive(tmp_path / "00", images=images)
+@pytest.mark.parametrize("with_poses", [True, False])
+def test_a_problem_ends_with_exit_code_2_after_the_page(tmp_path: Path, with_poses: bool) -> None:
+    sequence = write_small_drive(tmp_path / "00")
+    poses = np.repeat(np.eye(4)[None], 4, axis=0)
+    poses[:, 0, 3] = 0.5 * np.arange(4)
+    write_kitti(tmp_path / "poses.txt", poses)
     (sequence / "velodyne" / "000002.bin").write_bytes(b"\0" * 16)
-    result = cli("inspect", sequence, "-o", tmp_path / "a.html")
+    options = ["--poses", tmp_path / "poses.txt"] if with_poses else []
+    result = cli("inspect", sequence, "-o", tmp_path / "a.html", *options)
     assert result.exit_code == 2
     assert "000002.bin (frame 2) has 0 usable points" in result.output
     assert "000002.bin" in (tmp_path / "a.html").read_text()

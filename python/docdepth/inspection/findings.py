@@ -21,7 +21,7 @@ _TILT_DEG = 10.0  # between z and the ground's normal; vehicles pitch and mounts
 _ONE_PLACE = 0.005  # share of the rows in one place that is not the origin
 _FEW_ROWS = 0.001  # share of the rows that is not worth a word
 _CLOSE = 0.01  # share of the points closer than half a metre
-_SAME_RAY, _SAME_POINT = 0.1, 0.05  # shares: of one return 0.000 to 0.04, of two 0.2 and more
+_SAME_RAY, _SAME_POINT = 0.02, 0.05  # shares: of one return 0 to 0.005, of a room in two 0.08
 _SPAN = (0.6, 1.3)  # of the time between sweeps that their points take
 _TURN_DEG = 20.0  # from point to point in time: 0 to 6, of shuffled times 90
 _WIDE_DEG = 180  # of the field of view of a LiDAR that turns
@@ -59,7 +59,11 @@ def camera_figures(recording: Dataset) -> list[dict[str, Any]]:
         if len(stream.times):
             times = recording.times
             inside = (stream.times >= times[0]) & (stream.times <= times[-1])
-            apart = np.abs(stream.times[:, None] - times[None, :]).min(axis=1)
+            after = np.searchsorted(times, stream.times).clip(0, len(times) - 1)
+            apart = np.minimum(
+                np.abs(times[after] - stream.times),
+                np.abs(times[(after - 1).clip(0)] - stream.times),
+            )
             entry["within_sweeps"] = int(inside.sum())
             entry["starts_after_s"] = round(float(stream.times[0] - times[0]) * 1e-9, 4)
             entry["ends_after_s"] = round(float(stream.times[-1] - times[-1]) * 1e-9, 4)
@@ -120,8 +124,8 @@ def _judge_rows(where: str, rows: dict[str, float], result: Inspection, found: F
         )
     if rows["close"] > _CLOSE:
         result.notes.append(
-            f"{100 * rows['close']:.1f} % of the points are nearer than half a metre; they are "
-            "left out"
+            f"{100 * rows['close']:.1f} % of the points are nearer than half a metre, of the "
+            "vehicle or the LiDAR itself; they are left out"
         )
     if rows["one_place"] > _ONE_PLACE:
         found.warn(

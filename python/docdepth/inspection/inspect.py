@@ -188,7 +188,8 @@ def _look_at_poses(recording: Dataset, result: Inspection, source: str, found: F
         figures["poses"] = {"source": source, **pose_figures(poses, recording.times)}
         warn_of_jumps(Trajectory(recording.times, poses))
         if not findings.judge_poses(recording, result, found) and np.ptp(poses, axis=0).any():
-            warn_of_misfit(lambda k: recording.sweep(k).points, poses, _ONE_PASS)
+            with found.collected():
+                warn_of_misfit(lambda k: recording.sweep(k).points, poses, _ONE_PASS)
     figures["ego"] = None
     if any(step > findings.MOVING for step in steps) and result.sweeps:
         figures["ego"] = ego_body([s.points for s in result.sweeps.values()], result.ground)

@@ -34,7 +34,10 @@ def pictures_of(recording: Dataset, result: Inspection) -> Iterator[tuple[Pictur
     recording : Dataset
     result : Inspection
     """
-    yield from _sweeps_over_each_other(recording, result)
+    try:
+        yield from _sweeps_over_each_other(recording, result)
+    except DocDepthError as error:
+        result.notes.append(f"no picture of sweeps over each other: {error}")
     yield from _from_the_side(result)
     for name in list(recording.cameras)[:_MOST_CAMERAS]:
         try:

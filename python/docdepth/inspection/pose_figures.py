@@ -178,12 +178,12 @@ def _changes(cameras: dict[str, Poses], windows: Sequence[Window]) -> dict[str, 
             f"poses and points are mirror images of each other (wrong handedness): change the sign "
             f"of {name} of the points or of the poses"
         ] = lambda poses, S=S: S @ poses @ S
-    for angle in (90, 180, -90):
+    for angle in (90, -180, -90):
         T = np.eye(4)
         T[:3, :3] = rotation_exp(np.radians([0.0, 0, angle]))
         changes[
-            f"the poses are of a frame that is turned by {angle} degrees about z against the "
-            "points; multiply them from the right by T_frame_lidar"
+            f"the poses are of a frame that is turned by {-angle} degrees about z against that of "
+            "the points; multiply them from the right by T_frame_lidar"
         ] = lambda poses, T=T: poses @ T
     scale = _scale(windows)
     if scale is not None:
