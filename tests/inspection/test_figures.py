@@ -7,6 +7,7 @@ import pytest
 from drives import Recorded, right_poses, turned
 
 from docdepth.datasets import usable_points
+from docdepth.geometry.se3 import inverse
 from docdepth.inspection.ground_plane import common_ground, find_ground
 from docdepth.inspection.lidar_figures import (
     beams_by_elevation,
@@ -14,6 +15,7 @@ from docdepth.inspection.lidar_figures import (
     shared_rays,
     spacing,
 )
+from docdepth.inspection.overlap import share_on
 from docdepth.inspection.pictures import level_turn
 from docdepth.inspection.pose_figures import Window, explain_misfit, pose_figures, windows_of
 from docdepth.inspection.sweep_figures import ego_body, row_shares
@@ -120,6 +122,22 @@ def test_the_body_of_the_vehicle_is_what_stays() -> None:
     assert found["points"] == 60
     np.testing.assert_allclose(found["box_m"], [[1.5, 2.2], [-0.8, 0.8], [-0.9, -0.8]], atol=0.1)
     assert ego_body(sweeps, None) is None
+
+
+def test_sweeps_lie_on_each_other_by_their_motion() -> None:
+    drive, poses = Recorded(), right_poses()
+    first, last, ground = drive.sweep(0).points, drive.sweep(3).points, find_ground(_street())
+    right = inverse(poses[0]) @ poses[3]
+    assert share_on(first, last, right, ground) > 2 * share_on(first, last, np.eye(4), ground)
+    assert share_on(first, first, np.eye(4)) == 1.0
+    assert share_on(first, np.zeros((5, 3), np.float32), np.eye(4)) == 0.0
+
+
+def test_registration_that_fits_no_better_accuses_no_poses() -> None:
+    poses = right_poses()
+    wrong = Window(0, poses, inverse(poses))
+    assert explain_misfit([wrong]) is not None
+    assert explain_misfit([wrong._replace(better=False)]) is None
 
 
 def test_poses_that_fit_need_no_explanation() -> None:

@@ -18,10 +18,12 @@ from docdepth.config import OdometryParameters, Parameters
 from docdepth.datasets import Dataset, FrameRange, Sweep, usable_points
 from docdepth.datasets.recording import Recording
 from docdepth.errors import DocDepthError
+from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.inspection import findings
 from docdepth.inspection.ground_plane import GroundPlane, common_ground, find_ground
 from docdepth.inspection.lidar_figures import lidar_figures
+from docdepth.inspection.overlap import share_on
 from docdepth.inspection.pose_figures import Window, pose_figures, windows_of
 from docdepth.inspection.sweep_figures import ego_body, row_shares, time_figures
 from docdepth.odometry.odometry import estimate_poses
@@ -33,6 +35,7 @@ from docdepth.pipeline.sanity import warn_of_viewpoint
 from docdepth.pipeline.stage import recorded_warnings
 
 _WINDOW = 6  # sweeps that are registered with each other
+_BETTER = 1.1  # times the share of points on each other, by registration against given poses
 _ONE_PASS = OdometryParameters(passes=1)
 
 
@@ -100,7 +103,7 @@ def inspect_recording(
         if given is not None:
             with found.collected():
                 result.poses = check_given_poses(recording, given, _ONE_PASS)
-        result.windows = _register(recording, result.poses, result.notes)
+        result.windows = _register(recording, result)
         _look_at_poses(recording, result, "file" if poses is not None else "recording", found)
         for stream in recording.cameras.values():
             check_camera(recording, stream, result.sweeps, found)
@@ -158,20 +161,22 @@ def _look_at_sweeps(recording: Dataset, result: Inspection) -> None:
         }
 
 
-def _register(
-    recording: Dataset, poses: NDArray[np.float64] | None, notes: list[str]
-) -> list[Window]:
+def _register(recording: Dataset, result: Inspection) -> list[Window]:
     """Poses of a few pieces of the drive by registration alone."""
-    windows = []
+    poses, ground, windows = result.poses, result.ground, []
     for frames in windows_of(poses, len(recording), _WINDOW) if len(recording) > 1 else []:
         part = FrameRange(recording, f"{frames.start}:{frames.stop}")
         try:
             measured = estimate_poses(part, _ONE_PASS, threads=1)
         except DocDepthError as error:
-            notes.append(f"frames {frames.start} to {frames.stop - 1} are not registered: {error}")
+            result.notes.append(
+                f"frames {frames.start} to {frames.stop - 1} are not registered: {error}"
+            )
             continue
         given = measured if poses is None else poses[frames.start : frames.stop]
-        windows.append(Window(frames.start, given, measured))
+        first, last = (recording.sweep(k).points for k in (frames[0], frames[-1]))
+        shares = [share_on(first, last, inverse(p[0]) @ p[-1], ground) for p in (given, measured)]
+        windows.append(Window(frames.start, given, measured, shares[1] > _BETTER * shares[0]))
     return windows
 
 

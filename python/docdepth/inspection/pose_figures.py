@@ -41,11 +41,14 @@ class Window(NamedTuple):
         Frame of the first.
     given, measured : ndarray of float64, shape (n, 4, 4)
         ``T_world_lidar``; the two worlds may differ.
+    better : bool
+        The sweeps lie on each other better by ``measured`` than by ``given``.
     """
 
     first: int
     given: Poses
     measured: Poses
+    better: bool = True
 
 
 def pose_figures(poses: Poses, times: NDArray[np.int64]) -> dict[str, Any]:
@@ -106,7 +109,7 @@ def explain_misfit(
     str or None
         A sentence with its remedy; None where the poses fit, and where nothing explains them.
     """
-    moving = [w for w in windows if _size(w.measured) > _LEAST_MOTION and len(w.given) > 1]
+    moving = [w for w in windows if w.better and _size(w.measured) > _LEAST_MOTION]
     if not moving or all(_fits(w.given, w.measured) for w in moving):
         return None
     before = sum(misfit(w.given, w.measured) for w in moving)
