@@ -15,6 +15,20 @@ from docdepth.visualization.pictures import Picture
 
 _MARK = "<!-- docdepth inspect -->"
 _COLORS = {"error": "#b00020", "warning": "#a05a00", "note": "#555"}
+_MEANINGS = {
+    "sweeps": "stamps of the sweeps",
+    "lidars": "of a sweep from the middle; range: least, median, 99 % and largest; spacing: along "
+    "beams and across them; same ray, same point: shares of points with another one there",
+    "rows": "largest share of the rows of a sweep: not finite, at the origin, close to it (below "
+    "half a metre), in one other place",
+    "point_times": "span: first and last point after the stamp, in sweeps; turn: azimuth from point "
+    "to point in time",
+    "ground": "tilt: angle between z and the ground's normal (up); height of the frame's origin",
+    "poses": "speed: median and largest; turn from sweep to sweep",
+    "registered": "motion that sweeps show without poses",
+    "ego": "points that stay with the LiDAR while it moves: its vehicle",
+    "cameras": "field of view: horizontal; starts and ends: after the sweeps",
+}
 
 
 def write_inspection(
@@ -45,7 +59,10 @@ def write_inspection(
     title = f"docdepth: {Path(figures['recording']['path']).resolve().name}"
     parts = [head(title), _MARK, f"<p>docdepth {escape(__version__)}</p>", *_findings(findings)]
     for name, group in figures.items():
-        parts += [f"<h2>{escape(_words(name))}</h2>", _group(group)]
+        parts += [f"<h2>{escape(_words(name))}</h2>"]
+        if name in _MEANINGS:
+            parts.append(f"<p>{escape(_MEANINGS[name])}</p>")
+        parts.append(_group(group))
     parts += ["<h2>pictures</h2>", *(figure(picture, text) for picture, text in pictures)]
     content = "\n".join(parts).encode(errors="replace")
     try:
