@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from drives import COUNT, T_CAMERA_LIDAR, Recorded, camera, moved, right_poses, turned
 
+from docdepth.config import OdometryParameters
 from docdepth.datasets import Sweep, open_dataset
 from docdepth.errors import DatasetError, OdometryError
 from docdepth.geometry.se3 import (
@@ -22,6 +23,7 @@ from docdepth.geometry.se3 import (
 from docdepth.inspection.inspect import Inspection, inspect_recording
 from docdepth.inspection.pictures import pictures_of
 from docdepth.io.poses import read_poses, write_kitti
+from docdepth.odometry.odometry import estimate_poses
 
 
 def warnings_of(result: Inspection) -> list[str]:
@@ -267,6 +269,21 @@ def test_real_drives_have_no_warning(drive_0005: Path, drive_9001: Path) -> None
         assert result.figures["ground"]["tilt_deg"] < 2
         np.testing.assert_allclose(result.figures["ground"]["height_m"], 1.76, atol=0.05)
         assert result.figures["ego"] is not None
+
+
+@pytest.mark.slow
+def test_wrong_poses_of_a_real_drive_are_told(drive_0005: Path) -> None:
+    recording = open_dataset(drive_0005, frames="50:75")
+    poses = estimate_poses(recording, OdometryParameters(passes=1))
+    T = recording.cameras["image_02"].T_camera_lidar
+    assert warnings_of(inspect_recording(recording, poses)) == []
+    for wrong, text in (
+        (T @ poses @ inverse(T), "poses are of the camera image_02"),
+        (inverse(poses), "poses are T_lidar_world"),
+        (_mirrored(1)(poses), "wrong handedness"),
+        (_wrong_order(poses), "quaternions in the order w x y z"),
+    ):
+        assert text in "\n".join(warnings_of(inspect_recording(recording, wrong)))
 
 
 @pytest.mark.slow

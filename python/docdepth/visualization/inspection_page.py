@@ -21,8 +21,8 @@ _MEANINGS = {
     "beams and across them; same ray, same point: shares of points with another one there",
     "rows": "largest share of the rows of a sweep: not finite, at the origin, close to it (below "
     "half a metre), in one other place",
-    "point_times": "span: first and last point after the stamp, in sweeps; turn: azimuth from point "
-    "to point in time",
+    "point_times": "span: first and last point after the stamp, in sweeps; turn: azimuth from one "
+    "point to the next in time",
     "ground": "tilt: angle between z and the ground's normal (up); height of the frame's origin",
     "poses": "speed: median and largest; turn from sweep to sweep",
     "registered": "motion that sweeps show without poses",
