@@ -52,6 +52,19 @@ def test_a_wall_alone_and_a_cloud_without_a_plane_are_no_ground() -> None:
     assert find_ground(np.zeros((0, 3), np.float32)) is None
 
 
+def test_the_bank_of_a_road_is_no_ground() -> None:
+    """A bank beside a motorway is as large as the road, from which the ground falls on its side."""
+    pytest.importorskip("embreex")
+    from docdepth.synthetic import Drive, scene, sensor
+
+    motorway = Drive(scene("overtaking", 10), sensor("VLP-16"), 10, 10, True)
+    points = motorway.sweep(0).points
+    ground = find_ground(points[usable_points(points)])
+    assert ground is not None
+    assert ground.tilt_deg < 2
+    np.testing.assert_allclose(ground.height, 1.7, atol=0.1)
+
+
 def test_sweeps_must_agree_on_the_ground() -> None:
     level, tilted = (
         find_ground((_street() @ turned((angle, 0, 0))[:3, :3].T).astype(np.float32))

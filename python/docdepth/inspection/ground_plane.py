@@ -16,7 +16,7 @@ _NEAR_PLANE = 0.15  # metres
 _BELOW = 0.4  # metres; nothing is measured below the ground but mirror images
 _HEIGHTS = (-1.0, 30.0)  # metres of the origin above the ground; a vehicle's lies on it
 _SPREAD = 2.0  # metres, deviation of the ground's points along its shorter side
-_OTHER_DEG = 25.0  # from the ground: planes that are none
+_OTHER_DEG = 12.0  # from the ground: planes that are none
 _OTHER = 0.8  # of the ground's score that they may have, else nobody knows which one it is
 _LEAST_SHARE = 0.08  # of the points, on the ground
 _REFINED, _FITS = 40, 4  # planes of these that are fitted to their points, and how often
@@ -129,7 +129,7 @@ def _scores(
     below = (above < -_BELOW).mean(axis=0)
     level = np.clip((normals[:, 2] - _LEANING[1]) / (_LEANING[0] - _LEANING[1]), 0, 1)
     weight = (_TURNED + (1 - _TURNED) * level) * np.where(heights > _MOUNTED, _HIGH, 1.0)
-    scores = (on - 2 * below) * weight
+    scores = (on - below) * weight
     impossible = (heights < _HEIGHTS[0]) | (heights > _HEIGHTS[1])
     return np.asarray(np.where(impossible, -1.0, scores))
 
