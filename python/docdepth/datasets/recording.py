@@ -140,6 +140,11 @@ class Recording:
     def __len__(self) -> int:
         return len(self.times)
 
+    @property
+    def point_times(self) -> list[PointTimes | None]:
+        """How each LiDAR counts the times of its points; None where they are not known."""
+        return list(self._point_times)
+
     def sweep(self, index: int) -> Sweep:
         """Sweep ``index`` of all LiDARs, every row of the recording."""
         index = range(len(self))[index]

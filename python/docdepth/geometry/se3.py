@@ -28,9 +28,16 @@ def check_rigid(poses: NDArray[np.float64]) -> None:
     affine = (poses[:, 3] == (0, 0, 0, 1)).all(axis=1)
     bad = np.flatnonzero(~(finite & affine & are_rotations(poses[:, :3, :3])))
     if len(bad):
+        first = poses[bad[0]]
+        mirrored = np.isfinite(first).all() and np.linalg.det(first[:3, :3]) < 0
         raise InputError(
-            f"the pose of frame {bad[0]} is not a rotation and a translation; "
-            "poses are 4x4 matrices T_world_lidar with finite entries"
+            f"the pose of frame {bad[0]} is not a rotation and a translation"
+            + (
+                ", but a mirror image (determinant below 0): its frame is left-handed"
+                if mirrored
+                else ""
+            )
+            + "; poses are 4x4 matrices T_world_lidar with finite entries"
         )
 
 

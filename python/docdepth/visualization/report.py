@@ -8,14 +8,7 @@ from pathlib import Path
 
 from docdepth import __version__
 from docdepth.io.run_folder import RunFolder
-
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 1300px; padding: 0 1em }
-table { border-collapse: collapse; margin: 1em 0 }
-td, th { padding: .2em 1em .2em 0; text-align: left; vertical-align: top }
-figure { margin: 0 0 1em } img, video { max-width: 100% }
-figcaption { color: #666; font-size: 13px }
-"""
+from docdepth.visualization.page import head, table
 
 
 def index_is_whole(run: RunFolder) -> bool:
@@ -38,10 +31,9 @@ def write_index(run: RunFolder) -> Path:
     report = run.path / "report"
     title = f"docdepth: {run.path.resolve().name}"
     parts = [
-        f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(title)}</title>",
-        f"<style>{_STYLE}</style><h1>{escape(title)}</h1>",
-        _table((), _facts(run)),
-        _table(("stage", "frames", "seconds", "seconds by part"), _stages(run)),
+        head(title),
+        table((), _facts(run)),
+        table(("stage", "frames", "seconds", "seconds by part"), _stages(run)),
         *(_pictures(report, report / str(camera["folder"])) for camera in run.cameras.values()),
     ]
     path = report / "index.html"
@@ -73,15 +65,6 @@ def _stages(run: RunFolder) -> Iterable[tuple[str, ...]]:
         parts = ", ".join(f"{part} {seconds:.1f}" for part, seconds in spent)
         spent_in_all = f"{state.get('total_seconds', state.get('wall_seconds', 0)):.1f}"
         yield name, str(state.get("all_frames", "")), spent_in_all, parts
-
-
-def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
-    lines = (
-        ["<tr>" + "".join(f"<th>{escape(cell)}</th>" for cell in head) + "</tr>"] if head else []
-    )
-    for row in rows:
-        lines.append("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>")
-    return "<table>" + "\n".join(lines) + "</table>"
 
 
 def _pictures(report: Path, folder: Path) -> str:

@@ -1,0 +1,206 @@
+"""What the figures of a recording mean: warnings, each with its remedy, and notes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets import Dataset, image_streams, usable_points
+from docdepth.inspection.pose_figures import explain_misfit, rotations_are_missing
+from docdepth.pipeline.problems import Findings
+
+if TYPE_CHECKING:
+    from docdepth.inspection.inspect import Inspection
+
+MOVING = 0.05
+"""Metres a sweep, by registration; less may be its errors."""
+
+_TILT_DEG = 10.0  # between z and the ground's normal; vehicles pitch and mounts lean by less
+_ONE_PLACE = 0.005  # share of the rows in one place that is not the origin
+_FEW_ROWS = 0.001  # share of the rows that is not worth a word
+_CLOSE = 0.01  # share of the points closer than half a metre
+_SAME_RAY, _SAME_POINT = 0.02, 0.05  # shares: of one return 0 to 0.005, of a room in two 0.08
+_SPAN = (0.6, 1.3)  # of the time between sweeps that their points take
+_TURN_DEG = 20.0  # from point to point in time: 0 to 6, of shuffled times 90
+_WIDE_DEG = 180  # of the field of view of a LiDAR that turns
+_WANDERS = 5.0  # metres that the middle of the points moves though the points do not
+
+
+def stamp_figures(times: NDArray[np.int64]) -> dict[str, Any]:
+    """Count, rate, gaps and span of stamps [ns], ready for JSON."""
+    pauses = np.diff(times) * 1e-9
+    period = float(np.median(pauses)) if len(pauses) else None
+    return {
+        "count": len(times),
+        "from_s": int(times[0]) / 1e9 if len(times) else None,
+        "to_s": int(times[-1]) / 1e9 if len(times) else None,
+        "period_s": None if period is None else round(period, 6),
+        "rate_hz": None if not period else round(1 / period, 2),
+        "longest_gap_s": round(float(pauses.max()), 4) if len(pauses) else None,
+        "shortest_gap_s": round(float(pauses.min()), 4) if len(pauses) else None,
+    }
+
+
+def camera_figures(recording: Dataset) -> list[dict[str, Any]]:
+    """Images, rate and times against the sweeps of each camera, ready for JSON."""
+    images, figures = image_streams(recording), []
+    for name in dict.fromkeys([*recording.cameras, *images]):
+        stream = recording.cameras.get(name) or images[name]
+        entry: dict[str, Any] = {"name": name, "images": len(stream.images)}
+        entry["calibrated"] = name in recording.cameras
+        if stream.camera is not None:
+            camera = stream.camera
+            entry["size"] = [camera.width, camera.height]
+            field = 2 * np.degrees(np.arctan(camera.width / (2 * camera.K[0, 0])))
+            entry["field_of_view_deg"] = round(float(field), 1)
+        entry |= stamp_figures(stream.times)
+        if len(stream.times):
+            times = recording.times
+            inside = (stream.times >= times[0]) & (stream.times <= times[-1])
+            after = np.searchsorted(times, stream.times).clip(0, len(times) - 1)
+            apart = np.minimum(
+                np.abs(times[after] - stream.times),
+                np.abs(times[(after - 1).clip(0)] - stream.times),
+            )
+            entry["within_sweeps"] = int(inside.sum())
+            entry["starts_after_s"] = round(float(stream.times[0] - times[0]) * 1e-9, 4)
+            entry["ends_after_s"] = round(float(stream.times[-1] - times[-1]) * 1e-9, 4)
+            entry["from_nearest_sweep_s"] = round(float(np.median(apart)) * 1e-9, 4)
+        figures.append(entry)
+    return figures
+
+
+def judge(recording: Dataset, result: Inspection, found: Findings) -> None:
+    """Warn of what the figures show; what a run checks by itself is warned of already."""
+    where, figures = str(recording.path), result.figures
+    if not result.sweeps:
+        return
+    _judge_up(where, result, found)
+    _judge_rows(where, figures["rows"], result, found)
+    _judge_lidars(where, figures["lidars"], found)
+    _judge_times(where, result, found)
+    _judge_world(where, result, found)
+    if figures["ego"] is not None:
+        result.notes.append(
+            f"{figures['ego']['points']} points a sweep stay with the LiDAR, in the box x, y, z "
+            f"{figures['ego']['box_m']} m: its vehicle"
+        )
+
+
+def _judge_up(where: str, result: Inspection, found: Findings) -> None:
+    ground = result.ground
+    if ground is None:
+        result.notes.append(
+            "the ground is not one plane, or lies another way in each sweep, as seen by a "
+            "hand-held LiDAR: which way is up is not known"
+        )
+        return
+    if ground.tilt_deg <= _TILT_DEG:
+        return
+    axis = int(np.abs(ground.up).argmax())
+    like = ""
+    if axis != 2 or ground.up[2] < 0:
+        like = f", and {'-' if ground.up[axis] < 0 else ''}{'xyz'[axis]} is nearly up"
+    camera = " as in a camera's frame" if axis == 1 and ground.up[1] < 0 else ""
+    found.warn(
+        f"{where}: z of the points is {ground.tilt_deg:.0f} degrees from the ground's normal{like}"
+        f"{camera}; turn the points, their poses and extrinsics so that z is up, or look whether "
+        "what is taken for the ground is a wall"
+    )
+
+
+def _judge_rows(where: str, rows: dict[str, float], result: Inspection, found: Findings) -> None:
+    if rows["at_origin"] > _FEW_ROWS:
+        result.notes.append(
+            f"up to {100 * rows['at_origin']:.1f} % of the rows of a sweep are points at the "
+            "origin; they are no returns and are left out"
+        )
+    if rows["not_finite"] > _FEW_ROWS:
+        result.notes.append(
+            f"up to {100 * rows['not_finite']:.1f} % of the rows of a sweep are not finite; they "
+            "are left out"
+        )
+    if rows["close"] > _CLOSE:
+        result.notes.append(
+            f"{100 * rows['close']:.1f} % of the points are nearer than half a metre, of the "
+            "vehicle or the LiDAR itself; they are left out"
+        )
+    if rows["one_place"] > _ONE_PLACE:
+        found.warn(
+            f"{where}: {100 * rows['one_place']:.1f} % of the rows of a sweep are in one place "
+            "that is not the origin: no returns that were moved along with the points; remove "
+            "them before points are transformed"
+        )
+
+
+def _judge_lidars(where: str, lidars: list[dict[str, Any]], found: Findings) -> None:
+    for lidar in lidars:
+        name, same_ray, same_point = (lidar[k] for k in ("name", "same_ray", "same_point"))
+        if same_point > _SAME_POINT:
+            found.warn(
+                f"{where}: {100 * same_point:.0f} % of the points of {name} come twice; a packet "
+                "or a second return was written again: remove the copies"
+            )
+        elif same_ray > _SAME_RAY:
+            found.warn(
+                f"{where}: {100 * same_ray:.0f} % of the points of {name} share their ray with "
+                "another point, so the LiDAR records two returns; keep the strongest or the last "
+                "of each ray"
+            )
+
+
+def _judge_times(where: str, result: Inspection, found: Findings) -> None:
+    times, lidars = result.figures["point_times"], result.figures["lidars"]
+    if times is None:
+        if not result.figures["sweeps"]["motion_compensated"]:
+            result.notes.append("points have no times: sweeps are used as they were measured")
+        return
+    first, last = times["span"]
+    if times["span_s"] is not None and not _SPAN[0] < last - first < _SPAN[1]:
+        found.warn(
+            f"{where}: points of a sweep are measured within {last - first:.2f} of the time "
+            "between sweeps; are sweeps missing or cut? Look at the stamps, and say "
+            "point_time_unit in docdepth.yaml if the unit is wrong"
+        )
+    wide = bool(lidars) and lidars[0]["field_of_view_deg"]["horizontal"] > _WIDE_DEG
+    if wide and times["turn_deg"] > _TURN_DEG:
+        found.warn(
+            f"{where}: points that follow each other in time are {times['turn_deg']:.0f} degrees "
+            "apart (median), so times are not of their points; drop rows and their times together"
+        )
+
+
+def _judge_world(where: str, result: Inspection, found: Findings) -> None:
+    """Warn if the points are in the world, where the LiDAR moves and its points do not."""
+    if not result.windows:
+        return
+    steps = [np.linalg.norm(w.measured[-1, :3, 3]) / (len(w.measured) - 1) for w in result.windows]
+    middles = np.array(
+        [np.median(s.points[usable_points(s.points)], axis=0) for s in result.sweeps.values()]
+    )
+    wandered = float(np.linalg.norm(middles[-1] - middles[0]))
+    if max(steps) < MOVING and wandered > _WANDERS:
+        found.warn(
+            f"{where}: points stay in their place from sweep to sweep, yet their middle moves by "
+            f"{wandered:.0f} m: they are in the world, not in the LiDAR's frame. Say frame: world "
+            "and poses in docdepth.yaml; a VIEWPOINT of zeros is no pose"
+        )
+
+
+def judge_poses(recording: Dataset, result: Inspection, found: Findings) -> bool:
+    """Warn of poses that are something else; True if there is something to warn of."""
+    poses = result.poses
+    assert poses is not None
+    before = len(found.warnings)
+    if rotations_are_missing(poses):
+        found.warn(
+            f"{recording.path}: all poses have the same rotation, though their path turns; give "
+            "rotations as well as positions"
+        )
+    cameras = {name: stream.T_camera_lidar for name, stream in recording.cameras.items()}
+    text = explain_misfit(result.windows, cameras)
+    if text is not None:
+        found.warn(f"{recording.path}: {text}")
+    return len(found.warnings) > before

@@ -1,0 +1,216 @@
+"""Looks at a recording: what it holds, and frames, poses and times that are wrong.
+
+A few sweeps and images are opened and some sweeps registered, so that a drive of thousands of
+sweeps takes seconds. What a run checks when it starts is checked by the same functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.config import OdometryParameters, Parameters
+from docdepth.datasets import Dataset, FrameRange, Sweep, usable_points
+from docdepth.datasets.recording import Recording
+from docdepth.errors import DocDepthError
+from docdepth.geometry.se3 import inverse
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.inspection import findings
+from docdepth.inspection.ground_plane import GroundPlane, common_ground, find_ground
+from docdepth.inspection.lidar_figures import lidar_figures
+from docdepth.inspection.overlap import share_on
+from docdepth.inspection.pose_figures import Window, pose_figures, windows_of
+from docdepth.inspection.sweep_figures import ego_body, row_shares, time_figures
+from docdepth.odometry.odometry import estimate_poses
+from docdepth.odometry.pose_checks import check_given_poses, warn_of_jumps, warn_of_misfit
+from docdepth.pipeline.check_cameras import check_camera
+from docdepth.pipeline.check_sweeps import check_sweeps
+from docdepth.pipeline.problems import Findings, Problem
+from docdepth.pipeline.sanity import warn_of_viewpoint
+from docdepth.pipeline.stage import recorded_warnings
+
+_WINDOW = 6  # sweeps that are registered with each other
+_BETTER = 1.1  # times the share of points on each other, by registration against given poses
+_ONE_PASS = OdometryParameters(passes=1)
+
+
+@dataclass
+class Inspection:
+    """What a recording holds.
+
+    Attributes
+    ----------
+    figures : dict
+        Of the recording, its sweeps, LiDARs, points, poses and cameras, ready for JSON.
+    problems : list of Problem
+        Errors first; empty if all is well.
+    notes : list of str
+        What is unusual, but no problem.
+    sweeps : dict of int to Sweep
+        Those that were opened, by frame.
+    poses : ndarray of float64, shape (n, 4, 4), or None
+        ``T_world_lidar`` of every sweep.
+    windows : list of Window
+        Sweeps that were registered.
+    ground : GroundPlane or None
+    """
+
+    figures: dict[str, Any] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    sweeps: dict[int, Sweep] = field(default_factory=dict)
+    poses: NDArray[np.float64] | None = None
+    windows: list[Window] = field(default_factory=list)
+    ground: GroundPlane | None = None
+
+
+def inspect_recording(
+    recording: Dataset,
+    poses: NDArray[np.float64] | None = None,
+    parameters: Parameters | None = None,
+    opening: Sequence[str] = (),
+) -> Inspection:
+    """Look at a recording.
+
+    Parameters
+    ----------
+    recording : Dataset
+    poses : ndarray of float64, shape (n, 4, 4), optional
+        ``T_world_lidar`` of another SLAM; those of the recording if left out.
+    parameters : Parameters, optional
+        Ranges that odometry takes.
+    opening : sequence of str
+        Warnings of opening the recording.
+
+    Returns
+    -------
+    Inspection
+    """
+    result, found = Inspection(), Findings()
+    for text in opening:
+        found.warn(text)
+    given = recording.poses if poses is None else poses
+    with recorded_warnings() as logged:
+        files = [recording.sweep_files(k) for k in range(len(recording))]
+        sizes = np.array([_size(of_sweep) for of_sweep in files], np.int64)
+        result.sweeps = check_sweeps(recording, files, sizes, parameters or Parameters(), found)
+        _look_at_sweeps(recording, result)
+        if given is not None:
+            with found.collected():
+                result.poses = check_given_poses(recording, given, _ONE_PASS)
+        result.windows = _register(recording, result)
+        _look_at_poses(recording, result, "file" if poses is not None else "recording", found)
+        for stream in recording.cameras.values():
+            check_camera(recording, stream, result.sweeps, found)
+    for text in logged:
+        found.warn(text)
+    result.figures["cameras"] = findings.camera_figures(recording)
+    findings.judge(recording, result, found)
+    result.problems = found.all()
+    return result
+
+
+def _size(files: list[Path]) -> int:
+    try:
+        return files[0].stat().st_size if files else 0
+    except OSError:
+        return 0
+
+
+def _look_at_sweeps(recording: Dataset, result: Inspection) -> None:
+    """Figures of the times of sweeps and of those that were opened."""
+    sweeps, figures = list(result.sweeps.values()), result.figures
+    figures["recording"] = {
+        "path": str(recording.path),
+        "format": recording.name,
+        "lidars": list(recording.lidars),
+        "cameras": list(recording.cameras),
+        "poses": recording.poses is not None,
+    }
+    figures["sweeps"] = findings.stamp_figures(recording.times)
+    if not sweeps:
+        return
+    period = figures["sweeps"]["period_s"]
+    middle = sweeps[len(sweeps) // 2]
+    figures["sweeps"]["motion_compensated"] = middle.motion_compensated
+    figures["lidars"] = lidar_figures(middle, list(recording.lidars))
+    shares = [row_shares(sweep.points) for sweep in sweeps]
+    figures["rows"] = {name: max(s[name] for s in shares) for name in shares[0]}
+    figures["point_times"] = time_figures(middle, period)
+    whole = recording.whole if isinstance(recording, FrameRange) else recording
+    if figures["point_times"] is not None and isinstance(whole, Recording):
+        counts = [c for c in whole.point_times if c is not None]
+        figures["point_times"]["counted"] = [
+            {"from": count.origin, "unit_ns": count.unit, "shift_ns": count.shift}
+            for count in counts
+        ]
+    result.ground = common_ground([find_ground(s.points[usable_points(s.points)]) for s in sweeps])
+    figures["ground"] = None
+    if result.ground is not None:
+        ground = result.ground
+        figures["ground"] = {
+            "tilt_deg": round(ground.tilt_deg, 1),
+            "up": ground.up.round(3).tolist(),
+            "height_m": round(ground.height, 2),
+            "share": round(ground.share, 3),
+        }
+
+
+def _register(recording: Dataset, result: Inspection) -> list[Window]:
+    """Poses of a few pieces of the drive by registration alone."""
+    poses, ground, windows = result.poses, result.ground, []
+    for frames in windows_of(poses, len(recording), _WINDOW) if len(recording) > 1 else []:
+        part = FrameRange(recording, f"{frames.start}:{frames.stop}")
+        try:
+            measured = estimate_poses(part, _ONE_PASS, threads=1)
+        except DocDepthError as error:
+            result.notes.append(
+                f"frames {frames.start} to {frames.stop - 1} are not registered: {error}"
+            )
+            continue
+        given = measured if poses is None else poses[frames.start : frames.stop]
+        first, last = (recording.sweep(k).points for k in (frames[0], frames[-1]))
+        shares = [share_on(first, last, inverse(p[0]) @ p[-1], ground) for p in (given, measured)]
+        windows.append(Window(frames.start, given, measured, shares[1] > _BETTER * shares[0]))
+    return windows
+
+
+def _look_at_poses(recording: Dataset, result: Inspection, source: str, found: Findings) -> None:
+    """Figures of the poses, checks that a run makes of them, and the body of the vehicle."""
+    poses, figures = result.poses, result.figures
+    figures["poses"] = None
+    steps = [np.linalg.norm(w.measured[-1, :3, 3]) / (len(w.measured) - 1) for w in result.windows]
+    figures["registered"] = [
+        {"frames": [w.first, w.first + len(w.measured) - 1], "metres_a_sweep": round(float(s), 3)}
+        for w, s in zip(result.windows, steps, strict=True)
+    ]
+    if poses is not None:
+        figures["poses"] = {"source": source, **pose_figures(poses, recording.times)}
+        warn_of_jumps(Trajectory(recording.times, poses))
+        if not findings.judge_poses(recording, result, found) and np.ptp(poses, axis=0).any():
+            with found.collected():
+                warn_of_misfit(lambda k: recording.sweep(k).points, poses, _ONE_PASS)
+    figures["ego"] = None
+    if any(step > findings.MOVING for step in steps) and result.sweeps:
+        figures["ego"] = ego_body([s.points for s in result.sweeps.values()], result.ground)
+    if result.sweeps:
+        keys = list(result.sweeps)
+        warn_of_viewpoint(
+            lambda i: _usable(result.sweeps[keys[i]]),
+            lambda i: _usable_rig(result.sweeps[keys[i]]),
+            len(keys),
+        )
+
+
+def _usable(sweep: Sweep) -> NDArray[np.float32]:
+    return np.ascontiguousarray(sweep.points[usable_points(sweep.points)])
+
+
+def _usable_rig(sweep: Sweep) -> Any:
+    rig = sweep.sensor_rig
+    return None if rig is None else rig.select(usable_points(sweep.points))

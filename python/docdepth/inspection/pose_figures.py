@@ -1,0 +1,217 @@
+"""Poses against the motion that the sweeps show: what wrong poses are instead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.geometry.se3 import (
+    inverse,
+    matrix_to_quaternion,
+    quaternion_to_matrix,
+    rotation_exp,
+    rotation_log,
+)
+
+Poses = NDArray[np.float64]
+
+_LEVER = 10.0  # metres from the LiDAR at which a turn counts as a shift
+_FIT = (0.3, 0.05)  # metres, and share of the motion, by which right poses may differ
+_CLEARLY = 0.35  # of the misfit of the poses as they are
+_BETTER = 0.7  # of the misfit of an explanation before it in the list, which is commoner
+_LEAST_MOTION = 1.0  # metres in a window; less tells nothing
+_SCALES = (0.8, 1.25)
+_UNITS = {1000.0: "millimetres", 100.0: "centimetres", 0.001: "kilometres", 0.3048: "feet"}
+# Axes of a camera (x right, y down, z ahead) as seen by a LiDAR (x ahead, y left, z up).
+_OPTICAL = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+_SAME_TURN = 1e-6  # entries of rotations that differ less are the same
+_CURVE_DEG = 20.0  # by which a path turns that needs turning poses
+
+
+class Window(NamedTuple):
+    """Poses of a few sweeps that follow each other, and those that registration finds.
+
+    Attributes
+    ----------
+    first : int
+        Frame of the first.
+    given, measured : ndarray of float64, shape (n, 4, 4)
+        ``T_world_lidar``; the two worlds may differ.
+    better : bool
+        The sweeps lie on each other better by ``measured`` than by ``given``.
+    """
+
+    first: int
+    given: Poses
+    measured: Poses
+    better: bool = True
+
+
+def pose_figures(poses: Poses, times: NDArray[np.int64]) -> dict[str, Any]:
+    """Length, speeds, turns of a trajectory, ready for JSON."""
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    speed = steps / (np.diff(times) * 1e-9) if len(poses) > 1 else np.zeros(1)
+    turns = [
+        np.degrees(np.linalg.norm(rotation_log(a[:3, :3].T @ b[:3, :3])))
+        for a, b in pairwise(poses)
+    ]
+    return {
+        "length_m": round(float(steps.sum()), 2),
+        "extent_m": np.ptp(poses[:, :3, 3], axis=0).round(2).tolist(),
+        "speed_m_s": np.quantile(speed, [0.5, 1]).round(2).tolist(),
+        "largest_turn_deg": round(float(max(turns, default=0.0)), 2),
+    }
+
+
+def windows_of(poses: Poses | None, count: int, length: int) -> list[range]:
+    """Frames to register: where the drive turns most, and where it is fastest.
+
+    Without poses, those in the middle and at a quarter.
+    """
+    length = min(length, count)
+    starts = [count // 2, count // 4]
+    if poses is not None and count > length:
+        motions = inverse(poses[: -length + 1]) @ poses[length - 1 :]
+        moved = np.linalg.norm(motions[:, :3, 3], axis=1)
+        turned = np.array([np.linalg.norm(rotation_log(T[:3, :3])) for T in motions])
+        starts = [int(np.argmax(np.minimum(turned, 0.5) * (moved > _LEAST_MOTION)))]
+        starts.append(int(np.argsort(moved)[3 * len(moved) // 4]))
+    starts = [max(0, min(start, count - length)) for start in starts]
+    return [range(start, start + length) for start in dict.fromkeys(starts)]
+
+
+def misfit(given: Poses, measured: Poses) -> float:
+    """Distance by which the motion from the first to the last pose differs, metres.
+
+    The distance is that of a point ten metres away, so that it has the turn in it.
+    """
+    apart = inverse(_motion(measured)) @ _motion(given)
+    return _length(apart)
+
+
+def explain_misfit(
+    windows: Sequence[Window], cameras: dict[str, Poses] | None = None
+) -> str | None:
+    """What the poses are instead, where they do not fit the sweeps and something else does.
+
+    Parameters
+    ----------
+    windows : sequence of Window
+    cameras : dict of ndarray of float64, shape (4, 4), optional
+        ``T_camera_lidar`` of each camera.
+
+    Returns
+    -------
+    str or None
+        A sentence with its remedy; None where the poses fit, and where nothing explains them.
+    """
+    moving = [w for w in windows if w.better and _size(w.measured) > _LEAST_MOTION]
+    if not moving or all(_fits(w.given, w.measured) for w in moving):
+        return None
+    before = sum(misfit(w.given, w.measured) for w in moving)
+    best, best_text = before, None
+    for text, change in _changes(cameras or {}, moving).items():
+        changed = [change(w.given) for w in moving]
+        after = sum(misfit(p, w.measured) for p, w in zip(changed, moving, strict=True))
+        fits = all(_fits(p, w.measured) for p, w in zip(changed, moving, strict=True))
+        if fits and after < (_CLEARLY * before if best_text is None else _BETTER * best):
+            best, best_text = after, text
+    if best_text is None:
+        return None
+    return (
+        f"{best_text} (they then differ from the motion of {len(moving[0].given)} sweeps by "
+        f"{best / len(moving):.2f} m, now by {before / len(moving):.2f} m)"
+    )
+
+
+def rotations_are_missing(poses: Poses) -> bool:
+    """Whether all rotations are the same along a path that turns."""
+    if len(poses) < 3 or np.ptp(poses[:, :3, :3], axis=0).max() > _SAME_TURN:
+        return False
+    steps = np.diff(poses[:, :3, 3], axis=0)
+    steps = steps[np.linalg.norm(steps, axis=1) > 0.05]
+    if len(steps) < 2:
+        return False
+    ahead = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+    return bool((ahead @ ahead[0]).min() < np.cos(np.radians(_CURVE_DEG)))
+
+
+def _motion(poses: Poses) -> Poses:
+    return inverse(poses[0]) @ poses[-1]
+
+
+def _length(motion: Poses) -> float:
+    """Of a motion with its turn, metres."""
+    turn = float(np.linalg.norm(rotation_log(motion[:3, :3])))
+    return float(np.linalg.norm(motion[:3, 3])) + _LEVER * turn
+
+
+def _size(poses: Poses) -> float:
+    return float(np.linalg.norm(_motion(poses)[:3, 3]))
+
+
+def _fits(given: Poses, measured: Poses) -> bool:
+    return misfit(given, measured) < _FIT[0] + _FIT[1] * _length(_motion(measured))
+
+
+def _changes(cameras: dict[str, Poses], windows: Sequence[Window]) -> dict[str, Any]:
+    """Sentences, and what makes right poses of those that they are true of."""
+    changes: dict[str, Any] = {
+        "the poses are T_lidar_world; give their inverses T_world_lidar": inverse,
+        "the poses have quaternions in the order w x y z; write x y z w": _reordered,
+    }
+    for name, T in cameras.items():
+        text = (
+            f"the poses are of the camera {name}, not of the LiDAR; give T_world_camera "
+            "T_camera_lidar, or let docdepth estimate them"
+        )
+        changes[text] = lambda poses, T=T: poses @ T
+    changes[
+        "the poses are of a camera's frame (x right, y down, z ahead); convert them to the "
+        "LiDAR's by Tr^-1 T Tr"
+    ] = lambda poses: poses @ _OPTICAL
+    for axis, name in enumerate("xyz"):
+        S = np.eye(4)
+        S[axis, axis] = -1
+        changes[
+            f"poses and points are mirror images of each other (wrong handedness): change the sign "
+            f"of {name} of the points or of the poses"
+        ] = lambda poses, S=S: S @ poses @ S
+    for angle in (90, -180, -90):
+        T = np.eye(4)
+        T[:3, :3] = rotation_exp(np.radians([0.0, 0, angle]))
+        changes[
+            f"the poses are of a frame that is turned by {-angle} degrees about z against that of "
+            "the points; multiply them from the right by T_frame_lidar"
+        ] = lambda poses, T=T: poses @ T
+    scale = _scale(windows)
+    if scale is not None:
+        unit = next((u for s, u in _UNITS.items() if 0.8 < scale / s < 1.25), "another unit")
+        changes[f"positions of the poses are in {unit}, 1 m of the sweeps is {scale:.3g}; give "
+                "metres"] = lambda poses: _scaled(poses, 1 / scale)  # fmt: skip
+    return changes
+
+
+def _reordered(poses: Poses) -> Poses:
+    """Poses whose quaternions were read as x y z w, and are w x y z."""
+    result = poses.copy()
+    for pose in result:
+        x, y, z, w = matrix_to_quaternion(pose[:3, :3])
+        pose[:3, :3] = quaternion_to_matrix([y, z, w, x])
+    return result
+
+
+def _scale(windows: Sequence[Window]) -> float | None:
+    """How much longer the paths of the poses are than those of the sweeps."""
+    scale = sum(_size(w.given) for w in windows) / sum(_size(w.measured) for w in windows)
+    return None if _SCALES[0] < scale < _SCALES[1] or scale == 0 else float(scale)
+
+
+def _scaled(poses: Poses, factor: float) -> Poses:
+    result = poses.copy()
+    result[:, :3, 3] *= factor
+    return result

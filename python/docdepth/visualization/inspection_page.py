@@ -1,0 +1,121 @@
+"""The page of a recording: what it holds, what is wrong with it, and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from docdepth import __version__
+from docdepth.errors import DatasetError
+from docdepth.io.atomic import write_atomically
+from docdepth.visualization.page import figure, head, table
+from docdepth.visualization.pictures import Picture
+
+_MARK = "<!-- docdepth inspect -->"
+_COLORS = {"error": "#b00020", "warning": "#a05a00", "note": "#555"}
+_MEANINGS = {
+    "sweeps": "stamps of the sweeps",
+    "lidars": "of a sweep from the middle; range: least, median, 99 % and largest; spacing: along "
+    "beams and across them; same ray, same point: shares of points with another one there",
+    "rows": "largest share of the rows of a sweep: not finite, at the origin, close to it (below "
+    "half a metre), in one other place",
+    "point_times": "span: first and last point after the stamp, in sweeps; turn: azimuth from one "
+    "point to the next in time",
+    "ground": "tilt: angle between z and the ground's normal (up); height of the frame's origin",
+    "poses": "speed: median and largest; turn from sweep to sweep",
+    "registered": "motion that sweeps show without poses",
+    "ego": "points that stay with the LiDAR while it moves: its vehicle",
+    "cameras": "field of view: horizontal; starts and ends: after the sweeps",
+}
+
+
+def write_inspection(
+    path: Path,
+    figures: dict[str, Any],
+    findings: Sequence[tuple[str, str]],
+    pictures: Iterable[tuple[Picture, str]],
+) -> None:
+    """Write the page, in one file that needs nothing else.
+
+    Parameters
+    ----------
+    path : Path
+        A page that docdepth wrote is replaced, no other file.
+    figures : dict
+        Groups of figures by name: a dict, a list of dicts with the same keys, or None.
+    findings : sequence of (str, str)
+        Errors, warnings and notes, each with its severity.
+    pictures : iterable of (ndarray of uint8, str)
+        With captions.
+
+    Raises
+    ------
+    DatasetError
+        There is another file, or none can be written.
+    """
+    check_page(path)
+    title = f"docdepth: {Path(figures['recording']['path']).resolve().name}"
+    parts = [head(title), _MARK, f"<p>docdepth {escape(__version__)}</p>", *_findings(findings)]
+    for name, group in figures.items():
+        parts += [f"<h2>{escape(_words(name))}</h2>"]
+        if name in _MEANINGS:
+            parts.append(f"<p>{escape(_MEANINGS[name])}</p>")
+        parts.append(_group(group))
+    parts += ["<h2>pictures</h2>", *(figure(picture, text) for picture, text in pictures)]
+    content = "\n".join(parts).encode(errors="replace")
+    try:
+        write_atomically(path, lambda stream: stream.write(content))
+    except OSError as error:
+        raise DatasetError(
+            f"{path} cannot be written ({error.strerror}); name another file (-o)"
+        ) from None
+
+
+def check_page(path: Path) -> None:
+    """Refuse a file that docdepth did not write.
+
+    Raises
+    ------
+    DatasetError
+    """
+    if path.is_dir():
+        raise DatasetError(f"{path} is a folder; name a file for the page (-o)")
+    if path.is_file() and _MARK.encode() not in path.read_bytes()[:4000]:
+        raise DatasetError(f"{path} is no page of docdepth inspect; name another file (-o)")
+
+
+def as_text(value: Any) -> str:
+    """A figure in words."""
+    if isinstance(value, dict):
+        return ", ".join(f"{_words(key)} {as_text(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return " ".join(as_text(item) for item in value) or "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.3f}" if abs(value) > 1e6 else f"{value:.4g}"
+    return "unknown" if value is None else str(value)
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _findings(findings: Sequence[tuple[str, str]]) -> Iterator[str]:
+    if not any(severity != "note" for severity, _ in findings):
+        yield "<p>No problem was found.</p>"
+    for severity, text in findings:
+        color = _COLORS[severity]
+        yield f'<p><b style="color:{color}">{severity}</b> {escape(text)}</p>'
+
+
+def _group(group: Any) -> str:
+    if isinstance(group, list) and group:
+        names = list(dict.fromkeys(key for entry in group for key in entry))
+        rows = [tuple(as_text(entry.get(name)) for name in names) for entry in group]
+        return table(tuple(_words(name) for name in names), rows)
+    if isinstance(group, dict):
+        return table((), ((_words(key), as_text(value)) for key, value in group.items()))
+    return f"<p>{'none' if not group else escape(as_text(group))}</p>"

@@ -1,0 +1,328 @@
+"""Frames, poses and times that are wrong are found, each with what it is; right ones are not."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from drives import COUNT, T_CAMERA_LIDAR, Recorded, camera, moved, right_poses, turned
+
+from docdepth.config import OdometryParameters
+from docdepth.datasets import Sweep, open_dataset
+from docdepth.errors import DatasetError, OdometryError
+from docdepth.geometry.se3 import (
+    inverse,
+    matrix_to_quaternion,
+    quaternion_to_matrix,
+)
+from docdepth.inspection.inspect import Inspection, inspect_recording
+from docdepth.inspection.pictures import pictures_of
+from docdepth.io.poses import read_poses, write_kitti
+from docdepth.odometry.odometry import estimate_poses
+
+
+def warnings_of(result: Inspection) -> list[str]:
+    return [problem.text for problem in result.problems]
+
+
+def test_a_right_recording_has_no_warning() -> None:
+    result = inspect_recording(Recorded(cameras=camera()))
+    assert warnings_of(result) == []
+    figures = result.figures
+    assert figures["sweeps"]["rate_hz"] == 10
+    assert figures["lidars"][0]["beams"] == 24
+    np.testing.assert_allclose(figures["lidars"][0]["spacing_deg"], [0.985, 32 / 23], atol=0.02)
+    np.testing.assert_allclose(
+        figures["lidars"][0]["field_of_view_deg"]["vertical"], [-24, 8], atol=0.1
+    )
+    assert figures["ground"]["tilt_deg"] < 2
+    np.testing.assert_allclose(figures["ground"]["height_m"], 1.8, atol=0.1)
+    assert figures["point_times"]["span"] == [-0.5, 0.497]
+    np.testing.assert_allclose(figures["poses"]["length_m"], 1.1 * (COUNT - 1), rtol=0.01)
+    np.testing.assert_allclose(figures["registered"][0]["metres_a_sweep"], 1.1, atol=0.1)
+    assert figures["cameras"][0]["within_sweeps"] == COUNT
+
+
+def test_the_same_without_poses() -> None:
+    result = inspect_recording(Recorded(poses=None))
+    assert warnings_of(result) == []
+    assert result.figures["poses"] is None
+
+
+# ---- poses
+
+
+def _mirrored(axis: int) -> Callable[[np.ndarray], np.ndarray]:
+    S = np.eye(4)
+    S[axis, axis] = -1
+    return lambda poses: S @ poses @ S
+
+
+def _of_camera(poses: np.ndarray) -> np.ndarray:
+    return T_CAMERA_LIDAR @ poses @ inverse(T_CAMERA_LIDAR)
+
+
+def _scaled(factor: float) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda poses: np.concatenate(
+        [poses[:, :, :3], poses[:, :, 3:] * np.array([factor] * 3 + [1])[:, None]], axis=2
+    )
+
+
+def _wrong_order(poses: np.ndarray) -> np.ndarray:
+    """Quaternions w x y z in a file that is read as x y z w."""
+    result = poses.copy()
+    for pose in result:
+        x, y, z, w = matrix_to_quaternion(pose[:3, :3])
+        pose[:3, :3] = quaternion_to_matrix([w, x, y, z])
+    return result
+
+
+def _without_rotations(poses: np.ndarray) -> np.ndarray:
+    result = poses.copy()
+    result[:, :3, :3] = np.eye(3)
+    return result
+
+
+def _jumping(poses: np.ndarray) -> np.ndarray:
+    result = poses.copy()
+    result[5:, 1, 3] += 3
+    return result
+
+
+WRONG_POSES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
+    "identity": (lambda p: np.repeat(np.eye(4)[None], len(p), axis=0), "all poses are the same"),
+    "inverse": (inverse, "poses are T_lidar_world"),
+    "camera": (_of_camera, "poses are of the camera front, not of the LiDAR"),
+    "mirrored": (_mirrored(1), "mirror images of each other (wrong handedness)"),
+    "turned": (lambda p: p @ turned((0, 0, 90)), "a frame that is turned by 90 degrees about z"),
+    "millimetres": (_scaled(1000), "positions of the poses are in millimetres"),
+    "half": (_scaled(0.5), "positions of the poses are in another unit"),
+    "quaternions": (_wrong_order, "quaternions in the order w x y z"),
+    "rotations": (_without_rotations, "all poses have the same rotation"),
+    "jump": (_jumping, "the trajectory jumps: at frame 4"),
+    "shuffled": (lambda p: p[[0, 3, 6, 9, 1, 4, 7, 2, 5, 8]], "do not fit the sweeps"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_POSES)
+def test_wrong_poses_are_told(name: str) -> None:
+    change, text = WRONG_POSES[name]
+    result = inspect_recording(Recorded(poses=None, cameras=camera()), change(right_poses()))
+    assert text in "\n".join(warnings_of(result))
+
+
+def test_poses_in_any_other_world_are_right() -> None:
+    T = turned((100, 20, -60))
+    T[:3, 3] = 4e5, 5e6, 100
+    assert warnings_of(inspect_recording(Recorded(poses=T @ right_poses()))) == []
+
+
+def test_poses_that_are_no_rotations_but_mirrors(tmp_path: Path) -> None:
+    poses = right_poses()
+    poses[:, :3, 1] *= -1
+    write_kitti(tmp_path / "poses.txt", poses)
+    with pytest.raises(OdometryError, match=r"frame 0 .* mirror image .* left-handed"):
+        read_poses(tmp_path / "poses.txt")
+
+
+# ---- points
+
+
+def _dual(sweep: Sweep, _: int) -> Sweep:
+    """Half of the rays return twice."""
+    again = sweep.points[::2] * np.float32(1.3)
+    late = sweep.relative_time
+    assert late is not None
+    return replace(
+        sweep,
+        points=np.concatenate([sweep.points, again]),
+        relative_time=np.concatenate([late, late[::2]]),
+    )
+
+
+def _copied(sweep: Sweep, _: int) -> Sweep:
+    late = sweep.relative_time
+    assert late is not None
+    return replace(sweep, points=np.tile(sweep.points, (2, 1)), relative_time=np.tile(late, 2))
+
+
+def _shuffled_times(sweep: Sweep, index: int) -> Sweep:
+    late = sweep.relative_time
+    assert late is not None
+    return replace(sweep, relative_time=np.random.default_rng(index).permutation(late))
+
+
+def _in_the_world(sweep: Sweep, index: int) -> Sweep:
+    return moved(right_poses()[index])(sweep, index)
+
+
+WRONG_POINTS: dict[str, tuple[Any, str]] = {
+    "tilted": (moved(turned((0, 45, 0))), "z of the points is 4[4-6] degrees"),
+    "of a camera": (moved(T_CAMERA_LIDAR), "-y is nearly up as in a camera's frame"),
+    "upside down": (moved(turned((180, 0, 0))), "-z is nearly up"),
+    "moved zeros": (moved(turned((0, 0, 30)) + np.eye(4, k=3)), "in one place that is not the"),
+    "two returns": (_dual, "LiDAR records two returns"),
+    "copies": (_copied, "come twice"),
+    "times of others": (_shuffled_times, "times are not of their points"),
+    "short times": (
+        lambda sweep, _: replace(sweep, relative_time=sweep.relative_time / 3),
+        "within 0.33 of the time between sweeps",
+    ),
+    "in the world": (_in_the_world, "they are in the world, not in the LiDAR's frame"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_POINTS)
+def test_wrong_points_are_told(name: str) -> None:
+    change, text = WRONG_POINTS[name]
+    result = inspect_recording(Recorded(poses=None, change=change))
+    assert re.search(text, "\n".join(warnings_of(result)))
+
+
+def test_a_viewpoint_of_zeros_is_no_pose(tmp_path: Path) -> None:
+    """Points are in the world, and nobody wrote the poses: told, or refused if asked for."""
+    for k, pose in enumerate(right_poses()):
+        points = moved(pose)(Recorded().sweep(k), k).points[::2]
+        header = (
+            "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+            f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\n"
+            "DATA binary\n"
+        )
+        (tmp_path / f"{k:06d}.pcd").write_bytes(header.encode() + points.astype("<f4").tobytes())
+    settings = tmp_path / "docdepth.yaml"
+    settings.write_text("rate: 10\nmotion_compensated: true\n")
+    found = "\n".join(warnings_of(inspect_recording(open_dataset(tmp_path))))
+    assert "a VIEWPOINT of zeros is no pose" in found
+    settings.write_text("rate: 10\nmotion_compensated: true\nframe: world\nposes: viewpoint\n")
+    with pytest.raises(DatasetError, match="VIEWPOINT is 0 0 0 1 0 0 0 in every file"):
+        open_dataset(tmp_path)
+
+
+def test_mirrored_points_do_not_fit_right_poses() -> None:
+    change = moved(np.diag([1.0, -1, 1, 1]))
+    assert "wrong handedness" in "\n".join(warnings_of(inspect_recording(Recorded(change=change))))
+
+
+def test_points_at_the_origin_are_noted_and_no_warning() -> None:
+    def zeros(sweep: Sweep, _: int) -> Sweep:
+        points = sweep.points.copy()
+        points[::5] = 0
+        return replace(sweep, points=points)
+
+    result = inspect_recording(Recorded(poses=None, change=zeros))
+    assert warnings_of(result) == []
+    assert any("points at the origin" in note for note in result.notes)
+
+
+# ---- times
+
+
+@pytest.mark.parametrize(
+    ("late_ns", "text"),
+    [
+        (10**18, "none of the 10 images of front lies between"),
+        (-4 * 10**8, "4 of 10 images lie outside the sweeps"),
+    ],
+)
+def test_clocks_that_differ(late_ns: int, text: str) -> None:
+    result = inspect_recording(Recorded(poses=None, cameras=camera(late_ns)))
+    assert text in "\n".join(warnings_of(result))
+
+
+def test_a_gap_and_a_wrong_unit_of_stamps() -> None:
+    times = Recorded().times.copy()
+    times[4:] += 3 * 10**8
+    assert "usually 0.10 s; are sweeps missing" in "\n".join(
+        warnings_of(inspect_recording(Recorded(poses=None, times=times)))
+    )
+    times = Recorded().times // 1000
+    assert "Are the times in seconds?" in "\n".join(
+        warnings_of(inspect_recording(Recorded(poses=None, times=times)))
+    )
+
+
+# ---- whole recordings
+
+
+def test_a_synthetic_drive_has_no_warning(drive: Path) -> None:
+    recording = open_dataset(drive)
+    result = inspect_recording(recording)
+    assert warnings_of(result) == []
+    assert result.figures["lidars"][0]["beams"] == 16
+    captions = [caption for _, caption in pictures_of(recording, result)]
+    assert sum("by the given poses" in caption for caption in captions) == 1
+    on_images = [caption for caption in captions if "on image" in caption]
+    assert len(on_images) == len(recording.cameras)
+
+
+@pytest.mark.slow
+def test_real_drives_have_no_warning(drive_0005: Path, drive_9001: Path) -> None:
+    for path in (drive_0005, drive_9001):
+        result = inspect_recording(open_dataset(path))
+        assert warnings_of(result) == []
+        assert result.figures["lidars"][0]["beams"] == 64
+        assert result.figures["ground"]["tilt_deg"] < 2
+        np.testing.assert_allclose(result.figures["ground"]["height_m"], 1.76, atol=0.05)
+        assert result.figures["ego"] is not None
+
+
+@pytest.mark.slow
+def test_wrong_poses_of_a_real_drive_are_told(drive_0005: Path) -> None:
+    recording = open_dataset(drive_0005, frames="50:75")
+    poses = estimate_poses(recording, OdometryParameters(passes=1))
+    T = recording.cameras["image_02"].T_camera_lidar
+    assert warnings_of(inspect_recording(recording, poses)) == []
+    for wrong, text in (
+        (T @ poses @ inverse(T), "poses are of the camera image_02"),
+        (inverse(poses), "poses are T_lidar_world"),
+        (_mirrored(1)(poses), "wrong handedness"),
+        (_wrong_order(poses), "quaternions in the order w x y z"),
+    ):
+        assert text in "\n".join(warnings_of(inspect_recording(recording, wrong)))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_real_capture_of_an_ouster(recordings: Path) -> None:
+    pytest.importorskip("ouster.sdk")
+    result = inspect_recording(
+        open_dataset(recordings / "ouster" / "OS-1-128_v2.3.0_1024x10_lb_n3.pcap")
+    )
+    assert warnings_of(result) == []
+    assert result.figures["lidars"][0]["beams"] == 128
+    assert result.figures["ground"]["tilt_deg"] < 2
+    np.testing.assert_allclose(result.figures["registered"][0]["metres_a_sweep"], 0.25, atol=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_real_packets_of_a_velodyne_in_a_room(recordings: Path) -> None:
+    pytest.importorskip("rosbags")
+    pytest.importorskip("velodyne_decoder")
+    path = recordings / "nebula" / "vlp16" / "1673400471837873222"
+    result = inspect_recording(open_dataset(path))
+    assert warnings_of(result) == []
+    assert result.figures["lidars"][0]["beams"] == 15, "the lowest one sees nothing"
+    assert result.ground is None
+
+
+@pytest.mark.slow
+def test_two_returns_of_a_real_lidar(recordings: Path) -> None:
+    """Rows that follow each other lie on one ray, half a metre to 13 m apart."""
+    path = recordings / "nebula" / "hesai_xt32"
+    result = inspect_recording(open_dataset(path, format="folder"))
+    assert ["records two returns" in text for text in warnings_of(result)] == [True]
+
+
+@pytest.mark.slow
+def test_a_real_scene_of_dgp_needs_to_know_where_it_looks_from(recordings: Path) -> None:
+    """Points are in the vehicle's frame, whose origin is on the ground, of several LiDARs."""
+    result = inspect_recording(open_dataset(recordings / "dgp"))
+    assert ["looks_from" in text for text in warnings_of(result)] == [True]
+    np.testing.assert_allclose(result.figures["ground"]["height_m"], 0, atol=0.3)
+    assert len(result.figures["cameras"]) == 3

@@ -1,0 +1,39 @@
+"""Sweeps over each other and points on images: what is drawn where."""
+
+import numpy as np
+
+from docdepth.geometry.camera import Camera
+from docdepth.visualization.overlays import COLORS, clouds_in_plane, points_on_image
+
+
+def test_x_points_up_y_to_the_left_and_colours_add_up() -> None:
+    both, first, second = [0.0, 0, 0], [8.0, 0, 0], [0.0, 8, 0]
+    clouds = [np.array([both, first]), np.array([both, second])]
+    picture = clouds_in_plane(clouds, np.zeros((2, 3)), reach=10, size=200)
+    assert picture.shape == (200, 200, 3)
+    assert tuple(picture[20, 100]) == COLORS[0], "ahead is up"
+    assert tuple(picture[100, 20]) == COLORS[1], "left is left"
+    without = clouds_in_plane(clouds, None, reach=10, size=200)
+    total = np.minimum(np.add(*COLORS[:2]), 255)
+    assert (without == total).all(axis=2).sum() == 1
+
+
+def test_far_points_do_not_shrink_the_picture_and_none_is_none() -> None:
+    cloud = np.random.default_rng(0).uniform(-10, 10, (1000, 3))
+    cloud[0] = 1e6
+    picture = clouds_in_plane([cloud], size=300)
+    assert (picture.max(axis=2) > 60).mean() > 0.01
+    assert clouds_in_plane([np.zeros((0, 3))]).ndim == 3
+
+
+def test_the_nearest_point_of_a_pixel_is_drawn_and_none_behind_the_camera() -> None:
+    camera = Camera(np.array([[100.0, 0, 50], [0, 100, 40], [0, 0, 1]]), 100, 80)
+    near, far = (np.array([[0.0, 0, z]]) for z in (5, 60))
+    behind = np.array([[0.0, 0, -5]])
+    image = np.full((80, 100, 3), 90, np.uint8)
+    alone = points_on_image(near, camera, np.eye(4), image)
+    both = points_on_image(np.concatenate([far, near, behind]), camera, np.eye(4), image)
+    np.testing.assert_array_equal(alone, both)
+    assert not np.array_equal(alone[40, 50], alone[5, 5])
+    nothing = points_on_image(behind, camera, np.eye(4), image)
+    assert np.array_equal(nothing[40, 50], nothing[5, 5])
