@@ -60,13 +60,14 @@ def check(
     """
     from docdepth.config import parameters
     from docdepth.pipeline.check import report_inputs
+    from docdepth.pipeline.given_poses import poses_entry
 
     changes = changes_of(settings) | output_of(format, scale, layers)
     source = {
         "dataset": str(dataset),
         "name": layout,
         "camera": listed(camera),
-        "poses": None if poses is None else str(poses),
+        "poses": poses_entry(poses),
         "camera_times": None if camera_times is None else str(camera_times),
         "calibration": None if calibration is None else str(calibration),
         "image_size": image_size,

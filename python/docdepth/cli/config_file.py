@@ -41,7 +41,7 @@ class Given:
         dataset: Path | None,
         layout: str | None,
         camera: str | list[str] | None,
-        poses: Path | None,
+        poses: str | None,
         camera_times: Path | None,
         image_size: str | None,
         frames: str | None,

@@ -65,12 +65,12 @@ Frames = Annotated[
     ),
 ]
 PosesFile = Annotated[
-    Path | None,
+    str | None,
     typer.Option(
         "--poses",
         metavar="FILE",
-        help="Poses of the LiDAR from your own SLAM, TUM or KITTI format, one per sweep; "
-        "estimated if absent.",
+        help="Poses of the LiDAR from your own SLAM, one per sweep: TUM, KITTI, PLY or NPY. "
+        "CAMERA:FILE for those of a camera, dataset for the recording's own; estimated if absent.",
     ),
 ]
 CameraTimes = Annotated[

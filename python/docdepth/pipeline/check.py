@@ -23,6 +23,7 @@ from docdepth.io.poses import read_poses
 from docdepth.pipeline.check_cameras import check_camera
 from docdepth.pipeline.check_resources import check_resources, estimate, gigabytes
 from docdepth.pipeline.check_sweeps import check_sweeps
+from docdepth.pipeline.given_poses import file_of_poses, refuse_poses_of_a_camera
 from docdepth.pipeline.problems import Findings, Problem, raise_problems
 from docdepth.pipeline.run_inputs import known_poses, open_inputs
 from docdepth.render.layers import check_layers
@@ -95,7 +96,9 @@ def check_opened(
     found = Findings()
     _check_parameters(parameters, found)
     with found.collected():
-        known_poses(source, recording)
+        poses = known_poses(source, recording)
+        if poses is not None and source.get("poses"):
+            refuse_poses_of_a_camera(str(source["poses"]), recording, poses, parameters.odometry)
     files = [recording.sweep_files(k) for k in range(len(recording))]
     sweeps = check_sweeps(recording, files, _sizes(files), parameters, found)
     for stream in cameras:
@@ -135,8 +138,8 @@ def _check_files_of_options(source: dict[str, Any], found: Collector) -> None:
         if source.get("calibration"):
             read_camera_calibration(Path(source["calibration"]))
     with found.collected():
-        if source["poses"]:
-            read_poses(Path(source["poses"]))
+        if source["poses"] and (poses := file_of_poses(str(source["poses"]))):
+            read_poses(poses)
 
 
 def _check_parameters(parameters: Parameters, found: Collector) -> None:

@@ -14,6 +14,7 @@ from docdepth.errors import DamagedFileError, DocDepthError, RunError
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.check import check_inputs, check_opened
 from docdepth.pipeline.classify import run_classify
+from docdepth.pipeline.given_poses import poses_entry
 from docdepth.pipeline.graph import outdated
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.odometry import run_odometry
@@ -76,8 +77,9 @@ def run(
     camera : str or sequence of str, optional
         Cameras to render, or ``all``; the left colour camera if absent. Cameras that the run has
         already stay.
-    poses : Path, optional
-        LiDAR poses ``T_world_lidar`` in TUM or KITTI format; estimated if absent.
+    poses : Path or str, optional
+        File of LiDAR poses ``T_world_lidar`` (TUM, KITTI, PLY, NPY); ``CAMERA:FILE`` for those of
+        a camera; ``dataset`` for the recording's own. Estimated if absent.
     camera_times : Path, optional
         Image times in seconds, one a line; those of the recording if absent.
     calibration : Path, optional
@@ -115,7 +117,7 @@ def run(
         "dataset": _absolute(dataset),
         "name": layout,
         "camera": camera if camera is None or isinstance(camera, str) else list(camera),
-        "poses": _absolute(poses),
+        "poses": poses_entry(poses),
         "camera_times": _absolute(camera_times),
         "image_size": image_size,
         "frames": frames,
