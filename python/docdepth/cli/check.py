@@ -13,6 +13,7 @@ from docdepth.cli.options import (
     CameraTimes,
     Formats,
     Frames,
+    GivenLabels,
     ImageSize,
     LayerNames,
     Layout,
@@ -47,6 +48,7 @@ def check(
     poses: PosesFile = None,
     camera_times: CameraTimes = None,
     calibration: CalibrationFile = None,
+    labels: GivenLabels = None,
     image_size: ImageSize = None,
     preset: PresetName = "default",
     settings: Settings = None,
@@ -70,6 +72,7 @@ def check(
         "poses": poses_entry(poses),
         "camera_times": None if camera_times is None else str(camera_times),
         "calibration": None if calibration is None else str(calibration),
+        "labels": None if labels is None else str(labels),
         "image_size": image_size,
         "frames": frames,
     }

@@ -90,6 +90,15 @@ CalibrationFile = Annotated[
         "taken in place of the recording's own calibration.",
     ),
 ]
+GivenLabels = Annotated[
+    Path | None,
+    typer.Option(
+        "--labels",
+        metavar="DIR",
+        help="Draw with the classes of another method: a folder of NAME.label (SemanticKITTI) or "
+        "NAME.npy (classid) for each sweep, or a run. Nothing is classified then.",
+    ),
+]
 ImageSize = Annotated[
     str | None,
     typer.Option(

@@ -14,6 +14,7 @@ from docdepth.errors import DamagedFileError, DocDepthError, RunError
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.check import check_inputs, check_opened
 from docdepth.pipeline.classify import run_classify
+from docdepth.pipeline.given_labels import open_labels, take_labels
 from docdepth.pipeline.given_poses import poses_entry
 from docdepth.pipeline.graph import outdated
 from docdepth.pipeline.input_files import InputFiles
@@ -50,6 +51,7 @@ def run(
     poses: Path | str | None = None,
     camera_times: Path | str | None = None,
     calibration: Path | str | None = None,
+    labels: Path | str | None = None,
     image_size: str | None = None,
     frames: str | None = None,
     hash_inputs: bool = False,
@@ -85,6 +87,9 @@ def run(
     calibration : Path, optional
         ``calib.json`` of :mod:`docdepth.calibration`, or a text file of ``T_camera_lidar``, taken
         in place of the recording's own.
+    labels : Path, optional
+        Folder of labels of another method, ``NAME.label`` or ``NAME.npy`` for each sweep: nothing
+        is classified then.
     image_size : str, optional
         ``WIDTHxHEIGHT`` in pixels, for recordings that do not tell it.
     frames : str, optional
@@ -124,6 +129,8 @@ def run(
     }
     if calibration is not None:
         inputs["calibration"] = _absolute(calibration)
+    if labels is not None:
+        inputs["labels"] = _absolute(labels)
     values, place = parameters or Parameters(), Path(output)
     recording, streams = _open(inputs, values, place)
     inputs["dataset"] = _absolute(recording.path)  # a folder that holds one recording may be given
@@ -133,6 +140,8 @@ def run(
     _follow_recording(folder, recording)
     folder.start(inputs, values, force)
     register(folder, streams)
+    if labels is not None:
+        open_labels(folder)
     if dry_run:
         _check(folder, recording)
     else:
@@ -181,6 +190,7 @@ def render_again(
     camera: str | Sequence[str] | None = None,
     virtual: tuple[str, dict[str, Any]] | None = None,
     *,
+    labels: Path | str | None = None,
     threads: int = 0,
     renderer: Renderer | None = None,
     progress: Progress | None = None,
@@ -198,6 +208,8 @@ def render_again(
         Cameras of the recording to render; all cameras of the run if absent.
     virtual : (str, dict), optional
         Name and description of a virtual camera, from :func:`virtual_camera`.
+    labels : Path, optional
+        Folder of labels of another method, which replace the classes of the run.
     threads, renderer, progress
         As for :func:`run`.
 
@@ -209,8 +221,11 @@ def render_again(
         A parameter is refused, or a virtual camera has the name of another.
     """
     folder = RunFolder.open(Path(output))
-    require(folder, "classify")
+    require(folder, "classify" if labels is None else "odometry")
     _check_place(folder)
+    if labels is not None:
+        folder.manifest["source"]["labels"] = _absolute(labels)
+        open_labels(folder)
     source, changes = folder.manifest["source"], changes or {}
     recording = open_recording(source) if source else RunDataset(folder.path)
     named: list[str] = []
@@ -235,6 +250,8 @@ def render_again(
     cameras = run_cameras(folder, recording, named or None)
     streams = [camera.stream for camera in cameras]
     try:
+        if labels is not None:
+            take_labels(folder, progress)
         run_render(folder, streams, threads, progress, renderer)
     except DocDepthError:
         _forget_cameras(folder.path, new)
