@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from docdepth.cli import calibrate, check, stages, status, support, truth
+from docdepth.cli import calibrate, check, convert, stages, status, support, truth
 from docdepth.cli.failures import STOPPED, report
 from docdepth.cli.terminal import Quiet, Verbose, app, out, print_any_path, set_volume
 
-__all__ = ["app", "calibrate", "check", "main", "stages", "status", "support", "truth"]
+__all__ = ["app", "calibrate", "check", "convert", "main", "stages", "status", "support", "truth"]
 
 
 @app.callback(invoke_without_command=True)

@@ -22,6 +22,9 @@ from docdepth.geometry.points import (
 from docdepth.io.atomic import WriteFile, write_atomically
 from docdepth.io.frames import FrameRecord
 
+LABEL_FORMATS = ("label", "classid", "pcd")
+"""What labels are converted to: SemanticKITTI's, NPY, and PCD with the class as intensity."""
+
 SUFFIXES = (".label", ".npy")
 
 _Classes = NDArray[np.uint16]
@@ -83,6 +86,11 @@ def read_classes(file: Path, points: int, frame: int) -> tuple[_Classes, _Classe
         )
     labels = np.frombuffer(content, "<u4")
     _check_count(len(labels), file, points, frame)
+    return classes_of_labels(labels)
+
+
+def classes_of_labels(labels: NDArray[np.uint32]) -> tuple[_Classes, _Classes]:
+    """Classes and instances of SemanticKITTI's labels, each uint16 of shape (N,)."""
     kind = labels & 0xFFFF
     classid = np.full(len(labels), STATIC, np.uint16)
     classid[np.isin(kind, GROUND_LABELS)] = GROUND

@@ -24,6 +24,8 @@ from docdepth.geometry.se3 import (
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.frames import read_trajectory
 
+POSE_FORMATS = ("tum", "kitti", "ply", "npy")
+
 
 def read_poses(path: Path | str, count: int | None = None) -> NDArray[np.float64]:
     """Read the poses of ``count`` sweeps from a file of any format.
@@ -104,6 +106,23 @@ def _read_npy(path: Path) -> NDArray[np.float64]:
     poses[:, : values.shape[1]] = values
     poses = _checked(poses, path)
     return poses if values.dtype == np.float64 else nearest_rigid(poses)
+
+
+def read_timed_poses(path: Path | str) -> tuple[NDArray[np.int64] | None, NDArray[np.float64]]:
+    """All poses of a file of any format, and their times [ns]; None where it has none.
+
+    Raises
+    ------
+    OdometryError
+        As for :func:`read_poses`; or times do not increase.
+    """
+    path = Path(path)
+    poses = read_poses(path)
+    if path.suffix.lower() == ".ply":
+        return read_trajectory(path)[0].times, poses
+    if path.suffix.lower() == ".npy" or len(_lines(path)[0].split()) == 12:
+        return None, poses
+    return read_tum(path).times, poses
 
 
 def read_tum(path: Path | str) -> Trajectory:
