@@ -16,6 +16,7 @@ from docdepth.io.labels import read_classes
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import cut_tracks, read_tracks, write_tracks
+from docdepth.pipeline import given_labels
 from docdepth.pipeline.run_state import states
 from small_drive import SWEEPS, write_small_drive
 from walled_yard import straight
@@ -105,6 +106,36 @@ def test_the_stage_says_so_and_goes_on(root, other, tmp_path):
     assert found["render image_2"][0] == "out of date"
     assert cli("run", output).exit_code == 0
     assert (classes(output)[1][0] == 50).all()
+
+
+def test_an_interrupted_stage_goes_on(root, tmp_path, monkeypatch):
+    """It keeps what is written, and the whole is as without the interruption."""
+    write, output = given_labels.write_classified, tmp_path / "run"
+
+    def stop_at_the_third(run, index, *more):
+        if index == 2:
+            raise KeyboardInterrupt
+        write(run, index, *more)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(given_labels, "write_classified", stop_at_the_third)
+        assert run(root, output, "--labels", root / "own").exit_code != 0
+    kept = {file: file.stat().st_mtime_ns for file in (output / "labels").glob("*.label")}
+    assert len(kept) == 2
+    assert cli("run", output).exit_code == 0
+    assert {file: file.stat().st_mtime_ns for file in kept} == kept
+    assert maps(output) == maps(root / "own")
+
+
+def test_a_lost_file_is_taken_again(root, tmp_path):
+    output = tmp_path / "run"
+    assert run(root, output, "--labels", root / "own").exit_code == 0
+    for lost in ("tracks.csv", "labels/000001.label", "frames/frame_000002.ply"):
+        before = (output / lost).read_bytes()
+        (output / lost).unlink()
+        assert cli("run", output).exit_code == 0
+        assert (output / lost).read_bytes() == before
+        assert {state.state for state in states(RunFolder.open(output))} == {"done"}
 
 
 def test_classes_and_instances_are_those_of_the_files(root, other, tmp_path):
