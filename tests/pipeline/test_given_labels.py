@@ -190,6 +190,15 @@ def test_npy_of_classes_and_of_what_moves(root, tmp_path):
         assert frame.instance is None
 
 
+def test_labels_without_anything_dynamic_are_named(root, tmp_path, caplog):
+    """0 and 1 for static and moving are no classes."""
+    for k in range(SWEEPS):
+        np.save(tmp_path / f"{k:06d}.npy", np.arange(points(root, k)) % 2)
+    assert run(root, tmp_path / "run", "--labels", tmp_path).exit_code == 0
+    assert f"no point of {tmp_path} is dynamic" in caplog.text
+    assert "is dynamic" in RunFolder.open(tmp_path / "run").stage("classify")["warnings"][0]
+
+
 def test_tracks_of_other_poses_are_not_used(root, tmp_path, caplog):
     shutil.copytree(root / "own", tmp_path / "theirs")
     poses = straight(SWEEPS, 0.5).poses

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
 from docdepth.errors import DatasetError
+from docdepth.geometry.points import DYNAMIC
 from docdepth.io.frames import read_frame_name, read_input_points
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS
@@ -14,6 +16,8 @@ from docdepth.pipeline.graph import classify_parts, label_files
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.stage import Progress, progress_callback, stage
+
+log = logging.getLogger(__name__)
 
 
 def open_labels(run: RunFolder) -> LabelFolder:
@@ -70,13 +74,21 @@ def take_labels(run: RunFolder, progress: Progress | None = None) -> None:
             if tracks is not None:
                 content = tracks
                 run.write(run.path / TRACKS, lambda stream: stream.write(content), key)
+            something_moves = False
             for index in left:
                 with profile.watch("read"):
                     classified = given.classified(run.frame(index), index)
+                assert classified.classid is not None
+                something_moves |= bool((classified.classid >= DYNAMIC).any())
                 with profile.watch("write"):
                     write_classified(run, index, classified, key)
                 profile.frames += 1
                 told(count - len(left) + profile.frames, count)
+            if not something_moves and len(left) == count:
+                log.warning(
+                    "no point of %s is dynamic: what moves has the class 251 to 259 in .label "
+                    "files, 100 and above in .npy files, or True", given.folder,
+                )  # fmt: skip
             remove_outdated(run, {}, key)
 
 
