@@ -10,7 +10,11 @@ import pytest
 from docdepth.errors import OdometryError
 from docdepth.geometry.se3 import poses_from, rotation_exp
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.frames import write_trajectory
+from docdepth.io.ply import write_vertices
 from docdepth.io.poses import read_poses, read_tum, write_kitti, write_tum
+
+POSE = np.eye(4)[None]
 
 
 def test_pose_files_round_trip(tmp_path: Path) -> None:
@@ -22,6 +26,50 @@ def test_pose_files_round_trip(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_poses(tmp_path / "tum.txt", 5), poses, atol=1e-8)
     np.testing.assert_allclose(read_poses(tmp_path / "kitti.txt", 5), poses, atol=1e-11)
     np.testing.assert_array_equal(read_tum(tmp_path / "tum.txt").times, times)
+
+
+def turning(count: int) -> Trajectory:
+    vectors = np.linspace([0, 0, 0], [0.02, -0.01, 0.3], count)
+    poses = poses_from(list(rotation_exp(vectors)), np.linspace([0, 0, 0], [5, 1, 0.2], count))
+    return Trajectory(1317042145051199337 + np.arange(count) * 103_000_001, poses)
+
+
+def test_ply_and_npy_are_read(tmp_path: Path) -> None:
+    given = turning(5)
+    write_trajectory(tmp_path / "t.ply", given, np.arange(5))
+    np.testing.assert_allclose(read_poses(tmp_path / "t.ply", 5), given.poses, atol=1e-12)
+    for shape, dtype, error in ((4, np.float64, 0), (3, np.float64, 0), (4, np.float32, 1e-6)):
+        np.save(tmp_path / "p.npy", given.poses[:, :shape].astype(dtype))
+        found = read_poses(tmp_path / "p.npy", 5)
+        assert found.dtype == np.float64
+        np.testing.assert_allclose(found, given.poses, atol=error)
+
+
+def test_broken_ply_and_npy(tmp_path: Path) -> None:
+    given = turning(3)
+    write_trajectory(tmp_path / "two.ply", given, np.array([0, 2, 3]))
+    write_vertices(tmp_path / "points.ply", np.zeros(3, [("x", "<f4")]), [])
+    arrays = {"flat": np.zeros((3, 12)), "text": np.full((3, 4, 4), "a"), "empty": POSE[:0],
+              "scaled": 2 * POSE, "fine": POSE}  # fmt: skip
+    for name, array in arrays.items():
+        np.save(tmp_path / f"{name}.npy", array)
+    (tmp_path / "cut.npy").write_bytes((tmp_path / "fine.npy").read_bytes()[:150])
+    np.save(tmp_path / "object.npy", np.array([{}], object))
+    for name, match in (
+        ("two.ply", "not numbered 0, 1, 2"),
+        ("points.ply", "no trajectory of a run"),
+        ("none.ply", "it is not there"),
+        ("none.npy", "none.npy is missing"),
+        ("flat.npy", r"of shape \(3, 12\)"),
+        ("text.npy", "poses are numbers"),
+        ("empty.npy", "holds no poses"),
+        ("scaled.npy", "frame 0 is not a rotation and a translation"),
+        ("fine.npy", "1 poses for 2 sweeps"),
+        ("cut.npy", "cannot be read as NPY"),
+        ("object.npy", "cannot be read as NPY"),
+    ):
+        with pytest.raises(OdometryError, match=match):
+            read_poses(tmp_path / name, 2)
 
 
 def test_tum_quaternions_are_x_y_z_w(tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def test_interrupted_run_goes_on_and_ends_the_same(drive, finished, tmp_path, mo
         return wrapped
 
     for module, name, count in (
-        (classes, "_write_classified", 3),
+        (classes, "write_classified", 3),
         (depth_files, "encode_image", 2),
     ):
         written.clear()

@@ -8,11 +8,22 @@ from typing import Annotated
 
 import typer
 
-from docdepth.cli import calibrate, check, inspect, stages, status, support, truth
+from docdepth.cli import calibrate, check, convert, inspect, stages, status, support, truth
 from docdepth.cli.failures import STOPPED, report
 from docdepth.cli.terminal import Quiet, Verbose, app, out, print_any_path, set_volume
 
-__all__ = ["app", "calibrate", "check", "inspect", "main", "stages", "status", "support", "truth"]
+__all__ = [
+    "app",
+    "calibrate",
+    "check",
+    "convert",
+    "inspect",
+    "main",
+    "stages",
+    "status",
+    "support",
+    "truth",
+]
 
 
 @app.callback(invoke_without_command=True)

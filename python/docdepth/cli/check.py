@@ -13,6 +13,7 @@ from docdepth.cli.options import (
     CameraTimes,
     Formats,
     Frames,
+    GivenLabels,
     ImageSize,
     LayerNames,
     Layout,
@@ -47,6 +48,7 @@ def check(
     poses: PosesFile = None,
     camera_times: CameraTimes = None,
     calibration: CalibrationFile = None,
+    labels: GivenLabels = None,
     image_size: ImageSize = None,
     preset: PresetName = "default",
     settings: Settings = None,
@@ -60,15 +62,17 @@ def check(
     """
     from docdepth.config import parameters
     from docdepth.pipeline.check import report_inputs
+    from docdepth.pipeline.given_poses import poses_entry
 
     changes = changes_of(settings) | output_of(format, scale, layers)
     source = {
         "dataset": str(dataset),
         "name": layout,
         "camera": listed(camera),
-        "poses": None if poses is None else str(poses),
+        "poses": poses_entry(poses),
         "camera_times": None if camera_times is None else str(camera_times),
         "calibration": None if calibration is None else str(calibration),
+        "labels": None if labels is None else str(labels),
         "image_size": image_size,
         "frames": frames,
     }

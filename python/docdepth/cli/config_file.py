@@ -13,7 +13,7 @@ from docdepth.config import Parameters, Preset, parameters
 from docdepth.errors import ConfigError
 
 _INPUTS = ("dataset", "name", "camera", "poses", "camera_times", "image_size", "frames",
-           "calibration")  # fmt: skip
+           "calibration", "labels")  # fmt: skip
 _STAGES = tuple(name for name in Parameters.model_fields if name != "preset")
 
 
@@ -41,11 +41,12 @@ class Given:
         dataset: Path | None,
         layout: str | None,
         camera: str | list[str] | None,
-        poses: Path | None,
+        poses: str | None,
         camera_times: Path | None,
         image_size: str | None,
         frames: str | None,
         calibration: Path | None = None,
+        labels: Path | None = None,
     ) -> dict[str, Any]:
         """Arguments of :func:`docdepth.run`: those of the options, else of the file.
 
@@ -66,6 +67,7 @@ class Given:
             "image_size": image_size or self.source.get("image_size"),
             "frames": frames or self.source.get("frames"),
             "calibration": calibration or self.source.get("calibration"),
+            "labels": labels or self.source.get("labels"),
         }
 
 

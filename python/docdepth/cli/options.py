@@ -65,12 +65,12 @@ Frames = Annotated[
     ),
 ]
 PosesFile = Annotated[
-    Path | None,
+    str | None,
     typer.Option(
         "--poses",
         metavar="FILE",
-        help="Poses of the LiDAR from your own SLAM, TUM or KITTI format, one per sweep; "
-        "estimated if absent.",
+        help="Poses of the LiDAR from your own SLAM, one per sweep: TUM, KITTI, PLY or NPY. "
+        "CAMERA:FILE for those of a camera, dataset for the recording's own; estimated if absent.",
     ),
 ]
 CameraTimes = Annotated[
@@ -88,6 +88,15 @@ CalibrationFile = Annotated[
         metavar="FILE",
         help="calib.json of docdepth calibrate, or a text file with the 4x4 matrix T_camera_lidar: "
         "taken in place of the recording's own calibration.",
+    ),
+]
+GivenLabels = Annotated[
+    Path | None,
+    typer.Option(
+        "--labels",
+        metavar="DIR",
+        help="Draw with the classes of another method: a folder of NAME.label (SemanticKITTI) or "
+        "NAME.npy (classid) for each sweep, or a run. Nothing is classified then.",
     ),
 ]
 ImageSize = Annotated[

@@ -17,6 +17,7 @@ from docdepth.cli.options import (
     Force,
     Formats,
     Frames,
+    GivenLabels,
     HashInputs,
     ImageSize,
     Json,
@@ -70,6 +71,7 @@ def run(
     poses: PosesFile = None,
     camera_times: CameraTimes = None,
     calibration: CalibrationFile = None,
+    labels: GivenLabels = None,
     image_size: ImageSize = None,
     preset: ChosenPreset = None,
     settings: Settings = None,
@@ -98,28 +100,24 @@ def run(
 
     drawn_by = choose(renderer)
     if output is None:
-        chosen = (config, layout, camera, frames, poses, camera_times, calibration, image_size,
-                  preset, settings, format, scale, layers,
+        chosen = (config, layout, camera, frames, poses, camera_times, calibration, labels,
+                  image_size, preset, settings, format, scale, layers,
                   hash_inputs or None, force or None)  # fmt: skip
         folder = _continue(dataset, chosen, dry_run, threads, drawn_by)
         return show_states(folder, as_json) if dry_run else show_summary(folder, as_json)
     given = read_config(config) if config else Given()
     inputs = given.inputs(
-        dataset, layout, listed(camera), poses, camera_times, image_size, frames, calibration
-    )
+        dataset, layout, listed(camera), poses, camera_times, image_size, frames, calibration,
+        labels,
+    )  # fmt: skip
     changes = given.settings | changes_of(settings) | output_of(format, scale, layers)
     with progress_bars() as progress:
         folder = run_all(
             output=output,
             parameters=parameters(preset or given.preset, changes),  # type: ignore[arg-type]
-            **inputs,
-            hash_inputs=hash_inputs,
-            force=force,
-            dry_run=dry_run,
-            threads=threads,
-            renderer=drawn_by,
-            progress=progress,
-        )
+            **inputs, hash_inputs=hash_inputs, force=force, dry_run=dry_run, threads=threads,
+            renderer=drawn_by, progress=progress,
+        )  # fmt: skip
     return show_states(folder, as_json) if dry_run else show_summary(folder, as_json)
 
 
@@ -159,11 +157,15 @@ def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
 
 @verb(app)
 def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
-    """Repeat ground growing, voting and classification, with other parameters."""
+    """Repeat ground growing, voting and classification, with other parameters.
+
+    Classes of another method (--labels) are replaced.
+    """
     from docdepth.pipeline import run_classify
     from docdepth.pipeline.run_state import require
 
     folder = reopen(run, changes_of(settings), "ground", "dynamics")
+    folder.manifest["source"].pop("labels", None)
     require(folder, "odometry")
     with progress_bars() as progress:
         run_classify(folder, threads, progress)
@@ -183,6 +185,7 @@ def render(
     size: VirtualSize = None,
     name: VirtualName = None,
     camera_times: VirtualTimes = None,
+    labels: GivenLabels = None,
     threads: Threads = 0,
     renderer: RendererName = None,
 ) -> None:
@@ -212,6 +215,7 @@ def render(
             changes,
             listed(camera),
             ("virtual" if name is None else name, described) if described else None,
+            labels=labels,
             threads=threads,
             renderer=drawn_by,
             progress=progress,

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from docdepth.datasets.bag_camera import BagRig, camera_name
 from docdepth.datasets.bag_file import SUFFIXES, BagFile, Message, bag_files
+from docdepth.datasets.bag_odometry import place_on_body, read_odometry
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud
 from docdepth.datasets.format import Format
@@ -62,11 +63,15 @@ class BagSettings(RecordingSettings):
         By topic of images, what the bag lacks.
     stamps : {"header", "record"}
         Which times count: of the messages' headers, or of their recording.
+    T_odometry_lidar : list of float, optional
+        Takes points of the first LiDAR to the frame whose place the topic ``poses`` tells; from the
+        static transforms if left out.
     """
 
     lidars: dict[str, BagLidarSettings | None] = Field(default_factory=dict)
     cameras: dict[str, CameraSettings] = Field(default_factory=dict)
     stamps: Literal["header", "record"] = "header"
+    T_odometry_lidar: Numbers | None = None
 
 
 @dataclass(frozen=True)
@@ -120,13 +125,11 @@ class BagRecording(Recording):
         static = [t for t, k in bag.topics.items() if k == _STATIC and t.endswith("tf_static")]
         frames = StaticFrames(message for topic in static for message in bag.read_all(topic))
         lidars = _lidars(bag, topics, index, settings, frames, file)
+        lidars[0], poses = _with_poses(lidars[0], settings, frames, file)
         where = BagRig(bag, frames, lidars[0].messages[0].frame, file)
         streams = _cameras(where, images, index, lidars[0].stream, settings)
         cameras = {n: s for n, s in streams.items() if isinstance(s, CameraStream)}
         uncalibrated = {n: s for n, s in streams.items() if isinstance(s, ImageStream)}
-        poses = None
-        if settings.poses:
-            poses = read_poses(file.parent / settings.poses, len(lidars[0].messages))
         facts = settings.facts()
         super().__init__("bag", path, lidars, cameras, poses, facts, uncalibrated=uncalibrated)
 
@@ -152,6 +155,28 @@ def _lidars(
         names = [str(time) for time in times.tolist()]
         lidars.append(BagLidar(bag, LidarStream(topic, times, names, T), messages))
     return lidars
+
+
+def _with_poses(
+    lidar: BagLidar, settings: BagSettings, frames: StaticFrames, file: Path
+) -> tuple[BagLidar, NDArray[np.float64] | None]:
+    """The first LiDAR, and the poses of its sweeps; without sweeps that the odometry lacks."""
+    wanted = settings.poses
+    if not wanted:
+        return lidar, None
+    if (file.parent / wanted).is_file() or not wanted.startswith("/"):
+        return lidar, read_poses(file.parent / wanted, len(lidar.messages))
+    odometry = read_odometry(lidar.bag, wanted, settings.stamps == "record", str(file))
+    if settings.T_odometry_lidar is not None:
+        T = transform(settings.T_odometry_lidar, f"{file}: T_odometry_lidar")
+    else:
+        T = place_on_body(odometry, frames, lidar.messages[0].frame, str(file))
+    stream = lidar.stream
+    inside, poses = odometry.poses(stream.times, T, str(lidar.bag.path))
+    kept = np.flatnonzero(inside)
+    names = [stream.names[k] for k in kept]
+    part = LidarStream(stream.name, stream.times[kept], names, stream.T_lidar_sensor)
+    return BagLidar(lidar.bag, part, [lidar.messages[k] for k in kept]), poses
 
 
 def _cameras(

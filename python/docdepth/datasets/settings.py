@@ -111,7 +111,8 @@ class RecordingSettings(Strict):
         Which instant of a sweep its time is.
     point_time_unit : {"s", "ms", "us", "ns"}, optional
     poses : str, optional
-        File of LiDAR poses, TUM or KITTI; or ``viewpoint``, those in the headers of PCD files.
+        File of LiDAR poses; or ``viewpoint``, those in the headers of PCD files; or a topic of
+        odometry of a bag.
     """
 
     motion_compensated: bool | None = None

@@ -16,6 +16,12 @@ GROUND, STATIC, DYNAMIC = 0, 50, 100
 OUTLIER_LABEL, STATIC_LABEL, MOVING_LABEL = 1, 9, 251
 """Values of ``labels/*.label``, of SemanticKITTI's moving object segmentation."""
 
+MOVING_LABELS = tuple(range(251, 260))
+"""SemanticKITTI's classes of what moves; 251 stands for all of them."""
+
+GROUND_LABELS = (40, 44, 48, 49, 60, 72)
+"""SemanticKITTI's road, parking, sidewalk, other ground, lane marking and terrain."""
+
 
 class DeskewedSweep(Protocol):
     """What ground and dynamics use of a sweep; ``docdepth.datasets.Sweep`` is one."""

@@ -199,5 +199,11 @@ def read_frame_name(path: Path) -> str:
     return _notes(read_comments(path)).get("name", path.stem)
 
 
+def read_input_points(path: Path) -> int | None:
+    """Rows of the input sweep of a frame, from the header of its file; None if it is not told."""
+    told = _notes(read_comments(path)).get("input_points")
+    return None if told is None else _count(path, told)
+
+
 def _notes(comments: list[str]) -> dict[str, str]:
     return {name: value for name, _, value in (comment.partition(" ") for comment in comments)}

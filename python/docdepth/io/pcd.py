@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import MissingExtraError
+from docdepth.io.atomic import write_atomically
 
 _TYPES = {
     "F": {4: "<f4", 8: "<f8"},
@@ -83,6 +84,33 @@ def read_pcd(path: Path) -> tuple[NDArray[Any], PcdHeader]:
     if header.data == "binary":
         return _read_binary(body, header), header
     return _read_compressed(body, header), header
+
+
+def write_pcd(
+    path: Path,
+    points: NDArray[np.float32],
+    intensity: NDArray[np.float32],
+    viewpoint: NDArray[np.float64],
+) -> None:
+    """Write points with an intensity, binary.
+
+    Parameters
+    ----------
+    path : Path
+    points : ndarray of float32, shape (N, 3)
+    intensity : ndarray of float32, shape (N,)
+    viewpoint : ndarray of float64, shape (7,)
+        Where the sensor was: tx ty tz qw qx qy qz.
+    """
+    rows = np.column_stack([points, intensity]).astype("<f4")
+    lines = (
+        "# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", "FIELDS x y z intensity",
+        "SIZE 4 4 4 4", "TYPE F F F F", "COUNT 1 1 1 1", f"WIDTH {len(rows)}", "HEIGHT 1",
+        f"VIEWPOINT {' '.join(f'{value:.12g}' for value in viewpoint)}",
+        f"POINTS {len(rows)}", "DATA binary", "",
+    )  # fmt: skip
+    content = "\n".join(lines).encode() + rows.tobytes()
+    write_atomically(path, lambda stream: stream.write(content))
 
 
 def read_pcd_header(path: Path) -> PcdHeader:

@@ -1,6 +1,7 @@
-"""Trajectories as text: TUM (``t x y z qx qy qz qw``) and KITTI (a 3x4 matrix in each line).
+"""Files of poses: TUM (``t x y z qx qy qz qw``), KITTI (a 3x4 matrix in each line), PLY, NPY.
 
-Other SLAM systems write these formats, and evo reads them. Poses are ``T_world_lidar``, but for the
+Other SLAM systems write TUM and KITTI, and evo reads them. PLY is the trajectory of a run folder.
+NPY holds matrices, (n, 4, 4) or (n, 3, 4). Poses are ``T_world_lidar``, but for the
 pose files of KITTI itself, which are of the camera.
 """
 
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import InputError, OdometryError
+from docdepth.errors import DamagedFileError, InputError, OdometryError
 from docdepth.geometry.se3 import (
     check_rigid,
     matrix_to_quaternion,
@@ -21,15 +22,19 @@ from docdepth.geometry.se3 import (
     quaternion_to_matrix,
 )
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.frames import read_trajectory
+
+POSE_FORMATS = ("tum", "kitti", "ply", "npy")
 
 
 def read_poses(path: Path | str, count: int | None = None) -> NDArray[np.float64]:
-    """Read the poses of ``count`` sweeps, one a line, from a file of either format.
+    """Read the poses of ``count`` sweeps from a file of any format.
 
     Parameters
     ----------
     path : Path
-        Lines of 8 numbers are TUM, of 12 KITTI. Line k is the pose of sweep k; times are ignored.
+        ``.ply`` and ``.npy`` are told by their suffix, else lines of 8 numbers are TUM, of 12
+        KITTI. Pose k is that of sweep k; times are ignored.
     count : int, optional
         Number of sweeps; any if left out.
 
@@ -40,21 +45,84 @@ def read_poses(path: Path | str, count: int | None = None) -> NDArray[np.float64
     Raises
     ------
     OdometryError
-        The file is missing, of neither format, has a pose that is not rigid, or another number of
+        The file is missing, of no such format, has a pose that is not rigid, or another number of
         poses.
     """
-    rows = _read(Path(path))
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix in (".ply", ".npy"):
+        poses = _read_ply(path) if suffix == ".ply" else _read_npy(path)
+        _check_count(poses, count, path)
+        return poses
+    rows = _read(path)
     if rows.shape[1] not in (8, 12):
         raise OdometryError(
             f"{path} has {rows.shape[1]} columns; TUM poses have 8 (t x y z qx qy qz qw), "
             "KITTI poses 12 (the upper 3x4 of the matrix, row by row)"
         )
+    _check_count(rows, count, path)
+    return _from_tum(rows, path) if rows.shape[1] == 8 else _from_kitti(rows, path)
+
+
+def _check_count(rows: NDArray[np.float64], count: int | None, path: Path) -> None:
     if count is not None and len(rows) != count:
         raise OdometryError(
             f"{path} has {len(rows)} poses for {count} sweeps; "
             "bring one pose a sweep, in the order of the sweeps"
         )
-    return _from_tum(rows, path) if rows.shape[1] == 8 else _from_kitti(rows, path)
+
+
+def _read_ply(path: Path) -> NDArray[np.float64]:
+    """The poses of a trajectory as run folders have it."""
+    try:
+        trajectory, indices = read_trajectory(path)
+    except DamagedFileError as error:
+        what = error.what or "it is not there"
+        raise OdometryError(f"{path} is no trajectory of a run ({what}); name another") from None
+    if not np.array_equal(indices, np.arange(len(indices))):
+        raise OdometryError(
+            f"{path}: its poses are not numbered 0, 1, 2, ... without gaps; bring one pose a "
+            "sweep, as in traj_odometry.ply"
+        )
+    return trajectory.poses
+
+
+def _read_npy(path: Path) -> NDArray[np.float64]:
+    try:
+        values = np.load(path, allow_pickle=False)
+    except FileNotFoundError:
+        raise OdometryError(f"{path} is missing; give the file of the poses") from None
+    except (OSError, ValueError, EOFError) as error:
+        raise OdometryError(f"{path} cannot be read as NPY ({error}); write it again") from None
+    numbers = np.issubdtype(values.dtype, np.number) and not np.iscomplexobj(values)
+    if not numbers or values.ndim != 3 or values.shape[1:] not in ((4, 4), (3, 4)):
+        raise OdometryError(
+            f"{path} is {values.dtype} of shape {values.shape}; poses are numbers of shape "
+            "(n, 4, 4) or (n, 3, 4)"
+        )
+    if not len(values):
+        raise OdometryError(f"{path} holds no poses")
+    poses = np.repeat(np.eye(4)[None], len(values), axis=0)
+    poses[:, : values.shape[1]] = values
+    poses = _checked(poses, path)
+    return poses if values.dtype == np.float64 else nearest_rigid(poses)
+
+
+def read_timed_poses(path: Path | str) -> tuple[NDArray[np.int64] | None, NDArray[np.float64]]:
+    """All poses of a file of any format, and their times [ns]; None where it has none.
+
+    Raises
+    ------
+    OdometryError
+        As for :func:`read_poses`; or times do not increase.
+    """
+    path = Path(path)
+    poses = read_poses(path)
+    if path.suffix.lower() == ".ply":
+        return read_trajectory(path)[0].times, poses
+    if path.suffix.lower() == ".npy" or len(_lines(path)[0].split()) == 12:
+        return None, poses
+    return read_tum(path).times, poses
 
 
 def read_tum(path: Path | str) -> Trajectory:

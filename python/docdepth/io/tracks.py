@@ -72,6 +72,33 @@ def write_tracks(
     write_file(path, lambda stream: stream.write(content))
 
 
+def cut_tracks(path: Path, times: NDArray[np.int64]) -> bytes:
+    """The rows of a file of tracks at some times, numbered anew; all else to the letter.
+
+    Parameters
+    ----------
+    path : Path
+    times : ndarray of int64, shape (n,)
+        Stamps of the sweeps that are kept [ns].
+
+    Raises
+    ------
+    RunError
+        As for :func:`read_tracks`.
+    """
+    read_tracks(path)
+    frames = {str(time): str(frame) for frame, time in enumerate(times.tolist())}
+    text = io.StringIO()
+    with path.open(newline="", encoding="utf-8") as stream:
+        reader = csv.DictReader(stream)
+        writer = csv.DictWriter(text, reader.fieldnames or COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        for row in reader:
+            if row["time_ns"] in frames:
+                writer.writerow(row | {"frame": frames[row["time_ns"]]})
+    return text.getvalue().encode()
+
+
 def read_tracks(path: Path) -> list[Track]:
     """Read the tracks of a file that :func:`write_tracks` wrote, ordered by id.
 

@@ -59,14 +59,19 @@ def check_given_poses(
         raise OdometryError(str(error)) from None
     if len(given) > 1 and np.ptp(given, axis=0).max() < _SAME_POSE:
         _warn_of_motion(dataset, parameters)
-    steps = np.abs((inverse(given[:-1]) @ given[1:])[:, :3, 3])
-    steps = steps[np.linalg.norm(steps, axis=1) > _MOVING]
-    if len(steps) and np.median(steps[:, 2]) > 2 * np.median(steps[:, 0]):
+    if move_upwards(given):
         log.warning(
             "along the poses the LiDAR moves upwards (z), not forwards (x): if they are poses of "
-            "a camera, convert them by Tr^-1 T Tr"
+            "a camera, say which: --poses CAMERA:FILE"
         )
     return given
+
+
+def move_upwards(poses: NDArray[np.float64]) -> bool:
+    """Whether poses lead along z rather than along x, as those of a camera do."""
+    steps = np.abs((inverse(poses[:-1]) @ poses[1:])[:, :3, 3])
+    steps = steps[np.linalg.norm(steps, axis=1) > _MOVING]
+    return bool(len(steps) and np.median(steps[:, 2]) > 2 * np.median(steps[:, 0]))
 
 
 def _warn_of_motion(dataset: Dataset, parameters: OdometryParameters) -> None:
@@ -86,7 +91,22 @@ def warn_of_misfit(
     poses: NDArray[np.float64],
     parameters: OdometryParameters | None = None,
 ) -> None:
-    """Log a warning if sweeps do not lie where the sweeps before them, and the poses, say.
+    """Log a warning if sweeps do not lie where the sweeps before them, and the poses, say."""
+    moved = misfit(points, poses, parameters)
+    if moved is not None and moved > _MISFIT:
+        log.warning(
+            "the poses do not fit the sweeps: these lie %.1f m from where the sweeps before them "
+            "are; the poses may belong to another frame or order of sweeps, or the sweeps may not "
+            "follow each other", moved,
+        )  # fmt: skip
+
+
+def misfit(
+    points: Callable[[int], NDArray[np.float32]],
+    poses: NDArray[np.float64],
+    parameters: OdometryParameters | None = None,
+) -> float | None:
+    """How far sweeps lie from where the sweeps before them, and the poses, say [m].
 
     A few sweeps are each aligned with the three before, starting from the poses.
 
@@ -97,18 +117,18 @@ def warn_of_misfit(
     poses : ndarray of float64, shape (n, 4, 4)
         ``T_world_lidar`` of every sweep.
     parameters : OdometryParameters, optional
+
+    Returns
+    -------
+    float, or None
+        The median; None where sweeps are too few or hold too few points.
     """
     p, moved = parameters or OdometryParameters(), []
     for k in np.unique(np.linspace(_BEFORE, len(poses) - 1, _SAMPLES).astype(int)).tolist():
         if _BEFORE <= k < len(poses):
             shift = _shift_to_those_before(points, poses, k, p)
             moved += [] if shift is None else [shift]
-    if moved and np.median(moved) > _MISFIT:
-        log.warning(
-            "the poses do not fit the sweeps: these lie %.1f m from where the sweeps before them "
-            "are; the poses may belong to another frame or order of sweeps, or the sweeps may not "
-            "follow each other", np.median(moved),
-        )  # fmt: skip
+    return float(np.median(moved)) if moved else None
 
 
 def _shift_to_those_before(

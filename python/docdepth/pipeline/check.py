@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from docdepth.config import Parameters
-from docdepth.datasets import CameraStream, Dataset
+from docdepth.datasets import CameraStream, Dataset, Sweep
 from docdepth.datasets.times import read_times
 from docdepth.errors import Collector, DatasetError
 from docdepth.io.calibration import read_camera_calibration
@@ -23,6 +23,8 @@ from docdepth.io.poses import read_poses
 from docdepth.pipeline.check_cameras import check_camera
 from docdepth.pipeline.check_resources import check_resources, estimate, gigabytes
 from docdepth.pipeline.check_sweeps import check_sweeps
+from docdepth.pipeline.given_poses import file_of_poses, refuse_poses_of_a_camera
+from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.problems import Findings, Problem, raise_problems
 from docdepth.pipeline.run_inputs import known_poses, open_inputs
 from docdepth.render.layers import check_layers
@@ -95,9 +97,13 @@ def check_opened(
     found = Findings()
     _check_parameters(parameters, found)
     with found.collected():
-        known_poses(source, recording)
+        poses = known_poses(source, recording)
+        if poses is not None and source.get("poses"):
+            refuse_poses_of_a_camera(str(source["poses"]), recording, poses, parameters.odometry)
     files = [recording.sweep_files(k) for k in range(len(recording))]
     sweeps = check_sweeps(recording, files, _sizes(files), parameters, found)
+    if source.get("labels"):
+        _check_labels(Path(source["labels"]), recording, sweeps, found)
     for stream in cameras:
         check_camera(recording, stream, sweeps, found)
     if output is not None:
@@ -126,6 +132,18 @@ def _size(file: Path) -> int:
         return 0
 
 
+def _check_labels(
+    folder: Path, recording: Dataset, sweeps: dict[int, Sweep], found: Collector
+) -> None:
+    """Labels of every sweep are there, and those of some sweeps fit."""
+    names = next(iter(recording.lidars.values())).names
+    with found.collected():
+        given = LabelFolder(folder)
+        given.check(names)
+        for frame, sweep in sweeps.items():
+            given.check_count(sweep.name, frame, len(sweep.points))
+
+
 def _check_files_of_options(source: dict[str, Any], found: Collector) -> None:
     """Files that options name, where the recording itself cannot be opened."""
     with found.collected():
@@ -135,8 +153,11 @@ def _check_files_of_options(source: dict[str, Any], found: Collector) -> None:
         if source.get("calibration"):
             read_camera_calibration(Path(source["calibration"]))
     with found.collected():
-        if source["poses"]:
-            read_poses(Path(source["poses"]))
+        if source.get("labels"):
+            LabelFolder(Path(source["labels"]))
+    with found.collected():
+        if source["poses"] and (poses := file_of_poses(str(source["poses"]))):
+            read_poses(poses)
 
 
 def _check_parameters(parameters: Parameters, found: Collector) -> None:

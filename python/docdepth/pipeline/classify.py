@@ -17,19 +17,25 @@ from docdepth.dynamics.sweep_classifier import Evidence, InputSweep
 from docdepth.dynamics.tracking import Detections, Tracking, packed, unpacked
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import DamagedFileError, InputError
-from docdepth.geometry.points import DYNAMIC, MOVING_LABEL, OUTLIER_LABEL, STATIC_LABEL
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import chunk_progress, chunks, label_chunk
-from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS, write_tracks
+from docdepth.pipeline.classified_files import (
+    GROUND,
+    TRACKING,
+    is_classified,
+    remove_outdated,
+    write_classified,
+)
+from docdepth.pipeline.given_labels import take_labels
 from docdepth.pipeline.graph import classify_parts, label_files
+from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.sanity import count_classes, warn_of_classes
-from docdepth.pipeline.stage import Profile, Progress, is_outdated, progress_callback, stage
+from docdepth.pipeline.stage import Profile, Progress, progress_callback, stage
 
-_GROUND, _TRACKS, _EVIDENCE = "ground", "tracks", "evidence"
-"""Folders in the notes of a run. The first two are kept: with them, single frames are classified
-again. What an interrupted stage goes on with lies in the last."""
+_EVIDENCE = "evidence"
+"""Folder in the notes of a run with what an interrupted stage goes on with."""
 
 
 def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = None) -> None:
@@ -49,10 +55,12 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     RunError
         A file of the run is damaged.
     """
+    if run.manifest["source"].get("labels"):
+        return take_labels(run, progress)
     p = run.parameters
     with run.lock("classify"):
         trajectory = run.trajectory()
-        parts = classify_parts(run, run.stage("odometry").get("key"))
+        parts = classify_parts(run, run.stage("odometry").get("key"), InputFiles(run))
         made_of = parts["odometry"], p.ground.model_dump()
         key = {"classify": stage_key(parts)}
         store = _FrameStore(run, key, trajectory)
@@ -69,7 +77,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             store.write_tracks()
             warn_of_classes(store.counts)
             run.remove_tree(run.notes / _EVIDENCE)
-            _remove_outdated(run, ground_key, key)
+            remove_outdated(run, ground_key, key)
 
 
 def _grow_ground(
@@ -89,7 +97,7 @@ def _grow_ground(
 
     ground: list[NDArray[np.uint8]] = []
     for chunk in chunks(trajectory, p):
-        kept = run.notes / _GROUND / f"chunk_{chunk.frames[0]:06d}.npy"
+        kept = run.notes / GROUND / f"chunk_{chunk.frames[0]:06d}.npy"
         if run.key(kept) != key:
             done = partial(chunk_progress, progress, chunk, len(trajectory))
             labels = label_chunk(chunk, read, trajectory, p, threads, done, watch)
@@ -97,21 +105,6 @@ def _grow_ground(
         ground += _read_arrays(kept, len(chunk.frames))
     progress_callback(progress, "ground")(len(trajectory), len(trajectory))
     return ground
-
-
-def _remove_outdated(run: RunFolder, ground_key: dict[str, str], key: dict[str, str]) -> None:
-    """Delete what was kept of other parameters, and labels of sweeps that are no more."""
-    for folder, made_of in (
-        (run.notes / _GROUND, ground_key),
-        (run.notes / _TRACKS, key),
-        (run.path / "labels", key),
-        (run.path, key),
-    ):
-        records = run.records(folder)
-        for name in records.names():
-            if is_outdated(records.recorded_key(name), made_of):
-                run.remove(folder / name)
-        records.compact()
 
 
 class _FrameStore:
@@ -143,7 +136,7 @@ class _FrameStore:
 
     @property
     def _tracks(self) -> Path:
-        return self._run.notes / _TRACKS / "tracks.npy"
+        return self._run.notes / TRACKING / "tracks.npy"
 
     def _kept(self, index: int) -> Path:
         return self._run.notes / _EVIDENCE / self._key["classify"] / f"{index:06d}.npy"
@@ -151,13 +144,7 @@ class _FrameStore:
     def is_done(self, index: int) -> bool:
         if not self.has_tracks() and self._run.key(self._tracks) != self._key:
             return False  # tracks are made of all sweeps
-        labels = self._labels.get(index)
-        wanted = self._key.items()
-        return (
-            labels is not None
-            and wanted <= self._run.key(labels).items()
-            and wanted <= self._run.frame_key(index).items()
-        )
+        return is_classified(self._run, index, self._labels.get(index), self._key)
 
     def tracks(self) -> Tracking | None:
         if self._run.key(self._tracks) != self._key:
@@ -220,7 +207,14 @@ class _FrameStore:
     def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
         self.counts.append(count_classes(labels.classid))
         with self.watch("write"):
-            _write_classified(self._run, index, sweep.record, self._key, labels)
+            classified = replace(
+                sweep.record,
+                votes_static=labels.votes.static,
+                votes_dynamic=labels.votes.dynamic,
+                classid=labels.classid,
+                instance=labels.instance,
+            )
+            write_classified(self._run, index, classified, self._key)
 
 
 def _write_arrays(run: RunFolder, path: Path, key: dict[str, str], *arrays: NDArray[Any]) -> None:
@@ -245,29 +239,3 @@ def _read_arrays(path: Path, count: int | None) -> list[NDArray[Any]]:
             return arrays
     except (OSError, EOFError, ValueError) as error:
         raise DamagedFileError(path, str(error)) from None
-
-
-def _write_classified(
-    run: RunFolder, index: int, record: FrameRecord, of: dict[str, str], labels: Labels
-) -> None:
-    """Write labels of all rows of the input, and the frame with votes and classes."""
-    rows = np.full(record.input_points, OUTLIER_LABEL, np.uint32)
-    classes = np.where(labels.classid >= DYNAMIC, MOVING_LABEL, STATIC_LABEL).astype(np.uint32)
-    if labels.instance is not None:
-        classes |= labels.instance.astype(np.uint32) << 16
-    rows[record.index] = classes
-    path = run.path / "labels" / f"{record.name}.label"
-    key = {**of, "frame": str(index)}
-    if run.key(path) != key:
-        run.write(path, lambda stream: stream.write(rows.tobytes()), key)
-    if of.items() <= run.frame_key(index).items():
-        return  # only the labels were missing
-    classified = replace(
-        record,
-        votes_static=labels.votes.static,
-        votes_dynamic=labels.votes.dynamic,
-        classid=labels.classid,
-        instance=labels.instance,
-    )
-    of_frame = {"odometry": run.recorded_key(run.frame_path(index)).get("odometry", "")}
-    run.write_frame(index, classified, {**of_frame, **of})

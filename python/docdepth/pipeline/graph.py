@@ -21,6 +21,7 @@ from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.input_files import InputFiles
+from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.run_inputs import RunCamera
 
 _VERSIONS = {"odometry": 1, "classify": 2, "render": 2}
@@ -90,12 +91,17 @@ def odometry_parts(
     }
 
 
-def classify_parts(run: RunFolder, odometry_key: str | None) -> Parts:
-    """What ground, votes and classes are made of."""
-    p = run.parameters
-    return {
-        "version": _VERSIONS["classify"],
-        "odometry": odometry_key,
+def classify_parts(run: RunFolder, odometry_key: str | None, inputs: InputFiles) -> Parts:
+    """What ground, votes and classes are made of, or given labels."""
+    p, labels = run.parameters, run.manifest["source"].get("labels")
+    first = {"version": _VERSIONS["classify"], "odometry": odometry_key}
+    if labels:
+        folder = Path(labels)
+        if folder.is_dir():
+            given = LabelFolder(folder)
+            return first | {"labels": inputs.labels(given.files(), given.folder)}
+        return first | {"labels": run.made_of("classify").get("labels")}  # on a disk that is away
+    return first | {
         "ground": p.ground.model_dump(mode="json"),
         "dynamics": p.dynamics.model_dump(mode="json"),
     }
@@ -152,7 +158,7 @@ class RunGraph:
             self._odometry = {**inputs, "odometry": own, "version": _VERSIONS["odometry"]}
         else:
             self._odometry = odometry_parts(run, recording, recording.sweep(0), poses, self._inputs)
-        self._classify = classify_parts(run, stage_key(self._odometry))
+        self._classify = classify_parts(run, stage_key(self._odometry), self._inputs)
         self._frames = _all_frames(run, recording)
 
     def states(self) -> list[StageState]:
@@ -177,6 +183,8 @@ class RunGraph:
             for i in range(self._frames)
         ]
         tracked = self._run.parameters.dynamics.evidence == "tracks"
+        if "labels" in self._classify:
+            tracked = TRACKS in self._run.records(self._run.path)
         once = [self._run.path / TRACKS] if tracked else []
         return self._state("classify", self._classify, key, files, once)
 
@@ -245,6 +253,8 @@ class RunGraph:
         """Which part of what a product is made of has changed."""
         if not before:
             return "what it was made of is not known"
+        if before.get("labels") != now.get("labels"):
+            return "other labels are given"
         name, was, value = _first_difference(before, now)
         if name in ("odometry", "classify") and not isinstance(was, dict):
             upstream = self._odometry if name == "odometry" else self._classify

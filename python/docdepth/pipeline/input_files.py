@@ -47,6 +47,10 @@ class InputFiles:
         self._identify(name, stream.images, stream.images[0].parent)
         return [stage_key(self._identity(known)) for known in self._now[name].values()]
 
+    def labels(self, files: Iterable[Path], folder: Path) -> str:
+        """Hash of the identity of files of given labels."""
+        return self._identify("labels", files, folder)
+
     def changed(self, what: str = "sweeps") -> list[str]:
         """Names of files that differ from those that were saved."""
         before, now = self._before.get(what, {}), self._now.get(what, {})

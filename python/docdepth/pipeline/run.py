@@ -14,6 +14,8 @@ from docdepth.errors import DamagedFileError, DocDepthError, RunError
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.check import check_inputs, check_opened
 from docdepth.pipeline.classify import run_classify
+from docdepth.pipeline.given_labels import open_labels, take_labels
+from docdepth.pipeline.given_poses import poses_entry
 from docdepth.pipeline.graph import outdated
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.odometry import run_odometry
@@ -49,6 +51,7 @@ def run(
     poses: Path | str | None = None,
     camera_times: Path | str | None = None,
     calibration: Path | str | None = None,
+    labels: Path | str | None = None,
     image_size: str | None = None,
     frames: str | None = None,
     hash_inputs: bool = False,
@@ -76,13 +79,17 @@ def run(
     camera : str or sequence of str, optional
         Cameras to render, or ``all``; the left colour camera if absent. Cameras that the run has
         already stay.
-    poses : Path, optional
-        LiDAR poses ``T_world_lidar`` in TUM or KITTI format; estimated if absent.
+    poses : Path or str, optional
+        File of LiDAR poses ``T_world_lidar`` (TUM, KITTI, PLY, NPY); ``CAMERA:FILE`` for those of
+        a camera; ``dataset`` for the recording's own. Estimated if absent.
     camera_times : Path, optional
         Image times in seconds, one a line; those of the recording if absent.
     calibration : Path, optional
         ``calib.json`` of :mod:`docdepth.calibration`, or a text file of ``T_camera_lidar``, taken
         in place of the recording's own.
+    labels : Path, optional
+        Folder of labels of another method, ``NAME.label`` or ``NAME.npy`` for each sweep: nothing
+        is classified then.
     image_size : str, optional
         ``WIDTHxHEIGHT`` in pixels, for recordings that do not tell it.
     frames : str, optional
@@ -115,13 +122,15 @@ def run(
         "dataset": _absolute(dataset),
         "name": layout,
         "camera": camera if camera is None or isinstance(camera, str) else list(camera),
-        "poses": _absolute(poses),
+        "poses": poses_entry(poses),
         "camera_times": _absolute(camera_times),
         "image_size": image_size,
         "frames": frames,
     }
     if calibration is not None:
         inputs["calibration"] = _absolute(calibration)
+    if labels is not None:
+        inputs["labels"] = _absolute(labels)
     values, place = parameters or Parameters(), Path(output)
     recording, streams = _open(inputs, values, place)
     inputs["dataset"] = _absolute(recording.path)  # a folder that holds one recording may be given
@@ -131,6 +140,8 @@ def run(
     _follow_recording(folder, recording)
     folder.start(inputs, values, force)
     register(folder, streams)
+    if labels is not None:
+        open_labels(folder)
     if dry_run:
         _check(folder, recording)
     else:
@@ -179,6 +190,7 @@ def render_again(
     camera: str | Sequence[str] | None = None,
     virtual: tuple[str, dict[str, Any]] | None = None,
     *,
+    labels: Path | str | None = None,
     threads: int = 0,
     renderer: Renderer | None = None,
     progress: Progress | None = None,
@@ -196,6 +208,8 @@ def render_again(
         Cameras of the recording to render; all cameras of the run if absent.
     virtual : (str, dict), optional
         Name and description of a virtual camera, from :func:`virtual_camera`.
+    labels : Path, optional
+        Folder of labels of another method, which replace the classes of the run.
     threads, renderer, progress
         As for :func:`run`.
 
@@ -207,8 +221,11 @@ def render_again(
         A parameter is refused, or a virtual camera has the name of another.
     """
     folder = RunFolder.open(Path(output))
-    require(folder, "classify")
+    require(folder, "classify" if labels is None else "odometry")
     _check_place(folder)
+    if labels is not None:
+        folder.manifest["source"]["labels"] = _absolute(labels)
+        open_labels(folder)
     source, changes = folder.manifest["source"], changes or {}
     recording = open_recording(source) if source else RunDataset(folder.path)
     named: list[str] = []
@@ -233,6 +250,8 @@ def render_again(
     cameras = run_cameras(folder, recording, named or None)
     streams = [camera.stream for camera in cameras]
     try:
+        if labels is not None:
+            take_labels(folder, progress)
         run_render(folder, streams, threads, progress, renderer)
     except DocDepthError:
         _forget_cameras(folder.path, new)

@@ -1,8 +1,8 @@
 """The inputs of a run, opened as run.yaml names them: recording, cameras, poses.
 
 The entry ``source`` of run.yaml has ``dataset``, ``name``, ``camera`` (a name, a list of names or
-None), ``poses``, ``camera_times`` and ``image_size``, all plain values; ``frames`` (``A:B``) and
-``calibration`` (a file) may be left out.
+None), ``poses`` (a file, ``CAMERA:FILE`` or ``dataset``), ``camera_times`` and ``image_size``, all
+plain values; ``frames`` (``A:B``) and ``calibration`` (a file) may be left out.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from docdepth.datasets.times import read_times
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.io.calibration import read_camera_calibration
-from docdepth.io.poses import read_poses
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.given_poses import read_given_poses
 from docdepth.pipeline.virtual_camera import parse_size, virtual_stream
 
 ALL = "all"
@@ -194,12 +194,9 @@ def recorded_camera(run: RunFolder, folder: str) -> CameraStream | None:
 
 
 def known_poses(source: dict[str, Any], recording: Dataset) -> NDArray[np.float64] | None:
-    """Poses ``T_world_lidar`` (n, 4, 4) from a file or another run; None: to be estimated."""
+    """Poses ``T_world_lidar`` (n, 4, 4) of file, recording or run; None: to be estimated."""
     if source.get("poses"):
-        if isinstance(recording, FrameRange):
-            every = read_poses(Path(source["poses"]), len(recording.whole))
-            return every[recording.indices.start : recording.indices.stop]
-        return read_poses(Path(source["poses"]), len(recording))
+        return read_given_poses(str(source["poses"]), recording)
     return recording.poses if recording.name == "run" else None
 
 

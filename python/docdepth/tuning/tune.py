@@ -111,6 +111,12 @@ def _checked(source: RunFolder, judge: Judge, trial: Trial) -> Parameters:
         "dataset"
     ):
         raise refused(trial, f"{source.path} was not made of a recording; its odometry is given")
+    own = source.parameters
+    if source.manifest["source"].get("labels") and (chosen.ground, chosen.dynamics) != (
+        own.ground,
+        own.dynamics,
+    ):
+        raise refused(trial, f"the classes of {source.path} are given (--labels), not found")
     return chosen
 
 

@@ -1,0 +1,59 @@
+"""The verb that writes poses and labels for other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from docdepth.cli.names import one_of
+from docdepth.cli.options import Layout
+from docdepth.cli.progress import progress_bars
+from docdepth.cli.terminal import app, out, verb, volume
+from docdepth.io.labels import LABEL_FORMATS
+from docdepth.io.poses import POSE_FORMATS
+
+
+@verb(app)
+def convert(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="IN", help="A run folder, a recording with poses or labels, or a pose file."
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Argument(metavar="OUT", help="New file of poses, or new folder of labels.")
+    ],
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to",
+            help=f"Poses: {', '.join(POSE_FORMATS)}. Labels: label (SemanticKITTI), classid (NPY), "
+            "pcd (as DynamicMap_Benchmark, the class as intensity).",
+            **one_of((*POSE_FORMATS, *LABEL_FORMATS)),
+        ),
+    ],
+    layout: Layout = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            "--camera",
+            metavar="NAME",
+            help="Write the poses of this camera, as KITTI has them; of the LiDAR if absent.",
+        ),
+    ] = None,
+) -> None:
+    """Write the poses or labels of a run or a recording in the format of other tools.
+
+    docdepth convert RUN poses.txt --to tum
+    docdepth convert RUN labels --to classid
+    """
+    from docdepth.pipeline.convert import convert as write
+
+    with progress_bars() as progress:
+        count = write(source, output, to, layout, camera, progress)
+    if not volume.quiet:
+        what = "poses" if to in POSE_FORMATS else "sweeps"
+        out.print(f"{count} {what} in {output}", soft_wrap=True, markup=False)

@@ -1,0 +1,156 @@
+"""Files of labels, one for each sweep: SemanticKITTI's ``.label``, and ``.npy`` of classes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import DatasetError
+from docdepth.geometry.points import (
+    DYNAMIC,
+    GROUND,
+    GROUND_LABELS,
+    MOVING_LABEL,
+    MOVING_LABELS,
+    OUTLIER_LABEL,
+    STATIC,
+    STATIC_LABEL,
+)
+from docdepth.io.atomic import WriteFile, write_atomically
+from docdepth.io.frames import FrameRecord
+
+LABEL_FORMATS = ("label", "classid", "pcd")
+"""What labels are converted to: SemanticKITTI's, NPY, and PCD with the class as intensity."""
+
+SUFFIXES = (".label", ".npy")
+
+_Classes = NDArray[np.uint16]
+
+
+def label_file(folder: Path, name: str, frame: int) -> Path:
+    """The file of a sweep, ``NAME.label`` or ``NAME.npy``.
+
+    Raises
+    ------
+    DatasetError
+        There is neither.
+    """
+    for suffix in SUFFIXES:
+        if (folder / f"{name}{suffix}").is_file():
+            return folder / f"{name}{suffix}"
+    raise DatasetError(
+        f"{folder} has no labels of sweep {name} (frame {frame}): neither {name}.label nor "
+        f"{name}.npy; label files have the names of the sweeps"
+    )
+
+
+def read_classes(file: Path, points: int, frame: int) -> tuple[_Classes, _Classes | None]:
+    """Classes and instances of every row of a sweep.
+
+    Parameters
+    ----------
+    file : Path
+        ``.label``: one uint32 per row, SemanticKITTI's class in the lower 16 bits and the instance
+        in the upper ones. Classes 251 to 259 are dynamic; roads, pavements and terrain are ground.
+        ``.npy``: one integer per row, below 50 ground, 50 to 99 static, 100 and above dynamic; or
+        one bool per row, True for what moves.
+    points : int
+        Rows of the sweep.
+    frame : int
+        Number of the sweep, for messages.
+
+    Returns
+    -------
+    classid : ndarray of uint16, shape (points,)
+        0 ground, 50 static, 100 dynamic.
+    instance : ndarray of uint16, shape (points,), or None
+
+    Raises
+    ------
+    DatasetError
+        The file is damaged, or has another number of labels.
+    """
+    if file.suffix == ".npy":
+        return _classes_of(_read_npy(file, frame), file, points, frame), None
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise DatasetError(f"{file} (frame {frame}) cannot be read: {error.strerror}") from None
+    if len(content) % 4:
+        raise DatasetError(
+            f"{file} (frame {frame}) has {len(content)} bytes; labels are one uint32 for each "
+            "point; copy it again"
+        )
+    labels = np.frombuffer(content, "<u4")
+    _check_count(len(labels), file, points, frame)
+    return classes_of_labels(labels)
+
+
+def classes_of_labels(labels: NDArray[np.uint32]) -> tuple[_Classes, _Classes]:
+    """Classes and instances of SemanticKITTI's labels, each uint16 of shape (N,)."""
+    kind = labels & 0xFFFF
+    classid = np.full(len(labels), STATIC, np.uint16)
+    classid[np.isin(kind, GROUND_LABELS)] = GROUND
+    classid[np.isin(kind, MOVING_LABELS)] = DYNAMIC
+    return classid, (labels >> 16).astype(np.uint16)
+
+
+def write_labels(path: Path, frame: FrameRecord, write_file: WriteFile = write_atomically) -> None:
+    """Write classes and instances of a frame as SemanticKITTI's labels, for all rows of the sweep.
+
+    9 is static or ground, 251 dynamic, 1 a row that is no usable return.
+
+    Parameters
+    ----------
+    path : Path
+    frame : FrameRecord
+        With classes.
+    write_file : callable
+    """
+    assert frame.classid is not None
+    rows = np.full(frame.input_points, OUTLIER_LABEL, np.uint32)
+    labels = np.where(frame.classid >= DYNAMIC, MOVING_LABEL, STATIC_LABEL).astype(np.uint32)
+    if frame.instance is not None:
+        labels |= frame.instance.astype(np.uint32) << 16
+    rows[frame.index] = labels
+    write_file(path, lambda stream: stream.write(rows.tobytes()))
+
+
+def _read_npy(file: Path, frame: int) -> NDArray[Any]:
+    try:
+        values = np.load(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise DatasetError(
+            f"{file} (frame {frame}) cannot be read as NPY ({error}); write it again"
+        ) from None
+    if not isinstance(values, np.ndarray) or values.ndim != 1 or values.dtype.kind not in "uib":
+        raise DatasetError(
+            f"{file} (frame {frame}) must be integers or bool of shape (N,), one for each point"
+            + (f"; got {values.dtype} {values.shape}" if isinstance(values, np.ndarray) else "")
+        )
+    return values
+
+
+def _classes_of(values: NDArray[Any], file: Path, points: int, frame: int) -> _Classes:
+    _check_count(len(values), file, points, frame)
+    if values.dtype.kind == "b":
+        return np.where(values, DYNAMIC, STATIC).astype(np.uint16)
+    if len(values) and values.min() < 0:
+        raise DatasetError(
+            f"{file} (frame {frame}) has the class {values.min()}; below 50 is ground, "
+            "50 to 99 for static, 100 and above for dynamic"
+        )
+    return np.where(values >= DYNAMIC, DYNAMIC, np.where(values < STATIC, GROUND, STATIC)).astype(
+        np.uint16
+    )
+
+
+def _check_count(labels: int, file: Path, points: int, frame: int) -> None:
+    if labels != points:
+        raise DatasetError(
+            f"{file} (frame {frame}) has {labels} labels for a sweep of {points} points; there is "
+            "one for each row of the sweep, unusable rows too, in its order"
+        )

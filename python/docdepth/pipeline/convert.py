@@ -1,0 +1,204 @@
+"""Poses and labels of a run, a recording or a file, in the formats of other tools."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets import Dataset, open_dataset, usable_points
+from docdepth.errors import ConfigError, DatasetError
+from docdepth.geometry.points import DYNAMIC, STATIC
+from docdepth.geometry.se3 import inverse, matrix_to_quaternion
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.atomic import write_atomically
+from docdepth.io.frames import FrameRecord, write_trajectory
+from docdepth.io.labels import LABEL_FORMATS, classes_of_labels, write_labels
+from docdepth.io.pcd import write_pcd
+from docdepth.io.poses import POSE_FORMATS, read_timed_poses, write_kitti, write_tum
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.run_inputs import open_recording
+from docdepth.pipeline.run_state import require
+from docdepth.pipeline.stage import Progress
+
+_POSE_FILES = ("", ".txt", ".tum", ".kitti", ".csv", ".ply", ".npy")
+
+
+def convert(
+    source: Path,
+    output: Path,
+    to: str,
+    layout: str | None = None,
+    camera: str | None = None,
+    progress: Progress | None = None,
+) -> int:
+    """Write poses into a file, or labels into a folder.
+
+    Parameters
+    ----------
+    source : Path
+        A run folder, a recording that has poses or labels, or a file of poses.
+    output : Path
+        File of poses, or folder of labels; it must not be there.
+    to : str
+        One of :data:`POSE_FORMATS` or :data:`LABEL_FORMATS`.
+    layout : str, optional
+        Format of the recording; guessed if absent.
+    camera : str, optional
+        Poses of this camera, as KITTI has them, in place of those of the LiDAR.
+    progress : callable, optional
+        Called with the step, the sweeps done and their number.
+
+    Returns
+    -------
+    int
+        Poses or sweeps.
+
+    Raises
+    ------
+    ConfigError
+        The format cannot hold what is asked for, or ``output`` is there.
+    DatasetError, OdometryError, RunError
+        There are no poses or labels, or they are damaged.
+    """
+    if output.exists() and not (
+        to in LABEL_FORMATS and output.is_dir() and not any(output.iterdir())
+    ):
+        raise ConfigError(f"{output} is there; name another, or remove it")
+    if to in POSE_FORMATS:
+        times, poses = _poses(source, layout, camera)
+        return _write_poses(source, output, to, times, poses)
+    if camera is not None:
+        raise ConfigError(f"--camera is for poses; {to} are labels of the LiDAR's points")
+    if _is_pose_file(source):
+        raise ConfigError(f"{source} is a file; labels are those of a run or a recording")
+    sweeps, trajectory, count = _sweeps(source, layout, to)
+    for k, sweep in enumerate(sweeps):
+        _write_labels(output, to, sweep, trajectory, k)
+        if progress:
+            progress("convert", k + 1, count)
+    return count
+
+
+def _is_pose_file(source: Path) -> bool:
+    return source.is_file() and source.suffix.lower() in _POSE_FILES
+
+
+def _poses(
+    source: Path, layout: str | None, camera: str | None
+) -> tuple[NDArray[np.int64] | None, NDArray[np.float64]]:
+    """Times, where they are known, and poses of the LiDAR or a camera."""
+    if _is_pose_file(source):
+        if camera is not None:
+            raise ConfigError(
+                f"{source} does not tell where {camera} sits; convert the run or the recording"
+            )
+        return read_timed_poses(source)
+    recording = open_dataset(source, layout)
+    if recording.poses is None:
+        raise DatasetError(
+            f"{source} has no poses of its own; estimate them by docdepth run {source} -o RUN, and "
+            "convert RUN"
+        )
+    poses = recording.poses
+    if camera is not None:
+        T = _camera_place(recording, camera)
+        poses = T @ poses @ inverse(T)
+    return recording.times, poses
+
+
+def _camera_place(recording: Dataset, name: str) -> NDArray[np.float64]:
+    """``T_camera_lidar`` of a camera; a run may have been made of a recording with more cameras."""
+    cameras = recording.cameras
+    if recording.name == "run":
+        made_of = RunFolder.open(recording.path).manifest["source"]
+        if made_of.get("dataset") and Path(made_of["dataset"]).exists():
+            cameras = open_recording(made_of).cameras
+    if name not in cameras:
+        raise ConfigError(f"{recording.path} has no camera {name!r}; it has {', '.join(cameras)}")
+    return cameras[name].T_camera_lidar
+
+
+def _write_poses(
+    source: Path,
+    output: Path,
+    to: str,
+    times: NDArray[np.int64] | None,
+    poses: NDArray[np.float64],
+) -> int:
+    output.parent.mkdir(parents=True, exist_ok=True)
+    if to == "kitti":
+        write_kitti(output, poses)
+    elif to == "npy":
+        write_atomically(output, lambda stream: np.save(stream, poses))
+    elif times is None:
+        raise ConfigError(
+            f"{source} has no times, which {to} needs; convert the run or the recording, or say "
+            "--to kitti or npy"
+        )
+    elif to == "tum":
+        write_tum(output, Trajectory(times, poses))
+    else:
+        write_trajectory(output, Trajectory(times, poses), np.arange(len(times)))
+    return len(poses)
+
+
+def _sweeps(
+    source: Path, layout: str | None, to: str
+) -> tuple[Iterator[FrameRecord], NDArray[np.float64] | None, int]:
+    """Sweeps with classes, the poses of the LiDAR, and their number."""
+    recording = open_dataset(source, layout)
+    if to == "pcd" and recording.poses is None:
+        raise DatasetError(
+            f"{source} has no poses of its own, which PCD files keep as VIEWPOINT; convert a run"
+        )
+    if recording.name == "run":
+        run = RunFolder.open(recording.path)
+        require(run, "classify")
+        return _of_run(run, len(recording)), recording.poses, len(recording)
+    if recording.labels(0) is None:
+        raise DatasetError(
+            f"{source} has no labels of its own; find classes by docdepth run {source} -o RUN, and "
+            "convert RUN"
+        )
+    return _of_recording(recording), recording.poses, len(recording)
+
+
+def _of_run(run: RunFolder, count: int) -> Iterator[FrameRecord]:
+    for k in range(count):
+        yield run.classified_frame(k)[0]
+
+
+def _of_recording(recording: Dataset) -> Iterator[FrameRecord]:
+    for k in range(len(recording)):
+        sweep, labels = recording.sweep(k), recording.labels(k)
+        if labels is None:
+            raise DatasetError(f"{recording.path} has no labels of sweep {sweep.name} (frame {k})")
+        rows = np.flatnonzero(usable_points(sweep.points))
+        classid, instance = (values[rows] for values in classes_of_labels(labels))
+        yield FrameRecord(
+            sweep.points[rows], rows.astype(np.uint32), sweep.name, len(labels), classid, instance
+        )
+
+
+def _write_labels(
+    folder: Path, to: str, record: FrameRecord, poses: NDArray[np.float64] | None, frame: int
+) -> None:
+    classid = record.classid
+    assert classid is not None
+    if to == "label":
+        write_labels(folder / f"{record.name}.label", record)
+    elif to == "classid":
+        rows = np.full(record.input_points, STATIC, np.uint16)
+        rows[record.index] = classid
+        write_atomically(folder / f"{record.name}.npy", lambda stream: np.save(stream, rows))
+    elif poses is not None:
+        # From the first pose on, since float32 cannot hold the coordinates of a country.
+        T = inverse(poses[0]) @ poses[frame]
+        points = (record.points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+        x, y, z, w = matrix_to_quaternion(T[:3, :3])
+        moves = (classid >= DYNAMIC).astype(np.float32)
+        file = folder / "pcd" / f"{frame:06d}.pcd"
+        write_pcd(file, points, moves, np.array([*T[:3, 3], w, x, y, z]))

@@ -1,0 +1,99 @@
+"""Classes of another method in place of our own: ``--labels DIR``."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+from docdepth.errors import DatasetError
+from docdepth.geometry.points import DYNAMIC
+from docdepth.io.frames import read_frame_name, read_input_points
+from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.io.tracks import TRACKS
+from docdepth.pipeline.classified_files import is_classified, remove_outdated, write_classified
+from docdepth.pipeline.graph import classify_parts, label_files
+from docdepth.pipeline.input_files import InputFiles
+from docdepth.pipeline.label_folder import LabelFolder
+from docdepth.pipeline.stage import Progress, progress_callback, stage
+
+log = logging.getLogger(__name__)
+
+
+def open_labels(run: RunFolder) -> LabelFolder:
+    """The labels that a run was given.
+
+    Raises
+    ------
+    DatasetError
+        They are not there, or are those that the run itself has written.
+    """
+    given = LabelFolder(Path(run.manifest["source"]["labels"]))
+    if given.folder.resolve().is_relative_to(run.path.resolve()):
+        raise DatasetError(
+            f"{given.folder} lies in the run {run.path} itself; name a folder of other labels"
+        )
+    return given
+
+
+def take_labels(run: RunFolder, progress: Progress | None = None) -> None:
+    """Write the classes that a run was given into ``frames/`` and ``labels/``.
+
+    Ground is not grown and key frames do not vote. Tracks are those of the run whose labels these
+    are, if any.
+
+    Parameters
+    ----------
+    run : RunFolder
+        Its odometry is done, and its inputs name the labels.
+    progress : callable, optional
+
+    Raises
+    ------
+    DatasetError
+        Labels of a sweep are missing, damaged, or of another number of points.
+    RunError
+        A file of the run is damaged.
+    """
+    with run.lock("classify"):
+        trajectory, inputs = run.trajectory(), InputFiles(run)
+        parts = classify_parts(run, run.stage("odometry").get("key"), inputs)
+        key = {"classify": stage_key(parts)}
+        labels, count = label_files(run), len(trajectory)
+        left = [i for i in range(count) if not is_classified(run, i, labels.get(i), key)]
+        stale = TRACKS in run.records(run.path) and run.key(run.path / TRACKS) != key
+        if not left and not stale:
+            return
+        given = open_labels(run)
+        _check(given, run, left)
+        told = progress_callback(progress, "classify")
+        with stage(run, "classify", parts, count) as profile:
+            inputs.save()
+            tracks = given.tracks(trajectory)
+            profile.more |= {"labels": str(given.folder), "tracks": tracks is not None}
+            if tracks is not None:
+                content = tracks
+                run.write(run.path / TRACKS, lambda stream: stream.write(content), key)
+            something_moves = False
+            for index in left:
+                with profile.watch("read"):
+                    classified = given.classified(run.frame(index), index)
+                assert classified.classid is not None
+                something_moves |= bool((classified.classid >= DYNAMIC).any())
+                with profile.watch("write"):
+                    write_classified(run, index, classified, key)
+                profile.frames += 1
+                told(count - len(left) + profile.frames, count)
+            if not something_moves and len(left) == count:
+                log.warning(
+                    "no point of %s is dynamic: what moves has the class 251 to 259 in .label "
+                    "files, 100 and above in .npy files, or True", given.folder,
+                )  # fmt: skip
+            remove_outdated(run, {}, key)
+
+
+def _check(given: LabelFolder, run: RunFolder, frames: Sequence[int]) -> None:
+    """Refuse labels that do not fit, before any class is written."""
+    for frame in frames:
+        path = run.frame_path(frame)
+        given.check_count(read_frame_name(path), frame, read_input_points(path))

@@ -1,0 +1,109 @@
+"""Poses that a user brings: a file of the LiDAR's or of a camera's, or the recording's own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.config import OdometryParameters
+from docdepth.datasets import Dataset, FrameRange
+from docdepth.errors import DatasetError, OdometryError
+from docdepth.geometry.se3 import inverse
+from docdepth.io.poses import read_poses
+from docdepth.odometry.pose_checks import misfit, move_upwards
+
+OWN = "dataset"
+"""Entry ``poses`` that means those of the recording."""
+
+_WRONG, _TIMES = 0.1, 3.0
+"""Sweeps lie this far from those before them [m], and this many times as far as by the other
+meaning, if poses are of a camera. Median of right poses: 0.003 to 0.08 m."""
+
+
+def poses_entry(poses: Path | str | None) -> str | None:
+    """What run.yaml keeps of ``--poses``: paths are made absolute.
+
+    A text ``CAMERA:FILE``, where no file has this name, means poses of that camera.
+    """
+    if poses is None or poses == OWN:
+        return None if poses is None else OWN
+    camera, file = _divided(str(poses))
+    path = str(Path(file).resolve())
+    return f"{camera}:{path}" if camera else path
+
+
+def file_of_poses(entry: str) -> Path | None:
+    """The file of an entry of run.yaml; None for the recording's own poses."""
+    return None if entry == OWN else Path(_divided(entry)[1])
+
+
+def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
+    """Poses ``T_world_lidar`` (n, 4, 4) of every sweep of a recording, or of a part of one.
+
+    Raises
+    ------
+    DatasetError
+        The recording has no poses, or not this camera.
+    OdometryError
+        The file is missing, damaged, or has another number of poses.
+    """
+    if entry == OWN:
+        if recording.poses is None:
+            raise DatasetError(
+                f"{recording.path} has no poses of its own; give a file by --poses FILE, or leave "
+                "--poses out to have them estimated"
+            )
+        return recording.poses
+    whole = recording.whole if isinstance(recording, FrameRange) else recording
+    camera, file = _divided(entry)
+    poses = read_poses(Path(file), len(whole))
+    if camera:
+        poses = _of_lidar(poses, camera, whole)
+    if isinstance(recording, FrameRange):
+        return poses[recording.indices.start : recording.indices.stop]
+    return poses
+
+
+def refuse_poses_of_a_camera(
+    entry: str, recording: Dataset, poses: NDArray[np.float64], parameters: OdometryParameters
+) -> None:
+    """Refuse a file of camera poses, as KITTI's are, that is given as one of LiDAR poses.
+
+    Some sweeps are aligned with those before, starting from either meaning.
+
+    Raises
+    ------
+    OdometryError
+        Poses lead upwards, do not fit, and fit as those of a camera.
+    """
+    if entry == OWN or _divided(entry)[0] or not recording.cameras or not move_upwards(poses):
+        return
+    name = sorted(recording.cameras, key=lambda n: n not in ("image_00", "image_0"))[0]
+    meanings = poses, _of_lidar(poses, name, recording)
+    off = [misfit(lambda k: recording.sweep(k).points, p, parameters) for p in meanings]
+    if off[0] is not None and off[1] is not None and off[0] > max(_WRONG, _TIMES * off[1]):
+        raise OdometryError(
+            f"{entry} holds poses of a camera: as those of the LiDAR, sweeps lie {off[0]:.2f} m "
+            f"from those before them, as those of {name} {off[1]:.2f} m; say which camera: "
+            f"--poses {name}:{entry}"
+        )
+
+
+def _divided(entry: str) -> tuple[str, str]:
+    """Camera and file; an empty name for poses of the LiDAR."""
+    camera, colon, file = entry.partition(":")
+    return (camera, file) if colon and not Path(entry).exists() else ("", entry)
+
+
+def _of_lidar(poses: NDArray[np.float64], camera: str, recording: Dataset) -> NDArray[np.float64]:
+    """Poses of the LiDAR from those of a camera; identity stays identity."""
+    if camera not in recording.cameras:
+        known = ", ".join(recording.cameras) or "none"
+        raise DatasetError(
+            f"--poses {camera}:...: {recording.path} has no camera {camera!r}; it has {known}"
+        )
+    T = recording.cameras[camera].T_camera_lidar
+    of_lidar: NDArray[np.float64] = inverse(T) @ poses @ T
+    return of_lidar

@@ -1,0 +1,112 @@
+"""A folder of labels that another method, or another run, has made."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from docdepth.errors import DatasetError
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.frames import FrameRecord, read_trajectory
+from docdepth.io.labels import SUFFIXES, label_file, read_classes
+from docdepth.io.tracks import TRACKS, cut_tracks
+
+log = logging.getLogger(__name__)
+
+_SAME_POSE = 1e-3
+"""Metres, and entries of rotations: tracks fit poses that differ by less."""
+
+
+class LabelFolder:
+    """A folder of labels, ``NAME.label`` or ``NAME.npy`` for each sweep.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder, or its parent with a folder ``labels``: a run, or a sequence of SemanticKITTI.
+
+    Raises
+    ------
+    DatasetError
+        It is not there, or holds no labels.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if not folder.is_dir():
+            what = "not a folder" if folder.exists() else "not there"
+            raise DatasetError(f"{folder} is {what}; --labels names a folder of label files")
+        self.folder = folder / "labels" if (folder / "labels").is_dir() else folder
+        if not self.label_files():
+            raise DatasetError(f"{self.folder} holds no .label or .npy file")
+
+    def label_files(self) -> list[Path]:
+        """All its labels, by name."""
+        return sorted(p for p in self.folder.iterdir() if p.suffix in SUFFIXES)
+
+    def files(self) -> list[Path]:
+        """All that is read: labels, tracks, and the poses that these belong to."""
+        beside = (self._tracks, self._trajectory) if self._has_tracks() else ()
+        return [*self.label_files(), *beside]
+
+    def check(self, names: Sequence[str]) -> None:
+        """Refuse a folder that lacks the labels of a sweep."""
+        for frame, name in enumerate(names):
+            label_file(self.folder, name, frame)
+
+    def check_count(self, name: str, frame: int, points: int | None) -> None:
+        """Refuse labels that are missing, damaged or of another number of points."""
+        file = label_file(self.folder, name, frame)
+        if points is not None:
+            read_classes(file, points, frame)
+
+    def classified(self, record: FrameRecord, frame: int) -> FrameRecord:
+        """A frame with the classes given, and without votes."""
+        file = label_file(self.folder, record.name, frame)
+        classid, instance = read_classes(file, record.input_points, frame)
+        return replace(
+            record,
+            classid=classid[record.index],
+            instance=None if instance is None else instance[record.index],
+            votes_static=None,
+            votes_dynamic=None,
+        )
+
+    def tracks(self, trajectory: Trajectory) -> bytes | None:
+        """The tracks of a run whose labels these are, at the times of a trajectory.
+
+        None where there are none, or where they belong to other poses.
+        """
+        if not self._has_tracks():
+            return None
+        theirs, _ = read_trajectory(self._trajectory)
+        if not _fits(trajectory, theirs):
+            log.warning(
+                "%s are of other poses than this run has and are not used: moving objects are "
+                "drawn from the nearest sweep alone; give these poses, too: --poses %s",
+                self._tracks, self._trajectory,
+            )  # fmt: skip
+            return None
+        return cut_tracks(self._tracks, trajectory.times)
+
+    @property
+    def _tracks(self) -> Path:
+        return self.folder.parent / TRACKS
+
+    @property
+    def _trajectory(self) -> Path:
+        return self.folder.parent / "traj_odometry.ply"
+
+    def _has_tracks(self) -> bool:
+        return self._tracks.is_file() and self._trajectory.is_file()
+
+
+def _fits(ours: Trajectory, theirs: Trajectory) -> bool:
+    """Whether both have the same poses at the times of ours."""
+    rows = np.searchsorted(theirs.times, ours.times).clip(max=len(theirs) - 1)
+    if not np.array_equal(theirs.times[rows], ours.times):
+        return False
+    return bool(np.abs(theirs.poses[rows] - ours.poses).max() < _SAME_POSE)

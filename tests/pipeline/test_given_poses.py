@@ -1,0 +1,103 @@
+"""``--poses``: files of the LiDAR's or a camera's poses, and those of the recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from command_line import cli
+from docdepth.datasets import open_dataset
+from docdepth.errors import DatasetError, OdometryError
+from docdepth.geometry.se3 import inverse
+from docdepth.io.poses import write_kitti
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.given_poses import poses_entry
+from docdepth.pipeline.run_inputs import known_poses, open_recording
+from docdepth.pipeline.run_state import states
+from small_drive import SWEEPS, write_small_drive
+from walled_yard import straight
+
+POSES = straight(SWEEPS, 0.5).poses
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory) -> Path:
+    """With KITTI's ``poses.txt``, of camera 0, which is camera 2 here."""
+    folder = write_small_drive(tmp_path_factory.mktemp("poses") / "drive")
+    T = open_dataset(folder).cameras["image_2"].T_camera_lidar
+    write_kitti(folder / "poses.txt", T @ POSES @ inverse(T))
+    write_kitti(folder.parent / "lidar.txt", POSES)
+    return folder
+
+
+def source(drive: Path, **more: object) -> dict[str, object]:
+    named = dict.fromkeys(("name", "camera", "poses", "camera_times", "image_size"))
+    return {"dataset": str(drive), **named, **more}
+
+
+def poses_of(drive: Path, given: Path | str, **more: object) -> np.ndarray:
+    entries = source(drive, poses=poses_entry(given), **more)
+    poses = known_poses(entries, open_recording(entries))
+    assert poses is not None
+    return poses
+
+
+def test_those_of_the_recording_are_taken(drive, tmp_path):
+    np.testing.assert_allclose(poses_of(drive, "dataset"), POSES, atol=1e-9)
+    np.testing.assert_allclose(poses_of(drive, "dataset", frames="1:3"), POSES[1:3], atol=1e-9)
+    run = tmp_path / "run"
+    assert cli("run", drive, "-o", run, "--poses", "dataset").exit_code == 0
+    np.testing.assert_allclose(RunFolder.open(run).trajectory().poses, POSES, atol=1e-9)
+    assert RunFolder.open(run).manifest["source"]["poses"] == "dataset"
+    assert {state.state for state in states(RunFolder.open(run))} == {"done"}
+    # The same inputs by run.yaml, and brought up to date without any.
+    assert cli("run", "--config", run / "run.yaml", "-o", run).exit_code == 0
+    assert cli("run", run).exit_code == 0
+    assert cli("run", drive, "-o", run, "--poses", drive.parent / "lidar.txt").exit_code == 2
+
+
+def test_a_recording_without_poses_is_refused(tmp_path):
+    folder = write_small_drive(tmp_path / "drive", images=False)
+    with pytest.raises(DatasetError, match=r"drive has no poses of its own; give a file"):
+        poses_of(folder, "dataset")
+    refused = cli("check", folder, "--image-size", "96x40", "--poses", "dataset")
+    assert refused.exit_code == 2
+    assert "no poses of its own" in refused.stderr
+
+
+def test_poses_of_a_camera_are_told_by_its_name(drive):
+    file = drive / "poses.txt"
+    np.testing.assert_allclose(poses_of(drive, f"image_2:{file}"), POSES, atol=1e-9)
+    later = poses_of(drive, f"image_2:{file}", frames="2:")
+    np.testing.assert_allclose(later, POSES[2:], atol=1e-9)
+    # Camera 3 sits half a metre beside: on a straight way all move alike.
+    np.testing.assert_allclose(poses_of(drive, f"image_3:{file}"), POSES, atol=1e-9)
+    with pytest.raises(DatasetError, match=r"no camera 'front'; it has image_2, image_3"):
+        poses_of(drive, f"front:{file}")
+    with pytest.raises(OdometryError, match=r"none.txt is missing"):
+        poses_of(drive, f"image_2:{drive / 'none.txt'}")
+
+
+def test_a_file_with_a_colon_in_its_name_is_a_file(drive, tmp_path):
+    write_kitti(tmp_path / "image_2:lidar.txt", POSES)
+    np.testing.assert_allclose(poses_of(drive, tmp_path / "image_2:lidar.txt"), POSES, atol=1e-11)
+
+
+def test_poses_of_a_camera_given_as_the_lidar_s_are_refused(drive, tmp_path):
+    file = drive / "poses.txt"
+    refused = cli("run", drive, "-o", tmp_path / "run", "--poses", file)
+    assert refused.exit_code == 2
+    assert f"say which camera: --poses image_2:{file}" in str(refused.exception)
+    assert not (tmp_path / "run" / "frames").exists()
+    assert cli("check", drive, "--poses", f"image_2:{file}").exit_code == 0
+    assert cli("check", drive, "--poses", drive.parent / "lidar.txt").exit_code == 0
+
+
+def test_an_unreadable_recording_is_told_before_its_poses(tmp_path):
+    (tmp_path / "drive" / "velodyne").mkdir(parents=True)
+    refused = cli("check", tmp_path / "drive", "--poses", "dataset")
+    assert refused.exit_code == 2
+    assert "dataset cannot" not in refused.stderr
+    assert "is missing; give the file of the poses" not in refused.stderr
