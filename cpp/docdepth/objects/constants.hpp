@@ -123,6 +123,8 @@ constexpr double kGuessDeviation = 0.3, kGuessHeadingDeviation = 0.05;
 constexpr double kUnknownPosition = 10, kUnknownHeading = 1;
 /// Surfaces are known this exactly at best [m].
 constexpr double kSurfaceDeviation = 0.02;
+/// Where registrations are farther than this from where the shifts lead, these are tried, too [m].
+constexpr double kMaxDrift = 1;
 /// A registration fails if a smaller share of the samples finds partners.
 constexpr float kMinRegisteredShare = 0.5f;
 /// After so many observations that lie beside the model a track goes on with something else.

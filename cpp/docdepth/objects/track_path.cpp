@@ -223,8 +223,20 @@ std::size_t TrackPath::register_from(std::size_t first, int step, SurfaceModel& 
         guess = shifted, misses = 0;
     }
     if (misses == kMaxMisses) return k - (misses - 1) * std::size_t(step);
-    const Registration found =
-        register_surface(seen_[k], model, {guess, motion.covariance(), turn.covariance()(0, 0)});
+    const auto registered = [&](const Pose& expected) {
+      return register_surface(seen_[k], model,
+                              {expected, motion.covariance(), turn.covariance()(0, 0)});
+    };
+    Registration found = registered(guess);
+    // Along a flat side a registration may drift away. Then the surface fits where the shifts lead.
+    if (misses == 0 && (found.position - states_[k].position).head<2>().norm() > kMaxDrift) {
+      const Registration there = registered(pose_of(k));
+      if (there.share > found.share) {
+        found = there;
+        motion.start({time, found.position, found.covariance}, states_[k].velocity,
+                     kShiftSpeedDeviation);
+      }
+    }
     measured.set(k, found, {time, {}, {}, turn.position().x(), 0});
     MeasuredPosition& position = measured.positions[k];
     if (!motion.expects(position)) position.covariance *= kOutlierFactor;
