@@ -36,6 +36,7 @@ class MotionFilter {
   bool expects(const MeasuredPosition& seen) const;
 
   Eigen::Vector3d position() const { return mean_.head<3>(); }
+  Eigen::Vector3d velocity() const { return mean_.segment<3>(3); }
   Eigen::Matrix3d covariance() const { return covariance_.topLeftCorner<3, 3>(); }
 
  private:

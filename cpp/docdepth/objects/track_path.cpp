@@ -228,8 +228,12 @@ std::size_t TrackPath::register_from(std::size_t first, int step, SurfaceModel& 
                               {expected, motion.covariance(), turn.covariance()(0, 0)});
     };
     Registration found = registered(guess);
-    // Along a flat side a registration may drift away. Then the surface fits where the shifts lead.
-    if (misses == 0 && (found.position - states_[k].position).head<2>().norm() > kMaxDrift) {
+    // Along a flat side the motion may go on though the object has stopped. Then the surface fits
+    // where the shifts lead.
+    const double speed = motion.velocity().norm();
+    const bool slower = speed >= kSlow && states_[k].velocity.norm() < speed / 2;
+    if (misses == 0 && slower &&
+        (found.position - states_[k].position).head<2>().norm() > kMaxDrift) {
       const Registration there = registered(pose_of(k));
       if (there.share > found.share) {
         found = there;
