@@ -1,5 +1,6 @@
 # make demo   install what is missing and turn a synthetic drive into depth maps
 # make test   install what is missing and run the checks of continuous integration
+# make docs   install what is missing and build the site into build/site
 #
 # The first of them builds the C++ core, which takes about two minutes. Tests on real recordings run
 # only where DOCDEPTH_KITTI_RAW names them; make test ends with a list of what it has left out.
@@ -11,7 +12,7 @@ BIN := $(VENV)/bin
 SYSTEM := g++ make python3-venv python3-dev libeigen3-dev libnanoflann-dev doctest-dev \
           libosmesa6 libegl1 libgl1-mesa-dri libgl1 libgomp1 libusb-1.0-0
 
-.PHONY: demo test install dev lint cpp-test pytest stubs format wheel clean system
+.PHONY: demo test docs install dev lint cpp-test pytest stubs format wheel clean system
 
 demo: install
 	$(BIN)/docdepth demo -o demo
@@ -53,9 +54,13 @@ $(VENV)/installed: $(SOURCES) | $(BIN)/python
 	$(call install,synth)
 	@touch $@
 
+$(VENV)/documented: $(SOURCES) | $(BIN)/python
+	$(call install,docs)
+	@touch $@
+
 $(VENV)/developed: $(SOURCES) | $(BIN)/python
 	$(call install,dev)
-	@touch $@ $(VENV)/installed
+	@touch $@ $(VENV)/installed $(VENV)/documented
 
 install: $(VENV)/installed
 dev: $(VENV)/developed
@@ -78,6 +83,11 @@ cpp-test: dev
 # A process a core; a file's tests share their drives, so they stay together.
 pytest: dev
 	$(BIN)/python -m pytest -m "slow or not slow" -n auto --dist loadfile --durations 10
+
+# The site; what it warns of is an error.
+docs: $(VENV)/documented
+	$(BIN)/python -m sphinx -q -W --keep-going -d build/doctrees -c docs . build/site
+	@echo "look at build/site/index.html"
 
 # Type stubs of the compiled module, kept in git; a test says when they are out of date.
 stubs: dev

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from docdepth.config import Parameters
 from docdepth.datasets import CameraStream, Sweep, open_dataset
 from docdepth.errors import RunError
-from docdepth.evaluation import moving
-from docdepth.geometry.points import DYNAMIC, GROUND, STATIC
+from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.labels import classes_of_labels
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_odometry
 from docdepth.render.scene import Scene
@@ -28,8 +28,6 @@ FRAMES = {"crossing": 100, "city": 125, "hills": 80, "residential": 90, "highway
 # Drives of a suite if none are named: those of the published tables.
 SUITE = tuple(FRAMES)
 FRAMES |= {"arrivals": 150, "overtaking": 90, "queue": 140}
-# SemanticKITTI: road, parking, pavement, other ground, lane marking, terrain.
-GROUND_LABELS = (40, 44, 48, 49, 60, 72)
 
 
 @dataclass(frozen=True)
@@ -135,10 +133,8 @@ class ExactDrive:
         """Ground, static and dynamic; dynamic is what moves at any time of the drive."""
         labels = self.dataset.labels(index)
         assert labels is not None
-        classid = np.where(np.isin(labels & 0xFFFF, GROUND_LABELS), GROUND, STATIC)
-        classid[moving(labels)] = DYNAMIC
-        instance = np.where(classid == DYNAMIC, labels >> 16, 0)
-        return ExactLabels(classid.astype(np.uint16), instance.astype(np.uint16))
+        classid, instance = classes_of_labels(labels)
+        return ExactLabels(classid, np.where(classid == DYNAMIC, instance, np.uint16(0)))
 
     def _sweep(self, index: int) -> Sweep:
         """A sweep with the time of each point: moving objects are where they were at that time."""

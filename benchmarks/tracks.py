@@ -72,17 +72,27 @@ def figures(cell: Cell, out: Path, p: Parameters, threads: int) -> dict[str, Any
 
 
 def table(title: str, cells: dict[str, dict[str, Any]]) -> Table:
-    """The mean of all cells, and each of them."""
-    rows = {name: [_figure(found, path) for path, _ in COLUMNS.values()] for name, found in
-            cells.items()}  # fmt: skip
-    known = np.array(list(rows.values()), float)
-    mean = [float(np.mean(v[np.isfinite(v)])) if np.isfinite(v).any() else np.nan for v in known.T]
+    """The mean of all cells, of those of each sensor, and each cell."""
+    rows = {
+        name: [_figure(found, path) for path, _ in COLUMNS.values()]
+        for name, found in cells.items()
+    }
+    sensors_of = dict.fromkeys(name.rpartition("_")[2] for name in rows)
+    means = {"mean": _mean(list(rows.values()))}
+    for one in sensors_of:
+        means[f"mean {one}"] = _mean([v for name, v in rows.items() if name.endswith(f"_{one}")])
     digits = [d for _, d in COLUMNS.values()]
     lines = [
         (name, *(number(value, d) for value, d in zip(values, digits, strict=True)))
-        for name, values in {"mean": mean, **rows}.items()
+        for name, values in {**means, **rows}.items()
     ]
     return Table(title, ("cell", *(heading.strip() for heading in COLUMNS)), tuple(lines))
+
+
+def _mean(rows: list[list[float]]) -> list[float]:
+    """Of each column, where a row has a figure."""
+    columns = np.array(rows, float).T
+    return [float(v[np.isfinite(v)].mean()) if np.isfinite(v).any() else np.nan for v in columns]
 
 
 def _figure(found: dict[str, Any], path: tuple[str, ...]) -> float:

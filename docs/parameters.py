@@ -26,7 +26,7 @@ What is not listed here is a constant in the code, named, with its unit and reas
 <!-- generated: python docs/parameters.py > docs/parameters.md -->
 """
 
-COLUMNS = ("name", "default", "paper", "unit", "range", "meaning", "symbol")
+COLUMNS = ("name", "meaning", "default", "paper", "unit", "range", "symbol")
 
 
 def page() -> str:
@@ -51,11 +51,11 @@ def _table(stage: str, group: BaseModel) -> Iterator[str]:
             yield _row(
                 (
                     f"`{about['name']}`",
+                    about["description"],
                     default,
                     "" if paper == default else paper,
                     about["unit"],
                     words,
-                    about["description"],
                     about["symbol"],
                 )
             )

@@ -95,6 +95,9 @@ class Scene:
             "shutter_frames": [(mesh_frame, pose, 0.03)],
             "seen": True,
             "crop": 300.0,
+            "size": 0.5,
+            "min_range": 1.0,
+            "max_range": 100.0,
             "resolution": 0.01,
             "window": 5,
             "tolerance": 0.2,
@@ -134,6 +137,8 @@ class Scene:
             return self.sighted
         if argument == "boxes" and "meshes" in name.rpartition(".")[2]:
             return [(np.eye(4), (4.0, 1.8, 1.5))]
+        if argument == "times" and name == "thin_sweep":
+            return self.good["time_offset"]
         return self.good[argument]
 
     def spoiled(self, value: Any) -> tuple[str, Any]:
@@ -203,10 +208,11 @@ class Scene:
             told = []
             for name in r.choice(names, r.integers(1, 3)):
                 number = getattr(value, name)
-                if not isinstance(number, (int, float)):
+                holder = value
+                if isinstance(number, list):
+                    number = np.array(number)
+                elif not isinstance(number, (int, float)):
                     number, name, holder = 0.5, "radial_tolerance", number
-                else:
-                    holder = value
                 what, odd = self.spoiled(number)
                 try:
                     setattr(holder, name, odd)

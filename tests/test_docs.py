@@ -24,7 +24,13 @@ from docdepth.render.frame import Frame
 ROOT = Path(__file__).parent.parent
 README = ROOT / "README.md"
 DOCS = sorted((ROOT / "docs").glob("*.md"))
-PAGES = [README, ROOT / "CONTRIBUTING.md", *DOCS]
+PAGES = [
+    README,
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "SECURITY.md",
+    ROOT / "notebooks" / "README.md",
+    *DOCS,
+]
 # Pages that also tell of names that are gone.
 HISTORY = {"decisions.md"}
 

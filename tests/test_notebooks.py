@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = Path(__file__).parent.parent / "notebooks"
 
 pytest.importorskip("embreex")
 pytest.importorskip("matplotlib").use("Agg")
+plt = pytest.importorskip("matplotlib.pyplot")
 
 
 def cells_of(path: Path) -> list[str]:
@@ -22,13 +25,21 @@ def cells_of(path: Path) -> list[str]:
     return ["".join(cell["source"]) for cell in cells]
 
 
-@pytest.fixture(scope="module", params=NOTEBOOKS, ids=lambda path: path.stem)
-def names(request: pytest.FixtureRequest) -> dict[str, object]:
-    """The names that a notebook defines."""
+def run_notebook(name: str, folder: Path) -> dict[str, object]:
+    """The names that a notebook defines; its drives and runs lie in the folder."""
     space: dict[str, object] = {}
-    for source in cells_of(request.param):
-        exec(source, space)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tempfile, "tempdir", str(folder))
+        for source in cells_of(NOTEBOOKS / f"{name}.ipynb"):
+            exec(source, space)
+            plt.close("all")
     return space
+
+
+@pytest.fixture(scope="module")
+def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+    """The names of the notebook about the whole method."""
+    return run_notebook("from_sweeps_to_depth", tmp_path_factory.mktemp("notebook"))
 
 
 @pytest.mark.slow
@@ -58,3 +69,43 @@ def test_open3d_gets_labels_and_the_coloured_cloud(names) -> None:
     if not picture.is_file():
         pytest.skip("Open3D cannot draw here: neither a display nor EGL")
     assert os.path.getsize(picture) > 10_000
+
+
+@pytest.mark.slow
+def test_votes_find_the_object_and_need_time(tmp_path: Path) -> None:
+    names = run_notebook("votes_of_one_object", tmp_path)
+    mine, votes = names["mine"], names["votes"]
+    assert mine.sum() > 1000
+    assert votes.dynamic[mine].mean() > votes.static[mine].mean()
+    others = names["near"] & ~mine
+    assert votes.dynamic[others].mean() < 0.1 * votes.static[others].mean()
+    found, shares = names["found"], list(names["shares"].values())
+    assert found["points"] < found["tracks"] > 0.95
+    assert shares[0] < shares[-1]
+
+
+@pytest.mark.slow
+def test_a_parameter_is_chosen_and_tried_on_another_drive(tmp_path: Path) -> None:
+    names = run_notebook("parameters_by_tune", tmp_path)
+    assert names["best"].metric("iou") == max(names["scores"]) > min(names["scores"]) + 0.05
+    chosen, default = names["checked"]
+    assert chosen.settings == names["best"].settings
+    assert 0.5 < default.metric("iou") < 1
+    splats, triangles = (outcome.metric("all.mae") for outcome in names["drawn"])
+    assert triangles < splats
+
+
+@pytest.mark.slow
+def test_held_out_sweeps_tell_that_poses_are_damaged(tmp_path: Path) -> None:
+    names = run_notebook("held_out", tmp_path)
+    before, after = names["before"].all, names["after"].all
+    assert before.mae < 0.5
+    assert after.mae > 1.5 * before.mae
+
+
+def test_every_notebook_is_run_and_listed() -> None:
+    here = {path.stem for path in NOTEBOOKS.glob("*.ipynb")}
+    page = (NOTEBOOKS / "README.md").read_text(encoding="utf-8")
+    source = Path(__file__).read_text(encoding="utf-8")
+    assert here == set(re.findall(r"\((\w+)\.ipynb\)", page))
+    assert here == set(re.findall(r'run_notebook\("(\w+)",', source))

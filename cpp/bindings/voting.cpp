@@ -81,6 +81,7 @@ void bind_voting(py::module_& m) {
       .def_readwrite("level", &MeshImageParameters::level)
       .def_readwrite("ground_tolerance", &MeshImageParameters::ground_tolerance)
       .def_readwrite("level_cosine", &MeshImageParameters::level_cosine)
+      .def_readwrite("up", &MeshImageParameters::up)
       .def_readwrite("max_ray_distance", &MeshImageParameters::max_ray_distance);
   py::class_<MeshImage, KeyFrame>(m, "MeshImage")
       .def(py::init(&make_mesh_image), "points"_a, "ground"_a, "mesh"_a, "parameters"_a);

@@ -7,7 +7,7 @@ import docdepth.errors
 import numpy
 import numpy.typing
 import typing
-__all__: list[str] = ['Detections', 'Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'MeshFrame', 'MeshImage', 'MeshImageParameters', 'MeshParameters', 'ObjectParameters', 'RangeImage', 'Rays', 'ScanMesh', 'TrackParameters', 'add_isolated_points', 'add_points_inside', 'classify_objects', 'cluster_objects', 'egl_devices', 'join_meshes', 'mesh_layers', 'nearest_neighbors', 'render_meshes', 'render_splats', 'splat_layers', 'track_objects', 'vote']
+__all__: list[str] = ['Detections', 'Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'MeshFrame', 'MeshImage', 'MeshImageParameters', 'MeshParameters', 'ObjectParameters', 'RangeImage', 'Rays', 'ScanMesh', 'TrackParameters', 'add_isolated_points', 'add_points_inside', 'classify_objects', 'cluster_objects', 'egl_devices', 'join_meshes', 'mesh_layers', 'nearest_neighbors', 'render_meshes', 'render_splats', 'splat_layers', 'thin_sweep', 'track_objects', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -169,6 +169,12 @@ class MeshImageParameters:
         ...
     @tolerance.setter
     def tolerance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    @property
+    def up(self) -> typing.Annotated[list[float], "FixedSize(3)"]:
+        ...
+    @up.setter
+    def up(self, arg0: typing.Annotated[collections.abc.Sequence[typing.SupportsFloat | typing.SupportsIndex], "FixedSize(3)"]) -> None:
         ...
     @property
     def window(self) -> int:
@@ -379,6 +385,8 @@ def render_meshes(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], wi
 def render_splats(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], static_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], dynamic_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
     ...
 def splat_layers(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, static_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], dynamic_frames: collections.abc.Sequence[tuple[Frame, typing.Annotated[numpy.typing.ArrayLike, numpy.float64]]], static_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], dynamic_size: tuple[typing.SupportsFloat | typing.SupportsIndex, typing.SupportsFloat | typing.SupportsIndex], depth: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> dict:
+    ...
+def thin_sweep(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], times: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], size: typing.SupportsFloat | typing.SupportsIndex, min_range: typing.SupportsFloat | typing.SupportsIndex, max_range: typing.SupportsFloat | typing.SupportsIndex) -> tuple:
     ...
 def track_objects(detections: collections.abc.Sequence[Detections], times: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], parameters: TrackParameters, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> tuple:
     ...

@@ -40,20 +40,20 @@ class _Stage(BaseModel):
 
 
 class OdometryParameters(_Stage):
-    """LiDAR odometry and deskewing (paper III-B; kiss-icp, then small_gicp)."""
+    """LiDAR odometry and deskewing (paper III-B; small_gicp)."""
 
     max_range: float = Field(
         100.0, ge=5, le=1000, description="points beyond are not registered [m]"
     )
     min_range: float = Field(3.0, ge=0, le=100, description="points nearer are not registered [m]")
     voxel_size: float = Field(
-        1.0, ge=0.1, le=10, description="edge of a voxel of kiss-icp's map [m]"
+        1.0, ge=0.1, le=10, description="edge of a voxel of the first pass's map [m]"
     )
     passes: int = Field(
-        3,
+        2,
         ge=1,
         le=5,
-        description="registrations of the whole drive: one by kiss-icp, the others by small_gicp",
+        description="registrations of the whole drive: one finds the poses, the others refine them",
     )
     blooming_deg: float = Field(
         0.0,

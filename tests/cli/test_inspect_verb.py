@@ -20,7 +20,7 @@ def test_figures_and_a_page_with_pictures(drive: Path, tmp_path: Path) -> None:
     page = tmp_path / "drive.html"
     result = cli("inspect", drive, "-o", page)
     assert result.exit_code == 0, result.output
-    for part in ("beams 16", "rate hz 10", "tilt deg", f"pictures: {page}"):
+    for part in ("beams: 16", "rate [Hz]: 10", "tilt [degrees]: ", f"pictures: {page}"):
         assert part in result.output
     assert "warning" not in result.output
     text = page.read_text()

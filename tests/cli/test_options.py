@@ -214,3 +214,28 @@ class TestConfig:
         ended = docdepth("run", "-o", tmp_path / "run")
         assert ended.code == 2
         assert "no recording" in ended.err
+
+
+@pytest.mark.parametrize("wanted", [None, "2"])
+def test_numpy_multiplies_in_the_calling_thread(wanted: str | None) -> None:
+    """Unless the user has asked for threads."""
+    script = (
+        "import ctypes, sys, numpy\n"
+        "from docdepth.cli import take_one_blas_thread\n"
+        "taken = take_one_blas_thread()\n"
+        "module = sys.modules.get('numpy._core._multiarray_umath')\n"
+        "library = ctypes.CDLL(getattr(module, '__file__', None))\n"
+        "name = 'scipy_openblas_get_num_threads64_'\n"
+        "print(taken, getattr(library, name)() if hasattr(library, name) else 'other')\n"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    if wanted:
+        environment["OPENBLAS_NUM_THREADS"] = wanted
+    command = [sys.executable, "-c", script]
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    taken, threads = result.stdout.split()
+    if threads == "other":
+        pytest.skip("numpy without its own OpenBLAS")
+    assert taken == str(wanted is None)
+    if wanted is None:
+        assert threads == "1"

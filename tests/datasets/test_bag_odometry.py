@@ -22,13 +22,17 @@ T_BODY_LIDAR = poses_from([rotation_exp([0.02, 0.3, -0.4])], [[1.2, 0.1, 1.7]])[
 BODY = Trajectory(DRIVE.times, DRIVE.poses @ inverse(T_BODY_LIDAR))
 
 
-def odometry(bag: BagWriter, time: int, pose: np.ndarray, child: str = "base_link"):
+def pose_of(bag: BagWriter, pose: np.ndarray):
     x, y, z, w = matrix_to_quaternion(pose[:3, :3])
-    place = bag.make(
+    return bag.make(
         "geometry_msgs/msg/Pose",
         bag.make("geometry_msgs/msg/Point", *pose[:3, 3].tolist()),
         bag.make("geometry_msgs/msg/Quaternion", x, y, z, w),
     )
+
+
+def odometry(bag: BagWriter, time: int, pose: np.ndarray, child: str = "base_link"):
+    place = pose_of(bag, pose)
     zero = bag.make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
     twist = bag.make("geometry_msgs/msg/Twist", zero, zero)
     return bag.make(

@@ -144,7 +144,7 @@ def test_folders_without_a_recording(raw: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(DatasetError, match=r"that docdepth reads \(kitti_raw, .*name the format"):
         open_dataset(tmp_path / "empty")
-    with pytest.raises(DatasetError, match="unknown dataset 'waymo'; there are kitti_raw"):
-        open_dataset(raw, "waymo")
+    with pytest.raises(DatasetError, match="unknown dataset 'lyft'; there are kitti_raw"):
+        open_dataset(raw, "lyft")
     with pytest.raises(DatasetError, match=r"no recording of semantic_kitti .a sequence"):
         open_dataset(raw, "semantic_kitti")

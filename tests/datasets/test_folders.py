@@ -270,7 +270,10 @@ def test_where_the_lidar_looks_from(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        ({"motion_compansated": True}, "motion_compansated is unknown; there are motion_comp"),
+        (
+            {"motion_compansated": True},
+            "motion_compansated is unknown; there are ego_boxes, moti",
+        ),
         ({"cameras": {"a": {"k": [1]}}}, "cameras.a.k is unknown"),
         ({"stamp": "begin"}, "stamp: Input should be 'start', 'middle' or 'end'"),
         ({"times": "gone.txt"}, r"gone.txt is missing; say times: FILE or rate: 10"),

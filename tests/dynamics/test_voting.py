@@ -15,8 +15,10 @@ from docdepth.dynamics.key_frames import key_frames
 from docdepth.dynamics.voting import KeyFrame, vote
 from docdepth.errors import InputError
 from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.se3 import rotation_exp
+from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
-from walled_yard import pose, straight
+from walled_yard import pose, scan, straight
 
 KITTI = os.environ.get("DOCDEPTH_KITTI_RAW")
 PAPER, DEFAULT = parameters("paper").dynamics, parameters("default").dynamics
@@ -172,6 +174,26 @@ def test_a_key_frame_votes_with_the_mesh_that_it_is_given() -> None:
     ]
     assert votes[0].dynamic.mean() > 0.5
     assert votes[1].dynamic.sum() == 0
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0)])
+def test_planes_are_level_in_the_world_and_not_in_the_frame_of_the_lidar(axis) -> None:
+    """What is 12 cm above the road is free of it, however the LiDAR leans."""
+    ground, what = scan(pose(), -8.0)
+    road = np.ascontiguousarray(ground[what == 0])
+    none = np.zeros(len(road), bool)
+    feet = np.ascontiguousarray(road * np.float32((1.7 - 0.12) / 1.7))
+    leaning = np.eye(4)
+    leaning[:3, :3] = rotation_exp(np.radians(40) * np.array(axis))
+    rig = SensorRig(np.zeros(len(road), np.uint8), leaning[None])
+    shares = [
+        vote(feet, none, np.eye(4), [KeyFrame(road, none, None, None, of)], np.eye(4)[None])
+        .dynamic.astype(bool)
+        .mean()
+        for of in (None, rig)
+    ]
+    assert shares[0] > 0.5
+    assert abs(shares[1] - shares[0]) < 0.05
 
 
 def test_wrong_arrays_are_refused():

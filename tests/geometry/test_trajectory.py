@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from docdepth.errors import InputError
-from docdepth.geometry import trajectory as tr
 from docdepth.geometry.se3 import (
     inverse,
     matrix_to_quaternion,
@@ -79,10 +78,12 @@ def test_no_quaternion(bad: list[float]) -> None:
         quaternion_to_matrix(bad)
 
 
-def test_rotation_power_takes_the_shorter_arc() -> None:
-    quarter = Rotation.from_rotvec([0, 0, np.deg2rad(-90)])
-    third = tr.rotation_power(Rotation.from_rotvec([0, 0, np.deg2rad(270)]).as_matrix(), 1 / 3)
-    np.testing.assert_allclose(third, (quarter ** (1 / 3)).as_matrix(), atol=1e-15)
+def test_interpolation_takes_the_shorter_arc() -> None:
+    poses = np.repeat(np.eye(4)[None], 2, axis=0)
+    poses[1, :3, :3] = Rotation.from_rotvec([0, 0, np.deg2rad(270)]).as_matrix()
+    third = Trajectory(np.array([0, 3]), poses).interpolate(1)[0, :3, :3]
+    expected = Rotation.from_rotvec([0, 0, np.deg2rad(-30)]).as_matrix()
+    np.testing.assert_allclose(third, expected, atol=1e-15)
 
 
 def test_inverse() -> None:

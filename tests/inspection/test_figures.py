@@ -7,8 +7,8 @@ import pytest
 from drives import Recorded, right_poses, turned
 
 from docdepth.datasets import usable_points
+from docdepth.geometry.ground_plane import find_ground, level_turn
 from docdepth.geometry.se3 import inverse
-from docdepth.inspection.ground_plane import common_ground, find_ground
 from docdepth.inspection.lidar_figures import (
     beams_by_elevation,
     horizontal_field,
@@ -16,7 +16,6 @@ from docdepth.inspection.lidar_figures import (
     spacing,
 )
 from docdepth.inspection.overlap import share_on
-from docdepth.inspection.pictures import level_turn
 from docdepth.inspection.pose_figures import Window, explain_misfit, pose_figures, windows_of
 from docdepth.inspection.sweep_figures import ego_body, row_shares
 from walled_yard import pose, scan
@@ -37,19 +36,20 @@ def test_up_of_a_lidar_that_is_mounted_at_any_angle(
 ) -> None:
     points = _street() if place == "street" else scan(pose(), -8.0)[0]
     R = turned(tilt)[:3, :3]
-    ground = find_ground((points @ R.T).astype(np.float32))
+    ground = find_ground([(points @ R.T).astype(np.float32)])
     assert ground is not None
     error = np.degrees(np.arccos(np.clip(ground.up @ R[:, 2], -1, 1)))
     assert error < 1.0
     np.testing.assert_allclose(ground.height, 1.8 if place == "street" else 1.7, atol=0.05)
-    np.testing.assert_allclose(level_turn(ground) @ ground.up, [0, 0, 1], atol=1e-9)
-    assert np.linalg.det(level_turn(ground)) > 0
+    np.testing.assert_allclose(level_turn(ground.up) @ ground.up, [0, 0, 1], atol=1e-9)
+    assert np.linalg.det(level_turn(ground.up)) > 0
 
 
 def test_a_wall_alone_and_a_cloud_without_a_plane_are_no_ground() -> None:
     rng = np.random.default_rng(3)
-    assert find_ground(rng.normal(0, 10, (5000, 3)).astype(np.float32)) is None
-    assert find_ground(np.zeros((0, 3), np.float32)) is None
+    assert find_ground([rng.normal(0, 10, (5000, 3)).astype(np.float32)]) is None
+    assert find_ground([np.zeros((0, 3), np.float32)]) is None
+    assert find_ground([]) is None
 
 
 def test_the_bank_of_a_road_is_no_ground() -> None:
@@ -59,7 +59,7 @@ def test_the_bank_of_a_road_is_no_ground() -> None:
 
     motorway = Drive(scene("overtaking", 10), sensor("VLP-16"), 10, 10, True)
     points = motorway.sweep(0).points
-    ground = find_ground(points[usable_points(points)])
+    ground = find_ground([points[usable_points(points)]])
     assert ground is not None
     assert ground.tilt_deg < 2
     np.testing.assert_allclose(ground.height, 1.7, atol=0.1)
@@ -67,14 +67,28 @@ def test_the_bank_of_a_road_is_no_ground() -> None:
 
 def test_sweeps_must_agree_on_the_ground() -> None:
     level, tilted = (
-        find_ground((_street() @ turned((angle, 0, 0))[:3, :3].T).astype(np.float32))
-        for angle in (0, 40)
+        (_street() @ turned((angle, 0, 0))[:3, :3].T).astype(np.float32) for angle in (0, 40)
     )
-    common = common_ground([level, level, tilted])
+    common = find_ground([level, level, tilted])
     assert common is not None
     assert common.tilt_deg < 2
-    assert common_ground([level, tilted, None, None]) is None
-    assert common_ground([]) is None
+    assert find_ground([level, tilted]) is None
+    nothing = np.zeros((0, 3), np.float32)
+    assert find_ground([level, nothing, nothing]) is None
+
+
+def test_the_ground_stays_where_it_is_and_a_wall_does_not() -> None:
+    """A wall that is larger than the ground is nearer in one sweep and farther in another."""
+    rng = np.random.default_rng(5)
+    sweeps = []
+    for away in np.linspace(2, 16, 8):
+        ground = np.column_stack([*rng.uniform(-12, 12, (2, 3000)), rng.normal(-1.7, 0.02, 3000)])
+        wall = rng.uniform([-20, 0, -1.7], [20, 0, 18], (9000, 3)) - (0, away, 0)
+        sweeps.append(np.concatenate([ground[ground[:, 1] > -away], wall]).astype(np.float32))
+    turn = turned((90, 0, 0))[:3, :3]
+    found = find_ground([(sweep @ turn.T).astype(np.float32) for sweep in sweeps])
+    assert found is not None
+    np.testing.assert_allclose(found.up, turn[:, 2], atol=0.03)
 
 
 def test_beams_are_counted_where_they_can_be_told_apart() -> None:
@@ -126,20 +140,30 @@ def test_shares_of_rows() -> None:
 
 
 def test_the_body_of_the_vehicle_is_what_stays() -> None:
-    ground = find_ground(_street())
+    ground = find_ground([_street()])
     sweeps = [Recorded().sweep(k).points for k in range(6)]
     assert ego_body(sweeps, ground) is None
     hood = np.random.default_rng(4).uniform([1.5, -0.8, -0.9], [2.2, 0.8, -0.8], (60, 3))
     found = ego_body([np.concatenate([s, hood.astype(np.float32)]) for s in sweeps], ground)
     assert found is not None
     assert found["points"] == 60
-    np.testing.assert_allclose(found["box_m"], [[1.5, 2.2], [-0.8, 0.8], [-0.9, -0.8]], atol=0.1)
+    (box,) = found["boxes_m"]
+    np.testing.assert_allclose(box, [[1.5, 2.2], [-0.8, 0.8], [-0.9, -0.8]], atol=0.1)
+    assert not found["mirrored"]
+    assert all(((hood >= np.array(box)[:, 0]) & (hood <= np.array(box)[:, 1])).all(axis=1))
     assert ego_body(sweeps, None) is None
+    mirrored = hood - [0, 0, 2 * ground.height - 1.4]  # as the hood reflects the mast
+    both = np.concatenate([hood, mirrored]).astype(np.float32)
+    found = ego_body([np.concatenate([s, both]) for s in sweeps], ground)
+    assert (found["points"], found["mirrored"], len(found["boxes_m"])) == (120, True, 2)
+    np.testing.assert_allclose(
+        found["boxes_m"][1][2], np.array([-0.9, -0.8]) - 2 * ground.height + 1.4, atol=0.1
+    )
 
 
 def test_sweeps_lie_on_each_other_by_their_motion() -> None:
     drive, poses = Recorded(), right_poses()
-    first, last, ground = drive.sweep(0).points, drive.sweep(3).points, find_ground(_street())
+    first, last, ground = drive.sweep(0).points, drive.sweep(3).points, find_ground([_street()])
     right = inverse(poses[0]) @ poses[3]
     assert share_on(first, last, right, ground) > 2 * share_on(first, last, np.eye(4), ground)
     assert share_on(first, first, np.eye(4)) == 1.0

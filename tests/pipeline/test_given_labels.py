@@ -17,6 +17,7 @@ from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import cut_tracks, read_tracks, write_tracks
 from docdepth.pipeline import given_labels
+from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.run_state import states
 from small_drive import SWEEPS, write_small_drive
 from walled_yard import straight
@@ -190,6 +191,59 @@ def test_npy_of_classes_and_of_what_moves(root, tmp_path):
         assert frame.instance is None
 
 
+@pytest.mark.parametrize("to", ["label", "classid", "pcd"])
+def test_what_convert_writes_is_read_again(root, tmp_path, to):
+    """The PCD files of a run hold its usable returns only."""
+    ended = cli("convert", root / "own", tmp_path / "labels", "--to", to)
+    assert ended.exit_code == 0
+    assert run(root, tmp_path / "run", "--labels", tmp_path / "labels").exit_code == 0
+    own = RunFolder.open(root / "own")
+    for k in range(SWEEPS):
+        frame, again = own.frame(k), RunFolder.open(tmp_path / "run").frame(k)
+        assert (frame.classid == 100).any()
+        np.testing.assert_array_equal(again.classid == 100, frame.classid == 100)
+
+
+def write_pcd_of(file: Path, **columns: np.ndarray) -> None:
+    """PCD by hand: ASCII, with whatever fields."""
+    count = len(next(iter(columns.values())))
+    rows = np.column_stack([np.zeros((count, 3)), *columns.values()])
+    n = rows.shape[1]
+    file.write_text(
+        f"VERSION 0.7\nFIELDS x y z {' '.join(columns)}\nSIZE{' 4' * n}\nTYPE{' F' * n}\n"
+        f"COUNT{' 1' * n}\nWIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\n"
+        "DATA ascii\n" + "\n".join(" ".join(f"{v:g}" for v in row) for row in rows) + "\n"
+    )
+
+
+def test_pcd_files_of_the_sweeps(root, tmp_path):
+    """Every row of the sweep, and classes of SemanticKITTI in a field of their own."""
+    for k in range(SWEEPS):
+        rows = np.arange(points(root, k))
+        kinds = np.array([252, 40, 50])[rows % 3]
+        write_pcd_of(tmp_path / f"{k:06d}.pcd", intensity=rows % 7, label=kinds)
+    assert run(root, tmp_path / "run", "--labels", tmp_path).exit_code == 0
+    frame = RunFolder.open(tmp_path / "run").frame(1)
+    np.testing.assert_array_equal(frame.classid, np.array([100, 0, 50])[frame.index % 3])
+
+
+def test_pcd_files_that_are_counted(tmp_path):
+    """Names of sweeps are stamps, files are counted; but six digits are a name."""
+    moves = np.array([1, 0, 1])
+    for k in range(2):
+        write_pcd_of(tmp_path / f"{k:06d}.pcd", intensity=np.roll(moves, k))
+    labels = LabelFolder(tmp_path)
+    labels.check(["1700000000", "1700000001"])
+    with pytest.raises(DatasetError, match=r"has 2 PCD files, which are counted .* for 1 sweeps"):
+        labels.check(["1700000000"])
+    with pytest.raises(DatasetError, match=r"no labels of sweep 000007 \(frame 1\)"):
+        labels.check(["000000", "000007"])
+    labels.check(["000001", "000000"])
+    classid, instance = read_classes(tmp_path / "000001.pcd", 5, 1, lambda: np.array([0, 2, 3]))
+    assert classid.tolist() == [100, 50, 100, 50, 50]
+    assert instance is None
+
+
 def test_labels_without_anything_dynamic_are_named(root, tmp_path, caplog):
     """0 and 1 for static and moving are no classes."""
     for k in range(SWEEPS):
@@ -281,7 +335,7 @@ def test_labels_that_do_not_fit(root, other, tmp_path, command):
     np.save(other / "000003.npy", np.zeros(count, np.float32))
     assert "must be integers or bool" in refused(other)
     (tmp_path / "empty").mkdir()
-    assert "holds no .label or .npy file" in refused(tmp_path / "empty")
+    assert "holds no .label, .npy or .pcd file" in refused(tmp_path / "empty")
     assert "is not there" in refused(tmp_path / "none")
     if command == "render":
         assert "lies in the run" in refused(output)
@@ -292,14 +346,25 @@ def test_files_that_are_no_labels(tmp_path):
     (tmp_path / "text.npy").write_bytes(b"no numpy")
     np.save(tmp_path / "negative.npy", np.array([-1, 0]))
     np.save(tmp_path / "flat.npy", np.zeros((2, 2), int))
+    two, three = np.zeros(2), np.zeros(3)
+    write_pcd_of(tmp_path / "measured.pcd", intensity=two + 0.3)
+    write_pcd_of(tmp_path / "none.pcd", ring=two)
+    write_pcd_of(tmp_path / "half.pcd", label=two + 9.5)
+    write_pcd_of(tmp_path / "more.pcd", intensity=three)
+    (tmp_path / "text.pcd").write_text("no PCD")
     for name, message in (
+        ("measured.pcd", r"measured.pcd \(frame 4\): intensity is no class"),
+        ("none.pcd", "neither a field label nor intensity"),
+        ("half.pcd", "label must be whole numbers"),
+        ("more.pcd", "has 3 points for a sweep of 2 points, of which 1 are usable returns"),
+        ("text.pcd", r"text.pcd \(frame 4\): .*write it again"),
         ("odd.label", r"odd.label \(frame 4\) has 5 bytes; labels are one uint32"),
         ("text.npy", r"text.npy \(frame 4\) cannot be read as NPY"),
         ("negative.npy", "has the class -1"),
         ("flat.npy", "must be integers or bool"),
     ):
         with pytest.raises(DatasetError, match=message):
-            read_classes(tmp_path / name, 2, 4)
+            read_classes(tmp_path / name, 2, 4, lambda: np.array([1]))
 
 
 def test_semantic_kitti_classes(tmp_path):

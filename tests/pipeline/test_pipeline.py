@@ -18,6 +18,7 @@ from docdepth.io.tracks import read_tracks
 from docdepth.pipeline import classify as classes
 from docdepth.pipeline import depth_files
 from docdepth.visualization import pictures as visualize
+from docdepth.visualization.video import sweep_from_above
 
 FRAMES = 5
 
@@ -49,7 +50,8 @@ def test_outputs_of_a_run(drive, finished):
         assert (run / name).is_file()
     assert not list(run.rglob("*.part"))
     page = (run / "report" / "index.html").read_text()
-    assert [f"{name}.jpg" for name in inside] == re.findall(r'src="([^"]+)"', page)
+    shown = re.findall(r"<span class=name[^>]*>image (\w+) at", page)
+    assert shown == inside
     assert str(drive) in page
     if left_out:
         assert f"{len(left_out)} images outside" in output
@@ -155,7 +157,6 @@ def test_video_of_a_run(drive, finished, tmp_path, monkeypatch):
     run = tmp_path / "run"
     shutil.copytree(finished[0], run)
     assert cli("video", run).exit_code == 0
-    assert 'src="video.webm"' in (run / "report" / "index.html").read_text()
     reader = cv2.VideoCapture(str(run / "report" / "video.webm"))
     names = [p.stem for p in sorted((run / "depth").glob("*.png"))]
     assert reader.get(cv2.CAP_PROP_FRAME_COUNT) == len(names)
@@ -179,6 +180,42 @@ def test_video_of_a_run(drive, finished, tmp_path, monkeypatch):
     (run / "depth" / f"{names[1]}.png").unlink()
     assert f"depth/{names[1]}.png is missing" in str(cli("video", run).exception)
     assert "not of image_7" in str(cli("video", run, "--camera", "image_7").exception)
+
+
+def test_video_from_above_shows_points_and_tracks_where_they_are(finished, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    assert cli("video", run, "--above").exit_code == 0
+    reader = cv2.VideoCapture(str(run / "report" / "above.webm"))
+    assert reader.get(cv2.CAP_PROP_FRAME_COUNT) == FRAMES
+    for _ in range(3):
+        whole, frame = reader.read()
+    assert whole
+    folder = RunFolder.open(run)
+    record, classid = folder.classified_frame(2)
+    trajectory = folder.trajectory()
+    pose, time = trajectory.poses[2], int(trajectory.times[2])
+    exact = sweep_from_above(folder, trajectory, [], 2)
+    tracks = [t for t in read_tracks(run / "tracks.csv") if t.covers(time)]
+    boxed = sweep_from_above(folder, trajectory, tracks, 2)
+    assert np.abs(frame.astype(int) - boxed).mean() < 6
+
+    def pixel(world):  # 100 m are 1280 pixels; x to the right, y up, the LiDAR in the middle
+        x, y = (world[:2] - pose[:2, 3]) * 12.8
+        return round(480 - y), round(640 + x)
+
+    moving = np.flatnonzero(classid >= 100)
+    places = [pixel(pose[:3, :3] @ record.points[k] + pose[:3, 3]) for k in moving]
+    inside = [(r, c) for r, c in places if 40 < r < 900 and 200 < c < 1100]
+    orange = [tuple(exact[place]) == visualize.DYNAMIC_COLOR for place in inside]
+    assert np.mean(orange) > 0.9
+    assert cli("video", run, "--above", "--camera", "image_2").exit_code == 2
+    changed = (exact != boxed).any(axis=2)
+    for track in tracks:
+        T = track.pose_at(time)
+        row, column = pixel(T[:3, 3] + T[:3, 0] * track.size[0] / 2)  # the middle of the front
+        if 0 < row < 960 and 0 < column < 1280:
+            assert changed[row - 1 : row + 2, column - 1 : column + 2].any()
 
 
 def test_distorted_images_are_rectified_under_the_depth(drive, finished, tmp_path):

@@ -233,8 +233,8 @@ def test_cameras_live_beside_each_other_and_own_files_stay(root):
     for camera, share in shares.items():
         assert f"density of {camera}: {100 * share:.1f} %" in result.output
     page = (root / "run" / "report" / "index.html").read_text()
-    for picture in ("000001.jpg", "image_3/000001.jpg", "roof/000001.jpg"):
-        assert f'src="{picture}"' in page
+    for camera in shares:
+        assert f"<h2>Camera {camera}</h2>" in page
     # Other parameters: maps are made anew, what docdepth did not write stays.
     assert cli("render", root / "run", "--format", "npy").exit_code == 0
     for path, content in own.items():
@@ -373,7 +373,7 @@ def test_warnings_reach_the_terminal_the_run_and_the_report(root, caplog):
     assert said
     assert said[0] in RunFolder.open(root / "run").stage("odometry")["warnings"]
     page = (root / "run" / "report" / "index.html").read_text()
-    assert "warning of odometry" in page
+    assert "<li><b>odometry</b>" in page
     assert "all poses are the same" in page
 
 

@@ -109,6 +109,14 @@ def wall_and_box(index, trajectory, position, width=1.6):
     return (ray * ahead[:, None]).astype(np.float32), classid
 
 
+def back_of_box(camera, trajectory, track, time):
+    """Distance of the back of the box, and where each pixel sees it, to the left and up."""
+    here = track.pose_at(time)[0, 3] - 0.5 - trajectory.interpolate(time)[0][0, 3]
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    y, z = ((camera.K[k, 2] - p) / camera.K[k, k] * here for k, p in ((0, u), (1, v)))
+    return here, y, z
+
+
 @pytest.mark.parametrize("kind", ["vehicle", "person"])
 def test_sightings_are_placed_as_plain_matrices_say(kind):
     trajectory = straight(40, spacing=0.5)
@@ -163,9 +171,7 @@ def test_what_later_sweeps_saw_of_a_car_is_drawn_where_no_ray_looked():
     camera, time = small_camera(320, 120, 180.0), 1_040_000_000
     asked = (camera, AXES, trajectory, time, frames.__getitem__, TRIANGLES)
     depth = compose_depth(*asked, tracks={1: track})
-    here = track.pose_at(time)[0, 3] - 0.5 - trajectory.interpolate(time)[0][0, 3]
-    u, v = np.meshgrid(np.arange(320), np.arange(120))
-    y, z = ((camera.K[k, 2] - p) / camera.K[k, k] * here for k, p in ((0, u), (1, v)))
+    here, y, z = back_of_box(camera, trajectory, track, time)
     upper = (np.abs(y) < 0.7) & (z > -0.1) & (z < 0.3)
     assert upper.sum() > 100
     assert (np.abs(depth[upper] - here) < 0.1).mean() > 0.95
@@ -192,16 +198,14 @@ def test_through_a_window_the_car_is_not_drawn_where_rays_pass():
     depth = compose_depth(
         camera, AXES, trajectory, time, clear.__getitem__, TRIANGLES, tracks={1: track}
     )
-    ego = trajectory.interpolate(time)[0][0, 3]
-    here = track.pose_at(time)[0, 3] - 0.5 - ego
-    u, v = np.meshgrid(np.arange(320), np.arange(120))
-    y, z = ((camera.K[k, 2] - p) / camera.K[k, k] * here for k, p in ((0, u), (1, v)))
+    here, y, z = back_of_box(camera, trajectory, track, time)
+    wall = 30 - trajectory.interpolate(time)[0][0, 3]
     window = (np.abs(y) < 0.7) & (z > -0.2) & (z < 0.3)
     body = (np.abs(y) < 0.7) & (z > -0.9) & (z < -0.4)
     assert window.sum() > 100
     assert (np.abs(depth[body] - here) < 0.1).mean() > 0.99
     assert not (np.abs(depth[window] - here) < 0.1).any()
-    assert (np.isnan(depth[window]) | (np.abs(depth[window] - (30 - ego)) < 0.1)).all()
+    assert (np.isnan(depth[window]) | (np.abs(depth[window] - wall) < 0.1)).all()
 
 
 def test_strays_stay_where_the_nearest_sweep_saw_them():

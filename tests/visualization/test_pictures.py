@@ -1,5 +1,6 @@
 """Pictures: what a colour means and where a point is drawn."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -7,12 +8,12 @@ from docdepth.errors import InputError
 from docdepth.visualization import pictures as visualize
 
 
-def test_near_is_red_far_is_blue_and_none_is_dark() -> None:
+def test_near_is_yellow_far_is_violet_and_none_is_dark() -> None:
     picture = visualize.colorize(np.array([[3.0, 80.0, np.nan, 1.0, 500.0]]), bar=False)
     assert picture.dtype == np.uint8
-    blue, _, red = picture[0].T.astype(int)
-    assert red[0] > 2 * blue[0]
-    assert blue[1] > 2 * red[1]
+    blue, green, red = picture[0].T.astype(int)
+    assert min(red[0], green[0]) > 2 * blue[0]
+    assert blue[1] > 1.3 * max(red[1], green[1])
     assert (picture[0, 2] == picture[0, 2, 0]).all()
     assert picture[0, 2, 0] < 40
     np.testing.assert_array_equal(picture[0, 0], picture[0, 3])
@@ -96,3 +97,46 @@ def test_a_grid_is_filled_row_by_row() -> None:
         visualize.picture_grid(pictures, ["a"])
     with pytest.raises(InputError, match="captions"):
         visualize.picture_grid([], [])
+
+
+# What red-blind, green-blind and blue-blind readers see of linear RGB: Machado, Oliveira and
+# Fernandes (2009), severity 1.
+BLINDNESS = {
+    "none": np.eye(3),
+    "protanopia": ((0.152286, 1.052583, -0.204868), (0.114503, 0.786281, 0.099216),
+                   (-0.003882, -0.048116, 1.051998)),
+    "deuteranopia": ((0.367322, 0.860646, -0.227968), (0.280085, 0.672501, 0.047413),
+                     (-0.011820, 0.042940, 0.968881)),
+    "tritanopia": ((1.255528, -0.076749, -0.178779), (-0.078411, 0.930809, 0.147602),
+                   (0.004733, 0.691367, 0.303900)),
+}  # fmt: skip
+
+
+def seen(colors: np.ndarray, blindness: str) -> np.ndarray:
+    """CIELAB (n, 3) of BGR colours (n, 3) as a reader sees them."""
+    rgb = np.asarray(colors)[:, ::-1] / 255
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    linear = (linear @ np.array(BLINDNESS[blindness]).T).clip(0, 1)
+    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return cv2.cvtColor(shown[None].astype(np.float32), cv2.COLOR_RGB2LAB)[0]
+
+
+@pytest.mark.parametrize("blindness", BLINDNESS)
+def test_every_reader_tells_the_classes_and_no_depth_apart(blindness: str) -> None:
+    far = visualize.colorize(np.full((1, 1), 80.0), bar=False)[0, 0]
+    background = (visualize.BACKGROUND,) * 3
+    classes = [visualize.GROUND_COLOR, visualize.STATIC_COLOR, visualize.DYNAMIC_COLOR, background]
+    lab = seen(np.array(classes), blindness)
+    apart = np.linalg.norm(lab[:, None] - lab, axis=2)[np.triu_indices(4, 1)]
+    assert apart.min() > 25  # 2.3 is what a reader just sees
+    edge = seen(np.array([far, background]), blindness)
+    assert np.linalg.norm(edge[0] - edge[1]) > 15
+
+
+@pytest.mark.parametrize("blindness", BLINDNESS)
+def test_colours_of_depth_get_darker_in_even_steps_for_every_reader(blindness: str) -> None:
+    depths = np.geomspace(3, 80, 21)[None]
+    lab = seen(visualize.colorize(depths, bar=False)[0], blindness)
+    steps = -np.diff(lab[:, 0])
+    assert steps.min() > 1
+    assert steps.max() < 2.5 * np.median(steps)

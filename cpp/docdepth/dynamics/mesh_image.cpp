@@ -54,7 +54,8 @@ struct VoteByTriangles {
       const float distance = 1.0f / std::sqrt((a * a + b * b) + c * c);
       const float before = 1.0f - depth;
       // Choices between integers, since compilers do not vectorise those between booleans.
-      const int level = std::fabs(c) * distance > p.level_cosine ? 1 : 0;
+      const float rise = (a * p.up[0] + b * p.up[1]) + c * p.up[2];
+      const int level = std::fabs(rise) * distance > p.level_cosine ? 1 : 0;
       const float level_normal = bits & kOnGround ? p.ground_tolerance : p.level.normal_tolerance;
       const float normal = level ? level_normal : p.upright.normal_tolerance;
       const float level_radial = p.level.radial_tolerance + p.level.radial_growth * r;

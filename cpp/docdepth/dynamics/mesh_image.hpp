@@ -1,6 +1,7 @@
 // A key frame as an image of its mesh: it also votes between its returns. Beyond the paper.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
@@ -32,8 +33,11 @@ struct MeshImageParameters {
   /// normal_tolerance of a level plane if the point or the plane is labelled ground [m]: its height
   /// is exact to millimetres.
   float ground_tolerance = 0.03f;
-  /// A plane is level if the z component of its unit normal is above this: a lean of 25 degrees.
+  /// A plane is level if its unit normal's component along `up` is above this: a lean of 25
+  /// degrees.
   float level_cosine = 0.9063078f;
+  /// Unit vector that points up in the frame of the points: a LiDAR may be mounted at any angle.
+  std::array<float, 3> up{0.0f, 0.0f, 1.0f};
   /// A triangle does not vote on points farther from the rays to its corners [m].
   float max_ray_distance = 0.15f;
 };

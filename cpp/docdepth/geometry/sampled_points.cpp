@@ -104,6 +104,36 @@ SampledPoints downsample(const SampledPoints& points, float size, std::size_t mo
   return samples;
 }
 
+TimedPoints downsample_sweep(const Points& points, const float* times, float size, float min_range,
+                             float max_range) {
+  TimedPoints means;
+  std::vector<float> counts;
+  KeyNumbers number_of(static_cast<std::size_t>(points.rows()));
+  for (Eigen::Index i = 0; i < points.rows(); ++i) {
+    const Vector p = points.row(i).transpose();
+    const float squared = p.squaredNorm();
+    // Written so that points that are not finite are left out, too.
+    if (!(squared > min_range * min_range && squared < max_range * max_range)) continue;
+    const std::size_t number =
+        number_of[voxel_key(voxel_coordinate(p.x(), size), voxel_coordinate(p.y(), size),
+                            voxel_coordinate(p.z(), size))];
+    if (number == means.points.size()) {
+      means.points.push_back(p);
+      means.times.push_back(times[i]);
+      counts.push_back(1);
+    } else {
+      means.points[number] += p;
+      means.times[number] += times[i];
+      ++counts[number];
+    }
+  }
+  for (std::size_t k = 0; k < counts.size(); ++k) {
+    means.points[k] /= counts[k];
+    means.times[k] /= counts[k];
+  }
+  return means;
+}
+
 Vector most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach) {
   if (!(reach < kMaxShift)) reach = kMaxShift;
   const int side =

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "docdepth/geometry/constants.hpp"
+#include "docdepth/geometry/types.hpp"
 
 namespace docdepth {
 
@@ -50,6 +51,18 @@ struct SampledSurface {
 
 /// The same for points and normals.
 SampledSurface downsample(const SampledSurface& surface, float size);
+
+/// Points of a sweep and when each was measured.
+struct TimedPoints {
+  std::vector<Eigen::Vector3f> points;
+  std::vector<float> times;
+};
+
+/// Mean of the finite points, and of their times, in each voxel of edge `size`, in the order of the
+/// first point of each. Points nearer than `min_range` or not nearer than `max_range` are left out.
+/// Within a voxel motion is linear in time: the mean of deskewed points is the deskewed mean.
+TimedPoints downsample_sweep(const Points& points, const float* times, float size, float min_range,
+                             float max_range);
 
 /// The horizontal shift up to `reach` that explains most of the differences b - a.
 Eigen::Vector3f most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach);

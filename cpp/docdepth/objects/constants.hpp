@@ -123,7 +123,8 @@ constexpr double kGuessDeviation = 0.3, kGuessHeadingDeviation = 0.05;
 constexpr double kUnknownPosition = 10, kUnknownHeading = 1;
 /// Surfaces are known this exactly at best [m].
 constexpr double kSurfaceDeviation = 0.02;
-/// Where registrations are farther than this from where the shifts lead, these are tried, too [m].
+/// Where a registration is farther than this from where the shifts lead, that place is tried,
+/// too [m].
 constexpr double kMaxDrift = 1;
 /// A registration fails if a smaller share of the samples finds partners.
 constexpr float kMinRegisteredShare = 0.5f;
@@ -148,8 +149,8 @@ constexpr float kMeanFreeShare = 0.4f;
 constexpr float kMinVehicleWidth = 0.5f, kMinVehicleHeight = 0.6f;
 /// Longer than a motorcycle with its rider [m].
 constexpr float kMinRailLength = 2.5f;
-/// A place belongs to another track if this share of an object would lie in its box: in a queue
-/// vehicles stand where others stood.
+/// A place belongs to another vehicle if this share of an object would lie in its box: in a queue
+/// they stand where others stood.
 constexpr float kQueueShare = 0.25f;
 /// An object that is less far from where it was stands at the same place [m].
 constexpr float kSamePlace = 0.5f;

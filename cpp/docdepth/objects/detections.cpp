@@ -5,6 +5,7 @@
 
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/objects/constants.hpp"
+#include "docdepth/objects/quantile.hpp"
 
 namespace docdepth {
 namespace {
@@ -19,12 +20,6 @@ SampledSurface sample(const SampledSurface& surface, const Extent& box) {
   while (samples.points.size() > kMaxSamples)
     samples = downsample(samples, size *= kSampleSpacingGrowth);
   return samples;
-}
-
-std::int32_t median(std::vector<std::int32_t>& values) {
-  const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 /// Normals at the points above the ground, of any length.
@@ -110,8 +105,8 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
     detections[k].time_offset /= float(detections[k].points);
     if (float(porous[k]) > kMaxIsolatedShare * float(detections[k].points))
       detections[k].free_area = 0;
-    detections[k].first_occupied = median(firsts[k]);
-    detections[k].last_occupied = median(lasts[k]);
+    detections[k].first_occupied = quantile(firsts[k], 0.5);
+    detections[k].last_occupied = quantile(lasts[k], 0.5);
     for (SampledPoints* border : {&detections[k].edges, &detections[k].hidden})
       *border = downsample(*border, kBorderSpacing, kMaxBorderSamples);
     detections[k].surface = sample(members[k], detections[k].box);

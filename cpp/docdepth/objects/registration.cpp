@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "docdepth/objects/constants.hpp"
+#include "docdepth/objects/quantile.hpp"
 
 namespace docdepth {
 namespace {
@@ -12,12 +13,6 @@ namespace {
 using Vector = Eigen::Vector3f;
 using Vector4 = Eigen::Vector4d;  // x, y, z, heading
 using Matrix4 = Eigen::Matrix4d;
-
-float median(std::vector<float> values) {
-  const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 /// Normal equations of the residuals of one step.
 struct Equations {
@@ -139,8 +134,8 @@ void SurfaceModel::add(const SeenSurface& seen, const Pose& T_world_object) {
 
 Ends SurfaceModel::ends() const {
   Ends ends;
-  if (!ends_[0].empty()) ends.low = median(ends_[0]);
-  if (!ends_[1].empty()) ends.high = median(ends_[1]);
+  if (!ends_[0].empty()) ends.low = quantile(ends_[0], 0.5);
+  if (!ends_[1].empty()) ends.high = quantile(ends_[1], 0.5);
   return ends;
 }
 

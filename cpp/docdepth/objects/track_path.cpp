@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "docdepth/objects/constants.hpp"
+#include "docdepth/objects/quantile.hpp"
 #include "docdepth/objects/registration.hpp"
 
 namespace docdepth {
@@ -14,14 +15,6 @@ using Vector = Eigen::Vector3f;
 using Position = Eigen::Vector3d;
 
 const Position kChange(kHorizontalChange, kHorizontalChange, kVerticalChange);
-
-/// The value below which this share of the values lies.
-template <class Value>
-Value quantile(std::vector<Value> values, double share) {
-  const auto k = static_cast<std::size_t>(share * double(values.size() - 1) + 0.5);
-  std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(k), values.end());
-  return values[k];
-}
 
 double wrapped(double angle) {
   return std::remainder(angle, 2 * M_PI);

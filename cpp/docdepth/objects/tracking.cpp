@@ -121,8 +121,8 @@ class TrackEvidence {
   }
 
   /// Whether the place of a detection was free before or after: by its own votes, or as it was
-  /// occupied only while the object stood there, which came or left.
-  /// In a queue others that move stood there before or after.
+  /// occupied only while the object stood there, which came or left. In a queue other vehicles
+  /// stood there before or after.
   bool was_free(const Detection& object, double time) {
     if (object.was_free()) return true;
     const Stay& stay = stay_at(path_.pose(time).translation());

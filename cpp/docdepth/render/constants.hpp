@@ -72,7 +72,7 @@ constexpr float kSureScore = 1000.0f;
 /// The same for a surface. It takes more, since a ray may end next to a gap.
 constexpr float kSureSurfaceScore = 1350.0f;
 /// One ray whose distance and blur add up to 10 cm, or many farther off. With a higher score a
-/// surface is continued over an edge, and a part of an object is drawn that only other sweeps saw.
+/// surface is continued over an edge.
 constexpr float kCloseScore = 100.0f;
 /// Pixels at edges with a lower score are left empty: no ray within 25 cm, blur included.
 constexpr float kMinEdgeScore = 15.0f;
@@ -97,9 +97,12 @@ constexpr float kContradictedScore = 2000.0f;
 /// With a score below this, without its sign, nobody knows: two rays within 2 cm, or more farther
 /// off. Glass returns some rays and lets others pass.
 constexpr float kDoubtedScore = 400.0f;
-/// Where an object is continued beyond its returns, pixels show what is behind only with a score
-/// below this, without its sign: a ray that passed within 2 cm, its blur not included, or some
-/// farther off. Nearer to the object its outline may lie beyond them.
+/// Where an object is continued beyond its returns, pixels show it with a score above this: one ray
+/// whose distance and blur add up to 14 cm, or more farther off.
+constexpr float kContinuedScore = 50.0f;
+/// They show what is behind only with a score below this, without its sign: a ray that passed
+/// within 2 cm, its blur not included, or some farther off. Nearer to the object its outline may
+/// lie beyond them.
 constexpr float kUnsureScore = 200.0f;
 
 /// Rays that pass within this distance of an object tell where it ends [m] ...

@@ -329,7 +329,7 @@ void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const
   found = queries.score(continued, 0);
   for (std::size_t i = 0; i < continued.size(); ++i) {
     const std::size_t at = columns.at(continued[i].u, continued[i].v);
-    if (found[i] > kCloseScore)
+    if (found[i] > kContinuedScore)
       inverse_depth[at] = continued[i].hypotheses[0], owners[at] = number;
     else if (found[i] > -kUnsureScore)
       inverse_depth[at] = 0, owners[at] = 0;

@@ -22,10 +22,11 @@ struct PlacedMesh {
 /// A dynamic object at the time of the image, as one or more sweeps saw it.
 struct PlacedDynamicObject {
   std::vector<PlacedMesh> trusted;    ///< drawn as they are
-  std::vector<PlacedMesh> others;     ///< drawn where no ray contradicts them
+  std::vector<PlacedMesh> others;     ///< drawn where no rays contradict or doubt them
   std::vector<PlacedMesh> continued;  ///< continue both; drawn where rays confirm them
-  std::vector<PlacedRays> rays;       ///< placed so that the object stands still among them
-  PixelBounds bounds;                 ///< all of it lies within
+  /// Placed so that the object stands still among them; of the sweeps nearest in time first.
+  std::vector<PlacedRays> rays;
+  PixelBounds bounds;  ///< all of it lies within
 };
 
 /// The box around an object that moves, at the time of the image.

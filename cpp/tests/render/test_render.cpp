@@ -225,8 +225,9 @@ TEST_CASE("an object goes on where rays met it close by, and other sweeps add wh
   const Camera camera{100, 100, 3, 3, 7, 7};
   const PatchMesh wall = square(10), dynamic_mesh = square(5);
   const float spacing = 0.5f;
-  const Rays close = sweep(5, spacing, 0.06f), far = sweep(5, spacing, 0.15f),
-             passed = sweep(10, spacing, 0.005f), aside = sweep(10, spacing, 0.04f);
+  const Rays close = sweep(5, spacing, 0.06f), beside = sweep(5, spacing, 0.1f),
+             far = sweep(5, spacing, 0.15f), passed = sweep(10, spacing, 0.005f),
+             aside = sweep(10, spacing, 0.04f);
   const Pose T = looking_ahead();
   enum Kind { kTrusted, kOther, kContinued };
   const auto middle = [&](const std::vector<PlacedRays>& rays, Kind kind) {
@@ -241,9 +242,9 @@ TEST_CASE("an object goes on where rays met it close by, and other sweeps add wh
     return render_triangles(camera, scene, 1)[3 * 7 + 3];
   };
   const float shaky = 0.05f;
-  CHECK(middle({{&close, T}}, kContinued) == doctest::Approx(5));
-  CHECK(std::isnan(middle({{&close, T, shaky}}, kContinued)));  // it may have passed farther off
-  CHECK(middle({{&close, T, shaky}, {&close, T, shaky}}, kContinued) == doctest::Approx(5));
+  CHECK(middle({{&beside, T}}, kContinued) == doctest::Approx(5));
+  CHECK(std::isnan(middle({{&beside, T, shaky}}, kContinued)));  // it may have passed farther off
+  CHECK(middle({{&beside, T, shaky}, {&beside, T, shaky}}, kContinued) == doctest::Approx(5));
   CHECK(std::isnan(middle({{&far, T}}, kContinued)));
   CHECK(std::isnan(middle({}, kContinued)));
   CHECK(middle({{&passed, T}}, kContinued) == doctest::Approx(10));

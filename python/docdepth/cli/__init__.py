@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import sys
 from typing import Annotated
 
 import typer
 
-from docdepth.cli import calibrate, check, convert, inspect, stages, status, support, truth
+from docdepth.cli import calibrate, check, convert, inspect, look, stages, status, support, truth
 from docdepth.cli.failures import STOPPED, report
 from docdepth.cli.terminal import Quiet, Verbose, app, out, print_any_path, set_volume
 
@@ -18,6 +19,7 @@ __all__ = [
     "check",
     "convert",
     "inspect",
+    "look",
     "main",
     "stages",
     "status",
@@ -59,9 +61,36 @@ def keep_memory() -> None:
         ctypes.CDLL(None).mallopt(parameter, value)
 
 
+def take_one_blas_thread() -> bool:
+    """Have numpy's OpenBLAS multiply in the calling thread; tell whether it does.
+
+    A product with a 3 x 3 matrix is over before other threads have started, and these then wait for
+    the next by turning round: a tenth of the processor time of a run. Where numpy has another
+    library, or OPENBLAS_NUM_THREADS is set, nothing changes.
+    """
+    if "OPENBLAS_NUM_THREADS" in os.environ:
+        return False
+    modules = (sys.modules.get(f"numpy.{name}._multiarray_umath") for name in ("_core", "core"))
+    for module in modules:
+        library = ctypes.CDLL(getattr(module, "__file__", None))
+        for name in _SET_BLAS_THREADS:
+            if hasattr(library, name):
+                getattr(library, name)(1)
+                return True
+    return False
+
+
+_SET_BLAS_THREADS = (
+    "scipy_openblas_set_num_threads64_",  # of numpy's wheels since 1.26
+    "openblas_set_num_threads64_",
+    "openblas_set_num_threads",
+)
+
+
 def main() -> None:
     """Entry point: every end without a result is a sentence and an exit code, never a traceback."""
     keep_memory()
+    take_one_blas_thread()
     print_any_path()
     try:
         code = app(standalone_mode=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -30,15 +30,16 @@ BoardRecording = Annotated[
     typer.Argument(
         metavar="RECORDING",
         help="Images and sweeps of a checkerboard in 10 poses or more: a folder with "
-        "docdepth.yaml, or a bag.",
+        "docdepth.yaml, or a bag. With --check and --time a run.",
     ),
 ]
 Corners = Annotated[
-    str, typer.Option(metavar="CxR", help="Inner corners of the checkerboard: columns, rows.")
+    str | None,
+    typer.Option(metavar="CxR", help="Inner corners of the checkerboard: columns, rows."),
 ]
-Square = Annotated[float, typer.Option(metavar="M", help="Side of a square, metres.")]
+Square = Annotated[float | None, typer.Option(metavar="M", help="Side of a square, metres.")]
 Outline = Annotated[
-    str,
+    str | None,
     typer.Option(
         metavar="WxH",
         help="Outline of the board along the columns and along the rows, metres; the checkerboard "
@@ -46,8 +47,22 @@ Outline = Annotated[
     ),
 ]
 ResultFolder = Annotated[
-    Path,
-    typer.Option("-o", "--output", metavar="DIR", help="Folder for the result; created."),
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        metavar="DIR",
+        help="Folder for the result, created; with --check for a picture, with "
+        "--time for the times.",
+    ),
+]
+Check = Annotated[
+    bool,
+    typer.Option(
+        "--check",
+        help="RECORDING is a run: tell whether depth edges lie on edges of its images, and by how "
+        "much the calibration is off.",
+    ),
 ]
 OneOfSeveral = Annotated[
     str | None,
@@ -71,15 +86,24 @@ Boxes = Annotated[
         "or of all: where a wall or a person is too near behind it.",
     ),
 ]
+Time = Annotated[
+    bool,
+    typer.Option(
+        "--time",
+        help="RECORDING is a run: estimate by how much the clocks of camera and LiDAR differ.",
+    ),
+]
 
 
 @verb(app)
 def calibrate(
     dataset: BoardRecording,
-    corners: Corners,
-    square: Square,
-    board: Outline,
-    output: ResultFolder,
+    corners: Corners = None,
+    square: Square = None,
+    board: Outline = None,
+    output: ResultFolder = None,
+    check: Check = False,
+    time: Time = False,
     layout: Layout = None,
     camera: OneOfSeveral = None,
     frames: Frames = None,
@@ -93,7 +117,23 @@ def calibrate(
     calib.json; look at the pictures beside it first.
 
       docdepth calibrate boards/ --corners 5x7 --square 0.095 --board 0.61x0.85 -o calibration
+      docdepth calibrate --check RUN
+      docdepth calibrate --time RUN -o times
     """
+    from docdepth.errors import ConfigError
+
+    if check or time:
+        of_boards = (corners, square, board, layout, frames, lens, box)
+        if (check and time) or any(one is not None for one in of_boards):
+            raise ConfigError(
+                "--check and --time take a run, --camera, -o and --json; leave the others out"
+            )
+        of_run = _check_run if check else _compare_clocks
+        return of_run(dataset, camera, output, as_json)
+    if corners is None or square is None or board is None or output is None:
+        raise ConfigError(
+            "a checkerboard needs --corners, --square, --board and -o; to check a run say --check"
+        )
     from docdepth.calibration.board import parse_board
     from docdepth.calibration.calibrate import calibrate as calibrate_pairs
     from docdepth.calibration.pairs import board_pairs
@@ -113,6 +153,49 @@ def calibrate(
     if as_json:
         return show_json(quality_of(found))
     _show(found, known is None, output)
+
+
+def _check_run(run: Path, camera: str | None, output: Path | None, as_json: bool) -> None:
+    """Print what depth edges say about the calibration of a run."""
+    from docdepth.evaluation.calibration_check import check_calibration
+    from docdepth.pipeline.depth_files import encode_image
+
+    with progress_bars() as progress:
+        found = check_calibration(run, camera, lambda done, total: progress("images", done, total))
+    lines = found.lines
+    if output is not None:
+        path = _write(output / f"{found.worst}.jpg", encode_image(found.picture, ".jpg"))
+        lines.append(f"{path}: depth edges as they are red, where they fit green")
+    _print(lines, found.figures, as_json)
+
+
+def _compare_clocks(run: Path, camera: str | None, output: Path | None, as_json: bool) -> None:
+    """Print the offset of the clocks of a run, and write times with it."""
+    from docdepth.evaluation.time_offset import image_times, time_offset
+
+    with progress_bars() as progress:
+        found = time_offset(run, camera, lambda done, total: progress("images", done, total))
+    lines = found.lines
+    if output is not None:
+        times = found.corrected(image_times(run, camera))
+        path = _write(output / "camera_times.txt", times.encode())
+        lines.append(f"with them: docdepth run DATASET --camera-times {path} -o RUN")
+    _print(lines, found.figures, as_json)
+
+
+def _write(path: Path, content: bytes) -> Path:
+    from docdepth.io.atomic import write_atomically
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, lambda stream: stream.write(content))
+    return path
+
+
+def _print(lines: list[str], figures: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        return show_json(figures)
+    for line in lines:
+        out.print(line, soft_wrap=True, markup=False)
 
 
 def _stream(recording: Dataset, name: str | None) -> ImageStream:

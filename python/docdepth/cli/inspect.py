@@ -45,6 +45,7 @@ def inspect(
     """
     from docdepth.inspection.inspect import inspect_recording
     from docdepth.inspection.pictures import pictures_of
+    from docdepth.pipeline.given_poses import poses_entry
     from docdepth.pipeline.run_inputs import known_poses, open_recording
     from docdepth.pipeline.stage import recorded_warnings
     from docdepth.visualization.inspection_page import check_page, write_inspection
@@ -53,7 +54,7 @@ def inspect(
     source: dict[str, Any] = {
         "dataset": str(dataset),
         "name": layout,
-        "poses": None if poses is None else str(poses),
+        "poses": poses_entry(poses),
         "calibration": None if calibration is None else str(calibration),
         "frames": frames,
     }
@@ -77,13 +78,10 @@ def inspect(
 
 
 def _show(result: Inspection, findings: list[tuple[str, str]]) -> None:
-    from docdepth.visualization.inspection_page import as_text
+    from docdepth.visualization.inspection_page import as_lines
 
-    for name, group in result.figures.items():
-        entries = group if isinstance(group, list) else [group]
-        for entry in entries:
-            text = f"{name.replace('_', ' ')}: {'none' if entry is None else as_text(entry)}"
-            out.print(text, soft_wrap=True, markup=False)
+    for line in as_lines(result.figures):
+        out.print(line, soft_wrap=True, markup=False, highlight=False)
     for severity, text in findings:
         colour = {"error": "red", "warning": "yellow"}.get(severity, "cyan")
         err.print(f"{severity}:", style=colour, end=" ")

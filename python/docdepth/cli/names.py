@@ -20,6 +20,7 @@ PRESETS: tuple[str, ...] = get_args(Preset)
 FORMATS: tuple[str, ...] = get_args(DepthFormat)
 LAYERS: tuple[str, ...] = get_args(Layer)
 MODES: tuple[str, ...] = get_args(Mode)
+COLORINGS = ("class", "votes", "instance")
 SCENE_NAMES = tuple(SCENES)
 SENSOR_NAMES = tuple(sensors())
 

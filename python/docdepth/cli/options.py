@@ -95,8 +95,8 @@ GivenLabels = Annotated[
     typer.Option(
         "--labels",
         metavar="DIR",
-        help="Draw with the classes of another method: a folder of NAME.label (SemanticKITTI) or "
-        "NAME.npy (classid) for each sweep, or a run. Nothing is classified then.",
+        help="Draw with the classes of another method: a folder of NAME.label (SemanticKITTI), "
+        "NAME.npy (classid) or NAME.pcd for each sweep, or a run. Nothing is classified then.",
     ),
 ]
 ImageSize = Annotated[

@@ -1,4 +1,4 @@
-"""Verbs that run the stages, and the video of their result."""
+"""Verbs that run the stages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from docdepth.cli.options import (
     Json,
     LayerNames,
     Layout,
-    OneCamera,
     Output,
     PosesFile,
     RendererName,
@@ -45,7 +44,7 @@ from docdepth.cli.options import (
 from docdepth.cli.progress import progress_bars
 from docdepth.cli.status import show_states
 from docdepth.cli.summary import show_summary
-from docdepth.cli.terminal import app, out, verb
+from docdepth.cli.terminal import app, verb
 
 if TYPE_CHECKING:
     from docdepth.io.run_folder import RunFolder
@@ -221,64 +220,3 @@ def render(
             progress=progress,
         )
     show_summary(folder)
-
-
-@verb(app)
-def video(
-    run: RunPath,
-    camera: OneCamera = None,
-    fps: Annotated[
-        float | None,
-        typer.Option(
-            min=1,
-            max=1000,
-            metavar="N",
-            help="Images per second, 1 to 1000; the recorded rate if absent.",
-        ),
-    ] = None,
-) -> None:
-    """Write report/video.webm: each image above its depth map."""
-    from docdepth.io.run_folder import RunFolder
-    from docdepth.pipeline.run_inputs import recorded_camera
-    from docdepth.pipeline.run_state import require
-    from docdepth.visualization.video import write_video
-
-    folder = RunFolder.open(run)
-    name = folder.depth_folder(camera)
-    require(folder, f"render {folder.camera_in(name)}")
-    with progress_bars() as progress:
-        path = write_video(folder, name, recorded_camera(folder, name), fps, progress)
-    out.print(f"{path}", soft_wrap=True, markup=False)
-
-
-@verb(app)
-def view(
-    run: RunPath,
-    frame: Annotated[
-        int | None,
-        typer.Option(
-            min=0, metavar="N", help="Sweep to show, counted from 0; the middle one if absent."
-        ),
-    ] = None,
-    camera: OneCamera = None,
-    around: Annotated[
-        int,
-        typer.Option(
-            min=0, metavar="N", help="Show the static points of N sweeps before and after as well."
-        ),
-    ] = 0,
-    image: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.png", help="Write the view to this file instead of opening a window."
-        ),
-    ] = None,
-) -> None:
-    """Look at a sweep's labels, the trajectory and a depth map in 3-D (Open3D)."""
-    from docdepth.io.run_folder import RunFolder
-    from docdepth.pipeline.run_state import require
-    from docdepth.visualization.viewer import view_run
-
-    folder = RunFolder.open(run)
-    require(folder, "classify")
-    view_run(folder, frame, camera, around, image=image)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -312,6 +313,8 @@ def held_out(
     with the map. Pixels between returns are not judged.
     """
     from docdepth.evaluation.held_out import evaluate_held_out
+    from docdepth.io.run_folder import RunFolder
+    from docdepth.visualization.report import keep_held_out
 
     with progress_bars() as progress:
         result = evaluate_held_out(
@@ -319,3 +322,4 @@ def held_out(
             lambda done, total: progress("held out", done, total),
         )  # fmt: skip
     show(result, as_json)
+    keep_held_out(RunFolder.open(run), camera, asdict(result.table()))

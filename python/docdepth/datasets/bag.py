@@ -15,13 +15,13 @@ from pydantic import Field
 
 from docdepth.datasets.bag_camera import BagRig, camera_name
 from docdepth.datasets.bag_file import SUFFIXES, BagFile, Message, bag_files
-from docdepth.datasets.bag_odometry import place_on_body, read_odometry
+from docdepth.datasets.bag_odometry import Body, read_bag_poses
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud
 from docdepth.datasets.format import Format
 from docdepth.datasets.image_stream import ImageStream
 from docdepth.datasets.recording import Recording
-from docdepth.datasets.ros_frames import StaticFrames
+from docdepth.datasets.ros_frames import TRANSFORMS, StaticFrames
 from docdepth.datasets.ros_images import IMAGES
 from docdepth.datasets.ros_points import reader_of, undecoded
 from docdepth.datasets.settings import (
@@ -36,8 +36,6 @@ from docdepth.errors import CalibrationError, DatasetError
 from docdepth.io.poses import read_poses
 
 log = logging.getLogger(__name__)
-
-_STATIC = "tf2_msgs/msg/TFMessage"
 
 
 class BagLidarSettings(Strict):
@@ -63,6 +61,8 @@ class BagSettings(RecordingSettings):
         By topic of images, what the bag lacks.
     stamps : {"header", "record"}
         Which times count: of the messages' headers, or of their recording.
+    odometry_frame : str, optional
+        The frame whose place the topic ``poses`` tells, where its messages do not name it.
     T_odometry_lidar : list of float, optional
         Takes points of the first LiDAR to the frame whose place the topic ``poses`` tells; from the
         static transforms if left out.
@@ -71,6 +71,7 @@ class BagSettings(RecordingSettings):
     lidars: dict[str, BagLidarSettings | None] = Field(default_factory=dict)
     cameras: dict[str, CameraSettings] = Field(default_factory=dict)
     stamps: Literal["header", "record"] = "header"
+    odometry_frame: str | None = None
     T_odometry_lidar: Numbers | None = None
 
 
@@ -122,7 +123,7 @@ class BagRecording(Recording):
         topics = _lidar_topics(bag, settings, file)
         images = [topic for topic, kind in bag.topics.items() if kind in IMAGES]
         index = bag.index([*topics, *images])
-        static = [t for t, k in bag.topics.items() if k == _STATIC and t.endswith("tf_static")]
+        static = [t for t, k in bag.topics.items() if k == TRANSFORMS and t.endswith("tf_static")]
         frames = StaticFrames(message for topic in static for message in bag.read_all(topic))
         lidars = _lidars(bag, topics, index, settings, frames, file)
         lidars[0], poses = _with_poses(lidars[0], settings, frames, file)
@@ -160,19 +161,23 @@ def _lidars(
 def _with_poses(
     lidar: BagLidar, settings: BagSettings, frames: StaticFrames, file: Path
 ) -> tuple[BagLidar, NDArray[np.float64] | None]:
-    """The first LiDAR, and the poses of its sweeps; without sweeps that the odometry lacks."""
+    """The first LiDAR, and the poses of its sweeps; without sweeps that the topic lacks."""
     wanted = settings.poses
     if not wanted:
         return lidar, None
     if (file.parent / wanted).is_file() or not wanted.startswith("/"):
         return lidar, read_poses(file.parent / wanted, len(lidar.messages))
-    odometry = read_odometry(lidar.bag, wanted, settings.stamps == "record", str(file))
-    if settings.T_odometry_lidar is not None:
-        T = transform(settings.T_odometry_lidar, f"{file}: T_odometry_lidar")
-    else:
-        T = place_on_body(odometry, frames, lidar.messages[0].frame, str(file))
+    T = settings.T_odometry_lidar
+    body = Body(
+        frames,
+        lidar.messages[0].frame,
+        settings.odometry_frame and settings.odometry_frame.lstrip("/"),
+        None if T is None else transform(T, f"{file}: T_odometry_lidar"),
+        str(file),
+    )
+    told = read_bag_poses(lidar.bag, wanted, settings.stamps == "record", body)
     stream = lidar.stream
-    inside, poses = odometry.poses(stream.times, T, str(lidar.bag.path))
+    inside, poses = told.at(stream.times, str(lidar.bag.path))
     kept = np.flatnonzero(inside)
     names = [stream.names[k] for k in kept]
     part = LidarStream(stream.name, stream.times[kept], names, stream.T_lidar_sensor)

@@ -7,6 +7,7 @@ import struct
 import threading
 import weakref
 from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -133,15 +134,15 @@ class BagFile:
 
     def read_all(self, topic: str, most: int | None = None) -> list[Any]:
         """All messages of a topic, or the first ones."""
-        found = []
+        return [message for _, message in islice(self.each(topic), most)]
+
+    def each(self, topic: str) -> Iterator[tuple[int, Any]]:
+        """Nanoseconds of recording, and the message, one after the other."""
         with self._lock:
             reader = self._open()
             connections = [c for c in reader.connections if c.topic == topic]
-            for connection, _, raw in self._messages(connections):
-                found.append(self._decode(raw, connection.msgtype, f"{self.path}, {topic}"))
-                if len(found) == most:
-                    break
-        return found
+            for connection, recorded, raw in self._messages(connections):
+                yield recorded, self._decode(raw, connection.msgtype, f"{self.path}, {topic}")
 
     def _open(self) -> Any:
         """The reader of this process; the lock is held."""

@@ -180,12 +180,18 @@ class Dataset(Protocol):
     """A recorded drive. Sweeps are read when they are asked for."""
 
     name: str
+    """As reports call it."""
     path: Path
+    """The folder or file that was opened."""
     times: NDArray[np.int64]
     """Nanoseconds of each sweep, shape (n,), strictly increasing."""
-    poses: NDArray[np.float64] | None
-    """``T_world_lidar`` (n, 4, 4) from the recording, or None."""
     cameras: dict[str, CameraStream]
+    """The cameras by name."""
+
+    @property
+    def poses(self) -> NDArray[np.float64] | None:
+        """``T_world_lidar`` (n, 4, 4) from the recording, or None."""
+        ...
 
     @property
     def lidars(self) -> dict[str, LidarStream]:
@@ -198,7 +204,9 @@ class Dataset(Protocol):
 
     def __len__(self) -> int: ...
 
-    def sweep(self, index: int) -> Sweep: ...
+    def sweep(self, index: int) -> Sweep:
+        """Read one sweep from disk."""
+        ...
 
     def sweep_files(self, index: int) -> list[Path]:
         """All files that ``sweep(index)`` reads: sweeps of every LiDAR, and the times of points.

@@ -13,6 +13,7 @@ from pydantic import Field
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.image_stream import ImageStream
 from docdepth.datasets.kitti_files import image_files, image_size
+from docdepth.datasets.recording import LidarReader, Recording
 from docdepth.datasets.settings import CameraSettings, RecordingSettings
 from docdepth.datasets.stamps import times_of_files
 from docdepth.datasets.times import read_times
@@ -46,6 +47,44 @@ class CameraRecordingSettings(RecordingSettings):
     """
 
     cameras: dict[str, DescribedCamera] = Field(default_factory=dict)
+
+
+class LidarRecording(Recording):
+    """A recording of one LiDAR alone; its cameras are those that ``docdepth.yaml`` describes.
+
+    Parameters
+    ----------
+    name : str
+        Of the format.
+    path : Path
+    lidar : LidarReader
+    poses : ndarray of float64, shape (n, 4, 4), optional
+        ``T_world_lidar`` of each sweep.
+    settings : CameraRecordingSettings
+    file : Path
+        Of the settings, for messages.
+    image_size : (int, int), optional
+        Width and height of cameras that are described without images.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        path: Path,
+        lidar: LidarReader,
+        poses: NDArray[np.float64] | None,
+        settings: CameraRecordingSettings,
+        file: Path,
+        image_size: tuple[int, int] | None,
+    ) -> None:
+        problems = Collector()
+        cameras, uncalibrated = described_cameras(
+            path, settings.cameras, lidar.stream, image_size, file, problems
+        )
+        problems.raise_errors()
+        super().__init__(
+            name, path, [lidar], cameras, poses, settings.facts(), uncalibrated=uncalibrated
+        )
 
 
 def described_cameras(

@@ -10,6 +10,14 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
 
+FILE = "docdepth.yaml"
+"""What the files of a recording do not tell."""
+
+
+def settings_file(recording: Path) -> Path:
+    """``docdepth.yaml`` in the folder of a recording, or beside one that is no folder."""
+    return (recording if recording.is_dir() else recording.parent) / FILE
+
 
 def is_there(file: Path) -> bool:
     """Whether an optional file exists.

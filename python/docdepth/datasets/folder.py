@@ -21,12 +21,12 @@ from docdepth.datasets.cloud_files import (
     read_viewpoint,
 )
 from docdepth.datasets.described_cameras import DescribedCamera, described_cameras
-from docdepth.datasets.files import is_there, read_bytes
+from docdepth.datasets.files import FILE, is_there, read_bytes
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import in_order
 from docdepth.datasets.recording import Recording
+from docdepth.datasets.rejoined import RejoinedLidar
 from docdepth.datasets.settings import (
-    FILE,
     Numbers,
     RecordingSettings,
     Strict,
@@ -164,17 +164,20 @@ class CloudFolder(Recording):
         facts = settings.facts(settings.frame == "world")
         super().__init__(name, path, lidars, cameras, poses, facts, uncalibrated=uncalibrated)
 
-    def labels(self, index: int) -> NDArray[np.uint32] | None:
-        """Labels of every point of sweep ``index``, of ``labels/NAME.label``, or None."""
-        file = self._label_folder / f"{self._readers[0].stream.names[index]}.label"
+    def _measured_labels(self, own: int) -> NDArray[np.uint32] | None:
+        """Labels of a sweep as it was recorded, of ``labels/NAME.label``, or None."""
+        reader = self._readers[0]
+        measured = reader.measured if isinstance(reader, RejoinedLidar) else reader
+        file = self._label_folder / f"{measured.stream.names[own]}.label"
         if not is_there(file):
             return None
         labels = read_bytes(file, "copy the labels again")
-        if len(labels) != 4 * len(self.sweep(index).points):
+        points = self.sweep(own).points if measured is reader else measured.read(own).points
+        count = len(points)
+        if len(labels) != 4 * count:
             raise DatasetError(
-                f"{file} (frame {index}) has {len(labels)} bytes for a sweep of "
-                f"{len(self.sweep(index).points)} points; labels are one uint32 for each point, "
-                "in the order of the sweep"
+                f"{file} (frame {own}) has {len(labels)} bytes for a sweep of {count} points; "
+                "labels are one uint32 for each point, in the order of the sweep"
             )
         return np.frombuffer(labels, "<u4").astype(np.uint32)
 

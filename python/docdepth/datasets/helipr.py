@@ -7,14 +7,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.described_cameras import CameraRecordingSettings, described_cameras
+from docdepth.datasets.described_cameras import CameraRecordingSettings, LidarRecording
 from docdepth.datasets.format import Format
 from docdepth.datasets.json_files import pose_of
 from docdepth.datasets.pose_tables import poses_at, read_pose_table
-from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import read_settings
 from docdepth.datasets.stamped_files import NANOSECOND, packed, stamped_lidar
-from docdepth.errors import Collector
 
 _AEVA = packed(x="f4", y="f4", z="f4", reflectivity="f4", velocity="f4", offset_ns="i4", line="u1")
 _ROWS = {
@@ -32,7 +30,7 @@ _LAST_SHORT_AEVA = 1691936557946849179
 _LATER_AEVA = np.dtype([*_AEVA.descr, ("raw_intensity", "<f4")])
 
 
-class HeLiPR(Recording):
+class HeLiPR(LidarRecording):
     """One LiDAR of a sequence of HeLiPR.
 
     Parameters
@@ -51,14 +49,7 @@ class HeLiPR(Recording):
         if name == "Aeva" and lidar.stream.times[0] > _LAST_SHORT_AEVA:
             lidar = stamped_lidar(name.lower(), path, NANOSECOND, _LATER_AEVA)
         poses = _poses(path.absolute().parent.parent / "LiDAR_GT", name, lidar.stream.times)
-        problems = Collector()
-        cameras, uncalibrated = described_cameras(
-            path, settings.cameras, lidar.stream, image_size, file, problems
-        )
-        problems.raise_errors()
-        super().__init__(
-            "helipr", path, [lidar], cameras, poses, settings.facts(), uncalibrated=uncalibrated
-        )
+        super().__init__("helipr", path, lidar, poses, settings, file, image_size)
 
 
 def _poses(folder: Path, name: str, times: NDArray[np.int64]) -> NDArray[np.float64] | None:

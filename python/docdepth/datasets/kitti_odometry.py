@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from docdepth.datasets import kitti_files, kitti_lidar
 from docdepth.datasets.base import Sweep
-from docdepth.datasets.files import is_there, read_bytes, read_lines
+from docdepth.datasets.ego import without_ego
+from docdepth.datasets.files import is_there, read_bytes, read_lines, settings_file
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.kitti_odometry_cameras import REMEDY, read_cameras
+from docdepth.datasets.settings import EgoSettings, check_up
 from docdepth.datasets.times import read_times_of
 from docdepth.errors import Collector, DatasetError
 from docdepth.geometry.se3 import inverse
@@ -45,6 +48,7 @@ class KittiOdometry:
       own LiDAR that is computed from the azimuth;
     - ``docdepth.yaml`` with ``looks_from: [x, y, z]``: where the rays of the LiDAR begin, metres in
       the frame of its points, if not at the origin. KITTI's own LiDAR is detected without it;
+      and ``up: [x, y, z]``, which direction points up in that frame;
     - ``velodyne_2/NAME.bin`` and so on: sweeps of more LiDARs at the same times, with a row
       ``Tr_2`` in ``calib.txt`` that takes their points to camera 0 as Tr does. All LiDARs form one
       sweep; points, labels and times of the first come first.
@@ -82,6 +86,8 @@ class KittiOdometry:
             settings = _settings(self.path / "docdepth.yaml")
             self.motion_compensated: bool = settings["motion_compensated"]
             self._looks_from: list[float] | None = settings["looks_from"]
+            self._ego_boxes: list[list[float]] = settings["ego_boxes"]
+            self.up: list[float] | None = settings["up"]
         with problems.collected():
             self._read_calibration(image_size, problems)
         problems.raise_errors()
@@ -119,7 +125,7 @@ class KittiOdometry:
         if self._more_lidars:
             first = sensor_rig or SensorRig.single((0, 0, 0), len(points))
             points, intensity, sensor_rig = self._merge_lidars(points, intensity, first, index)
-        return Sweep(
+        sweep = Sweep(
             points,
             file.stem,
             int(self.times[index]),
@@ -128,6 +134,7 @@ class KittiOdometry:
             sensor_rig,
             self.motion_compensated,
         )
+        return without_ego(sweep, self._ego_boxes)
 
     def _merge_lidars(
         self,
@@ -153,9 +160,10 @@ class KittiOdometry:
         )
 
     def sweep_files(self, index: int) -> list[Path]:
-        """Sweep ``index`` of each LiDAR, and the times of its points if there are any."""
+        """Sweep ``index`` of each LiDAR, the times of its points, and what masks some of them."""
         times = self._point_times(index)
-        return self._lidar_files(index) + [times] * times.is_file()
+        masks = [settings_file(self.path)] if self._ego_boxes else []
+        return self._lidar_files(index) + [times] * times.is_file() + masks
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``; None without a file."""
@@ -229,7 +237,12 @@ def _find_more_lidars(
 
 def _settings(file: Path) -> dict[str, Any]:
     """The entries of ``docdepth.yaml``, or their defaults."""
-    known: dict[str, Any] = {"motion_compensated": True, "looks_from": None}
+    known: dict[str, Any] = {
+        "motion_compensated": True,
+        "looks_from": None,
+        "ego_boxes": [],
+        "up": None,
+    }
     if not is_there(file):
         return known
     try:
@@ -237,6 +250,8 @@ def _settings(file: Path) -> dict[str, Any]:
     except yaml.YAMLError as error:
         raise DatasetError(f"{file} is not YAML: {error}") from None
     known |= given if isinstance(given, dict) else {"motion_compensated": None}
+    if "sweep_duration" in known:
+        raise DatasetError(f"{file}: sweeps of this layout are not joined; remove sweep_duration")
     if not isinstance(known["motion_compensated"], bool):
         raise DatasetError(f"{file}: motion_compensated must be true or false")
     place = known["looks_from"]
@@ -246,7 +261,15 @@ def _settings(file: Path) -> dict[str, Any]:
         or not all(isinstance(x, (int, float)) and abs(x) < _MOST_METRES for x in place)
     ):
         raise DatasetError(f"{file}: looks_from must be [x, y, z] in metres, got {place}")
-    return known
+    check_up(known["up"], file)
+    try:
+        ego = EgoSettings(ego_boxes=known["ego_boxes"])
+    except ValidationError:
+        raise DatasetError(
+            f"{file}: ego_boxes must be boxes [[x, x], [y, y], [z, z]] in metres"
+        ) from None
+    ego.check(file)
+    return known | {"ego_boxes": ego.ego_boxes}
 
 
 def _recognises(path: Path) -> bool:

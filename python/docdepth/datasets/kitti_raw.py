@@ -10,9 +10,13 @@ from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_files, kitti_lidar
 from docdepth.datasets.base import CameraStream, Sweep
-from docdepth.datasets.files import is_there, read_lines
+from docdepth.datasets.ego import without_ego
+from docdepth.datasets.files import is_there, read_lines, settings_file
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import Calibration
+from docdepth.datasets.kitti_oxts import read_oxts
+from docdepth.datasets.pose_tables import whole_poses
+from docdepth.datasets.settings import EgoSettings, read_settings
 from docdepth.datasets.times import read_times_of
 from docdepth.errors import CalibrationError, Collector
 from docdepth.geometry.camera import Camera
@@ -26,8 +30,8 @@ class KittiRaw:
 
     A sweep is one revolution of the LiDAR, clockwise seen from above. It starts backwards and faces
     forward after half its duration, when KITTI takes the stamp. Points come laser by laser and
-    carry no time, so their time is computed from the azimuth. Poses come from a file of the user's
-    or from odometry. SemanticKITTI labels are read from ``labels/NAME.label``.
+    carry no time, so their time is computed from the azimuth. Poses are those of GPS and IMU, in
+    ``oxts``. SemanticKITTI labels are read from ``labels/NAME.label``.
 
     Parameters
     ----------
@@ -43,11 +47,13 @@ class KittiRaw:
     """
 
     name = "kitti_raw"
-    poses: NDArray[np.float64] | None = None
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
         self.path = Path(path)
         velodyne, problems = self.path / "velodyne_points", Collector()
+        self._ego_boxes: list[list[float]] = []
+        with problems.collected():
+            self._ego_boxes = read_settings(self.path, EgoSettings)[0].ego_boxes
         self._sweeps = kitti_files.find_sweeps(velodyne / "data", problems)
         self.times = np.arange(len(self._sweeps))
         with problems.collected():
@@ -65,18 +71,29 @@ class KittiRaw:
         points, intensity = kitti_files.read_sweep(file, index)
         relative_time = kitti_lidar.azimuth_relative_time(points)
         sensor_rig = kitti_lidar.sensor_rig(points) if self._is_kitti_lidar else None
-        return Sweep(
+        sweep = Sweep(
             points, file.stem, int(self.times[index]), intensity, relative_time, sensor_rig
         )
+        return without_ego(sweep, self._ego_boxes)
 
     def sweep_files(self, index: int) -> list[Path]:
-        """The file of sweep ``index``."""
-        return [self._sweeps[index]]
+        """The file of sweep ``index``, and the one that masks some of it."""
+        return [self._sweeps[index], *([settings_file(self.path)] if self._ego_boxes else [])]
 
     def _read_cameras(
         self, image_size: tuple[int, int] | None, problems: Collector
     ) -> dict[str, CameraStream]:
         return _cameras(self.path, self._sweeps, self.times, image_size, problems)
+
+    @cached_property
+    def partial_poses(self) -> NDArray[np.float64] | None:
+        """``T_world_lidar`` (n, 4, 4), NaN for sweeps without a pose; None without any."""
+        return read_oxts(self.path, self.times)
+
+    @cached_property
+    def poses(self) -> NDArray[np.float64] | None:
+        """``T_world_lidar`` (n, 4, 4) if every sweep has a pose."""
+        return whole_poses(self.partial_poses, self.path)
 
     @cached_property
     def _is_kitti_lidar(self) -> bool:

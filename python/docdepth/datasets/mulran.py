@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.cloud import Cloud
-from docdepth.datasets.described_cameras import CameraRecordingSettings, described_cameras
+from docdepth.datasets.described_cameras import CameraRecordingSettings, LidarRecording
 from docdepth.datasets.files import is_there
 from docdepth.datasets.format import Format
 from docdepth.datasets.pose_tables import (
@@ -20,10 +20,8 @@ from docdepth.datasets.pose_tables import (
     read_pose_table,
     rows_around,
 )
-from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import read_settings
 from docdepth.datasets.stamped_files import NANOSECOND, StampedLidar, packed, stamped_lidar
-from docdepth.errors import Collector
 from docdepth.geometry.se3 import inverse
 
 log = logging.getLogger(__name__)
@@ -52,7 +50,7 @@ def turned(rows: NDArray[Any], where: str) -> Cloud:
     return Cloud(points, rows["intensity"].copy(), (place % _BEAMS).astype(np.uint16), times)
 
 
-class MulRan(Recording):
+class MulRan(LidarRecording):
     """A sequence of MulRan.
 
     Parameters
@@ -70,14 +68,7 @@ class MulRan(Recording):
         lidar = stamped_lidar("ouster", _sweeps(path), NANOSECOND, _ROWS, turned)
         _warn_of_short(lidar)
         poses = _poses(path / "global_pose.csv", lidar.stream.times)
-        problems = Collector()
-        cameras, uncalibrated = described_cameras(
-            path, settings.cameras, lidar.stream, image_size, file, problems
-        )
-        problems.raise_errors()
-        super().__init__(
-            "mulran", path, [lidar], cameras, poses, settings.facts(), uncalibrated=uncalibrated
-        )
+        super().__init__("mulran", path, lidar, poses, settings, file, image_size)
 
 
 def _poses(file: Path, times: NDArray[np.int64]) -> NDArray[np.float64] | None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.cloud import Cloud
-from docdepth.datasets.described_cameras import CameraRecordingSettings, described_cameras
+from docdepth.datasets.described_cameras import CameraRecordingSettings, LidarRecording
 from docdepth.datasets.files import is_there
 from docdepth.datasets.format import Format
 from docdepth.datasets.pose_tables import (
@@ -18,10 +18,8 @@ from docdepth.datasets.pose_tables import (
     read_pose_table,
     rows_around,
 )
-from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import read_settings
 from docdepth.datasets.stamped_files import MICROSECOND, packed, stamped_lidar
-from docdepth.errors import Collector
 from docdepth.geometry.se3 import inverse
 
 _ROWS = packed(x="u2", y="u2", z="u2", intensity="u1", laser="u1")
@@ -45,7 +43,7 @@ def lifted(rows: NDArray[Any], where: str) -> Cloud:
     )
 
 
-class Nclt(Recording):
+class Nclt(LidarRecording):
     """A session of NCLT; its sweeps are compensated for the motion of the robot.
 
     Parameters
@@ -61,14 +59,7 @@ class Nclt(Recording):
         settings, file = read_settings(path, CameraRecordingSettings, {"motion_compensated": True})
         lidar = stamped_lidar("velodyne", path / "velodyne_sync", MICROSECOND, _ROWS, lifted)
         poses = _poses(path, lidar.stream.times)
-        problems = Collector()
-        cameras, uncalibrated = described_cameras(
-            path, settings.cameras, lidar.stream, image_size, file, problems
-        )
-        problems.raise_errors()
-        super().__init__(
-            "nclt", path, [lidar], cameras, poses, settings.facts(), uncalibrated=uncalibrated
-        )
+        super().__init__("nclt", path, lidar, poses, settings, file, image_size)
 
 
 def _poses(path: Path, times: NDArray[np.int64]) -> NDArray[np.float64] | None:

@@ -40,7 +40,7 @@ USUAL_PERIOD = 125_000_000
 """Nanoseconds of a sweep of which no more is known; sweeps last 50 to 200 ms."""
 # Of the time between stamps that the points of a sweep may span: of a LiDAR that looks ahead, or a
 # little more than a revolution. Units are a thousand apart, so at most one fits.
-_SHORTEST, _LONGEST = 0.1, 1.6
+_SHORTEST, LONGEST = 0.1, 1.6
 _SHARE = {"start": 0.0, "middle": 0.5, "end": 1.0}
 
 
@@ -104,7 +104,7 @@ class PointTimes:
             start = 0 if self.origin == "stamp" else _exact(kept.min()) * self.unit
         late = _after(sample.values, start - self.shift, self.unit) / self.period
         with np.errstate(invalid="ignore"):
-            right = np.abs(late) <= _LONGEST
+            right = np.abs(late) <= LONGEST
         if (np.isfinite(late) & ~right & sample.usable).any():
             return None
         return np.where(right | sample.usable, late, 0).astype(np.float32)
@@ -147,7 +147,7 @@ def find_point_times(
     duration = period or USUAL_PERIOD
     units = [unit] if unit else list(_NANOSECONDS)
     fitting = [
-        u for u in units if _SHORTEST < span * _NANOSECONDS[u] / duration < _LONGEST or u == unit
+        u for u in units if _SHORTEST < span * _NANOSECONDS[u] / duration < LONGEST or u == unit
     ]
     if not fitting or span == 0:
         log.warning(
@@ -158,7 +158,7 @@ def find_point_times(
         return None
     count = _NANOSECONDS[fitting[0]]
     first = [_exact(v.min()) * count for v in kept]
-    limit = _LONGEST * duration
+    limit = LONGEST * duration
     shift = -round(_SHARE[instant or "start"] * span * count)
     if all(abs(start) < limit for start in first):
         # Declared: the values count from the first point, wherever the driver puts its stamp.

@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.files import read_lines
 from docdepth.errors import DatasetError, InputError
-from docdepth.geometry.se3 import check_rigid, nearest_rigid, poses_from, rotation_exp
+from docdepth.geometry.se3 import (
+    check_rigid,
+    inverse,
+    nearest_rigid,
+    poses_from,
+    rotation_exp,
+    se3_exp,
+    se3_log,
+)
 from docdepth.geometry.trajectory import Trajectory
 
 log = logging.getLogger(__name__)
@@ -24,6 +32,7 @@ log = logging.getLogger(__name__)
 # Between poses farther apart in time and in space, a sweep has none: what the vehicle did is open.
 _LONGEST_GAP = 250_000_000  # ns
 _FARTHEST = 1.0  # metres
+_LONGEST_END = 150_000_000  # ns before the first pose and after the last one
 
 
 def read_pose_table(
@@ -174,6 +183,39 @@ def poses_at(
         )
     result = np.full((len(times), 4, 4), np.nan)
     result[known] = trajectory.interpolate(times[known])
+    return result
+
+
+def continue_ends(
+    result: NDArray[np.float64],
+    stamps: NDArray[np.int64],
+    poses: NDArray[np.float64],
+    times: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Poses of sweeps just before the first pose and after the last one: the motion goes on.
+
+    Parameters
+    ----------
+    result : ndarray of float64, shape (m, 4, 4)
+        Poses at the times of the sweeps.
+    stamps : ndarray of int64, shape (n,)
+        Nanoseconds of the known poses, increasing.
+    poses : ndarray of float64, shape (n, 4, 4)
+    times : ndarray of int64, shape (m,)
+
+    Returns
+    -------
+    ndarray of float64, shape (m, 4, 4)
+        With those up to 0.15 s outside, a sweep and a half.
+    """
+    result = result.copy()
+    for near, beside in ((0, 1), (-1, -2)) if len(stamps) > 1 else ():
+        late = times - stamps[near]
+        outside = late < 0 if near == 0 else late > 0
+        omega, velocity = se3_log(inverse(poses[near]) @ poses[beside])
+        for k in np.flatnonzero(outside & (np.abs(late) <= _LONGEST_END)):
+            share = float(late[k] / (stamps[beside] - stamps[near]))
+            result[k] = poses[near] @ se3_exp(share * omega, share * velocity)
     return result
 
 

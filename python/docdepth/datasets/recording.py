@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from docdepth.datasets import kitti_lidar
 from docdepth.datasets.base import CameraStream, LidarStream, Sweep
 from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.ego import without_ego
+from docdepth.datasets.files import settings_file
 from docdepth.datasets.image_stream import ImageStream
 from docdepth.datasets.point_times import (
     USUAL_PERIOD,
@@ -25,6 +27,7 @@ from docdepth.datasets.point_times import (
     median_period,
 )
 from docdepth.datasets.pose_tables import whole_poses
+from docdepth.datasets.rejoined import RejoinedLidar, joined, rejoin
 from docdepth.errors import DatasetError
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.se3 import inverse
@@ -64,6 +67,12 @@ class RecordingFacts:
         Of the times of points, see :func:`~.point_times.find_point_times`.
     world : bool
         Points are in the frame of the poses; they are brought to the LiDAR frame.
+    ego_boxes : sequence of six numbers
+        Boxes around the vehicle itself, see :func:`~.ego.without_ego`.
+    sweep_duration : float, optional
+        Seconds of a sweep: those of the recording are joined or cut, see :mod:`.rejoined`.
+    up : tuple of float, optional
+        Direction that points up, LiDAR frame.
     """
 
     motion_compensated: bool | None = None
@@ -71,6 +80,9 @@ class RecordingFacts:
     unit: Unit | None = None
     instant: Instant | None = None
     world: bool = False
+    ego_boxes: Sequence[Sequence[float]] = ()
+    sweep_duration: float | None = None
+    up: tuple[float, float, float] | None = None
 
 
 class _Part(NamedTuple):
@@ -123,19 +135,38 @@ class Recording:
         uncalibrated: dict[str, ImageStream] | None = None,
     ) -> None:
         self.name, self.path, self.cameras = name, path, cameras
-        self.partial_poses, self.poses = poses, whole_poses(poses, path)
         self.uncalibrated = uncalibrated or {}
-        self.lidars = {lidar.stream.name: lidar.stream for lidar in lidars}
-        self._readers, self._labels = list(lidars), labels
+        self._labels = labels
         self._facts = facts or RecordingFacts()
+        self.up = self._facts.up
+        self._take(lidars, poses)
+        if self._facts.sweep_duration is not None:
+            self._rejoin(self._facts.sweep_duration, poses)
+
+    def _take(self, lidars: Sequence[LidarReader], poses: NDArray[np.float64] | None) -> None:
+        """All that follows from the sweeps of the LiDARs."""
+        self.partial_poses, self.poses = poses, whole_poses(poses, self.path)
+        self.lidars = {lidar.stream.name: lidar.stream for lidar in lidars}
+        self._readers: list[LidarReader] = list(lidars)
         self.times: NDArray[np.int64] = lidars[0].stream.times
         if not len(self.times):
-            raise DatasetError(f"{path} holds no sweep of {lidars[0].stream.name}")
+            raise DatasetError(f"{self.path} holds no sweep of {lidars[0].stream.name}")
         self._period = median_period(self.times)
         self._partners = [self._find_partners(lidar.stream) for lidar in lidars[1:]]
         self._point_times: list[PointTimes | None] = []
         self._is_kitti_lidar = False
         self._look_at_points()
+
+    def _rejoin(self, duration: float, poses: NDArray[np.float64] | None) -> None:
+        """Sweeps of this duration [s] in place of those of the recording."""
+        if self._facts.motion_compensated or self._facts.world:
+            raise DatasetError(
+                f"{self.path}: sweep_duration joins sweeps as they were measured, but these are "
+                "motion compensated or in the world; leave it out of docdepth.yaml"
+            )
+        lidars, poses = rejoin(self._readers, poses, duration, self._point_times, self.path)
+        self._facts = replace(self._facts, unit=None, instant=None)
+        self._take(lidars, poses)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -152,28 +183,47 @@ class Recording:
         for number, partners in enumerate(self._partners, start=1):
             if partners[index] >= 0:
                 parts.append(self._part(number, int(partners[index]), index))
-        return Sweep(
+        sweep = Sweep(
             np.concatenate([part.points for part in parts]),
             self._readers[0].stream.names[index],
             int(self.times[index]),
-            _joined([part.cloud.intensity for part in parts]),
+            joined([part.cloud.intensity for part in parts]),
             self._relative_time(parts),
             self._rig(parts),
             self._facts.motion_compensated or False,
-            _joined([part.cloud.ring for part in parts]),
+            joined([part.cloud.ring for part in parts]),
         )
+        return without_ego(sweep, self._facts.ego_boxes)
 
     def sweep_files(self, index: int) -> list[Path]:
-        """The files of sweep ``index`` of each LiDAR."""
+        """The files of sweep ``index`` of each LiDAR, and the one that masks some of it."""
         index = range(len(self))[index]
         files = self._readers[0].files(index)
         for reader, partners in zip(self._readers[1:], self._partners, strict=True):
             files = files + (reader.files(int(partners[index])) if partners[index] >= 0 else [])
-        return list(dict.fromkeys(files))
+        masks = [settings_file(self.path)] if self._facts.ego_boxes else []
+        return list(dict.fromkeys(files + masks))
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``; None without a file."""
-        return None if self._labels is None else self._labels(index)
+        index, reader = range(len(self))[index], self._readers[0]
+        if not isinstance(reader, RejoinedLidar):
+            return self._measured_labels(index)
+        found = [
+            None if labels is None else labels[piece.rows]
+            for piece in reader.pieces(index)
+            for labels in [self._measured_labels(piece.index)]
+        ]
+        if len(self._readers) > 1 and joined(found) is not None:
+            raise DatasetError(
+                f"{self.path} (frame {index}): labels of several LiDARs cannot be divided by "
+                "sweep_duration; leave it out of docdepth.yaml"
+            )
+        return joined(found)
+
+    def _measured_labels(self, own: int) -> NDArray[np.uint32] | None:
+        """Labels of a sweep as it was recorded."""
+        return None if self._labels is None else self._labels(own)
 
     def _find_partners(self, other: LidarStream) -> NDArray[np.int64]:
         """For each sweep the nearest one of another LiDAR; -1 where there is none."""
@@ -276,9 +326,3 @@ class Recording:
         poses = np.stack([reader.stream.T_lidar_sensor for reader in self._readers])
         numbers = np.array([part.number for part in parts], np.uint8)
         return SensorRig(np.repeat(numbers, [len(part.points) for part in parts]), poses)
-
-
-def _joined(columns: Sequence[NDArray[Any] | None]) -> NDArray[Any] | None:
-    """One column of those of all LiDARs; None unless all have it."""
-    present = [column for column in columns if column is not None]
-    return np.concatenate(present) if len(present) == len(columns) else None

@@ -25,6 +25,7 @@ from docdepth.datasets import (
     pandaset,
     run,
     velodyne,
+    waymo,
 )
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.format import ENTRY_POINTS, Format
@@ -46,6 +47,7 @@ _OWN: tuple[Format, ...] = (
     nuscenes.FORMAT,
     argoverse2.FORMAT,
     dgp.FORMAT,
+    waymo.FORMAT,
     helipr.FORMAT,
     mulran.FORMAT,
     nclt.FORMAT,

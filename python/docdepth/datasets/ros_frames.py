@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix
 
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
 
 class StaticFrames:
     """A graph of frames that do not move against each other.
@@ -23,6 +25,7 @@ class StaticFrames:
 
     def __init__(self, messages: Iterable[Any]) -> None:
         self._edges: dict[str, dict[str, NDArray[np.float64]]] = {}
+        self._parents: dict[str, str] = {}
         for message in messages:
             for one in message.transforms:
                 parent, child = (
@@ -32,11 +35,17 @@ class StaticFrames:
                 T = poses_from([quaternion_to_matrix([q.x, q.y, q.z, q.w])], [[t.x, t.y, t.z]])[0]
                 self._edges.setdefault(parent, {})[child] = T
                 self._edges.setdefault(child, {})[parent] = inverse(T)
+                self._parents[child] = parent
 
     @property
     def names(self) -> list[str]:
         """All frames that a transform names."""
         return sorted(self._edges)
+
+    def parent(self, frame: str) -> tuple[str, NDArray[np.float64]] | None:
+        """The frame above, and ``T_parent_frame`` (4, 4); None for the highest."""
+        above = self._parents.get(frame)
+        return None if above is None else (above, self._edges[above][frame])
 
     def between(self, target: str, source: str) -> NDArray[np.float64] | None:
         """``T_target_source`` (4, 4) along the shortest way; None where nothing connects them."""

@@ -12,16 +12,14 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from docdepth.datasets.files import is_there, read_lines
+from docdepth.datasets.files import is_there, read_lines, settings_file
 from docdepth.datasets.point_times import Instant, Unit
 from docdepth.datasets.recording import RecordingFacts
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import check_rigid, nearest_rigid
-
-FILE = "docdepth.yaml"
 
 _WHOLE = 1e-9  # of a rotation's numbers; larger errors come of missing digits
 _MOST_METRES = 100.0  # of a sensor from the origin of its frame; more is a mistake of units
@@ -35,6 +33,13 @@ def _flat(value: Any) -> Any:
 
 
 Numbers = Annotated[list[float], BeforeValidator(_flat)]
+
+
+def _boxes(value: Any) -> Any:
+    """One box may be written without the brackets around all of them."""
+    if isinstance(value, list) and len(value) == 3 and all(np.shape(row) == (2,) for row in value):
+        return [value]
+    return value
 
 
 class Strict(BaseModel):
@@ -98,8 +103,36 @@ class CameraSettings(Strict):
         return transform(self.T_camera_lidar, f"{where}: T_camera_lidar")
 
 
-class RecordingSettings(Strict):
-    """Entries that every format takes.
+class EgoSettings(Strict):
+    """What every recording takes.
+
+    Attributes
+    ----------
+    ego_boxes : list of [[x, x], [y, y], [z, z]]
+        Least and greatest coordinates of boxes, metres in the LiDAR frame, whose points are of the
+        vehicle itself and are left out.
+    """
+
+    ego_boxes: Annotated[list[Numbers], BeforeValidator(_boxes)] = Field(default_factory=list)
+
+    def check(self, file: Path) -> None:
+        """Refuse what is no box.
+
+        Raises
+        ------
+        DatasetError
+        """
+        for box in self.ego_boxes:
+            low, high = np.array(box).reshape(3, 2).T if len(box) == 6 else (np.zeros(3),) * 2
+            if not ((low < high) & (np.abs([low, high]) < _MOST_METRES).all(axis=0)).all():
+                raise DatasetError(
+                    f"{file}: ego_boxes must be boxes [[x, x], [y, y], [z, z]], least and greatest "
+                    f"coordinates in metres; got {box}"
+                )
+
+
+class RecordingSettings(EgoSettings):
+    """Entries that formats without layouts of their own take.
 
     Attributes
     ----------
@@ -107,28 +140,49 @@ class RecordingSettings(Strict):
         Whether the sweeps are deskewed already.
     looks_from : (float, float, float), optional
         Where the rays of the LiDAR begin, metres in the frame of its points.
+    up : (float, float, float), optional
+        Direction that points up, in the frame of the points.
     stamp : {"start", "middle", "end"}, optional
         Which instant of a sweep its time is.
     point_time_unit : {"s", "ms", "us", "ns"}, optional
+    sweep_duration : float, optional
+        Seconds. Sweeps of the recording are joined or cut to it by the times of their points.
     poses : str, optional
         File of LiDAR poses; or ``viewpoint``, those in the headers of PCD files; or a topic of
-        odometry of a bag.
+        a bag: odometry, poses, a path, or transforms.
     """
 
     motion_compensated: bool | None = None
     looks_from: tuple[float, float, float] | None = None
+    up: tuple[float, float, float] | None = None
     stamp: Instant | None = None
     point_time_unit: Unit | None = None
+    sweep_duration: float | None = Field(None, ge=0.01, le=10)
     poses: str | None = None
 
     def facts(self, world: bool = False) -> RecordingFacts:
         """What a recording wants to know of it."""
         return RecordingFacts(
-            self.motion_compensated, self.looks_from, self.point_time_unit, self.stamp, world
+            self.motion_compensated,
+            self.looks_from,
+            self.point_time_unit,
+            self.stamp,
+            world,
+            self.ego_boxes,
+            self.sweep_duration,
+            self.up,
         )
 
+    def check(self, file: Path) -> None:
+        """Refuse what is no box and no place."""
+        super().check(file)
+        place = self.looks_from
+        if place is not None and not all(abs(x) < _MOST_METRES for x in place):
+            raise DatasetError(f"{file}: looks_from must be [x, y, z] in metres, got {list(place)}")
+        check_up(self.up, file)
 
-_Settings = TypeVar("_Settings", bound=RecordingSettings)
+
+_Settings = TypeVar("_Settings", bound=EgoSettings)
 
 
 def read_settings(
@@ -150,7 +204,7 @@ def read_settings(
     DatasetError
         The file is not YAML, or an entry is unknown or wrong.
     """
-    file = (recording if recording.is_dir() else recording.parent) / FILE
+    file = settings_file(recording)
     if not is_there(file):
         return model.model_validate(usual or {}), file
     try:
@@ -162,10 +216,26 @@ def read_settings(
         settings = model.model_validate(known)
     except ValidationError as error:
         raise DatasetError(f"{file}: {_reasons(error, model)}") from None
-    place = settings.looks_from
-    if place is not None and not all(abs(x) < _MOST_METRES for x in place):
-        raise DatasetError(f"{file}: looks_from must be [x, y, z] in metres, got {list(place)}")
+    settings.check(file)
     return settings, file
+
+
+def check_up(up: object, file: Path) -> None:
+    """Refuse an entry ``up`` that is no direction.
+
+    Raises
+    ------
+    DatasetError
+    """
+    if up is None:
+        return
+    numbers = up if isinstance(up, (list, tuple)) else ()
+    known = len(numbers) == 3 and all(isinstance(x, (int, float)) for x in numbers)
+    if not known or not 1e-3 < np.linalg.norm(np.array(numbers, np.float64)) < 1e3:
+        raise DatasetError(
+            f"{file}: up must be [x, y, z], the direction that points up in the frame of the "
+            f"points, as in [0, -1, 0]; got {up}"
+        )
 
 
 def transform(numbers: list[float] | None, where: str) -> NDArray[np.float64]:
@@ -193,7 +263,7 @@ def transform(numbers: list[float] | None, where: str) -> NDArray[np.float64]:
     return nearest if np.abs(nearest - T).max() > _WHOLE else T
 
 
-def _reasons(error: ValidationError, model: type[RecordingSettings]) -> str:
+def _reasons(error: ValidationError, model: type[EgoSettings]) -> str:
     reasons = []
     for one in error.errors():
         entry = ".".join(str(part) for part in one["loc"])

@@ -222,9 +222,14 @@ def track_objects(
     detections and is not larger than the whole object. So a track reaches sweeps in which the
     object waits or parks, or no key frame looked.
 
-    An object that a track adds must have been observed free while the tracked object was elsewhere;
-    otherwise it is another one: a parked car that was passed, a pole, a wall. It may also not show
-    more of its surface than was seen to move at once, or an eighth of all that was.
+    A track is cut where the surfaces say that it went on with another object. Where a rigid object
+    is at a time follows from its surfaces, registered onto each other; so a car that has stopped
+    stands.
+
+    Where a track adds an object, the place must have been observed free before or after, or been
+    occupied only while the tracked object stood there; otherwise it is another one: a parked car
+    that was passed, a pole, a wall. It may also not show more of its surface than was seen to move
+    at once, or an eighth of all that was.
 
     Between its detections a tracked object is where its motion predicts it, even where its points
     are too few to be an object. The voxels of a result hold such points, too.

@@ -186,7 +186,10 @@ def _range_image(
 def _surface_image(
     part: LidarMesh, ground: NDArray[np.bool_], p: DynamicsParameters
 ) -> _core.KeyFrame:
-    return _core.MeshImage(part.view.points, ground, part.core, _surface_parameters(p))
+    core = _surface_parameters(p)
+    # The LiDAR frame has z up, the frame of one of its LiDARs need not.
+    core.up = part.view.T_lidar_sensor[2, :3].tolist()
+    return _core.MeshImage(part.view.points, ground, part.core, core)
 
 
 def _surface_parameters(p: DynamicsParameters) -> _core.MeshImageParameters:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from docdepth.errors import InputError
 from docdepth.evaluation.tables import number, percent, ratio
+from docdepth.geometry.points import MOVING_LABELS
 
-# SemanticKITTI's classes of moving objects, and the last class without a meaning (outlier).
-_FIRST_MOVING, _LAST_MOVING, _OUTLIER = 251, 259, 1
+_OUTLIER = 1  # the last of SemanticKITTI's classes without a meaning
 
 
 def moving(labels: NDArray[np.uint32]) -> NDArray[np.bool_]:
@@ -23,8 +23,7 @@ def moving(labels: NDArray[np.uint32]) -> NDArray[np.bool_]:
     labels : ndarray of uint32, shape (N,)
         Class in the low 16 bits, instance in the high 16 bits.
     """
-    classes = _classes(labels)
-    return (classes >= _FIRST_MOVING) & (classes <= _LAST_MOVING)
+    return np.isin(_classes(labels), MOVING_LABELS)
 
 
 def ignored(labels: NDArray[np.uint32]) -> NDArray[np.bool_]:

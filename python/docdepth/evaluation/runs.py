@@ -266,4 +266,4 @@ def _read(path: Path, points: int) -> NDArray[np.uint32]:
 
 def _poses(folder: RunFolder) -> str:
     source: dict[str, Any] = folder.manifest["source"]
-    return str(source.get("poses") or "kiss-icp, small_gicp")
+    return str(source.get("poses") or "small_gicp")

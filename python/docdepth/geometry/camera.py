@@ -18,8 +18,10 @@ class Camera:
     ----------
     K : ndarray of float64, shape (3, 3)
         Intrinsic matrix in pixels; integer pixel coordinates are pixel centres.
-    width, height : int
-        Size of the image in pixels.
+    width : int
+        Width of the image in pixels.
+    height : int
+        Height of the image in pixels.
 
     Raises
     ------

@@ -76,3 +76,11 @@ class ScanMesh:
         self.triangles = self.core.triangles
         self.discontinuity = self.core.discontinuity.view(np.bool_)
         self.isolated = self.core.isolated
+
+
+def share_in_triangles(points: NDArray[np.float32], rig: SensorRig | None = None) -> float:
+    """Share of the points that are corners of continuous triangles of the sweep's mesh."""
+    mesh = ScanMesh(points, rig)
+    used = np.zeros(len(points), np.bool_)
+    used[mesh.triangles[~mesh.discontinuity].ravel()] = True
+    return float(used.mean())

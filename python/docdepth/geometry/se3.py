@@ -84,11 +84,6 @@ def rotation_exp(vector: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
 
 
-def rotation_power(rotation: NDArray[np.float64], share: float) -> NDArray[np.float64]:
-    """A rotation by ``share`` of the angle, about the same axis (SLERP from identity)."""
-    return rotation_exp(share * rotation_log(rotation))
-
-
 def matrix_to_quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit quaternion (x, y, z, w), w >= 0, of a 3x3 rotation."""
     m = rotation

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -16,6 +17,8 @@ from docdepth.geometry.trajectory import Trajectory
 Kind: TypeAlias = Literal["vehicle", "person", "other"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 """What an object is, by size and motion; a cyclist is a person."""
+
+_KEPT_POSES = 16  # each step of an image asks for the poses at the same few times
 
 MAX_TRACKS = 0xFFFF
 """Largest id: an instance is the upper half of a SemanticKITTI label."""
@@ -95,11 +98,20 @@ class Track:
         """``T_world_object`` (4, 4) at ``time`` [ns].
 
         Interpolated between stamps. Before the first and after the last one it goes on as it moves
-        there.
+        there. Read-only.
         """
-        if self.covers(time):
-            pose: NDArray[np.float64] = self._path.interpolate(time)[0]
-            return pose
+        return self._pose_at(int(time))
+
+    @cached_property
+    def _pose_at(self) -> Callable[[int], NDArray[np.float64]]:
+        return lru_cache(maxsize=_KEPT_POSES)(self._compute_pose)
+
+    def _compute_pose(self, time: int) -> NDArray[np.float64]:
+        pose = self._path.interpolate(time)[0] if self.covers(time) else self._beyond(time)
+        pose.setflags(write=False)
+        return pose
+
+    def _beyond(self, time: int) -> NDArray[np.float64]:
         end = 0 if time < self.times[0] else -1
         seconds = (int(time) - int(self.times[end])) * 1e-9
         pose = self.poses[end].copy()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import InputError
-from docdepth.geometry.se3 import check_rigid, rotation_power
+from docdepth.geometry.se3 import check_rigid, rotation_exp, rotation_log
 
 _JITTER = 0.05  # metres; poses of a standing sensor differ by less
 _EARLY = 0.95  # share of a duration that counts as all of it, since stamps jitter
@@ -78,6 +78,11 @@ class Trajectory:
     def _elapsed(self) -> NDArray[np.float64]:
         """Nanoseconds since the first pose, shape (n,); exact for drives of up to 104 days."""
         return (self.times - self.times[0]).astype(np.float64)
+
+    @cached_property
+    def _turns(self) -> dict[int, NDArray[np.float64]]:
+        """What :meth:`_turn` has computed: images ask for the same poses many times."""
+        return {}
 
     def subsample(self, spacing: float, duration: float = np.inf) -> NDArray[np.int64]:
         """Indices of poses spaced along the path, chosen greedily from the first.
@@ -158,9 +163,16 @@ class Trajectory:
             if s in (0.0, 1.0):
                 result[k] = start if s == 0.0 else end
                 continue
-            result[k, :3, :3] = start[:3, :3] @ rotation_power(start[:3, :3].T @ end[:3, :3], s)
+            result[k, :3, :3] = start[:3, :3] @ rotation_exp(s * self._turn(int(a)))
             result[k, :3, 3] = (1.0 - s) * start[:3, 3] + s * end[:3, 3]
         return result
+
+    def _turn(self, index: int) -> NDArray[np.float64]:
+        """Rotation vector from pose ``index`` to the next, in the frame of the first."""
+        if index not in self._turns:
+            start, end = self.poses[index, :3, :3], self.poses[index + 1, :3, :3]
+            self._turns[index] = rotation_log(start.T @ end)
+        return self._turns[index]
 
     def velocity(self, index: int) -> NDArray[np.float64]:
         """Velocity at pose ``index`` in the sensor's frame, shape (3,), metres a second.

@@ -83,9 +83,12 @@ def judge(recording: Dataset, result: Inspection, found: Findings) -> None:
     _judge_times(where, result, found)
     _judge_world(where, result, found)
     if figures["ego"] is not None:
+        ego = figures["ego"]
+        mirrored = " and its mirror images below the ground" if ego["mirrored"] else ""
         result.notes.append(
-            f"{figures['ego']['points']} points a sweep stay with the LiDAR, in the box x, y, z "
-            f"{figures['ego']['box_m']} m: its vehicle"
+            f"{ego['points']} points a sweep stay with the LiDAR: its vehicle{mirrored}. To leave "
+            "them out, say in docdepth.yaml (least and greatest x, y and z in metres) "
+            f"ego_boxes: {ego['boxes_m']}"
         )
 
 
@@ -106,8 +109,8 @@ def _judge_up(where: str, result: Inspection, found: Findings) -> None:
     camera = " as in a camera's frame" if axis == 1 and ground.up[1] < 0 else ""
     found.warn(
         f"{where}: z of the points is {ground.tilt_deg:.0f} degrees from the ground's normal{like}"
-        f"{camera}; turn the points, their poses and extrinsics so that z is up, or look whether "
-        "what is taken for the ground is a wall"
+        f"{camera}; a run turns them so that z is up. If what is taken for the ground is a "
+        "wall, say up: [x, y, z] in docdepth.yaml"
     )
 
 

@@ -18,10 +18,10 @@ from docdepth.config import OdometryParameters, Parameters
 from docdepth.datasets import Dataset, FrameRange, Sweep, usable_points
 from docdepth.datasets.recording import Recording
 from docdepth.errors import DocDepthError
+from docdepth.geometry.ground_plane import GroundPlane, find_ground
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.inspection import findings
-from docdepth.inspection.ground_plane import GroundPlane, common_ground, find_ground
 from docdepth.inspection.lidar_figures import lidar_figures
 from docdepth.inspection.overlap import share_on
 from docdepth.inspection.pose_figures import Window, pose_figures, windows_of
@@ -149,7 +149,7 @@ def _look_at_sweeps(recording: Dataset, result: Inspection) -> None:
             {"from": count.origin, "unit_ns": count.unit, "shift_ns": count.shift}
             for count in counts
         ]
-    result.ground = common_ground([find_ground(s.points[usable_points(s.points)]) for s in sweeps])
+    result.ground = find_ground([s.points[usable_points(s.points)] for s in sweeps])
     figures["ground"] = None
     if result.ground is not None:
         ground = result.ground

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.inspection.ground_plane import GroundPlane
+from docdepth.geometry.ground_plane import GroundPlane
 
 _REACH = (3.0, 40.0)  # metres from the LiDAR
 _ABOVE_GROUND = 0.4  # metres; the ground lies on itself by any poses of a vehicle

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from docdepth.datasets import CameraStream, Dataset, usable_points
 from docdepth.errors import DocDepthError
+from docdepth.geometry.ground_plane import GroundPlane, level_turn
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.inspection.ground_plane import GroundPlane
 from docdepth.inspection.inspect import Inspection
 from docdepth.visualization.overlays import COLOR_NAMES, clouds_in_plane, points_on_image
 from docdepth.visualization.pictures import Picture
@@ -126,7 +126,7 @@ def _clouds(
     recording: Dataset, result: Inspection, frames: Sequence[int], poses: Floats
 ) -> list[NDArray[np.float32]]:
     """Points of sweeps in the frame of the first of them, turned so that the ground is level."""
-    level, clouds = level_turn(result.ground), []
+    level, clouds = _level(result.ground), []
     for frame, pose in zip(frames, poses, strict=True):
         sweep = result.sweeps[frame] if frame in result.sweeps else recording.sweep(frame)
         T = inverse(poses[0]) @ pose
@@ -138,7 +138,7 @@ def _clouds(
 
 def _in_frame_of(poses: Floats, first: int, ground: GroundPlane | None) -> Floats:
     """Places of poses as :func:`_clouds` has points."""
-    path: Floats = (inverse(poses[first]) @ poses)[:, :3, 3] @ level_turn(ground).T
+    path: Floats = (inverse(poses[first]) @ poses)[:, :3, 3] @ _level(ground).T
     return path
 
 
@@ -158,13 +158,6 @@ def _named(frames: Sequence[int]) -> str:
     return ", ".join(f"frame {frame} {color}" for frame, color in names)
 
 
-def level_turn(ground: GroundPlane | None) -> Floats:
-    """The smallest turn (3, 3) that brings the ground's normal to z."""
-    if ground is None:
-        return np.eye(3)
-    if ground.up[2] < -0.999:
-        return np.diag([1.0, -1, -1])
-    # Half a turn about the middle of both takes one to the other; half a turn about z keeps that.
-    half = ground.up + (0, 0, 1)
-    half /= np.linalg.norm(half)
-    return np.asarray(np.diag([-1.0, -1, 1]) @ (2 * np.outer(half, half) - np.eye(3)))
+def _level(ground: GroundPlane | None) -> Floats:
+    """The turn (3, 3) that brings the ground's normal to z."""
+    return np.eye(3) if ground is None else level_turn(ground.up)

@@ -166,13 +166,13 @@ def _changes(cameras: dict[str, Poses], windows: Sequence[Window]) -> dict[str, 
     }
     for name, T in cameras.items():
         text = (
-            f"the poses are of the camera {name}, not of the LiDAR; give T_world_camera "
-            "T_camera_lidar, or let docdepth estimate them"
+            f"the poses are of the camera {name}, not of the LiDAR; say --poses {name}:FILE, or "
+            "let docdepth estimate them"
         )
         changes[text] = lambda poses, T=T: poses @ T
     changes[
-        "the poses are of a camera's frame (x right, y down, z ahead); convert them to the "
-        "LiDAR's by Tr^-1 T Tr"
+        "the poses are of a camera's frame (x right, y down, z ahead); calibrate the camera and "
+        "say --poses CAMERA:FILE"
     ] = lambda poses: poses @ _OPTICAL
     for axis, name in enumerate("xyz"):
         S = np.eye(4)

@@ -47,32 +47,53 @@ def write_kitti_tracking(
         Number of each image.
     write_file : callable
     """
-    rows = []
+    rows, times = [], T_world_camera.times
     for track in tracks:
-        for index, time, pose in zip(
-            indices.tolist(), T_world_camera.times.tolist(), T_world_camera.poses, strict=True
-        ):
-            if track.covers(time):
-                row = _row(track, inverse(pose) @ track.pose_at(time), camera)
-                rows += [(index, track.id, row)] if row else []
+        first = int(np.searchsorted(times, track.times[0]))
+        end = int(np.searchsorted(times, track.times[-1], side="right"))
+        for k in range(first, end):
+            T_camera_object = inverse(T_world_camera.poses[k]) @ track.pose_at(int(times[k]))
+            row = _row(track, T_camera_object, camera)
+            rows += [(int(indices[k]), track.id, row)] if row else []
     content = "".join(f"{index} {number} {row}\n" for index, number, row in sorted(rows)).encode()
     write_file(path, lambda stream: stream.write(content))
 
 
-def _row(track: Track, T_camera_object: NDArray[np.float64], camera: Camera) -> str:
-    """A label without image and id; empty if the image does not show the box."""
-    length, width, height = track.size
-    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0, 1)])
-    corners = corners * track.size @ T_camera_object[:3, :3].T + T_camera_object[:3, 3]
+def box_in_image(
+    size: NDArray[np.float64], T_camera_object: NDArray[np.float64], camera: Camera
+) -> NDArray[np.float64] | None:
+    """Least and greatest u and v of the box of an object, (2, 2); None where no image shows it."""
+    corners = _corners(size, T_camera_object)
     in_front = corners[corners[:, 2] > _NEAR]
     if not len(in_front):
-        return ""
+        return None
     pixels = (in_front / in_front[:, 2:]) @ camera.K[:2].T
-    last = np.array([camera.width, camera.height]) - 1
-    low, high = pixels.min(0), pixels.max(0)
-    if (high < 0).any() or (low > last).any():
+    box = np.stack([pixels.min(0), pixels.max(0)])
+    outside = (box[1] < 0).any() or (box[0] > _last(camera)).any()
+    return None if outside else box
+
+
+def _corners(
+    size: NDArray[np.float64], T_camera_object: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0, 1)])
+    result: NDArray[np.float64] = corners * size @ T_camera_object[:3, :3].T
+    return result + T_camera_object[:3, 3]
+
+
+def _last(camera: Camera) -> NDArray[np.int64]:
+    return np.array([camera.width, camera.height]) - 1
+
+
+def _row(track: Track, T_camera_object: NDArray[np.float64], camera: Camera) -> str:
+    """A label without image and id; empty if the image does not show the box."""
+    box = box_in_image(track.size, T_camera_object, camera)
+    if box is None:
         return ""
-    truncated = int(len(in_front) < len(corners) or (low < 0).any() or (high > last).any())
+    length, width, height = track.size
+    (low, high), last = box, _last(camera)
+    behind = (_corners(track.size, T_camera_object)[:, 2] <= _NEAR).any()
+    truncated = int(behind or (low < 0).any() or (high > last).any())
     x, y, z = T_camera_object[:3, 3]
     forward = T_camera_object[:3, 0]
     rotation = np.arctan2(-forward[2], forward[0])

@@ -1,7 +1,8 @@
-"""Files of labels, one for each sweep: SemanticKITTI's ``.label``, and ``.npy`` of classes."""
+"""Files of labels, one for each sweep: SemanticKITTI's ``.label``, ``.npy`` of classes, PCD."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,33 +22,47 @@ from docdepth.geometry.points import (
 )
 from docdepth.io.atomic import WriteFile, write_atomically
 from docdepth.io.frames import FrameRecord
+from docdepth.io.pcd import PcdError, read_pcd
 
 LABEL_FORMATS = ("label", "classid", "pcd")
 """What labels are converted to: SemanticKITTI's, NPY, and PCD with the class as intensity."""
 
-SUFFIXES = (".label", ".npy")
+SUFFIXES = (".label", ".npy", ".pcd")
 
 _Classes = NDArray[np.uint16]
 
 
 def label_file(folder: Path, name: str, frame: int) -> Path:
-    """The file of a sweep, ``NAME.label`` or ``NAME.npy``.
+    """The file of a sweep, ``NAME.label``, ``NAME.npy`` or ``NAME.pcd``.
+
+    PCD files may be counted instead, as DynamicMap_Benchmark counts them: ``000000.pcd`` is frame 0
+    where names of sweeps are no such numbers themselves.
 
     Raises
     ------
     DatasetError
-        There is neither.
+        There is none.
     """
     for suffix in SUFFIXES:
         if (folder / f"{name}{suffix}").is_file():
             return folder / f"{name}{suffix}"
+    counted = folder / f"{frame:06d}.pcd"
+    alike = len(name) == len(counted.stem) and name.isdigit()
+    if not alike and counted.is_file():
+        return counted
     raise DatasetError(
         f"{folder} has no labels of sweep {name} (frame {frame}): neither {name}.label nor "
-        f"{name}.npy; label files have the names of the sweeps"
+        f"{name}.npy nor {name if alike else counted.stem}.pcd; label files have the names of the "
+        "sweeps"
     )
 
 
-def read_classes(file: Path, points: int, frame: int) -> tuple[_Classes, _Classes | None]:
+def read_classes(
+    file: Path,
+    points: int,
+    frame: int,
+    returns: Callable[[], NDArray[np.integer[Any]]] | None = None,
+) -> tuple[_Classes, _Classes | None]:
     """Classes and instances of every row of a sweep.
 
     Parameters
@@ -56,11 +71,15 @@ def read_classes(file: Path, points: int, frame: int) -> tuple[_Classes, _Classe
         ``.label``: one uint32 per row, SemanticKITTI's class in the lower 16 bits and the instance
         in the upper ones. Classes 251 to 259 are dynamic; roads, pavements and terrain are ground.
         ``.npy``: one integer per row, below 50 ground, 50 to 99 static, 100 and above dynamic; or
-        one bool per row, True for what moves.
+        one bool per row, True for what moves. ``.pcd``: a field ``label`` as in ``.label``, or else
+        an intensity that is 1 for what moves and 0 for the rest; a point for each row, or for each
+        usable return.
     points : int
         Rows of the sweep.
     frame : int
         Number of the sweep, for messages.
+    returns : callable, optional
+        Gives the rows of the sweep that are usable returns, for PCD files that hold these alone.
 
     Returns
     -------
@@ -75,6 +94,10 @@ def read_classes(file: Path, points: int, frame: int) -> tuple[_Classes, _Classe
     """
     if file.suffix == ".npy":
         return _classes_of(_read_npy(file, frame), file, points, frame), None
+    if file.suffix == ".pcd":
+        labels = _whole(_read_pcd(file, frame), file, points, frame, returns)
+        classid, instance = classes_of_labels(labels)
+        return classid, instance if instance.any() else None
     try:
         content = file.read_bytes()
     except OSError as error:
@@ -117,6 +140,51 @@ def write_labels(path: Path, frame: FrameRecord, write_file: WriteFile = write_a
         labels |= frame.instance.astype(np.uint32) << 16
     rows[frame.index] = labels
     write_file(path, lambda stream: stream.write(rows.tobytes()))
+
+
+def _read_pcd(file: Path, frame: int) -> NDArray[np.uint32]:
+    """Labels as SemanticKITTI's of every point of a PCD file."""
+    where = f"{file} (frame {frame})"
+    try:
+        rows, _ = read_pcd(file)
+    except (OSError, PcdError) as error:
+        raise DatasetError(f"{where}: {error}; write it again") from None
+    name = next((n for n in ("label", "intensity") if n in (rows.dtype.names or ())), None)
+    if name is None:
+        raise DatasetError(f"{where} has neither a field label nor intensity, which tell classes")
+    values = rows[name]
+    if name == "label":
+        if not (np.isfinite(values) & (values >= 0) & (values == np.floor(values))).all():
+            raise DatasetError(f"{where}: label must be whole numbers, as SemanticKITTI's classes")
+        return np.asarray(values).astype(np.uint32)
+    if not np.isin(values, (0, 1)).all():
+        raise DatasetError(
+            f"{where}: intensity is no class; labels have 1 for what moves and 0 for the rest, or "
+            "a field label"
+        )
+    return np.where(values == 1, MOVING_LABEL, STATIC_LABEL).astype(np.uint32)
+
+
+def _whole(
+    labels: NDArray[np.uint32],
+    file: Path,
+    points: int,
+    frame: int,
+    returns: Callable[[], NDArray[np.integer[Any]]] | None,
+) -> NDArray[np.uint32]:
+    """Labels of all rows of a sweep from those of all or of its usable returns."""
+    if len(labels) == points or returns is None:
+        _check_count(len(labels), file, points, frame)
+        return labels
+    rows = returns()
+    if len(rows) != len(labels):
+        raise DatasetError(
+            f"{file} (frame {frame}) has {len(labels)} points for a sweep of {points} points, of "
+            f"which {len(rows)} are usable returns; it holds one or the other, in their order"
+        )
+    whole = np.full(points, OUTLIER_LABEL, np.uint32)
+    whole[rows] = labels
+    return whole
 
 
 def _read_npy(file: Path, frame: int) -> NDArray[Any]:

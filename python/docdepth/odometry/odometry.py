@@ -1,18 +1,18 @@
 """LiDAR odometry: a pose for each sweep, and the sweeps deskewed to their stamps (paper III-B).
 
-Registration takes several passes over the drive. In the first, kiss-icp registers the sweeps as
-they were measured, point to point. In the others, small_gicp refines the poses, distribution to
-distribution, on sweeps that are deskewed with the motion around them. On exact synthetic drives
-this divides the error from sweep to sweep by five or more.
-
-Only the map, the threshold and the ICP of kiss-icp are used. Its own loop deskews with the motion
-of the previous sweep, which oscillates; it starts from standstill, reads settings from the
-environment and ends the process on odd timestamps.
+small_gicp registers the sweeps in two passes, distribution to distribution. The first finds the
+poses in coarse voxels, on sweeps deskewed with the motion before them. The second refines them in
+fine voxels, on sweeps deskewed with the motion around them. In both, positions are filtered and
+smoothed (see :mod:`docdepth.odometry.smoothing`). The second pass follows the first a few sweeps
+behind, so each sweep is read and thinned once for both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import logging
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,17 +22,20 @@ from numpy.typing import ArrayLike, NDArray
 from docdepth.concurrency import thread_count
 from docdepth.config import OdometryParameters, Parameters
 from docdepth.datasets.base import Dataset
+from docdepth.datasets.mounts import LEVEL_DEG, ground_of
+from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.odometry.deskewing import centred_motion
-from docdepth.odometry.parallel_passes import run_parallel
+from docdepth.io.atomic import npz_bytes, write_atomically
+from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.pose_checks import check_given_poses, warn_of_jumps
-from docdepth.odometry.registration_pass import RegistrationPass
-from docdepth.odometry.sweeps import DeskewedSweeps
+from docdepth.odometry.registration import FINE_SAMPLING, FIRST_SWEEPS, register
+from docdepth.odometry.smoothing import LAG, smoothed
+from docdepth.odometry.sweeps import DeskewedSweeps, ThinnedSweeps, is_raw
+
+log = logging.getLogger(__name__)
 
 Progress = Callable[[int, int, str], None]
-"""Called with the sweeps done, all sweeps of all passes, and a description."""
-
-_FEWEST_PARALLEL = 20  # sweeps; fewer are registered before another process has started
+"""Called with the sweeps done, their number, and a description."""
 
 
 @dataclass(frozen=True)
@@ -70,18 +73,18 @@ def register_drive(
     poses : array_like of float64, shape (n, 4, 4), optional
         ``T_world_lidar`` of each sweep from another SLAM; nothing is registered then.
     progress : callable, optional
-        ``progress(done, total, what)`` after each sweep of each pass.
+        ``progress(done, total, what)`` after each sweep.
     checkpoint : Path, optional
-        Folder for the poses of each finished pass. An interrupted estimation continues after the
-        last of them; a pass that was interrupted starts again, since its map is not kept.
+        File in which estimated poses are kept. An estimation that was interrupted starts again,
+        since its map is not kept.
     threads : int
-        Passes that may run at once, each in a process of its own; 0 runs all of them where there
-        are two cores or more. The poses do not depend on it.
+        0 for all cores. The poses do not depend on it.
 
     Returns
     -------
     Odometry
-        Poses are in the frame of the first sweep unless ``poses`` are given.
+        Poses are in the frame of the first sweep, or in that of ``poses``, turned if its z is not
+        up.
 
     Raises
     ------
@@ -90,13 +93,34 @@ def register_drive(
     """
     settings = (parameters or Parameters()).odometry
     if poses is not None:
-        known = check_given_poses(dataset, poses, settings)
+        known = level_world(dataset, check_given_poses(dataset, poses, settings))
     else:
         known = estimate_poses(dataset, settings, progress, checkpoint, threads)
     trajectory = Trajectory(dataset.times, known)
     warn_of_jumps(trajectory)
     motions = centred_motion(known, dataset.times)
     return Odometry(trajectory, DeskewedSweeps(dataset, motions.__getitem__))
+
+
+def level_world(dataset: Dataset, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Given poses (n, 4, 4) in a world that is turned so that z is up, if it leans clearly.
+
+    The world of a SLAM may be the frame of a camera or of a LiDAR that leans.
+    """
+    z = poses[:, :3, 2].mean(axis=0)
+    if np.degrees(np.arccos(np.clip(z[2] / np.linalg.norm(z), -1, 1))) < LEVEL_DEG:
+        return poses
+    ground = ground_of(dataset, poses[:, :3, :3])
+    if ground is None or ground.tilt_deg < LEVEL_DEG:
+        return poses
+    log.warning(
+        "the z axis of the poses is %.0f degrees from up, by the ground; the run's world is turned "
+        "so that z is up", ground.tilt_deg,
+    )  # fmt: skip
+    turn = np.eye(4)
+    turn[:3, :3] = level_turn(ground.up)
+    levelled: NDArray[np.float64] = turn @ poses
+    return levelled
 
 
 def estimate_poses(
@@ -111,55 +135,61 @@ def estimate_poses(
     The arguments are those of :func:`register_drive`. Motion compensated sweeps take two passes at
     most: their points do not change.
     """
-    parameters = parameters or OdometryParameters()
-    first, count = dataset.sweep(0), len(dataset)
-    raw = first.relative_time is not None and not first.motion_compensated
-    number = parameters.passes if raw else min(parameters.passes, 2)
-    number = number if count > 1 else 1
-    files = [checkpoint and checkpoint / f"odometry_pass_{k + 1}.npz" for k in range(number)]
-    passes = [RegistrationPass(k, dataset, parameters, file) for k, file in enumerate(files)]
-    poses = None
-    for finished in reversed(passes):
-        poses = finished.load()
-        if poses is not None:
-            passes = passes[finished.number + 1 :]
-            break
-    done, total = (number - len(passes)) * count, number * count
-
-    def count_sweep(what: str) -> None:
-        nonlocal done
-        done += 1
+    parameters, count = parameters or OdometryParameters(), len(dataset)
+    key = f"{Path(dataset.path).resolve()} {count} {parameters.model_dump_json()}"
+    poses = None if checkpoint is None else _load(checkpoint, key)
+    if poses is not None:
+        return poses
+    passes = parameters.passes if is_raw(dataset.sweep(0)) else min(parameters.passes, 2)
+    # The last pass is this far behind the first, which looks ahead at its start.
+    behind = (passes - 1) * (LAG + NEIGHBORS)
+    sweeps = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, behind + FIRST_SWEEPS)
+    stream: _PoseStream | None = None
+    for _ in range(passes):
+        registered = register(sweeps, parameters, stream, thread_count(threads))
+        stream = _PoseStream(smoothed(registered), count)
+    assert stream is not None
+    for k in range(count):
+        poses = stream(k)
         if progress is not None:
-            progress(done, total, f"odometry, {what} of {number}")
-
-    at_once = _parallel_passes(threads, count)
-    while passes:
-        group = passes[:at_once]
-        found = _run(group, poses, count_sweep)
-        if found is None:
-            at_once = 1
-        else:
-            poses, passes = found, passes[len(group) :]
+            progress(k + 1, count, "odometry")
     assert poses is not None
+    if checkpoint is not None:
+        content = npz_bytes(poses=poses, key=np.array(key))
+        write_atomically(checkpoint, lambda file: file.write(content))
     return poses
 
 
-def _run(
-    passes: Sequence[RegistrationPass],
-    previous: NDArray[np.float64] | None,
-    count_sweep: Callable[[str], None],
-) -> NDArray[np.float64] | None:
-    """Poses of the last of these passes; None if they cannot run at once."""
-    first, last = passes[0].number + 1, passes[-1].number + 1
-    if len(passes) > 1:
-        return run_parallel(passes, previous, lambda: count_sweep(f"passes {first} to {last}"))
-    known = None if previous is None else lambda _: previous
-    return passes[0].run(known, lambda *_: count_sweep(f"pass {first}"))
+class _PoseStream:
+    """Poses of a pass, which are made when they are asked for.
+
+    Parameters
+    ----------
+    made : iterator of ndarray of float64, shape (4, 4)
+    count : int
+        How many there will be.
+    """
+
+    def __init__(self, made: Iterator[NDArray[np.float64]], count: int) -> None:
+        self._made, self._known = made, 0
+        self._poses = np.repeat(np.eye(4)[None], count, axis=0)
+
+    def __call__(self, k: int) -> NDArray[np.float64]:
+        """Poses (n, 4, 4), of which the first k + 1 are known."""
+        while self._known <= k:
+            self._poses[self._known] = next(self._made)
+            self._known += 1
+        return self._poses
 
 
-def _parallel_passes(threads: int, count: int) -> int:
-    """How many passes run at once: one more than cores, since they wait for each other."""
-    if threads == 0:
-        cores = thread_count(0)
-        threads = cores + 1 if cores > 1 else 1
-    return threads if count >= _FEWEST_PARALLEL else 1
+def _load(file: Path, key: str) -> NDArray[np.float64] | None:
+    """Poses of an earlier run, if they are of the same drive and parameters."""
+    try:
+        with file.open("rb") as stream, np.load(stream) as saved:
+            if str(saved["key"]) != key:
+                return None
+            poses: NDArray[np.float64] = saved["poses"]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        return None  # missing or damaged: they are estimated again
+    log.info("odometry continues after %s", file.name)
+    return poses

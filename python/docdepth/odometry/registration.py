@@ -1,4 +1,4 @@
-"""Sweeps registered one after the other: kiss-icp finds the poses, small_gicp refines them."""
+"""Sweeps registered one after the other by small_gicp, distribution to distribution."""
 
 from __future__ import annotations
 
@@ -11,172 +11,184 @@ from numpy.typing import NDArray
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Sweep
 from docdepth.errors import OdometryError
-from docdepth.geometry.se3 import inverse, nearest_rigid
+from docdepth.geometry.se3 import inverse, nearest_rigid, se3_exp, se3_log
+from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
+from docdepth.odometry.smoothing import State, filtered
+from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_sweep
 
 log = logging.getLogger(__name__)
 
-PreviousPoses = Callable[[int], NDArray[np.float64]]
-"""``previous(k)`` gives poses (n, 4, 4) of the previous pass; the first k + 1 are known."""
+KnownPoses = Callable[[int], NDArray[np.float64]]
+"""``known(k)`` gives poses (n, 4, 4) of an earlier pass; the first k + 1 of them are known."""
 
 FEWEST_POINTS = 50
 """A sweep with fewer usable points is not registered: its pose is predicted."""
 
-_THREADS = 1  # sums of several threads come in any order: poses would differ from run to run
+FINE_SAMPLING = 0.25  # metres, edge of a voxel in which a sweep keeps one point
 
-# kiss-icp: its own defaults.
-_MAX_ITERATIONS = 500
-_CONVERGENCE = 1e-4  # metres and radians of the last step
-_POINTS_PER_VOXEL = 20
-_FIRST_THRESHOLD = 2.0  # metres to a correspondence at the start
-_LEAST_MOTION = 0.1  # metres; smaller deviations do not change the threshold
-
-# small_gicp: voxels of 0.5 m resolve kerbs and posts, and still hold points enough for a normal.
+# Voxels of 0.5 m resolve kerbs and posts, and still hold points enough for a normal.
 _FINE_VOXEL = 0.5  # metres, edge of a voxel of the map
-_FINE_SAMPLING = 0.5 * _FINE_VOXEL  # metres, edge of a voxel in which a sweep keeps one point
 _NORMAL_NEIGHBORS = 10  # points that give the covariance of one
+_THREADS = 1  # sums of several threads come in any order: poses would differ from run to run
 _ALIGN = {
     "max_correspondence_distance": 1.0,  # metres, to the mean of a voxel
     "num_threads": _THREADS,
     "max_iterations": 30,
-    "rotation_epsilon": 1e-5,  # radians
-    "translation_epsilon": 1e-4,  # metres
+    "rotation_epsilon": 1e-4,  # radians
+    "translation_epsilon": 5e-4,  # metres
 }
+_UNKNOWN = 1e2  # metres; standard deviation of a position that was not measured
 
-# The first motion is searched on a grid of forward speeds; ICP finds what lies between.
-_FIRST_SWEEPS = 3
+# The first motion is searched on a grid of forward speeds; registration finds what lies between.
+FIRST_SWEEPS = 3
 _STEPS = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # metres a sweep; 5 is 180 km/h at 10 sweeps a second
 _FIRST_VOXEL = 1.0  # metres, of the map
 _FIRST_SAMPLING = 0.5  # metres, of the sweeps
 _CLEARLY_MORE = 1e-3  # share of inliers by which a faster start has to be better
 
 
-class CoarseRegistration:
-    """kiss-icp's map, adaptive threshold and point-to-point ICP."""
+class Registration:
+    """small_gicp's map of voxels, each a normal distribution, and its VGICP.
 
-    def __init__(self, parameters: OdometryParameters) -> None:
-        from kiss_icp.pybind import kiss_icp_pybind as kiss
+    Parameters
+    ----------
+    voxel_size : float
+        Edge of a voxel of the map [m].
+    sampling : float
+        Edge of a voxel in which a sweep keeps one point [m].
+    threads : int
+        For the normals of a sweep.
+    """
 
-        self._kiss = kiss
-        self._parameters = parameters
-        # kiss-icp keeps the first number of threads that a process asks for.
-        self._icp = kiss._Registration(
-            max_num_iterations=_MAX_ITERATIONS,
-            convergence_criterion=_CONVERGENCE,
-            max_num_threads=_THREADS,
-        )
-        self._map = kiss._VoxelHashMap(
-            voxel_size=parameters.voxel_size,
-            max_distance=parameters.max_range,
-            max_points_per_voxel=_POINTS_PER_VOXEL,
-        )
-        self._threshold = kiss._AdaptiveThreshold(
-            initial_threshold=_FIRST_THRESHOLD,
-            min_motion_th=_LEAST_MOTION,
-            max_range=parameters.max_range,
-        )
-
-    def add(self, near: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Register one sweep from an initial guess (4, 4), and add it to the map."""
-        voxel = self._parameters.voxel_size
-        fine = self._kiss._voxel_down_sample(self._kiss._Vector3dVector(near), 0.5 * voxel)
-        coarse = self._kiss._voxel_down_sample(fine, 1.5 * voxel)
-        sigma = self._threshold._compute_threshold()
-        pose: NDArray[np.float64] = np.asarray(
-            self._icp._align_points_to_map(
-                points=coarse,
-                voxel_map=self._map,
-                initial_guess=guess,
-                max_correspondance_distance=3 * sigma,
-                kernel=sigma,
-            )
-        )
-        if np.isfinite(pose).all():
-            self._threshold._update_model_deviation(model_deviation=inverse(guess) @ pose)
-            self._map._update(fine, pose)
-        return pose
-
-
-class FineRegistration:
-    """small_gicp's map of voxels, each a normal distribution, and its VGICP."""
-
-    def __init__(self) -> None:
+    def __init__(self, voxel_size: float, sampling: float, threads: int) -> None:
         import small_gicp
 
         self._small_gicp = small_gicp
-        self._map = small_gicp.GaussianVoxelMap(_FINE_VOXEL)
-        self._empty = True
+        self._map = small_gicp.GaussianVoxelMap(voxel_size)
+        self._sampling, self._threads = sampling, threads
+        self._empty, self._aligned = True, None
 
-    def add(self, near: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Register one sweep from an initial guess (4, 4), and add it to the map."""
-        cloud, _ = self._small_gicp.preprocess_points(
-            near, _FINE_SAMPLING, _NORMAL_NEIGHBORS, _THREADS
-        )
-        pose = guess.copy()
-        if not self._empty:
-            found = self._small_gicp.align(self._map, cloud, init_T_target_source=guess, **_ALIGN)
-            # With too few inliers the pose of the previous pass stays.
-            if found.num_inliers >= FEWEST_POINTS:
-                pose = np.asarray(found.T_target_source, dtype=np.float64)
-                pose = nearest_rigid(pose) if np.isfinite(pose).all() else pose
-        if np.isfinite(pose).all():
-            self._map.insert(cloud, pose)
-            self._empty = False
-        return pose
+    def align(
+        self, points: NDArray[np.float32], guess: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Register one deskewed sweep from an initial guess (4, 4).
+
+        Returns
+        -------
+        pose : ndarray of float64, shape (4, 4)
+        covariance : ndarray of float64, shape (3, 3)
+            Of its position [m^2].
+        """
+        gicp = self._small_gicp
+        cloud = gicp.PointCloud(points.astype(np.float64))
+        if self._sampling > FINE_SAMPLING:
+            cloud = gicp.voxelgrid_sampling(cloud, self._sampling)
+        tree = gicp.KdTree(cloud)
+        gicp.estimate_covariances(cloud, tree, _NORMAL_NEIGHBORS, self._threads)
+        pose, covariance = guess.copy(), _UNKNOWN**2 * np.eye(3)
+        if self._empty:
+            covariance = np.zeros((3, 3))  # it is the frame of all poses
+        else:
+            found = gicp.align(self._map, cloud, init_T_target_source=guess, **_ALIGN)
+            # With too few inliers the guess stays.
+            if found.num_inliers >= FEWEST_POINTS and np.isfinite(found.T_target_source).all():
+                # Row by row, as poses are stored: products of other layouts differ in the last bit.
+                pose = np.array(nearest_rigid(found.T_target_source), order="C")
+                covariance = _covariance_of_position(found.H, pose)
+        self._aligned = cloud
+        return pose, covariance
+
+    def insert(self, pose: NDArray[np.float64]) -> None:
+        """Add the sweep that was aligned last to the map."""
+        self._map.insert(self._aligned, pose)
+        self._empty = False
+
+
+def _covariance_of_position(
+    hessian: NDArray[np.float64], pose: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Covariance (3, 3) in the world, of a Hessian (6, 6) of rotation and translation."""
+    rotation = pose[:3, :3]
+    inverse_hessian = np.linalg.inv(np.asarray(hessian) + _UNKNOWN**-2 * np.eye(6))
+    covariance: NDArray[np.float64] = rotation @ inverse_hessian[3:, 3:] @ rotation.T
+    return covariance
 
 
 def register(
-    sweeps: Sequence[Sweep], parameters: OdometryParameters, previous: PreviousPoses | None
-) -> Iterator[NDArray[np.float64]]:
+    sweeps: ThinnedSweeps,
+    parameters: OdometryParameters,
+    known: KnownPoses | None,
+    threads: int = 1,
+) -> Iterator[State]:
     """Register sweeps one after the other.
 
     Parameters
     ----------
-    sweeps : sequence of Sweep
-        Each is read once; without ``previous`` the first few are read twice.
+    sweeps : ThinnedSweeps
     parameters : OdometryParameters
-    previous : callable, optional
-        Poses of the previous pass. Without them poses are found from scratch (kiss-icp), with them
-        they are refined (small_gicp).
+    known : callable, optional
+        Poses of an earlier pass, which are refined: sweeps are deskewed with the motion around
+        them. Without them poses are found from scratch: sweeps are deskewed with the motion of the
+        sweep before.
+    threads : int
 
     Yields
     ------
-    ndarray of float64, shape (4, 4)
-        ``T_world_lidar`` of each sweep, in the frame of the first.
+    State
+        ``T_world_lidar`` of each sweep in the frame of the first, and how it moves.
 
     Raises
     ------
     OdometryError
         A sweep cannot be registered.
     """
-    registration: CoarseRegistration | FineRegistration
-    step = np.eye(4)
-    if previous is None:
-        step = first_motion(sweeps, range(len(sweeps)), parameters)
-        registration = CoarseRegistration(parameters)
+    count, times = len(sweeps), sweeps.times
+    if known is None:
+        voxel = parameters.voxel_size
+        registration = Registration(voxel, 0.5 * voxel, threads)
+        motion = first_motion(sweeps, range(count), parameters)
     else:
-        registration = FineRegistration()
-    pose = np.eye(4)
-    predicted: list[int] = []
-    for k in range(len(sweeps)):
-        guess = pose
-        if k > 0:
-            if previous is not None:
-                known = previous(k)
-                step = inverse(known[k - 1]) @ known[k]
-            guess = pose @ step
-        near = points_in_range(sweeps[k].points, parameters)
-        if len(near) < FEWEST_POINTS:
-            predicted.append(k)
-            found = guess.copy()
+        registration = Registration(_FINE_VOXEL, FINE_SAMPLING, threads)
+    period = float(np.median(np.diff(times))) if count > 1 else 1.0
+    pose, predicted = np.eye(4), list[int]()
+    state: State | None = None
+    for k in range(count):
+        last, elapsed = pose, float(times[k] - times[k - 1]) / period if k else 0.0
+        if known is None:
+            guess = last @ _power(motion, elapsed)
         else:
-            found = _register_sweep(registration, near, guess, k)
-        # Row by row, as poses are stored: products of other layouts differ in the last bit.
-        last, pose = pose, np.array(found, order="C")
-        if k > 0:
-            step = inverse(last) @ pose
-        yield pose
-    if predicted and previous is None:  # the other passes would say the same
-        _warn_of_predicted(predicted, len(sweeps), parameters)
+            poses = known(min(k + NEIGHBORS, count - 1))
+            motion = centred_motion(poses, times, [k])[0]
+            guess = last @ inverse(poses[k - 1]) @ poses[k] if k else last
+        sweep = deskewed_sweep(sweeps[k], k, motion)
+        usable = len(sweep.points) >= FEWEST_POINTS
+        pose, covariance = guess, _UNKNOWN**2 * np.eye(3)
+        if usable:
+            pose, covariance = registration.align(sweep.points, guess)
+        else:
+            predicted.append(k)
+        if not np.isfinite(pose).all():
+            raise OdometryError(
+                f"frame {k} could not be registered; bring poses (--poses) or try another "
+                "odometry.voxel_size"
+            )
+        state = filtered(state, pose, covariance, elapsed * period * 1e-9)
+        pose = state.pose
+        if usable:
+            registration.insert(pose)
+        if k and known is None:
+            # The filtered velocity: the last step would feed its error back by deskewing.
+            motion = _power(inverse(last) @ pose, 1 / elapsed)
+            motion[:3, 3] = 1e-9 * period * pose[:3, :3].T @ state.velocity
+        yield state
+    if predicted and known is None:  # the other passes would say the same
+        _warn_of_predicted(predicted, count, parameters)
+
+
+def _power(motion: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+    """The motion (4, 4) of a share of the time."""
+    omega, velocity = se3_log(motion)
+    return se3_exp(share * omega, share * velocity)
 
 
 def _warn_of_predicted(predicted: list[int], count: int, parameters: OdometryParameters) -> None:
@@ -191,24 +203,8 @@ def _warn_of_predicted(predicted: list[int], count: int, parameters: OdometryPar
     )  # fmt: skip
 
 
-def _register_sweep(
-    registration: CoarseRegistration | FineRegistration,
-    near: NDArray[np.float64],
-    guess: NDArray[np.float64],
-    frame: int,
-) -> NDArray[np.float64]:
-    """Pose of a sweep by its points in range."""
-    pose = registration.add(near, guess)
-    if not np.isfinite(pose).all():
-        raise OdometryError(
-            f"frame {frame} could not be registered; bring poses (--poses) or try another "
-            "odometry.voxel_size"
-        )
-    return pose
-
-
 def first_motion(
-    sweeps: Sequence[Sweep], frames: range, parameters: OdometryParameters
+    sweeps: Sequence[Sweep] | ThinnedSweeps, frames: range, parameters: OdometryParameters
 ) -> NDArray[np.float64]:
     """Motion (4, 4) from the first of these frames to the next.
 
@@ -219,7 +215,7 @@ def first_motion(
     import small_gicp
 
     clouds = []
-    for k in frames[:_FIRST_SWEEPS]:
+    for k in frames[:FIRST_SWEEPS]:
         near = points_in_range(sweeps[k].points, parameters)
         if len(near) < FEWEST_POINTS:
             break
@@ -252,5 +248,5 @@ def points_in_range(
     with np.errstate(invalid="ignore", over="ignore"):
         squared = x * x + y * y + z * z
         inside = (squared > low * low) & (squared < high * high)
-    # Half the time of points[inside], once in every pass.
+    # Half the time of points[inside].
     return np.compress(inside, points, axis=0).astype(np.float64)

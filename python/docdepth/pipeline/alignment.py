@@ -67,14 +67,14 @@ def find_misalignment(recording: Dataset, stream: CameraStream) -> str | None:
     better = "depth edges of the sweeps fit the images better when "
     found = pairs.best(pairs.turns, _MOVED_GAIN if moved else _GAIN)
     if moved:
-        return None if found is None else better + _in_words(found[0])
+        return None if found is None else better + in_words(found[0])
     both = [found, pairs.best(_shifts(), _GAIN)]
     known = [one for one in both if one is not None]
     if known:
-        return better + _in_words(max(known, key=lambda one: one[1])[0])
+        return better + in_words(max(known, key=lambda one: one[1])[0])
     found = pairs.best([(0, 0, roll, 0, 0, 0) for roll in _ROLLS_DEG], _ROLL_GAIN, _ROLL_SHARP)
     if found:
-        return better + _in_words(found[0])
+        return better + in_words(found[0])
     late = pairs.better_images()
     if late:
         when = "later" if late > 0 else "earlier"
@@ -83,7 +83,7 @@ def find_misalignment(recording: Dataset, stream: CameraStream) -> str | None:
         return None
     found = pairs.best(_turns(_WIDE_STEP_DEG, _WIDEST_DEG), _GAIN)
     if found:
-        return better + _in_words(found[0])
+        return better + in_words(found[0])
     return "depth edges of the sweeps fit the images by chance only" if pairs.no_fit() else None
 
 
@@ -182,8 +182,8 @@ def _is_better(scores: Scores, given: Scores, least_gain: float) -> bool:
     )
 
 
-def _in_words(change: Change) -> str:
-    """A change of points as one of the camera, the other way."""
+def in_words(change: Change) -> str:
+    """A change of points as one of the camera, the other way: what the camera does."""
     tilt, pan, roll, x, y, z = change
     turn = [
         f"{abs(angle):g} degrees {one if angle > 0 else other}"
@@ -203,5 +203,7 @@ def _in_words(change: Change) -> str:
         )
         if metres
     ]
+    parts = [f"turns {' and '.join(turn)}"] if turn else []
+    parts += [f"moves {' and '.join(shift)}"] if shift else []
     times = ", or they are of other times" if z else ""
-    return f"the camera {'turns' if turn else 'moves'} {' and '.join(turn or shift)}{times}"
+    return f"the camera {' and '.join(parts)}{times}"

@@ -7,14 +7,16 @@ sweeps takes seconds.
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from docdepth.config import Parameters
-from docdepth.datasets import CameraStream, Dataset, Sweep
+from docdepth.datasets import CameraStream, Dataset, Sweep, usable_points
 from docdepth.datasets.times import read_times
 from docdepth.errors import Collector, DatasetError
 from docdepth.io.calibration import read_camera_calibration
@@ -26,7 +28,7 @@ from docdepth.pipeline.check_sweeps import check_sweeps
 from docdepth.pipeline.given_poses import file_of_poses, refuse_poses_of_a_camera
 from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.problems import Findings, Problem, raise_problems
-from docdepth.pipeline.run_inputs import known_poses, open_inputs
+from docdepth.pipeline.run_inputs import known_poses, open_inputs, open_upright
 from docdepth.render.layers import check_layers
 
 __all__ = ["Problem", "Report", "check_inputs", "check_opened", "raise_problems", "report_inputs"]
@@ -78,6 +80,8 @@ def report_inputs(
     with found.collected():
         opened = open_inputs(source)
     if opened is not None:
+        with suppress(DatasetError):  # sweeps that cannot be read are named below
+            opened = open_upright(dict(source))
         return check_opened(source, *opened, parameters, output)
     _check_files_of_options(source, found)
     _check_parameters(parameters, found)
@@ -141,7 +145,9 @@ def _check_labels(
         given = LabelFolder(folder)
         given.check(names)
         for frame, sweep in sweeps.items():
-            given.check_count(sweep.name, frame, len(sweep.points))
+            points = sweep.points
+            returns = partial(np.flatnonzero, usable_points(points))
+            given.check_count(sweep.name, frame, len(points), returns)
 
 
 def _check_files_of_options(source: dict[str, Any], found: Collector) -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets import Dataset, open_dataset, usable_points
 from docdepth.errors import ConfigError, DatasetError
+from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.geometry.se3 import inverse, matrix_to_quaternion
 from docdepth.geometry.trajectory import Trajectory
@@ -103,10 +104,21 @@ def _poses(
             "convert RUN"
         )
     poses = recording.poses
+    if camera is None and recording.name == "run":
+        poses = poses @ _T_run_lidar(RunFolder.open(recording.path))
     if camera is not None:
         T = _camera_place(recording, camera)
         poses = T @ poses @ inverse(T)
     return recording.times, poses
+
+
+def _T_run_lidar(run: RunFolder) -> NDArray[np.float64]:
+    """From the LiDAR frame of the recording to that of its run, which has z up."""
+    T = np.eye(4)
+    up = run.manifest.get("source", {}).get("up")
+    if up:
+        T[:3, :3] = level_turn(up)
+    return T
 
 
 def _camera_place(recording: Dataset, name: str) -> NDArray[np.float64]:

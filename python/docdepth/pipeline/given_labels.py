@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
 from docdepth.geometry.points import DYNAMIC
@@ -87,7 +91,8 @@ def take_labels(run: RunFolder, progress: Progress | None = None) -> None:
             if not something_moves and len(left) == count:
                 log.warning(
                     "no point of %s is dynamic: what moves has the class 251 to 259 in .label "
-                    "files, 100 and above in .npy files, or True", given.folder,
+                    "files, 100 and above in .npy files, or True, the intensity 1 in .pcd files",
+                    given.folder,
                 )  # fmt: skip
             remove_outdated(run, {}, key)
 
@@ -96,4 +101,9 @@ def _check(given: LabelFolder, run: RunFolder, frames: Sequence[int]) -> None:
     """Refuse labels that do not fit, before any class is written."""
     for frame in frames:
         path = run.frame_path(frame)
-        given.check_count(read_frame_name(path), frame, read_input_points(path))
+        points = read_input_points(path)
+        given.check_count(read_frame_name(path), frame, points, partial(_returns, run, frame))
+
+
+def _returns(run: RunFolder, frame: int) -> NDArray[np.uint32]:
+    return run.frame(frame).index

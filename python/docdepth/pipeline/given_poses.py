@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters
 from docdepth.datasets import Dataset, FrameRange
+from docdepth.datasets.mounts import Mounted
 from docdepth.errors import DatasetError, OdometryError
 from docdepth.geometry.se3 import inverse
 from docdepth.io.poses import read_poses
@@ -61,6 +62,8 @@ def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
     poses = read_poses(Path(file), len(whole))
     if camera:
         poses = _of_lidar(poses, camera, whole)
+    elif isinstance(whole, Mounted):
+        poses = poses @ inverse(whole.T_level_lidar)
     if isinstance(recording, FrameRange):
         return poses[recording.indices.start : recording.indices.stop]
     return poses

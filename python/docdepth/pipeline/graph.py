@@ -24,7 +24,7 @@ from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.run_inputs import RunCamera
 
-_VERSIONS = {"odometry": 1, "classify": 2, "render": 2}
+_VERSIONS = {"odometry": 2, "classify": 2, "render": 2}
 """Counted up when a new version of docdepth makes other results of the same inputs."""
 
 State = Literal["done", "out of date", "incomplete", "damaged", "missing"]
@@ -77,6 +77,7 @@ def odometry_parts(
 ) -> Parts:
     """What poses and deskewed frames are made of; ``first`` is the recording's first sweep."""
     rig = first.sensor_rig
+    up = run.manifest.get("source", {}).get("up")
     return {
         "version": _VERSIONS["odometry"],
         "odometry": run.parameters.odometry.model_dump(mode="json"),
@@ -87,6 +88,7 @@ def odometry_parts(
             None if rig is None else rig.T_lidar_sensor.tolist(),
             first.motion_compensated,
             first.relative_time is not None,
+            *([up] if up else []),
         ),
     }
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
 from docdepth.geometry.trajectory import Trajectory
@@ -22,12 +24,13 @@ _SAME_POSE = 1e-3
 
 
 class LabelFolder:
-    """A folder of labels, ``NAME.label`` or ``NAME.npy`` for each sweep.
+    """A folder of labels, ``NAME.label``, ``NAME.npy`` or ``NAME.pcd`` for each sweep.
 
     Parameters
     ----------
     folder : Path
-        The folder, or its parent with a folder ``labels``: a run, or a sequence of SemanticKITTI.
+        The folder, or its parent with a folder ``labels``: a run, or a sequence of SemanticKITTI;
+        or with a folder ``pcd``: a sequence of DynamicMap_Benchmark.
 
     Raises
     ------
@@ -39,9 +42,10 @@ class LabelFolder:
         if not folder.is_dir():
             what = "not a folder" if folder.exists() else "not there"
             raise DatasetError(f"{folder} is {what}; --labels names a folder of label files")
-        self.folder = folder / "labels" if (folder / "labels").is_dir() else folder
+        below = (folder / name for name in ("labels", "pcd"))
+        self.folder = next((f for f in below if f.is_dir()), folder)
         if not self.label_files():
-            raise DatasetError(f"{self.folder} holds no .label or .npy file")
+            raise DatasetError(f"{self.folder} holds no .label, .npy or .pcd file")
 
     def label_files(self) -> list[Path]:
         """All its labels, by name."""
@@ -53,20 +57,27 @@ class LabelFolder:
         return [*self.label_files(), *beside]
 
     def check(self, names: Sequence[str]) -> None:
-        """Refuse a folder that lacks the labels of a sweep."""
-        for frame, name in enumerate(names):
-            label_file(self.folder, name, frame)
+        """Refuse a folder that lacks the labels of a sweep, or counts other sweeps."""
+        files = {label_file(self.folder, name, frame) for frame, name in enumerate(names)}
+        counted = any(file.stem not in names for file in files)
+        if counted and (count := len(list(self.folder.glob("*.pcd")))) != len(names):
+            raise DatasetError(
+                f"{self.folder} has {count} PCD files, which are counted and not named as the "
+                f"sweeps, for {len(names)} sweeps; name them as the sweeps"
+            )
 
-    def check_count(self, name: str, frame: int, points: int | None) -> None:
+    def check_count(
+        self, name: str, frame: int, points: int | None, returns: Callable[[], NDArray[Any]]
+    ) -> None:
         """Refuse labels that are missing, damaged or of another number of points."""
         file = label_file(self.folder, name, frame)
         if points is not None:
-            read_classes(file, points, frame)
+            read_classes(file, points, frame, returns)
 
     def classified(self, record: FrameRecord, frame: int) -> FrameRecord:
         """A frame with the classes given, and without votes."""
         file = label_file(self.folder, record.name, frame)
-        classid, instance = read_classes(file, record.input_points, frame)
+        classid, instance = read_classes(file, record.input_points, frame, lambda: record.index)
         return replace(
             record,
             classid=classid[record.index],

@@ -43,7 +43,7 @@ def run_odometry(
         ``T_world_lidar`` of another SLAM; estimated when left out.
     progress : callable, optional
     threads : int
-        Passes of the registration that may run at once; 0 takes every core.
+        0 for all cores.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def run_odometry(
                     run.parameters,
                     poses,
                     _registration_progress(progress),
-                    checkpoint,
+                    checkpoint / _POSES,
                     threads,
                 )
             if first.sensor_rig is not None:
@@ -87,9 +87,9 @@ def run_odometry(
                 warn_of_misfit(run.points, poses, run.parameters.odometry)
 
 
-_CHECKPOINTS = "odometry"
-"""Folder in the notes of a run with the poses of each pass. Frames are made again from them, bit
-for bit."""
+_CHECKPOINTS, _POSES = "odometry", "poses.npz"
+"""Folder in the notes of a run with estimated poses. Frames are made again from them, bit for
+bit."""
 
 
 def _others_are_done(run: RunFolder, key: dict[str, str]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,13 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render
-from docdepth.pipeline.run_inputs import RunCamera, camera_parameters, register
+from docdepth.pipeline.run_inputs import (
+    RunCamera,
+    camera_parameters,
+    cameras_at_hand,
+    register,
+)
+from docdepth.pipeline.run_state import require
 from docdepth.pipeline.sanity import IMAGES, sampled, warn_of_density, warn_of_edges
 from docdepth.pipeline.stage import Profile, Progress, Stopwatch, progress_callback, stage
 from docdepth.render.backends import Renderer
@@ -27,7 +34,7 @@ from docdepth.render.layers import compose_layers
 from docdepth.render.moving_objects import Tracks, objects_of
 from docdepth.render.selection import needed_frames
 from docdepth.render.track_sweeps import near_vehicles
-from docdepth.visualization.report import index_is_whole, write_index
+from docdepth.visualization.report import index_is_whole, write_report
 
 
 def run_render(
@@ -80,8 +87,35 @@ def run_render(
         for alike in _drawn_alike(cameras):
             left_out += _render_cameras(run, alike, threads, progress, renderer or Renderer())
         if before != _profiles(run) or not index_is_whole(run):
-            write_index(run)
+            opened = {stream.name: stream for stream in streams}
+            others = {} if run.cameras.keys() <= opened.keys() else cameras_at_hand(run)
+            write_report(run, others | opened)
     return left_out
+
+
+def report(run: RunFolder) -> Path:
+    """Write the report of a run, ``report/index.html``, anew.
+
+    Parameters
+    ----------
+    run : RunFolder
+        With classified frames. Where its recording is away, the report has no camera images.
+
+    Returns
+    -------
+    Path
+        Of the page.
+
+    Raises
+    ------
+    RunError
+        A stage is missing, damaged or out of date.
+    """
+    require(run, "classify")
+    for name in run.cameras:
+        require(run, f"render {name}")
+    with run.lock("report"):
+        return write_report(run, cameras_at_hand(run))
 
 
 def _profiles(run: RunFolder) -> str:

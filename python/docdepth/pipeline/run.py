@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from docdepth.config import Parameters, replaced
-from docdepth.datasets.base import CameraStream, Dataset
+from docdepth.datasets.base import Dataset
 from docdepth.datasets.run import RunDataset
 from docdepth.errors import DamagedFileError, DocDepthError, RunError
 from docdepth.io.run_folder import RunFolder
@@ -26,6 +27,7 @@ from docdepth.pipeline.run_inputs import (
     open_cameras,
     open_inputs,
     open_recording,
+    open_upright,
     register,
     run_cameras,
 )
@@ -132,9 +134,11 @@ def run(
     if labels is not None:
         inputs["labels"] = _absolute(labels)
     values, place = parameters or Parameters(), Path(output)
-    recording, streams = _open(inputs, values, place)
+    begun = RunFolder(place).manifest.get("source")
+    with _all_problems(inputs, values, place):
+        recording, streams = open_upright(inputs, begun)
+    folder = RunFolder(place)  # another command may have begun the run meanwhile
     inputs["dataset"] = _absolute(recording.path)  # a folder that holds one recording may be given
-    folder = RunFolder(place)
     if hash_inputs or folder.manifest.get("source", {}).get("hash_inputs"):
         inputs["hash_inputs"] = True  # for good: a run compares as it began
     _follow_recording(folder, recording)
@@ -176,7 +180,8 @@ def continue_run(
     if not source:
         raise RunError(f"{output} was not made of a recording; there is nothing to continue")
     _check_place(folder)
-    recording, _ = _open(source, folder.parameters, folder.path)
+    with _all_problems(source, folder.parameters, folder.path):
+        recording, _ = open_inputs(source)
     if dry_run:
         _check(folder, recording)
     else:
@@ -271,12 +276,11 @@ def _forget_cameras(path: Path, names: Sequence[str]) -> None:
             folder.save()
 
 
-def _open(
-    source: dict[str, Any], parameters: Parameters, output: Path
-) -> tuple[Dataset, list[CameraStream]]:
-    """Open the inputs, or tell all that is wrong with them."""
+@contextmanager
+def _all_problems(source: dict[str, Any], parameters: Parameters, output: Path) -> Iterator[None]:
+    """If the inputs cannot be opened, tell all that is wrong with them."""
     try:
-        return open_inputs(source)
+        yield
     except DocDepthError:
         raise_problems(check_inputs(source, parameters, output))
         raise

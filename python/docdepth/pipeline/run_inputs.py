@@ -2,11 +2,14 @@
 
 The entry ``source`` of run.yaml has ``dataset``, ``name``, ``camera`` (a name, a list of names or
 None), ``poses`` (a file, ``CAMERA:FILE`` or ``dataset``), ``camera_times`` and ``image_size``, all
-plain values; ``frames`` (``A:B``) and ``calibration`` (a file) may be left out.
+plain values; ``frames`` (``A:B``), ``calibration`` (a file), ``up`` (a unit vector in the LiDAR
+frame of the recording, whose z is not up) and ``looks_from`` (where its rays begin, metres) may be
+left out.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,13 +28,17 @@ from docdepth.datasets import (
     open_dataset,
 )
 from docdepth.datasets.images import read_image_of
+from docdepth.datasets.mounts import LEVEL_DEG, Mounted, ground_of
 from docdepth.datasets.times import read_times
+from docdepth.datasets.viewpoint import LEAST_IN_TRIANGLES, find_viewpoint
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.given_poses import read_given_poses
 from docdepth.pipeline.virtual_camera import parse_size, virtual_stream
+
+log = logging.getLogger(__name__)
 
 ALL = "all"
 """Name that stands for all cameras of a recording."""
@@ -67,14 +74,107 @@ def open_inputs(source: dict[str, Any]) -> tuple[Dataset, list[CameraStream]]:
     return recording, open_cameras(source, recording, source["camera"])
 
 
+def open_upright(
+    source: dict[str, Any], begun: dict[str, Any] | None = None
+) -> tuple[Dataset, list[CameraStream]]:
+    """Open the inputs of a run that begins.
+
+    It is noted in ``source`` where rays begin and which way is up, if that is found.
+
+    The arguments are those of :func:`open_inputs` and :func:`find_up`.
+    """
+    whole = _open_whole(source)
+    looks_from = find_looks_from(_part(whole, source), begun)
+    if looks_from:
+        source["looks_from"] = looks_from
+    up = find_up(_part(whole, source), begun)
+    if up:
+        source["up"] = up
+    recording = _part(whole, source)
+    return recording, open_cameras(source, recording, source["camera"])
+
+
 def open_recording(source: dict[str, Any]) -> Dataset:
     """Open the recording of a run."""
-    size, frames = parse_size(source.get("image_size")), source.get("frames")
+    return _part(_open_whole(source), source)
+
+
+def _open_whole(source: dict[str, Any]) -> Dataset:
+    """The recording, with the calibration that the run was given."""
+    size = parse_size(source.get("image_size"))
     recording = open_dataset(Path(source["dataset"]), source["name"], size)
     if source.get("calibration"):
         stream = _calibrated(recording, Path(source["calibration"]))
         recording.cameras[stream.name] = stream
-    return FrameRange(recording, frames) if frames else recording
+    return recording
+
+
+def _part(recording: Dataset, source: dict[str, Any]) -> Dataset:
+    """The sweeps of a recording that the run is of, in a frame whose z is up."""
+    if source.get("up") or source.get("looks_from"):
+        recording = Mounted(recording, source.get("up"), source.get("looks_from"))
+    return FrameRange(recording, source["frames"]) if source.get("frames") else recording
+
+
+def find_looks_from(recording: Dataset, begun: dict[str, Any] | None = None) -> list[float] | None:
+    """Where rays begin, found where they clearly do not begin at the origin; metres.
+
+    The arguments are those of :func:`find_up`.
+    """
+    if begun:
+        found: list[float] | None = begun.get("looks_from")
+        return None if recording.sweep(0).sensor_rig is not None else found
+    viewpoint = None if recording.name == "run" else find_viewpoint(recording)
+    if viewpoint is None or viewpoint.share < LEAST_IN_TRIANGLES:
+        return None  # if returns lack neighbours, a run warns of it
+    log.warning(
+        "%s: seen from the origin, %.0f %% of the returns have neighbours in their sweep, from "
+        "[%g, %g, %g] %.0f %%: rays are taken to begin there. Say by looks_from in docdepth.yaml "
+        "where the LiDAR is if you know it, and give several LiDARs as several",
+        recording.path, 100 * viewpoint.at_origin, *viewpoint.place, 100 * viewpoint.share,
+    )  # fmt: skip
+    return list(viewpoint.place)
+
+
+def find_up(recording: Dataset, begun: dict[str, Any] | None = None) -> list[float] | None:
+    """Which way is up in the LiDAR frame, told by the recording or found by the ground.
+
+    Parameters
+    ----------
+    recording : Dataset
+    begun : dict, optional
+        ``source`` of a run that goes on: what was found when it began holds for good.
+
+    Returns
+    -------
+    list of float, or None
+        Unit vector for ``source``; None if z is up, or if it is not known.
+    """
+    whole = recording.whole if isinstance(recording, FrameRange) else recording
+    told = getattr(whole, "up", None)
+    if told is not None:
+        up = np.array(told, np.float64) / np.linalg.norm(told)
+        return None if (up == (0, 0, 1)).all() else [float(x) for x in up]
+    if begun:
+        found: list[float] | None = begun.get("up")
+        return found
+    if recording.name == "run":
+        return None
+    ground = ground_of(recording)
+    if ground is None:
+        log.warning(
+            "%s: sweeps do not tell which way is up, so z is taken; if it is another direction, "
+            "say up: [x, y, z] in docdepth.yaml", recording.path,
+        )  # fmt: skip
+    if ground is None or ground.tilt_deg < LEVEL_DEG:
+        return None
+    up = ground.up.round(4)
+    log.warning(
+        "%s: z of the points is %.0f degrees from up, by the ground: they are turned so that z is "
+        "up. If that is not the ground, say up: [x, y, z] in docdepth.yaml; up is [%g, %g, %g] now",
+        recording.path, ground.tilt_deg, *up,
+    )  # fmt: skip
+    return [float(x) for x in up / np.linalg.norm(up)]
 
 
 def _calibrated(recording: Dataset, file: Path) -> CameraStream:
@@ -177,6 +277,15 @@ def run_cameras(
             continue
         found.append(RunCamera(stream, entry["folder"], camera_parameters(run, name)))
     return found
+
+
+def cameras_at_hand(run: RunFolder) -> dict[str, CameraStream]:
+    """The recorded cameras of a run by name; none where its recording is away."""
+    path = run.manifest["source"].get("dataset")
+    if not path or not Path(path).exists():
+        return {}
+    cameras = run_cameras(run, open_recording(run.manifest["source"]))
+    return {camera.stream.name: camera.stream for camera in cameras}
 
 
 def camera_parameters(run: RunFolder, name: str) -> Parameters:

@@ -13,17 +13,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.datasets.viewpoint import LEAST_IN_TRIANGLES
 from docdepth.geometry.points import DYNAMIC, GROUND
-from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.scan_mesh import share_in_triangles
 from docdepth.geometry.sensor_rig import SensorRig
 
 log = logging.getLogger(__name__)
 
 SAMPLES = 5
 """Sweeps whose mesh is made to see whether their returns have neighbours."""
-
-LEAST_IN_TRIANGLES = 0.75
-"""Share of returns with neighbours: 0.94 to 0.98, and 0.38 to 0.70 from 1.9 m beside the LiDAR."""
 
 LEAST_GROUND = 0.01
 """Share of returns on the ground: 0.3 to 0.7."""
@@ -81,14 +79,6 @@ def warn_of_viewpoint(
             "docdepth.yaml where the LiDAR is",
             100 * np.median(shares),
         )
-
-
-def share_in_triangles(points: NDArray[np.float32], rig: SensorRig | None = None) -> float:
-    """Share of the points that are corners of continuous triangles of the sweep's mesh."""
-    mesh = ScanMesh(points, rig)
-    used = np.zeros(len(points), np.bool_)
-    used[mesh.triangles[~mesh.discontinuity].ravel()] = True
-    return float(used.mean())
 
 
 def count_classes(classid: NDArray[np.uint16]) -> tuple[int, int, int]:

@@ -174,7 +174,9 @@ def _part(mesh: LidarMesh, classid: NDArray[np.uint16], objects: SweepObjects) -
         triangles, isolated = row[triangles], row[isolated]
     displacement = objects.displacement
     if displacement is not None:
-        displacement = displacement @ turn
+        displacement = displacement.copy()
+        moved = np.flatnonzero(objects.owner)
+        displacement[moved] = displacement[moved] @ turn
     core = _core.MeshFrame(
         points,
         classid,

@@ -105,6 +105,8 @@ def sighted_objects(
         placed = [(core, one.owner, T_camera_lidar @ T_lidar_sensor, one.number)]
         found.append((0, placed, [], placed))
     for instance in sorted(seen):
+        if not any(one.sweep in drawn.dynamic for one in seen[instance]):
+            continue  # nobody knows where it is by now
         T_camera_object = view.T_camera_world @ tracks[instance].pose_at(view.time)
         if not _in_view(view.camera, T_camera_object, tracks[instance]):
             continue
@@ -112,7 +114,7 @@ def sighted_objects(
             [_sighting(frames(one.sweep), one, T_camera_object) for one in some]
             for some in _chosen(seen[instance], drawn, trajectory, tracks[instance], view.time)
         )
-        if around:  # else nobody knows where it is by now
+        if around:  # of what is not rigid those within SOFT_SECONDS
             found.append((instance, around, others, (around + others)[:MOST_RAYS]))
     return found
 

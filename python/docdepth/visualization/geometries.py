@@ -1,31 +1,42 @@
-"""Open3D geometries of a run: classified points, trajectory, cameras and a depth map."""
+"""Open3D geometries of a run: points, boxes of tracks, trajectory, cameras with image and depth."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.datasets.base import CameraStream
 from docdepth.errors import InputError, MissingExtraError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.geometry.se3 import inverse
+from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
+from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.visualization.image_views import BOX_EDGES, box_corners, track_color
 from docdepth.visualization.pictures import (
     DYNAMIC_COLOR,
     GROUND_COLOR,
     STATIC_COLOR,
+    TRACK_COLORS,
+    Picture,
     colorize,
 )
 
+Coloring: TypeAlias = Literal["class", "votes", "instance"]
+"""What the colour of a point says."""
+
 # Length of a drawn camera frustum [m].
-_FRUSTUM = 0.5
+_FRUSTUM = 2.0
+_UNKNOWN_COLOR = (90, 90, 90)  # BGR, of points without votes or instance
 _TRAJECTORY_COLOR = (1.0, 0.75, 0.0)
 _CAMERA_COLOR = (0.1, 0.5, 1.0)
 
@@ -80,11 +91,51 @@ def class_colors(classid: NDArray[np.uint16]) -> NDArray[np.float64]:
     return palette[(classid >= STATIC).astype(int) + (classid >= DYNAMIC)]
 
 
+def vote_colors(
+    votes_static: NDArray[np.uint16], votes_dynamic: NDArray[np.uint16]
+) -> NDArray[np.float64]:
+    """RGB colour of each point by its votes: from the static grey to the dynamic orange.
+
+    Points without votes are dark. float64 (N, 3), 0..1.
+    """
+    count = votes_static.astype(np.float64) + votes_dynamic
+    share = (votes_dynamic / np.maximum(count, 1))[:, None]
+    colors = (1 - share) * STATIC_COLOR + share * DYNAMIC_COLOR
+    return np.asarray(np.where(count[:, None] > 0, colors, _UNKNOWN_COLOR)[:, ::-1] / 255)
+
+
+def instance_colors(instance: NDArray[np.uint16]) -> NDArray[np.float64]:
+    """RGB colour of each point by its track, dark without one; float64 (N, 3), 0..1."""
+    colors = np.array(TRACK_COLORS)[instance % len(TRACK_COLORS)]
+    return np.asarray(np.where(instance[:, None] > 0, colors, _UNKNOWN_COLOR)[:, ::-1] / 255)
+
+
+def point_colors(
+    record: FrameRecord, classid: NDArray[np.uint16], color: Coloring
+) -> NDArray[np.float64]:
+    """RGB colour of each point of a frame, float64 (N, 3), 0..1.
+
+    Raises
+    ------
+    InputError
+        The frame has no votes or no instances.
+    """
+    if color == "class":
+        return class_colors(classid)
+    if color == "votes" and record.votes_static is not None and record.votes_dynamic is not None:
+        return vote_colors(record.votes_static, record.votes_dynamic)
+    if color == "instance" and record.instance is not None:
+        return instance_colors(record.instance)
+    raise InputError(f"frame {record.name} has no {color}: its classes are of another method")
+
+
 def scene_geometries(
     points: NDArray[np.float32],
     classid: NDArray[np.uint16],
     poses: NDArray[np.float64] | None = None,
     views: Sequence[CameraView] = (),
+    colors: NDArray[np.float64] | None = None,
+    boxes: Sequence[tuple[Track, NDArray[np.float64]]] = (),
 ) -> dict[str, Any]:
     """Open3D geometries of a classified sweep or map, a trajectory and cameras.
 
@@ -97,13 +148,18 @@ def scene_geometries(
     poses : ndarray of float64, shape (n, 4, 4), optional
         ``T_world_lidar``, drawn as a line.
     views : sequence of CameraView
-        Drawn as frusta; their depth maps are back-projected, in the colours of the image or else
-        of the depth.
+        Drawn as frusta, with the image in the frustum; their depth maps are back-projected, in the
+        colours of the image or else of the depth.
+    colors : ndarray of float64, shape (N, 3), optional
+        RGB of the points, 0..1; by class if absent.
+    boxes : sequence of (Track, ndarray of float64, shape (4, 4))
+        Tracks and ``T_world_object``.
 
     Returns
     -------
     dict of str to open3d.geometry.Geometry
-        ``points``, ``trajectory``, ``camera 0`` ..., ``depth 0`` ..., world frame.
+        ``points``, ``tracks``, ``trajectory``, ``camera 0`` ..., ``image 0`` ..., ``depth 0`` ...,
+        world frame.
 
     Raises
     ------
@@ -116,7 +172,10 @@ def scene_geometries(
     if points.ndim != 2 or points.shape[1] != 3 or classid.shape != points.shape[:1]:
         raise InputError(f"points {points.shape} and classes {classid.shape} must be (N, 3), (N,)")
     finite = np.isfinite(points).all(axis=1)
-    geometries = {"points": _cloud(o3d, points[finite], class_colors(classid[finite]))}
+    colors = class_colors(classid) if colors is None else colors
+    geometries = {"points": _cloud(o3d, points[finite], colors[finite])}
+    if boxes:
+        geometries["tracks"] = _boxes(o3d, boxes)
     if poses is not None and len(poses) > 1:
         ends = np.column_stack([np.arange(len(poses) - 1), np.arange(1, len(poses))])
         line = o3d.geometry.LineSet(
@@ -140,6 +199,8 @@ def scene_geometries(
             picture = colorize(view.depth, bar=False) if view.image is None else view.image
             colors = picture[np.isfinite(view.depth)][:, ::-1] / 255.0
             geometries[f"depth {k}"] = _cloud(o3d, local @ T[:3, :3].T + T[:3, 3], colors)
+        if view.image is not None:
+            geometries[f"image {k}"] = _picture(o3d, view, view.image)
     return geometries
 
 
@@ -149,6 +210,8 @@ def run_geometries(
     camera: str | None = None,
     around: int = 0,
     depth: bool = True,
+    color: Coloring = "class",
+    stream: CameraStream | None = None,
 ) -> dict[str, Any]:
     """Geometries of a run folder: see :func:`view_run` for the arguments."""
     trajectory = run.trajectory()
@@ -156,7 +219,7 @@ def run_geometries(
     frame = count // 2 if frame is None else frame
     if not 0 <= frame < count:
         raise InputError(f"{run.path} has sweeps 0 to {count - 1}, not {frame}")
-    merged, classes = [], []
+    merged, classes, colors = [], [], []
     for k in range(max(frame - around, 0), min(frame + around + 1, count)):
         record, classid = run.classified_frame(k)
         pose = trajectory.poses[k]
@@ -164,16 +227,32 @@ def run_geometries(
         kept = np.ones(len(classid), bool) if k == frame else classid < DYNAMIC
         merged.append((record.points[kept] @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32))
         classes.append(classid[kept])
-    views = _camera_views(run, trajectory, frame, camera) if depth else []
+        colors.append(point_colors(record, classid, color)[kept])
+    views = _camera_view(run, trajectory, frame, camera, stream) if depth else []
     return scene_geometries(
-        np.concatenate(merged), np.concatenate(classes), trajectory.poses, views
+        np.concatenate(merged),
+        np.concatenate(classes),
+        trajectory.poses,
+        views,
+        np.concatenate(colors),
+        _tracks_at(run, int(trajectory.times[frame])),
     )
 
 
-def _camera_views(
-    run: RunFolder, trajectory: Trajectory, frame: int, camera: str | None
+def _tracks_at(run: RunFolder, time: int) -> list[tuple[Track, NDArray[np.float64]]]:
+    path = run.path / TRACKS
+    tracks = read_tracks(path) if path.is_file() else []
+    return [(track, track.pose_at(time)) for track in tracks if track.covers(time)]
+
+
+def _camera_view(
+    run: RunFolder,
+    trajectory: Trajectory,
+    frame: int,
+    camera: str | None,
+    stream: CameraStream | None,
 ) -> list[CameraView]:
-    """The pose of each image of a camera; the one nearest to the sweep has its depth map."""
+    """A camera at its image nearest to the sweep, with the depth map; none without depth maps."""
     if not maps_in(run.path / "depth") and not run.cameras:
         return []
     folder = run.depth_folder(camera)
@@ -184,17 +263,53 @@ def _camera_views(
     if not times:
         return []
     nearest = min(times, key=lambda name: abs(times[name] - int(trajectory.times[frame])))
-    poses = trajectory.interpolate(list(times.values())) @ inverse(T_camera_lidar)
-    return [
-        CameraView(pinhole, pose, read_depth(files[name]) if name == nearest else None)
-        for name, pose in zip(times, poses, strict=True)
-    ]
+    pose = trajectory.interpolate(times[nearest])[0] @ inverse(T_camera_lidar)
+    image = None
+    if stream is not None and nearest in stream.names:
+        image = stream.rectified_image(stream.names.index(nearest))
+    return [CameraView(pinhole, pose, read_depth(files[nearest]), image)]
 
 
 def _cloud(o3d: Any, points: NDArray[Any], colors: NDArray[np.float64]) -> Any:
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
     cloud.colors = o3d.utility.Vector3dVector(colors)
     return cloud
+
+
+def _boxes(o3d: Any, boxes: Sequence[tuple[Track, NDArray[np.float64]]]) -> Any:
+    """The edges of the boxes, in the colours of the tracks, each with a line ahead."""
+    points, edges, colors = [], [], []
+    for k, (track, T_world_object) in enumerate(boxes):
+        nose = np.array([(0.5, 0, 0.5), (1.0, 0, 0.5)]) * track.size
+        local = np.concatenate([box_corners(track), nose])
+        points.append(local @ T_world_object[:3, :3].T + T_world_object[:3, 3])
+        edges.append(np.array([*BOX_EDGES, (8, 9)]) + 10 * k)
+        colors += [track_color(track.id)[::-1]] * (len(BOX_EDGES) + 1)
+    lines = o3d.geometry.LineSet(
+        o3d.utility.Vector3dVector(np.concatenate(points)),
+        o3d.utility.Vector2iVector(np.concatenate(edges).astype(np.int32)),
+    )
+    lines.colors = o3d.utility.Vector3dVector(np.array(colors) / 255)
+    return lines
+
+
+def _picture(o3d: Any, view: CameraView, image: Picture) -> Any:
+    """The image at the end of its frustum."""
+    camera, T = view.camera, view.T_world_camera
+    corners = np.array(
+        [(0, 0), (camera.width, 0), (camera.width, camera.height), (0, camera.height)]
+    )
+    local = np.column_stack([corners - 0.5, np.ones(4)]) @ np.linalg.inv(camera.K).T
+    world = _FRUSTUM * local @ T[:3, :3].T + T[:3, 3]
+    rectangle = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(world),
+        o3d.utility.Vector3iVector(np.array([(0, 1, 2), (0, 2, 3)], np.int32)),
+    )
+    places = np.array([(0, 0), (1, 0), (1, 1), (0, 0), (1, 1), (0, 1)], np.float64)
+    rectangle.triangle_uvs = o3d.utility.Vector2dVector(places)
+    rectangle.triangle_material_ids = o3d.utility.IntVector([0, 0])
+    rectangle.textures = [o3d.geometry.Image(np.ascontiguousarray(image[:, :, ::-1]))]
+    return rectangle
 
 
 def open3d_module() -> Any:

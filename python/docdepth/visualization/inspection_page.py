@@ -15,6 +15,7 @@ from docdepth.visualization.pictures import Picture
 
 _MARK = "<!-- docdepth inspect -->"
 _COLORS = {"error": "#b00020", "warning": "#a05a00", "note": "#555"}
+_UNITS = {"_m_s": "m/s", "_m": "m", "_ns": "ns", "_s": "s", "_hz": "Hz", "_deg": "degrees"}
 _MEANINGS = {
     "sweeps": "stamps of the sweeps",
     "lidars": "of a sweep from the middle; range: least, median, 99 % and largest; spacing: along "
@@ -26,7 +27,7 @@ _MEANINGS = {
     "ground": "tilt: angle between z and the ground's normal (up); height of the frame's origin",
     "poses": "speed: median and largest; turn from sweep to sweep",
     "registered": "motion that sweeps show without poses",
-    "ego": "points that stay with the LiDAR while it moves: its vehicle",
+    "ego": "points that stay with the LiDAR while it moves: its vehicle, and mirror images of it",
     "cameras": "field of view: horizontal; starts and ends: after the sweeps",
 }
 
@@ -86,12 +87,25 @@ def check_page(path: Path) -> None:
         raise DatasetError(f"{path} is no page of docdepth inspect; name another file (-o)")
 
 
-def as_text(value: Any) -> str:
-    """A figure in words."""
+def as_lines(figures: dict[str, Any]) -> Iterator[str]:
+    """The figures for a terminal: each group under its name and what its figures mean."""
+    for name, group in figures.items():
+        meaning = f" ({_MEANINGS[name]})" if name in _MEANINGS else ""
+        entries = [entry for entry in (group if isinstance(group, list) else [group]) if entry]
+        yield f"{_words(name)}{meaning}{'' if entries else ': none'}"
+        for k, entry in enumerate(entries):
+            if k:
+                yield ""
+            yield from (f"  {_words(key)}: {_as_text(value)}" for key, value in entry.items())
+
+
+def _as_text(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{_words(key)} {as_text(item)}" for key, item in value.items())
+        return ", ".join(f"{_words(key)} {_as_text(item)}" for key, item in value.items())
     if isinstance(value, list):
-        return " ".join(as_text(item) for item in value) or "none"
+        if value and isinstance(value[0], list):
+            return ", ".join(" to ".join(map(_as_text, item)) for item in value)
+        return ", ".join(map(_as_text, value)) or "none"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
@@ -100,6 +114,10 @@ def as_text(value: Any) -> str:
 
 
 def _words(name: str) -> str:
+    """A name of figures, with its unit in brackets."""
+    for suffix, unit in _UNITS.items():
+        if name.endswith(suffix):
+            return f"{name.removesuffix(suffix).replace('_', ' ')} [{unit}]"
     return name.replace("_", " ")
 
 
@@ -114,8 +132,8 @@ def _findings(findings: Sequence[tuple[str, str]]) -> Iterator[str]:
 def _group(group: Any) -> str:
     if isinstance(group, list) and group:
         names = list(dict.fromkeys(key for entry in group for key in entry))
-        rows = [tuple(as_text(entry.get(name)) for name in names) for entry in group]
+        rows = [tuple(_as_text(entry.get(name)) for name in names) for entry in group]
         return table(tuple(_words(name) for name in names), rows)
     if isinstance(group, dict):
-        return table((), ((_words(key), as_text(value)) for key, value in group.items()))
-    return f"<p>{'none' if not group else escape(as_text(group))}</p>"
+        return table((), ((_words(key), _as_text(value)) for key, value in group.items()))
+    return f"<p>{'none' if not group else escape(_as_text(group))}</p>"

@@ -1,7 +1,8 @@
 """Pictures of depth and labels, with OpenCV alone. All are BGR, uint8.
 
-The colours of depth are the same in every picture, so pictures can be compared: OpenCV's turbo over
-the logarithm of depth, red near and blue far.
+The colours of depth are the same in every picture, so pictures can be compared: viridis over the
+logarithm of depth, yellow near and violet far. It is as even for colour-blind readers. Classes and
+tracks have colours that they tell apart, too (blue and orange, and those of Okabe and Ito).
 """
 
 from __future__ import annotations
@@ -21,15 +22,18 @@ Picture = NDArray[np.uint8]
 NEAR, FAR = 3.0, 80.0
 """Depths of the first and the last colour [m]."""
 
-GROUND_COLOR = (110, 125, 95)
+GROUND_COLOR = (150, 100, 50)
 STATIC_COLOR = (205, 205, 205)
-DYNAMIC_COLOR = (40, 60, 255)
+DYNAMIC_COLOR = (0, 120, 255)
+TRACK_COLORS = ((0, 159, 230), (233, 180, 86), (115, 158, 0), (167, 121, 204), (0, 94, 213))
+"""Of tracks by turns: orange, sky blue, green, purple, vermilion."""
+
 # Compared with ground truth: true positives, false negatives and false positives.
 FOUND_COLOR = (90, 200, 60)
 MISSED_COLOR = (20, 170, 255)
 FALSE_COLOR = (220, 40, 230)
 
-_BACKGROUND = 24
+BACKGROUND = 24
 _TICKS = (3, 5, 10, 20, 40, 80, 160, 320)
 
 
@@ -54,8 +58,8 @@ def colorize(
     """
     valid = np.isfinite(depth) & (depth > 0)
     share = np.log(np.where(valid, depth, near) / near) / np.log(far / near)
-    colors = _turbo(share)
-    colors[~valid] = _BACKGROUND
+    colors = _viridis(share)
+    colors[~valid] = BACKGROUND
     return draw_bar(colors, near, far) if bar else colors
 
 
@@ -111,7 +115,7 @@ def error_picture(
     colors[..., 1] = 1 - strength
     colors[..., 2] = np.where(near, 1, 1 - strength)
     picture = np.rint(255 * colors).astype(np.uint8)
-    picture[~known] = _BACKGROUND
+    picture[~known] = BACKGROUND
     return picture
 
 
@@ -132,7 +136,7 @@ def labels_from_above(
         Ground below 50, static below 100, dynamic from 100 on.
     truth : ndarray of bool, shape (N,), optional
         Which points are really dynamic. With it, true positives are green, false negatives orange
-        and false positives magenta; without it, dynamic points are red.
+        and false positives magenta; without it, dynamic points are orange.
     reach : float
         Distance from the sensor to the edges of the picture [m].
     size : int
@@ -141,8 +145,8 @@ def labels_from_above(
     scale = size / (2 * reach)
     rows = np.floor((reach - points[:, 0]) * scale)
     columns = np.floor((reach - points[:, 1]) * scale)
-    picture = np.full((size, size, 3), _BACKGROUND, np.uint8)
-    _draw(picture, rows, columns, classid, truth)
+    picture = np.full((size, size, 3), BACKGROUND, np.uint8)
+    draw_classes(picture, rows, columns, classid, truth)
     return picture
 
 
@@ -175,9 +179,9 @@ def labels_in_range_image(
     spacing = max(2 * resolution_deg, 0.4)
     rows = np.floor((top - elevation) / spacing)
     picture = np.full(
-        (int(rows.max(initial=0)) + 1, round(360 / resolution_deg), 3), _BACKGROUND, np.uint8
+        (int(rows.max(initial=0)) + 1, round(360 / resolution_deg), 3), BACKGROUND, np.uint8
     )
-    _draw(picture, rows, columns, classid, truth)
+    draw_classes(picture, rows, columns, classid, truth)
     return np.repeat(picture, row_height, axis=0)
 
 
@@ -198,7 +202,7 @@ def picture_grid(pictures: Sequence[Picture], captions: Sequence[str], columns: 
             f"and sizes {sorted({p.shape[:2] for p in pictures})}"
         )
     panels = [_captioned(p, text) for p, text in zip(pictures, captions, strict=True)]
-    empty = np.full_like(panels[0], _BACKGROUND)
+    empty = np.full_like(panels[0], BACKGROUND)
     panels += [empty] * (-len(panels) % columns)
     rows = [np.hstack(panels[k : k + columns]) for k in range(0, len(panels), columns)]
     return np.vstack(rows)
@@ -213,7 +217,7 @@ def draw_bar(picture: Picture, near: float = NEAR, far: float = FAR) -> Picture:
     result = picture.copy()
     x, y = 10, height - 14 - thick
     result[y - 16 : y + thick + 4, x - 4 : x + length + 24] //= 3
-    result[y : y + thick, x : x + length] = _turbo(np.linspace(0, 1, length))[None]
+    result[y : y + thick, x : x + length] = _viridis(np.linspace(0, 1, length))[None]
     for depth in _TICKS:
         if near <= depth <= far:
             place = x + round((length - 1) * np.log(depth / near) / np.log(far / near))
@@ -222,23 +226,24 @@ def draw_bar(picture: Picture, near: float = NEAR, far: float = FAR) -> Picture:
     return result
 
 
-def _turbo(share: NDArray[np.floating[Any]]) -> Picture:
-    """Colours of numbers from 0 (red) to 1 (blue); shape (...) to (..., 3)."""
+def _viridis(share: NDArray[np.floating[Any]]) -> Picture:
+    """Colours of numbers from 0 (yellow) to 1 (violet); shape (...) to (..., 3)."""
     steps = np.rint(255 * (1 - np.clip(share, 0, 1))).astype(np.uint8)
-    # The ends of turbo are nearly black and hard to tell apart.
+    # The dark end of viridis is hard to tell from where there is no depth.
     table = cv2.applyColorMap(
-        np.linspace(18, 238, 256).astype(np.uint8)[:, None], cv2.COLORMAP_TURBO
+        np.linspace(20, 255, 256).astype(np.uint8)[:, None], cv2.COLORMAP_VIRIDIS
     )
     return np.asarray(table[:, 0][steps], np.uint8)
 
 
-def _draw(
+def draw_classes(
     picture: Picture,
-    rows: NDArray[np.floating[Any]],
-    columns: NDArray[np.floating[Any]],
+    rows: NDArray[np.floating[Any] | np.integer[Any]],
+    columns: NDArray[np.floating[Any] | np.integer[Any]],
     classid: NDArray[np.uint16],
-    truth: NDArray[np.bool_] | None,
+    truth: NDArray[np.bool_] | None = None,
 ) -> None:
+    """Draw the classes of points (N,) at their rows and columns; ``truth`` as elsewhere."""
     height, width = picture.shape[:2]
     inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
     dynamic, ground = classid >= DYNAMIC, classid < STATIC
@@ -256,7 +261,7 @@ def _draw(
 
 
 def _captioned(picture: Picture, caption: str) -> Picture:
-    strip = np.full((26, picture.shape[1], 3), _BACKGROUND, np.uint8)
+    strip = np.full((26, picture.shape[1], 3), BACKGROUND, np.uint8)
     _text(strip, caption, (8, 18), 0.5)
     return np.vstack([strip, picture])
 

@@ -1,14 +1,72 @@
-"""The report of a run: its pictures and figures on one page, ``report/index.html``."""
+"""The report of a run: one page that shows what was made and how, ``report/index.html``."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+import logging
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from docdepth import __version__
+from docdepth.config import Parameters
+from docdepth.datasets.base import CameraStream
+from docdepth.errors import RunError
+from docdepth.geometry.track import KINDS, Track
+from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
-from docdepth.visualization.page import head, table
+from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.parameter_table import parameter_table
+from docdepth.visualization import report_map
+from docdepth.visualization.drive_map import drive_map
+from docdepth.visualization.image_views import CONFIDENCE_COLORS, DOUBTFUL, SEEN_COLORS
+from docdepth.visualization.page import head, scale, swatches, table
+from docdepth.visualization.pictures import (
+    BACKGROUND,
+    DYNAMIC_COLOR,
+    FAR,
+    GROUND_COLOR,
+    NEAR,
+    STATIC_COLOR,
+    TRACK_COLORS,
+    colorize,
+)
+from docdepth.visualization.report_images import CameraPage, camera_pages
+
+log = logging.getLogger(__name__)
+
+HELD_OUT = "held_out.json"
+"""File in a camera's folder of ``report/``: its errors against sweeps that were left out."""
+
+_STYLE = (
+    report_map.STYLE
+    + """
+.warnings { border-left: 4px solid #d55e00; padding: .2em 1em; background: #fff4ec }
+.views { background: #181818; min-height: 60px } .views img { display: block; width: 100% }
+[hidden], .views img[hidden] { display: none }
+.bar { display: flex; height: 1.1em; background: #eee; min-width: 160px; width: 30vw;
+  max-width: 420px } .bar i { background: #003c96 }
+.chart { display: grid; grid-template-columns: auto 1fr; gap: 0 .5em; font-size: 13px }
+.chart div { display: flex; flex-direction: column; justify-content: space-between }
+.chart .x { flex-direction: row } .chart svg { width: 100%; height: 90px; border: 1px solid #ccc }
+.chart polyline { fill: none; stroke: #003c96; stroke-width: 2px;
+  vector-effect: non-scaling-stroke } .times td:not(.note) { white-space: nowrap }
+.times .note { min-width: 300px }
+"""
+)
+_DENSITIES = 2000  # points of the curve of a camera
+_TICKS = (3, 5, 10, 20, 40, 80)
+_VIEWS = {
+    "image": "image",
+    "depth": "depth",
+    "class": "classes and tracks",
+    "confidence": "confidence",
+    "seen": "seen by rays",
+    "instance": "instances",
+}
 
 
 def index_is_whole(run: RunFolder) -> bool:
@@ -16,66 +74,259 @@ def index_is_whole(run: RunFolder) -> bool:
     return run.records(run.path / "report").state("index.html") == "whole"
 
 
-def write_index(run: RunFolder) -> Path:
-    """Write ``report/index.html``, which shows the files in ``report/``.
+def write_report(run: RunFolder, streams: Mapping[str, CameraStream]) -> Path:
+    """Write ``report/index.html``: pictures, figures and parameters of a run in one file.
+
+    The file needs nothing else and stays below 15 MB however long the drive is.
 
     Parameters
     ----------
     run : RunFolder
+        With classified frames; cameras without depth maps are left out.
+    streams : mapping of str to CameraStream
+        Cameras by name; without one its images are left out.
 
     Returns
     -------
     Path
         Of the page.
+
+    Raises
+    ------
+    DatasetError, RunError
+        A file of the run, or an image, is missing or damaged.
     """
-    report = run.path / "report"
-    title = f"docdepth: {run.path.resolve().name}"
+    trajectory = run.trajectory()
+    tracks = read_tracks(run.path / TRACKS) if (run.path / TRACKS).is_file() else []
+    cameras = [page for page in camera_pages(run, streams, tracks) if page.moments]
     parts = [
-        head(title),
-        table((), _facts(run)),
-        table(("stage", "frames", "seconds", "seconds by part"), _stages(run)),
-        *(_pictures(report, report / str(camera["folder"])) for camera in run.cameras.values()),
+        head(f"docdepth: {run.path.resolve().name}", _STYLE),
+        f"<p>{escape(_summary(run, trajectory, tracks, cameras))}</p>",
+        _warnings(run),
+        "<h2>The drive from above</h2>",
+        report_map.map_section(drive_map(run), trajectory, tracks),
+        *(_camera(run, page, trajectory) for page in cameras),
+        "<h2>Time</h2>",
+        _time(run),
+        "<h2>Parameters</h2>",
+        _parameters(run.parameters),
+        "<h2>Inputs</h2>",
+        table((), _inputs(run)),
+        f"<script>{Path(__file__).with_name('report.js').read_text(encoding='utf-8')}</script>",
     ]
-    path = report / "index.html"
+    path = run.path / "report" / "index.html"
     content = "\n".join(parts).encode(errors="replace")  # the name of the folder may be no text
     run.write(path, lambda stream: stream.write(content), {})
     return path
 
 
-def _facts(run: RunFolder) -> Iterable[tuple[str, str]]:
-    yield "recording", str(run.manifest["source"].get("dataset", "unknown"))
-    yield "docdepth", f"{__version__}, preset {run.parameters.preset}"
-    for name in run.cameras:
-        stage = run.stage(f"render {name}")
-        density = f", {100 * stage['density']:.1f} % of the pixels" if "density" in stage else ""
-        yield f"depth of {name}", f"{stage.get('all_frames', 0)} images{density}"
-        if stage.get("left_out"):
-            yield "images outside the sweeps, left out", ", ".join(stage["left_out"])
-        yield f"renderer of {name}", str(stage.get("renderer", ""))
-    for text in run.manifest.get("warnings", []):
-        yield "warning of the inputs", text
+def keep_held_out(run: RunFolder, camera: str | None, errors: Mapping[str, Any]) -> None:
+    """Keep errors against held-out sweeps; the report shows them as long as the depth stays.
+
+    Nothing is kept in a folder without depth maps of docdepth. Where the folder cannot be written,
+    a warning says so.
+
+    Parameters
+    ----------
+    run : RunFolder
+    camera : str, optional
+        Needed if the run has several.
+    errors : mapping
+        A table: ``title``, ``header``, ``rows`` and ``note``, all texts.
+    """
+    folder = run.depth_folder(camera)
+    made_of = run.stage(f"render {run.camera_in(folder)}").get("key")
+    if made_of is None:
+        return
+    content = json.dumps(errors, indent=1).encode()
+    path = run.path / "report" / folder / HELD_OUT
+    try:
+        with run.lock("evaluate"):
+            run.write(path, lambda stream: stream.write(content), {"render": made_of})
+    except (OSError, RunError) as error:
+        log.warning("the errors are not kept for the report: %s", error)
+
+
+def _summary(
+    run: RunFolder, trajectory: Trajectory, tracks: Sequence[Track], cameras: Sequence[CameraPage]
+) -> str:
+    seconds = float(trajectory.times[-1] - trajectory.times[0]) * 1e-9
+    kinds = [(kind, sum(track.kind == kind for track in tracks)) for kind in KINDS]
+    objects = ", ".join(
+        f"{count} {kind}{'s' if count > 1 and kind != 'other' else ''}"
+        for kind, count in kinds
+        if count
+    )
+    recording = Path(str(run.manifest["source"].get("dataset") or "unknown recording")).name
+    parts = [
+        f"{recording}: {len(trajectory)} sweeps in {seconds:.1f} s, "
+        f"{trajectory.arc_length[-1]:.0f} m driven",
+        f"{len(tracks)} moving objects" + f" ({objects})" * bool(tracks),
+    ]
+    for page in cameras:
+        mean = np.mean([share for _, share in page.density])
+        parts.append(f"{len(page.density)} depth maps of {page.name}, {mean:.1%} of pixels filled")
+    return "; ".join(parts) + "."
+
+
+def _warnings(run: RunFolder) -> str:
+    found = [("inputs", text) for text in run.manifest.get("warnings", [])]
     for name, stage in run.manifest["stages"].items():
-        for text in stage.get("warnings", []):
-            yield f"warning of {name}", text
+        found += [(name, text) for text in stage.get("warnings", [])]
+        if stage.get("left_out"):
+            found.append((name, f"images outside the sweeps, left out: {_few(stage['left_out'])}"))
+    if not found:
+        return "<p>No warnings.</p>"
+    lines = (f"<li><b>{escape(name)}</b>: {escape(text)}" for name, text in found)
+    return f"<div class=warnings>Warnings<ul>{''.join(lines)}</ul></div>"
 
 
-def _stages(run: RunFolder) -> Iterable[tuple[str, ...]]:
-    for name, state in run.manifest["stages"].items():
+def _few(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) <= 10 else f"{len(names)} from {names[0]} to {names[-1]}"
+
+
+def _camera(run: RunFolder, page: CameraPage, trajectory: Trajectory) -> str:
+    """Images of a camera to flip between, its density and its held-out errors."""
+    start = int(trajectory.times[0])
+    views = [view for view in _VIEWS if any(view in m.views for m in page.moments)]
+    first = "depth"
+    views.sort(key=lambda view: view != first)  # the page opens with what it is about
+    pictures = [
+        f'<img src="{moment.views[view]}" data-image={k} data-view={view} '
+        f'alt="{_VIEWS[view]}"{"" if k == 0 and view == first else " hidden"}>'
+        for k, moment in enumerate(page.moments)
+        for view in views
+        if view in moment.views
+    ]
+    names = [
+        f"<span class=name data-of={k} data-seconds={(m.time - start) * 1e-9:.3f}"
+        f"{' hidden' if k else ''}>image {escape(m.name)} at {(m.time - start) * 1e-9:.1f} s</span>"
+        for k, m in enumerate(page.moments)
+    ]
+    buttons = [f"<button data-choose={view}>{_VIEWS[view]}</button>" for view in views]
+    legends = [
+        f"<div data-of={view}{'' if view == first else ' hidden'}>{_legend(view)}</div>"
+        for view in views
+    ]
+    return "\n".join([
+        f"<section class=camera><h2>Camera {escape(page.name)}</h2>",
+        f"<div class=row style='flex-wrap:wrap'>{''.join(buttons)}</div>",
+        f"<div class=views>{''.join(pictures)}</div>{''.join(legends)}",
+        "<div class=row><button class=before aria-label='image before'>&larr;</button>",
+        f"<input type=range min=0 max={len(page.moments) - 1} value=0 aria-label=image>",
+        "<button class=after aria-label='next image'>&rarr;</button></div>",
+        f"<p>{''.join(names)} <span class=note>({len(page.moments)} of {len(page.density)} "
+        "images; keys: arrows and 1, 2, 3 ...)</span></p>",
+        _density(page.density, start),
+        _held_out(run, page.name),
+        "</section>",
+    ])  # fmt: skip
+
+
+def _legend(view: str) -> str:
+    if view == "depth":
+        colors = colorize(np.geomspace(NEAR, FAR, 24)[None], bar=False)[0]
+        span = np.log(FAR / NEAR)
+        ticks = [(np.log(t / NEAR) / span, f"{t} m") for t in _TICKS]
+        return scale(colors, ticks) + swatches([([(BACKGROUND,) * 3], "no depth")])
+    if view == "class":
+        return swatches([
+            ([GROUND_COLOR], "ground"),
+            ([STATIC_COLOR], "static"),
+            ([DYNAMIC_COLOR], "moving"),
+            (TRACK_COLORS, "boxes of moving objects, with their numbers"),
+        ])  # fmt: skip
+    if view == "confidence":
+        middle = (1 + DOUBTFUL) / 2
+        marks = [(0.0, f"{DOUBTFUL:g} or less"), (0.5, f"{middle:g}"), (1.0, "1: depth is right")]
+        return scale(CONFIDENCE_COLORS[::16], marks)
+    if view == "seen":
+        meanings = ("no ray near this time", "a ray agrees", "a ray contradicts the depth")
+        return swatches(([color], text) for color, text in zip(SEEN_COLORS, meanings, strict=True))
+    if view == "instance":
+        return swatches([(TRACK_COLORS, "moving objects; dark: all that stands")])
+    return ""
+
+
+def _density(density: Sequence[tuple[int, float]], start: int) -> str:
+    """Share of pixels with depth over time, from 0 to 100 %."""
+    drawn = report_map.thinned(
+        np.array([((t - start) * 1e-9, 100 - 100 * s) for t, s in density]), _DENSITIES
+    )
+    points = " ".join(f"{seconds:.3f},{missing:.2f}" for seconds, missing in drawn)
+    first, last = ((density[k][0] - start) * 1e-9 for k in (0, -1))
+    shares = [share for _, share in density]
+    return (
+        f"<p>Pixels with depth: {np.mean(shares):.1%} on average, {min(shares):.1%} to "
+        f"{max(shares):.1%}</p><div class=chart><div><span>100 %</span><span>0 %</span></div>"
+        f'<svg viewBox="{first:.3f} 0 {max(last - first, 0.001):.3f} 100" '
+        f'preserveAspectRatio=none><polyline points="{points}"/></svg>'
+        f"<div></div><div class=x><span>{first:.1f} s</span><span>{last:.1f} s</span></div></div>"
+    )
+
+
+def _held_out(run: RunFolder, camera: str) -> str:
+    path = run.path / "report" / run.cameras[camera]["folder"] / HELD_OUT
+    if run.key(path) != {"render": run.stage(f"render {camera}").get("key")}:
+        return (
+            "<p class=note>Errors against sweeps that were left out are not measured yet: docdepth "
+            "evaluate held-out RUN, then docdepth report RUN</p>"
+        )
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    rows = (tuple(row) for row in kept["rows"])
+    return (
+        f"<h3>{escape(kept['title'])}</h3>{table(tuple(kept['header']), rows)}"
+        f"<p class=note>{escape(kept['note'])}</p>"
+    )
+
+
+def _time(run: RunFolder) -> str:
+    """Seconds of each stage, as bars, with its parts."""
+    stages = run.manifest["stages"]
+    totals = {n: float(s.get("total_seconds", s.get("wall_seconds", 0))) for n, s in stages.items()}
+    longest = max(totals.values(), default=0.0) or 1.0
+    rows = []
+    for name, state in stages.items():
         spent = sorted(state.get("seconds", {}).items(), key=lambda item: -item[1])
         parts = ", ".join(f"{part} {seconds:.1f}" for part, seconds in spent)
-        spent_in_all = f"{state.get('total_seconds', state.get('wall_seconds', 0)):.1f}"
-        yield name, str(state.get("all_frames", "")), spent_in_all, parts
-
-
-def _pictures(report: Path, folder: Path) -> str:
-    lines = [f"<h2>{escape(folder.name)}</h2>"] if folder != report else []
-    if (folder / "video.webm").is_file():
-        link = escape((folder / "video.webm").relative_to(report).as_posix())
-        lines.append(f'<p><video controls loop preload=metadata src="{link}"></video></p>')
-    for picture in sorted(folder.glob("*.jpg")):
-        link = escape(picture.relative_to(report).as_posix())
-        lines.append(
-            f'<figure><img loading=lazy src="{link}" alt=""><figcaption>{escape(picture.stem)}'
-            "</figcaption></figure>"
+        frames = state.get("all_frames", 0)
+        each = f"{totals[name] / frames:.2f} s" if frames else ""
+        rows.append(
+            f"<tr><td>{escape(name)}<td><div class=bar><i style='width:"
+            f"{100 * totals[name] / longest:.1f}%'></i></div><td>{totals[name]:.1f} s<td>{frames}"
+            f"<td>{each}<td class=note>{escape(parts)}"
         )
-    return "\n".join(lines)
+    header = ("stage", "", "time", "frames", "a frame", "parts [s], several at a time")
+    return (
+        f"<table class=times><tr>{''.join(f'<th>{name}' for name in header)}{''.join(rows)}</table>"
+    )
+
+
+def _parameters(chosen: Parameters) -> str:
+    values = chosen.model_dump(mode="json")
+    rows = []
+    for known in parameter_table():
+        stage, _, name = known["name"].partition(".")
+        value, default = values[stage][name], known["default"]
+        if value != (list(default) if isinstance(default, tuple) else default):
+            unit = f" {known['unit']}" if known["unit"] else ""
+            rows.append((known["name"], f"{_shown(value)}{unit}", f"{_shown(default)}{unit}",
+                         known["description"]))  # fmt: skip
+    if not rows:
+        return f"<p>Preset {escape(chosen.preset)}; every parameter has its default.</p>"
+    header = ("parameter", "value", "default", "what it is")
+    return f"<p>Preset {escape(chosen.preset)}; these differ from the default.</p>" + table(
+        header, rows
+    )
+
+
+def _shown(value: Any) -> str:
+    return ", ".join(map(str, value)) or "none" if isinstance(value, list | tuple) else f"{value}"
+
+
+def _inputs(run: RunFolder) -> Iterator[tuple[str, str]]:
+    yield "docdepth", __version__
+    source: Iterable[tuple[str, Any]] = run.manifest["source"].items()
+    yield from ((name, str(value)) for name, value in source if value is not None)
+    for name in run.cameras:
+        yield f"renderer of {name}", str(run.stage(f"render {name}").get("renderer", ""))

@@ -1,10 +1,10 @@
-"""A video of a run: the camera images above the colours of their depth."""
+"""Videos of a run: the camera images above the colours of their depth, and sweeps from above."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -13,10 +13,17 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
+from docdepth.geometry.track import Track
+from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.visualization import pictures as visualize
-from docdepth.visualization.report import write_index
+from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.visualization.image_views import box_corners, track_color, write_text
+from docdepth.visualization.pictures import BACKGROUND, Picture, colorize, draw_classes
+
+_ABOVE = (1280, 960)  # width and height of the video from above [pixels]
+_REACH = 50.0  # from the LiDAR to the left and right edge [m]
+_PAST = 2_000_000_000  # of which tracks draw their path [ns]
 
 
 def write_video(
@@ -67,32 +74,122 @@ def write_video(
         pause = np.diff([times[name] for name in names]) * 1e-9
         fps = float(1 / np.median(pause)) if len(pause) else 1.0
     images = {name: k for k, name in enumerate(stream.names)} if stream else {}
+
+    def frames() -> Iterator[Picture]:
+        for name in names:
+            image = stream.rectified_image(images[name]) if stream and name in images else None
+            yield _frame(read_depth(maps[name]), image)
+
+    key = {"render": run.recorded_key(depths / DESCRIPTION).get("render", "")}
     path = run.path / "report" / folder / "video.webm"
-    part = path.with_name(".video.part.webm")
+    return _write(run, path, frames(), len(names), fps, key, progress)
+
+
+def write_video_from_above(
+    run: RunFolder,
+    fps: float | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Path:
+    """Write the sweeps from above, with classes and tracks, to ``report/above.webm``.
+
+    The LiDAR stays in the middle and the world's x points to the right. Ground is blue, what stands
+    grey, what moves orange. Boxes have the colours and numbers of their tracks; lines tell where
+    they were in the last seconds.
+
+    Parameters
+    ----------
+    run : RunFolder
+        With classified frames.
+    fps : float, optional
+        Sweeps per second; the recorded rate if absent.
+    progress : callable, optional
+        As for :func:`write_video`.
+
+    Raises
+    ------
+    RunError
+        A frame is missing or not classified, or the video cannot be written.
+    """
+    trajectory = run.trajectory()
+    if fps is None:
+        fps = float(1e9 / np.median(np.diff(trajectory.times))) if len(trajectory) > 1 else 1.0
+    tracks = read_tracks(run.path / TRACKS) if (run.path / TRACKS).is_file() else []
+    frames = (sweep_from_above(run, trajectory, tracks, k) for k in range(len(trajectory)))
+    key = {"classify": run.stage("classify").get("key", "")}
+    path = run.path / "report" / "above.webm"
+    return _write(run, path, frames, len(trajectory), fps, key, progress)
+
+
+def sweep_from_above(
+    run: RunFolder, trajectory: Trajectory, tracks: Sequence[Track], index: int
+) -> Picture:
+    """One picture of :func:`write_video_from_above`."""
+    record, classid = run.classified_frame(index)
+    pose, time = trajectory.poses[index], int(trajectory.times[index])
+    middle, scale = pose[:2, 3], _ABOVE[0] / (2 * _REACH)
+
+    def pixels(places: NDArray[np.floating]) -> NDArray[np.int64]:
+        return np.rint((places[:, :2] - middle) * (scale, -scale) + np.array(_ABOVE) / 2).astype(
+            int
+        )
+
+    finite = np.isfinite(record.points).all(axis=1)
+    columns, rows = pixels(record.points[finite] @ pose[:3, :3].T + pose[:3, 3]).T
+    picture = np.full((_ABOVE[1], _ABOVE[0], 3), BACKGROUND, np.uint8)
+    draw_classes(picture, rows, columns, classid[finite])
+    for track in tracks:
+        if not track.covers(time):
+            continue
+        color = track_color(track.id)
+        past = track.poses[(track.times <= time) & (track.times > time - _PAST)][:, :3, 3]
+        cv2.polylines(picture, [pixels(past).astype(np.int32)], False, color, 1, cv2.LINE_AA)
+        T = track.pose_at(time)
+        corners = pixels(box_corners(track)[:4] @ T[:3, :3].T + T[:3, 3])
+        cv2.polylines(picture, [corners.astype(np.int32)], True, color, 2, cv2.LINE_AA)
+        front = corners[:2].astype(np.int32)
+        cv2.line(picture, front[0].tolist(), front[1].tolist(), (255, 255, 255), 2, cv2.LINE_AA)
+        write_text(picture, str(track.id), tuple(corners.max(axis=0).tolist()), color)
+    start, end = pixels(np.array([pose[:3, 3], pose[:3, 3] + 3 * pose[:3, 0]])).tolist()
+    cv2.arrowedLine(picture, start, end, (255, 255, 255), 2, cv2.LINE_AA, tipLength=0.4)
+    seconds = (time - int(trajectory.times[0])) * 1e-9
+    write_text(picture, f"sweep {index}, {seconds:.1f} s", (10, 24), (255, 255, 255))
+    left, right = (10, _ABOVE[1] - 14), (10 + round(10 * scale), _ABOVE[1] - 14)
+    cv2.line(picture, left, right, (255, 255, 255), 2)
+    write_text(picture, "10 m", (14, _ABOVE[1] - 22), (255, 255, 255))
+    return picture
+
+
+def _write(
+    run: RunFolder,
+    path: Path,
+    frames: Iterable[Picture],
+    count: int,
+    fps: float,
+    key: dict[str, str],
+    progress: Callable[[str, int, int], None] | None,
+) -> Path:
+    """Encode frames to a video of a run."""
+    part = path.with_name(f".{path.stem}.part.webm")
     path.parent.mkdir(parents=True, exist_ok=True)
     writer: cv2.VideoWriter | None = None
     # OpenCV opens no path that is not UTF-8, so it gets the folder as a number.
     opened = os.open(path.parent, os.O_RDONLY)
     named = Path(f"/proc/self/fd/{opened}") / part.name
     try:
-        for done, name in enumerate(names):
-            image = stream.rectified_image(images[name]) if stream and name in images else None
-            frame = _frame(read_depth(maps[name]), image)
+        for done, frame in enumerate(frames):
             if writer is None:
                 writer = _writer(named, fps, frame)
             writer.write(frame)
             if progress:
-                progress("video", done + 1, len(names))
+                progress("video", done + 1, count)
         if writer is not None:
             writer.release()
-        if _frames(named) != len(names):  # OpenCV does not report errors
+        if _frames(named) != count:  # OpenCV does not report errors
             raise RunError(
                 f"cannot write {path}: OpenCV stopped early; make room on the disk and try again"
             )
-        made_of = run.recorded_key(depths / DESCRIPTION).get("render", "")
         with run.lock("video"):
-            run.move_into_place(part, path, {"render": made_of})
-            write_index(run)
+            run.move_into_place(part, path, key)
     finally:
         part.unlink(missing_ok=True)
         os.close(opened)
@@ -122,7 +219,7 @@ def _times(path: Path) -> dict[str, int]:
 
 
 def _frame(depth: NDArray[np.float32], image: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
-    colours = visualize.colorize(depth)
+    colours = colorize(depth)
     both = colours if image is None else np.vstack([image, colours])
     # VP8 needs even sizes.
     padding = (0, both.shape[0] % 2, 0, both.shape[1] % 2)

@@ -5,18 +5,25 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import BackendError, RunError
+from docdepth.datasets.base import CameraStream
+from docdepth.errors import BackendError, InputError, RunError
 from docdepth.geometry.se3 import inverse
 from docdepth.io.run_folder import RunFolder
-from docdepth.visualization.geometries import open3d_module, run_geometries
+from docdepth.visualization.geometries import Coloring, open3d_module, run_geometries
 
+Scene: TypeAlias = tuple[dict[str, Any], NDArray[np.float64]]
+"""Geometries, and the pose of the LiDAR that they belong to."""
+
+_STEPS = {262: 1, 263: -1, 266: -10, 267: 10}  # GLFW: right, left, page up, page down
 _BACKGROUND = (0.09, 0.09, 0.09)
 _POINT_SIZE = 2.0  # pixels
 _WINDOW = {"window_name": "docdepth", "width": 1600, "height": 900}
@@ -31,11 +38,16 @@ def view_run(
     around: int = 0,
     depth: bool = True,
     image: Path | None = None,
+    color: Coloring = "class",
+    stream: CameraStream | None = None,
 ) -> None:
-    """Show a sweep of a run in a window, with the trajectory, the cameras and a depth map.
+    """Show a sweep of a run in a window, with tracks, trajectory, cameras and a depth map.
 
-    Ground is olive, static points are light grey, dynamic points red. The depth map nearest in time
-    to the sweep is back-projected and coloured by depth.
+    Ground is blue, static points are light grey, dynamic points orange. Boxes have the colours of
+    their tracks, with a line ahead. The depth map nearest in time to the sweep is back-projected,
+    in the colours of its image or else of depth. The image stands in its frustum. Keys: right and
+    left go to the next sweep and back, page down and page up by ten, C colours by class, votes or
+    instance.
 
     Parameters
     ----------
@@ -51,28 +63,64 @@ def view_run(
         Show cameras and the depth map.
     image : Path, optional
         Write a PNG of the view instead of opening a window; needs no display.
+    color : {"class", "votes", "instance"}
+        What the colours of points say. Votes go from grey, static, to orange, dynamic.
+    stream : CameraStream, optional
+        The camera; its images are shown.
 
     Raises
     ------
     BackendError
         There is no display.
     InputError
-        The run has no such sweep.
+        The run has no such sweep, or no votes or instances.
     MissingExtraError
         Open3D is not installed.
     RunError
         The sweep is not classified.
     """
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
-    geometries = run_geometries(folder, frame, camera, around, depth)
     poses = folder.trajectory().poses
-    show(geometries, poses[len(poses) // 2 if frame is None else frame], image)
+    frame = len(poses) // 2 if frame is None else frame
+    shown = _Shown(folder, poses, frame, color, (camera, around, depth), stream)
+    geometries, pose = shown.go(0)
+    keys = {key: partial(shown.go, by) for key, by in _STEPS.items()} | {ord("C"): shown.recolor}
+    show(geometries, pose, image, keys)
+
+
+@dataclass
+class _Shown:
+    """What a window shows of a run."""
+
+    run: RunFolder
+    poses: NDArray[np.float64]
+    frame: int
+    color: Coloring
+    chosen: tuple[str | None, int, bool]
+    stream: CameraStream | None
+
+    def go(self, by: int) -> Scene:
+        """Go on by some sweeps, not beyond the ends."""
+        if by:
+            self.frame = min(max(self.frame + by, 0), len(self.poses) - 1)
+        geometries = run_geometries(self.run, self.frame, *self.chosen, self.color, self.stream)
+        return geometries, self.poses[self.frame]
+
+    def recolor(self) -> Scene:
+        """Colour points by the next of class, votes and instance that the run has."""
+        colorings: tuple[Coloring, ...] = get_args(Coloring)
+        for _ in colorings:
+            self.color = colorings[(colorings.index(self.color) + 1) % len(colorings)]
+            with contextlib.suppress(InputError):
+                return self.go(0)
+        return self.go(0)
 
 
 def show(
     geometries: Mapping[str, Any],
     T_world_lidar: NDArray[np.float64] | None = None,
     image: Path | None = None,
+    keys: Mapping[int, Callable[[], Scene]] | None = None,
 ) -> None:
     """Show Open3D geometries in a window, or write a PNG of them.
 
@@ -84,6 +132,9 @@ def show(
         The view starts behind and above this pose; otherwise it shows everything.
     image : Path, optional
         Write a PNG instead of opening a window; needs no display.
+    keys : mapping of int to callable, optional
+        Give other geometries and their pose when a key (GLFW's number) is pressed. The view follows
+        the pose.
 
     Raises
     ------
@@ -97,7 +148,7 @@ def show(
         raise BackendError(
             "no display to open a window on (DISPLAY is not set); write an image instead"
         )
-    window = o3d.visualization.Visualizer()
+    window = o3d.visualization.VisualizerWithKeyCallback()
     if not window.create_window(visible=image is None, **_WINDOW):
         raise BackendError("Open3D cannot render here: neither a display nor EGL is available")
     try:
@@ -105,11 +156,12 @@ def show(
             window.add_geometry(geometry)
         options = window.get_render_option()
         options.background_color, options.point_size = np.array(_BACKGROUND), _POINT_SIZE
+        options.mesh_show_back_face = True  # images are seen from behind their cameras
         if T_world_lidar is not None:
-            control = window.get_view_control()
-            view = control.convert_to_pinhole_camera_parameters()
-            view.extrinsic = inverse(T_world_lidar @ _viewer_pose())
-            control.convert_from_pinhole_camera_parameters(view, allow_arbitrary=True)
+            _look_from(window, T_world_lidar @ _viewer_pose())
+            stage = _Stage(dict(geometries), T_world_lidar)
+            for key, change in (keys or {}).items():
+                window.register_key_callback(key, partial(stage.change, change))
         if image is None:
             window.run()
         else:
@@ -118,6 +170,36 @@ def show(
             _capture(window, image)
     finally:
         window.destroy_window()
+
+
+@dataclass
+class _Stage:
+    """The geometries in a window and the pose that they belong to."""
+
+    geometries: dict[str, Any]
+    T_world_lidar: NDArray[np.float64]
+
+    def change(self, new: Callable[[], Scene], window: Any) -> bool:
+        """Replace the geometries; the view stays where it was, seen from the LiDAR."""
+        T_world_viewer = inverse(_view_of(window).extrinsic)
+        T_lidar_viewer = inverse(self.T_world_lidar) @ T_world_viewer
+        for geometry in self.geometries.values():
+            window.remove_geometry(geometry, reset_bounding_box=False)
+        self.geometries, self.T_world_lidar = new()
+        for geometry in self.geometries.values():
+            window.add_geometry(geometry, reset_bounding_box=False)
+        _look_from(window, self.T_world_lidar @ T_lidar_viewer)
+        return True
+
+
+def _view_of(window: Any) -> Any:
+    return window.get_view_control().convert_to_pinhole_camera_parameters()
+
+
+def _look_from(window: Any, T_world_viewer: NDArray[np.float64]) -> None:
+    view = _view_of(window)
+    view.extrinsic = inverse(T_world_viewer)
+    window.get_view_control().convert_from_pinhole_camera_parameters(view, allow_arbitrary=True)
 
 
 def _capture(window: Any, image: Path) -> None:

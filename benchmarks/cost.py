@@ -1,0 +1,154 @@
+"""Processor and wall time of a whole run by stage, beside KISS-ICP alone on the same sweeps.
+
+    python benchmarks/cost.py DRIVE [--frames 0:60] [--repeat 5] [--code OTHER/python]
+
+``docdepth run`` (default and paper) and KISS-ICP take turns, each in a process of its own, so that
+a slow moment of the machine hits all of them. Processor time is user and system time of all threads
+and children. KISS-ICP reads the sweeps through docdepth, deskews them and has its own settings.
+Ratios are medians of those of each turn. ``--code`` measures another version of docdepth, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+STAGES = {"run_odometry": "odometry", "run_classify": "classify", "run_render": "render"}
+Times = dict[str, tuple[float, float]]
+"""Processor and wall seconds by stage; ``all`` includes start and end of the process."""
+
+
+def clocks() -> tuple[float, float]:
+    """Processor time of this process and its children, and wall time [s]."""
+    return sum(os.times()[:4]), time.perf_counter()
+
+
+def measured(work: Callable[[], object]) -> tuple[float, float]:
+    before = clocks()
+    work()
+    after = clocks()
+    return after[0] - before[0], after[1] - before[1]
+
+
+def run_docdepth(drive: str, frames: str, preset: str) -> tuple[Times, int]:
+    """Times of the stages of a run, and its sweeps."""
+    import docdepth.pipeline.run as pipeline
+    from docdepth import cli
+
+    times: Times = {}
+    for name, stage in STAGES.items():
+        function = getattr(pipeline, name)
+
+        def timed(*args: Any, of: Any = function, stage: str = stage, **named: Any) -> None:
+            times[stage] = measured(lambda: of(*args, **named))
+
+        setattr(pipeline, name, timed)
+    cli.keep_memory()
+    if hasattr(cli, "take_one_blas_thread"):
+        cli.take_one_blas_thread()
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(folder) / "run"
+        command = ["run", drive, "-o", str(run), "--preset", preset, "--frames", frames, "-q"]
+        cli.app(command, standalone_mode=False)
+        return times, len(list((run / "frames").glob("*.ply")))
+
+
+def run_kiss_icp(drive: str, frames: str) -> tuple[Times, int]:
+    """KISS-ICP with its own settings: points up to 100 m, as docdepth, in voxels of 1 m."""
+    import numpy as np
+    from kiss_icp.config import load_config
+    from kiss_icp.kiss_icp import KissICP
+
+    from docdepth.datasets import open_dataset
+
+    first, last = (int(part) for part in frames.split(":"))
+    dataset = open_dataset(Path(drive))
+    odometry = KissICP(load_config(None))
+    sweeps = range(first, min(last, len(dataset)))
+
+    def register() -> None:
+        for k in sweeps:
+            sweep = dataset.sweep(k)
+            usable = np.isfinite(sweep.points).all(axis=1) & sweep.points.any(axis=1)
+            times = sweep.relative_time
+            none = np.empty(0)
+            odometry.register_frame(
+                sweep.points[usable].astype(np.float64),
+                none if times is None else times[usable].astype(np.float64),
+            )
+
+    return {"odometry": measured(register)}, len(sweeps)
+
+
+def run_child(job: str, options: argparse.Namespace, code: str | None) -> tuple[Times, int]:
+    """One job in a process of its own."""
+    environment = dict(os.environ)
+    if code:
+        environment["PYTHONPATH"] = code
+    command = [sys.executable, __file__, options.drive, "--frames", options.frames, "--job", job]
+    before = clocks()
+    result = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    after = clocks()
+    told = json.loads(result.stdout.splitlines()[-1])
+    times = {stage: (cpu, wall) for stage, (cpu, wall) in told["times"].items()}
+    times["all"] = (after[0] - before[0], after[1] - before[1])
+    return times, told["sweeps"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("drive")
+    parser.add_argument("--frames", default="0:60", help="sweeps A to B-1")
+    parser.add_argument("--repeat", type=int, default=5, help="turns")
+    parser.add_argument("--code", help="python folder of another version, measured too")
+    parser.add_argument("--job", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.job:
+        kiss = options.job == "KISS-ICP"
+        found = run_kiss_icp(options.drive, options.frames) if kiss else None
+        times, sweeps = found or run_docdepth(options.drive, options.frames, options.job)
+        print(json.dumps({"times": times, "sweeps": sweeps}))
+        return
+    jobs = {"KISS-ICP": ("KISS-ICP", None), "default": ("default", None), "paper": ("paper", None)}
+    if options.code:
+        jobs["other default"] = ("default", options.code)
+    turns: list[dict[str, Times]] = []
+    sweeps = 1
+    for turn in range(options.repeat):
+        turns.append({})
+        for name, (job, code) in jobs.items():
+            turns[-1][name], sweeps = run_child(job, options, code)
+            print(f"turn {turn + 1}: {name}", file=sys.stderr)
+    print_table(turns, sweeps)
+
+
+def print_table(turns: list[dict[str, Times]], sweeps: int) -> None:
+    """Medians per sweep [ms], and of the ratios to KISS-ICP's registration in the same turn."""
+    print(f"{sweeps} sweeps, {len(turns)} turns; medians")
+    print("| | stage | processor ms a sweep | wall | processor, KISS-ICP = 1 | wall |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for name in turns[0]:
+        for stage in turns[0][name]:
+            row = [name, stage]
+            for clock in (0, 1):
+                spent = [turn[name][stage][clock] for turn in turns]
+                row.append(f"{1e3 * statistics.median(spent) / sweeps:.0f}")
+            for clock in (0, 1):
+                ratio = [
+                    turn[name][stage][clock] / turn["KISS-ICP"]["odometry"][clock] for turn in turns
+                ]
+                row.append(f"{statistics.median(ratio):.2f}")
+            print("| " + " | ".join(row) + " |")
+
+
+if __name__ == "__main__":
+    main()

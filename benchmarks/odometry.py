@@ -1,0 +1,62 @@
+"""Error and processor time of odometry on raw drives with exact poses.
+
+    python benchmarks/odometry.py DRIVES [--cells hills:VLP-16] [--seeds 3 4] [--frames 50]
+
+Makes the drives that are missing in DRIVES, by default city and motorway by HDL-64 and a crossing
+by XT-32, with raw sweeps and a time for each point. The error is that of the motion from sweep to
+sweep. It runs on older versions, too: ``PYTHONPATH=OTHER/python python benchmarks/odometry.py
+DRIVES``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import time
+from pathlib import Path
+
+import numpy as np
+
+from docdepth.datasets import open_dataset
+from docdepth.geometry.se3 import inverse
+from docdepth.odometry.odometry import estimate_poses
+from docdepth.synthetic import write_drive
+
+CELLS = ("city:HDL-64", "crossing:XT-32", "highway:HDL-64")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("drives", type=Path)
+    parser.add_argument("--cells", nargs="+", default=list(CELLS), metavar="SCENE:SENSOR")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[3, 4])
+    parser.add_argument("--frames", type=int, default=50)
+    options = parser.parse_args()
+    # Earlier versions ran passes in processes, whose time would be missing.
+    threads = {"threads": 1} if "threads" in inspect.signature(estimate_poses).parameters else {}
+    print("| drive | seed | mm, mean square | largest | degrees | ms of the processor a sweep |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for cell in options.cells:
+        scene, lidar = cell.split(":")
+        for seed in options.seeds:
+            folder = options.drives / f"{scene}_{lidar}_{seed}"
+            if not folder.exists():
+                write_drive(folder, scene, lidar, options.frames, seed, skew=True)
+            dataset = open_dataset(folder / "sequences" / "00")
+            start = time.process_time()
+            poses = estimate_poses(dataset, **threads)
+            spent = 1e3 * (time.process_time() - start) / len(poses)
+            steps, exact = (inverse(p[:-1]) @ p[1:] for p in (poses, np.asarray(dataset.poses)))
+            error = inverse(exact) @ steps
+            mm = 1e3 * np.linalg.norm(error[:, :3, 3], axis=1)
+            cosine = (np.trace(error[:, :3, :3], axis1=1, axis2=2) - 1) / 2
+            turn = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+            print(
+                f"| {scene}, {lidar} | {seed} | {np.sqrt((mm**2).mean()):.1f} | {mm.max():.0f} "
+                f"| {np.sqrt((turn**2).mean()):.3f} | {spent:.0f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,254 @@
+"""Whether depth edges of a run lie on the edges of its images: does the calibration hold?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets import CameraStream
+from docdepth.errors import CalibrationError, DatasetError
+from docdepth.geometry.se3 import inverse
+from docdepth.io.depth import maps_in, read_depth
+from docdepth.io.run_folder import RunFolder
+from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.pipeline.alignment import Change, in_words
+from docdepth.pipeline.edge_fit import EdgeFit, Edges, displaced, fit_edges, profiles
+from docdepth.pipeline.map_edges import edges_of_map, pixels_of_tracks
+from docdepth.pipeline.run_inputs import recorded_camera
+from docdepth.pipeline.run_state import require
+from docdepth.pipeline.sanity import sampled
+
+Floats = NDArray[np.float64]
+
+IMAGES = 30
+"""Images that are compared, evenly chosen."""
+
+OFF = np.array([*np.radians([0.1] * 3), *[0.02] * 3])
+"""Turn [rad] and shift [m] above which a calibration is wrong, which checkerboards reach."""
+
+_DEVIATIONS = 2.0  # by which it must lie above
+_FEWEST_IMAGES = 5
+_FEWEST_EDGES = 1000  # in all images
+_LEAST_SCORE = 1.2  # right ones reach 1.4 to 2.2, another drive's images 1.0 to 1.1
+_GIVEN_COLOR, _FITTED_COLOR = (60, 60, 255), (90, 255, 90)  # BGR: red, green
+
+
+@dataclass(frozen=True)
+class CalibrationCheck:
+    """What depth edges and image edges of a run say about the calibration.
+
+    Attributes
+    ----------
+    fit : EdgeFit
+    edges, images : int
+        How many were compared.
+    worst : str
+        Name of the image that gains most from the fit.
+    picture : ndarray of uint8, shape (h, w, 3)
+        That image, BGR: depth edges where they are (red) and where the fit has them (green).
+    """
+
+    fit: EdgeFit
+    edges: int
+    images: int
+    worst: str
+    picture: NDArray[np.uint8]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the calibration agrees with the images."""
+        surely = np.abs(self.fit.change) - _DEVIATIONS * self.fit.deviations
+        return bool((surely < OFF).all())
+
+    @property
+    def verdict(self) -> str:
+        """The result in words."""
+        most = np.abs(self.fit.change) + _DEVIATIONS * self.fit.deviations
+        if self.agrees:
+            return (
+                "the calibration agrees with the images: it is off by less than "
+                f"{np.degrees(most[:3].max()):.2f} degrees and {100 * most[3:].max():.0f} cm"
+            )
+        change = in_words(_clear(self.fit))
+        return f"the calibration is off: depth edges fit the images when {change}"
+
+    @property
+    def lines(self) -> list[str]:
+        """The verdict and the figures behind it."""
+        right, down = self.fit.pixels
+        turn = _with_errors(self.fit.turn_deg, np.degrees(self.fit.deviations[:3]), 2)
+        shift = _with_errors(100 * self.fit.shift_m, 100 * self.fit.deviations[3:], 1)
+        return [
+            self.verdict,
+            f"in the median image edges lie {abs(right):.1f} px "
+            f"{'right' if right > 0 else 'left'} of depth edges and {abs(down):.1f} px "
+            f"{'below' if down > 0 else 'above'} them",
+            f"points would have to turn by {turn} degrees about the camera's axes x, y, z and move "
+            f"by {shift} cm",
+            f"{self.edges} edges in {self.images} images; contrast below them is "
+            f"{self.fit.score:.2f} times that beside them",
+        ]
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """The result as plain values."""
+        fit = self.fit
+        return {
+            "agrees": self.agrees,
+            "verdict": self.verdict,
+            "pixels": fit.pixels.tolist(),
+            "turn_deg": fit.turn_deg.tolist(),
+            "turn_error_deg": np.degrees(fit.deviations[:3]).tolist(),
+            "shift_m": fit.shift_m.tolist(),
+            "shift_error_m": fit.deviations[3:].tolist(),
+            "score": fit.score,
+            "edges": self.edges,
+            "images": self.images,
+            "worst": self.worst,
+        }
+
+
+def check_calibration(
+    run: Path | RunFolder,
+    camera: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> CalibrationCheck:
+    """Compare depth edges of a run with the edges of its images.
+
+    Edges in boxes of moving objects do not count.
+
+    Parameters
+    ----------
+    run : Path or RunFolder
+        With depth maps, and images in its recording.
+    camera : str, optional
+        Its name; needed if the run has several.
+    progress : callable, optional
+        Called with the number of compared images and the number of all.
+
+    Raises
+    ------
+    RunError
+        The run has no depth maps, or they are out of date.
+    DatasetError
+        The recording has no images, or a file cannot be read.
+    CalibrationError
+        There are too few edges to tell, or they fit by chance only.
+    """
+    return compare(edges_of_run(run, camera, progress))
+
+
+def compare(found: RunEdges) -> CalibrationCheck:
+    """What :func:`check_calibration` says of edges that were read.
+
+    Raises
+    ------
+    CalibrationError
+        There are too few edges to tell, or they fit by chance only.
+    """
+    stream, count = found.stream, sum(len(one) for one in found.edges)
+    if len(found.edges) < _FEWEST_IMAGES or count < _FEWEST_EDGES:
+        raise CalibrationError(
+            f"{found.path} has {len(found.edges)} images with {count} depth edges of standing "
+            f"things; {_FEWEST_IMAGES} images with {_FEWEST_EDGES} are needed to judge a "
+            "calibration"
+        )
+    samples = [
+        profiles(edges, image, stream.camera)
+        for edges, image in zip(found.edges, found.images, strict=True)
+    ]
+    fit = fit_edges(found.edges, samples, stream.camera)
+    if fit.score < _LEAST_SCORE:
+        raise CalibrationError(
+            f"depth edges of {found.path} fit the images of {stream.name} by chance only: the "
+            "calibration is off by more than two degrees, the images are of another drive or "
+            "time, or they are too dark or blurred to tell"
+        )
+    worst = int(np.argmax(fit.gains))
+    picture = _picture(found.images[worst], found.edges[worst], fit, stream)
+    return CalibrationCheck(fit, count, len(found.edges), found.names[worst], picture)
+
+
+@dataclass(frozen=True)
+class RunEdges:
+    """Images of a run, evenly chosen, and their depth edges.
+
+    Attributes
+    ----------
+    path : Path
+        Of the run.
+    stream : CameraStream
+    names : list of str
+        Of the images.
+    images : list of ndarray of uint8, shape (h, w, 3)
+        BGR, rectified.
+    edges : list of Edges
+        Of standing things.
+    """
+
+    path: Path
+    stream: CameraStream
+    names: list[str]
+    images: list[NDArray[np.uint8]]
+    edges: list[Edges]
+
+
+def edges_of_run(
+    run: Path | RunFolder,
+    camera: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> RunEdges:
+    """Read what :func:`check_calibration` compares; its parameters and errors."""
+    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    name = folder.depth_folder(camera)
+    require(folder, f"render {folder.camera_in(name)}")
+    stream = recorded_camera(folder, name)
+    if stream is None or not stream.images:
+        raise DatasetError(f"{folder.path}: its recording has no images to compare depth with")
+    maps = maps_in(folder.path / "depth" / name)
+    indices = [k for k, image in enumerate(stream.names) if image in maps]
+    chosen = [indices[k] for k in sampled(len(indices), IMAGES)]
+    tracks = read_tracks(folder.path / TRACKS) if (folder.path / TRACKS).is_file() else []
+    poses = folder.trajectory().interpolate(stream.times[chosen])
+    images, edges = [], []
+    for done, (index, T_world_lidar) in enumerate(zip(chosen, poses, strict=True), 1):
+        image = stream.rectified_image(index)
+        assert image is not None
+        T_camera_world = stream.T_camera_lidar @ inverse(T_world_lidar)
+        moving = pixels_of_tracks(tracks, int(stream.times[index]), T_camera_world, stream.camera)
+        images.append(image)
+        edges.append(edges_of_map(read_depth(maps[stream.names[index]]), moving))
+        if progress:
+            progress(done, len(chosen))
+    return RunEdges(folder.path, stream, [stream.names[k] for k in chosen], images, edges)
+
+
+def _with_errors(values: Floats, errors: Floats, digits: int) -> str:
+    pairs = zip(values, errors, strict=True)
+    return ", ".join(f"{value:.{digits}f} +- {error:.{digits}f}" for value, error in pairs)
+
+
+def _clear(fit: EdgeFit) -> Change:
+    """The parts of a change that stand out of their errors, in degrees and metres, rounded."""
+    clear = np.abs(fit.change) > _DEVIATIONS * fit.deviations
+    change = np.where(clear, [*fit.turn_deg, *fit.shift_m], 0.0)
+    tilt, pan, roll, x, y, z = (round(float(part), 2) for part in change)
+    return tilt, pan, roll, x, y, z
+
+
+def _picture(
+    image: NDArray[np.uint8], edges: Edges, fit: EdgeFit, stream: CameraStream
+) -> NDArray[np.uint8]:
+    grey = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+    picture = np.asarray(grey, np.uint8)
+    moved = displaced(edges, fit.change, stream.camera)
+    for places, color in ((edges.pixels, _GIVEN_COLOR), (moved, _FITTED_COLOR)):
+        for u, v in np.rint(places).astype(int).tolist():
+            cv2.circle(picture, (u, v), 1, color, -1)
+    return picture

@@ -1,0 +1,178 @@
+"""The static cloud of a drive, and each moving object gathered along its track (paper Fig. 5)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import InputError
+from docdepth.geometry.points import DYNAMIC, GROUND, STATIC
+from docdepth.io.ply import write_vertices
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.render_plan import tracks_of
+from docdepth.pipeline.run_state import require
+from docdepth.pipeline.stage import Progress, progress_callback
+from docdepth.render.moving_objects import objects_of
+from docdepth.visualization.pictures import GROUND_COLOR, STATIC_COLOR
+
+VOXEL = 0.1
+"""Default side of a voxel of the map [m]."""
+_OF_OBJECTS = 0.5  # side of a voxel of an object, as a share of the map's
+
+_BITS = 21  # of a voxel's number along an axis
+_ROW = np.dtype([("key", "i8"), ("points", "u4"), ("ground", "u4"), ("sum", "f4", 3)])
+_CLOUD = np.dtype(
+    [(name, "<f8") for name in "xyz"]
+    + [("classid", "<u2"), ("points", "<u4")]
+    + [(name, "u1") for name in ("red", "green", "blue")]
+)
+_OBJECT = np.dtype([(name, "<f4") for name in "xyz"] + [("points", "<u4")])
+_LEAST_MERGED = 1_000_000  # voxels; sorting the map for fewer takes too long
+
+
+class VoxelCloud:
+    """A cloud with one point for each voxel: the mean of those that fell into it.
+
+    Memory is bounded by the thinned cloud, at about 100 bytes a voxel.
+
+    Parameters
+    ----------
+    voxel : float
+        Side of a voxel [m].
+    origin : ndarray of float64, shape (3,)
+        A place near the points [m].
+    """
+
+    def __init__(self, voxel: float, origin: NDArray[np.float64]) -> None:
+        self._voxel, self._origin = voxel, origin
+        self._rows = np.empty(0, _ROW)
+        self._new: list[NDArray[np.void]] = []
+
+    def add(self, points: NDArray[np.float64], is_ground: NDArray[np.bool_]) -> None:
+        """Add points (N, 3) [m].
+
+        Raises
+        ------
+        InputError
+            A point is too far from the origin for the size of the voxels.
+        """
+        scaled = (points - self._origin) / self._voxel
+        cells = np.floor(scaled).astype(np.int64)
+        half = 1 << (_BITS - 1)
+        if len(cells) and np.abs(cells).max() >= half:
+            raise InputError(
+                f"the map reaches farther than {half * self._voxel / 1000:.0f} km from its "
+                "beginning; take larger voxels (--voxel)"
+            )
+        rows = np.empty(len(points), _ROW)
+        rows["key"] = (cells + half) @ (1 << 2 * _BITS, 1 << _BITS, 1)
+        rows["points"], rows["ground"], rows["sum"] = 1, is_ground, scaled - cells
+        self._new.append(_merged(rows))
+        if sum(map(len, self._new)) > max(len(self._rows), _LEAST_MERGED):
+            self._merge()
+
+    def cloud(self) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.uint32]]:
+        """Mean points (n, 3) [m], which are ground, and of how many points each is the mean."""
+        self._merge()
+        rows = self._rows
+        shifts = np.array([2 * _BITS, _BITS, 0])
+        cells = (rows["key"][:, None] >> shifts & ((1 << _BITS) - 1)) - (1 << (_BITS - 1))
+        means = cells + rows["sum"].astype(np.float64) / rows["points"][:, None]
+        is_ground = 2 * rows["ground"].astype(np.int64) > rows["points"]
+        return self._origin + self._voxel * means, is_ground, rows["points"].copy()
+
+    def _merge(self) -> None:
+        self._rows = _merged(np.concatenate([self._rows, *self._new]))
+        self._new = []
+
+
+def _merged(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """Rows with one row a voxel, ordered."""
+    if not len(rows):
+        return rows
+    rows = rows[np.argsort(rows["key"], kind="stable")]
+    first = np.flatnonzero(np.diff(rows["key"], prepend=rows["key"][0] - 1))
+    merged = rows[first]
+    for name in ("points", "ground", "sum"):
+        merged[name] = np.add.reduceat(rows[name], first, axis=0)
+    return merged
+
+
+def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress | None = None) -> Path:
+    """Write ``map/map.ply`` and ``map/objects/ID_KIND.ply``.
+
+    The map has what stands, in the world; each object has what was seen of it, in the frame of its
+    box: x forward, z up, the origin below its middle. Moving points of no track are in neither.
+
+    Parameters
+    ----------
+    run : RunFolder
+        With classified frames.
+    voxel : float
+        Side of a voxel of the map [m]; those of objects are half as large.
+    progress : callable, optional
+        Called with "map", the number of sweeps done and of all sweeps.
+
+    Returns
+    -------
+    Path
+        Of the map.
+
+    Raises
+    ------
+    InputError
+        The voxels are too small for the extent of the drive.
+    RunError
+        A frame is missing, damaged or not classified.
+    """
+    require(run, "classify")
+    trajectory, tracks = run.trajectory(), tracks_of(run)
+    world = VoxelCloud(voxel, trajectory.poses[0, :3, 3])
+    objects: dict[int, VoxelCloud] = {}
+    tell = progress_callback(progress, "map")
+    for k, pose in enumerate(trajectory.poses):
+        record, classid = run.classified_frame(k)
+        kept = (classid < DYNAMIC) & np.isfinite(record.points).all(axis=1)
+        points = record.points[kept].astype(np.float64)
+        world.add(points @ pose[:3, :3].T + pose[:3, 3], classid[kept] < STATIC)
+        found = objects_of(
+            record.points, classid, int(trajectory.times[k]), pose,
+            record.instance, tracks, record.time_offset,
+        )  # fmt: skip
+        for number, of in enumerate(found.instances):
+            if not of:
+                continue
+            own = found.owner == number + 1
+            points = record.points[own].astype(np.float64)
+            if found.displacement is not None:
+                points += found.displacement[own]
+            T = found.T_object_lidar[number]
+            cloud = objects.setdefault(of, VoxelCloud(voxel * _OF_OBJECTS, np.zeros(3)))
+            cloud.add(points @ T[:3, :3].T + T[:3, 3], np.zeros(len(points), bool))
+        tell(k + 1, len(trajectory))
+    return _write(run, world, {f"{n:05d}_{tracks[n].kind}.ply": c for n, c in objects.items()})
+
+
+def _write(run: RunFolder, world: VoxelCloud, objects: dict[str, VoxelCloud]) -> Path:
+    """Write the clouds, and remove objects of an earlier map."""
+    write = run.writer({"classify": run.stage("classify").get("key", "")})
+    path, folder = run.path / "map" / "map.ply", run.path / "map" / "objects"
+    with run.lock("map"):
+        for name in set(run.records(folder).names()) - set(objects):
+            run.remove(folder / name)
+        for name, cloud in sorted(objects.items()):
+            points, _, counts = cloud.cloud()
+            rows = np.empty(len(points), _OBJECT)
+            rows["x"], rows["y"], rows["z"] = points.T
+            rows["points"] = counts
+            write_vertices(folder / name, rows, ["frame of the box: x forward, z up"], write)
+        points, is_ground, counts = world.cloud()
+        rows = np.empty(len(points), _CLOUD)
+        rows["x"], rows["y"], rows["z"] = points.T
+        rows["classid"], rows["points"] = np.where(is_ground, GROUND, STATIC), counts
+        colors = np.where(is_ground[:, None], GROUND_COLOR, STATIC_COLOR)
+        rows["blue"], rows["green"], rows["red"] = colors.T
+        write_vertices(path, rows, ["world [m]"], write)
+    return path

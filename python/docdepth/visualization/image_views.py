@@ -1,0 +1,197 @@
+"""What is known of an image, as pictures of its size: depth, classes, tracks and layers (ours)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.points import DYNAMIC, STATIC
+from docdepth.geometry.track import Track
+from docdepth.visualization.pictures import (
+    BACKGROUND,
+    DYNAMIC_COLOR,
+    GROUND_COLOR,
+    STATIC_COLOR,
+    TRACK_COLORS,
+    Picture,
+)
+
+SEEN_COLORS = ((110, 110, 110), (178, 114, 0), (0, 120, 255))
+"""Of the layer ``seen``: did not look there, agree, contradict."""
+CONFIDENCE_COLORS = cv2.applyColorMap(
+    np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_CIVIDIS
+)[:, 0]
+"""From :data:`DOUBTFUL` or less to 1."""
+DOUBTFUL = 0.5
+"""Confidence below which depth is rather wrong than right; most pixels are far above."""
+
+_NEAR = 0.1  # metres ahead of a camera; nearer points are not in front of it
+_OPACITY = 0.65  # of colours over the image
+_NO_DEPTH, _NO_INSTANCE = 255, 0  # in the layers
+
+
+def view_of_layer(name: str, values: NDArray[Any], image: Picture | None) -> Picture:
+    """Draw the layer ``class``, ``confidence``, ``seen`` or ``instance`` over the image.
+
+    Parameters
+    ----------
+    name : str
+    values : ndarray, shape (h, w)
+        As a file of layers holds it.
+    image : ndarray of uint8, shape (h, w, 3), optional
+        BGR; dark where the layer holds nothing. Confidence alone is drawn without it, so that its
+        colours can be compared with their scale.
+    """
+    if name == "confidence":
+        image = None
+        known = np.isfinite(values) & (values > 0)
+        share = np.clip((np.where(known, values, 0) - DOUBTFUL) / (1 - DOUBTFUL), 0, 1)
+        steps = np.rint(255 * share).astype(np.uint8)
+        colors = CONFIDENCE_COLORS[steps]
+    elif name == "class":
+        known = values != _NO_DEPTH
+        colors = _class_colors(values)
+    elif name == "seen":
+        known = values != _NO_DEPTH
+        colors = np.array(SEEN_COLORS, np.uint8)[np.where(known, values, 0)]
+    else:
+        known = values != _NO_INSTANCE
+        colors = np.array(TRACK_COLORS, np.uint8)[values % len(TRACK_COLORS)]
+    return _over(np.asarray(colors, np.uint8), known, image)
+
+
+def view_of_points(
+    points: NDArray[np.floating], classid: NDArray[np.uint16], camera: Camera, image: Picture | None
+) -> Picture:
+    """Draw the classes of a sweep's points over the image, near ones over far ones.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N, 3)
+        Camera frame [m].
+    classid : ndarray of uint16, shape (N,)
+    camera : Camera
+    image : ndarray of uint8, shape (h, w, 3), optional
+        BGR.
+    """
+    picture = _over(*_nothing(camera), image)
+    ahead = np.flatnonzero(points[:, 2] > _NEAR)
+    order = ahead[np.argsort(-points[ahead, 2], kind="stable")]
+    u, v = np.rint(_pixels(points[order], camera)).T
+    inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    rows, columns = v[inside].astype(int), u[inside].astype(int)
+    colors = _class_colors(classid[order][inside])
+    side = max(camera.width // 600, 1)  # pixels to either side
+    # A point covers several pixels; all of a farther point are drawn before those of a nearer one.
+    square = [(down, right) for down in range(-side, side) for right in range(-side, side)]
+    rows = (rows[:, None] + [down for down, _ in square]).clip(0, camera.height - 1)
+    columns = (columns[:, None] + [right for _, right in square]).clip(0, camera.width - 1)
+    picture[rows.ravel(), columns.ravel()] = np.repeat(colors, len(square), axis=0)
+    return picture
+
+
+def draw_tracks(
+    picture: Picture,
+    tracks: Iterable[Track],
+    time: int,
+    camera: Camera,
+    T_camera_world: NDArray[np.float64],
+) -> None:
+    """Draw the boxes of the tracks at a time into a picture, far ones first, with their ids.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (h, w, 3)
+    tracks : iterable of Track
+    time : int
+        Of the image [ns].
+    camera : Camera
+    T_camera_world : ndarray of float64, shape (4, 4)
+    """
+    there = [
+        (track, T_camera_world @ track.pose_at(time)) for track in tracks if track.covers(time)
+    ]
+    for track, T_camera_object in sorted(there, key=lambda item: -item[1][2, 3]):
+        corners = box_corners(track) @ T_camera_object[:3, :3].T + T_camera_object[:3, 3]
+        color = track_color(track.id)
+        ends = [_clipped(corners[a], corners[b]) for a, b in BOX_EDGES]
+        lines = [_pixels(np.array(pair), camera) for pair in ends if pair is not None]
+        lines = [line for line in lines if np.abs(line).max() < 1e5]
+        if not lines:
+            continue
+        every, size = np.concatenate(lines), (camera.width, camera.height)
+        if (every.max(axis=0) < 0).any() or (every.min(axis=0) >= size).any():
+            continue
+        for line in lines:
+            start, end = np.rint(line).astype(int).tolist()
+            cv2.line(picture, start, end, color, 2, cv2.LINE_AA)
+        left, top = every.min(axis=0).clip(0, (camera.width - 40, camera.height - 8))
+        write_text(picture, str(track.id), (round(left) + 3, max(round(top) - 5, 14)), color)
+
+
+def box_corners(track: Track) -> NDArray[np.float64]:
+    """Corners of a track's box (8, 3) in its own frame [m]; :data:`BOX_EDGES` joins them."""
+    unit = [
+        (x, y, z) for z in (0, 1) for x, y in ((0.5, 0.5), (0.5, -0.5), (-0.5, -0.5), (-0.5, 0.5))
+    ]
+    return np.array(unit) * track.size
+
+
+BOX_EDGES = tuple(
+    pair for k in range(4) for pair in ((k, (k + 1) % 4), (k + 4, (k + 1) % 4 + 4), (k, k + 4))
+)
+"""Pairs of corners of :func:`box_corners`; 0, 1, 4 and 5 are the front."""
+
+
+def track_color(number: int) -> tuple[int, int, int]:
+    """BGR colour of the track with this id."""
+    return TRACK_COLORS[number % len(TRACK_COLORS)]
+
+
+def write_text(
+    picture: Picture, text: str, place: tuple[int, int], color: tuple[int, int, int]
+) -> None:
+    """Write text with a dark rim, so that it can be read on any ground."""
+    for shade, thick in (((0, 0, 0), 4), (color, 1)):
+        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, shade, thick, cv2.LINE_AA)
+
+
+def _class_colors(classid: NDArray[Any]) -> Picture:
+    palette = np.array([GROUND_COLOR, STATIC_COLOR, DYNAMIC_COLOR], np.uint8)
+    return palette[(classid >= STATIC).astype(int) + (classid >= DYNAMIC)]
+
+
+def _over(colors: Picture, known: NDArray[np.bool_], image: Picture | None) -> Picture:
+    if image is None:
+        return np.where(known[..., None], colors, np.uint8(BACKGROUND))
+    gray = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+    blended = cv2.addWeighted(colors, _OPACITY, gray, 1 - _OPACITY, 0)
+    return np.where(known[..., None], blended, cv2.convertScaleAbs(gray, alpha=0.5)).astype(
+        np.uint8
+    )
+
+
+def _nothing(camera: Camera) -> tuple[Picture, NDArray[np.bool_]]:
+    shape = (camera.height, camera.width)
+    return np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.bool_)
+
+
+def _pixels(points: NDArray[np.floating], camera: Camera) -> NDArray[np.float64]:
+    return np.asarray((points / points[:, 2:]) @ camera.K[:2].T, np.float64)
+
+
+def _clipped(
+    a: NDArray[np.float64], b: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """The part of a line that lies ahead of the camera."""
+    if a[2] < _NEAR and b[2] < _NEAR:
+        return None
+    if a[2] >= _NEAR and b[2] >= _NEAR:
+        return a, b
+    cut = a + (b - a) * (_NEAR - a[2]) / (b[2] - a[2])
+    return (cut, b) if a[2] < _NEAR else (a, cut)

@@ -1,0 +1,191 @@
+"""The images of a report: some of each camera, with all that is known of them."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import CameraStream
+from docdepth.errors import DamagedFileError
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import inverse
+from docdepth.geometry.track import Track
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
+from docdepth.io.run_folder import RunFolder
+from docdepth.visualization.image_views import draw_tracks, view_of_layer, view_of_points
+from docdepth.visualization.page import embedded
+from docdepth.visualization.pictures import Picture, colorize
+
+IMAGES = 12
+"""Of a camera, spaced evenly over the drive, fewer where there are many cameras."""
+
+_PICTURES = 72  # on a page
+_BYTES = 8_500_000  # of all pictures of a page, before they become text
+_LARGEST = 500_000  # pixels of a picture
+_LARGEST_BYTES = 150_000
+_LAYERS = ("confidence", "seen", "instance")  # shown where the run has them
+
+
+class Moment(NamedTuple):
+    """An image and its pictures.
+
+    Attributes
+    ----------
+    name : str
+        Of the image.
+    time : int
+        [ns]
+    views : dict of str to str
+        ``image``, ``depth``, ``class`` and layers; each a link that holds the picture.
+    """
+
+    name: str
+    time: int
+    views: dict[str, str]
+
+
+class CameraPage(NamedTuple):
+    """What the report says of a camera.
+
+    Attributes
+    ----------
+    name : str
+    moments : tuple of Moment
+    density : list of (int, float)
+        Time [ns] and share of pixels with depth of each map.
+    """
+
+    name: str
+    moments: tuple[Moment, ...]
+    density: list[tuple[int, float]]
+
+
+def camera_pages(
+    run: RunFolder, streams: Mapping[str, CameraStream], tracks: Sequence[Track]
+) -> list[CameraPage]:
+    """The cameras of a run, each with a few of its images.
+
+    Parameters
+    ----------
+    run : RunFolder
+        With depth maps.
+    streams : mapping of str to CameraStream
+        Cameras whose images can be read.
+    tracks : sequence of Track
+
+    Raises
+    ------
+    DatasetError, RunError
+        A map, an image or a frame is missing or damaged.
+    """
+    trajectory = run.trajectory()
+    count, most = budget(len(run.cameras))
+    pages = []
+    for name, entry in run.cameras.items():
+        maps = _maps(run.path / "depth" / str(entry["folder"]))
+        files = maps_in(run.path / "depth" / str(entry["folder"]))
+        names = sorted(maps.keys() & files.keys(), key=lambda image: maps[image][0])
+        reader = _Reader(run, str(entry["folder"]), files, streams.get(name), trajectory, tracks)
+        even = np.linspace(0, len(names) - 1, min(count, len(names)))
+        moments = tuple(
+            Moment(
+                names[k],
+                maps[names[k]][0],
+                {
+                    view: embedded(_reduced(picture), most)
+                    for view, picture in reader.views(names[k], maps[names[k]][0])
+                },
+            )
+            for k in np.unique(np.rint(even).astype(int))
+        )
+        pages.append(CameraPage(name, moments, [maps[image] for image in names]))
+    return pages
+
+
+def budget(cameras: int) -> tuple[int, int]:
+    """Images of each camera, and bytes of each picture, on a page of so many cameras."""
+    views = (3 + len(_LAYERS)) * max(cameras, 1)
+    count = int(np.clip(_PICTURES // views, 1, IMAGES))
+    return count, min(_BYTES // (views * count), _LARGEST_BYTES)
+
+
+class _Reader(NamedTuple):
+    """Reads what is known of the images of a camera."""
+
+    run: RunFolder
+    folder: str
+    files: dict[str, Path]
+    stream: CameraStream | None
+    trajectory: Trajectory
+    tracks: Sequence[Track]
+
+    def views(self, name: str, time: int) -> Iterator[tuple[str, Picture]]:
+        """The pictures of an image, by what they show."""
+        camera, T_camera_lidar, _ = self.run.calibration(self.folder)
+        image = self._image(name)
+        if image is not None:
+            yield "image", image
+        yield "depth", colorize(read_depth(self.files[name]), bar=False)
+        layers = _layers(self.run.path / "layers" / self.folder / f"{name}.npz")
+        T_camera_world = T_camera_lidar @ inverse(self.trajectory.interpolate([time])[0])
+        if "class" in layers:
+            classes = view_of_layer("class", layers["class"], image)
+        else:
+            classes = self._sweep(camera, T_camera_world, time, image)
+        draw_tracks(classes, self.tracks, time, camera, T_camera_world)
+        yield "class", classes
+        yield from ((n, view_of_layer(n, layers[n], image)) for n in _LAYERS if n in layers)
+
+    def _image(self, name: str) -> Picture | None:
+        if self.stream is None or name not in self.stream.names:
+            return None
+        return self.stream.rectified_image(self.stream.names.index(name))
+
+    def _sweep(
+        self,
+        camera: Camera,
+        T_camera_world: NDArray[np.float64],
+        time: int,
+        image: Picture | None,
+    ) -> Picture:
+        """Classes of the sweep nearest in time."""
+        k = self.trajectory.nearest(time)
+        record, classid = self.run.classified_frame(k)
+        T = T_camera_world @ self.trajectory.poses[k]
+        return view_of_points(record.points @ T[:3, :3].T + T[:3, 3], classid, camera, image)
+
+
+def _maps(folder: Path) -> dict[str, tuple[int, float]]:
+    """Time and coverage of each map, by name."""
+    try:
+        maps = json.loads((folder / DESCRIPTION).read_text())["maps"]
+        return {name: (int(m["time_ns"]), float(m["coverage"])) for name, m in maps.items()}
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DamagedFileError(folder / DESCRIPTION, repr(error)) from None
+
+
+def _layers(path: Path) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(path) as stored:
+            return {name: stored[name] for name in ("class", *_LAYERS) if name in stored}
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise DamagedFileError(path, str(error)) from None
+
+
+def _reduced(picture: Picture) -> Picture:
+    scale = (_LARGEST / (picture.shape[0] * picture.shape[1])) ** 0.5
+    if scale >= 1:
+        return picture
+    return np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))

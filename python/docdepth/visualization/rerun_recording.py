@@ -1,0 +1,167 @@
+"""A run as a recording for the viewer rerun: sweeps, tracks, images and depth on a time line."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import CameraStream
+from docdepth.errors import MissingExtraError, RunError
+from docdepth.geometry.se3 import inverse, matrix_to_quaternion
+from docdepth.geometry.track import Track
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
+from docdepth.io.run_folder import RunFolder
+from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.visualization.geometries import Coloring, point_colors
+from docdepth.visualization.image_views import track_color
+
+_DEPTH_STEPS = 65535  # of a depth image
+_PLANE = 2.0  # where in its frustum an image stands [m]
+
+
+class _Log(NamedTuple):
+    """The recording, and what all of its parts need."""
+
+    rerun: Any
+    stream: Any
+    trajectory: Trajectory
+    origin: NDArray[np.float64]
+
+    def at(self, time: int) -> None:
+        """Log what follows at a time [ns]."""
+        self.stream.set_time("sweep", sequence=self.trajectory.nearest(time))
+        seconds = (time - int(self.trajectory.times[0])) * 1e-9
+        self.stream.set_time("time", duration=seconds)
+
+    def pose(self, entity: str, T_world_entity: NDArray[np.float64]) -> None:
+        place = T_world_entity[:3, 3] - self.origin
+        moved = self.rerun.Transform3D(translation=place, mat3x3=T_world_entity[:3, :3])
+        self.stream.log(entity, moved)
+
+
+def write_rerun(
+    run: RunFolder,
+    path: Path,
+    camera: str | None = None,
+    color: Coloring = "class",
+    stream: CameraStream | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> None:
+    """Write a run as ``.rrd`` file: ``rerun FILE.rrd`` shows it.
+
+    The world is that of the run, moved so that the drive begins at its origin: rerun holds single
+    precision.
+
+    Parameters
+    ----------
+    run : RunFolder
+        With classified frames.
+    path : Path
+    camera : str, optional
+        Whose depth maps; needed if the run has several.
+    color : {"class", "votes", "instance"}
+        What the colours of points say.
+    stream : CameraStream, optional
+        The camera; its images are logged.
+    progress : callable, optional
+        Called with "rerun", the number of sweeps done and of all sweeps.
+
+    Raises
+    ------
+    InputError
+        The run has no votes or instances.
+    MissingExtraError
+        rerun is not installed.
+    RunError
+        A frame is missing or not classified, or the file cannot be written.
+    """
+    rerun, trajectory = _rerun_module(), run.trajectory()
+    part = path.with_name(f".{path.stem}.part{path.suffix}")
+    log = _Log(rerun, rerun.RecordingStream("docdepth"), trajectory, trajectory.poses[0, :3, 3])
+    tracks = read_tracks(run.path / TRACKS) if (run.path / TRACKS).is_file() else []
+    try:
+        part.write_bytes(b"")  # rerun itself does not say why it cannot write
+        log.stream.save(part)
+        log.stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        path_driven = rerun.LineStrips3D([trajectory.poses[:, :3, 3] - log.origin])
+        log.stream.log("world/path", path_driven, static=True)
+        for k in range(len(trajectory)):
+            _log_sweep(log, run, k, color, tracks)
+            if progress:
+                progress("rerun", k + 1, len(trajectory))
+        _log_images(log, run, camera, stream)
+        log.stream.flush()
+        log.stream.disconnect()
+        os.replace(part, path)
+    except OSError as error:
+        raise RunError(f"{path} cannot be written ({error.strerror})") from None
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _log_sweep(
+    log: _Log, run: RunFolder, index: int, color: Coloring, tracks: Sequence[Track]
+) -> None:
+    time = int(log.trajectory.times[index])
+    record, classid = run.classified_frame(index)
+    colors = np.rint(255 * point_colors(record, classid, color)).astype(np.uint8)
+    log.at(time)
+    log.pose("world/lidar", log.trajectory.poses[index])
+    log.stream.log("world/lidar/points", log.rerun.Points3D(record.points, colors=colors))
+    there = [(track, track.pose_at(time)) for track in tracks if track.covers(time)]
+    centres = [T[:3, 3] - log.origin + T[:3, 2] * track.size[2] / 2 for track, T in there]
+    turns = [matrix_to_quaternion(T[:3, :3]) for _, T in there]
+    boxes = log.rerun.Boxes3D(
+        centers=np.reshape(centres, (-1, 3)),
+        half_sizes=np.reshape([track.size / 2 for track, _ in there], (-1, 3)),
+        quaternions=np.reshape(turns, (-1, 4)),
+        colors=np.reshape([track_color(track.id)[::-1] for track, _ in there], (-1, 3)),
+        labels=[f"{track.kind} {track.id}" for track, _ in there],
+    )
+    log.stream.log("world/tracks", boxes)
+
+
+def _log_images(log: _Log, run: RunFolder, camera: str | None, stream: CameraStream | None) -> None:
+    """The depth maps of a camera, and its images where there are any."""
+    if not run.cameras:
+        return
+    rerun, folder = log.rerun, run.depth_folder(camera)
+    pinhole, T_camera_lidar, _ = run.calibration(folder)
+    maps = json.loads((run.path / "depth" / folder / DESCRIPTION).read_text())["maps"]
+    steps = _DEPTH_STEPS / run.parameters.render.max_depth
+    view = rerun.Pinhole(
+        image_from_camera=pinhole.K, width=pinhole.width, height=pinhole.height,
+        camera_xyz=rerun.ViewCoordinates.RDF, image_plane_distance=_PLANE,
+    )  # fmt: skip
+    log.stream.log("world/camera", view, static=True)
+    for name, file in maps_in(run.path / "depth" / folder).items():
+        if name not in maps:
+            continue
+        time = int(maps[name]["time_ns"])
+        log.at(time)
+        log.pose("world/camera", log.trajectory.interpolate([time])[0] @ inverse(T_camera_lidar))
+        depth = np.rint(np.nan_to_num(read_depth(file)) * steps).clip(0, _DEPTH_STEPS)
+        shown = rerun.DepthImage(depth.astype(np.uint16), meter=steps)
+        log.stream.log("world/camera/depth", shown)
+        if stream is not None and name in stream.names:
+            image = stream.rectified_image(stream.names.index(name))
+            if image is not None:
+                colors = rerun.Image(np.ascontiguousarray(image[:, :, ::-1]))
+                log.stream.log("world/camera/image", colors.compress(jpeg_quality=85))
+
+
+def _rerun_module() -> Any:
+    try:
+        import rerun
+    except ImportError as error:
+        raise MissingExtraError(
+            f'this recording needs rerun: pip install "docdepth[rerun]" ({error})'
+        ) from None
+    return rerun

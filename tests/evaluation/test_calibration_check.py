@@ -1,0 +1,168 @@
+"""Depth edges against image edges: how far a calibration is off, and in which direction."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from command_line import cli
+from docdepth.datasets import CameraStream
+from docdepth.errors import CalibrationError
+from docdepth.evaluation import calibration_check
+from docdepth.evaluation.calibration_check import RunEdges, compare
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import rotation_exp
+from docdepth.geometry.track import Track
+from docdepth.pipeline.map_edges import edges_of_map, pixels_of_tracks
+
+K = np.array([[400.0, 0, 310], [0, 400, 120], [0, 0, 1]])
+CAMERA = Camera(K, 620, 240)
+IMAGES = 8
+
+
+def boards(seed: int) -> Iterator[tuple[np.ndarray, list[int]]]:
+    """Corners (4, 3) of twelve upright boards in the camera's frame, the farthest first."""
+    rng = np.random.default_rng(seed)
+    for depth in np.sort(rng.uniform(5, 25, 12))[::-1]:
+        middle = np.array([*rng.uniform([20, 20], [600, 220]), 1.0]) @ np.linalg.inv(K).T * depth
+        half = rng.uniform(0.3, 1.2, 2)
+        corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+        board = np.array([[*(half * corner), 0] for corner in corners]) + middle
+        yield board, rng.integers(0, 255, 3).tolist()
+
+
+def drawn(canvas: np.ndarray, points: np.ndarray, value: object) -> None:
+    pixels = points @ K.T
+    fine = np.rint(16 * pixels[:, :2] / pixels[:, 2:]).astype(np.int32)
+    cv2.fillConvexPoly(canvas, fine, value, shift=4)
+
+
+def made(turn_deg=(0, 0, 0), shift=(0, 0, 0), unrelated: bool = False) -> RunEdges:
+    """Depth maps of boards, and images where the boards are turned and moved."""
+    R, images, edges = rotation_exp(np.radians(turn_deg)), [], []
+    for seed in range(IMAGES):
+        depth = np.full((240, 620), 40, np.float32)
+        image = np.full((240, 620, 3), 120, np.uint8)
+        for board, _ in boards(seed):
+            drawn(depth, board, float(board[0, 2]))
+        for board, color in boards(seed + 100 * unrelated):
+            drawn(image, board @ R.T + shift, color)
+        noise = np.random.default_rng(seed).normal(0, 4, image.shape)
+        images.append(np.clip(image + noise, 0, 255).astype(np.uint8))
+        edges.append(edges_of_map(depth))
+    names = [f"{k:06d}" for k in range(IMAGES)]
+    stream = CameraStream("front", CAMERA, np.eye(4), np.arange(IMAGES), names)
+    return RunEdges(Path("run"), stream, names, images, edges)
+
+
+def test_a_right_calibration_agrees() -> None:
+    found = compare(made())
+    assert found.agrees
+    assert "agrees with the images: it is off by less than 0." in found.verdict
+    assert np.abs(found.fit.turn_deg).max() < 0.05
+    assert np.abs(found.fit.shift_m).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "shift", "words"),
+    [
+        ((0.3, 0, 0), (0, 0, 0), "degrees down"),
+        ((0, -0.3, 0), (0, 0, 0), "degrees to the right"),
+        ((0, 0, 0.5), (0, 0, 0), "degrees counterclockwise"),
+        ((0, 1.5, 0), (0, 0, 0), "degrees to the left"),
+        ((0, 0, 0), (0.08, 0, 0), "m to the left"),
+        ((0.4, 0.3, 0), (0, -0.08, 0), "m down"),
+    ],
+)
+def test_a_wrong_one_is_measured(turn_deg, shift, words) -> None:
+    found = compare(made(turn_deg, shift))
+    assert not found.agrees
+    errors = np.concatenate([np.radians(turn_deg), shift]) - found.fit.change
+    assert np.abs(np.degrees(errors[:3])).max() < 0.07
+    assert np.abs(errors[3:]).max() < 0.015
+    # Errors are honest: not many times what is stated, and what is stated is not wide.
+    assert (np.abs(errors) < 4 * found.fit.deviations).all()
+    assert np.degrees(found.fit.deviations[:3]).max() < 0.1
+    assert words in found.verdict
+
+
+def test_the_direction_in_pixels() -> None:
+    right, down = compare(made((0, 0.5, 0))).fit.pixels
+    assert right == pytest.approx(400 * np.radians(0.5), abs=0.6)
+    assert down == pytest.approx(0, abs=0.6)
+
+
+def test_images_of_another_drive_tell_nothing() -> None:
+    with pytest.raises(CalibrationError, match="by chance only"):
+        compare(made(unrelated=True))
+
+
+def test_too_few_edges_tell_nothing() -> None:
+    found = made()
+    few = RunEdges(found.path, found.stream, found.names[:3], found.images[:3], found.edges[:3])
+    with pytest.raises(CalibrationError, match="has 3 images"):
+        compare(few)
+
+
+def test_edges_lie_between_near_and_far_and_point_away_from_the_near() -> None:
+    depth = np.full((60, 80), 20, np.float32)
+    depth[20:40, 30:50] = 8
+    depth[:, 70:] = np.nan  # no depth is no depth edge
+    edges = edges_of_map(depth)
+    assert set(edges.depth) == {8.0}
+    left = edges.pixels[:, 0] == 29.5
+    assert 14 <= left.sum() <= 20
+    inner = left & (np.abs(edges.pixels[:, 1] - 29.5) < 5)
+    np.testing.assert_allclose(edges.across[inner], [[-1, 0]] * inner.sum(), atol=0.05)
+    below = (edges.pixels[:, 1] == 39.5) & (np.abs(edges.pixels[:, 0] - 40) < 5)
+    np.testing.assert_allclose(edges.across[below], [[0, 1]] * below.sum(), atol=0.05)
+    assert not len(edges_of_map(depth, np.ones(depth.shape, bool)))
+
+
+def test_boxes_of_moving_objects_are_left_out() -> None:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]], (1, 1, 10)
+    times = np.array([0, 10])
+    track = Track(
+        1, "vehicle", times, np.stack([T, T]), np.zeros((2, 3)), np.array([4.0, 2, 1.5]),
+        np.array([9, 9]), np.full(2, 0.1),
+    )  # fmt: skip
+    mask = pixels_of_tracks([track], 5, np.eye(4), CAMERA)
+    v, u = np.nonzero(mask)
+    # Its near side is 8 m ahead, 2 m wide about x = 1, its top 1.5 m above y = 1.
+    assert abs(u.min() - (310 - 5)) <= 1
+    assert abs(u.max() - (310 + 400 * 2 / 8 + 5)) <= 1
+    assert abs(v.min() - (120 - 400 * 0.5 / 8 - 5)) <= 1
+    assert not pixels_of_tracks([track], 11, np.eye(4), CAMERA).any()
+
+
+def test_the_verb(finished, tmp_path, monkeypatch) -> None:
+    run, _ = finished
+    ended = cli("calibrate", "--check", run)
+    assert ended.exit_code == 2
+    assert "has 4 images" in str(ended.exception)
+    monkeypatch.setattr(calibration_check, "_FEWEST_IMAGES", 3)
+    monkeypatch.setattr(calibration_check, "_FEWEST_EDGES", 100)
+    ended = cli("calibrate", "--check", run, "-o", tmp_path / "check")
+    assert ended.exit_code == 0, ended.output
+    assert "the calibration" in ended.output
+    assert "in 4 images" in ended.output
+    (picture,) = (tmp_path / "check").iterdir()
+    assert cv2.imread(str(picture)).shape == (375, 1242, 3)
+    figures = json.loads(cli("calibrate", "--check", run, "--json").stdout)
+    assert figures["images"] == 4
+    assert len(figures["turn_deg"]) == 3
+
+
+def test_options_of_boards_do_not_go_with_it(finished) -> None:
+    ended = cli("calibrate", "--check", finished[0], "--corners", "4x6")
+    assert ended.exit_code == 2
+    assert "leave the others out" in str(ended.exception)
+    ended = cli("calibrate", finished[0])
+    assert ended.exit_code == 2
+    assert "to check a run say --check" in str(ended.exception)
