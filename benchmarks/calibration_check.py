@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.evaluation.calibration_check import CalibrationCheck, RunEdges, compare, edges_of_run
 from docdepth.geometry.se3 import rotation_exp
+from docdepth.pipeline.calibration_check import CalibrationCheck, RunEdges, compare, edges_of_run
 from docdepth.pipeline.edge_fit import Edges
 
 Floats = NDArray[np.float64]

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
-import cv2
 import numpy as np
 import pytest
 
@@ -62,53 +59,6 @@ def test_maps_that_are_all_but_empty(coverage, warned, caplog):
     sanity.warn_of_density(coverage, "image_02")
     assert len(caplog.records) == warned
     assert all("only 1.0 % of the pixels of image_02" in r.message for r in caplog.records)
-
-
-def _pictures(shift: tuple[int, int], unrelated: bool = False):
-    """Depth maps of boxes before a wall, and images whose boxes lie ``shift`` pixels off."""
-    for seed in range(16 if unrelated else 6):
-        numbers = np.random.default_rng(seed)
-        depth = np.full((375, 1242), 40.0, np.float32)
-        image = numbers.integers(90, 110, (375, 1242, 3)).astype(np.uint8)
-        for _ in range(12):
-            at = numbers.integers([60, 60], [1100, 280])
-            size = numbers.integers(20, 80, 2)
-            cv2.rectangle(
-                depth, at.tolist(), (at + size).tolist(), float(numbers.uniform(5, 30)), -1
-            )
-            if unrelated:
-                at, size = numbers.integers([60, 60], [1100, 280]), numbers.integers(20, 80, 2)
-            colour = numbers.integers(0, 255, 3).tolist()
-            cv2.rectangle(image, (at + shift).tolist(), (at + size + shift).tolist(), colour, -1)
-        depth[::7, ::5] = np.nan
-        yield depth, image
-
-
-@pytest.mark.parametrize("shift", [(0, 0), (5, 0), (3, -4)])
-def test_edges_that_fit_are_silent(shift, caplog):
-    sanity.warn_of_edges(_pictures(shift), "image_02")
-    assert caplog.text == ""
-
-
-@pytest.mark.parametrize(
-    ("shift", "words"), [((14, 0), "1. pixels to the right"), ((-4, 20), r"(19|20|21) down")]
-)
-def test_edges_beside_those_of_the_image(shift, words, caplog):
-    sanity.warn_of_edges(_pictures(shift), "image_02")
-    assert len(caplog.records) == 1
-    assert caplog.records[0].message.startswith("edges of depth fit the images of image_02 better")
-    assert re.search(words, caplog.text)
-
-
-def test_edges_that_fit_nowhere(caplog):
-    sanity.warn_of_edges(_pictures((0, 0), unrelated=True), "image_02")
-    assert len(caplog.records) == 1
-    assert "nowhere near edges of the images" in caplog.text
-
-
-def test_without_images_nothing_is_said(caplog):
-    sanity.warn_of_edges(((depth, None) for depth, _ in _pictures((30, 0))), "image_02")
-    assert caplog.text == ""
 
 
 @pytest.mark.parametrize(("count", "most", "chosen"), [(3, 5, [0, 1, 2]), (100, 3, [0, 49, 99])])

@@ -15,6 +15,7 @@ from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.pipeline.calibration_check import edges_of_images, judge
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render
 from docdepth.pipeline.run_inputs import (
@@ -24,7 +25,7 @@ from docdepth.pipeline.run_inputs import (
     register,
 )
 from docdepth.pipeline.run_state import require
-from docdepth.pipeline.sanity import IMAGES, sampled, warn_of_density, warn_of_edges
+from docdepth.pipeline.sanity import warn_of_density
 from docdepth.pipeline.stage import Profile, Progress, Stopwatch, progress_callback, stage
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
@@ -171,16 +172,18 @@ def _render_cameras(
         for files, profile in zip(plan.files, profiles, strict=True):
             files.describe()
             profile.more["density"] = float(np.mean(list(files.coverage.values())))
-            _warn_of_depth(files)
+            profile.more["calibration"] = _judge_maps(plan, files)
     return left_out
 
 
-def _warn_of_depth(files: DepthFiles) -> None:
-    """Warn of depth maps that cannot be right."""
-    name, done = files.stream.name, sorted(files.coverage)
-    warn_of_density(list(files.coverage.values()), name)
-    some = [done[k] for k in sampled(len(done), IMAGES)] if files.stream.images else []
-    warn_of_edges(((files.depth(k), files.stream.rectified_image(k)) for k in some), name)
+def _judge_maps(plan: RenderPlan, files: DepthFiles) -> str | None:
+    """Warn of depth maps that cannot be right; what images say about the calibration."""
+    stream, done = files.stream, sorted(files.coverage)
+    warn_of_density(list(files.coverage.values()), stream.name)
+    if not stream.images or plan.parameters.render.primitive == "splats":
+        return None  # splats reach over edges
+    path, tracks = files.run.path, plan.tracks.values()
+    return judge(edges_of_images(path, stream, done, files.depth, plan.trajectory, tracks))
 
 
 def _write_cameras(plan: RenderPlan) -> None:

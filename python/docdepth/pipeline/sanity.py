@@ -7,9 +7,8 @@ beside it. Right are KITTI raw drives 0005 and 9001, and synthetic ones: city, c
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,19 +30,6 @@ MOST_DYNAMIC = 0.5
 
 LEAST_DENSITY = 0.05
 """Mean share of pixels with depth: 0.5 to 0.8."""
-
-IMAGES = 10
-"""Depth maps whose edges are compared with those of their images."""
-
-_WIDTH = 640  # pixels to which images are reduced: an image takes some 30 ms
-_REACH = 0.032  # of the width: shifts that are tried, 40 pixels of KITTI's images
-_FAR = 0.0065  # of the width: 8 pixels of KITTI's images
-_JUMP = 0.1  # share of inverse depth by which it changes at an edge
-_FEWEST_EDGES = 1500  # pixels at edges of depth in all images together
-_FEWEST_UNRELATED = 8000  # the same before all images are called unrelated
-_CLEAR = 5.0  # deviations above the other shifts: 7 to 25, unrelated images up to 4
-_BETTER = 1.5  # times the score of the best shift that is not far: 2 to 4 after 12 pixels
-_UNRELATED = 3.0  # deviations of the best shift that is not far: 7 to 25, unrelated images up to 3
 
 
 def sampled(count: int, most: int) -> list[int]:
@@ -121,86 +107,3 @@ def warn_of_density(coverage: Sequence[float], camera: str) -> None:
             "wrong, the image times may not fit, or the camera may look where the LiDAR does not",
             100 * np.mean(coverage), camera,
         )  # fmt: skip
-
-
-def warn_of_edges(
-    maps: Iterable[tuple[NDArray[np.float32], NDArray[np.uint8] | None]], camera: str
-) -> None:
-    """Warn if edges of depth lie far from edges of the images.
-
-    Parameters
-    ----------
-    maps : iterable of (ndarray of float32 (h, w), ndarray of uint8 (h, w, 3) or None)
-        Depth maps and rectified images; :data:`IMAGES` of a camera, evenly spread, are enough.
-    camera : str
-    """
-    total, edges, scale = np.zeros(0), 0.0, 1.0
-    for depth, image in maps:
-        if image is None:
-            continue
-        scale = min(1.0, _WIDTH / depth.shape[1])
-        score, count = _scores(_reduced(depth, scale), _contrast(image, scale))
-        total = total + score if total.shape == score.shape else score
-        edges += count
-    if edges < _FEWEST_EDGES:
-        return
-    reach = total.shape[0] // 2
-    offset = np.hypot(*np.ogrid[-reach : reach + 1, -reach : reach + 1])
-    middle = float(np.median(total))
-    deviation = 1.4826 * float(np.median(np.abs(total - middle))) or 1.0
-    near = float(total[offset <= _FAR / _REACH * reach].max())
-    row, column = np.unravel_index(int(np.argmax(total)), total.shape)
-    best = float(total[row, column])
-    if best > near and best - middle > _CLEAR * deviation and best > _BETTER * max(near, 0):
-        log.warning(
-            "edges of depth fit the images of %s better %.0f pixels to the %s and %.0f %s: the "
-            "extrinsics, the intrinsics or the image times may be wrong",
-            camera,
-            abs(column - reach) / scale,
-            "right" if column > reach else "left",
-            abs(row - reach) / scale,
-            "down" if row > reach else "up",
-        )
-    elif edges > _FEWEST_UNRELATED and near - middle < _UNRELATED * deviation:
-        log.warning(
-            "edges of depth lie nowhere near edges of the images of %s: the extrinsics, the "
-            "intrinsics or the order of the images may be wrong", camera,
-        )  # fmt: skip
-
-
-def _reduced(depth: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
-    """1 where inverse depth jumps, of a depth map reduced without mixing depths."""
-    size = (round(depth.shape[1] * scale), round(depth.shape[0] * scale))
-    small = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = 1 / small
-    jumps = np.zeros(small.shape, np.float32)
-    with np.errstate(invalid="ignore"):
-        for a, b, at in (
-            (inverse[:-1], inverse[1:], jumps[:-1]),
-            (inverse[:, :-1], inverse[:, 1:], jumps[:, :-1]),
-        ):
-            at[np.abs(a - b) > _JUMP * np.maximum(a, b)] = 1
-    return jumps
-
-
-def _contrast(image: NDArray[np.uint8], scale: float) -> NDArray[np.float32]:
-    """Strength of the image's edges, less that of their surroundings."""
-    size = (round(image.shape[1] * scale), round(image.shape[0] * scale))
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    strength = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
-    strength = np.minimum(strength, np.quantile(strength, 0.95)).astype(np.float32)
-    return np.asarray(strength - cv2.blur(strength, (41, 41)), np.float32)
-
-
-def _scores(
-    jumps: NDArray[np.float32], contrast: NDArray[np.float32]
-) -> tuple[NDArray[np.float64], float]:
-    """Contrast below the jumps at each shift of them, and their number."""
-    reach = max(4, round(_REACH * jumps.shape[1]))
-    shape = [n + reach for n in jumps.shape]
-    product = np.conj(np.fft.rfft2(jumps, shape)) * np.fft.rfft2(contrast, shape)
-    shifts = np.arange(-reach, reach + 1)
-    table = np.fft.irfft2(product, shape)[np.ix_(shifts % shape[0], shifts % shape[1])]
-    return table, float(jumps.sum())

@@ -218,9 +218,16 @@ def _camera(run: RunFolder, page: CameraPage, trajectory: Trajectory) -> str:
         f"<p>{''.join(names)} <span class=note>({len(page.moments)} of {len(page.density)} "
         "images; keys: arrows and 1, 2, 3 ...)</span></p>",
         _density(page.density, start),
+        _calibration(run, page.name),
         _held_out(run, page.name),
         "</section>",
     ])  # fmt: skip
+
+
+def _calibration(run: RunFolder, camera: str) -> str:
+    """What the edges of its images say of the extrinsic."""
+    verdict = run.stage(f"render {camera}").get("calibration")
+    return f"<p>Depth edges against image edges: {escape(verdict)}.</p>" if verdict else ""
 
 
 def _legend(view: str) -> str:

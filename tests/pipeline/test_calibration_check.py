@@ -11,13 +11,16 @@ import numpy as np
 import pytest
 
 from command_line import cli
+from docdepth.config import parameters
 from docdepth.datasets import CameraStream
 from docdepth.errors import CalibrationError
-from docdepth.evaluation import calibration_check
-from docdepth.evaluation.calibration_check import RunEdges, compare
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.geometry.track import Track
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline import calibration_check
+from docdepth.pipeline.calibration_check import RunEdges, compare, edges_of_images, judge
 from docdepth.pipeline.map_edges import edges_of_map, pixels_of_tracks
 
 K = np.array([[400.0, 0, 310], [0, 400, 120], [0, 0, 1]])
@@ -109,6 +112,44 @@ def test_too_few_edges_tell_nothing() -> None:
         compare(few)
 
 
+def images_along(path: list[float], monkeypatch) -> RunEdges:
+    """Images of the boards, as if the vehicle had come so far by each of them [m]."""
+    given = made()
+    monkeypatch.setattr(CameraStream, "rectified_image", lambda _, k: given.images[k])
+    poses = np.tile(np.eye(4), (len(path), 1, 1))
+    poses[:, 2, 3] = path
+    times = np.arange(len(path)) * 10**8
+    names = [f"{k:06d}" for k in range(len(path))]
+    stream = CameraStream("front", CAMERA, np.eye(4), times, names)
+    depth = np.full((240, 620), 40, np.float32)
+    for board, _ in boards(0):
+        drawn(depth, board, float(board[0, 2]))
+    indices = range(len(path))
+    return edges_of_images(
+        Path("run"), stream, indices, lambda _: depth, Trajectory(times, poses), []
+    )
+
+
+def test_images_from_one_place_count_once(monkeypatch) -> None:
+    waiting = images_along([0, 0.01, 0, 0.02, 0.01, 0, 0.01, 0], monkeypatch)
+    assert waiting.names == ["000000"]
+    with pytest.raises(CalibrationError, match="take a drive that moves"):
+        compare(waiting)
+    assert judge(waiting) is None
+    crawling = images_along([0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4], monkeypatch)
+    assert crawling.names == ["000000", "000003", "000006", "000007"]
+
+
+def test_a_run_warns_of_a_wrong_calibration(caplog) -> None:
+    assert "agrees with the images" in judge(made())
+    assert caplog.text == ""
+    assert "degrees to the left" in judge(made((0, 0.5, 0)))
+    assert "front: the calibration is off" in caplog.text
+    caplog.clear()
+    assert "by chance only" in judge(made(unrelated=True))
+    assert "by chance only" in caplog.text
+
+
 def test_edges_lie_between_near_and_far_and_point_away_from_the_near() -> None:
     depth = np.full((60, 80), 20, np.float32)
     depth[20:40, 30:50] = 8
@@ -157,6 +198,14 @@ def test_the_verb(finished, tmp_path, monkeypatch) -> None:
     figures = json.loads(cli("calibrate", "--check", run, "--json").stdout)
     assert figures["images"] == 4
     assert len(figures["turn_deg"]) == 3
+
+
+def test_splats_reach_over_edges(finished, monkeypatch) -> None:
+    splats = parameters("paper")
+    monkeypatch.setattr(RunFolder, "parameters", property(lambda _: splats))
+    ended = cli("calibrate", "--check", finished[0])
+    assert ended.exit_code == 2
+    assert "render.primitive=triangles" in str(ended.exception)
 
 
 def test_options_of_boards_do_not_go_with_it(finished) -> None:

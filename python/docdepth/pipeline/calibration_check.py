@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 from docdepth.datasets import CameraStream
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.se3 import inverse
+from docdepth.geometry.track import Track
+from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import TRACKS, read_tracks
@@ -24,10 +27,16 @@ from docdepth.pipeline.run_inputs import recorded_camera
 from docdepth.pipeline.run_state import require
 from docdepth.pipeline.sanity import sampled
 
+log = logging.getLogger(__name__)
+
 Floats = NDArray[np.float64]
 
-IMAGES = 30
-"""Images that are compared, evenly chosen."""
+IMAGES = 20
+"""Images that are compared, evenly chosen along the path."""
+
+APART = 0.5
+"""Path between two of them [m]. Seen from one place, the upper edge of a thing lies at its last
+beam, too low in every image alike; from places apart other beams meet it."""
 
 OFF = np.array([*np.radians([0.1] * 3), *[0.02] * 3])
 """Turn [rad] and shift [m] above which a calibration is wrong, which checkerboards reach."""
@@ -139,7 +148,7 @@ def check_calibration(
     DatasetError
         The recording has no images, or a file cannot be read.
     CalibrationError
-        There are too few edges to tell, or they fit by chance only.
+        The run draws splats, there are too few edges to tell, or they fit by chance only.
     """
     return compare(edges_of_run(run, camera, progress))
 
@@ -152,12 +161,12 @@ def compare(found: RunEdges) -> CalibrationCheck:
     CalibrationError
         There are too few edges to tell, or they fit by chance only.
     """
-    stream, count = found.stream, sum(len(one) for one in found.edges)
-    if len(found.edges) < _FEWEST_IMAGES or count < _FEWEST_EDGES:
+    stream = found.stream
+    if not found.enough:
         raise CalibrationError(
-            f"{found.path} has {len(found.edges)} images with {count} depth edges of standing "
-            f"things; {_FEWEST_IMAGES} images with {_FEWEST_EDGES} are needed to judge a "
-            "calibration"
+            f"{found.path} has {len(found.edges)} images from places {APART} m apart, with "
+            f"{found.count} depth edges of standing things; {_FEWEST_IMAGES} such images with "
+            f"{_FEWEST_EDGES} edges are needed to judge a calibration: take a drive that moves"
         )
     samples = [
         profiles(edges, image, stream.camera)
@@ -172,7 +181,21 @@ def compare(found: RunEdges) -> CalibrationCheck:
         )
     worst = int(np.argmax(fit.gains))
     picture = _picture(found.images[worst], found.edges[worst], fit, stream)
-    return CalibrationCheck(fit, count, len(found.edges), found.names[worst], picture)
+    return CalibrationCheck(fit, found.count, len(found.edges), found.names[worst], picture)
+
+
+def judge(found: RunEdges) -> str | None:
+    """The verdict in words; None where there are too few edges. Warns where it is bad."""
+    if not found.enough:
+        return None
+    try:
+        result = compare(found)
+    except CalibrationError as error:
+        log.warning("%s", error)
+        return str(error)
+    if not result.agrees:
+        log.warning("%s: %s", found.stream.name, result.verdict)
+    return result.verdict
 
 
 @dataclass(frozen=True)
@@ -198,6 +221,15 @@ class RunEdges:
     images: list[NDArray[np.uint8]]
     edges: list[Edges]
 
+    @property
+    def count(self) -> int:
+        return sum(len(one) for one in self.edges)
+
+    @property
+    def enough(self) -> bool:
+        """Whether they can tell of a calibration."""
+        return len(self.edges) >= _FEWEST_IMAGES and self.count >= _FEWEST_EDGES
+
 
 def edges_of_run(
     run: Path | RunFolder,
@@ -207,26 +239,67 @@ def edges_of_run(
     """Read what :func:`check_calibration` compares; its parameters and errors."""
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
     name = folder.depth_folder(camera)
+    if folder.parameters.render.primitive == "splats":
+        raise CalibrationError(
+            f"{folder.path} draws splats, which reach over the edges of things; compare a run with "
+            "render.primitive=triangles, as preset default has"
+        )
     require(folder, f"render {folder.camera_in(name)}")
     stream = recorded_camera(folder, name)
     if stream is None or not stream.images:
         raise DatasetError(f"{folder.path}: its recording has no images to compare depth with")
     maps = maps_in(folder.path / "depth" / name)
     indices = [k for k, image in enumerate(stream.names) if image in maps]
-    chosen = [indices[k] for k in sampled(len(indices), IMAGES)]
     tracks = read_tracks(folder.path / TRACKS) if (folder.path / TRACKS).is_file() else []
-    poses = folder.trajectory().interpolate(stream.times[chosen])
+    depth = {k: maps[stream.names[k]] for k in indices}
+    return edges_of_images(
+        folder.path, stream, indices, lambda k: read_depth(depth[k]), folder.trajectory(), tracks,
+        progress,
+    )  # fmt: skip
+
+
+def edges_of_images(
+    run: Path,
+    stream: CameraStream,
+    indices: Sequence[int],
+    depth: Callable[[int], NDArray[np.float32]],
+    trajectory: Trajectory,
+    tracks: Collection[Track],
+    progress: Callable[[int, int], None] | None = None,
+) -> RunEdges:
+    """Depth edges of some images, evenly along the path.
+
+    Parameters
+    ----------
+    run : Path
+    stream : CameraStream
+        With images.
+    indices : sequence of int
+        Images that have a depth map, by time.
+    depth : callable
+        Depth map of an image by its index, float32 of shape (h, w) [m].
+    trajectory : Trajectory
+        LiDAR poses.
+    tracks : collection of Track
+        Moving objects.
+    progress : callable, optional
+        As for :func:`check_calibration`.
+    """
+    times = stream.times[list(indices)]
+    poses = trajectory.interpolate(times)
+    apart = Trajectory(times, poses).subsample(APART)
+    chosen = [int(apart[k]) for k in sampled(len(apart), IMAGES)]
     images, edges = [], []
-    for done, (index, T_world_lidar) in enumerate(zip(chosen, poses, strict=True), 1):
-        image = stream.rectified_image(index)
+    for done, k in enumerate(chosen, 1):
+        image = stream.rectified_image(indices[k])
         assert image is not None
-        T_camera_world = stream.T_camera_lidar @ inverse(T_world_lidar)
-        moving = pixels_of_tracks(tracks, int(stream.times[index]), T_camera_world, stream.camera)
+        T_camera_world = stream.T_camera_lidar @ inverse(poses[k])
+        moving = pixels_of_tracks(tracks, int(times[k]), T_camera_world, stream.camera)
         images.append(image)
-        edges.append(edges_of_map(read_depth(maps[stream.names[index]]), moving))
+        edges.append(edges_of_map(depth(indices[k]), moving))
         if progress:
             progress(done, len(chosen))
-    return RunEdges(folder.path, stream, [stream.names[k] for k in chosen], images, edges)
+    return RunEdges(run, stream, [stream.names[indices[k]] for k in chosen], images, edges)
 
 
 def _with_errors(values: Floats, errors: Floats, digits: int) -> str:
