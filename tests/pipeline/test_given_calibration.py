@@ -112,6 +112,14 @@ def test_a_text_file_gives_the_extrinsic_alone(drive, calibration, tmp_path):
     file = calibration.with_name("calib_lidar_ref_cam.txt")
     with pytest.raises(CalibrationError, match=r"a camera without a name.*has image_2, image_3"):
         open_recording(source(drive, calibration=str(file)))
+    asked = open_recording(source(drive, calibration=str(file), camera="image_3"))
+    np.testing.assert_array_equal(asked.cameras["image_3"].T_camera_lidar, T)
+    assert not np.array_equal(asked.cameras["image_2"].T_camera_lidar, T)
+    seeing = tmp_path / "seeing"  # image_3 has a calibration and no images
+    shutil.copytree(drive, seeing)
+    shutil.rmtree(seeing / "image_3")
+    stream = open_recording(source(seeing, calibration=str(file))).cameras["image_2"]
+    np.testing.assert_array_equal(stream.T_camera_lidar, T)
     alone = tmp_path / "drive"
     shutil.copytree(drive, alone)
     calib = (alone / "calib.txt").read_text().splitlines()

@@ -104,7 +104,7 @@ def _open_whole(source: dict[str, Any]) -> Dataset:
     size = parse_size(source.get("image_size"))
     recording = open_dataset(Path(source["dataset"]), source["name"], size)
     if source.get("calibration"):
-        stream = _calibrated(recording, Path(source["calibration"]))
+        stream = _calibrated(recording, Path(source["calibration"]), source["camera"])
         recording.cameras[stream.name] = stream
     return recording
 
@@ -177,17 +177,24 @@ def find_up(recording: Dataset, begun: dict[str, Any] | None = None) -> list[flo
     return [float(x) for x in up / np.linalg.norm(up)]
 
 
-def _calibrated(recording: Dataset, file: Path) -> CameraStream:
-    """The camera of a recording that a calibration is of, with that calibration."""
+def _calibrated(recording: Dataset, file: Path, asked: str | Sequence[str] | None) -> CameraStream:
+    """The camera of a recording that a calibration is of, with that calibration.
+
+    A calibration that names none is of the camera that was asked for, or of the only one with
+    images.
+    """
     found = read_camera_calibration(file)
     images = image_streams(recording)
     streams: dict[str, CameraStream | ImageStream] = {**images, **recording.cameras}
-    name = found.name if found.name in streams or len(streams) != 1 else next(iter(streams))
+    asked = [asked] if isinstance(asked, str) else list(asked or ())
+    seeing = [name for name, stream in streams.items() if stream.images]
+    one = next((some[0] for some in (list(streams), asked, seeing) if len(some) == 1), "")
+    name = one if len(streams) == 1 else found.name or one
     if name not in streams:
         raise CalibrationError(
             f"{file} is of {f'the camera {name}' if name else 'a camera without a name'}, "
-            f"{recording.path} has {', '.join(streams) or 'no camera'}; say which it is in "
-            'calib.json, as in "camera": "front"'
+            f"{recording.path} has {', '.join(streams) or 'no camera'}; say which it is with "
+            '--camera, or in calib.json, as in "camera": "front"'
         )
     stream = streams[name]
     camera = found.camera or stream.camera
