@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import math
 import os
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from command_line import cli
@@ -26,9 +28,11 @@ from docdepth.tuning import (
     Outcome,
     Trial,
     grid,
+    means,
     plot,
     trial_run,
     tune,
+    tune_runs,
 )
 
 pytest.importorskip("embreex")
@@ -291,6 +295,43 @@ def test_impossible_searches_are_refused_before_anything_is_made(run, drive, tmp
     with pytest.raises(ConfigError, match="its odometry is given"):
         tune(own, labels, [Trial("a", {"odometry.passes": 1})], out)
     assert not out.exists()
+
+
+def test_means_count_every_run_alike() -> None:
+    first = Outcome("a", {"x": 1}, {"all": {"mae": 1.0, "density": 0.5}, "k": 3}, {"vote": 2.0})
+    other = Outcome("a", {"x": 1}, {"all": {"mae": 2.0, "density": None}, "k": 4}, {})
+    third = Outcome("a", {"x": 1}, {"all": {"mae": 6.0, "density": math.nan}, "k": 5}, {})
+    (mean,) = means([[first], [other], [third]])
+    assert mean.metrics == {"all": {"mae": 3.0, "density": 0.5}, "k": 4.0}
+    assert mean.seconds == {"vote": 2.0}
+    assert (mean.name, mean.settings) == ("a", {"x": 1})
+
+
+def test_several_runs(run, own, drive, tmp_path) -> None:
+    out, trials, told = tmp_path / "out", [BASE, NARROW], []
+    judges = [LabelJudge(drive), LabelJudge(drive)]
+    found = tune_runs(
+        [run, own], judges, trials, out, progress=lambda done, total: told.append((done, total))
+    )
+    assert told[0] == (0, 4)
+    assert told[-1] == (4, 4)
+    singles = [tune(run, judges[0], trials, out / "1_run")]
+    singles.append(tune(own, judges[1], trials, out / "2_own"))
+    for name in ("iou", "precision"):
+        expected = [np.mean([o.metric(name) for o in same]) for same in zip(*singles, strict=True)]
+        np.testing.assert_allclose([o.metric(name) for o in found], expected)
+    assert "Means over 2 runs" in (out / "tune.md").read_text()
+    assert (out / "tune.csv").read_text().count("\n") == 3
+
+
+def test_each_run_has_a_truth(run, own, drive, tmp_path) -> None:
+    varied = ("-o", tmp_path / "out", "--vary", "dynamics.tolerance=0.2")
+    ended = cli("tune", run, own, "--labels", drive, *varied)
+    assert ended.exit_code == 2
+    assert "2 runs and 1 folders of truth" in str(ended.exception)
+    ended = cli("tune", run, own, "--labels", drive, "--labels", drive, *varied)
+    assert ended.exit_code == 0, ended.output
+    assert "Means over 2 runs" in ended.output
 
 
 def test_a_users_files_beside_the_results_stay(run, tmp_path) -> None:

@@ -29,19 +29,21 @@ LabelFolder = Annotated[
         help="Folder of true labels in SemanticKITTI's format (NAME.label), or its parent.",
     ),
 ]
-LabelJudgeFolder = Annotated[
-    Path | None,
+LabelJudgeFolders = Annotated[
+    list[Path] | None,
     typer.Option(
         "--labels",
         metavar="DIR",
         help="Judge by true labels, as evaluate labels does: parameters of odometry, ground and "
-        "dynamics.",
+        "dynamics. One for each run, in the same order.",
     ),
 ]
-DepthJudgeFolder = Annotated[
-    Path | None,
+DepthJudgeFolders = Annotated[
+    list[Path] | None,
     typer.Option(
-        "--depth", metavar="DIR", help="Judge by true depth maps, as evaluate depth does."
+        "--depth",
+        metavar="DIR",
+        help="Judge by true depth maps, as evaluate depth does. One for each run.",
     ),
 ]
 HeldOutSweeps = Annotated[
@@ -133,15 +135,17 @@ def demo(
 
 @verb(app)
 def tune(
-    run: RunPath,
+    runs: Annotated[
+        list[Path], typer.Argument(metavar="RUN...", help="Run folders, one or several drives.")
+    ],
     output: Annotated[
         Path,
         typer.Option(
             "-o", "--output", metavar="OUT", help="Folder for the results: table, CSV and plot."
         ),
     ],
-    label_folder: LabelJudgeFolder = None,
-    depth_folder: DepthJudgeFolder = None,
+    label_folders: LabelJudgeFolders = None,
+    depth_folders: DepthJudgeFolders = None,
     every: HeldOutSweeps = None,
     camera: OneCamera = None,
     vary: Annotated[
@@ -166,15 +170,17 @@ def tune(
     """Make a run again with many parameter sets, judge each, write a table, CSV and a plot.
 
     Only what the parameters change is made again, in folders of its own: the run stays as it is.
-    The same command continues a search that was interrupted.
+    The same command continues a search that was interrupted. The table of several runs has the
+    means over them; each run has a table of its own in a folder below OUT.
 
       docdepth tune RUN -o out --vary render.behind=5,15
+      docdepth tune RUN1 RUN2 RUN3 -o out --vary render.behind=5,15
       docdepth tune RUN --labels DIR -o out --vary dynamics.tolerance=0.1,0.2
     """
     from docdepth import tuning
     from docdepth.errors import ConfigError, MissingExtraError
 
-    judge = _judge(label_folder, depth_folder, every, camera)
+    judges = _judges(len(runs), label_folders, depth_folders, every, camera)
     if bool(vary) == bool(trials):
         raise ConfigError("say what to vary: --vary STAGE.NAME=A,B or --trials FILE")
     if trials:
@@ -182,31 +188,49 @@ def tune(
     else:
         sets = tuning.grid(tuning.parse_axes(vary or []), "--vary")
     with progress_bars() as progress:
-        outcomes = tuning.tune(
-            run, judge, sets, output, jobs, threads,
-            lambda done, total: progress("trials", done, total),
-        )  # fmt: skip
-    out.print(str(tuning.table(outcomes, judge.view)), soft_wrap=True, markup=False)
+
+        def told(done: int, total: int) -> None:
+            progress("trials", done, total)
+
+        if len(runs) == 1:
+            view = judges[0].view
+            outcomes = tuning.tune(runs[0], judges[0], sets, output, jobs, threads, told)
+        else:
+            view = tuning.mean_view(judges[0], len(runs))
+            outcomes = tuning.tune_runs(runs, judges, sets, output, jobs, threads, told)
+    out.print(str(tuning.table(outcomes, view)), soft_wrap=True, markup=False)
     try:
-        tuning.plot(outcomes, judge.view, output / "tune.png")
+        tuning.plot(outcomes, view, output / "tune.png")
     except MissingExtraError as error:
         out.print(f"no plot: {error}", markup=False)
 
 
-def _judge(labels: Path | None, depth: Path | None, every: int | None, camera: str | None) -> Judge:
-    """The one judge that the options choose."""
+def _judges(
+    count: int,
+    labels: list[Path] | None,
+    depth: list[Path] | None,
+    every: int | None,
+    camera: str | None,
+) -> list[Judge]:
+    """The judge that the options choose, for each run."""
     from docdepth.errors import ConfigError
     from docdepth.tuning import DepthJudge, HeldOutJudge, LabelJudge
 
-    if sum(option is not None for option in (labels, depth, every)) > 1:
+    if sum(bool(option) for option in (labels, depth, every)) > 1:
         raise ConfigError("choose one judge: --labels DIR, --depth DIR or --held-out N")
-    if labels is not None:
-        if camera is not None:
-            raise ConfigError("labels are the same for every camera; leave --camera out")
-        return LabelJudge(labels)
-    if depth is not None:
-        return DepthJudge(depth, camera)
-    return HeldOutJudge(10 if every is None else every, camera)
+    truths = labels or depth
+    if truths and len(truths) != count:
+        raise ConfigError(
+            f"{count} runs and {len(truths)} folders of truth: name one for each run, in the same "
+            "order"
+        )
+    if labels and camera is not None:
+        raise ConfigError("labels are the same for every camera; leave --camera out")
+    if labels:
+        return [LabelJudge(folder) for folder in labels]
+    if depth:
+        return [DepthJudge(folder, camera) for folder in depth]
+    return [HeldOutJudge(10 if every is None else every, camera)] * count
 
 
 @app.command("sweep", hidden=True, deprecated=True)

@@ -1,4 +1,4 @@
-"""Parameter search: make one run again with many parameter sets and judge each.
+"""Parameter search: make runs again with many parameter sets and judge each.
 
 Each parameter set is a trial. A trial is a run folder of its own: it shares the files of the run,
 and makes again the stages that its parameters change. What judges it are true labels, true depth
@@ -7,9 +7,9 @@ so an interrupted search resumes where it stopped.
 """
 
 from docdepth.tuning.judges import DepthJudge, HeldOutJudge, Judge, LabelJudge
-from docdepth.tuning.results import Outcome, as_csv, plot, table
+from docdepth.tuning.results import Outcome, as_csv, means, plot, table
 from docdepth.tuning.trials import Trial, grid, parse_axes, read_trials
-from docdepth.tuning.tune import tune
+from docdepth.tuning.tune import mean_view, tune, tune_runs
 
 __all__ = [
     "DepthJudge",
@@ -20,9 +20,12 @@ __all__ = [
     "Trial",
     "as_csv",
     "grid",
+    "mean_view",
+    "means",
     "parse_axes",
     "plot",
     "read_trials",
     "table",
     "tune",
+    "tune_runs",
 ]

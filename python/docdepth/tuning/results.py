@@ -112,6 +112,36 @@ class View:
         return next(column for column in self.columns if column.name == name)
 
 
+def means(of_runs: Sequence[Sequence[Outcome]]) -> list[Outcome]:
+    """Outcomes of the same trials on several runs as one: each figure is the mean over the runs.
+
+    A figure that some runs do not have is the mean over the others. Every run counts alike.
+
+    Parameters
+    ----------
+    of_runs : sequence of sequence of Outcome
+        Of each run, in the same order.
+    """
+    return [
+        Outcome(
+            same[0].name,
+            same[0].settings,
+            _mean([one.metrics for one in same]),
+            _mean([one.seconds for one in same]),
+        )
+        for same in zip(*of_runs, strict=True)
+    ]
+
+
+def _mean(values: Sequence[Any]) -> Any:
+    """The mean of numbers, of dictionaries entry by entry; of other values the first."""
+    if all(isinstance(value, dict) for value in values):
+        names = dict.fromkeys(name for value in values for name in value)
+        return {n: _mean([value[n] for value in values if n in value]) for n in names}
+    numbers = [v for v in values if isinstance(v, int | float) and not math.isnan(v)]
+    return math.fsum(numbers) / len(numbers) if numbers else values[0]
+
+
 def table(outcomes: Sequence[Outcome], view: View) -> Table:
     """One row per trial."""
     header = ("trial", *(column.header for column in view.columns))

@@ -7,7 +7,7 @@ import json
 import shutil
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.run_state import require
 from docdepth.tuning.judges import Judge
-from docdepth.tuning.results import Outcome, as_csv, table
+from docdepth.tuning.results import Outcome, View, as_csv, means, table
 from docdepth.tuning.trial_run import make_trial
 from docdepth.tuning.trials import Trial, check_stages, given_names, parameters_of, refused
 
@@ -96,11 +96,70 @@ def tune(
     with contextlib.suppress(OSError):
         (out / _TRIALS).rmdir()  # unless it holds an interrupted trial of another search
     outcomes = [found for found in (task.outcome() for task in tasks) if found is not None]
-    text = table(outcomes, judge.view).markdown().encode()
-    write_atomically(out / "tune.md", lambda stream: stream.write(text))
-    rows = as_csv(outcomes, judge.view).encode()
-    write_atomically(out / "tune.csv", lambda stream: stream.write(rows))
+    _write(outcomes, judge.view, out)
     return outcomes
+
+
+def tune_runs(
+    runs: Sequence[Path],
+    judges: Sequence[Judge],
+    trials: Sequence[Trial],
+    out: Path,
+    jobs: int = 1,
+    threads: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Outcome]:
+    """Try the same parameter sets on several runs, and average what is measured.
+
+    Parameters
+    ----------
+    runs : sequence of Path
+        Run folders of several drives.
+    judges : sequence of Judge
+        Of each run; all of one kind.
+    trials, jobs, threads, progress
+        As for :func:`tune`.
+    out : Path
+        Folder of the means, ``tune.csv`` and ``tune.md``. Each run has a folder in it, as
+        :func:`tune` writes it, named by its number and its name.
+
+    Returns
+    -------
+    list of Outcome
+        Means over the runs, in the order of ``trials``; every run counts alike.
+
+    Raises
+    ------
+    ConfigError, RunError, DatasetError
+        As :func:`tune`. What other runs were found to be stays.
+    """
+    total = len(runs) * len(trials)
+    found = []
+    for k, (run, judge) in enumerate(zip(runs, judges, strict=True)):
+        told = _told_after(k * len(trials), total, progress)
+        folder = out / f"{k + 1}_{run.resolve().name}"
+        found.append(tune(run, judge, trials, folder, jobs, threads, told))
+    outcomes = means(found)
+    _write(outcomes, mean_view(judges[0], len(runs)), out)
+    return outcomes
+
+
+def mean_view(judge: Judge, runs: int) -> View:
+    """How means over several runs are shown."""
+    return replace(judge.view, title=lambda _: f"Means over {runs} runs")
+
+
+def _told_after(
+    done: int, total: int, progress: Callable[[int, int], None] | None
+) -> Callable[[int, int], None]:
+    return lambda some, _: progress(done + some, total) if progress else None
+
+
+def _write(outcomes: Sequence[Outcome], view: View, out: Path) -> None:
+    text = table(outcomes, view).markdown().encode()
+    write_atomically(out / "tune.md", lambda stream: stream.write(text))
+    rows = as_csv(outcomes, view).encode()
+    write_atomically(out / "tune.csv", lambda stream: stream.write(rows))
 
 
 def _checked(source: RunFolder, judge: Judge, trial: Trial) -> Parameters:
