@@ -300,26 +300,42 @@ def depth(
 def held_out(
     run: RunPath,
     every: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Leave out every N-th sweep, one at a time.")
+        int, typer.Option(min=1, metavar="N", help="Judge by every N-th sweep, one at a time.")
     ] = 10,
+    lidar: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Leave out this LiDAR of a rig, in all sweeps, instead of a sweep; they count "
+            "from 0, as inspect lists them.",
+        ),
+    ] = None,
+    beams: Annotated[
+        int | None,
+        typer.Option(
+            min=2, metavar="N", help="Leave out every N-th beam of the sweep instead of all of it."
+        ),
+    ] = None,
     max_range: MaxRange = 80.0,
     camera: OneCamera = None,
     threads: Threads = 0,
     as_json: Json = False,
 ) -> None:
-    """Compare depth with sweeps that were left out: needs no ground truth.
+    """Compare depth with returns that were left out: needs no ground truth.
 
-    A sweep is left out, its view is rendered from the others, and each of its returns is compared
-    with the map. Pixels between returns are not judged.
+    A sweep is left out, or some of its beams, or a LiDAR of a rig. Its view is rendered from all
+    else, and each of its returns is compared with the map. Pixels between returns are not judged.
     """
     from docdepth.evaluation.held_out import evaluate_held_out
+    from docdepth.evaluation.left_out import LeftOut
     from docdepth.io.run_folder import RunFolder
     from docdepth.visualization.report import keep_held_out
 
     with progress_bars() as progress:
         result = evaluate_held_out(
             run, every, max_range, camera, threads,
-            lambda done, total: progress("held out", done, total),
+            lambda done, total: progress("held out", done, total), LeftOut(lidar, beams),
         )  # fmt: skip
     show(result, as_json)
     keep_held_out(RunFolder.open(run), camera, asdict(result.table()))
