@@ -61,6 +61,9 @@ class HeldOutResult:
         both [m]; of all returns, and of clear ones.
     left_out : str
         What was left out, in words.
+    found : tuple of str
+        What is wrong with poses or motion compensation, see :mod:`.causes`; empty if nothing was
+        found or looked for.
     """
 
     sweeps: int
@@ -73,6 +76,7 @@ class HeldOutResult:
     point_to_point: float = math.nan
     clear_point_to_point: float = math.nan
     left_out: str = "held-out sweeps"
+    found: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """All metrics by name, ready for JSON; None replaces NaN."""
@@ -81,7 +85,7 @@ class HeldOutResult:
         regions["clear"]["point_to_point"] = self.clear_point_to_point
         ranges = [{"near": r.near, "far": r.far, **r.errors.as_dict()} for r in self.by_range]
         head = {"sweeps": self.sweeps, "max_range": self.max_range, "left_out": self.left_out}
-        return dict(plain({**head, **regions, "by_range": ranges}))
+        return dict(plain({**head, **regions, "by_range": ranges, "found": self.found}))
 
     def table(self) -> Table:
         """Errors by class and range, one row each."""

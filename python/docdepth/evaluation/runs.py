@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import open_dataset
 from docdepth.errors import DatasetError
 from docdepth.evaluation.depth import DepthEvaluation, DepthResult, Mode
-from docdepth.evaluation.label_counts import moving
+from docdepth.evaluation.label_counts import ignored, moving
 from docdepth.evaluation.labels import LabelEvaluation, LabelResult
 from docdepth.evaluation.objects import instances
 from docdepth.evaluation.tracks import TrackEvaluation, TrackResult
@@ -34,8 +35,48 @@ _OTHER_SCALE = 1.5
 """Factor between true and made depth, in the median, that no error of depth explains."""
 
 
+@dataclass(frozen=True)
+class JudgedSweep:
+    """The labels of a sweep beside the true ones.
+
+    Attributes
+    ----------
+    name : str
+    points : ndarray of float32, shape (N, 3)
+        LiDAR frame [m].
+    classid : ndarray of uint16, shape (N,)
+        As docdepth has them.
+    truth, counted : ndarray of bool, shape (N,)
+        Which points have a moving class, and which are labelled at all.
+    """
+
+    name: str
+    points: NDArray[np.float32]
+    classid: NDArray[np.uint16]
+    truth: NDArray[np.bool_]
+    counted: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class JudgedImage:
+    """A depth map beside the true one, (h, w) each [m]; NaN = none.
+
+    Attributes
+    ----------
+    name : str
+    depth, truth : ndarray of float32
+    """
+
+    name: str
+    depth: NDArray[np.float32]
+    truth: NDArray[np.float32]
+
+
 def evaluate_labels(
-    run: Path | RunFolder, labels: Path, progress: Callable[[int, int], None] | None = None
+    run: Path | RunFolder,
+    labels: Path,
+    progress: Callable[[int, int], None] | None = None,
+    look: Callable[[JudgedSweep], None] | None = None,
 ) -> LabelResult:
     """Compare the classes of a run with SemanticKITTI labels.
 
@@ -50,6 +91,8 @@ def evaluate_labels(
         beside it (``NAME.npy``, speed of each point in m/s) separates standing from moving objects.
     progress : callable, optional
         Called with the number of finished sweeps and the number of all sweeps.
+    look : callable, optional
+        Called with each :class:`JudgedSweep`.
 
     Raises
     ------
@@ -71,6 +114,10 @@ def evaluate_labels(
         ranges = np.full(record.input_points, np.nan)
         ranges[record.index] = np.linalg.norm(record.points, axis=1)
         evaluation.add(truth, dynamic, ranges, _speeds(labels, record.name), _seconds(times))
+        if look:
+            true = truth[record.index]
+            flags = moving(true), ~ignored(true)
+            look(JudgedSweep(record.name, record.points, classid, *flags))
         if progress:
             progress(index + 1, len(times))
     return evaluation.result()
@@ -158,6 +205,7 @@ def evaluate_depth(
     max_range: float = 80.0,
     camera: str | None = None,
     progress: Callable[[int, int], None] | None = None,
+    look: Callable[[JudgedImage], None] | None = None,
 ) -> DepthResult:
     """Compare the depth maps of a run with true depth maps of the same names.
 
@@ -178,6 +226,8 @@ def evaluate_depth(
         Name of the camera; needed if the run has several.
     progress : callable, optional
         Called with the number of compared depth maps and the number of all.
+    look : callable, optional
+        Called with each :class:`JudgedImage`.
 
     Raises
     ------
@@ -209,6 +259,8 @@ def evaluate_depth(
             dynamic = moving(classes_of_image.ravel()).reshape(classes_of_image.shape)
         made, true = read_depth(path), read_depth(truths[name])
         evaluation.add(made, true, dynamic, K)
+        if look:
+            look(JudgedImage(name, made, true))
         ratios.append(_ratio(made, true))
         if progress:
             progress(done, len(maps))
