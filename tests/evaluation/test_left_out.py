@@ -185,6 +185,15 @@ def test_point_to_point_equals_scipy(rig):
     expected = DepthErrors.of(*(np.concatenate(values) for values in zip(*errors, strict=True)))
     assert result.all.mae == pytest.approx(expected.mae)
     assert result.all.rmse == pytest.approx(expected.rmse)
+    d, p, clear = (
+        np.concatenate([getattr(view, name)[~np.isnan(view.truth)] for view in views])
+        for name in ("truth", "depth", "clear")
+    )
+    for region, rows in ((result.all, d <= 80), (result.clear, clear & (d <= 80))):
+        both = rows & ~np.isnan(p)
+        assert (region.pixels, region.compared) == (rows.sum(), both.sum())
+        assert region.too_near == pytest.approx(100 * (p < 0.95 * d)[both].mean(), abs=1e-3)
+        assert region.too_far == pytest.approx(100 * (p > 1.05 * d)[both].mean(), abs=1e-3)
 
 
 def test_on_the_command_line(rig):
