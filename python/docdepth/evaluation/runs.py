@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import open_dataset
 from docdepth.errors import DatasetError
 from docdepth.evaluation.depth import DepthEvaluation, DepthResult, Mode
+from docdepth.evaluation.depth_truth import DepthTruth
 from docdepth.evaluation.label_counts import ignored, moving
 from docdepth.evaluation.labels import LabelEvaluation, LabelResult
 from docdepth.evaluation.objects import instances
@@ -21,15 +22,11 @@ from docdepth.evaluation.tracks import TrackEvaluation, TrackResult
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import TRACKS, read_tracks
 from docdepth.pipeline.run_state import require
 
 log = logging.getLogger(__name__)
-
-_COMPLETION = Path("proj_depth") / "groundtruth"
-"""Where a drive of KITTI's depth completion keeps its true depth maps, a folder a camera."""
 
 _OTHER_SCALE = 1.5
 """Factor between true and made depth, in the median, that no error of depth explains."""
@@ -216,8 +213,8 @@ def evaluate_depth(
     depth : Path
         Folder of depth maps in any format, or its parent with a folder ``depth_2``. A folder
         ``class_2`` beside it marks the pixels of moving objects. Or a drive of KITTI's depth
-        completion, with ``proj_depth/groundtruth``: it lacks maps at both ends, and images without
-        one are not compared.
+        completion, with ``proj_depth/groundtruth``, which lacks maps at both ends, or its
+        ``val_selection_cropped``; images without one are not compared.
     mode : {"valid", "kitti"}
         ``kitti`` fills empty pixels first, as KITTI's development kit does.
     max_range : float
@@ -238,56 +235,25 @@ def evaluate_depth(
     depth = _truth_folder(depth, "depth_2", folder)
     camera = folder.depth_folder(camera)
     require(folder, f"render {folder.camera_in(camera)}")
-    completion = (depth / _COMPLETION).is_dir()
-    depth = depth / _COMPLETION / folder.camera_in(camera) if completion else depth
-    classes = depth.parent / depth.name.replace("depth", "class")
-    K = folder.calibration(camera)[0].K
+    truth = DepthTruth(depth, folder, camera)
     evaluation = DepthEvaluation(mode=mode, max_range=max_range, poses=_poses(folder))
     ratios: list[float] = []
-    maps, truths = maps_in(run / "depth" / camera), maps_in(depth)
-    if not maps:
-        raise DatasetError(f"{run}/depth has no depth maps; run: docdepth render {run}")
-    if completion:
-        maps = _with_truth(maps, truths, depth)
-    for done, (name, path) in enumerate(maps.items(), 1):
-        if name not in truths:
-            raise DatasetError(f"{depth} has no depth map {name}, {run} has {path.name}")
-        mask = classes / f"{name}.npy"
-        dynamic = None
-        if classes != depth and mask.is_file():
-            classes_of_image = np.load(mask)
-            dynamic = moving(classes_of_image.ravel()).reshape(classes_of_image.shape)
-        made, true = read_depth(path), read_depth(truths[name])
-        evaluation.add(made, true, dynamic, K)
+    for done, name in enumerate(truth.maps, 1):
+        made, true, K = truth.read(name)
+        evaluation.add(made, true, truth.dynamic(name), K)
         if look:
             look(JudgedImage(name, made, true))
         ratios.append(_ratio(made, true))
         if progress:
-            progress(done, len(maps))
+            progress(done, len(truth.maps))
     ratio = float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else 1.0
     if not 1 / _OTHER_SCALE < ratio < _OTHER_SCALE:
         log.warning(
             "the depth in %s is %.3g times that of the run; depth is in metres, PNG in metres x "
             "256 unless a depth.json beside it tells another scale: is the scale another?",
-            depth,
-            ratio,
-        )
-    return evaluation.result()
-
-
-def _with_truth(maps: dict[str, Path], truths: dict[str, Path], depth: Path) -> dict[str, Path]:
-    """The maps that have a true one; the others are counted in a warning."""
-    found = {name: path for name, path in maps.items() if name in truths}
-    if not found:
-        raise DatasetError(
-            f"{depth} has no depth map of the {len(maps)} images of the run; is it of this drive?"
-        )
-    if len(found) < len(maps):
-        log.warning(
-            "%s has no depth map of %d of %d images; they are not compared",
-            depth, len(maps) - len(found), len(maps),
+            truth.folder, ratio,
         )  # fmt: skip
-    return found
+    return evaluation.result()
 
 
 def _ratio(made: NDArray[np.float32], true: NDArray[np.float32]) -> float:
