@@ -208,15 +208,35 @@ def test_kitti_mode_compares_filled_pixels() -> None:
     assert "filled" in result.protocol
 
 
-def test_points_are_as_far_apart_as_their_rays_are_long() -> None:
-    K = np.array([[10.0, 0, 1], [0, 10, 1], [0, 0, 1]])
-    truth, predicted = np.full((3, 3), 5, np.float32), np.full((3, 3), 6, np.float32)
-    y, x = np.mgrid[0:3, 0:3]
-    rays = np.stack([(x - 1) / 10, (y - 1) / 10, np.ones((3, 3))], axis=-1)
-    expected = np.linalg.norm(6 * rays - 5 * rays, axis=-1).mean()
+def cloud(K: np.ndarray, depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    v, u = np.nonzero(pixels)
+    return np.column_stack([u, v, np.ones(len(u))]) @ np.linalg.inv(K).T * depth[pixels][:, None]
+
+
+def test_points_are_as_far_apart_as_the_nearest_of_the_other_cloud() -> None:
+    """By hand: a wall at 5 m and the same wall at 6 m, seen straight ahead by three pixels."""
+    K = np.array([[10.0, 0, 1], [0, 10, 0], [0, 0, 1]])
+    truth, predicted = np.full((1, 3), 5, np.float32), np.full((1, 3), 6, np.float32)
     evaluation = DepthEvaluation()
     evaluation.add(predicted, truth, K=K)
-    assert evaluation.result().point_to_point == pytest.approx(expected)
+    # Points (-0.5, 0, 5), (0, 0, 5), (0.5, 0, 5) and (-0.6, 0, 6), (0, 0, 6), (0.6, 0, 6).
+    side = math.hypot(1, 0.1)
+    assert evaluation.result().point_to_point == pytest.approx((2 * (1 + 2 * side)) / 6)
+
+
+def test_point_to_point_equals_all_pairs() -> None:
+    """Along a slanted road a point lies nearer to others than to its own."""
+    K = np.array([[50.0, 0, 40], [0, 50, 30], [0, 0, 1]])
+    predicted, truth, _ = scene(4)
+    both = ~np.isnan(predicted) & (truth <= 80)
+    clouds = [cloud(K, depth.astype(float), both) for depth in (predicted, truth)]
+    pairs = np.linalg.norm(clouds[0][:, None] - clouds[1][None], axis=2)
+    expected = (pairs.min(axis=0).mean() + pairs.min(axis=1).mean()) / 2
+    evaluation = DepthEvaluation()
+    evaluation.add(predicted, truth, K=K)
+    result = evaluation.result()
+    assert result.point_to_point == pytest.approx(expected, rel=1e-5)
+    assert result.point_to_point < 0.8 * result.all.mae
 
 
 def test_nothing_to_compare_is_nan_not_zero() -> None:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from command_line import cli
 from docdepth.datasets import open_dataset
 from docdepth.errors import DocDepthError
+from docdepth.evaluation.runs import evaluate_depth
 from docdepth.geometry.se3 import inverse
+from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.labels import read_classes
 from docdepth.io.pcd import read_pcd, write_pcd
 from docdepth.io.poses import read_poses, read_timed_poses, write_kitti
@@ -176,3 +179,24 @@ def test_what_cannot_be_converted(root, tmp_path, monkeypatch, arguments, messag
 def test_an_unknown_format_is_refused(root, tmp_path):
     ended = cli("convert", root / "run", tmp_path / "out", "--to", "g2o")
     assert ended.exit_code == 2
+
+
+def test_depth_of_a_run_in_the_layout_of_kittis_release(root, tmp_path):
+    """Read back by OpenCV, and by docdepth as a drive of KITTI's depth completion."""
+    run, release = RunFolder.open(root / "run"), tmp_path / "release"
+    ended = cli("convert", root / "run", release, "--to", "proj_depth")
+    assert ended.exit_code == 0, ended.output
+    camera = release / "drive" / "proj_depth" / "groundtruth" / "image_2"
+    maps = maps_in(root / "run" / "depth")
+    assert [file.stem for file in sorted(camera.iterdir())] == sorted(maps)
+    assert f"{len(maps)} depth maps" in ended.output
+    for name, path in maps.items():
+        steps = cv2.imread(str(camera / f"{name}.png"), cv2.IMREAD_UNCHANGED)
+        assert steps.dtype == np.uint16
+        np.testing.assert_array_equal(steps / 256.0, np.nan_to_num(read_depth(path)))
+    assert evaluate_depth(run.path, release / "drive").all.mae == 0
+    again = cli("convert", root / "run", release, "--to", "proj_depth")
+    assert "is there" in str(again.exception)
+    options = ("--to", "proj_depth", "--camera", "image_2")
+    ended = cli("convert", root / "run", tmp_path / "other", *options)
+    assert "holds the depth of every camera" in str(ended.exception)

@@ -9,7 +9,18 @@ from typing import Annotated
 
 import typer
 
-from docdepth.cli import calibrate, check, convert, inspect, look, stages, status, support, truth
+from docdepth.cli import (
+    calibrate,
+    check,
+    convert,
+    evaluate,
+    inspect,
+    look,
+    stages,
+    status,
+    support,
+    truth,
+)
 from docdepth.cli.failures import STOPPED, report
 from docdepth.cli.terminal import Quiet, Verbose, app, out, print_any_path, set_volume
 
@@ -18,6 +29,7 @@ __all__ = [
     "calibrate",
     "check",
     "convert",
+    "evaluate",
     "inspect",
     "look",
     "main",

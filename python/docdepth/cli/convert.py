@@ -1,4 +1,4 @@
-"""The verb that writes poses and labels for other tools."""
+"""The verb that writes poses, labels and depth for other tools."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from docdepth.cli.progress import progress_bars
 from docdepth.cli.terminal import app, out, verb, volume
 from docdepth.io.labels import LABEL_FORMATS
 from docdepth.io.poses import POSE_FORMATS
+from docdepth.pipeline.release import DEPTH_FORMATS
 
 
 @verb(app)
@@ -24,15 +25,19 @@ def convert(
         ),
     ],
     output: Annotated[
-        Path, typer.Argument(metavar="OUT", help="New file of poses, or new folder of labels.")
+        Path,
+        typer.Argument(
+            metavar="OUT", help="New file of poses, new folder of labels, or folder of depth."
+        ),
     ],
     to: Annotated[
         str,
         typer.Option(
             "--to",
             help=f"Poses: {', '.join(POSE_FORMATS)}. Labels: label (SemanticKITTI), classid (NPY), "
-            "pcd (as DynamicMap_Benchmark, the class as intensity).",
-            **one_of((*POSE_FORMATS, *LABEL_FORMATS)),
+            "pcd (as DynamicMap_Benchmark, the class as intensity). Depth: proj_depth (as KITTI "
+            "releases it, OUT/DRIVE/proj_depth/groundtruth/CAMERA).",
+            **one_of((*POSE_FORMATS, *LABEL_FORMATS, *DEPTH_FORMATS)),
         ),
     ],
     layout: Layout = None,
@@ -45,15 +50,16 @@ def convert(
         ),
     ] = None,
 ) -> None:
-    """Write the poses or labels of a run or a recording in the format of other tools.
+    """Write poses, labels or depth of a run or a recording in the format of other tools.
 
     docdepth convert RUN poses.txt --to tum
     docdepth convert RUN labels --to classid
+    docdepth convert RUN release --to proj_depth
     """
     from docdepth.pipeline.convert import convert as write
 
     with progress_bars() as progress:
         count = write(source, output, to, layout, camera, progress)
     if not volume.quiet:
-        what = "poses" if to in POSE_FORMATS else "sweeps"
+        what = "poses" if to in POSE_FORMATS else "depth maps" if to in DEPTH_FORMATS else "sweeps"
         out.print(f"{count} {what} in {output}", soft_wrap=True, markup=False)

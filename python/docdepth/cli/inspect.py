@@ -48,7 +48,8 @@ def inspect(
     from docdepth.pipeline.given_poses import poses_entry
     from docdepth.pipeline.run_inputs import known_poses, open_recording
     from docdepth.pipeline.stage import recorded_warnings
-    from docdepth.visualization.inspection_page import check_page, write_inspection
+    from docdepth.visualization.inspection_page import write_inspection
+    from docdepth.visualization.page import check_page
 
     check_page(output)
     source: dict[str, Any] = {

@@ -1,34 +1,22 @@
-"""Verbs that make synthetic drives, evaluate runs and tune parameters."""
+"""Verbs that make synthetic drives and tune parameters."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from docdepth.cli.names import MODES, SCENE_NAMES, SENSOR_NAMES, one_of
-from docdepth.cli.options import Json, OneCamera, PresetName, RunPath, Threads
+from docdepth.cli.names import SCENE_NAMES, SENSOR_NAMES, one_of
+from docdepth.cli.options import OneCamera, PresetName, RunPath, Threads
 from docdepth.cli.progress import progress_bars
-from docdepth.cli.summary import show, show_summary
+from docdepth.cli.summary import show_summary
 from docdepth.cli.terminal import app, out, verb, volume
 
 if TYPE_CHECKING:
     from docdepth.tuning import Judge
 
-evaluate = typer.Typer(no_args_is_help=True, help="Measure the accuracy of a run.")
-app.add_typer(evaluate, name="evaluate")
-
-LabelFolder = Annotated[
-    Path,
-    typer.Option(
-        "--labels",
-        metavar="DIR",
-        help="Folder of true labels in SemanticKITTI's format (NAME.label), or its parent.",
-    ),
-]
 LabelJudgeFolders = Annotated[
     list[Path] | None,
     typer.Option(
@@ -54,12 +42,6 @@ HeldOutSweeps = Annotated[
         metavar="N",
         help="Judge by every N-th sweep, left out of the depth that it judges, as evaluate "
         "held-out does: needs no truth. Chosen with N = 10 if no other judge is.",
-    ),
-]
-MaxRange = Annotated[
-    float,
-    typer.Option(
-        min=1, max=10000, metavar="M", help="Ignore what is truly farther than this, metres."
     ),
 ]
 
@@ -122,6 +104,7 @@ def demo(
 ) -> None:
     """Make a synthetic drive and its depth maps, and print their errors."""
     from docdepth.cli.demo import demo as make
+    from docdepth.cli.evaluate import depth, labels
     from docdepth.io.run_folder import RunFolder
 
     with progress_bars() as progress:
@@ -237,113 +220,3 @@ def _judges(
 @wraps(tune)
 def sweep(*args: Any, **options: Any) -> None:
     tune(*args, **options)
-
-
-@verb(evaluate)
-def labels(
-    run: RunPath,
-    truth: LabelFolder,
-    as_json: Json = False,
-) -> None:
-    """Compare labels with the truth, point by point.
-
-    Static and dynamic accuracy, F1, precision and intersection over union.
-    """
-    from docdepth.evaluation.runs import evaluate_labels
-
-    with progress_bars() as progress:
-        result = evaluate_labels(run, truth, partial(progress, "evaluate"))
-    show(result, as_json)
-
-
-@verb(evaluate)
-def tracks(
-    run: RunPath,
-    truth: LabelFolder,
-    tracks: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="True tracks, as synth writes them; tracks.csv beside the folder of labels if "
-            "left out.",
-        ),
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Compare instances and tracks with true ones.
-
-    Share of moving objects found and of points with the right instance, HOTA and CLEAR, errors of
-    boxes and velocities.
-    """
-    from docdepth.evaluation.runs import evaluate_tracks
-
-    with progress_bars() as progress:
-        result = evaluate_tracks(run, truth, tracks, partial(progress, "evaluate"))
-    show(result, as_json)
-
-
-@verb(evaluate)
-def depth(
-    run: RunPath,
-    truth: Annotated[
-        Path,
-        typer.Option(
-            "--depth",
-            metavar="DIR",
-            help="Folder of true depth maps of the same names, in any format that docdepth "
-            "writes, or its parent.",
-        ),
-    ],
-    mode: Annotated[
-        str,
-        typer.Option(
-            help="Pixels to compare: valid (those with depth), or kitti (all: empty ones are "
-            "filled as KITTI's development kit does).",
-            **one_of(MODES),
-        ),
-    ] = "valid",
-    max_range: MaxRange = 80.0,
-    camera: OneCamera = None,
-    as_json: Json = False,
-) -> None:
-    """Compare depth maps with true ones, pixel by pixel.
-
-    Mean absolute and root mean square error, density, and pixels more than 5 % too near or too far.
-    """
-    from docdepth.evaluation.runs import evaluate_depth
-
-    with progress_bars() as progress:
-        result = evaluate_depth(
-            run, truth, mode, max_range, camera,  # type: ignore[arg-type]
-            partial(progress, "evaluate"),
-        )  # fmt: skip
-    show(result, as_json)
-
-
-@verb(evaluate)
-def held_out(
-    run: RunPath,
-    every: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Leave out every N-th sweep, one at a time.")
-    ] = 10,
-    max_range: MaxRange = 80.0,
-    camera: OneCamera = None,
-    threads: Threads = 0,
-    as_json: Json = False,
-) -> None:
-    """Compare depth with sweeps that were left out: needs no ground truth.
-
-    A sweep is left out, its view is rendered from the others, and each of its returns is compared
-    with the map. Pixels between returns are not judged.
-    """
-    from docdepth.evaluation.held_out import evaluate_held_out
-    from docdepth.io.run_folder import RunFolder
-    from docdepth.visualization.report import keep_held_out
-
-    with progress_bars() as progress:
-        result = evaluate_held_out(
-            run, every, max_range, camera, threads,
-            lambda done, total: progress("held out", done, total),
-        )  # fmt: skip
-    show(result, as_json)
-    keep_held_out(RunFolder.open(run), camera, asdict(result.table()))

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from docdepth.errors import InputError
 from docdepth.evaluation.depth_metrics import DepthErrors, PixelSums, RegionErrors
-from docdepth.evaluation.pixels import Depth, Mask, fill_background, near_edges, ray_length, shifted
+from docdepth.evaluation.nearest import cloud_distance
+from docdepth.evaluation.pixels import Depth, Mask, fill_background, near_edges, points_of, shifted
 from docdepth.evaluation.tables import Table, number, percent, plain, ratio
 
 Mode = Literal["valid", "kitti"]
@@ -38,7 +39,8 @@ NOTE = (
 KITTI_NOTE = (
     "mae, rmse: mean absolute and root mean square error; imae, irmse: those of 1 / depth; log: of "
     "ln(depth); silog: scale-invariant, x 100; abs_rel, sq_rel: |error| / depth and its square; "
-    "delta1, 2, 3: share of pixels off by less than a factor of 1.25, 1.25^2, 1.25^3"
+    "delta1, 2, 3: share of pixels off by less than a factor of 1.25, 1.25^2, 1.25^3; "
+    "point to point: from each point to the nearest of the other cloud, both ways"
 )
 
 
@@ -77,8 +79,9 @@ class DepthResult:
     dynamic, dynamic_interior : RegionErrors, optional
         Pixels of moving objects, and their interior; None without a mask.
     point_to_point : float
-        Mean distance between the 3D points that true and predicted depth give a pixel [m]; NaN
-        without camera matrices.
+        Distance between the points of true and of predicted depth, from each to the nearest of the
+        other cloud, both ways, over the compared pixels of an image [m]; NaN without camera
+        matrices.
     by_range : tuple of RangeErrors
     """
 
@@ -242,9 +245,11 @@ class DepthEvaluation:
         )
         known = ~np.isnan(error)
         if K is not None:
-            distance = (np.abs(error) * ray_length(K, truth.shape).ravel()[selected])[known]
-            self._distance += float(distance.sum())
-            self._distances += len(distance)
+            compared = selected[known]
+            exact, made = (points_of(K, depth, compared) for depth in (truth, predicted))
+            distance, points = cloud_distance(exact, made)
+            self._distance += distance
+            self._distances += points
         errors = DepthErrors.of(d[known], p[known])
         self._images.append(errors)
         return errors

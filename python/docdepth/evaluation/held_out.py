@@ -1,18 +1,19 @@
-"""Depth maps against the recording itself: sweeps that were left out serve as ground truth.
+"""Depth maps against the recording itself: returns that were left out serve as ground truth.
 
-One sweep is left out, the depth map of its view is drawn from all other sweeps, and each return of
-the sweep is compared with the pixel that it falls into. The result is pessimistic, since the map
-lacks its nearest sweep. It says nothing about pixels between returns, or about errors that all
-sweeps share.
+A sweep is left out, or some beams of it, or a whole LiDAR of a rig. The depth map of its view is
+drawn from all else, and each return is compared with the pixel that it falls into. Without the
+nearest sweep the result is pessimistic. It says nothing about pixels between returns, or about
+errors that all sweeps share.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +21,14 @@ from numpy.typing import NDArray
 from docdepth.errors import InputError
 from docdepth.evaluation.depth import ERRORS, RANGE_BINS, RangeErrors
 from docdepth.evaluation.depth_metrics import PixelSums, RegionErrors
-from docdepth.evaluation.pixels import project
-from docdepth.evaluation.tables import Table, plain
+from docdepth.evaluation.left_out import LeftOut
+from docdepth.evaluation.nearest import cloud_distance
+from docdepth.evaluation.pixels import points_of, project
+from docdepth.evaluation.tables import Table, number, plain, ratio
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
-from docdepth.geometry.sensor_rig import lidar_views
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.render import load_frame
 from docdepth.pipeline.render_plan import tracks_of
@@ -38,18 +41,29 @@ from docdepth.render.selection import needed_frames
 
 @dataclass(frozen=True)
 class HeldOutResult:
-    """Metrics over the returns of the sweeps that were left out.
+    """Metrics over the returns that were left out.
 
     Attributes
     ----------
     sweeps : int
-        Number of sweeps that were left out, one at a time.
+        Number of sweeps that were judged, one at a time.
     max_range : float
         Returns at a larger depth are not compared [m].
     all, static, dynamic : RegionErrors
         All returns, and those that the run itself classified as static or dynamic. ``shifts`` is
         NaN: returns are too sparse for a map that is moved by a pixel.
     by_range : tuple of RangeErrors
+    clear : RegionErrors
+        Returns of which it is clear what their pixel shows: none beside a depth edge of its own
+        sweep, and where a whole LiDAR was left out, none that the others could not see.
+    point_to_point, clear_point_to_point : float
+        From each return to the nearest point of the depth map, and back, over the pixels that have
+        both [m]; of all returns, and of clear ones.
+    left_out : str
+        What was left out, in words.
+    found : tuple of str
+        What is wrong with poses or motion compensation, see :mod:`.causes`; empty if nothing was
+        found or looked for.
     """
 
     sweeps: int
@@ -57,32 +71,74 @@ class HeldOutResult:
     all: RegionErrors
     static: RegionErrors
     dynamic: RegionErrors
+    clear: RegionErrors
     by_range: tuple[RangeErrors, ...]
+    point_to_point: float = math.nan
+    clear_point_to_point: float = math.nan
+    left_out: str = "held-out sweeps"
+    found: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """All metrics by name, ready for JSON; None replaces NaN."""
-        regions = {name: getattr(self, name).as_dict() for name in ("all", "static", "dynamic")}
+        regions = {name: getattr(self, name).as_dict() for name in _REGIONS}
+        regions["all"]["point_to_point"] = self.point_to_point
+        regions["clear"]["point_to_point"] = self.clear_point_to_point
         ranges = [{"near": r.near, "far": r.far, **r.errors.as_dict()} for r in self.by_range]
-        head = {"sweeps": self.sweeps, "max_range": self.max_range}
-        return dict(plain({**head, **regions, "by_range": ranges}))
+        head = {"sweeps": self.sweeps, "max_range": self.max_range, "left_out": self.left_out}
+        return dict(plain({**head, **regions, "by_range": ranges, "found": self.found}))
 
     def table(self) -> Table:
         """Errors by class and range, one row each."""
-        rows = [("all", self.all), ("static", self.static), ("dynamic", self.dynamic)]
+        rows = [(name, getattr(self, name)) for name in _REGIONS]
         rows += [(f"{r.near:g}..{r.far:g} m", r.errors) for r in self.by_range]
         header = ("returns", "number", "density %", "MAE m", "RMSE m", "too near %", "too far %")
-        cells = [(name, *errors.cells()[:4], *errors.cells()[5:]) for name, errors in rows]
-        title = f"depth against {self.sweeps} held-out sweeps, returns up to {self.max_range:g} m"
-        note = ERRORS.replace("these pixels that", "the returns whose pixels")
-        return Table(title, header, tuple(cells), note)
+        distances = {"all": self.point_to_point, "clear": self.clear_point_to_point}
+        cells = [
+            (*_cells(name, errors), number(distances.get(name, math.nan), 3))
+            for name, errors in rows
+        ]
+        title = f"depth against {self.sweeps} {self.left_out}, returns up to {self.max_range:g} m"
+        note = ERRORS.replace("these pixels that", "the returns whose pixels") + _NOTE
+        return Table(title, (*header, "point to point m"), tuple(cells), note)
 
 
-class _Comparison(NamedTuple):
-    """Returns of a held-out sweep against the depth map of the others, shape (k,) each."""
+_REGIONS = ("all", "static", "dynamic", "clear")
+_NOTE = (
+    "; point to point: from each return to the nearest point of the depth map, and back; clear: "
+    "not beside a depth edge of its own sweep, where a pixel shows either side, and where a LiDAR "
+    "was left out, seen by another one at that time"
+)
 
-    truth: NDArray[np.float64]
-    error: NDArray[np.float64]
-    dynamic: NDArray[np.bool_]
+
+def _cells(name: str, errors: RegionErrors) -> tuple[str, ...]:
+    """A row without the column of shifts."""
+    return (name, *errors.cells()[:4], *errors.cells()[5:])
+
+
+@dataclass(frozen=True)
+class JudgedView:
+    """A depth map and the returns that judge it.
+
+    Attributes
+    ----------
+    index : int
+        Of the sweep.
+    name : str
+        Of its file.
+    depth, truth : ndarray of float32, shape (h, w)
+        The map, and the returns in their pixels [m]; NaN = none.
+    classid : ndarray of uint16, shape (h, w)
+        Class of each return, 0 without one.
+    clear : ndarray of bool, shape (h, w)
+        Of which returns it is clear what their pixel shows.
+    """
+
+    index: int
+    name: str
+    depth: NDArray[np.float32]
+    truth: NDArray[np.float32]
+    classid: NDArray[np.uint16]
+    clear: NDArray[np.bool_]
 
 
 def evaluate_held_out(
@@ -92,19 +148,22 @@ def evaluate_held_out(
     camera: str | None = None,
     threads: int = 0,
     progress: Callable[[int, int], None] | None = None,
+    left_out: LeftOut | None = None,
+    look: Callable[[JudgedView], None] | None = None,
 ) -> HeldOutResult:
-    """Compare the depth maps of a run with its own sweeps, each left out of the map it judges.
+    """Compare depth maps with returns of the run's own sweeps that they are drawn without.
 
     The view of the camera is drawn from the position of the LiDAR, so that it sees what the LiDAR
     saw. A return is compared with the pixel that it falls into; the nearest return of a pixel
-    counts.
+    counts. Poses and classes are those of the run, to which the returns that are left out have
+    contributed.
 
     Parameters
     ----------
     run : Path
         Run folder with classified sweeps and the calibration of a camera.
     every : int
-        Leave out every n-th sweep, one at a time.
+        Judge by every n-th sweep, one at a time.
     max_range : float
         Returns at a larger depth are not compared [m].
     camera : str, optional
@@ -113,6 +172,10 @@ def evaluate_held_out(
         0 uses all cores. The result does not depend on it.
     progress : callable, optional
         Called with the number of finished sweeps and the number of all held-out sweeps.
+    left_out : LeftOut, optional
+        Beams of the sweep, or a LiDAR of the rig in all sweeps; the whole sweep if left out.
+    look : callable, optional
+        Called with each :class:`JudgedView`.
 
     Returns
     -------
@@ -121,7 +184,7 @@ def evaluate_held_out(
     Raises
     ------
     InputError
-        There are fewer than three sweeps, or ``every`` is below 1.
+        There are fewer than three sweeps, ``every`` is below 1, or there is no such LiDAR.
     RunError
         A sweep is not classified.
     """
@@ -133,75 +196,114 @@ def evaluate_held_out(
             f"{count} sweeps, each {every}-th left out: give every >= 1 and at least 3 sweeps, so "
             "that one between the first and the last can be left out"
         )
-    left_out = range(1 + (min(every, count - 2) - 1) // 2, count - 1, every)
-    bins = [border for border in RANGE_BINS if border < max_range] + [max_range]
-    sums = PixelSums(bins)
-    views = _HeldOutViews(folder, camera, threads)
-    for done, index in enumerate(left_out):
-        found = views.compare(index, max_range)
-        unknown = np.full(len(found.truth), np.nan)  # no shifted depth map
-        nowhere = np.zeros(len(found.truth), bool)  # no interior
-        sums.add(found.error, found.truth, unknown, nowhere, found.dynamic)
+    judged = range(1 + (min(every, count - 2) - 1) // 2, count - 1, every)
+    sums = _Sums(max_range)
+    views = _HeldOutViews(folder, camera, threads, left_out or LeftOut())
+    for done, index in enumerate(judged):
+        view = views.view(index)
+        sums.add(view, views.camera.K)
+        if look:
+            look(view)
         if progress:
-            progress(done + 1, len(left_out))
-    return HeldOutResult(
-        sweeps=len(left_out),
-        max_range=max_range,
-        all=sums.errors(),
-        static=sums.errors(dynamic=0),
-        dynamic=sums.errors(dynamic=1),
-        by_range=tuple(
-            RangeErrors(near, far, sums.errors(ranges=k))
-            for k, (near, far) in enumerate(pairwise(bins))
-        ),
-    )
+            progress(done + 1, len(judged))
+    return sums.result(str(left_out or LeftOut()))
+
+
+class _Sums:
+    """Errors over the views."""
+
+    def __init__(self, max_range: float) -> None:
+        self._max_range, self._sweeps = max_range, 0
+        self._bins = [border for border in RANGE_BINS if border < max_range] + [max_range]
+        self._errors = PixelSums(self._bins)
+        self._distances = np.zeros((2, 2))  # sum and number, of all and of clear returns
+
+    def add(self, view: JudgedView, K: NDArray[np.float64]) -> None:
+        """Add a view."""
+        self._sweeps += 1
+        with np.errstate(invalid="ignore"):
+            compared = view.truth <= self._max_range  # false for pixels without a return
+        truth = view.truth[compared].astype(np.float64)
+        error = view.depth[compared] - truth
+        unknown = np.full(len(truth), np.nan)  # no shifted depth map
+        moving = view.classid[compared] >= DYNAMIC
+        self._errors.add(error, truth, unknown, view.clear[compared], moving)
+        both = compared & ~np.isnan(view.depth)
+        for row, chosen in enumerate((both, both & view.clear)):
+            pixels = np.flatnonzero(chosen)
+            returns, drawn = (points_of(K, depth, pixels) for depth in (view.truth, view.depth))
+            self._distances[row] += cloud_distance(returns, drawn)
+
+    def result(self, left_out: str) -> HeldOutResult:
+        """Metrics of all views added so far."""
+        errors = self._errors.errors
+        distances = [ratio(*sums) for sums in self._distances.tolist()]
+        return HeldOutResult(
+            sweeps=self._sweeps,
+            max_range=self._max_range,
+            all=errors(),
+            static=errors(dynamic=0),
+            dynamic=errors(dynamic=1),
+            clear=errors(interior=1),
+            by_range=tuple(
+                RangeErrors(near, far, errors(ranges=k))
+                for k, (near, far) in enumerate(pairwise(self._bins))
+            ),
+            point_to_point=distances[0],
+            clear_point_to_point=distances[1],
+            left_out=left_out,
+        )
 
 
 class _HeldOutViews:
-    """Draws the view of a sweep from all other sweeps of a run."""
+    """Draws the view of a sweep without what is left out."""
 
-    def __init__(self, folder: RunFolder, camera: str | None, threads: int) -> None:
-        self._folder, self._threads = folder, threads
+    def __init__(
+        self, folder: RunFolder, camera: str | None, threads: int, left_out: LeftOut
+    ) -> None:
+        self._folder, self._threads, self._left_out = folder, threads, left_out
         self._trajectory, depths = folder.trajectory(), folder.depth_folder(camera)
         self._parameters = camera_parameters(folder, folder.camera_in(depths))
-        self._camera, self._T_camera_lidar, _ = folder.calibration(depths)
+        self.camera, self._T_camera_lidar, _ = folder.calibration(depths)
         self._tracks = tracks_of(folder)
-        self._frames: dict[tuple[int, bool], Frame] = {}
+        self._frames: dict[tuple[int, bool, bool], Frame] = {}
 
-    def compare(self, index: int, max_range: float) -> _Comparison:
-        """Returns of sweep ``index``, at most ``max_range`` metres deep, against the others."""
+    def view(self, index: int) -> JudgedView:
+        """What is left out of sweep ``index``, and the depth map without it."""
         record, classid = self._folder.classified_frame(index)
-        view = next(lidar_views(record.points, self._folder.sensor_rig(record)))
+        rig = self._folder.sensor_rig(record)
+        view = self._left_out.view(record, rig)
         # The viewing direction of the camera, from the position of the LiDAR.
         T_camera_sensor = self._T_camera_lidar @ view.T_lidar_sensor
         T_camera_sensor[:3, 3] = 0
-        truth, row = project(self._camera, T_camera_sensor, view.points)
+        truth, row = project(self.camera, T_camera_sensor, view.points)
         depth = self._depth_without(index, T_camera_sensor @ inverse(view.T_lidar_sensor))
-        compared = truth <= max_range  # false for pixels without a return, which are NaN
-        known = truth[compared].astype(np.float64)
-        return _Comparison(known, depth[compared] - known, classid[row[compared]] >= DYNAMIC)
+        classes = np.where(row < 0, np.uint16(0), classid[row])
+        clear = (row >= 0) & self._left_out.clear(record, rig)[row]
+        return JudgedView(index, record.name, depth, truth, classes, clear)
 
     def _depth_without(
         self, index: int, T_camera_lidar: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        """The depth map at the pose of sweep ``index``, drawn from all other sweeps."""
+        """The depth map at the pose of sweep ``index``."""
         trajectory = self._trajectory
-        kept = np.delete(np.arange(len(trajectory)), index)
+        kept = np.arange(len(trajectory))
+        if self._left_out.whole_sweep:
+            kept = np.delete(kept, index)
         others = Trajectory(trajectory.times[kept], trajectory.poses[kept])
         time = int(trajectory.times[index])
         p, tracks = self._parameters, self._tracks
         needed = needed_frames(others, time, p.render, tracks)
-        wanted = {(int(kept[k]), whole): k for k, whole in sorted(needed.items())}
-        self._frames = {
-            (k, whole): self._frames.get((k, whole))
-            or load_frame(self._folder, trajectory, k, p, tracks, whole)
-            for k, whole in wanted
-        }
-        frames = {k: self._frames[at] for at, k in wanted.items()}
+        before = self._frames
+        self._frames, frames = {}, {}
+        for k, whole in sorted(needed.items()):
+            own = int(kept[k])
+            key = (own, whole, own == index)
+            self._frames[key] = frames[k] = before.get(key) or self._frame(*key)
         # The renderer interpolates the pose between the neighbours; the estimated one is better.
         T_lidar_interpolated = inverse(trajectory.poses[index]) @ others.interpolate(time)[0]
         return compose_depth(
-            self._camera,
+            self.camera,
             T_camera_lidar @ T_lidar_interpolated,
             others,
             time,
@@ -209,4 +311,21 @@ class _HeldOutViews:
             p.render,
             self._threads,
             tracks=tracks,
+        )
+
+    def _frame(self, index: int, whole: bool, judged: bool) -> Frame:
+        """Sweep ``index`` without what is left out of all sweeps, or of the judged one."""
+
+        def kept_of(record: FrameRecord) -> NDArray[np.bool_]:
+            return ~self._left_out.rows(record, self._folder.sensor_rig(record))
+
+        partial = judged or self._left_out.lidar is not None
+        return load_frame(
+            self._folder,
+            self._trajectory,
+            index,
+            self._parameters,
+            self._tracks,
+            whole,
+            kept_of=kept_of if partial else None,
         )

@@ -1,4 +1,4 @@
-"""Nearest neighbours between point clouds, for the protocols on cleaned maps."""
+"""Nearest neighbours between point clouds, for cleaned maps and for depth as points."""
 
 from __future__ import annotations
 
@@ -56,3 +56,33 @@ def nearest_neighbors(
         distance[batch] = np.sqrt(np.einsum("ij,ij->i", offset, offset))
     distance[distance > max_distance] = np.inf
     return index, distance
+
+
+_QUERIES = 50_000
+"""Points of a cloud that look for their neighbour in the other, evenly chosen: thousands tell the
+mean, and a dense image has half a million."""
+
+
+def cloud_distance(
+    cloud: NDArray[np.float64], other: NDArray[np.float64], threads: int = 0
+) -> tuple[float, int]:
+    """Distance between two clouds: from each point to the nearest of the other, both ways.
+
+    Parameters
+    ----------
+    cloud, other : ndarray of float64, shape (N, 3)
+        The same frame [m].
+
+    Returns
+    -------
+    (float, int)
+        Sum of the distances [m], and how many there are.
+    """
+    total, count = 0.0, 0
+    if not len(cloud) or not len(other):
+        return total, count
+    for points, queries in ((cloud, other), (other, cloud)):
+        chosen = queries[:: -(-len(queries) // _QUERIES)]
+        _, distance = nearest_neighbors(points, chosen, np.inf, threads)
+        total, count = total + float(distance.sum()), count + len(distance)
+    return total, count

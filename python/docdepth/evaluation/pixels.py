@@ -11,6 +11,7 @@ from docdepth.render.depth_map import NEAR
 
 Depth = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Points = NDArray[np.float64]
 
 # Inverse depth is linear on every plane: a pixel is an edge if the second difference exceeds this
 # share of its inverse depth.
@@ -127,8 +128,25 @@ def shifted(depth: Depth) -> Depth:
     return result
 
 
-def ray_length(K: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Length of each pixel's viewing ray up to depth 1, float64 (h, w)."""
-    x = (np.arange(shape[1]) - K[0, 2]) / K[0, 0]
-    y = (np.arange(shape[0]) - K[1, 2]) / K[1, 1]
-    return np.asarray(np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2))
+def points_of(K: NDArray[np.float64], depth: Depth, pixels: NDArray[np.int64]) -> Points:
+    """The points that depth gives some pixels.
+
+    Parameters
+    ----------
+    K : ndarray of float64, shape (3, 3)
+        Camera matrix.
+    depth : ndarray of float32, shape (h, w)
+        Along the optical axis [m].
+    pixels : ndarray of int64, shape (k,)
+        Of the flattened image.
+
+    Returns
+    -------
+    ndarray of float64, shape (k, 3)
+        Camera frame [m].
+    """
+    v, u = np.divmod(pixels, depth.shape[1])
+    z = depth.ravel()[pixels].astype(np.float64)
+    y = (v - K[1, 2]) / K[1, 1]
+    x = (u - K[0, 2] - K[0, 1] * y) / K[0, 0]
+    return np.column_stack([x * z, y * z, z])

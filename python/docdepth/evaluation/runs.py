@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,29 +14,66 @@ from numpy.typing import NDArray
 from docdepth.datasets import open_dataset
 from docdepth.errors import DatasetError
 from docdepth.evaluation.depth import DepthEvaluation, DepthResult, Mode
-from docdepth.evaluation.label_counts import moving
+from docdepth.evaluation.depth_truth import DepthTruth
+from docdepth.evaluation.label_counts import ignored, moving
 from docdepth.evaluation.labels import LabelEvaluation, LabelResult
 from docdepth.evaluation.objects import instances
 from docdepth.evaluation.tracks import TrackEvaluation, TrackResult
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import TRACKS, read_tracks
 from docdepth.pipeline.run_state import require
 
 log = logging.getLogger(__name__)
 
-_COMPLETION = Path("proj_depth") / "groundtruth"
-"""Where a drive of KITTI's depth completion keeps its true depth maps, a folder a camera."""
-
 _OTHER_SCALE = 1.5
 """Factor between true and made depth, in the median, that no error of depth explains."""
 
 
+@dataclass(frozen=True)
+class JudgedSweep:
+    """The labels of a sweep beside the true ones.
+
+    Attributes
+    ----------
+    name : str
+    points : ndarray of float32, shape (N, 3)
+        LiDAR frame [m].
+    classid : ndarray of uint16, shape (N,)
+        As docdepth has them.
+    truth, counted : ndarray of bool, shape (N,)
+        Which points have a moving class, and which are labelled at all.
+    """
+
+    name: str
+    points: NDArray[np.float32]
+    classid: NDArray[np.uint16]
+    truth: NDArray[np.bool_]
+    counted: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class JudgedImage:
+    """A depth map beside the true one, (h, w) each [m]; NaN = none.
+
+    Attributes
+    ----------
+    name : str
+    depth, truth : ndarray of float32
+    """
+
+    name: str
+    depth: NDArray[np.float32]
+    truth: NDArray[np.float32]
+
+
 def evaluate_labels(
-    run: Path | RunFolder, labels: Path, progress: Callable[[int, int], None] | None = None
+    run: Path | RunFolder,
+    labels: Path,
+    progress: Callable[[int, int], None] | None = None,
+    look: Callable[[JudgedSweep], None] | None = None,
 ) -> LabelResult:
     """Compare the classes of a run with SemanticKITTI labels.
 
@@ -50,6 +88,8 @@ def evaluate_labels(
         beside it (``NAME.npy``, speed of each point in m/s) separates standing from moving objects.
     progress : callable, optional
         Called with the number of finished sweeps and the number of all sweeps.
+    look : callable, optional
+        Called with each :class:`JudgedSweep`.
 
     Raises
     ------
@@ -71,6 +111,10 @@ def evaluate_labels(
         ranges = np.full(record.input_points, np.nan)
         ranges[record.index] = np.linalg.norm(record.points, axis=1)
         evaluation.add(truth, dynamic, ranges, _speeds(labels, record.name), _seconds(times))
+        if look:
+            true = truth[record.index]
+            flags = moving(true), ~ignored(true)
+            look(JudgedSweep(record.name, record.points, classid, *flags))
         if progress:
             progress(index + 1, len(times))
     return evaluation.result()
@@ -158,6 +202,7 @@ def evaluate_depth(
     max_range: float = 80.0,
     camera: str | None = None,
     progress: Callable[[int, int], None] | None = None,
+    look: Callable[[JudgedImage], None] | None = None,
 ) -> DepthResult:
     """Compare the depth maps of a run with true depth maps of the same names.
 
@@ -168,8 +213,8 @@ def evaluate_depth(
     depth : Path
         Folder of depth maps in any format, or its parent with a folder ``depth_2``. A folder
         ``class_2`` beside it marks the pixels of moving objects. Or a drive of KITTI's depth
-        completion, with ``proj_depth/groundtruth``: it lacks maps at both ends, and images without
-        one are not compared.
+        completion, with ``proj_depth/groundtruth``, which lacks maps at both ends, or its
+        ``val_selection_cropped``; images without one are not compared.
     mode : {"valid", "kitti"}
         ``kitti`` fills empty pixels first, as KITTI's development kit does.
     max_range : float
@@ -178,6 +223,8 @@ def evaluate_depth(
         Name of the camera; needed if the run has several.
     progress : callable, optional
         Called with the number of compared depth maps and the number of all.
+    look : callable, optional
+        Called with each :class:`JudgedImage`.
 
     Raises
     ------
@@ -188,54 +235,25 @@ def evaluate_depth(
     depth = _truth_folder(depth, "depth_2", folder)
     camera = folder.depth_folder(camera)
     require(folder, f"render {folder.camera_in(camera)}")
-    completion = (depth / _COMPLETION).is_dir()
-    depth = depth / _COMPLETION / folder.camera_in(camera) if completion else depth
-    classes = depth.parent / depth.name.replace("depth", "class")
-    K = folder.calibration(camera)[0].K
+    truth = DepthTruth(depth, folder, camera)
     evaluation = DepthEvaluation(mode=mode, max_range=max_range, poses=_poses(folder))
     ratios: list[float] = []
-    maps, truths = maps_in(run / "depth" / camera), maps_in(depth)
-    if not maps:
-        raise DatasetError(f"{run}/depth has no depth maps; run: docdepth render {run}")
-    if completion:
-        maps = _with_truth(maps, truths, depth)
-    for done, (name, path) in enumerate(maps.items(), 1):
-        if name not in truths:
-            raise DatasetError(f"{depth} has no depth map {name}, {run} has {path.name}")
-        mask = classes / f"{name}.npy"
-        dynamic = None
-        if classes != depth and mask.is_file():
-            classes_of_image = np.load(mask)
-            dynamic = moving(classes_of_image.ravel()).reshape(classes_of_image.shape)
-        made, true = read_depth(path), read_depth(truths[name])
-        evaluation.add(made, true, dynamic, K)
+    for done, name in enumerate(truth.maps, 1):
+        made, true, K = truth.read(name)
+        evaluation.add(made, true, truth.dynamic(name), K)
+        if look:
+            look(JudgedImage(name, made, true))
         ratios.append(_ratio(made, true))
         if progress:
-            progress(done, len(maps))
+            progress(done, len(truth.maps))
     ratio = float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else 1.0
     if not 1 / _OTHER_SCALE < ratio < _OTHER_SCALE:
         log.warning(
             "the depth in %s is %.3g times that of the run; depth is in metres, PNG in metres x "
             "256 unless a depth.json beside it tells another scale: is the scale another?",
-            depth,
-            ratio,
-        )
-    return evaluation.result()
-
-
-def _with_truth(maps: dict[str, Path], truths: dict[str, Path], depth: Path) -> dict[str, Path]:
-    """The maps that have a true one; the others are counted in a warning."""
-    found = {name: path for name, path in maps.items() if name in truths}
-    if not found:
-        raise DatasetError(
-            f"{depth} has no depth map of the {len(maps)} images of the run; is it of this drive?"
-        )
-    if len(found) < len(maps):
-        log.warning(
-            "%s has no depth map of %d of %d images; they are not compared",
-            depth, len(maps) - len(found), len(maps),
+            truth.folder, ratio,
         )  # fmt: skip
-    return found
+    return evaluation.result()
 
 
 def _ratio(made: NDArray[np.float32], true: NDArray[np.float32]) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +71,15 @@ class FrameRecord:
     votes_dynamic: NDArray[np.uint16] | None = None
     time_offset: NDArray[np.float32] | None = None
     sensor: NDArray[np.uint8] | None = None
+
+    def select(self, rows: NDArray[np.bool_]) -> FrameRecord:
+        """The frame with some of its points."""
+        chosen: dict[str, Any] = {
+            field.name: values[rows]
+            for field in fields(self)
+            if isinstance(values := getattr(self, field.name), np.ndarray)
+        }
+        return replace(self, **chosen)
 
 
 def write_trajectory(

@@ -1,4 +1,4 @@
-"""Poses and labels of a run, a recording or a file, in the formats of other tools."""
+"""Poses, labels and depth of a run, a recording or a file, in the formats of other tools."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from docdepth.io.labels import LABEL_FORMATS, classes_of_labels, write_labels
 from docdepth.io.pcd import write_pcd
 from docdepth.io.poses import POSE_FORMATS, read_timed_poses, write_kitti, write_tum
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.release import DEPTH_FORMATS, write_release
 from docdepth.pipeline.run_inputs import open_recording
 from docdepth.pipeline.run_state import require
 from docdepth.pipeline.stage import Progress
@@ -35,16 +36,17 @@ def convert(
     camera: str | None = None,
     progress: Progress | None = None,
 ) -> int:
-    """Write poses into a file, or labels into a folder.
+    """Write poses into a file, or labels or depth maps into a folder.
 
     Parameters
     ----------
     source : Path
         A run folder, a recording that has poses or labels, or a file of poses.
     output : Path
-        File of poses, or folder of labels; it must not be there.
+        File of poses, or folder of labels; it must not be there. Or folder of KITTI's release, in
+        which the drive must not be.
     to : str
-        One of :data:`POSE_FORMATS` or :data:`LABEL_FORMATS`.
+        One of :data:`POSE_FORMATS`, :data:`LABEL_FORMATS` or :data:`DEPTH_FORMATS`.
     layout : str, optional
         Format of the recording; guessed if absent.
     camera : str, optional
@@ -55,7 +57,7 @@ def convert(
     Returns
     -------
     int
-        Poses or sweeps.
+        Poses, sweeps or depth maps.
 
     Raises
     ------
@@ -64,6 +66,10 @@ def convert(
     DatasetError, OdometryError, RunError
         There are no poses or labels, or they are damaged.
     """
+    if to in DEPTH_FORMATS:
+        if camera is not None:
+            raise ConfigError(f"--camera is for poses; {to} holds the depth of every camera")
+        return write_release(RunFolder.open(source), output, progress)
     if output.exists() and not (
         to in LABEL_FORMATS and output.is_dir() and not any(output.iterdir())
     ):

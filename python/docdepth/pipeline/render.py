@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.calibration_check import edges_of_images, judge
 from docdepth.pipeline.depth_files import DepthFiles
@@ -270,8 +271,11 @@ def load_frame(
     tracks: Tracks | None = None,
     whole: bool = True,
     watch: Stopwatch | None = None,
+    kept_of: Callable[[FrameRecord], NDArray[np.bool_]] | None = None,
 ) -> Frame:
     """Read a classified sweep of a run and prepare it for rendering, or what is near vehicles.
+
+    ``kept_of`` tells which of its points to take; all if left out.
 
     Raises
     ------
@@ -282,15 +286,14 @@ def load_frame(
     with watch("read"):
         record, classid = run.classified_frame(index)
     with watch("frames"):
-        points, instance, late = record.points, record.instance, record.time_offset
-        rig = run.sensor_rig(record)
+        if kept_of is not None:
+            kept = kept_of(record)
+            record, classid = record.select(kept), classid[kept]
         if not whole:
-            kept = near_vehicles(points, classid, instance, tracks or {})
-            points, classid = points[kept], classid[kept]
-            instance = None if instance is None else instance[kept]
-            late = None if late is None else late[kept]
-            rig = None if rig is None else rig.select(kept)
+            kept = near_vehicles(record.points, classid, record.instance, tracks or {})
+            record, classid = record.select(kept), classid[kept]
+        points, late, rig = record.points, record.time_offset, run.sensor_rig(record)
         time, pose = int(trajectory.times[index]), trajectory.poses[index]
-        objects = objects_of(points, classid, time, pose, instance, tracks, late)
+        objects = objects_of(points, classid, time, pose, record.instance, tracks, late)
         velocity = trajectory.velocity(index)
         return Frame(points, classid, parameters.render, late, rig, velocity, objects)

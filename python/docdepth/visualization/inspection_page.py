@@ -8,12 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from docdepth import __version__
-from docdepth.errors import DatasetError
-from docdepth.io.atomic import write_atomically
-from docdepth.visualization.page import figure, head, table
+from docdepth.visualization.page import figure, head, table, write_page
 from docdepth.visualization.pictures import Picture
 
-_MARK = "<!-- docdepth inspect -->"
 _COLORS = {"error": "#b00020", "warning": "#a05a00", "note": "#555"}
 _UNITS = {"_m_s": "m/s", "_m": "m", "_ns": "ns", "_s": "s", "_hz": "Hz", "_deg": "degrees"}
 _MEANINGS = {
@@ -56,35 +53,15 @@ def write_inspection(
     DatasetError
         There is another file, or none can be written.
     """
-    check_page(path)
     title = f"docdepth: {Path(figures['recording']['path']).resolve().name}"
-    parts = [head(title), _MARK, f"<p>docdepth {escape(__version__)}</p>", *_findings(findings)]
+    parts = [head(title), f"<p>docdepth {escape(__version__)}</p>", *_findings(findings)]
     for name, group in figures.items():
         parts += [f"<h2>{escape(_words(name))}</h2>"]
         if name in _MEANINGS:
             parts.append(f"<p>{escape(_MEANINGS[name])}</p>")
         parts.append(_group(group))
     parts += ["<h2>pictures</h2>", *(figure(picture, text) for picture, text in pictures)]
-    content = "\n".join(parts).encode(errors="replace")
-    try:
-        write_atomically(path, lambda stream: stream.write(content))
-    except OSError as error:
-        raise DatasetError(
-            f"{path} cannot be written ({error.strerror}); name another file (-o)"
-        ) from None
-
-
-def check_page(path: Path) -> None:
-    """Refuse a file that docdepth did not write.
-
-    Raises
-    ------
-    DatasetError
-    """
-    if path.is_dir():
-        raise DatasetError(f"{path} is a folder; name a file for the page (-o)")
-    if path.is_file() and _MARK.encode() not in path.read_bytes()[:4000]:
-        raise DatasetError(f"{path} is no page of docdepth inspect; name another file (-o)")
+    write_page(path, parts)
 
 
 def as_lines(figures: dict[str, Any]) -> Iterator[str]:

@@ -5,11 +5,16 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterable, Sequence
 from html import escape
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from docdepth.errors import DatasetError
+from docdepth.io.atomic import write_atomically
 from docdepth.visualization.pictures import Picture
+
+_MARKS = "<!-- docdepth page -->", "<!-- docdepth inspect -->"  # today's, and that of earlier pages
 
 STYLE = """
 :root { color-scheme: light }
@@ -38,8 +43,41 @@ def head(title: str, style: str = "") -> str:
     return (
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(title)}</title>\n"
         '<meta name=viewport content="width=device-width, initial-scale=1">\n'
-        f"<style>{STYLE}{style}</style><h1>{escape(title)}</h1>"
+        f"{_MARKS[0]}<style>{STYLE}{style}</style><h1>{escape(title)}</h1>"
     )
+
+
+def check_page(path: Path) -> None:
+    """Refuse a file that is no page of docdepth.
+
+    Raises
+    ------
+    DatasetError
+    """
+    if path.is_dir():
+        raise DatasetError(f"{path} is a folder; name a file for the page")
+    if path.is_file():
+        start = path.read_bytes()[:6000]
+        if not any(mark.encode() in start for mark in _MARKS):
+            raise DatasetError(f"{path} is no page of docdepth; name another file")
+
+
+def write_page(path: Path, parts: Iterable[str]) -> None:
+    """Write a page of :func:`head` and other parts, in one file that needs nothing else.
+
+    Raises
+    ------
+    DatasetError
+        There is a file that is no page of docdepth, or none can be written.
+    """
+    check_page(path)
+    content = "\n".join(parts).encode(errors="replace")
+    try:
+        write_atomically(path, lambda stream: stream.write(content))
+    except OSError as error:
+        raise DatasetError(
+            f"{path} cannot be written ({error.strerror}); name another file"
+        ) from None
 
 
 def table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:

@@ -64,37 +64,9 @@ function nearest(seconds) {
   return best;
 }
 
-for (const camera of document.querySelectorAll(".camera")) {
-  const chooser = camera.querySelector("input");
-  const buttons = [...camera.querySelectorAll("[data-choose]")];
-  const count = +chooser.max + 1;
-  let view = buttons[0].dataset.choose;
-  const choose = () => {
-    for (const picture of camera.querySelectorAll(".views img"))
-      picture.hidden = picture.dataset.image !== chooser.value || picture.dataset.view !== view;
-    for (const text of camera.querySelectorAll("[data-of]"))
-      text.hidden = text.dataset.of !== chooser.value && text.dataset.of !== view;
-    for (const button of buttons)
-      button.setAttribute("aria-pressed", button.dataset.choose === view);
-    const chosen = camera.querySelector(`.name[data-of="${chooser.value}"]`);
-    return nearest(+chosen.dataset.seconds);
-  };
-  const show = () => { stop(); showTime(choose()); };
-  const step = (by) => { chooser.value = (+chooser.value + by + count) % count; show(); };
-  for (const button of buttons) button.onclick = () => { view = button.dataset.choose; show(); };
-  chooser.oninput = show;
-  camera.querySelector(".before").onclick = () => step(-1);
-  camera.querySelector(".after").onclick = () => step(1);
-  camera.tabIndex = 0;
-  camera.onkeydown = (event) => {
-    if (event.target === chooser) return;
-    if (event.key === "ArrowLeft") step(-1);
-    else if (event.key === "ArrowRight") step(1);
-    else if (buttons[+event.key - 1]) buttons[+event.key - 1].click();
-    else return;
-    event.preventDefault();
-  };
-  slider.value = choose();
+for (const book of document.querySelectorAll(".flip")) {
+  book.addEventListener("flip", (event) => { stop(); showTime(nearest(event.detail)); });
+  slider.value = nearest(+book.dataset.seconds);
 }
 
 addEventListener("resize", fit);

@@ -20,8 +20,10 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import TRACKS, read_tracks
 from docdepth.parameter_table import parameter_table
+from docdepth.visualization import flip_book as flips
 from docdepth.visualization import report_map
 from docdepth.visualization.drive_map import drive_map
+from docdepth.visualization.flip_book import Leaf, flip_book, scripts
 from docdepth.visualization.image_views import CONFIDENCE_COLORS, DOUBTFUL, SEEN_COLORS
 from docdepth.visualization.page import head, scale, swatches, table
 from docdepth.visualization.pictures import (
@@ -43,10 +45,9 @@ HELD_OUT = "held_out.json"
 
 _STYLE = (
     report_map.STYLE
+    + flips.STYLE
     + """
 .warnings { border-left: 4px solid #d55e00; padding: .2em 1em; background: #fff4ec }
-.views { background: #181818; min-height: 60px } .views img { display: block; width: 100% }
-[hidden], .views img[hidden] { display: none }
 .bar { display: flex; height: 1.1em; background: #eee; min-width: 160px; width: 30vw;
   max-width: 420px } .bar i { background: #003c96 }
 .chart { display: grid; grid-template-columns: auto 1fr; gap: 0 .5em; font-size: 13px }
@@ -60,8 +61,8 @@ _STYLE = (
 _DENSITIES = 2000  # points of the curve of a camera
 _TICKS = (3, 5, 10, 20, 40, 80)
 _VIEWS = {
+    "depth": "depth",  # the page opens with what it is about
     "image": "image",
-    "depth": "depth",
     "class": "classes and tracks",
     "confidence": "confidence",
     "seen": "seen by rays",
@@ -112,7 +113,7 @@ def write_report(run: RunFolder, streams: Mapping[str, CameraStream]) -> Path:
         _parameters(run.parameters),
         "<h2>Inputs</h2>",
         table((), _inputs(run)),
-        f"<script>{Path(__file__).with_name('report.js').read_text(encoding='utf-8')}</script>",
+        scripts(["report.js"]),
     ]
     path = run.path / "report" / "index.html"
     content = "\n".join(parts).encode(errors="replace")  # the name of the folder may be no text
@@ -188,35 +189,14 @@ def _few(names: Sequence[str]) -> str:
 def _camera(run: RunFolder, page: CameraPage, trajectory: Trajectory) -> str:
     """Images of a camera to flip between, its density and its held-out errors."""
     start = int(trajectory.times[0])
-    views = [view for view in _VIEWS if any(view in m.views for m in page.moments)]
-    first = "depth"
-    views.sort(key=lambda view: view != first)  # the page opens with what it is about
-    pictures = [
-        f'<img src="{moment.views[view]}" data-image={k} data-view={view} '
-        f'alt="{_VIEWS[view]}"{"" if k == 0 and view == first else " hidden"}>'
-        for k, moment in enumerate(page.moments)
-        for view in views
-        if view in moment.views
-    ]
-    names = [
-        f"<span class=name data-of={k} data-seconds={(m.time - start) * 1e-9:.3f}"
-        f"{' hidden' if k else ''}>image {escape(m.name)} at {(m.time - start) * 1e-9:.1f} s</span>"
-        for k, m in enumerate(page.moments)
-    ]
-    buttons = [f"<button data-choose={view}>{_VIEWS[view]}</button>" for view in views]
-    legends = [
-        f"<div data-of={view}{'' if view == first else ' hidden'}>{_legend(view)}</div>"
-        for view in views
-    ]
+    leaves = []
+    for moment in page.moments:
+        seconds = (moment.time - start) * 1e-9
+        leaves.append(Leaf(f"image {moment.name} at {seconds:.1f} s", moment.views, seconds))
+    note = f"({len(leaves)} of {len(page.density)} images; keys: arrows and 1, 2, 3 ...)"
     return "\n".join([
         f"<section class=camera><h2>Camera {escape(page.name)}</h2>",
-        f"<div class=row style='flex-wrap:wrap'>{''.join(buttons)}</div>",
-        f"<div class=views>{''.join(pictures)}</div>{''.join(legends)}",
-        "<div class=row><button class=before aria-label='image before'>&larr;</button>",
-        f"<input type=range min=0 max={len(page.moments) - 1} value=0 aria-label=image>",
-        "<button class=after aria-label='next image'>&rarr;</button></div>",
-        f"<p>{''.join(names)} <span class=note>({len(page.moments)} of {len(page.density)} "
-        "images; keys: arrows and 1, 2, 3 ...)</span></p>",
+        flip_book(leaves, _VIEWS, {view: _legend(view) for view in _VIEWS}, note),
         _density(page.density, start),
         _calibration(run, page.name),
         _held_out(run, page.name),

@@ -37,11 +37,6 @@ STYLE = """
   stroke-width: calc(3px * var(--px)); text-anchor: middle }
 @media (max-width: 600px) { #map text { font-size: calc(10px * var(--px)) } }
 #map .rule { stroke: #000; stroke-width: 2px; vector-effect: non-scaling-stroke }
-.row { display: flex; gap: .6em; align-items: center; margin: .4em 0 } .row input { flex: 1;
-  min-width: 60px }
-button { font: inherit; padding: .15em .8em; border: 1px solid #888; border-radius: 4px;
-  background: #f2f2f2; cursor: pointer }
-button[aria-pressed=true] { background: #003c96; color: #fff }
 """
 
 # The more, the larger the page.

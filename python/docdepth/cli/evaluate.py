@@ -1,0 +1,238 @@
+"""Verbs that measure the accuracy of a run: labels, tracks, depth, returns that were left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from docdepth.cli.names import MODES, one_of
+from docdepth.cli.options import Json, OneCamera, RunPath, Threads
+from docdepth.cli.progress import progress_bars
+from docdepth.cli.summary import show
+from docdepth.cli.terminal import app, err, verb
+
+if TYPE_CHECKING:
+    from docdepth.evaluation import Table
+    from docdepth.evaluation.error_page import ErrorPage
+
+evaluate = typer.Typer(no_args_is_help=True, help="Measure the accuracy of a run.")
+app.add_typer(evaluate, name="evaluate")
+
+LabelFolder = Annotated[
+    Path,
+    typer.Option(
+        "--labels",
+        metavar="DIR",
+        help="Folder of true labels in SemanticKITTI's format (NAME.label), or its parent.",
+    ),
+]
+Page = Annotated[
+    Path | None,
+    typer.Option(
+        "--html",
+        metavar="FILE",
+        help="Write a page with pictures of the errors, the worst images first.",
+    ),
+]
+MaxRange = Annotated[
+    float,
+    typer.Option(
+        min=1, max=10000, metavar="M", help="Ignore what is truly farther than this, metres."
+    ),
+]
+
+
+@verb(evaluate)
+def labels(
+    run: RunPath,
+    truth: LabelFolder,
+    html: Page = None,
+    as_json: Json = False,
+) -> None:
+    """Compare labels with the truth, point by point.
+
+    Static and dynamic accuracy, F1, precision and intersection over union.
+    """
+    from docdepth.evaluation.error_page import LabelPage
+    from docdepth.evaluation.runs import evaluate_labels
+
+    page = _page(html, lambda: LabelPage(_title(run, "labels against the truth")))
+    with progress_bars() as progress:
+        result = evaluate_labels(
+            run, truth, partial(progress, "evaluate"), page.look if page else None
+        )
+    show(result, as_json)
+    _write(page, html, [result.table()])
+
+
+@verb(evaluate)
+def tracks(
+    run: RunPath,
+    truth: LabelFolder,
+    tracks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="True tracks, as synth writes them; tracks.csv beside the folder of labels if "
+            "left out.",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Compare instances and tracks with true ones.
+
+    Share of moving objects found and of points with the right instance, HOTA and CLEAR, errors of
+    boxes and velocities.
+    """
+    from docdepth.evaluation.runs import evaluate_tracks
+
+    with progress_bars() as progress:
+        result = evaluate_tracks(run, truth, tracks, partial(progress, "evaluate"))
+    show(result, as_json)
+
+
+@verb(evaluate)
+def depth(
+    run: RunPath,
+    truth: Annotated[
+        Path,
+        typer.Option(
+            "--depth",
+            metavar="DIR",
+            help="Folder of true depth maps of the same names, in any format that docdepth "
+            "writes, or its parent.",
+        ),
+    ],
+    mode: Annotated[
+        str,
+        typer.Option(
+            help="Pixels to compare: valid (those with depth), or kitti (all: empty ones are "
+            "filled as KITTI's development kit does).",
+            **one_of(MODES),
+        ),
+    ] = "valid",
+    max_range: MaxRange = 80.0,
+    camera: OneCamera = None,
+    html: Page = None,
+    as_json: Json = False,
+) -> None:
+    """Compare depth maps with true ones, pixel by pixel.
+
+    Mean absolute and root mean square error, density, and pixels more than 5 % too near or too far.
+    """
+    from docdepth.evaluation.error_page import DepthPage
+    from docdepth.evaluation.runs import evaluate_depth
+    from docdepth.io.run_folder import RunFolder
+    from docdepth.pipeline.run_inputs import recorded_camera
+
+    def start() -> DepthPage:
+        folder = RunFolder.open(run)
+        stream = recorded_camera(folder, folder.depth_folder(camera))
+        return DepthPage(_title(run, "depth against the truth"), max_range, stream)
+
+    page = _page(html, start)
+    with progress_bars() as progress:
+        result = evaluate_depth(
+            run, truth, mode, max_range, camera,  # type: ignore[arg-type]
+            partial(progress, "evaluate"), page.look if page else None,
+        )  # fmt: skip
+    show(result, as_json)
+    _write(page, html, [result.table(), result.kitti_table()])
+
+
+@verb(evaluate)
+def held_out(
+    run: RunPath,
+    every: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Judge by every N-th sweep, one at a time.")
+    ] = 10,
+    lidar: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Leave out this LiDAR of a rig, in all sweeps, instead of a sweep; they count "
+            "from 0, as inspect lists them.",
+        ),
+    ] = None,
+    beams: Annotated[
+        int | None,
+        typer.Option(
+            min=2, metavar="N", help="Leave out every N-th beam of the sweep instead of all of it."
+        ),
+    ] = None,
+    max_range: MaxRange = 80.0,
+    camera: OneCamera = None,
+    threads: Threads = 0,
+    html: Page = None,
+    as_json: Json = False,
+) -> None:
+    """Compare depth with returns that were left out: needs no ground truth.
+
+    A sweep is left out, or some of its beams, or a LiDAR of a rig. Its view is rendered from all
+    else, and each of its returns is compared with the map. Pixels between returns are not judged.
+    Poses that jitter and sweeps that are not motion compensated are named. Where the camera is and
+    when it looked does not count here: see calibrate --check and --time.
+    """
+    from docdepth.evaluation.causes import causes
+    from docdepth.evaluation.error_page import HeldOutPage
+    from docdepth.evaluation.held_out import evaluate_held_out
+    from docdepth.evaluation.left_out import LeftOut
+    from docdepth.io.run_folder import RunFolder
+    from docdepth.pipeline.run_inputs import recorded_camera
+    from docdepth.visualization.report import keep_held_out
+
+    left_out = LeftOut(lidar, beams)
+
+    def start() -> HeldOutPage:
+        folder = RunFolder.open(run)
+        stream = recorded_camera(folder, folder.depth_folder(camera))
+        title = _title(run, "depth against returns that were left out")
+        return HeldOutPage(title, max_range, str(left_out), stream, folder.trajectory().times)
+
+    page = _page(html, start)
+    with progress_bars() as progress:
+        result = evaluate_held_out(
+            run, every, max_range, camera, threads,
+            lambda done, total: progress("held out", done, total), left_out,
+            page.look if page else None,
+        )  # fmt: skip
+        folder = RunFolder.open(run)
+        found = causes(folder, lambda done, total: progress("poses and times", done, total))
+    result = replace(result, found=tuple(found.lines))
+    show(result, as_json)
+    for line in result.found:
+        err.print("warning:", style="yellow", end=" ")
+        err.print(line, soft_wrap=True, markup=False)
+    _write(page, html, [result.table()], result.found)
+    keep_held_out(folder, camera, asdict(result.table()))
+
+
+PageKind = TypeVar("PageKind", bound="ErrorPage")
+
+
+def _page(path: Path | None, start: Callable[[], PageKind]) -> PageKind | None:
+    """The page to fill, if one is asked for and may be written."""
+    from docdepth.visualization.page import check_page
+
+    if path is None:
+        return None
+    check_page(path)
+    return start()
+
+
+def _title(run: Path, what: str) -> str:
+    return f"docdepth: {run.resolve().name}, {what}"
+
+
+def _write(
+    page: ErrorPage | None, path: Path | None, tables: list[Table], found: Sequence[str] = ()
+) -> None:
+    if page is not None and path is not None:
+        page.write(path, tables, found)
+        err.print(f"pictures of the errors: {path}", soft_wrap=True, markup=False)

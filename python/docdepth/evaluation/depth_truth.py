@@ -1,0 +1,131 @@
+"""True depth maps on disk: a folder of them, a drive of KITTI's depth completion, its selection."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import DatasetError
+from docdepth.evaluation.label_counts import moving
+from docdepth.io.depth import maps_in, read_depth
+from docdepth.io.run_folder import RunFolder
+
+log = logging.getLogger(__name__)
+
+_COMPLETION = Path("proj_depth") / "groundtruth"
+"""Where a drive of KITTI's depth completion keeps its true depth maps, a folder a camera."""
+
+_SELECTION = "groundtruth_depth"
+"""Folder of ``val_selection_cropped`` with maps of all drives and cameras."""
+
+
+class DepthTruth:
+    """The true depth maps of a camera of a run.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of depth maps in any format, beside which ``class_2`` may mark what moves; or a drive
+        of KITTI's depth completion, or ``val_selection_cropped``, which hold maps of some images.
+    run : RunFolder
+    depth_folder : str
+        Of the camera, in ``depth/`` of the run.
+
+    Attributes
+    ----------
+    maps : dict of str to Path
+        Depth maps of the run that have a true one.
+
+    Raises
+    ------
+    DatasetError
+        The run has no depth maps, or the truth has none of its images.
+    """
+
+    def __init__(self, folder: Path, run: RunFolder, depth_folder: str) -> None:
+        camera, made = run.camera_in(depth_folder), maps_in(run.path / "depth" / depth_folder)
+        if not made:
+            raise DatasetError(
+                f"{run.path}/depth has no depth maps; run: docdepth render {run.path}"
+            )
+        self._K = run.calibration(depth_folder)[0].K
+        self._intrinsics: str | None = None
+        self.folder, some = folder, True
+        if (folder / _SELECTION).is_dir():
+            drive = Path(str(run.manifest["source"].get("dataset"))).name
+            self._intrinsics = f"{drive}_image_{{}}_{camera}.txt"
+            start, end = f"{drive}_{_SELECTION}_", f"_{camera}"
+            found = maps_in(folder / _SELECTION)
+            chosen = [n for n in found if n.startswith(start) and n.endswith(end)]
+            self._truths = {n[len(start) : -len(end)]: found[n] for n in chosen}
+        elif (folder / _COMPLETION).is_dir():
+            self.folder = folder / _COMPLETION / camera
+            self._truths = maps_in(self.folder)
+        else:
+            self._truths, some = maps_in(folder), False
+        self.maps = self._with_truth(made) if some else made
+        for name, path in self.maps.items():
+            if name not in self._truths:
+                raise DatasetError(f"{folder} has no depth map {name}, {run.path} has {path.name}")
+        self._classes = self.folder.parent / self.folder.name.replace("depth", "class")
+
+    def _with_truth(self, made: dict[str, Path]) -> dict[str, Path]:
+        """The maps that have a true one; the others are counted in a warning."""
+        found = {name: path for name, path in made.items() if name in self._truths}
+        if not found:
+            raise DatasetError(
+                f"{self.folder} has no depth map of the {len(made)} images of the run; is it of "
+                "this drive?"
+            )
+        if len(found) < len(made):
+            log.warning(
+                "%s has no depth map of %d of %d images; they are not compared",
+                self.folder, len(made) - len(found), len(made),
+            )  # fmt: skip
+        return found
+
+    def read(
+        self, name: str
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+        """Made and true depth of an image, (h, w) each [m], and the camera matrix of both.
+
+        The selection is cropped; the made depth is cropped alike.
+        """
+        made, true = read_depth(self.maps[name]), read_depth(self._truths[name])
+        if self._intrinsics is None or made.shape == true.shape:
+            return made, true, self._K
+        left, top = self._corner(name, made.shape, true.shape)
+        height, width = true.shape
+        K = self._K.copy()
+        K[0, 2], K[1, 2] = K[0, 2] - left, K[1, 2] - top
+        cropped = made[top : top + height, left : left + width]
+        if min(left, top) < 0 or cropped.shape != true.shape:
+            raise DatasetError(
+                f"{self._truths[name]} is no part of an image of {made.shape[1]} x {made.shape[0]} "
+                "pixels; is it of this drive and camera?"
+            )
+        return cropped, true, K
+
+    def _corner(self, name: str, made: tuple[int, ...], true: tuple[int, ...]) -> tuple[int, int]:
+        """Column and row where the crop begins: by its intrinsics, else the lower middle."""
+        file = self.folder / "intrinsics" / str(self._intrinsics).format(name)
+        if not file.is_file():
+            return (made[1] - true[1]) // 2, made[0] - true[0]
+        try:
+            values = np.array(file.read_text().split(), np.float64).reshape(3, 3)
+        except ValueError:
+            raise DatasetError(
+                f"{file} does not hold the nine numbers of a camera matrix"
+            ) from None
+        return round(self._K[0, 2] - values[0, 2]), round(self._K[1, 2] - values[1, 2])
+
+    def dynamic(self, name: str) -> NDArray[np.bool_] | None:
+        """Pixels of moving objects (h, w), where the truth tells."""
+        mask = self._classes / f"{name}.npy"
+        if self._classes == self.folder or not mask.is_file():
+            return None
+        classes = np.load(mask)
+        return moving(classes.ravel()).reshape(classes.shape)

@@ -1,0 +1,355 @@
+"""Pages of errors, the worst images first: what ``docdepth evaluate ... --html`` writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from html import escape
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import CameraStream
+from docdepth.evaluation.held_out import JudgedView
+from docdepth.evaluation.runs import JudgedImage, JudgedSweep
+from docdepth.evaluation.tables import Table
+from docdepth.geometry.points import DYNAMIC, STATIC
+from docdepth.visualization import flip_book as flips
+from docdepth.visualization.flip_book import Leaf, flip_book, scripts
+from docdepth.visualization.page import embedded, head, scale, swatches, table, write_page
+from docdepth.visualization.pictures import (
+    BACKGROUND,
+    FALSE_COLOR,
+    FAR,
+    FOUND_COLOR,
+    GROUND_COLOR,
+    MISSED_COLOR,
+    NEAR,
+    STATIC_COLOR,
+    Picture,
+    colorize,
+    error_picture,
+    labels_from_above,
+    labels_in_range_image,
+)
+
+Depth = NDArray[np.float32]
+
+WORST = 12
+"""Images on a page."""
+
+_LIMIT = 0.1  # relative error whose colour is full
+_WRONG = 0.05  # relative error that counts as wrong
+_NO_DEPTH = (110, 110, 110)
+_BYTES = 160_000  # of a picture
+_TICKS = (3, 5, 10, 20, 40, 80)
+_SOON = 100_000_000  # nanoseconds between a sweep and its photo
+_REACH, _SIDE = 50.0, 1000  # of the view from above: metres to each side, pixels
+
+_STYLE = """
+.bars { display: flex; align-items: flex-end; height: 80px; border: 1px solid #ccc; gap: 1px }
+.bars i { flex: 1; background: #d55e00; min-width: 1px }
+"""
+
+
+class ErrorPage:
+    """Gathers the worst images of an evaluation and writes the page.
+
+    Parameters
+    ----------
+    title : str
+    what : str
+        One sentence on what is compared with what.
+    titles, legends : dict of str to str
+        What the button of each view says, and what stands below it, HTML.
+    bars : str
+        What the bars over all images show.
+    images : str
+        What the images are of.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        what: str,
+        titles: dict[str, str],
+        legends: dict[str, str],
+        bars: str,
+        images: str = "images",
+    ) -> None:
+        self._title, self._what, self._titles, self._legends = title, what, titles, legends
+        self._bars, self._images = bars, images
+        self._scores: list[tuple[str, float]] = []
+        self._worst: list[tuple[float, int, Leaf]] = []
+
+    def add(
+        self, name: str, score: float, caption: str, pictures: Callable[[], dict[str, Picture]]
+    ) -> None:
+        """Add an image; its pictures are made if it is among the worst so far."""
+        number = len(self._scores)
+        self._scores.append((name, score))
+        if len(self._worst) == WORST and score <= self._worst[-1][0]:
+            return
+        views = {view: embedded(picture, _BYTES) for view, picture in pictures().items()}
+        self._worst.append((score, -number, Leaf(caption, views)))
+        self._worst = sorted(self._worst, key=lambda entry: entry[:2], reverse=True)[:WORST]
+
+    def write(self, path: Path, tables: Iterable[Table], found: Iterable[str] = ()) -> None:
+        """Write the page.
+
+        Raises
+        ------
+        DatasetError
+            There is a file that is no page of docdepth, or none can be written.
+        """
+        leaves = [leaf for _, _, leaf in self._worst]
+        parts = [head(self._title, flips.STYLE + _STYLE), f"<p>{escape(self._what)}</p>"]
+        parts += [f"<p><b>warning:</b> {escape(line)}</p>" for line in found]
+        if leaves:
+            of = f"worst first, {len(leaves)} of {len(self._scores)}; keys: arrows and 1, 2, 3 ..."
+            book = flip_book(leaves, self._titles, self._legends, f"({of})")
+            parts += [f"<h2>The worst {self._images}</h2>", book]
+            parts += [f"<h2>All {self._images}</h2>", self._chart()]
+        parts.append("<h2>Figures</h2>")
+        for one in tables:
+            parts += [f"<h3>{escape(one.title)}</h3>", table(one.header, one.rows)]
+            items = "".join(f"<li>{escape(item)}</li>" for item in one.note.split("; ") if item)
+            parts.append(f"<ul class=note>{items}</ul>")
+        write_page(path, [*parts, scripts()])
+
+    def _chart(self) -> str:
+        """A bar for each image, in order; of many images the worst of each group."""
+        values = np.array([score for _, score in self._scores])
+        groups = np.array_split(np.arange(len(values)), min(len(values), 400))
+        most = float(values.max()) or 1.0
+        bars = "".join(
+            f'<i style="height:{100 * values[group].max() / most:.1f}%" '
+            f'title="{escape(self._scores[int(group[values[group].argmax()])][0])}: '
+            f'{values[group].max():.3g}"></i>'
+            for group in groups
+        )
+        first, last = self._scores[0][0], self._scores[-1][0]
+        return (
+            f"<p>{escape(self._bars)}: {values.mean():.3g} on average, {values.max():.3g} in the "
+            f"worst. From {escape(first)} to {escape(last)}:</p><div class=bars>{bars}</div>"
+        )
+
+
+class DepthPage(ErrorPage):
+    """A page of depth maps against true ones; its ``look`` takes each image."""
+
+    def __init__(self, title: str, max_range: float, stream: CameraStream | None) -> None:
+        what = (
+            "Depth maps against true depth: each pixel up to "
+            f"{max_range:g} m that has both is compared."
+        )
+        titles = {"error": "errors", "depth": "depth map", "truth": "true depth", "image": "image"}
+        super().__init__(title, what, titles, _depth_legends(""), _SHARE_WRONG)
+        self._max_range, self._stream = max_range, stream
+
+    def look(self, image: JudgedImage) -> None:
+        """Add an image."""
+        truth = np.where(image.truth <= self._max_range, image.truth, np.float32(np.nan))
+        score, caption = _wrong(image.depth, truth)
+
+        def pictures() -> dict[str, Picture]:
+            views = {
+                "error": _errors(image.depth, truth),
+                "depth": colorize(image.depth, bar=False),
+                "truth": colorize(_thick(image.truth), bar=False),
+            }
+            photo = _photo(self._stream, image.name)
+            return views if photo is None else {**views, "image": photo}
+
+        self.add(image.name, score, f"image {image.name}: {caption}", pictures)
+
+
+class HeldOutPage(ErrorPage):
+    """A page of depth maps against returns left out of them; its ``look`` takes each view.
+
+    Parameters
+    ----------
+    title : str
+    max_range : float
+        Returns that are farther are not shown [m].
+    left_out : str
+        What was left out, in words.
+    stream : CameraStream, optional
+        The camera, whose photo nearest in time is shown beside, for orientation.
+    times : ndarray of int64, shape (n,)
+        Of the sweeps [ns].
+    """
+
+    def __init__(
+        self,
+        title: str,
+        max_range: float,
+        left_out: str,
+        stream: CameraStream | None,
+        times: NDArray[np.int64],
+    ) -> None:
+        what = (
+            f"Depth maps against {left_out}: each map is drawn without the returns that judge it, "
+            f"as the LiDAR would see it. Each return up to {max_range:g} m is compared with its "
+            "pixel."
+        )
+        titles = {"error": "errors at the returns", "depth": "depth map", "truth": "returns"}
+        legends = {**_depth_legends(_CLEAR), "image": _BESIDE}
+        titles["image"] = "photo of that time"
+        super().__init__(title, what, titles, legends, _SHARE_WRONG, "views")
+        self._max_range, self._stream, self._times = max_range, stream, times
+
+    def look(self, view: JudgedView) -> None:
+        """Add a view."""
+        truth = np.where(view.truth <= self._max_range, view.truth, np.float32(np.nan))
+        score, caption = _wrong(view.depth, truth)
+
+        def pictures() -> dict[str, Picture]:
+            errors, known = _errors(_at(truth, view.depth), _thick(truth)), ~np.isnan(_thick(truth))
+            ground = colorize(view.depth, bar=False) // 4
+            views = {
+                "error": np.where(known[..., None], errors, ground).astype(np.uint8),
+                "depth": colorize(view.depth, bar=False),
+                "truth": colorize(_thick(truth), bar=False),
+            }
+            photo = self._photo(int(self._times[view.index]))
+            return views if photo is None else {**views, "image": photo}
+
+        self.add(view.name, score, f"sweep {view.name}: {caption}", pictures)
+
+    def _photo(self, time: int) -> Picture | None:
+        """The photo nearest in time, if there is one at about that time."""
+        if self._stream is None or not len(self._stream.times):
+            return None
+        apart = np.abs(self._stream.times - time)
+        nearest = int(apart.argmin())
+        return _photo(self._stream, self._stream.names[nearest]) if apart[nearest] < _SOON else None
+
+
+class LabelPage(ErrorPage):
+    """A page of labels against true ones; its ``look`` takes each sweep."""
+
+    def __init__(self, title: str) -> None:
+        what = (
+            "Labels of points against true labels: which points belong to something that moves. "
+            "Points without a true label count as static here."
+        )
+        legend = swatches([
+            ([FOUND_COLOR], "moves, and found"),
+            ([MISSED_COLOR], "moves, but missed"),
+            ([FALSE_COLOR], "false alarm: labelled as moving, but stands"),
+            ([STATIC_COLOR], "static"),
+            ([GROUND_COLOR], "ground"),
+        ])  # fmt: skip
+        titles = {"above": "from above", "range": "as the LiDAR sees it"}
+        above = (
+            "<p class=note>50 m to each side; the vehicle is in the middle and drives up. Wrong "
+            "points are drawn larger.</p>"
+        )
+        around = "<p class=note>From left to right: behind, left, ahead, right, behind.</p>"
+        legends = {"above": legend + above, "range": legend + around}
+        super().__init__(title, what, titles, legends, "Wrong points of each sweep", "sweeps")
+
+    def look(self, sweep: JudgedSweep) -> None:
+        """Add a sweep."""
+        classid = np.where(sweep.counted, sweep.classid, np.minimum(sweep.classid, STATIC))
+        classid = classid.astype(np.uint16)
+        truth, dynamic = sweep.truth & sweep.counted, classid >= DYNAMIC
+        missed, false = int((truth & ~dynamic).sum()), int((dynamic & ~truth).sum())
+        caption = (
+            f"sweep {sweep.name}: {missed} of {int(truth.sum())} moving points missed, "
+            f"{false} false alarms"
+        )
+
+        def pictures() -> dict[str, Picture]:
+            return {
+                "above": _from_above(sweep.points, classid, truth),
+                "range": labels_in_range_image(sweep.points, classid, truth, row_height=6),
+            }
+
+        self.add(sweep.name, float(missed + false), caption, pictures)
+
+
+def _from_above(
+    points: NDArray[np.float32], classid: NDArray[np.uint16], truth: NDArray[np.bool_]
+) -> Picture:
+    """Labels from above, wrong points larger, and the vehicle."""
+    picture = labels_from_above(points, classid, truth, _REACH, _SIDE)
+    dynamic, middle = classid >= DYNAMIC, _SIDE // 2
+    for chosen, color in ((dynamic & ~truth, FALSE_COLOR), (truth & ~dynamic, MISSED_COLOR)):
+        places = (_REACH - points[chosen, :2]) * (_SIDE / (2 * _REACH))
+        for row, column in np.rint(places).astype(int).tolist():
+            cv2.circle(picture, (column, row), 4, color, -1)
+    corners = [(middle, middle - 14), (middle - 8, middle + 14), (middle + 8, middle + 14)]
+    cv2.polylines(picture, [np.array(corners, np.int32)], True, (255, 255, 255), 2, cv2.LINE_AA)
+    return picture
+
+
+_BESIDE = "<p class=note>The camera stands beside the LiDAR, so the photo is a little shifted.</p>"
+_SHARE_WRONG = "Share of the compared pixels that are more than 5 % off, in percent"
+_CLEAR = (
+    "<p class=note>A return beside a depth edge may fall into a pixel of the other side; the row "
+    "<i>clear</i> of the table is without these.</p>"
+)
+
+
+def _depth_legends(note: str) -> dict[str, str]:
+    shares = np.linspace(-_LIMIT, _LIMIT, 21)[None] + 1
+    colors = error_picture(shares, np.ones_like(shares), _LIMIT)[0]
+    ticks = [(0.0, "10 % too near"), (0.5, "right"), (1.0, "10 % too far")]
+    empty = swatches(
+        [([_NO_DEPTH], "no depth was made"), ([(BACKGROUND,) * 3], "nothing to compare")]
+    )
+    span = np.log(FAR / NEAR)
+    depth = scale(
+        colorize(np.geomspace(NEAR, FAR, 24)[None], bar=False)[0],
+        [(np.log(tick / NEAR) / span, f"{tick} m") for tick in _TICKS],
+    )
+    return {"error": scale(colors, ticks) + empty + note, "depth": depth, "truth": depth}
+
+
+def _errors(depth: Depth, truth: Depth) -> Picture:
+    picture = error_picture(depth, truth, _LIMIT)
+    picture[np.isnan(depth) & ~np.isnan(truth)] = _NO_DEPTH
+    return picture
+
+
+def _wrong(depth: Depth, truth: Depth) -> tuple[float, str]:
+    """Share of the compared pixels more than 5 % off [%], and that in words."""
+    both = ~np.isnan(depth) & ~np.isnan(truth)
+    error = depth[both].astype(np.float64) - truth[both]
+    off = np.abs(error) > _WRONG * truth[both]
+    share = 100 * float(off.mean()) if both.any() else 0.0
+    mean = float(np.abs(error).mean()) if both.any() else 0.0
+    return share, (
+        f"{share:.1f} % of {int(both.sum()):,} compared pixels are more than 5 % off, "
+        f"the mean error is {mean:.2f} m"
+    )
+
+
+def _thick(truth: Depth) -> Depth:
+    """Sparse depth with each value over 3 x 3 pixels, the nearest on top; dense depth as it is."""
+    known = ~np.isnan(truth)
+    if known.mean() > 0.3:
+        return truth
+    near = np.where(known, truth, np.float32(np.inf))
+    spread = cv2.erode(near, np.ones((3, 3), np.uint8), borderValue=np.inf)
+    return np.where(np.isinf(spread), np.float32(np.nan), spread).astype(np.float32)
+
+
+def _at(truth: Depth, depth: Depth) -> Depth:
+    """The depth at each pixel with truth, spread as :func:`_thick` spreads the truth."""
+    thick = _thick(truth)
+    result = np.full_like(depth, np.nan)
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            moved = np.roll(truth, (down, right), (0, 1))
+            result = np.where(moved == thick, np.roll(depth, (down, right), (0, 1)), result)
+    return result
+
+
+def _photo(stream: CameraStream | None, name: str) -> Picture | None:
+    if stream is None or not stream.images or name not in stream.names:
+        return None
+    return stream.rectified_image(stream.names.index(name))

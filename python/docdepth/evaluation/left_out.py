@@ -1,0 +1,142 @@
+"""What is left out of a depth map that is judged by it: a sweep, beams of it, or a whole LiDAR."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.config import DynamicsParameters
+from docdepth.dynamics.voting import KeyFrame, vote
+from docdepth.errors import InputError
+from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.sensor_rig import LidarView, SensorRig, lidar_views
+from docdepth.io.frames import FrameRecord
+
+_MANY_LASERS = 4  # a rig of more places knows each laser, as that of KITTI's LiDAR
+_BAND_DEG = 0.2  # least height of a beam; returns of sharper ones lie together
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Which returns judge the depth that is drawn without them.
+
+    Attributes
+    ----------
+    lidar : int, optional
+        A LiDAR of the rig, left out of all sweeps. Without it and ``beams`` a whole sweep is.
+    beams : int, optional
+        Every n-th beam of the sweep; its other beams and all other sweeps are drawn.
+    """
+
+    lidar: int | None = None
+    beams: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.lidar is not None and self.beams is not None:
+            raise InputError("leave out beams or a LiDAR, not both")
+        if self.beams is not None and self.beams < 2:
+            raise InputError(f"every {self.beams}-th beam cannot be left out; 2 leaves out half")
+
+    @property
+    def whole_sweep(self) -> bool:
+        """Whether nothing of the judged sweep is drawn."""
+        return self.lidar is None and self.beams is None
+
+    def view(self, record: FrameRecord, rig: SensorRig | None) -> LidarView:
+        """The returns that judge, as the LiDAR saw them that measured them; other rows are NaN."""
+        views = {number: view for number, view in _by_number(record, rig)}
+        number = min(views) if self.lidar is None else self.lidar
+        if number not in views or (self.lidar is not None and len(views) < 2):
+            raise InputError(
+                f"sweep {record.name} has returns of LiDAR {', '.join(map(str, views))}; LiDAR "
+                f"{self.lidar} cannot be left out. LiDARs count from 0, as docdepth inspect lists "
+                "them"
+            )
+        if self.beams is None:
+            return views[number]
+        points = views[number].points.copy()
+        points[~self.rows(record, rig)] = np.nan
+        return views[number]._replace(points=points)
+
+    def rows(self, record: FrameRecord, rig: SensorRig | None) -> NDArray[np.bool_]:
+        """Rows of a sweep that are not drawn, (N,)."""
+        if self.lidar is not None:
+            assert rig is not None
+            return np.asarray(rig.lidar_id[rig.index] == self.lidar)
+        if self.beams is None:
+            return np.ones(len(record.points), np.bool_)
+        _, view = next(_by_number(record, rig))
+        beam = beam_of(view, rig)
+        own = np.isfinite(view.points).all(axis=1)
+        return np.asarray((beam % self.beams == self.beams // 2) & own)
+
+    def clear(self, record: FrameRecord, rig: SensorRig | None) -> NDArray[np.bool_]:
+        """Which returns can be judged to the pixel, (N,): it is clear what their pixel shows.
+
+        A return beside a depth edge of its own sweep may fall into a pixel of the other side. And
+        what the other LiDARs of a rig could not see at that time is hidden from where they stand:
+        no ray of their sweep ended there or passed behind it, which is how a key frame votes.
+        """
+        own = self.rows(record, rig)
+        view = LeftOut(self.lidar).view(record, rig)
+        clear = ~beside_edges(view)
+        if self.lidar is None or rig is None:
+            return clear
+        others = record.points.copy()
+        others[own] = np.nan
+        flat = np.zeros(len(own), np.bool_)
+        mesh = KeyFrame(others, flat, DynamicsParameters(vote_model="surface"), None, rig)
+        votes = vote(record.points, flat, np.eye(4), [mesh], np.eye(4)[None], threads=1)
+        return np.asarray(clear & (votes.static + votes.dynamic > 0))
+
+    def __str__(self) -> str:
+        """In words, for the title of a table."""
+        if self.lidar is not None:
+            return f"sweeps of LiDAR {self.lidar}, which was left out"
+        return f"sweeps, every {self.beams}-th beam left out" if self.beams else "held-out sweeps"
+
+
+def _by_number(record: FrameRecord, rig: SensorRig | None) -> Iterator[tuple[int, LidarView]]:
+    """The views of a sweep with the numbers of their LiDARs."""
+    numbers = [0] if rig is None else sorted(set(rig.lidar_id.tolist()))
+    yield from zip(numbers, lidar_views(record.points, rig), strict=True)
+
+
+def beam_of(view: LidarView, rig: SensorRig | None) -> NDArray[np.int64]:
+    """The beam of each return, numbers from below or from above, (N,).
+
+    The laser where the rig knows it; else bands of elevation as high as the returns are apart.
+    """
+    if rig is not None and len(rig.T_lidar_sensor) > _MANY_LASERS:
+        return rig.index.astype(np.int64)
+    points = view.motion_corrected().astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        elevation = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    band = np.maximum(_BAND_DEG, _spacing_deg(view))
+    return np.nan_to_num(np.floor(elevation / band), nan=-1).astype(np.int64)
+
+
+def beside_edges(view: LidarView) -> NDArray[np.bool_]:
+    """Returns that a triangle over a depth jump joins to another one, (N,)."""
+    points, mesh = _mesh(view)
+    found = np.zeros(len(points), np.bool_)
+    found[mesh.triangles[mesh.discontinuity].ravel()] = True
+    return found
+
+
+def _spacing_deg(view: LidarView) -> float:
+    """Angle between neighbouring beams: the median height of the triangles of the sweep."""
+    points, mesh = _mesh(view)
+    corners = points[mesh.triangles[~mesh.discontinuity].astype(np.int64)].astype(np.float64)
+    if not len(corners):
+        return _BAND_DEG
+    elevation = np.degrees(np.arctan2(corners[..., 2], np.hypot(corners[..., 0], corners[..., 1])))
+    return float(np.median(np.ptp(elevation, axis=1)))
+
+
+def _mesh(view: LidarView) -> tuple[NDArray[np.float32], ScanMesh]:
+    points = view.motion_corrected()
+    return points, ScanMesh(points)

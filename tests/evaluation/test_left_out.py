@@ -1,0 +1,221 @@
+"""A LiDAR or beams left out of depth maps: on a synthetic rig whose exact surfaces are known."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from docdepth.cli import app
+from docdepth.datasets import kitti_lidar
+from docdepth.errors import InputError
+from docdepth.evaluation.depth_metrics import DepthErrors
+from docdepth.evaluation.held_out import evaluate_held_out
+from docdepth.evaluation.left_out import LeftOut, beam_of
+from docdepth.geometry.sensor_rig import SensorRig, lidar_views
+from docdepth.io.frames import FrameRecord
+from docdepth.io.run_folder import RunFolder
+
+pytest.importorskip("embreex")
+scipy_spatial = pytest.importorskip("scipy.spatial")
+
+SECOND = LeftOut(lidar=1)
+FRAMES = 7
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """The run of a drive by an upright and a rolled LiDAR."""
+    from two_lidars import write_rig
+
+    root = tmp_path_factory.mktemp("rig")
+    _, both = write_rig(root, "city", FRAMES, 1)
+    command = ["run", str(both), "-o", str(root / "run"), "--poses", "dataset"]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    return root / "run"
+
+
+def record_of(run, index):
+    folder = RunFolder.open(run)
+    record = folder.frame(index)
+    return record, folder.sensor_rig(record)
+
+
+@pytest.fixture
+def change(rig):
+    """Changes the points of one LiDAR in all sweeps; all is as before afterwards."""
+    folder = RunFolder.open(rig)
+    kept = {k: folder.frame_path(k).read_bytes() for k in range(FRAMES)}
+    keys = {k: folder.frame_key(k) for k in kept}
+
+    def scale(lidar, factor):
+        for k in kept:
+            frame = folder.frame(k)
+            factors = np.where(frame.sensor == lidar, np.float32(factor), np.float32(1))
+            folder.write_frame(k, replace(frame, points=frame.points * factors[:, None]), keys[k])
+
+    yield scale
+    for k, content in kept.items():
+        folder.write(folder.frame_path(k), lambda stream, c=content: stream.write(c), keys[k])
+
+
+def test_the_second_lidar_agrees_with_maps_of_the_first(rig):
+    result = evaluate_held_out(rig, every=2, left_out=SECOND)
+    assert result.sweeps == 3
+    assert 0.3 * result.all.pixels < result.clear.pixels < 0.9 * result.all.pixels
+    assert result.clear.density > 97
+    assert result.clear.rmse < 0.4 < result.all.rmse
+    assert result.clear_point_to_point < result.point_to_point < 0.2
+    assert "LiDAR 1" in result.table().title
+
+
+def test_the_left_out_lidar_is_in_no_map(rig, change):
+    """Scaled as a whole it must disagree with every map, and its own points must not be drawn."""
+    change(1, 1.2)
+    result = evaluate_held_out(rig, every=3, left_out=SECOND, max_range=100)
+    # It is hidden behind what the first LiDAR sees.
+    assert result.clear.pixels < 0.01 * result.all.pixels
+    assert result.all.too_near > 90
+
+
+def test_errors_of_the_drawn_lidar_are_found(rig, change):
+    before = evaluate_held_out(rig, every=3, left_out=SECOND).static
+    change(0, 1.1)
+    after = evaluate_held_out(rig, every=3, left_out=SECOND).static
+    assert before.too_far < 4
+    assert after.too_far > 80
+
+
+def test_hidden_returns_are_those_whose_line_to_the_other_lidar_is_blocked(rig):
+    from two_lidars import PLACE, SENSOR
+
+    from docdepth.synthetic import Drive, scene, sensor
+    from docdepth.synthetic.casting import Rays
+
+    drive = Drive(scene("city", 1), sensor(SENSOR), FRAMES, 1)
+    record, sensors = record_of(rig, 3)
+    clear = SECOND.clear(record, sensors)
+    own = SECOND.rows(record, sensors)
+    pose = drive._scene_poses(drive.times[3:4] / 1e9)[0]
+    points = record.points[own].astype(np.float64)
+    assert np.linalg.norm(PLACE) > 0.4
+    ranges = np.linalg.norm(points, axis=1)
+    directions = points / ranges[:, None] @ pose[:3, :3].T
+    origins = np.broadcast_to(pose[:3, 3], directions.shape)
+    moment = np.array([drive.times[3] / 1e9])
+    rays = Rays(origins, directions, moment, np.zeros(len(points), np.int64))
+    hidden = drive.world.cast(rays, 300.0).range < ranges - 0.5
+    assert hidden.sum() > 100
+    assert clear[own][hidden].mean() < 0.05
+    inside = np.abs(np.degrees(np.arcsin(points[:, 2] / ranges))) < 14  # where the first one looks
+    assert clear[own][~hidden & inside].mean() > 0.4
+
+
+def test_half_of_the_beams_judge_the_others():
+    """Bands of elevation are the rings of a LiDAR, and a laser of KITTI's is a beam."""
+    from docdepth.synthetic import Drive, scene, sensor
+
+    sweep = Drive(scene("city", 1), sensor("XT-32"), 2).sweep(0)
+    (view,) = lidar_views(sweep.points, None)
+    beam = beam_of(view, None)
+    for ring in range(0, 32, 5):
+        values, counts = np.unique(beam[sweep.ring == ring], return_counts=True)
+        assert np.ptp(values) <= 2, "a ring may lie on a border, and the vehicle moves"
+        assert counts.max() > 0.4 * counts.sum()
+    record = FrameRecord(sweep.points, np.arange(len(beam), dtype=np.uint32), "0", len(beam))
+    rows = LeftOut(beams=4).rows(record, None)
+    assert 0.1 < rows.mean() < 0.4
+    lasers = kitti_lidar.sensor_rig(sweep.points)
+    np.testing.assert_array_equal(
+        beam_of(next(lidar_views(sweep.points, lasers)), lasers), lasers.index
+    )
+
+
+def test_left_out_beams_are_not_drawn(rig):
+    """Of the judged sweep, the others are whole."""
+    folder = RunFolder.open(rig)
+    beams = LeftOut(beams=3)
+    record, sensors = record_of(rig, 3)
+    rows = beams.rows(record, sensors)
+    view = beams.view(record, sensors)
+    np.testing.assert_array_equal(np.isfinite(view.points).all(axis=1), rows)
+    assert not (rows & (record.sensor == 1)).any()
+    before = folder.frame_path(3).read_bytes()
+    key = folder.frame_key(3)
+    factors = np.where(rows, np.float32(0.7), np.float32(1))[:, None]
+    seen = []
+    evaluate_held_out(rig, every=7, left_out=beams, look=seen.append)
+    folder.write_frame(3, replace(record, points=record.points * factors), key)
+    fixed = replace_beams(rows)
+    evaluate_held_out(rig, every=7, left_out=fixed, look=seen.append)
+    folder.write(folder.frame_path(3), lambda stream: stream.write(before), key)
+    np.testing.assert_array_equal(seen[0].depth, seen[1].depth)
+    assert np.nanmedian(seen[1].truth) < 0.8 * np.nanmedian(seen[0].truth)
+
+
+def replace_beams(rows):
+    """The same rows, whatever the points are."""
+
+    class Fixed(LeftOut):
+        def rows(self, record, rig):
+            return rows if len(rows) == len(record.points) else super().rows(record, rig)
+
+    return Fixed(beams=3)
+
+
+def test_point_to_point_equals_scipy(rig):
+    """All pixels of the views as points, nearest neighbours both ways by another tree."""
+    views = []
+    result = evaluate_held_out(rig, every=4, left_out=SECOND, look=views.append)
+    K = RunFolder.open(rig).calibration()[0].K
+    distances, errors = [], []
+    for view in views:
+        both = ~np.isnan(view.depth) & (view.truth <= 80)
+        v, u = np.nonzero(both)
+        rays = np.column_stack([u, v, np.ones(len(u))]) @ np.linalg.inv(K).T
+        clouds = [rays * depth[both][:, None].astype(float) for depth in (view.depth, view.truth)]
+        for cloud, other in (clouds, clouds[::-1]):
+            distances.append(scipy_spatial.cKDTree(cloud).query(other)[0])
+        errors.append((view.truth[both], view.depth[both]))
+    assert result.point_to_point == pytest.approx(np.concatenate(distances).mean(), rel=1e-4)
+    expected = DepthErrors.of(*(np.concatenate(values) for values in zip(*errors, strict=True)))
+    assert result.all.mae == pytest.approx(expected.mae)
+    assert result.all.rmse == pytest.approx(expected.rmse)
+    d, p, clear = (
+        np.concatenate([getattr(view, name)[~np.isnan(view.truth)] for view in views])
+        for name in ("truth", "depth", "clear")
+    )
+    for region, rows in ((result.all, d <= 80), (result.clear, clear & (d <= 80))):
+        both = rows & ~np.isnan(p)
+        assert (region.pixels, region.compared) == (rows.sum(), both.sum())
+        assert region.too_near == pytest.approx(100 * (p < 0.95 * d)[both].mean(), abs=1e-3)
+        assert region.too_far == pytest.approx(100 * (p > 1.05 * d)[both].mean(), abs=1e-3)
+
+
+def test_on_the_command_line(rig):
+    def json_of(*options):
+        result = CliRunner().invoke(app, ["evaluate", "held-out", str(rig), *options, "--json"])
+        assert result.exit_code == 0, result.output
+        return json.loads(result.stdout)
+
+    lidar = json_of("--lidar", "1", "--every", "4")
+    beams = json_of("--beams", "4", "--every", "4")
+    assert "LiDAR 1" in lidar["left_out"]
+    assert "4-th beam" in beams["left_out"]
+    assert lidar["clear"]["point_to_point"] < lidar["all"]["point_to_point"]
+
+
+def test_mistakes(rig):
+    with pytest.raises(InputError, match="not both"):
+        LeftOut(lidar=1, beams=2)
+    with pytest.raises(InputError, match="every 1-th beam"):
+        LeftOut(beams=1)
+    with pytest.raises(InputError, match=r"LiDAR 0, 1; LiDAR\s+2"):
+        evaluate_held_out(rig, left_out=LeftOut(lidar=2))
+    record, _ = record_of(rig, 0)
+    with pytest.raises(InputError, match="cannot be left out"):
+        LeftOut(lidar=0).view(record, SensorRig.single((0, 0, 0), len(record.points)))
