@@ -71,6 +71,8 @@ def decode_image(message: Any, where: str) -> NDArray[np.uint8]:
         )
     channels, conversion = _ENCODINGS[message.encoding]
     width, height, step = message.width, message.height, message.step
+    if not width or not height:
+        raise DatasetError(f"{where} is an image of {width} x {height} pixels")
     data = np.asarray(message.data, np.uint8)
     if step < width * channels or len(data) < height * step:
         raise DatasetError(f"{where} has {len(data)} bytes for {width} x {height} pixels")

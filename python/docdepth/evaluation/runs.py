@@ -20,6 +20,7 @@ from docdepth.evaluation.tracks import TrackEvaluation, TrackResult
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.arrays import ArrayError, read_array
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import TRACKS, read_tracks
@@ -143,7 +144,14 @@ def _true_trajectory(sequence: Path) -> Trajectory | None:
 
 def _speeds(labels: Path, name: str) -> NDArray[np.float32] | None:
     path = labels.parent / "speeds" / f"{name}.npy"
-    return np.load(path).astype(np.float32) if path.is_file() else None
+    return _array(path).astype(np.float32) if path.is_file() else None
+
+
+def _array(path: Path) -> NDArray[Any]:
+    try:
+        return read_array(path)
+    except ArrayError as error:
+        raise DatasetError(f"{path} is no array of numpy ({error}); copy it again") from None
 
 
 def _seconds(times: NDArray[np.int64]) -> float:
@@ -205,7 +213,7 @@ def evaluate_depth(
         mask = classes / f"{name}.npy"
         dynamic = None
         if classes != depth and mask.is_file():
-            classes_of_image = np.load(mask)
+            classes_of_image = _array(mask)
             dynamic = moving(classes_of_image.ravel()).reshape(classes_of_image.shape)
         made, true = read_depth(path), read_depth(truths[name])
         evaluation.add(made, true, dynamic, K)
