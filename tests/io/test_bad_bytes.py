@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import resource
 import struct
 import zipfile
 from pathlib import Path
@@ -14,7 +15,8 @@ import pytest
 
 from docdepth import Parameters
 from docdepth.cli.config_file import read_config
-from docdepth.datasets import ros_images, ros_points
+from docdepth.datasets import LidarStream, ros_images, ros_points
+from docdepth.datasets.bag import BagLidar
 from docdepth.datasets.cloud_files import RowFormat, read_cloud
 from docdepth.datasets.pose_tables import read_pose_table
 from docdepth.datasets.settings import RecordingSettings, read_settings
@@ -32,7 +34,7 @@ from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.arrays import ArrayError, read_array, read_arrays
 from docdepth.io.calibration import read_camera_calibration
-from docdepth.io.depth import read_depth
+from docdepth.io.depth import encode_depth, read_depth
 from docdepth.io.frames import FrameRecord, read_frame, read_trajectory, write_frame
 from docdepth.io.frames import write_trajectory as write_ply
 from docdepth.io.poses import read_poses, read_tum
@@ -117,6 +119,22 @@ def test_fields_that_end_behind_their_point(offset: int, count: int) -> None:
     for big_endian in (False, True):
         with pytest.raises(DatasetError, match="the field 'x' ends behind its point of 12 bytes"):
             read(message(fields=[field], is_bigendian=big_endian), "bag")
+
+
+def test_messages_that_are_not_what_they_are_called(tmp_path: Path) -> None:
+    """A bag defines its messages; where that is damaged, they lack what they should have."""
+
+    class Bag:
+        path, files = tmp_path, ()
+        topics = {"/points": ros_points.POINT_CLOUD}  # noqa: RUF012
+
+        def read(self, topic: str, index: object, where: str) -> object:
+            return SimpleNamespace(fields=[])
+
+    stream = LidarStream("/points", np.zeros(1, np.int64), ["0"])
+    lidar = BagLidar(Bag(), stream, [None])
+    with pytest.raises(DatasetError, match=r"/points \(frame 0\): it is no sensor_msgs"):
+        lidar.read(0)
 
 
 def test_images_of_bags_without_pixels() -> None:
@@ -235,6 +253,16 @@ def test_no_object_of_python_is_loaded(tmp_path: Path) -> None:
     with pytest.raises(DatasetError):
         read_settings(tmp_path, RecordingSettings)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npy", "a.npz", "docdepth.yaml"]
+
+
+def test_images_that_claim_too_much(tmp_path: Path) -> None:
+    content = bytearray(encode_depth(np.full((40, 60), 3, np.float32)))
+    assert (read_depth(written(tmp_path / "a.png", bytes(content))) == 3).all()
+    struct.pack_into(">II", content, 16, 6, 1 << 28)
+    begun = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(DatasetError, match="not a readable image"):
+        read_depth(written(tmp_path / "a.png", bytes(content)))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < begun + 100_000  # kB
 
 
 # ---- numbers beyond all bounds, trees beyond all depth

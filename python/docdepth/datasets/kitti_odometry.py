@@ -155,9 +155,7 @@ class KittiOdometry:
 
     @cached_property
     def _is_kitti_lidar(self) -> bool:
-        return kitti_lidar.is_kitti_lidar(
-            kitti_files.read_sweep(file, k)[0] for k, file in enumerate(self.sweeps)
-        )
+        return kitti_lidar.is_kitti_lidar(kitti_files.points_of_each(self.sweeps))
 
     def sweep_files(self, index: int) -> list[Path]:
         """Sweep ``index`` of each LiDAR, the times of its points, and what masks some of them."""

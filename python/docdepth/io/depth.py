@@ -17,6 +17,7 @@ from docdepth.errors import DatasetError, InputError
 from docdepth.io.arrays import ArrayError, read_array, read_arrays
 from docdepth.io.atomic import write_atomically
 from docdepth.io.exr import encode_exr, import_exr, read_exr
+from docdepth.io.images import decode_image
 from docdepth.io.trees import parse_json
 
 FORMATS = {  # from the least to the most exact
@@ -235,14 +236,10 @@ def _encode_png(depth: NDArray[np.float32], scale: float) -> bytes:
 
 def _decoded(path: Path) -> NDArray[Any]:
     # Decoded from memory: of a missing file OpenCV would complain on stderr.
-    content = np.frombuffer(path.read_bytes(), np.uint8)
-    try:
-        pixels = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if len(content) else None
-    except cv2.error:
-        pixels = None
+    pixels = decode_image(path.read_bytes(), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise DatasetError(f"{path} is not a readable image; delete it and render again")
-    return np.asarray(pixels)
+    return pixels
 
 
 def _read_png(path: Path, scale: float) -> NDArray[np.float32]:

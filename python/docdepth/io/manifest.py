@@ -8,6 +8,11 @@ from typing import Any
 from docdepth.io.file_records import is_file_name
 from docdepth.io.trees import parse_yaml
 
+SKIPPED = "skipped"
+"""Entry of ``source``: broken frames that the run leaves out. ``sweeps`` by number, ``images`` by
+camera and name, each with what is wrong, and ``checked``, a hash of the files that were looked at.
+"""
+
 
 def first_difference(have: Any, want: Any, path: str = "") -> str:
     """Say what differs first between two trees of values."""
@@ -55,3 +60,18 @@ def cameras_of_earlier_version(stages: dict[str, Any]) -> dict[str, Any]:
         for stage in listed
         for name, folder in zip(stage.get("cameras", []), stage.get("folders", []), strict=False)
     }
+
+
+def skipped_frames(skipped: dict[str, Any] | None) -> list[str]:
+    """A sentence for each frame that a run leaves out."""
+    if not skipped:
+        return []
+    found = [f"sweep {k}: {why}" for k, why in skipped.get("sweeps", {}).items()]
+    for camera, images in skipped.get("images", {}).items():
+        found += [f"image {name} of {camera}: {why}" for name, why in images.items()]
+    return found
+
+
+def without_skipped(source: dict[str, Any]) -> dict[str, Any]:
+    """``source`` without what follows from its files: which frames are broken."""
+    return {name: value for name, value in source.items() if name != SKIPPED}

@@ -33,6 +33,7 @@ from docdepth.io.manifest import (
     cameras_of_earlier_version,
     first_difference,
     read_manifest,
+    without_skipped,
 )
 from docdepth.io.recorded_folder import NOTES, RecordedFolder, move_aside
 from docdepth.io.sensors import read_sensors, sensors_bytes
@@ -121,8 +122,8 @@ class RunFolder(RecordedFolder):
         # Another camera is added to those that the run has.
         if "camera" in source:
             source = {**source, "camera": self.manifest["source"].get("camera")}
-        before = {"source": self.manifest["source"], "parameters": first}
-        wanted = {"source": source, "parameters": asked}
+        before = {"source": without_skipped(self.manifest["source"]), "parameters": first}
+        wanted = {"source": without_skipped(source), "parameters": asked}
         for part in wanted:
             if before[part] != wanted[part] and not force:
                 if part == "parameters" and asked == known:
