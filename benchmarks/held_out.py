@@ -26,7 +26,6 @@ import yaml
 from docdepth import run
 from docdepth.config import parameters
 from docdepth.errors import CalibrationError, DocDepthError
-from docdepth.evaluation.calibration_check import check_calibration
 from docdepth.evaluation.causes import causes
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.evaluation.runs import evaluate_depth
@@ -34,6 +33,7 @@ from docdepth.evaluation.tables import Table, number
 from docdepth.evaluation.time_offset import time_offset
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.calibration_check import check_calibration
 from docdepth.synthetic import write_drive
 
 SCENES, SENSORS, FRAMES = ("city", "residential", "crossing"), ("HDL-64", "XT-32"), 30

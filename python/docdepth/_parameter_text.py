@@ -93,10 +93,13 @@ def read_yaml(text: str) -> Any:
 
     Raises
     ------
-    yaml.YAMLError, ValueError, RecursionError
+    yaml.YAMLError, ValueError
         The text is no YAML, or a name stands twice.
     """
-    return yaml.load(text, _Settings)
+    try:
+        return yaml.load(text, _Settings)
+    except RecursionError:
+        raise yaml.YAMLError("it is too deep") from None
 
 
 def parse_settings(assignments: list[str], option: str = "--set") -> dict[str, Any]:
@@ -114,7 +117,7 @@ def parse_settings(assignments: list[str], option: str = "--set") -> dict[str, A
             raise ConfigError(f"{option} {assignment!r}: write stage.name=value")
         try:
             settings[name.strip()] = read_yaml(value)
-        except (yaml.YAMLError, ValueError, RecursionError):
+        except (yaml.YAMLError, ValueError):
             raise ConfigError(
                 f"{option} {assignment!r}: the value {value!r} cannot be read; write a number, a "
                 "word or a list such as [50, 3]"

@@ -254,20 +254,6 @@ def test_all_passes_read_each_sweep_once(number: int) -> None:
     assert drive.read == [0, *range(30)]
 
 
-def test_estimated_poses_are_kept(tmp_path: Path) -> None:
-    drive, file = Drive(4), tmp_path / "run" / "poses.npz"
-    whole = estimate_poses(drive, checkpoint=file)
-    drive.read.clear()
-    np.testing.assert_array_equal(estimate_poses(drive, checkpoint=file), whole)
-    assert drive.read == []
-    estimate_poses(drive, OdometryParameters(voxel_size=1.5), checkpoint=file)
-    assert drive.read, "other parameters, other poses"
-    drive.read.clear()
-    file.write_bytes(file.read_bytes()[:100])
-    np.testing.assert_array_equal(estimate_poses(drive, checkpoint=file), whole)
-    assert drive.read, "the file is damaged"
-
-
 # ---- thinning
 
 

@@ -81,7 +81,7 @@ def read_config(path: Path) -> Given:
     """
     try:
         tree = read_yaml(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError, yaml.YAMLError) as error:
         why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
         raise ConfigError(f"--config {path} cannot be read as YAML: {why}") from None
     if not isinstance(tree, dict):

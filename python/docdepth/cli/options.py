@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from docdepth.cli.names import FORMATS, LAYERS, LAYOUTS, PRESETS, RENDERERS, one_of, some_of
+from docdepth.cli.names import (
+    FORMATS,
+    LAYERS,
+    LAYOUTS,
+    ON_ERROR,
+    PRESETS,
+    RENDERERS,
+    one_of,
+    some_of,
+)
 
 if TYPE_CHECKING:
     from docdepth.io.run_folder import RunFolder
@@ -106,6 +115,15 @@ ImageSize = Annotated[
         metavar="WxH",
         help="Size of the images in pixels, for a recording without images that does not tell "
         "it, for example 1242x375.",
+    ),
+]
+OnError = Annotated[
+    str | None,
+    typer.Option(
+        "--on-error",
+        help="What to do about broken sweeps and images. stop: name them and end. skip: read all "
+        "before the run begins and leave out broken ones. As the run began if absent, else stop.",
+        **one_of(ON_ERROR),
     ),
 ]
 HashInputs = Annotated[

@@ -23,6 +23,7 @@ from docdepth.cli.options import (
     Json,
     LayerNames,
     Layout,
+    OnError,
     Output,
     PosesFile,
     RendererName,
@@ -79,6 +80,7 @@ def run(
     layers: LayerNames = None,
     threads: Threads = 0,
     renderer: RendererName = None,
+    on_error: OnError = None,
     hash_inputs: HashInputs = False,
     force: Force = False,
     dry_run: DryRun = False,
@@ -101,7 +103,7 @@ def run(
     if output is None:
         chosen = (config, layout, camera, frames, poses, camera_times, calibration, labels,
                   image_size, preset, settings, format, scale, layers,
-                  hash_inputs or None, force or None)  # fmt: skip
+                  on_error, hash_inputs or None, force or None)  # fmt: skip
         folder = _continue(dataset, chosen, dry_run, threads, drawn_by)
         return show_states(folder, as_json) if dry_run else show_summary(folder, as_json)
     given = read_config(config) if config else Given()
@@ -114,8 +116,8 @@ def run(
         folder = run_all(
             output=output,
             parameters=parameters(preset or given.preset, changes),  # type: ignore[arg-type]
-            **inputs, hash_inputs=hash_inputs, force=force, dry_run=dry_run, threads=threads,
-            renderer=drawn_by, progress=progress,
+            **inputs, on_error=on_error, hash_inputs=hash_inputs, force=force,
+            dry_run=dry_run, threads=threads, renderer=drawn_by, progress=progress,
         )  # fmt: skip
     return show_states(folder, as_json) if dry_run else show_summary(folder, as_json)
 

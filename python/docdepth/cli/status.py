@@ -32,11 +32,19 @@ def status(
 def show_states(folder: RunFolder, as_json: bool, verify: bool = False) -> None:
     """Print the state of each stage."""
     from docdepth.io.lock import holder
+    from docdepth.io.manifest import SKIPPED, skipped_frames
     from docdepth.pipeline.run_state import changes_since_start, states
 
+    skipped = skipped_frames(folder.manifest["source"].get(SKIPPED))
     found, busy = states(folder, verify=verify), holder(folder.notes / "lock")
     if as_json:
-        return show_json({"in_use_by": busy, "stages": [state.as_dict() for state in found]})
+        return show_json(
+            {
+                "in_use_by": busy,
+                "stages": [state.as_dict() for state in found],
+                "skipped": skipped,
+            }
+        )
     table = Table("stage", "state", "frames", "seconds", "MB", "why", box=None)
     for state in found:
         frames = f"{state.frames}/{state.all_frames}"
@@ -44,6 +52,7 @@ def show_states(folder: RunFolder, as_json: bool, verify: bool = False) -> None:
         table.add_row(state.name, state.state, frames, f"{state.seconds:.1f}", size, state.why)
     out.print(table)
     lines = [f"in use by {busy}"] if busy else []
+    lines += [f"left out: {text}" for text in skipped]
     lines += changes_since_start(folder)
     if left := [state.name for state in found if state.state != "done"]:
         lines.append(f"docdepth run {folder.path} makes: {', '.join(left)}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from docdepth.cli.names import SCENE_NAMES, SENSOR_NAMES, one_of
-from docdepth.cli.options import OneCamera, PresetName, RunPath, Threads
+from docdepth.cli.options import OneCamera, PresetName, Threads
 from docdepth.cli.progress import progress_bars
 from docdepth.cli.summary import show_summary
 from docdepth.cli.terminal import app, out, verb, volume

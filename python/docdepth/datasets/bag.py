@@ -98,7 +98,12 @@ class BagLidar:
         message = self.bag.read(topic, self.messages[index], where)
         read = reader_of(self.bag.topics[topic])
         assert read is not None
-        return read(message, where)
+        try:
+            return read(message, where)
+        except AttributeError as error:  # the bag defines its messages, and may be damaged there
+            raise DatasetError(
+                f"{where}: it is no {self.bag.topics[topic]} ({error}); record it again"
+            ) from None
 
     def files(self, index: int) -> list[Path]:
         """All files of the bag."""

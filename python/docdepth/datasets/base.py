@@ -139,6 +139,25 @@ class CameraStream:
         """``distortion`` as numbers; five zeros where there is none."""
         return [0.0] * 5 if self.distortion is None else self.distortion.tolist()
 
+    def image(self, index: int) -> NDArray[np.uint8] | None:
+        """Read an image as it was taken: BGR of shape (height, width, 3); None if not on disk.
+
+        Raises
+        ------
+        DatasetError
+            The file cannot be read, or its size differs from that of the camera.
+        """
+        if not self.images:
+            return None
+        path, camera = self.images[index], self.camera
+        image = read_image_of(path)
+        if image.shape[:2] != (camera.height, camera.width):
+            raise DatasetError(
+                f"{path} is {image.shape[1]}x{image.shape[0]} pixels, the others are "
+                f"{camera.width}x{camera.height}; replace or remove it"
+            )
+        return image
+
     def rectified_image(self, index: int) -> NDArray[np.uint8] | None:
         """Read an image and remove its lens distortion, as depth maps see it.
 
@@ -157,15 +176,9 @@ class CameraStream:
         DatasetError
             The file cannot be read, or its size differs from that of the camera.
         """
-        if not self.images:
+        image, camera = self.image(index), self.camera
+        if image is None:
             return None
-        path, camera = self.images[index], self.camera
-        image = read_image_of(path)
-        if image.shape[:2] != (camera.height, camera.width):
-            raise DatasetError(
-                f"{path} is {image.shape[1]}x{image.shape[0]} pixels, the others are "
-                f"{camera.width}x{camera.height}; replace or remove it"
-            )
         if self.distortion is None:
             return image
         if self.model == "fisheye":

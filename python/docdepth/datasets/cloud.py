@@ -62,10 +62,12 @@ def cloud_from_fields(rows: NDArray[Any], where: str) -> Cloud:
             "x, y and z in metres"
         )
     xyz = [rows[names[axis]] for axis in "xyz"]
+    if any(column.ndim != 1 for column in xyz):
+        raise DatasetError(
+            f"{where} has several values of x, y or z in a row; write one point a row"
+        )
     doubles = any(column.dtype.itemsize > 4 for column in xyz)
     points = np.stack([np.asarray(c, np.float64 if doubles else np.float32) for c in xyz], axis=-1)
-    if points.ndim != 2:
-        raise DatasetError(f"{where} has several values of x in a row; write one point a row")
     intensity = _first(rows, names, INTENSITY_NAMES)
     ring = _first(rows, names, RING_NAMES)
     return Cloud(

@@ -15,6 +15,7 @@ from docdepth.datasets.files import unreadable
 from docdepth.datasets.point_format import foreign_format
 from docdepth.errors import DamagedFileError, DatasetError, InputError, MissingExtraError, RunError
 from docdepth.geometry.se3 import poses_from, quaternion_to_matrix
+from docdepth.io.arrays import ArrayError, read_array
 from docdepth.io.pcd import PcdError, PcdHeader, read_pcd, read_pcd_header
 from docdepth.io.ply import read_vertices
 
@@ -132,11 +133,9 @@ def _read_bin(file: Path, where: str, rows: RowFormat) -> Cloud:
 
 def _read_npy(file: Path, where: str, rows: RowFormat) -> Cloud:
     try:
-        table = np.load(file, allow_pickle=False)
-    except ValueError as error:
+        table = read_array(file)
+    except ArrayError as error:
         raise DatasetError(f"{where} is no array of numpy ({error}); copy it again") from None
-    if not isinstance(table, np.ndarray):
-        raise DatasetError(f"{where} holds several arrays; write one array a sweep")
     named = table if table.dtype.names else _named(table, rows, where)
     return cloud_from_fields(named, where)
 

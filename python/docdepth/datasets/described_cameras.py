@@ -134,7 +134,7 @@ def _camera(
     images = image_files(folder / settings.images) if settings.images else []
     if settings.images and not images:
         raise DatasetError(f"{where}: {folder / settings.images} holds no images (png, jpg)")
-    size = image_size(images[0]) if images else None
+    size = image_size(images) if images else None
     if size and settings.size and size != settings.size:
         raise CalibrationError(
             f"{where}: {images[0]} is {size} pixels, but size is {settings.size}"

@@ -21,6 +21,7 @@ from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse
+from docdepth.io.arrays import ArrayError, read_arrays
 
 _COPY = "copy the scene again"
 _MICROSECOND = 1000  # ns
@@ -70,12 +71,9 @@ class DgpLidar:
         file, entry = self.data[index].file, self.data[index].entry
         where = f"{file} (frame {index})"
         try:
-            with file.open("rb") as stream, np.load(stream, allow_pickle=False) as content:
-                table = content["data"]
-        except (OSError, ValueError, KeyError) as error:
+            table = read_arrays(file)["data"]
+        except (OSError, ArrayError, KeyError) as error:
             raise DatasetError(f"{where} is no sweep of DGP ({error}); {_COPY}") from None
-        except Exception as error:  # zipfile and zlib have errors of their own
-            raise DatasetError(f"{where} is damaged ({error}); {_COPY}") from None
         columns = [str(name).lower() for name in entry.get("point_format", [])]
         if table.ndim != 2 or table.shape[1] != len(columns):
             raise DatasetError(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
+from docdepth.io.images import decode_image
 
 FILE = "docdepth.yaml"
 """What the files of a recording do not tell."""
@@ -83,8 +84,7 @@ def read_image(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]:
     DatasetError
         The file cannot be read, or is not an image that OpenCV reads.
     """
-    content = np.frombuffer(read_bytes(file, "copy the image again"), np.uint8)
-    image = cv2.imdecode(content, flags) if len(content) else None
+    image = decode_image(read_bytes(file, "copy the image again"), flags)
     if image is None:
         raise DatasetError(f"{file} is not a readable image; replace or remove it")
     return np.asarray(image)

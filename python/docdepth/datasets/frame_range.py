@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -23,17 +24,22 @@ _Stream = TypeVar("_Stream", "CameraStream", "ImageStream")
 class FrameRange:
     """Sweeps A to B - 1 of a recording, and the images that were taken meanwhile.
 
-    Files keep their names.
+    Files keep their names. A sweep that is left out is as if it had not been recorded, and so are
+    the images that no other sweep is nearer to.
 
     Parameters
     ----------
     whole : Dataset
     frames : str
         ``A:B`` as in a slice of Python; either may be left out.
+    without : collection of int
+        Sweeps of the whole recording that are left out.
+    without_images : mapping of str to collection of str
+        Names of images that are left out, by camera.
 
     Attributes
     ----------
-    indices : range
+    indices : list of int
         Of its sweeps in the whole recording.
 
     Raises
@@ -42,10 +48,18 @@ class FrameRange:
         The text is no range, or holds no sweep of the recording.
     """
 
-    def __init__(self, whole: Dataset, frames: str) -> None:
-        self.whole = whole
-        self.indices = _parse(frames, len(whole), whole.path)
-        part = slice(self.indices.start, self.indices.stop)
+    def __init__(
+        self,
+        whole: Dataset,
+        frames: str = ":",
+        without: Collection[int] = (),
+        without_images: Mapping[str, Collection[str]] | None = None,
+    ) -> None:
+        self.whole, self._without, self._without_images = whole, without, without_images or {}
+        part = [k for k in _parse(frames, len(whole), whole.path) if k not in without]
+        if not part:
+            raise DatasetError(f"{whole.path}: every sweep is broken; copy the recording again")
+        self.indices = part
         self.name: str = whole.name
         self.path: Path = whole.path
         self.times: NDArray[np.int64] = whole.times[part]
@@ -78,6 +92,12 @@ class FrameRange:
     def part_of(self, stream: _Stream) -> _Stream:
         """A camera of the recording, cut to a sweep before the first and after the last one."""
         kept = self._within(stream.times)
+        broken = self._without_images.get(stream.name, ())
+        near = self._nearest_sweep(stream.times[kept])
+        names = [stream.names[k] for k in kept]
+        whole = [n not in self._without and name not in broken
+                 for n, name in zip(near, names, strict=True)]  # fmt: skip
+        kept = kept[np.array(whole, np.bool_)]
         return replace(
             stream,
             times=stream.times[kept],
@@ -87,7 +107,7 @@ class FrameRange:
 
     def _part_of_lidar(self, lidar: LidarStream) -> LidarStream:
         if np.array_equal(lidar.times, self.whole.times):
-            kept = np.arange(self.indices.start, self.indices.stop)
+            kept = np.array(self.indices)
         else:
             kept = self._within(lidar.times)
         return replace(lidar, times=lidar.times[kept], names=[lidar.names[k] for k in kept])
@@ -98,6 +118,15 @@ class FrameRange:
         margin = int(np.median(np.diff(all_times))) if len(all_times) > 1 else 0
         begin, end = self.times[0] - margin, self.times[-1] + margin
         return np.flatnonzero((times >= begin) & (times <= end))
+
+    def _nearest_sweep(self, times: NDArray[np.int64]) -> list[int]:
+        """The sweep of the whole recording that is nearest to each time."""
+        stamps = self.whole.times
+        after = np.searchsorted(stamps, times).clip(0, len(stamps) - 1)
+        before = (after - 1).clip(0)
+        nearer = np.abs(times - stamps[before]) < np.abs(stamps[after] - times)
+        nearest: list[int] = np.where(nearer, before, after).tolist()
+        return nearest
 
 
 def _parse(frames: str, count: int, path: Path) -> range:

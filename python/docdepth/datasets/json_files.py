@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.files import read_bytes
 from docdepth.errors import DatasetError, InputError
 from docdepth.geometry.se3 import poses_from, quaternion_to_matrix
+from docdepth.io.trees import parse_json
 
 
 def read_json(file: Path, remedy: str) -> Any:
@@ -24,7 +24,7 @@ def read_json(file: Path, remedy: str) -> Any:
         The file cannot be read, or is not JSON.
     """
     try:
-        return json.loads(read_bytes(file, remedy))
+        return parse_json(read_bytes(file, remedy))
     except ValueError as error:
         raise DatasetError(f"{file} is not whole JSON ({error}); {remedy}") from None
 

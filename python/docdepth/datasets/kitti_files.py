@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import LidarStream
 from docdepth.datasets.files import is_there, read_bytes, read_image, read_lines, unreadable
 from docdepth.datasets.point_format import foreign_format
+from docdepth.datasets.tolerance import are_broken_frames_tolerated, first_readable, readable
 from docdepth.errors import CalibrationError, Collector, DatasetError
 from docdepth.geometry.se3 import are_rotations, nearest_rotation, poses_from
 
@@ -30,6 +33,11 @@ def find_sweeps(folder: Path, problems: Collector) -> list[Path]:
     with problems.collected():
         if not files:
             raise DatasetError(f"{folder} holds no sweeps (*.bin); unpack the velodyne data there")
+    if are_broken_frames_tolerated():
+        if files:
+            with problems.collected():
+                readable(lambda k: read_sweep(files[k], k), [0], len(files))
+        return files
     sizes = np.array([_file_size(file) for file in files], np.int64)
     kinds = (sizes < 0, sizes == 0, (sizes > 0) & (sizes % _POINT_BYTES > 0))
     for frames in (np.flatnonzero(kind).tolist() for kind in kinds):
@@ -278,7 +286,14 @@ def image_files(folder: Path) -> list[Path]:
     return in_order(f for f in folder.glob("*") if f.suffix.lower() in (".png", ".jpg", ".jpeg"))
 
 
-def image_size(file: Path) -> tuple[int, int]:
-    """Width and height of an image in pixels."""
-    image = read_image(file, cv2.IMREAD_UNCHANGED)
+def image_size(files: Sequence[Path]) -> tuple[int, int]:
+    """Width and height of the first image in pixels."""
+    image = first_readable(partial(read_image, flags=cv2.IMREAD_UNCHANGED), files)
     return image.shape[1], image.shape[0]
+
+
+def points_of_each(files: Sequence[Path]) -> Iterator[NDArray[np.float32]]:
+    """The points of every sweep that can be read."""
+    for k, file in enumerate(files):
+        with suppress(DatasetError):
+            yield read_sweep(file, k)[0]

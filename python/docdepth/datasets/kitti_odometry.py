@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
@@ -24,6 +23,7 @@ from docdepth.errors import Collector, DatasetError
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.io.poses import read_kitti
+from docdepth.io.trees import parse_yaml
 
 _MOST_METRES = 100  # of a LiDAR from the origin of its points; more is a mistake of units
 
@@ -155,9 +155,7 @@ class KittiOdometry:
 
     @cached_property
     def _is_kitti_lidar(self) -> bool:
-        return kitti_lidar.is_kitti_lidar(
-            kitti_files.read_sweep(file, k)[0] for k, file in enumerate(self.sweeps)
-        )
+        return kitti_lidar.is_kitti_lidar(kitti_files.points_of_each(self.sweeps))
 
     def sweep_files(self, index: int) -> list[Path]:
         """Sweep ``index`` of each LiDAR, the times of its points, and what masks some of them."""
@@ -246,8 +244,8 @@ def _settings(file: Path) -> dict[str, Any]:
     if not is_there(file):
         return known
     try:
-        given: Any = yaml.safe_load("\n".join(read_lines(file, "write it again or remove it")))
-    except yaml.YAMLError as error:
+        given: Any = parse_yaml("\n".join(read_lines(file, "write it again or remove it")))
+    except ValueError as error:
         raise DatasetError(f"{file} is not YAML: {error}") from None
     known |= given if isinstance(given, dict) else {"motion_compensated": None}
     if "sweep_duration" in known:

@@ -119,7 +119,7 @@ def _image_size(
     known: tuple[int, int] | None = None
     source = folder / "size.txt"
     if images:
-        source, known = images[0], kitti_files.image_size(images[0])
+        source, known = images[0], kitti_files.image_size(images)
     elif is_there(source):
         words = " ".join(read_lines(source, "write width and height in pixels")).split()
         if len(words) != 2 or not all(word.isdigit() for word in words):

@@ -97,9 +97,7 @@ class KittiRaw:
 
     @cached_property
     def _is_kitti_lidar(self) -> bool:
-        return kitti_lidar.is_kitti_lidar(
-            kitti_files.read_sweep(file, k)[0] for k, file in enumerate(self._sweeps)
-        )
+        return kitti_lidar.is_kitti_lidar(kitti_files.points_of_each(self._sweeps))
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``; None without a file."""
@@ -173,7 +171,7 @@ def image_size_of(
     """Size of the rectified images from all that tell it, which must agree."""
     known: list[tuple[str, tuple[int, int]]] = []
     if images:
-        known.append((str(images[0]), kitti_files.image_size(images[0])))
+        known.append((str(images[0]), kitti_files.image_size(images)))
     name = f"S_rect_{number}"
     if name in calibration:
         width, height = calibration.matrix(name, 2)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.datasets.base import CameraStream, Dataset, LidarStream, Sweep
+from docdepth.datasets.tolerance import broken_frames_tolerated, readable
 from docdepth.geometry.ground_plane import GroundPlane, find_ground, level_turn
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.scan_mesh import share_in_triangles
@@ -129,8 +130,10 @@ class Mounted:
         poles lack neighbours.
         """
         shares = np.zeros(2)
-        for k in sorted({int(k) for k in np.linspace(0, len(self) - 1, _SAMPLES)}):
-            sweep = self._tilted.sweep(k)
+        wanted = sorted({int(k) for k in np.linspace(0, len(self) - 1, _SAMPLES)})
+        with broken_frames_tolerated():
+            sweeps = readable(self._tilted.sweep, wanted, len(self))
+        for sweep in sweeps.values():
             usable = usable_points(sweep.points)
             for leans in (False, True):
                 turned = self._turned(sweep, leans)

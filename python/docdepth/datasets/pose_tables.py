@@ -90,12 +90,13 @@ def read_pose_table(
 
 def _whole(word: str) -> int:
     """A whole number, also one that is written as 1.5e18."""
-    if word.isdigit():
-        return int(word)
     number = Decimal(word)
-    if number != number.to_integral_value():
+    if not number.is_finite() or number.adjusted() > 18 or number != number.to_integral_value():
         raise ValueError
-    return int(number)
+    whole = int(number)
+    if abs(whole) >= 1 << 63:
+        raise ValueError
+    return whole
 
 
 def rows_around(

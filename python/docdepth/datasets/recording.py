@@ -28,6 +28,7 @@ from docdepth.datasets.point_times import (
 )
 from docdepth.datasets.pose_tables import whole_poses
 from docdepth.datasets.rejoined import RejoinedLidar, joined, rejoin
+from docdepth.datasets.tolerance import readable
 from docdepth.errors import DatasetError
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.se3 import inverse
@@ -248,7 +249,8 @@ class Recording:
         for number, reader in enumerate(self._readers):
             stamps = reader.stream.times
             indices = sorted({0, len(stamps) // 2, len(stamps) - 1}) if len(stamps) else []
-            clouds = [reader.read(k) for k in indices]
+            read = readable(reader.read, indices, len(stamps))
+            indices, clouds = list(read), list(read.values())
             points = [self._in_lidar_frame(c, k) for c, k in zip(clouds, indices, strict=True)]
             if len(self._readers) == 1 and self._facts.looks_from is None:
                 self._is_kitti_lidar = kitti_lidar.is_kitti_lidar(points)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import LensModel
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
+from docdepth.io.images import decode_image as decode_content
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -61,7 +62,7 @@ def decode_image(message: Any, where: str) -> NDArray[np.uint8]:
     """
     if message.__msgtype__ == IMAGES[1]:
         data = np.asarray(message.data, np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+        image = decode_content(data, cv2.IMREAD_COLOR)
         if image is None:
             raise DatasetError(f"{where} is not a readable image ({message.format})")
         return np.asarray(image, np.uint8)
@@ -71,6 +72,8 @@ def decode_image(message: Any, where: str) -> NDArray[np.uint8]:
         )
     channels, conversion = _ENCODINGS[message.encoding]
     width, height, step = message.width, message.height, message.step
+    if not width or not height:
+        raise DatasetError(f"{where} is an image of {width} x {height} pixels")
     data = np.asarray(message.data, np.uint8)
     if step < width * channels or len(data) < height * step:
         raise DatasetError(f"{where} has {len(data)} bytes for {width} x {height} pixels")

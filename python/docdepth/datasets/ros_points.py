@@ -45,6 +45,12 @@ def undecoded(kind: str) -> str | None:
 def _read_point_cloud(message: Any, where: str) -> Cloud:
     fields = [f for f in message.fields if f.count and f.datatype in _KINDS]
     order = ">" if message.is_bigendian else "<"
+    for f in fields:  # numpy adds offset and size in 32 bits, and crashes where they are too large
+        if f.offset + f.count * int(_KINDS[f.datatype][1]) > message.point_step:
+            raise DatasetError(
+                f"{where}: the field {f.name!r} ends behind its point of {message.point_step} "
+                "bytes; record it again"
+            )
     try:
         dtype = np.dtype(
             {
@@ -63,6 +69,8 @@ def _read_point_cloud(message: Any, where: str) -> Cloud:
             f"{where} has fields that contradict each other ({error}); record it again"
         ) from None
     width, height = message.width, message.height
+    if not width or not height or not message.point_step:
+        raise DatasetError(f"{where} holds no points")
     step = message.row_step if height > 1 else width * message.point_step
     data = np.asarray(message.data, np.uint8)
     if step < width * message.point_step or len(data) < height * step:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
@@ -20,6 +19,7 @@ from docdepth.datasets.recording import RecordingFacts
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import check_rigid, nearest_rigid
+from docdepth.io.trees import parse_yaml
 
 _WHOLE = 1e-9  # of a rotation's numbers; larger errors come of missing digits
 _MOST_METRES = 100.0  # of a sensor from the origin of its frame; more is a mistake of units
@@ -208,8 +208,8 @@ def read_settings(
     if not is_there(file):
         return model.model_validate(usual or {}), file
     try:
-        given = yaml.safe_load("\n".join(read_lines(file, "write it again or remove it")))
-    except yaml.YAMLError as error:
+        given = parse_yaml("\n".join(read_lines(file, "write it again or remove it")))
+    except ValueError as error:
         raise DatasetError(f"{file} is not YAML: {error}") from None
     try:
         known = {**(usual or {}), **given} if isinstance(given, dict) else given or usual or {}

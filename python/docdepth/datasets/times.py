@@ -13,6 +13,8 @@ from docdepth.datasets.files import read_lines
 from docdepth.datasets.kitti_files import check_increasing, match_rows
 from docdepth.errors import DatasetError
 
+_MOST_SECONDS = (1 << 63) // 10**9  # int64 holds 292 years of nanoseconds
+
 
 def read_times(path: Path) -> NDArray[np.int64]:
     """Read times in nanoseconds, one a line.
@@ -78,7 +80,10 @@ def _nanoseconds(text: str, line: int, path: Path) -> int:
             if np.isnat(stamp):
                 raise ValueError
             return int(stamp.astype(np.int64))
-        return int((Decimal(text) * 1_000_000_000).to_integral_value())
+        seconds = Decimal(text)
+        if not seconds.is_finite() or seconds.adjusted() > 9 or abs(seconds) >= _MOST_SECONDS:
+            raise ValueError
+        return int((seconds * 1_000_000_000).to_integral_value())
     except (ValueError, InvalidOperation, OverflowError):
         raise DatasetError(
             f"{path}, line {line}: {text!r} is no time; write seconds, or dates like "

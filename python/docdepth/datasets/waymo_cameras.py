@@ -16,6 +16,7 @@ from docdepth.datasets.parquet_rows import ParquetRows
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse, nearest_rigid, poses_from
+from docdepth.io.images import decode_image
 
 CAMERAS = {1: "FRONT", 2: "FRONT_LEFT", 3: "FRONT_RIGHT", 4: "SIDE_LEFT", 5: "SIDE_RIGHT"}
 FRONT = 1
@@ -64,7 +65,7 @@ class _ReadImage:
     def __call__(self) -> NDArray[np.uint8]:
         (content,) = self.rows.read(self.key, (_IMAGE,), self.where)
         data = np.frombuffer(content.as_py() or b"", np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+        image = decode_image(data, cv2.IMREAD_COLOR)
         if image is None:
             raise DatasetError(f"{self.where} is no image; {REMEDY}")
         return np.asarray(image, np.uint8)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
 from docdepth.evaluation.label_counts import moving
+from docdepth.io.arrays import ArrayError, read_array
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 
@@ -127,5 +129,13 @@ class DepthTruth:
         mask = self._classes / f"{name}.npy"
         if self._classes == self.folder or not mask.is_file():
             return None
-        classes = np.load(mask)
+        classes = array_of(mask)
         return moving(classes.ravel()).reshape(classes.shape)
+
+
+def array_of(path: Path) -> NDArray[Any]:
+    """An array beside true labels or depth maps; DatasetError if the file holds none."""
+    try:
+        return read_array(path)
+    except ArrayError as error:
+        raise DatasetError(f"{path} is no array of numpy ({error}); copy it again") from None

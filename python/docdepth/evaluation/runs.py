@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import open_dataset
 from docdepth.errors import DatasetError
 from docdepth.evaluation.depth import DepthEvaluation, DepthResult, Mode
-from docdepth.evaluation.depth_truth import DepthTruth
+from docdepth.evaluation.depth_truth import DepthTruth, array_of
 from docdepth.evaluation.label_counts import ignored, moving
 from docdepth.evaluation.labels import LabelEvaluation, LabelResult
 from docdepth.evaluation.objects import instances
@@ -187,7 +187,7 @@ def _true_trajectory(sequence: Path) -> Trajectory | None:
 
 def _speeds(labels: Path, name: str) -> NDArray[np.float32] | None:
     path = labels.parent / "speeds" / f"{name}.npy"
-    return np.load(path).astype(np.float32) if path.is_file() else None
+    return array_of(path).astype(np.float32) if path.is_file() else None
 
 
 def _seconds(times: NDArray[np.int64]) -> float:

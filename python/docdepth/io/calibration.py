@@ -15,6 +15,7 @@ from docdepth.errors import CalibrationError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import check_rigid
 from docdepth.io.atomic import WriteFile, write_atomically
+from docdepth.io.trees import parse_json
 
 INTRINSICS = "calib.json"
 """File of K (``mtx``), distortion (``dist``) and image size in pixels (``size``)."""
@@ -136,8 +137,10 @@ def read_camera_calibration(file: Path) -> CameraCalibration:
 
 
 def _camera(text: str) -> tuple[Camera, list[float]]:
-    entries = json.loads(text)
+    entries = parse_json(text)
     K = np.array(entries["mtx"], dtype=np.float64)
+    if K.shape != (3, 3):
+        raise ValueError(f"mtx has shape {K.shape}, not (3, 3)")
     width, height = entries.get("size") or np.round(2 * K[:2, 2]).astype(int).tolist()
     distortion = np.ravel(entries.get("dist") or []).astype(float).tolist()
     return Camera(K, int(width), int(height)), distortion
@@ -151,7 +154,7 @@ def _camera_and_place(
     text: str,
 ) -> tuple[Camera, list[float], dict[str, Any], NDArray[np.float64] | None]:
     """Camera, distortion, all entries, and ``T_camera_lidar`` if it is among them."""
-    entries = json.loads(text)
+    entries = parse_json(text)
     own = "T_camera_lidar" in entries
     T = np.array(entries["T_camera_lidar"], dtype=np.float64) if own else None
     return (*_camera(text), entries, T)
@@ -165,7 +168,7 @@ def _read(file: Path, parse: Callable[[str], _Parsed], remedy: str) -> _Parsed:
         raise CalibrationError(f"{file} is missing; {remedy}") from None
     except OSError as error:
         raise CalibrationError(f"{file} cannot be read ({error.strerror}); {remedy}") from None
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise CalibrationError(f"{file} is damaged: {error}") from None
     if isinstance(found, np.ndarray):
         _rigid(found, file, remedy)

@@ -6,8 +6,6 @@ In memory a depth map is float32 metres along the optical axis, NaN = none.
 from __future__ import annotations
 
 import io
-import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError, InputError
+from docdepth.io.arrays import ArrayError, read_array, read_arrays
 from docdepth.io.atomic import write_atomically
 from docdepth.io.exr import encode_exr, import_exr, read_exr
+from docdepth.io.images import decode_image
+from docdepth.io.trees import parse_json
 
 FORMATS = {  # from the least to the most exact
     "png": ".png",  # uint16, metres times a scale, 0 = none
@@ -210,7 +211,7 @@ def _scale_beside(path: Path) -> float:
     if not beside.is_file():
         return PNG_SCALE
     try:
-        return float(json.loads(beside.read_text())["scale"]["png"])
+        return float(parse_json(beside.read_text())["scale"]["png"])
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(
             f"{beside} does not tell the scale of {path.name} ({error!r}); render again"
@@ -235,14 +236,10 @@ def _encode_png(depth: NDArray[np.float32], scale: float) -> bytes:
 
 def _decoded(path: Path) -> NDArray[Any]:
     # Decoded from memory: of a missing file OpenCV would complain on stderr.
-    content = np.frombuffer(path.read_bytes(), np.uint8)
-    try:
-        pixels = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if len(content) else None
-    except cv2.error:
-        pixels = None
+    pixels = decode_image(path.read_bytes(), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise DatasetError(f"{path} is not a readable image; delete it and render again")
-    return np.asarray(pixels)
+    return pixels
 
 
 def _read_png(path: Path, scale: float) -> NDArray[np.float32]:
@@ -259,15 +256,11 @@ def _read_png(path: Path, scale: float) -> NDArray[np.float32]:
 
 def _load(path: Path) -> NDArray[Any]:
     try:
-        with path.open("rb") as stream:
-            loaded = np.load(stream, allow_pickle=False)
-            if not isinstance(loaded, np.ndarray):
-                loaded = loaded["depth"]
+        return read_arrays(path)["depth"] if path.suffix.lower() == ".npz" else read_array(path)
     except KeyError:
         raise DatasetError(f"{path} has no array named 'depth'") from None
-    except (ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+    except (ArrayError, OSError) as error:
         raise DatasetError(f"{path} is damaged: {error}") from None
-    return np.asarray(loaded)
 
 
 def _checked(depth: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -12,6 +12,7 @@ from typing import Literal
 
 from docdepth.errors import RunError
 from docdepth.io.atomic import Written
+from docdepth.io.trees import parse_json
 
 FileState = Literal["whole", "damaged", "missing", "unknown"]
 """``unknown``: docdepth did not write the file, or its record is lost."""
@@ -56,10 +57,12 @@ class FileRecords:
 
     def _parse(self, line: str) -> None:
         try:
-            entry = json.loads(line)
+            entry = parse_json(line)
             name = str(entry.pop("name"))
+            if not is_file_name(name):
+                return  # of another folder: not by docdepth
             if entry:
-                self._records[name] = _Record(**entry)
+                self._records[name] = _checked(_Record(**entry))
             else:
                 self._records.pop(name, None)
         except (ValueError, TypeError, AttributeError, KeyError):
@@ -163,6 +166,21 @@ class FileRecords:
             return "missing"
         except OSError:
             return "damaged"
+
+
+def is_file_name(name: str) -> bool:
+    """Whether a name leads to no other folder."""
+    return name == os.path.basename(name) and name not in ("", ".", "..")
+
+
+def _checked(record: _Record) -> _Record:
+    """Refuse a record whose entries are of other types."""
+    numbers = (record.size, record.time, record.checksum)
+    if not all(type(number) is int for number in numbers) or not isinstance(record.key, dict):
+        raise TypeError
+    if not all(isinstance(text, str) for text in record.key.values()):
+        raise TypeError
+    return record
 
 
 def same_content(path: Path, written: Written) -> bool:

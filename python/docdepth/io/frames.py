@@ -13,6 +13,7 @@ from docdepth.errors import DamagedFileError, InputError
 from docdepth.geometry.se3 import matrix_to_quaternion, poses_from, quaternion_to_matrix
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import WriteFile, write_atomically
+from docdepth.io.file_records import is_file_name
 from docdepth.io.ply import read_comments, read_vertices, write_vertices
 
 _SECOND = 1_000_000_000  # nanoseconds
@@ -22,6 +23,8 @@ _TRAJECTORY = np.dtype(
     # A double loses the nanoseconds of a clock that counts from 1970, so they stand apart.
     + [("indices", "<i4"), ("seconds", "<u4"), ("nanoseconds", "<u4")]
 )
+_SECONDS = {"<u4": (0, 1 << 32), "<i4": (-(1 << 31), 1 << 31)}
+"""Limits of what holds the seconds: 1970 to 2106, or 1902 to 2038 where a stamp is before 1970."""
 
 _OPTIONAL = {
     "classid": "<u2",
@@ -89,7 +92,7 @@ def write_trajectory(
     write_file: WriteFile = write_atomically,
 ) -> None:
     """Write poses as ``x y z q_w q_x q_y q_z timestamp indices``, in doubles and seconds."""
-    rows = np.zeros(len(trajectory), _TRAJECTORY)
+    rows = np.zeros(len(trajectory), _trajectory_type(trajectory.times, path))
     rows["x"], rows["y"], rows["z"] = trajectory.poses[:, :3, 3].T
     quaternions = np.array([matrix_to_quaternion(pose[:3, :3]) for pose in trajectory.poses])
     rows["q_x"], rows["q_y"], rows["q_z"], rows["q_w"] = quaternions.T
@@ -97,6 +100,25 @@ def write_trajectory(
     rows["seconds"], rows["nanoseconds"] = np.divmod(trajectory.times, _SECOND)
     rows["indices"] = indices
     write_vertices(path, rows, [], write_file)
+
+
+def _trajectory_type(times: NDArray[np.int64], path: Path) -> np.dtype[Any]:
+    """Of a row of a trajectory with these stamps.
+
+    Raises
+    ------
+    InputError
+        A stamp is centuries from 1970.
+    """
+    first, last = int(times[0]) // _SECOND, int(times[-1]) // _SECOND
+    for kind, (low, end) in _SECONDS.items():
+        if low <= first and last < end:
+            names = _TRAJECTORY.names or ()
+            return np.dtype([(n, kind if n == "seconds" else _TRAJECTORY[n].str) for n in names])
+    raise InputError(
+        f"{path.name}: stamps from {first} to {last} s are no times between 1902 and 2106; are "
+        "those of the recording in another unit than they should be?"
+    )
 
 
 def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
@@ -165,6 +187,9 @@ def read_frame(path: Path) -> FrameRecord:
     names = rows.dtype.names or ()
     points = _points(path, rows)
     notes = _notes(comments)
+    name = notes.get("name", path.stem)
+    if not is_file_name(name):
+        raise DamagedFileError(path, f"its sweep is called {name[:60]!r}")
 
     def column(name: str) -> NDArray[Any] | None:
         written = name if name in names else _OLD_NAMES.get(name)
@@ -180,7 +205,7 @@ def read_frame(path: Path) -> FrameRecord:
     return FrameRecord(
         points,
         index,
-        notes.get("name", path.stem),
+        name,
         _count(path, notes.get("input_points", str(len(rows)))),
         *map(column, _OPTIONAL),
     )

@@ -20,6 +20,7 @@ from docdepth.geometry.points import (
     STATIC,
     STATIC_LABEL,
 )
+from docdepth.io.arrays import ArrayError, read_array
 from docdepth.io.atomic import WriteFile, write_atomically
 from docdepth.io.frames import FrameRecord
 from docdepth.io.pcd import PcdError, read_pcd
@@ -189,15 +190,15 @@ def _whole(
 
 def _read_npy(file: Path, frame: int) -> NDArray[Any]:
     try:
-        values = np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        values = read_array(file)
+    except (OSError, ArrayError) as error:
         raise DatasetError(
             f"{file} (frame {frame}) cannot be read as NPY ({error}); write it again"
         ) from None
-    if not isinstance(values, np.ndarray) or values.ndim != 1 or values.dtype.kind not in "uib":
+    if values.ndim != 1 or values.dtype.kind not in "uib":
         raise DatasetError(
-            f"{file} (frame {frame}) must be integers or bool of shape (N,), one for each point"
-            + (f"; got {values.dtype} {values.shape}" if isinstance(values, np.ndarray) else "")
+            f"{file} (frame {frame}) must be integers or bool of shape (N,), one for each point; "
+            f"got {values.dtype} {values.shape}"
         )
     return values
 

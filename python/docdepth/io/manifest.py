@@ -5,7 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import yaml
+from docdepth.io.file_records import is_file_name
+from docdepth.io.trees import parse_yaml
+
+SKIPPED = "skipped"
+"""Entry of ``source``: broken frames that the run leaves out. ``sweeps`` by number, ``images`` by
+camera and name, each with what is wrong, and ``checked``, a hash of the files that were looked at.
+"""
 
 
 def first_difference(have: Any, want: Any, path: str = "") -> str:
@@ -26,15 +32,24 @@ def _shown(value: Any) -> str:
 def read_manifest(path: Path) -> dict[str, Any] | None:
     """The content of run.yaml; None if it is missing or damaged."""
     try:
-        found = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        found = parse_yaml(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
         return None
     if not isinstance(found, dict) or "parameters" not in found:
         return None
     source, stages = found.get("source"), found.get("stages")
     if not isinstance(source, dict) or not isinstance(stages, dict):
         return None
-    return found if all(isinstance(stage, dict) for stage in stages.values()) else None
+    cameras = found.get("cameras") or {}
+    sound = isinstance(cameras, dict) and all(map(_is_camera, cameras.values()))
+    return found if sound and all(isinstance(stage, dict) for stage in stages.values()) else None
+
+
+def _is_camera(entry: Any) -> bool:
+    """Whether an entry names a folder that lies in ``depth/``, or ``depth/`` itself."""
+    folder = entry.get("folder") if isinstance(entry, dict) else None
+    plain = isinstance(folder, str) and (folder == "" or is_file_name(folder))
+    return plain and isinstance(entry.get("settings", {}), dict)
 
 
 def cameras_of_earlier_version(stages: dict[str, Any]) -> dict[str, Any]:
@@ -45,3 +60,18 @@ def cameras_of_earlier_version(stages: dict[str, Any]) -> dict[str, Any]:
         for stage in listed
         for name, folder in zip(stage.get("cameras", []), stage.get("folders", []), strict=False)
     }
+
+
+def skipped_frames(skipped: dict[str, Any] | None) -> list[str]:
+    """A sentence for each frame that a run leaves out."""
+    if not skipped:
+        return []
+    found = [f"sweep {k}: {why}" for k, why in skipped.get("sweeps", {}).items()]
+    for camera, images in skipped.get("images", {}).items():
+        found += [f"image {name} of {camera}: {why}" for name, why in images.items()]
+    return found
+
+
+def without_skipped(source: dict[str, Any]) -> dict[str, Any]:
+    """``source`` without what follows from its files: which frames are broken."""
+    return {name: value for name, value in source.items() if name != SKIPPED}

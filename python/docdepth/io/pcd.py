@@ -19,6 +19,8 @@ _TYPES = {
     "I": {1: "i1", 2: "<i2", 4: "<i4", 8: "<i8"},
 }
 _MOST_LINES = 100  # of a header
+_MOST_VALUES = 1 << 12  # of a field of one point, and fields
+_MOST_PACKED = 300  # times as large as its compressed bytes; LZF packs 264 bytes into 3
 
 
 class PcdError(ValueError):
@@ -157,6 +159,10 @@ def _header_of(entries: dict[str, list[str]], size: int) -> PcdHeader:
     data = entries["DATA"][0].lower()
     if viewpoint.shape != (7,) or count < 0:
         raise ValueError("VIEWPOINT or POINTS")
+    if min(counts, default=0) < 0 or max(counts, default=0) > _MOST_VALUES or not any(counts):
+        raise ValueError(f"COUNT {entries.get('COUNT', [])}")
+    if len(names) > _MOST_VALUES:
+        raise ValueError(f"{len(names)} FIELDS")
     if data not in ("ascii", "binary", "binary_compressed"):
         raise ValueError(f"DATA {data}")
     return PcdHeader(list(zip(unique, kinds, counts, strict=True)), count, viewpoint, data, size)
@@ -176,7 +182,7 @@ def _read_text(body: bytes, header: PcdHeader) -> NDArray[Any]:
             if n:
                 part = table[:, begin] if n == 1 else table[:, begin : begin + n]
                 rows[name] = part.astype(kind)
-        except ValueError as error:
+        except (ValueError, OverflowError) as error:
             raise PcdError(f"holds a value of {name} that is no number ({error})") from None
         begin += n
     return rows
@@ -216,6 +222,8 @@ def _read_compressed(body: bytes, header: PcdHeader) -> NDArray[Any]:
     dtype = header.dtype()
     if len(body) < 8 + packed or whole < header.count * dtype.itemsize:
         raise PcdError(f"is truncated: {len(body) - 8} of {packed} bytes are there")
+    if whole > _MOST_PACKED * packed:  # before memory is taken
+        raise PcdError(f"is damaged: {packed} bytes cannot hold {whole}")
     try:
         unpacked = lzf.decompress(body[8 : 8 + packed], whole) if packed else b""
     except ValueError:

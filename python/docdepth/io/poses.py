@@ -22,7 +22,10 @@ from docdepth.geometry.se3 import (
     quaternion_to_matrix,
 )
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.arrays import ArrayError, read_array
 from docdepth.io.frames import read_trajectory
+
+_MOST_DIGITS = 12  # of seconds, before the point; int64 holds 292 years of nanoseconds
 
 POSE_FORMATS = ("tum", "kitti", "ply", "npy")
 
@@ -89,10 +92,10 @@ def _read_ply(path: Path) -> NDArray[np.float64]:
 
 def _read_npy(path: Path) -> NDArray[np.float64]:
     try:
-        values = np.load(path, allow_pickle=False)
+        values = read_array(path)
     except FileNotFoundError:
         raise OdometryError(f"{path} is missing; give the file of the poses") from None
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ArrayError) as error:
         raise OdometryError(f"{path} cannot be read as NPY ({error}); write it again") from None
     numbers = np.issubdtype(values.dtype, np.number) and not np.iscomplexobj(values)
     if not numbers or values.ndim != 3 or values.shape[1:] not in ((4, 4), (3, 4)):
@@ -134,13 +137,10 @@ def read_tum(path: Path | str) -> Trajectory:
         The file is missing, not TUM, has an impossible pose, or its times do not increase.
     """
     rows = _read(Path(path), columns=8)
-    times = np.array(
-        [
-            int((Decimal(line.split()[0]) * 10**9).to_integral_value())
-            for line in _lines(Path(path))
-        ],
-        dtype=np.int64,
-    )
+    try:
+        times = np.array([_nanoseconds(line) for line in _lines(Path(path))], dtype=np.int64)
+    except OverflowError:
+        raise OdometryError(f"{path} has a time that is no number of seconds") from None
     try:
         return Trajectory(times, _from_tum(rows, path))
     except InputError as error:
@@ -172,6 +172,14 @@ def write_kitti(path: Path | str, poses: NDArray[np.float64]) -> None:
     """Write poses (n, 4, 4) in KITTI's format."""
     lines = [" ".join(f"{value:.12e}" for value in pose[:3].ravel()) for pose in poses]
     Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _nanoseconds(line: str) -> int:
+    """The time of a TUM line, which never passes through a float."""
+    seconds = Decimal(line.split()[0])
+    if not seconds.is_finite() or seconds.adjusted() > _MOST_DIGITS:
+        raise OverflowError
+    return int((seconds * 10**9).to_integral_value())
 
 
 def _lines(path: Path) -> list[str]:

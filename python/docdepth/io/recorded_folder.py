@@ -11,6 +11,7 @@ from pathlib import Path
 from threading import RLock
 from typing import BinaryIO
 
+from docdepth.errors import RunError
 from docdepth.io.atomic import WriteFile, Written, write_atomically
 from docdepth.io.file_records import FileRecords, same_content
 from docdepth.io.lock import locked
@@ -64,9 +65,20 @@ class RecordedFolder:
         """Raise if another process has changed the folder since it was opened."""
 
     def records(self, folder: Path) -> FileRecords:
-        """Records of the files in a folder of the run."""
+        """Records of the files in a folder of the run.
+
+        Raises
+        ------
+        RunError
+            The folder lies outside, as names out of damaged or hostile files may have it.
+        """
         with self._writing:
             if folder not in self._records:
+                inside = self.path in (folder, *folder.parents)
+                if not inside or ".." in folder.parts[len(self.path.parts) :]:
+                    raise RunError(
+                        f"{folder} lies outside of {self.path}; nothing is written there"
+                    )
                 self._records[folder] = FileRecords(folder, self._records_file(folder))
             return self._records[folder]
 

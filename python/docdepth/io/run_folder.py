@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import zipfile
 from copy import deepcopy
 from functools import cached_property
 from pathlib import Path
@@ -17,11 +16,11 @@ from numpy.typing import NDArray
 
 from docdepth import __version__
 from docdepth.config import Parameters, stored_parameters
-from docdepth.errors import DamagedFileError, RunError
+from docdepth.errors import DamagedFileError, InputError, RunError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.atomic import npz_bytes, write_atomically
+from docdepth.io.atomic import write_atomically
 from docdepth.io.calibration import read_calibration
 from docdepth.io.frames import (
     FrameRecord,
@@ -34,13 +33,13 @@ from docdepth.io.manifest import (
     cameras_of_earlier_version,
     first_difference,
     read_manifest,
+    without_skipped,
 )
 from docdepth.io.recorded_folder import NOTES, RecordedFolder, move_aside
+from docdepth.io.sensors import read_sensors, sensors_bytes
+from docdepth.io.trees import parse_json
 
 log = logging.getLogger(__name__)
-
-_SENSOR_NAMES = ("T_lidar_sensor", "lateral_offset", "lidar_id")  # arrays of sensors.npz
-_OLD_SENSOR_NAMES = {"aside": "lateral_offset", "head": "lidar_id"}  # read for one release
 
 
 class RunFolder(RecordedFolder):
@@ -123,8 +122,8 @@ class RunFolder(RecordedFolder):
         # Another camera is added to those that the run has.
         if "camera" in source:
             source = {**source, "camera": self.manifest["source"].get("camera")}
-        before = {"source": self.manifest["source"], "parameters": first}
-        wanted = {"source": source, "parameters": asked}
+        before = {"source": without_skipped(self.manifest["source"]), "parameters": first}
+        wanted = {"source": without_skipped(source), "parameters": asked}
         for part in wanted:
             if before[part] != wanted[part] and not force:
                 if part == "parameters" and asked == known:
@@ -262,7 +261,7 @@ class RunFolder(RecordedFolder):
 
     def _made_of(self) -> dict[str, Any]:
         try:
-            found = json.loads(self._made_of_path.read_text())
+            found = parse_json(self._made_of_path.read_text())
         except (OSError, ValueError):
             return {}
         return found if isinstance(found, dict) else {}
@@ -295,11 +294,16 @@ class RunFolder(RecordedFolder):
 
     def sensor_rig(self, frame: FrameRecord) -> SensorRig | None:
         """Where the rays of a frame begin; None where they begin at the origin."""
-        return None if frame.sensor is None else SensorRig(frame.sensor, **self._sensors)
+        if frame.sensor is None:
+            return None
+        try:
+            return SensorRig(frame.sensor, **self._sensors)
+        except (InputError, TypeError, ValueError) as error:
+            raise DamagedFileError(self.sensors_path, str(error)) from None
 
     def write_sensors(self, sensor_rig: SensorRig, key: dict[str, str]) -> None:
         """Write where the LiDARs or their lasers sit, once for all frames."""
-        content = npz_bytes(**{name: getattr(sensor_rig, name) for name in _SENSOR_NAMES})
+        content = sensors_bytes(sensor_rig)
         self.write(self.sensors_path, lambda stream: stream.write(content), key)
         self.__dict__.pop("_sensors", None)  # the cache of what was read before
 
@@ -309,13 +313,7 @@ class RunFolder(RecordedFolder):
 
     @cached_property
     def _sensors(self) -> dict[str, NDArray[Any]]:
-        try:
-            with np.load(self.sensors_path) as kept:
-                return {_OLD_SENSOR_NAMES.get(name, name): kept[name] for name in kept}
-        except FileNotFoundError:
-            raise DamagedFileError(self.sensors_path, "") from None
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise DamagedFileError(self.sensors_path, str(error)) from None
+        return read_sensors(self.sensors_path)
 
     def frame_key(self, index: int) -> dict[str, str]:
         """What frame ``index`` was made of, a hash for each stage; empty if it is not whole."""

@@ -114,7 +114,7 @@ def read_tracks(path: Path) -> list[Track]:
         for row in rows:
             by_id.setdefault(int(row["id"]), []).append(row)
         return [_track(number, by_id[number]) for number in sorted(by_id)]
-    except (OSError, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError) as error:
+    except (OSError, csv.Error, KeyError, TypeError, ValueError, OverflowError) as error:
         reason = f"{error}; a file of tracks has the columns {', '.join(COLUMNS)}"
         raise DamagedFileError(path, reason) from None
 

@@ -10,10 +10,10 @@ behind, so each sweep is read and thinned once for both.
 from __future__ import annotations
 
 import logging
-import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +25,10 @@ from docdepth.datasets.base import Dataset
 from docdepth.datasets.mounts import LEVEL_DEG, ground_of
 from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.atomic import npz_bytes, write_atomically
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.pose_checks import check_given_poses, warn_of_jumps
 from docdepth.odometry.registration import FINE_SAMPLING, FIRST_SWEEPS, register
+from docdepth.odometry.registration_log import RegistrationLog
 from docdepth.odometry.smoothing import LAG, smoothed
 from docdepth.odometry.sweeps import DeskewedSweeps, ThinnedSweeps, is_raw
 
@@ -75,8 +75,8 @@ def register_drive(
     progress : callable, optional
         ``progress(done, total, what)`` after each sweep.
     checkpoint : Path, optional
-        File in which estimated poses are kept. An estimation that was interrupted starts again,
-        since its map is not kept.
+        Folder in which each pass keeps what it found. An estimation that was interrupted goes on
+        behind it, with the same poses.
     threads : int
         0 for all cores. The poses do not depend on it.
 
@@ -136,28 +136,39 @@ def estimate_poses(
     most: their points do not change.
     """
     parameters, count = parameters or OdometryParameters(), len(dataset)
-    key = f"{Path(dataset.path).resolve()} {count} {parameters.model_dump_json()}"
-    poses = None if checkpoint is None else _load(checkpoint, key)
-    if poses is not None:
-        return poses
+    poses: NDArray[np.float64] = np.repeat(np.eye(4)[None], count, axis=0)
     passes = parameters.passes if is_raw(dataset.sweep(0)) else min(parameters.passes, 2)
     # The last pass is this far behind the first, which looks ahead at its start.
     behind = (passes - 1) * (LAG + NEIGHBORS)
     sweeps = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, behind + FIRST_SWEEPS)
     stream: _PoseStream | None = None
-    for _ in range(passes):
-        registered = register(sweeps, parameters, stream, thread_count(threads))
+    logs = [_log(dataset, parameters, checkpoint, number) for number in range(passes)]
+    for log_of_pass in logs:
+        registered = register(sweeps, parameters, stream, thread_count(threads), log_of_pass)
         stream = _PoseStream(smoothed(registered), count)
     assert stream is not None
-    for k in range(count):
-        poses = stream(k)
-        if progress is not None:
-            progress(k + 1, count, "odometry")
-    assert poses is not None
-    if checkpoint is not None:
-        content = npz_bytes(poses=poses, key=np.array(key))
-        write_atomically(checkpoint, lambda file: file.write(content))
+    try:
+        for k in range(count):
+            poses = stream(k)
+            if progress is not None:
+                progress(k + 1, count, "odometry")
+    finally:
+        for log_of_pass in logs:
+            log_of_pass.close()
     return poses
+
+
+def _log(
+    dataset: Dataset, parameters: OdometryParameters, folder: Path | None, number: int
+) -> RegistrationLog:
+    """What pass ``number`` found before it was interrupted."""
+    if folder is None:
+        return RegistrationLog()
+    times = zlib.crc32(np.asarray(dataset.times, "<i8").tobytes())
+    registered_by = f"small_gicp {version('small_gicp')}"
+    place = Path(dataset.path).resolve()
+    key = f"{place} {len(dataset)} {times} {registered_by} {parameters.model_dump_json()}"
+    return RegistrationLog(folder / f"pass_{number + 1}.log", key)
 
 
 class _PoseStream:
@@ -180,16 +191,3 @@ class _PoseStream:
             self._poses[self._known] = next(self._made)
             self._known += 1
         return self._poses
-
-
-def _load(file: Path, key: str) -> NDArray[np.float64] | None:
-    """Poses of an earlier run, if they are of the same drive and parameters."""
-    try:
-        with file.open("rb") as stream, np.load(stream) as saved:
-            if str(saved["key"]) != key:
-                return None
-            poses: NDArray[np.float64] = saved["poses"]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
-        return None  # missing or damaged: they are estimated again
-    log.info("odometry continues after %s", file.name)
-    return poses

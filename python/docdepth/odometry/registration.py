@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from docdepth.datasets.base import Sweep
 from docdepth.errors import OdometryError
 from docdepth.geometry.se3 import inverse, nearest_rigid, se3_exp, se3_log
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
+from docdepth.odometry.registration_log import Found, RegistrationLog
 from docdepth.odometry.smoothing import State, filtered
 from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_sweep
 
@@ -38,6 +40,10 @@ _ALIGN = {
     "translation_epsilon": 5e-4,  # metres
 }
 _UNKNOWN = 1e2  # metres; standard deviation of a position that was not measured
+
+_MARGIN = 15.0
+"""Metres that points lie farther from a logged pose in the map than from the sensor when they were
+measured: deskewing moves them by up to 10 m at 60 m/s, and the filter moves the pose."""
 
 # The first motion is searched on a grid of forward speeds; registration finds what lies between.
 FIRST_SWEEPS = 3
@@ -66,12 +72,20 @@ class Registration:
         self._small_gicp = small_gicp
         self._map = small_gicp.GaussianVoxelMap(voxel_size)
         self._sampling, self._threads = sampling, threads
-        self._empty, self._aligned = True, None
+        self._empty, self._cloud = True, None
 
-    def align(
-        self, points: NDArray[np.float32], guess: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Register one deskewed sweep from an initial guess (4, 4).
+    def take(self, points: NDArray[np.float32]) -> None:
+        """Take the next deskewed sweep: its points get their distributions."""
+        gicp = self._small_gicp
+        cloud = gicp.PointCloud(points.astype(np.float64))
+        if self._sampling > FINE_SAMPLING:
+            cloud = gicp.voxelgrid_sampling(cloud, self._sampling)
+        tree = gicp.KdTree(cloud)
+        gicp.estimate_covariances(cloud, tree, _NORMAL_NEIGHBORS, self._threads)
+        self._cloud = cloud
+
+    def align(self, guess: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Register the sweep that was taken, from an initial guess (4, 4).
 
         Returns
         -------
@@ -79,29 +93,85 @@ class Registration:
         covariance : ndarray of float64, shape (3, 3)
             Of its position [m^2].
         """
-        gicp = self._small_gicp
-        cloud = gicp.PointCloud(points.astype(np.float64))
-        if self._sampling > FINE_SAMPLING:
-            cloud = gicp.voxelgrid_sampling(cloud, self._sampling)
-        tree = gicp.KdTree(cloud)
-        gicp.estimate_covariances(cloud, tree, _NORMAL_NEIGHBORS, self._threads)
         pose, covariance = guess.copy(), _UNKNOWN**2 * np.eye(3)
         if self._empty:
             covariance = np.zeros((3, 3))  # it is the frame of all poses
         else:
-            found = gicp.align(self._map, cloud, init_T_target_source=guess, **_ALIGN)
+            found = self._small_gicp.align(
+                self._map, self._cloud, init_T_target_source=guess, **_ALIGN
+            )
             # With too few inliers the guess stays.
             if found.num_inliers >= FEWEST_POINTS and np.isfinite(found.T_target_source).all():
                 # Row by row, as poses are stored: products of other layouts differ in the last bit.
                 pose = np.array(nearest_rigid(found.T_target_source), order="C")
                 covariance = _covariance_of_position(found.H, pose)
-        self._aligned = cloud
         return pose, covariance
 
     def insert(self, pose: NDArray[np.float64]) -> None:
-        """Add the sweep that was aligned last to the map."""
-        self._map.insert(self._aligned, pose)
+        """Add the sweep that was taken to the map."""
+        self._map.insert(self._cloud, pose)
         self._empty = False
+
+
+class LoggedRegistration:
+    """A registration that goes on behind what a log holds.
+
+    Parameters
+    ----------
+    registration : Registration
+        With an empty map.
+    kept : RegistrationLog
+    count : int
+        Sweeps of the drive.
+    reach : float
+        Farthest point that is registered [m].
+
+    Attributes
+    ----------
+    first : int
+        The first sweep that is read.
+    """
+
+    def __init__(
+        self, registration: Registration, kept: RegistrationLog, count: int, reach: float
+    ) -> None:
+        self._registration, self._log = registration, kept
+        # Two sweeps touch one voxel from either side.
+        self.first = kept.first_needed(2 * (reach + _MARGIN)) if len(kept) < count else count
+
+    def align(self, index: int, deskewed: Callable[[], Sweep], guess: NDArray[np.float64]) -> Found:
+        """What registration finds, or has found, of a sweep; it is read only if it is needed.
+
+        Parameters
+        ----------
+        index : int
+        deskewed : callable
+            Reads the sweep.
+        guess : ndarray of float64, shape (4, 4)
+        """
+        found = self._log.found(index)
+        if found is not None and (index < self.first or not found.usable):
+            return found
+        points = deskewed().points
+        usable = len(points) >= FEWEST_POINTS
+        if usable:
+            self._registration.take(points)
+        if found is None:
+            unknown = _UNKNOWN**2 * np.eye(3)
+            pose, covariance = self._registration.align(guess) if usable else (guess, unknown)
+            if not np.isfinite(pose).all():
+                raise OdometryError(
+                    f"frame {index} could not be registered; bring poses (--poses) or try another "
+                    "odometry.voxel_size"
+                )
+            found = Found(pose, covariance, usable)
+            self._log.add(found)
+        return found
+
+    def insert(self, index: int, pose: NDArray[np.float64]) -> None:
+        """Add a sweep to the map, where the map shows it still."""
+        if index >= self.first:
+            self._registration.insert(pose)
 
 
 def _covariance_of_position(
@@ -119,6 +189,7 @@ def register(
     parameters: OdometryParameters,
     known: KnownPoses | None,
     threads: int = 1,
+    kept: RegistrationLog | None = None,
 ) -> Iterator[State]:
     """Register sweeps one after the other.
 
@@ -131,6 +202,8 @@ def register(
         them. Without them poses are found from scratch: sweeps are deskewed with the motion of the
         sweep before.
     threads : int
+    kept : RegistrationLog, optional
+        What an interrupted pass found is taken from there, and what is found is added.
 
     Yields
     ------
@@ -143,12 +216,18 @@ def register(
         A sweep cannot be registered.
     """
     count, times = len(sweeps), sweeps.times
+    voxel, sampling = _FINE_VOXEL, FINE_SAMPLING
     if known is None:
-        voxel = parameters.voxel_size
-        registration = Registration(voxel, 0.5 * voxel, threads)
+        voxel, sampling = parameters.voxel_size, 0.5 * parameters.voxel_size
+    registration = LoggedRegistration(
+        Registration(voxel, sampling, threads),
+        RegistrationLog() if kept is None else kept,
+        count,
+        parameters.max_range + voxel,
+    )
+    motion = np.eye(4)
+    if known is None and registration.first < 2:
         motion = first_motion(sweeps, range(count), parameters)
-    else:
-        registration = Registration(_FINE_VOXEL, FINE_SAMPLING, threads)
     period = float(np.median(np.diff(times))) if count > 1 else 1.0
     pose, predicted = np.eye(4), list[int]()
     state: State | None = None
@@ -160,22 +239,13 @@ def register(
             poses = known(min(k + NEIGHBORS, count - 1))
             motion = centred_motion(poses, times, [k])[0]
             guess = last @ inverse(poses[k - 1]) @ poses[k] if k else last
-        sweep = deskewed_sweep(sweeps[k], k, motion)
-        usable = len(sweep.points) >= FEWEST_POINTS
-        pose, covariance = guess, _UNKNOWN**2 * np.eye(3)
-        if usable:
-            pose, covariance = registration.align(sweep.points, guess)
+        found = registration.align(k, partial(_deskewed, sweeps, k, motion), guess)
+        state = filtered(state, found.pose, found.covariance, elapsed * period * 1e-9)
+        pose = state.pose
+        if found.usable:
+            registration.insert(k, pose)
         else:
             predicted.append(k)
-        if not np.isfinite(pose).all():
-            raise OdometryError(
-                f"frame {k} could not be registered; bring poses (--poses) or try another "
-                "odometry.voxel_size"
-            )
-        state = filtered(state, pose, covariance, elapsed * period * 1e-9)
-        pose = state.pose
-        if usable:
-            registration.insert(pose)
         if k and known is None:
             # The filtered velocity: the last step would feed its error back by deskewing.
             motion = _power(inverse(last) @ pose, 1 / elapsed)
@@ -183,6 +253,10 @@ def register(
         yield state
     if predicted and known is None:  # the other passes would say the same
         _warn_of_predicted(predicted, count, parameters)
+
+
+def _deskewed(sweeps: ThinnedSweeps, index: int, motion: NDArray[np.float64]) -> Sweep:
+    return deskewed_sweep(sweeps[index], index, motion)
 
 
 def _power(motion: NDArray[np.float64], share: float) -> NDArray[np.float64]:

@@ -50,12 +50,23 @@ def check_sweeps(
         with found.collected():
             sweep = recording.sweep(index)
             place = f"{files[index][0] if files[index] else sweep.name} (frame {index})"
-            _check_points(sweep, place, found)
-            _check_times(sweep, place)
+            check_sweep(sweep, place, found)
             _check_parameters(sweep, place, parameters)
             opened[index] = sweep
     _check_usable_shares(opened, recording, found)
     return opened
+
+
+def check_sweep(sweep: Sweep, place: str, found: Findings) -> None:
+    """Check points and times of one sweep.
+
+    Raises
+    ------
+    DatasetError
+        It is broken.
+    """
+    _check_points(sweep, place, found)
+    _check_times(sweep, place)
 
 
 def _check_period(recording: Dataset, found: Findings) -> None:
@@ -171,6 +182,8 @@ def _check_times(sweep: Sweep, place: str) -> None:
     late = sweep.relative_time
     if late is None or not np.isfinite(late).any():
         return
+    if not sweep.motion_compensated and not np.isfinite(late[usable_points(sweep.points)]).all():
+        raise DatasetError(f"{place}: a usable point has no finite time; leave the sweep out")
     first, last = float(np.nanmin(late)), float(np.nanmax(late))
     if first < -_LATE or last > _LATE:
         raise DatasetError(

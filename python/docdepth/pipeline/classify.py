@@ -19,6 +19,7 @@ from docdepth.dynamics.voting import Votes
 from docdepth.errors import DamagedFileError, InputError
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import chunk_progress, chunks, label_chunk
+from docdepth.io.arrays import ArrayError, read_next_array
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS, write_tracks
 from docdepth.pipeline.classified_files import (
@@ -231,11 +232,9 @@ def _read_arrays(path: Path, count: int | None) -> list[NDArray[Any]]:
     """Read the first arrays of a file; None reads all."""
     try:
         with path.open("rb") as stream:
-            if count is not None:
-                return [np.load(stream) for _ in range(count)]
-            size, arrays = path.stat().st_size, []
-            while stream.tell() < size:
-                arrays.append(np.load(stream))
+            size, arrays = path.stat().st_size, list[NDArray[Any]]()
+            while stream.tell() < size if count is None else len(arrays) < count:
+                arrays.append(read_next_array(stream, size - stream.tell()))
             return arrays
-    except (OSError, EOFError, ValueError) as error:
+    except (OSError, ArrayError) as error:
         raise DamagedFileError(path, str(error)) from None

@@ -65,7 +65,7 @@ def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
     elif isinstance(whole, Mounted):
         poses = poses @ inverse(whole.T_level_lidar)
     if isinstance(recording, FrameRange):
-        return poses[recording.indices.start : recording.indices.stop]
+        return poses[recording.indices]
     return poses
 
 

@@ -261,6 +261,8 @@ class RunGraph:
         if name in ("odometry", "classify") and not isinstance(was, dict):
             upstream = self._odometry if name == "odometry" else self._classify
             made_of = self._run.made_of(name)
+            if made_of == before:  # notes that someone has changed
+                return f"{name} was made again"
             if made_of == upstream:
                 return f"{name} was made again"
             return f"{name} is out of date: {self._why(made_of, upstream)}"

@@ -12,6 +12,7 @@ from docdepth.datasets.base import CameraStream, Dataset
 from docdepth.datasets.images import ImageSource, file_of
 from docdepth.errors import DatasetError
 from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.io.trees import parse_json
 
 _Known = dict[str, list[int | str]]
 
@@ -101,7 +102,7 @@ class InputFiles:
 
 def _read(path: Path) -> dict[str, _Known]:
     try:
-        found = json.loads(path.read_text())
+        found = parse_json(path.read_text())
         return {
             what: {name: list(entry) for name, entry in files.items()}
             for what, files in found.items()

@@ -72,7 +72,7 @@ def run_odometry(
                     run.parameters,
                     poses,
                     _registration_progress(progress),
-                    checkpoint / _POSES,
+                    checkpoint,
                     threads,
                 )
             if first.sensor_rig is not None:
@@ -87,9 +87,9 @@ def run_odometry(
                 warn_of_misfit(run.points, poses, run.parameters.odometry)
 
 
-_CHECKPOINTS, _POSES = "odometry", "poses.npz"
-"""Folder in the notes of a run with estimated poses. Frames are made again from them, bit for
-bit."""
+_CHECKPOINTS = "odometry"
+"""Folder in the notes of a run with what each pass found. An interrupted stage goes on from there,
+and frames are made again, bit for bit."""
 
 
 def _others_are_done(run: RunFolder, key: dict[str, str]) -> bool:

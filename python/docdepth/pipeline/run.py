@@ -11,7 +11,15 @@ from typing import Any
 from docdepth.config import Parameters, replaced
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.run import RunDataset
-from docdepth.errors import DamagedFileError, DocDepthError, RunError
+from docdepth.errors import (
+    ConfigError,
+    DamagedFileError,
+    DatasetError,
+    DocDepthError,
+    OdometryError,
+    RunError,
+)
+from docdepth.io.manifest import SKIPPED, skipped_frames
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.check import check_inputs, check_opened
 from docdepth.pipeline.classify import run_classify
@@ -56,6 +64,7 @@ def run(
     labels: Path | str | None = None,
     image_size: str | None = None,
     frames: str | None = None,
+    on_error: str | None = None,
     hash_inputs: bool = False,
     force: bool = False,
     dry_run: bool = False,
@@ -96,6 +105,10 @@ def run(
         ``WIDTHxHEIGHT`` in pixels, for recordings that do not tell it.
     frames : str, optional
         ``A:B``: sweeps A to B-1 only.
+    on_error : {"stop", "skip"}, optional
+        ``skip`` reads every sweep and image before the run begins and leaves broken ones out, as if
+        they had not been recorded; status and report list them. As the run began if absent, else
+        ``stop``.
     hash_inputs : bool
         Tell by their content whether inputs have changed, not by size and time.
     force : bool
@@ -135,6 +148,10 @@ def run(
         inputs["labels"] = _absolute(labels)
     values, place = parameters or Parameters(), Path(output)
     begun = RunFolder(place).manifest.get("source")
+    if on_error not in (None, "stop", "skip"):
+        raise ConfigError(f"on_error is {on_error!r}; it must be stop or skip")
+    if on_error == "skip" or (on_error is None and SKIPPED in (begun or {})):
+        inputs[SKIPPED] = {}
     with _all_problems(inputs, values, place):
         recording, streams = open_upright(inputs, begun)
     folder = RunFolder(place)  # another command may have begun the run meanwhile
@@ -341,6 +358,13 @@ def _make(
                 streams = [camera.stream for camera in run_cameras(folder, recording)]
                 run_render(folder, streams, threads, progress, renderer)
                 return
+            except (DatasetError, OdometryError):
+                # A file that was whole when the run began is not any more.
+                shorter = _without_newly_broken(folder)
+                if shorter is None:
+                    raise
+                recording = shorter
+                poses = known_poses(folder.manifest["source"], recording)
             except DamagedFileError as error:
                 # Size and time were those of its record. Now that it is known, it is made again.
                 if folder.path not in error.path.parents:
@@ -349,6 +373,20 @@ def _make(
         raise RunError(
             f"more than {_MOST_REPAIRS} files of {folder.path} are damaged; check the disk"
         )
+
+
+def _without_newly_broken(folder: RunFolder) -> Dataset | None:
+    """The recording without frames that broke meanwhile; None if there are none, or if they stop
+    the run."""
+    source = folder.manifest["source"]
+    if SKIPPED not in source:
+        return None
+    before, source[SKIPPED] = source[SKIPPED], {}
+    recording, _ = open_inputs(source)
+    if skipped_frames(source[SKIPPED]) == skipped_frames(before):
+        return None
+    folder.save()
+    return recording
 
 
 def _absolute(path: Path | str | None) -> str | None:

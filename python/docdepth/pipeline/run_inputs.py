@@ -3,14 +3,15 @@
 The entry ``source`` of run.yaml has ``dataset``, ``name``, ``camera`` (a name, a list of names or
 None), ``poses`` (a file, ``CAMERA:FILE`` or ``dataset``), ``camera_times`` and ``image_size``, all
 plain values; ``frames`` (``A:B``), ``calibration`` (a file), ``up`` (a unit vector in the LiDAR
-frame of the recording, whose z is not up) and ``looks_from`` (where its rays begin, metres) may be
-left out.
+frame of the recording, whose z is not up), ``looks_from`` (where its rays begin, metres) and
+``skipped`` (see :mod:`.broken_frames`) may be left out.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,11 +31,14 @@ from docdepth.datasets import (
 from docdepth.datasets.images import read_image_of
 from docdepth.datasets.mounts import LEVEL_DEG, Mounted, ground_of
 from docdepth.datasets.times import read_times
+from docdepth.datasets.tolerance import broken_frames_tolerated, first_readable
 from docdepth.datasets.viewpoint import LEAST_IN_TRIANGLES, find_viewpoint
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.io.calibration import read_camera_calibration
+from docdepth.io.manifest import SKIPPED
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.broken_frames import find_broken, kept_part
 from docdepth.pipeline.given_poses import read_given_poses
 from docdepth.pipeline.virtual_camera import parse_size, virtual_stream
 
@@ -70,7 +74,9 @@ def open_inputs(source: dict[str, Any]) -> tuple[Dataset, list[CameraStream]]:
     DatasetError, CalibrationError
         A file is missing or broken, or there is no such camera.
     """
-    recording = open_recording(source)
+    whole = _open_whole(source)
+    note_broken(source, whole, source)
+    recording = _part(whole, source)
     return recording, open_cameras(source, recording, source["camera"])
 
 
@@ -84,6 +90,7 @@ def open_upright(
     The arguments are those of :func:`open_inputs` and :func:`find_up`.
     """
     whole = _open_whole(source)
+    note_broken(source, whole, begun)
     looks_from = find_looks_from(_part(whole, source), begun)
     if looks_from:
         source["looks_from"] = looks_from
@@ -102,18 +109,39 @@ def open_recording(source: dict[str, Any]) -> Dataset:
 def _open_whole(source: dict[str, Any]) -> Dataset:
     """The recording, with the calibration that the run was given."""
     size = parse_size(source.get("image_size"))
-    recording = open_dataset(Path(source["dataset"]), source["name"], size)
-    if source.get("calibration"):
-        stream = _calibrated(recording, Path(source["calibration"]), source["camera"])
-        recording.cameras[stream.name] = stream
+    with broken_frames_tolerated() if SKIPPED in source else nullcontext():
+        recording = open_dataset(Path(source["dataset"]), source["name"], size)
+        if source.get("calibration"):
+            stream = _calibrated(recording, Path(source["calibration"]), source["camera"])
+            recording.cameras[stream.name] = stream
     return recording
+
+
+def note_broken(
+    source: dict[str, Any], whole: Dataset, begun: dict[str, Any] | None = None
+) -> None:
+    """Note in ``source`` which frames are broken, if the run leaves them out.
+
+    Parameters
+    ----------
+    source : dict
+    whole : Dataset
+        The whole recording.
+    begun : dict, optional
+        ``source`` of a run that goes on. What it says holds as long as the files are the same.
+    """
+    if SKIPPED not in source:
+        return
+    recording = kept_part(whole, {"frames": source.get("frames")})
+    streams = open_cameras(source, recording, source["camera"]) if whole.cameras else []
+    source[SKIPPED] = find_broken(recording, streams, (begun or {}).get(SKIPPED))
 
 
 def _part(recording: Dataset, source: dict[str, Any]) -> Dataset:
     """The sweeps of a recording that the run is of, in a frame whose z is up."""
     if source.get("up") or source.get("looks_from"):
         recording = Mounted(recording, source.get("up"), source.get("looks_from"))
-    return FrameRange(recording, source["frames"]) if source.get("frames") else recording
+    return kept_part(recording, source)
 
 
 def find_looks_from(recording: Dataset, begun: dict[str, Any] | None = None) -> list[float] | None:
@@ -203,7 +231,7 @@ def _calibrated(recording: Dataset, file: Path, asked: str | Sequence[str] | Non
     if stream.camera is not None:
         width, height = stream.camera.width, stream.camera.height
     else:
-        height, width = read_image_of(stream.images[0]).shape[:2]
+        height, width = first_readable(read_image_of, stream.images).shape[:2]
     if (camera.width, camera.height) != (width, height):
         raise CalibrationError(
             f"{file} is of images of {camera.width}x{camera.height} pixels, those of {name} in "

@@ -17,6 +17,7 @@ from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
 from docdepth.geometry.track import KINDS, Track
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.manifest import SKIPPED, skipped_frames
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import TRACKS, read_tracks
 from docdepth.parameter_table import parameter_table
@@ -176,6 +177,7 @@ def _warnings(run: RunFolder) -> str:
         found += [(name, text) for text in stage.get("warnings", [])]
         if stage.get("left_out"):
             found.append((name, f"images outside the sweeps, left out: {_few(stage['left_out'])}"))
+    found += [("left out", text) for text in skipped_frames(run.manifest["source"].get(SKIPPED))]
     if not found:
         return "<p>No warnings.</p>"
     lines = (f"<li><b>{escape(name)}</b>: {escape(text)}" for name, text in found)
@@ -314,6 +316,7 @@ def _shown(value: Any) -> str:
 def _inputs(run: RunFolder) -> Iterator[tuple[str, str]]:
     yield "docdepth", __version__
     source: Iterable[tuple[str, Any]] = run.manifest["source"].items()
-    yield from ((name, str(value)) for name, value in source if value is not None)
+    shown = ((name, value) for name, value in source if value is not None and name != SKIPPED)
+    yield from ((name, str(value)) for name, value in shown)
     for name in run.cameras:
         yield f"renderer of {name}", str(run.stage(f"render {name}").get("renderer", ""))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +17,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.arrays import ArrayError, read_arrays
 from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.visualization.image_views import draw_tracks, view_of_layer, view_of_points
@@ -176,11 +176,11 @@ def _maps(folder: Path) -> dict[str, tuple[int, float]]:
 
 def _layers(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path) as stored:
-            return {name: stored[name] for name in ("class", *_LAYERS) if name in stored}
+        stored = read_arrays(path)
+        return {name: stored[name] for name in ("class", *_LAYERS) if name in stored}
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ArrayError) as error:
         raise DamagedFileError(path, str(error)) from None
 
 

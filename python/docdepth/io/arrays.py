@@ -1,0 +1,113 @@
+"""Arrays in files of numpy, NPY and NPZ, that others may have written or damaged."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+_LONGEST_HEADER = 10_000  # bytes
+_MOST_PACKED = 1100  # times as large as its compressed bytes; deflate packs 1032 into one
+
+
+class ArrayError(ValueError):
+    """What is wrong with a file of arrays, without its name."""
+
+
+def read_array(file: Path) -> NDArray[Any]:
+    """The array of an NPY file.
+
+    Raises
+    ------
+    ArrayError
+        The file is no NPY file, damaged, or holds objects of Python.
+    OSError
+        It cannot be opened.
+    """
+    with file.open("rb") as stream:
+        return read_next_array(stream, file.stat().st_size)
+
+
+def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of an NPZ file by name.
+
+    Raises
+    ------
+    ArrayError, OSError
+        As for :func:`read_array`.
+    """
+    with file.open("rb") as stream:
+        try:
+            with zipfile.ZipFile(stream) as archive:
+                return {
+                    entry.filename.removesuffix(".npy"): _of_archive(archive, entry)
+                    for entry in archive.infolist()
+                }
+        except ArrayError:
+            raise
+        # A damaged archive fails in many ways: of structures, of compression, of passwords.
+        except Exception as error:
+            raise ArrayError(f"{error}" or type(error).__name__) from None
+
+
+def _of_archive(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
+    if entry.file_size > _MOST_PACKED * entry.compress_size:
+        raise ArrayError(f"{entry.compress_size} bytes cannot hold {entry.file_size}")
+    with archive.open(entry) as stream:
+        array = read_next_array(stream, entry.file_size)  # type: ignore[arg-type]
+        if stream.read(1):  # to its end, where the checksum is compared
+            raise ArrayError(f"{entry.filename} is longer than its array")
+        return array
+
+
+def read_next_array(stream: BinaryIO, size: int) -> NDArray[Any]:
+    """The next array of a stream of which ``size`` bytes are left.
+
+    Memory is taken only for bytes that are there.
+
+    Raises
+    ------
+    ArrayError
+        As for :func:`read_array`.
+    """
+    try:
+        version = npy.read_magic(stream)
+        read_header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+        if version not in read_header:
+            raise ValueError(f"version {version} of the format")
+        shape, fortran, dtype = read_header[version](stream, max_header_size=_LONGEST_HEADER)
+    except Exception as error:  # of structures, of Python's syntax, of encodings
+        raise ArrayError(f"its header is damaged: {error or type(error).__name__}") from None
+    if dtype.hasobject:
+        raise ArrayError("it holds objects of Python, which docdepth does not load")
+    if any(n < 0 for n in shape) or not _is_sound(dtype):
+        raise ArrayError(f"its shape is {shape} of {dtype}")
+    count = 1
+    for n in shape:
+        count *= n
+    needed = count * dtype.itemsize
+    if needed > size:
+        raise ArrayError(f"its header tells of {needed} bytes, the file has {size}")
+    data = stream.read(needed)
+    if len(data) < needed:
+        raise ArrayError(f"{len(data)} of {needed} bytes are there")
+    try:
+        array = np.frombuffer(bytearray(data), dtype, count) if needed else np.empty(count, dtype)
+        return array.reshape(shape, order="F" if fortran else "C")
+    except (ValueError, OverflowError) as error:
+        raise ArrayError(str(error)) from None
+
+
+def _is_sound(dtype: np.dtype[Any]) -> bool:
+    """Whether the fields of a row lie within it: numpy adds their sizes in 32 bits."""
+    size = dtype.itemsize
+    if size <= 0:
+        return False
+    for kind, offset, *_ in (dtype.fields or {}).values():
+        if offset < 0 or offset + kind.itemsize > size or not _is_sound(kind):
+            return False
+    return True

@@ -1,0 +1,40 @@
+"""Images out of bytes that others may have written or damaged."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_MOST_PACKED = 1100  # pixels for a byte of a PNG; deflate packs 1032 bytes into one
+
+
+def decode_image(content: bytes | NDArray[np.uint8], flags: int) -> NDArray[Any] | None:
+    """The image in the content of a file; None if it is not one that OpenCV reads.
+
+    Parameters
+    ----------
+    content : bytes or ndarray of uint8
+    flags : int
+        As for ``cv2.imdecode``.
+    """
+    data = np.frombuffer(content, np.uint8)
+    if not len(data) or _claims_too_much(data[:24].tobytes(), len(data)):
+        return None
+    try:
+        image = cv2.imdecode(data, flags)
+    except cv2.error:
+        return None
+    return None if image is None else np.asarray(image)
+
+
+def _claims_too_much(head: bytes, size: int) -> bool:
+    """Whether the header of a PNG tells of more pixels than its bytes can hold."""
+    if not head.startswith(_PNG) or len(head) < 24:
+        return False
+    width, height = struct.unpack(">II", head[16:24])
+    return bool(width * height > _MOST_PACKED * size)

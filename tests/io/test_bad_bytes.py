@@ -1,0 +1,386 @@
+"""Broken files that fuzzing found (``benchmarks/fuzz.py``): each ends in a sentence now."""
+
+from __future__ import annotations
+
+import io
+import json
+import resource
+import struct
+import zipfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from docdepth import Parameters
+from docdepth.cli.config_file import read_config
+from docdepth.datasets import LidarStream, ros_images, ros_points
+from docdepth.datasets.bag import BagLidar
+from docdepth.datasets.cloud_files import RowFormat, read_cloud
+from docdepth.datasets.pose_tables import read_pose_table
+from docdepth.datasets.settings import RecordingSettings, read_settings
+from docdepth.datasets.times import read_times
+from docdepth.errors import (
+    CalibrationError,
+    ConfigError,
+    DamagedFileError,
+    DatasetError,
+    InputError,
+    OdometryError,
+    RunError,
+)
+from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.arrays import ArrayError, read_array, read_arrays
+from docdepth.io.calibration import read_camera_calibration
+from docdepth.io.depth import encode_depth, read_depth
+from docdepth.io.frames import FrameRecord, read_frame, read_trajectory, write_frame
+from docdepth.io.frames import write_trajectory as write_ply
+from docdepth.io.poses import read_poses, read_tum
+from docdepth.io.run_folder import RunFolder
+from docdepth.io.tracks import COLUMNS, read_tracks
+from docdepth.io.trees import parse_json, parse_yaml
+from docdepth.pipeline.run_state import states
+
+FRAME = FrameRecord(
+    np.ones((2, 3), np.float32), np.arange(2, dtype=np.uint32), "7", 2, sensor=np.zeros(2, "u1")
+)
+POSES = np.repeat(np.eye(4)[None], 3, axis=0)
+SOURCE = {"dataset": None, "name": None, "camera": None}
+
+
+def written(path: Path, content: bytes | str) -> Path:
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def new_run(folder: Path) -> RunFolder:
+    run = RunFolder.create(folder / "run", SOURCE, Parameters())
+    run.save()
+    return run
+
+
+# ---- point clouds
+
+
+def pcd(fields: str, kinds: str, counts: str, data: str, body: bytes, points: int = 2) -> bytes:
+    sizes = " ".join("4" if kind == "F" else "1" for kind in kinds.split())
+    head = f"FIELDS {fields}\nSIZE {sizes}\nTYPE {kinds}\nCOUNT {counts}\nPOINTS {points}\n"
+    return f"{head}DATA {data}\n".encode() + body
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [
+        (pcd("x y z i", "F F F U", "1 1 1 1", "ascii", b"1 2 3 4 5 6 7 300"), "value of i"),
+        (pcd("x y z", "F F F", "1 2 1", "binary", bytes(32)), "several values"),
+        (pcd("x y z", "F F F", "1 -1 1", "binary", bytes(32)), "COUNT"),
+        (pcd("x y z", "F F F", "0 0 0", "binary", b"", 10**12), "COUNT"),
+        (
+            pcd("x y z", "F F F", "1 1 1", "binary_compressed",
+                struct.pack("<II", 8, 2**32 - 1) + bytes(8)),
+            "8 bytes cannot hold 4294967295",
+        ),
+    ],
+)  # fmt: skip
+def test_pcd(tmp_path: Path, content: bytes, match: str) -> None:
+    pytest.importorskip("lzf")
+    with pytest.raises(DatasetError, match=match):
+        read_cloud(written(tmp_path / "a.pcd", content), 3, RowFormat())
+
+
+def message(**changes: object) -> SimpleNamespace:
+    fields = [
+        SimpleNamespace(name=name, offset=4 * k, datatype=7, count=1)
+        for k, name in enumerate("xyz")
+    ]
+    known = {"fields": fields, "is_bigendian": False, "point_step": 12, "row_step": 24, "width": 2}
+    return SimpleNamespace(**known | {"height": 1, "data": np.zeros(24, np.uint8)} | changes)
+
+
+@pytest.mark.parametrize("lacking", ["width", "height", "point_step"])
+def test_clouds_of_bags_without_points(lacking: str) -> None:
+    read = ros_points.reader_of(ros_points.POINT_CLOUD)
+    assert read is not None
+    assert len(read(message(), "bag").points) == 2
+    with pytest.raises(DatasetError, match="no points"):
+        read(message(**{lacking: 0, "fields": []}), "bag")
+
+
+@pytest.mark.parametrize(
+    ("offset", "count"), [(117440512, 2030043136), (0, 1 << 30), (10, 1), (2**32 - 2, 1)]
+)
+def test_fields_that_end_behind_their_point(offset: int, count: int) -> None:
+    """With the first of them numpy took the process down."""
+    field = SimpleNamespace(name="x", offset=offset, datatype=7, count=count)
+    read = ros_points.reader_of(ros_points.POINT_CLOUD)
+    assert read is not None
+    for big_endian in (False, True):
+        with pytest.raises(DatasetError, match="the field 'x' ends behind its point of 12 bytes"):
+            read(message(fields=[field], is_bigendian=big_endian), "bag")
+
+
+def test_messages_that_are_not_what_they_are_called(tmp_path: Path) -> None:
+    """A bag defines its messages; where that is damaged, they lack what they should have."""
+
+    class Bag:
+        path, files = tmp_path, ()
+        topics = {"/points": ros_points.POINT_CLOUD}  # noqa: RUF012
+
+        def read(self, topic: str, index: object, where: str) -> object:
+            return SimpleNamespace(fields=[])
+
+    stream = LidarStream("/points", np.zeros(1, np.int64), ["0"])
+    lidar = BagLidar(Bag(), stream, [None])
+    with pytest.raises(DatasetError, match=r"/points \(frame 0\): it is no sensor_msgs"):
+        lidar.read(0)
+
+
+def test_images_of_bags_without_pixels() -> None:
+    image = message(__msgtype__=ros_images.IMAGES[0], encoding="rgb8", width=0, step=0)
+    with pytest.raises(DatasetError, match="0 x 1 pixels"):
+        ros_images.decode_image(image, "bag")
+
+
+# ---- arrays
+
+
+def npy(values: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, values, allow_pickle=True)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.arange(6, dtype="<f4").reshape(2, 3), np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+        np.zeros((0, 3)), np.array(4), np.ones(3, [("x", ">f4"), ("y", "u1", (2,))]),
+        np.array([True, False]), np.array(["a", "bcd"]),
+    ],
+)  # fmt: skip
+def test_arrays_are_those_of_numpy(tmp_path: Path, values: np.ndarray) -> None:
+    found = read_array(written(tmp_path / "a.npy", npy(values)))
+    assert found.dtype == values.dtype
+    assert found.flags.writeable
+    np.testing.assert_array_equal(found, values)
+    for save in (np.savez, np.savez_compressed):
+        save(tmp_path / "a.npz", one=values, two=np.zeros(2))
+        found_both = read_arrays(tmp_path / "a.npz")
+        assert list(found_both) == ["one", "two"]
+        np.testing.assert_array_equal(found_both["one"], values)
+
+
+def shaped(text: bytes) -> bytes:
+    """An array whose header tells another shape."""
+    content, wanted = npy(np.zeros(3)), b"(3,), }"
+    return content.replace(wanted + b" " * (len(text) - len(wanted)), text)
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [
+        (b"", "header"),
+        (npy(np.zeros(3))[:90], "header"),
+        (npy(np.zeros(3))[:-1], "23 of 24 bytes"),
+        (shaped(b"(((((((((("), "header"),  # an error of Python's tokenizer
+        (shaped(b"(9**9,), }"), "header"),
+        (shaped(b"(-3,), }  "), "shape"),
+        (shaped(b"(99999999999,), }"), "799999999992 bytes"),
+        (npy(np.array([{"a": 1}])), "objects of Python"),
+    ],
+)
+def test_broken_arrays(tmp_path: Path, content: bytes, match: str) -> None:
+    with pytest.raises(ArrayError, match=match):
+        read_array(written(tmp_path / "a.npy", content))
+    with pytest.raises(OdometryError):
+        read_poses(tmp_path / "a.npy")
+    with pytest.raises(DatasetError):
+        read_cloud(tmp_path / "a.npy", 3, RowFormat())
+
+
+def archive(method: int = 8, size: int | None = None, flags: int = 0, version: int = 20) -> bytes:
+    """A depth map in an archive whose entry claims something else."""
+    stream = io.BytesIO()
+    np.savez_compressed(stream, depth=np.ones((4, 6), np.float32))
+    content = bytearray(stream.getvalue())
+    for sign, at in ((b"PK\1\2", 6), (b"PK\3\4", 4)):
+        begin = content.index(sign)
+        struct.pack_into("<HHH", content, begin + at, version, flags, method)
+        if size is not None and at == 6:
+            struct.pack_into("<I", content, begin + 24, size)
+    return bytes(content)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"method": 99}, {"size": 1 << 31}, {"flags": 1}, {"version": 255}, {"method": 0}],
+)
+def test_broken_archives(tmp_path: Path, changes: dict[str, int]) -> None:
+    assert (read_depth(written(tmp_path / "a.npz", archive())) == 1).all()
+    with pytest.raises(DatasetError, match=r"a\.npz is damaged"):
+        read_depth(written(tmp_path / "a.npz", archive(**changes)))
+    spoilt = bytearray(archive())
+    spoilt[60:64] = bytes(4)
+    with pytest.raises(DatasetError, match=r"a\.npz is damaged"):
+        read_depth(written(tmp_path / "a.npz", bytes(spoilt)))
+
+
+def test_sensors_of_another_shape(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    run.write_sensors(SensorRig.single((0, 0, 1), 2), {})
+    assert run.sensor_rig(FRAME) is not None
+    for arrays in ({"depth": np.zeros(3)}, {"T_lidar_sensor": np.zeros((2, 3))}):
+        np.savez(run.sensors_path, **{"lateral_offset": [], "lidar_id": [], **arrays})
+        with pytest.raises(DamagedFileError, match=r"sensors\.npz"):
+            RunFolder(run.path).sensor_rig(FRAME)
+
+
+def test_no_object_of_python_is_loaded(tmp_path: Path) -> None:
+    class Bad:
+        def __reduce__(self):
+            return Path.touch, (tmp_path / "touched",)
+
+    content = npy(np.array([Bad()]))
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as made:
+        made.writestr("depth.npy", content)
+    with pytest.raises(DatasetError):
+        read_depth(tmp_path / "a.npz")
+    with pytest.raises(DatasetError):
+        read_depth(written(tmp_path / "a.npy", content))
+    (tmp_path / "docdepth.yaml").write_text(f"up: !!python/object/apply:os.mkdir [{tmp_path}/made]")
+    with pytest.raises(DatasetError):
+        read_settings(tmp_path, RecordingSettings)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npy", "a.npz", "docdepth.yaml"]
+
+
+def test_images_that_claim_too_much(tmp_path: Path) -> None:
+    content = bytearray(encode_depth(np.full((40, 60), 3, np.float32)))
+    assert (read_depth(written(tmp_path / "a.png", bytes(content))) == 3).all()
+    struct.pack_into(">II", content, 16, 6, 1 << 28)
+    begun = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(DatasetError, match="not a readable image"):
+        read_depth(written(tmp_path / "a.png", bytes(content)))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < begun + 100_000  # kB
+
+
+# ---- numbers beyond all bounds, trees beyond all depth
+
+
+def test_huge_numbers(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="line 1"):
+        read_pose_table(written(tmp_path / "a", "1e999999999 " + "0 " * 12), (12,), "restore it")
+    for text in ("1e99999", "9999999999999", "inf", "nan"):
+        with pytest.raises(DatasetError, match="is no time"):
+            read_times(written(tmp_path / "a", text))
+        with pytest.raises(OdometryError):
+            read_tum(written(tmp_path / "a", f"{text} 0 0 0 0 0 0 1"))
+    row = f"0,{10**30},1,vehicle,1,2,3,0,0,4,2,1,0,0,0,0.1,5"
+    with pytest.raises(DamagedFileError, match="tracks"):
+        read_tracks(written(tmp_path / "tracks.csv", ",".join(COLUMNS) + "\n" + row))
+    for K in ([1, 2, 3], [[1, 2], [3, 4]]):
+        with pytest.raises(CalibrationError, match="shape"):
+            read_camera_calibration(written(tmp_path / "calib.json", json.dumps({"mtx": K})))
+
+
+def test_deep_trees(tmp_path: Path) -> None:
+    deep = "[" * 100_000
+    for parse in (parse_yaml, parse_json):
+        with pytest.raises(ValueError, match="too deep"):
+            parse(deep)
+    with pytest.raises(ConfigError, match="too deep"):
+        read_config(written(tmp_path / "settings.yaml", deep))
+    with pytest.raises(DatasetError, match="too deep"):
+        read_settings(written(tmp_path / "docdepth.yaml", deep).parent, RecordingSettings)
+    with pytest.raises(CalibrationError, match="too deep"):
+        read_camera_calibration(written(tmp_path / "calib.json", deep))
+
+
+def test_aliases_that_repeat_without_end() -> None:
+    lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 10)]
+    assert parse_yaml("\n".join(lines[:3]))["a2"][8] == [[1] * 9] * 9
+    for text in ("\n".join(lines), "&a [*a]"):
+        with pytest.raises(ValueError, match="repeat"):
+            parse_yaml(text)
+
+
+# ---- run folders
+
+
+def test_notes_that_name_themselves_end(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    for name in ("odometry", "classify"):
+        run.set_stage(name, key="1", all_frames=1)
+        run.set_made_of(name, {"odometry": "1", "classify": "2"})
+    run.write_frame(0, FRAME, {"odometry": "2"})
+    found = {state.name: state.state for state in states(RunFolder.open(run.path))}
+    assert found == {"odometry": "out of date", "classify": "out of date"}
+
+
+@pytest.mark.parametrize("folder", ["../../out", "/tmp", "..", 3, None, "a/b"])
+def test_a_camera_lies_in_the_run(tmp_path: Path, folder: object) -> None:
+    run = new_run(tmp_path)
+    run.cameras["front"] = {"folder": folder, "settings": {}}
+    run.write(run.path / "labels" / "a.label", lambda stream: stream.write(b"1"), {})
+    run.save()
+    with pytest.raises(RunError, match=r"run\.yaml is missing or damaged"):
+        RunFolder.open(run.path)
+
+
+@pytest.mark.parametrize("name", ["../../own", "/own", "..", "labels/../../../own"])
+def test_nothing_outside_is_written_or_deleted(tmp_path: Path, name: str) -> None:
+    own, run = written(tmp_path / "own", "mine"), new_run(tmp_path)
+    run.write(run.path / "labels" / "a.label", lambda stream: stream.write(b"1"), {"classify": "1"})
+    records = run.notes / "records" / "labels.jsonl"
+    line = json.loads(records.read_text().splitlines()[-1])
+    records.write_text(json.dumps({**line, "name": name}) + "\n")
+    opened = RunFolder.open(run.path)
+    for known in opened.records(run.path / "labels").names():
+        opened.remove(run.path / "labels" / known)
+    outside = run.path / "labels" / name / "file"
+    for act in (
+        lambda: opened.write(outside, lambda stream: stream.write(b"2"), {}),
+        lambda: opened.remove(outside),
+        lambda: opened.forget(outside),
+    ):
+        with pytest.raises(RunError, match="lies outside"):
+            act()
+    assert own.read_text() == "mine"
+    assert (run.path / "labels" / "a.label").is_file()
+    write_frame(tmp_path / "frame.ply", FrameRecord(FRAME.points, FRAME.index, name, 2))
+    with pytest.raises(DamagedFileError, match="its sweep is called"):
+        read_frame(tmp_path / "frame.ply")
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        {"size": "1"}, {"time": 1.5}, {"checksum": None}, {"key": [1]}, {"key": {"a": 1}},
+        {"more": 1},
+    ],
+)  # fmt: skip
+def test_records_of_other_types_count_as_lost(tmp_path: Path, record: dict[str, object]) -> None:
+    run = new_run(tmp_path)
+    run.write_frame(0, FRAME, {"odometry": "1"})
+    records = run.notes / "records" / "frames.jsonl"
+    line = json.loads(records.read_text().splitlines()[-1])
+    records.write_text(json.dumps({**line, **record}) + "\n")
+    assert RunFolder.open(run.path).frame_key(0) == {}
+
+
+# ---- stamps
+
+
+@pytest.mark.parametrize("first", [-5_050_000_000, -50_000_000, 0, 1_700_000_000_123_456_789])
+def test_trajectories_keep_stamps_of_either_sign(tmp_path: Path, first: int) -> None:
+    trajectory = Trajectory(first + np.arange(3) * 100_000_001, POSES)
+    write_ply(tmp_path / "t.ply", trajectory, np.arange(3))
+    np.testing.assert_array_equal(read_trajectory(tmp_path / "t.ply")[0].times, trajectory.times)
+
+
+@pytest.mark.parametrize("first", [-(10**10) * 10**8 * 4, 2**32 * 10**9])
+def test_stamps_that_are_no_times_are_named(tmp_path: Path, first: int) -> None:
+    with pytest.raises(InputError, match="between 1902 and 2106"):
+        write_ply(tmp_path / "t.ply", Trajectory(first + np.arange(3), POSES), np.arange(3))

@@ -1,0 +1,201 @@
+"""An interrupted estimation of poses goes on where it stopped, to the same last bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_gicp
+
+from docdepth.config import OdometryParameters
+from docdepth.errors import RunError
+from docdepth.odometry.odometry import estimate_poses
+from docdepth.odometry.registration_log import (
+    CLEAR_CYCLE,
+    FORGOTTEN,
+    Found,
+    RegistrationLog,
+    first_insertion,
+)
+from exact_drive import Drive
+
+COUNT = 26
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return Drive(COUNT)
+
+
+@pytest.fixture(scope="module")
+def whole(drive: Drive) -> np.ndarray:
+    return estimate_poses(drive)
+
+
+class Stopped(BaseException):
+    """In place of a signal."""
+
+
+def until(stop: int):
+    """A progress that stops when so many poses are known."""
+
+    def progress(done: int, total: int, what: str) -> None:
+        if done == stop:
+            raise Stopped
+
+    return progress
+
+
+@pytest.mark.parametrize("stops", [(1,), (3, 9), (14, 15, 20)])
+def test_poses_are_the_same_bit_for_bit(drive, whole, tmp_path, stops: tuple[int, ...]) -> None:
+    for stop in stops:
+        with pytest.raises(Stopped):
+            estimate_poses(drive, progress=until(stop), checkpoint=tmp_path)
+    np.testing.assert_array_equal(estimate_poses(drive, checkpoint=tmp_path), whole)
+
+
+def test_what_is_known_is_not_registered_again(drive, whole, tmp_path, monkeypatch) -> None:
+    with pytest.raises(Stopped):
+        estimate_poses(drive, progress=until(5), checkpoint=tmp_path)
+    logs = [RegistrationLog(f, _head(f)) for f in sorted(tmp_path.iterdir())]
+    known = [len(log) for log in logs]
+    assert known[0] > known[1] >= 5
+    aligned: list[object] = []
+    align = small_gicp.align
+
+    def counted(voxels, *arguments, **named):
+        aligned.append(voxels)
+        return align(voxels, *arguments, **named)
+
+    monkeypatch.setattr(small_gicp, "align", counted)
+    monkeypatch.setattr("docdepth.odometry.registration.first_motion", lambda *_: np.eye(4))
+    np.testing.assert_array_equal(estimate_poses(drive, checkpoint=tmp_path), whole)
+    assert len(aligned) == 2 * COUNT - sum(known)
+    drive.read.clear()
+    aligned.clear()
+    np.testing.assert_array_equal(estimate_poses(drive, checkpoint=tmp_path), whole)
+    assert drive.read == [0]  # whether it is raw
+    assert not aligned
+
+
+def _head(file: Path) -> str:
+    return file.read_bytes().split(b"\n")[0].decode()
+
+
+def test_other_parameters_begin_anew(drive, tmp_path) -> None:
+    estimate_poses(drive, checkpoint=tmp_path)
+    drive.read.clear()
+    estimate_poses(drive, OdometryParameters(voxel_size=1.5), checkpoint=tmp_path)
+    assert len(set(drive.read)) == COUNT
+
+
+@pytest.mark.parametrize("cut", [-100, -1000])
+@pytest.mark.parametrize("name", ["pass_1.log", "pass_2.log"])
+def test_a_torn_log_is_taken_up_to_the_tear(drive, whole, tmp_path, name: str, cut: int) -> None:
+    with pytest.raises(Stopped):
+        estimate_poses(drive, progress=until(10), checkpoint=tmp_path)
+    file = tmp_path / name
+    content = bytearray(file.read_bytes())
+    content[cut:] = bytes(-cut)  # blocks that were not written when the power failed
+    file.write_bytes(content)
+    np.testing.assert_array_equal(estimate_poses(drive, checkpoint=tmp_path), whole)
+
+
+def test_rows_are_read_as_they_were_written(tmp_path) -> None:
+    rng, file = np.random.default_rng(3), tmp_path / "notes" / "pass_1.log"
+    rows = [Found(rng.normal(size=(4, 4)), rng.normal(size=(3, 3)), k % 3 > 0) for k in range(9)]
+    for begin, end in ((0, 4), (4, 4), (4, 9)):
+        log = RegistrationLog(file, "key")
+        assert len(log) == begin
+        for row in rows[begin:end]:
+            log.add(row)
+        log.close()
+    log = RegistrationLog(file, "key")
+    for k, row in enumerate(rows):
+        found = log.found(k)
+        assert found is not None
+        np.testing.assert_array_equal(found.pose, row.pose)
+        np.testing.assert_array_equal(found.covariance, row.covariance)
+        assert found.usable == row.usable
+    assert log.found(9) is None
+    assert len(RegistrationLog(file, "other")) == 0
+    whole = file.read_bytes()
+    for cut in range(0, len(whole), 7):
+        file.write_bytes(whole[:cut])
+        assert len(RegistrationLog(file, "key")) == max(cut - 4, 0) // 208
+
+
+def test_a_log_that_cannot_be_written(tmp_path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunError, match=r"pass_1\.log: .*; it continues where it stopped"):
+        RegistrationLog(tmp_path / "file" / "pass_1.log").add(Found(np.eye(4), np.eye(3), True))
+
+
+# ---- the map, built again from the last sweeps alone
+
+REACH = 3.0  # metres that a sweep of these tests sees
+VOXEL = 0.5
+
+
+def _cloud(rng: np.random.Generator) -> small_gicp.PointCloud:
+    points = rng.normal(size=(300, 3))
+    points *= REACH * rng.uniform(0, 1, (300, 1)) / np.linalg.norm(points, axis=1, keepdims=True)
+    cloud = small_gicp.PointCloud(points)
+    small_gicp.estimate_covariances(cloud, small_gicp.KdTree(cloud), 10, 1)
+    return cloud
+
+
+def _content(voxels: small_gicp.GaussianVoxelMap) -> tuple[np.ndarray, np.ndarray]:
+    points, covariances = voxels.voxel_points(), voxels.voxel_covs()
+    points, covariances = np.array(points), np.array(covariances)
+    order = np.lexsort(points.T)
+    return points[order], covariances[order]
+
+
+def _paths() -> dict[str, np.ndarray]:
+    steps = np.arange(400)
+    ahead = np.stack([0.2 * steps, 0 * steps, 0 * steps], 1)
+    there = np.where(steps < 200, steps, 399 - steps)
+    stops = np.minimum(steps, 150) + np.maximum(steps - 300, 0)
+    ring, large = 2 * np.pi * steps / 170, 2 * np.pi * steps / 350
+    rng = np.random.default_rng(2)
+    return {
+        "ahead": ahead,
+        "there and back": np.stack([0.2 * there, 0 * steps, 0 * steps], 1),
+        "a stop": np.stack([0.2 * stops, 0 * steps, 0 * steps], 1),
+        "round and round": 8 * np.stack([np.cos(ring), np.sin(ring), 0 * ring], 1),
+        "large rings": 20 * np.stack([np.cos(large), np.sin(large), 0 * ring], 1),
+        "at random": rng.normal(0, 0.6, (400, 3)).cumsum(0),
+        "on the spot": rng.normal(0, 0.1, (400, 3)),
+    }
+
+
+@pytest.mark.parametrize("name", _paths())
+def test_a_map_of_the_last_sweeps_is_the_whole_map(name: str) -> None:
+    rng = np.random.default_rng(7)
+    positions, clouds = _paths()[name], [_cloud(rng) for _ in range(40)]
+
+    def insert(voxels: small_gicp.GaussianVoxelMap, k: int) -> None:
+        pose = np.eye(4)
+        pose[:3, 3] = positions[k]
+        voxels.insert(clouds[k % len(clouds)], pose)
+
+    every, skipped = small_gicp.GaussianVoxelMap(VOXEL), 0
+    for k in range(len(positions)):
+        insert(every, k)
+        if k % 37 != 36:
+            continue
+        first = first_insertion(positions[: k + 1], 2 * REACH + 2 * VOXEL)
+        assert first % CLEAR_CYCLE == 0
+        skipped = max(skipped, first)
+        again = small_gicp.GaussianVoxelMap(VOXEL)
+        for j in range(first, k + 1):
+            insert(again, j)
+        for expected, found in zip(_content(every), _content(again), strict=True):
+            np.testing.assert_array_equal(found, expected)
+    if name in ("ahead", "large rings"):
+        assert skipped > 100
+    if name == "on the spot":
+        assert skipped == 0
+    assert FORGOTTEN == 110
