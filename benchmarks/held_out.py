@@ -135,13 +135,13 @@ def said(folder: Path) -> list[str]:
         check = check_calibration(folder)
         found += [] if check.agrees else [check.verdict]
     except CalibrationError as error:
-        found.append(f"(check: {error})")
+        found.append(str(error).replace(str(folder), "the run"))
     try:
         times = time_offset(folder)
         if abs(times.seconds) > max(2 * times.error, 0.005):
             found.append(times.lines[0])
     except CalibrationError as error:
-        found.append(f"(time: {error})")
+        found.append(f"(no times: {error})")
     return found
 
 
@@ -189,7 +189,7 @@ def table(rows: list[Row]) -> Table:
               "held-out wrong %", "named")  # fmt: skip
     lines = []
     for drive, preset, name, found in rows:
-        named = "; ".join(one.split(":")[0] for one in found["said"] if not one.startswith("("))
+        named = "; ".join(one[:90] for one in found["said"] if not one.startswith("("))
         figures = [number(figure(found, *which), 3) for which in FIGURES]
         lines.append((drive, preset, name, *figures, named or "-"))
     return Table("held-out error against exact error", header, tuple(lines))
@@ -197,18 +197,23 @@ def table(rows: list[Row]) -> Table:
 
 def correlations(rows: list[Row]) -> Table:
     """Of exact and held-out errors over the rows: of values, of logarithms, of ranks."""
-    seen = [found for *_, name, found in rows if name not in UNSEEN]
+    seen = [row for row in rows if row[2] not in UNSEEN]
+    groups = {
+        "what the LiDAR can see": seen,
+        "the same, preset default": [row for row in seen if row[1] == "default"],
+        "all rows": rows,
+    }
     lines = []
-    for chosen, of in ((seen, "what the LiDAR can see"), ([r[3] for r in rows], "all rows")):
+    for of, chosen in groups.items():
         for name in ("mae", "wrong"):
-            pair = np.array(
-                [[figure(f, judge, name) for judge in ("exact", "held")] for f in chosen]
-            )
+            judges = ("exact", "held")
+            pair = np.array([[figure(row[3], j, name) for j in judges] for row in chosen])
             ranks = pair.argsort(axis=0).argsort(axis=0)
             values = [np.corrcoef(x.T)[0, 1] for x in (pair, np.log(pair), ranks)]
-            lines.append((of, name, str(len(pair)), *(number(float(v), 3) for v in values)))
-    return Table("correlation", ("rows", "figure", "number", "r", "r of logs", "of ranks"),
-                 tuple(lines))  # fmt: skip
+            cells = (number(float(value), 3) for value in values)
+            lines.append((of, name, str(len(pair)), *cells))
+    header = ("rows", "figure", "number", "r", "r of logs", "of ranks")
+    return Table("correlation", header, tuple(lines))
 
 
 if __name__ == "__main__":

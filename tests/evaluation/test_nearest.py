@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from docdepth.evaluation.nearest import nearest_neighbors
+from docdepth.evaluation.nearest import cloud_distance, nearest_neighbors
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -33,3 +34,16 @@ def test_without_points_or_queries_there_are_no_neighbours() -> None:
     none, one = np.empty((0, 3), np.float32), np.ones((1, 3), np.float32)
     assert np.isinf(nearest_neighbors(none, one, 1.0)[1]).all()
     assert len(nearest_neighbors(one, none, 1.0)[0]) == 0
+
+
+def test_distance_of_large_clouds_is_told_by_some_of_their_points() -> None:
+    """Each way every third of 120,000 points asks; the sum and the number are of these."""
+    random = np.random.default_rng(8)
+    cloud = random.uniform(-20, 20, (120_000, 3))
+    other = cloud[::-1] + random.normal(0, 0.02, cloud.shape)
+    total, count = cloud_distance(cloud, other)
+    assert count == 2 * 40_000
+    trees = cKDTree(cloud), cKDTree(other)
+    expected = trees[0].query(other[::3])[0].sum() + trees[1].query(cloud[::3])[0].sum()
+    assert total == pytest.approx(expected, rel=1e-3)
+    assert cloud_distance(cloud, cloud[:0]) == (0.0, 0)

@@ -96,7 +96,9 @@ class LeftOut:
         """In words, for the title of a table."""
         if self.lidar is not None:
             return f"sweeps of LiDAR {self.lidar}, which was left out"
-        return f"sweeps, every {self.beams}-th beam left out" if self.beams else "held-out sweeps"
+        if self.beams is not None:
+            return f"sweeps of which every {self.beams}-th beam was left out"
+        return "held-out sweeps"
 
 
 def _by_number(record: FrameRecord, rig: SensorRig | None) -> Iterator[tuple[int, LidarView]]:
