@@ -2,8 +2,9 @@
 
 Atheris (``pip install atheris``) changes small files byte by byte and keeps what reaches new lines
 of docdepth. Whatever ends otherwise than in a result or an error of docdepth is a find: another
-exception, more than 2 GB of memory, more than two seconds. Each kind of find is kept once, with the
-file, in ``OUT/READER/finds``; ``figures.json`` has the executions and finds of each reader.
+exception, more than 2 GB of memory, more than two seconds of the processor. Each kind of find is
+kept once, with the file, in ``OUT/READER/finds``; ``figures.json`` has the executions and finds of
+each reader.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import warnings
 from pathlib import Path
 
 MEMORY = 2 << 30  # bytes more than the readers and their libraries take
-SLOWEST = 2.0  # seconds of one file
+SLOWEST = 2.0  # seconds of the processor for one file
 LONGEST = 8192  # bytes of a file
 
 
@@ -46,14 +47,14 @@ def fuzz(name: str, out: Path, seconds: int) -> None:
 
     def one(data: bytes) -> None:
         file.write_bytes(data)
-        begun = time.perf_counter()
+        begun = time.process_time()
         try:
             reader.read(file)
         except DocDepthError:
             pass
         except Exception as error:
             keep(_kind(error), data, traceback.format_exc())
-        if (taken := time.perf_counter() - begun) > SLOWEST:
+        if (taken := time.process_time() - begun) > SLOWEST:
             keep("slow", data, f"{taken:.1f} s")
 
     def keep(kind: str, data: bytes, told: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -130,6 +131,26 @@ def test_a_log_that_cannot_be_written(tmp_path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(RunError, match=r"pass_1\.log: .*; it continues where it stopped"):
         RegistrationLog(tmp_path / "file" / "pass_1.log").add(Found(np.eye(4), np.eye(3), True))
+
+
+def test_a_disk_that_fills_up_within_a_row(tmp_path) -> None:
+    """The system then writes what fits, and says so only by the count."""
+    rows = [Found(k * np.eye(4), np.eye(3), True) for k in range(3)]
+    file = tmp_path / "\udcff" / "pass_1.log"
+    log = RegistrationLog(file, "\udcff")
+    log.add(rows[0])
+    stream, write = log._stream, log._stream.write
+    log._stream = SimpleNamespace(write=lambda data: write(data[:100]), close=stream.close)
+    with pytest.raises(RunError, match="No space left on device; make room"):
+        log.add(rows[1])
+    log.close()
+    log = RegistrationLog(file, "\udcff")
+    assert len(log) == 1
+    log.add(rows[2])
+    log.close()
+    found = RegistrationLog(file, "\udcff").found(1)
+    assert found is not None
+    np.testing.assert_array_equal(found.pose, rows[2].pose)
 
 
 # ---- the map, built again from the last sweeps alone

@@ -152,6 +152,18 @@ def test_a_recording_that_is_broken_is_refused(drive: Path, tmp_path: Path) -> N
     assert make(drive, tmp_path / "run", "--on-error", "never").exit_code == 2
 
 
+def test_a_recording_of_another_format_is_refused(drive: Path, tmp_path: Path) -> None:
+    for k in range(COUNT):
+        file = drive / "velodyne" / f"{k:06d}.bin"
+        points = np.fromfile(file, np.float32).reshape(-1, 4)
+        rows = np.zeros((len(points) // 4 * 4, 5), np.float32)
+        rows[:, :4] = points[: len(rows)]
+        rows.tofile(file)
+    result = make(drive, tmp_path / "run", "--on-error", "skip")
+    assert result.exit_code == 2
+    assert "looks like 5 float32 a point" in str(result.exception)
+
+
 def test_ranges_without_some_sweeps(drive: Path) -> None:
     whole = open_dataset(drive)
     part = FrameRange(whole, "1:8", [3, 4], {"image_2": ["000006"]})

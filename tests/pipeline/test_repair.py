@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -276,6 +277,8 @@ def test_a_dry_run_makes_nothing(root):
     result = again(root, "--dry-run")
     assert result.exit_code == 0, result.output
     assert "makes: odometry, classify, render image_2" in result.output
+    said = " ".join(result.output.split())
+    assert re.search(r"4 sweeps of \d+ points, .* [\d.]+ GB of memory and [\d.]+ GB on disk", said)
     assert not (root / "run").exists()
     assert again(root).exit_code == 0
     before = {p: p.stat().st_mtime_ns for p in (root / "run").rglob("*")}

@@ -43,6 +43,7 @@ def show_states(folder: RunFolder, as_json: bool, verify: bool = False) -> None:
                 "in_use_by": busy,
                 "stages": [state.as_dict() for state in found],
                 "skipped": skipped,
+                "estimate": folder.manifest.get("estimate", ""),
             }
         )
     table = Table("stage", "state", "frames", "seconds", "MB", "why", box=None)
@@ -55,6 +56,7 @@ def show_states(folder: RunFolder, as_json: bool, verify: bool = False) -> None:
     lines += [f"left out: {text}" for text in skipped]
     lines += changes_since_start(folder)
     if left := [state.name for state in found if state.state != "done"]:
+        lines += [str(folder.manifest["estimate"])] * ("estimate" in folder.manifest)
         lines.append(f"docdepth run {folder.path} makes: {', '.join(left)}")
     for line in lines:
         out.print(line, soft_wrap=True, markup=False)

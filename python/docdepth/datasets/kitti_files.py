@@ -36,7 +36,7 @@ def find_sweeps(folder: Path, problems: Collector) -> list[Path]:
     if are_broken_frames_tolerated():
         if files:
             with problems.collected():
-                readable(lambda k: read_sweep(files[k], k), [0], len(files))
+                readable(lambda k: _check_sweep(files[k], k), [0], len(files))
         return files
     sizes = np.array([_file_size(file) for file in files], np.int64)
     kinds = (sizes < 0, sizes == 0, (sizes > 0) & (sizes % _POINT_BYTES > 0))
@@ -89,6 +89,11 @@ def read_sweep(file: Path, frame: int) -> tuple[NDArray[np.float32], NDArray[np.
         raise _bad_size(file, frame, len(content))
     rows = np.frombuffer(content, "<f4").reshape(-1, 4)
     return rows[:, :3].astype(np.float32), rows[:, 3].astype(np.float32)
+
+
+def _check_sweep(file: Path, frame: int) -> None:
+    read_sweep(file, frame)
+    _check_format(file, frame)
 
 
 def _file_size(file: Path) -> int:

@@ -6,7 +6,9 @@ were registered before. So the poses are those of a pass that was not interrupte
 
 from __future__ import annotations
 
+import errno
 import logging
+import os
 import zlib
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -60,7 +62,7 @@ class RegistrationLog:
     """
 
     def __init__(self, path: Path | None = None, key: str = "") -> None:
-        self._path, self._head = path, key.replace("\n", " ").encode() + b"\n"
+        self._path, self._head = path, _head(key)
         self._rows = np.zeros(0, _ROW) if path is None else _read(path, self._head)
         self._count = len(self._rows)
         self._stream: BinaryIO | None = None
@@ -88,10 +90,12 @@ class RegistrationLog:
         row = np.zeros((), _ROW)
         row["pose"], row["covariance"], row["usable"] = found
         data = row.tobytes()[:_SUMMED]
+        data += _checksum(data, self._count)
         try:
             if self._stream is None:
                 self._stream = self._opened(self._path)
-            self._stream.write(data + _checksum(data, self._count))
+            if self._stream.write(data) < len(data):  # what was left of the disk
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
             raise RunError(
                 f"cannot write {self._path}: {error.strerror}; make room or choose a folder that "
@@ -152,6 +156,11 @@ def first_insertion(positions: NDArray[np.float64], reach: float) -> int:
     before = np.concatenate([[-FORGOTTEN - 1], near[:-1]])
     begins = near[near - before > FORGOTTEN]
     return int(begins[-1]) // CLEAR_CYCLE * CLEAR_CYCLE if len(begins) else 0
+
+
+def _head(key: str) -> bytes:
+    """First line of a file; a path in the key may be of any bytes."""
+    return key.replace("\n", " ").encode("utf-8", "surrogateescape") + b"\n"
 
 
 def _read(path: Path, head: bytes) -> NDArray[np.void]:

@@ -323,12 +323,13 @@ def _follow_recording(folder: RunFolder, recording: Dataset) -> None:
 
 
 def _check(folder: RunFolder, recording: Dataset) -> None:
-    """Check all inputs of a run that has something to do; warnings are kept in run.yaml."""
+    """Check all inputs of a run that has something to do; what is found is kept in run.yaml."""
     source, cameras = folder.manifest["source"], run_cameras(folder, recording)
     streams = [camera.stream for camera in cameras]
     report = check_opened(source, recording, streams, folder.parameters, folder.path)
     raise_problems(report.problems)
     folder.manifest["warnings"] = [problem.text for problem in report.problems]
+    folder.manifest["estimate"] = report.summary
     for problem in report.problems:
         log.warning("%s", problem.text)
 
