@@ -14,6 +14,7 @@ from vehicles import nuscenes_tables
 
 from docdepth.datasets import open_dataset, usable_points
 from docdepth.datasets.point_times import TimeSample, find_point_times
+from docdepth.datasets.viewpoint import find_viewpoint
 from docdepth.errors import DatasetError
 from docdepth.geometry.sensor_rig import lidar_views
 
@@ -134,6 +135,17 @@ def test_a_real_scene_of_dgp(recordings: Path) -> None:
         pose = entry["datum"]["image"]["pose"]["translation"]
         own = (dataset.poses[0] @ np.linalg.inv(stream.T_camera_lidar))[:3, 3]
         np.testing.assert_allclose(own, [pose[a] for a in "xyz"], atol=1e-4)
+
+
+def test_the_lidars_of_a_real_merged_cloud_are_told_apart(recordings: Path) -> None:
+    """One sits in the bumper, the others on the roof, in the order of the points."""
+    found = find_viewpoint(open_dataset(recordings / "dgp"))
+    assert found is not None
+    places = np.array(found.places)
+    assert len(places) >= 3
+    assert places[0, 0] > places[1:, 0].max(), "the bumper is ahead"
+    assert places[0, 2] < 1.5 < places[1:, 2].min() <= places[1:, 2].max() < 2.5
+    assert found.share > 0.9, "0.87 from one place"
 
 
 def test_a_real_log_of_argoverse_2(recordings: Path, tmp_path: Path) -> None:

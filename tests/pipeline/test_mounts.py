@@ -188,7 +188,9 @@ def test_where_the_rays_begin_is_found_for_points_in_the_frame_of_the_vehicle():
     found = find_viewpoint(_Made([cloud + PLACE for cloud in clouds]))
     assert found is not None
     assert found.share > 0.9 > 0.75 > found.at_origin
-    assert (np.abs(found.place - PLACE) < (0.2, 0.2, 0.8)).all(), "a bare yard hardly tells height"
+    assert (np.abs(np.array(found.places[0]) - PLACE) < (0.2, 0.2, 0.8)).all(), (
+        "a bare yard hardly tells height"
+    )
 
 
 def test_a_run_of_points_in_the_frame_of_the_vehicle(tmp_path, caplog):

@@ -96,7 +96,7 @@ class DgpScene(Recording):
     ----------
     path : Path
         Folder with ``scene_*.json``, ``calibration`` and the data. DDAD's points are of several
-        LiDARs in the vehicle's frame: say ``looks_from`` in ``docdepth.yaml``.
+        LiDARs in the vehicle's frame, one after the other; a run finds where they are.
     image_size : (int, int), optional
         Not used: the scene tells the size.
     """

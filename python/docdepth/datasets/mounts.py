@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.datasets.base import CameraStream, Dataset, LidarStream, Sweep
+from docdepth.datasets.merged_lidars import Place, lidar_ends, rig_in_order
 from docdepth.datasets.tolerance import broken_frames_tolerated, readable
 from docdepth.geometry.ground_plane import GroundPlane, find_ground, level_turn
 from docdepth.geometry.points import usable_points
@@ -59,8 +60,9 @@ class Mounted:
     tilted : Dataset
     up : array_like, shape (3,), optional
         Unit vector that points up, LiDAR frame of the recording. Without it nothing is turned.
-    looks_from : array_like, shape (3,), optional
-        Where the rays of the LiDAR begin, metres in the LiDAR frame of the recording.
+    looks_from : array_like, shape (3,) or (k, 3), optional
+        Where the rays of the LiDAR begin, metres in the LiDAR frame of the recording; of several
+        LiDARs, in the order of their returns in a sweep.
 
     Attributes
     ----------
@@ -71,7 +73,10 @@ class Mounted:
     def __init__(
         self, tilted: Dataset, up: ArrayLike | None = None, looks_from: ArrayLike | None = None
     ) -> None:
-        self._tilted, self._up, self._looks_from = tilted, up, looks_from
+        self._tilted, self._up = tilted, up
+        places = np.array([] if looks_from is None else looks_from, np.float64).reshape(-1, 3)
+        self._places: list[Place] = [(x, y, z) for x, y, z in places.tolist()]
+        self._lidar_ends: dict[int, NDArray[np.intp]] = {}
         self.name, self.path, self.times = tilted.name, tilted.path, tilted.times
         self.T_level_lidar = np.eye(4)
         if up is not None:
@@ -100,10 +105,17 @@ class Mounted:
     def sweep(self, index: int) -> Sweep:
         """Sweep ``index``, turned."""
         sweep = self._tilted.sweep(index)
-        if self._looks_from is not None and sweep.sensor_rig is None:
-            rig = SensorRig.single(self._looks_from, len(sweep.points))
-            sweep = replace(sweep, sensor_rig=rig)
+        if self._places and sweep.sensor_rig is None:
+            sweep = replace(sweep, sensor_rig=self._rig(index, sweep.points))
         return sweep if self._up is None else self._turned(sweep, self._leans)
+
+    def _rig(self, index: int, points: NDArray[np.float32]) -> SensorRig:
+        """Which LiDAR measured each point; it is found once for each sweep."""
+        if len(self._places) == 1:
+            return SensorRig.single(self._places[0], len(points))
+        if index not in self._lidar_ends:
+            self._lidar_ends[index] = lidar_ends(points, self._places)
+        return rig_in_order(self._places, self._lidar_ends[index])
 
     def sweep_files(self, index: int) -> list[Path]:
         """The files of sweep ``index``."""

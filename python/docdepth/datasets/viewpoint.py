@@ -1,4 +1,10 @@
-"""Where the rays of a sweep begin, found by what makes neighbours of its returns."""
+"""Where the rays of a sweep begin, found by what makes neighbours of its returns.
+
+Returns that are neighbours as seen from the LiDAR lie on one surface. Seen from elsewhere, near and
+far returns are mixed, and some are lonely. Of two places between which that hardly decides, as of
+one above the other, the one is taken from which rays are evenly spaced, or that is nearer to the
+origin.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +16,7 @@ from numpy.typing import NDArray
 
 from docdepth import _core
 from docdepth.datasets.base import Dataset
+from docdepth.datasets.merged_lidars import Cloud, Place, find_lidars, lidar_ends, rig_in_order
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.scan_mesh import share_in_triangles
 from docdepth.geometry.sensor_rig import SensorRig
@@ -17,7 +24,11 @@ from docdepth.geometry.sensor_rig import SensorRig
 LEAST_IN_TRIANGLES = 0.75
 """Share of returns with neighbours: 0.94 to 0.98, and 0.38 to 0.70 from 1.9 m beside the LiDAR."""
 
+_ALWAYS_LONELY = 0.01  # share of returns that nothing is known of
+_PER_METRE, _PER_SPREAD = 0.06, 0.25  # fewer lonely returns, relatively, make up for them
 _RAYS, _NEAREST = 1500, 1.0  # that are asked for the ray next to them; metres
+_ORIGIN = (0.0, 0.0, 0.0)
+_LESS_LONELY = 0.8  # times the lonely returns of one mesh: then there are several LiDARs
 _SAMPLES, _FEWEST = 2, 500  # sweeps, and points of one; fewer tell nothing
 _HEIGHTS = (0.0, 1.0, 2.0)  # metres above the origin, where a search may start
 _STEPS = (1.0, 0.5, 0.25, 0.1)  # metres
@@ -25,29 +36,29 @@ _FARTHEST = 4.0  # metres from the origin along each axis: no LiDAR sits farther
 
 
 class Viewpoint(NamedTuple):
-    """Where a LiDAR is in the frame of its points.
+    """Where the LiDARs of a sweep are, in the frame of its points.
 
     Attributes
     ----------
-    place : tuple of float
-        x, y, z in metres.
+    places : list of tuple of float
+        x, y, z in metres. Of several LiDARs, in the order of their returns.
     share : float
         Of the returns that have neighbours, seen from there.
     at_origin : float
         The same, seen from the origin.
     """
 
-    place: tuple[float, float, float]
+    places: list[Place]
     share: float
     at_origin: float
 
 
 def find_viewpoint(recording: Dataset) -> Viewpoint | None:
-    """The place from which most returns have neighbours, if the origin clearly is not it.
+    """The place from which fewest returns are lonely, if the origin clearly is not it.
 
-    Returns that are neighbours as seen from the LiDAR lie on one surface. Seen from elsewhere, near
-    and far returns are mixed; from above that shows little, but there the rays of a LiDAR are no
-    longer evenly spaced.
+    Where returns of several LiDARs lie one after the other, there are several places. They hide
+    each other: even from one place they are less lonely in meshes of their own. Parts of what one
+    LiDAR measured are not.
 
     Returns
     -------
@@ -64,45 +75,68 @@ def find_viewpoint(recording: Dataset) -> Viewpoint | None:
         clouds += [points] if len(points) > _FEWEST else []
     if not clouds:
         return None
-    origin = (0.0, 0.0, 0.0)
-    at_origin = _share(clouds, origin)
+    at_origin = _share(clouds, _ORIGIN)
     if at_origin >= LEAST_IN_TRIANGLES:
         return None
-    known: dict[tuple[float, float, float], float] = {}
-    place = max(((0.0, 0.0, z) for z in _HEIGHTS), key=lambda p: _known(clouds, p, known))
+    place = _best_place(clouds)
+    best = Viewpoint([place], _share(clouds, place), at_origin)
+    places = find_lidars(clouds, place) if len(clouds) == _SAMPLES else [place]
+    if len(places) == 1:
+        return best
+    ends = [lidar_ends(cloud, places) for cloud in clouds]
+    one_place = _share_apart(clouds, [place] * len(places), ends)
+    apart = _share_apart(clouds, places, ends)
+    lonely = _LESS_LONELY * (1 - best.share)
+    if 1 - one_place < lonely and 1 - apart < lonely:
+        return Viewpoint(places, apart, at_origin)
+    return best
+
+
+def _share_apart(clouds: list[Cloud], places: list[Place], ends: list[NDArray[np.intp]]) -> float:
+    """Share of returns that have neighbours in the meshes of several LiDARs."""
+    shares = [
+        share_in_triangles(cloud, rig_in_order(places, own))
+        for cloud, own in zip(clouds, ends, strict=True)
+    ]
+    return float(np.mean(shares))
+
+
+def _best_place(clouds: list[Cloud]) -> Place:
+    """By steps that become finer, from the best of some places above the origin."""
+    known: dict[Place, float] = {}
+    place = min(((0.0, 0.0, z) for z in _HEIGHTS), key=lambda p: _known(clouds, p, known))
     for step in _STEPS:
         while True:
             ways = itertools.product(range(3), (-step, step))
             around = [_moved(place, axis, by) for axis, by in ways]
-            best = max(around, key=lambda p: _known(clouds, p, known))
-            if known[best] <= _known(clouds, place, known) or np.abs(best).max() > _FARTHEST:
+            best = min(around, key=lambda p: _known(clouds, p, known))
+            if known[best] >= _known(clouds, place, known) or np.abs(best).max() > _FARTHEST:
                 break
             place = best
-    return Viewpoint(place, _share(clouds, place), at_origin)
+    return place
 
 
-def _moved(place: tuple[float, float, float], axis: int, by: float) -> tuple[float, float, float]:
+def _moved(place: Place, axis: int, by: float) -> Place:
     x, y, z = (round(value + by * (k == axis), 3) for k, value in enumerate(place))
     return x, y, z
 
 
-def _known(
-    clouds: list[NDArray[np.float32]],
-    place: tuple[float, float, float],
-    known: dict[tuple[float, float, float], float],
-) -> float:
+def _known(clouds: list[Cloud], place: Place, known: dict[Place, float]) -> float:
+    """Logarithm of the share of lonely returns, and a little for what decides between equals."""
     if place not in known:
-        spread = np.mean([_spread(cloud, place) for cloud in clouds])
-        known[place] = _share(clouds, place) - float(spread)
+        lonely = 1 - _share(clouds, place) + _ALWAYS_LONELY
+        spread = float(np.mean([_spread(cloud, place) for cloud in clouds]))
+        little = _PER_SPREAD * spread + _PER_METRE * float(np.linalg.norm(place))
+        known[place] = float(np.log(lonely)) + little
     return known[place]
 
 
-def _share(clouds: list[NDArray[np.float32]], place: tuple[float, float, float]) -> float:
+def _share(clouds: list[Cloud], place: Place) -> float:
     shares = [share_in_triangles(c, SensorRig.single(place, len(c))) for c in clouds]
     return float(np.mean(shares))
 
 
-def _spread(cloud: NDArray[np.float32], place: tuple[float, float, float]) -> float:
+def _spread(cloud: Cloud, place: Place) -> float:
     """Spread of the angle from a ray to the next one, as the logarithm of its quartiles' ratio."""
     rays = cloud - np.array(place, np.float32)
     ranges = np.linalg.norm(rays, axis=1)

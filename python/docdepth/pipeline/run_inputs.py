@@ -144,24 +144,32 @@ def _part(recording: Dataset, source: dict[str, Any]) -> Dataset:
     return kept_part(recording, source)
 
 
-def find_looks_from(recording: Dataset, begun: dict[str, Any] | None = None) -> list[float] | None:
+def find_looks_from(recording: Dataset, begun: dict[str, Any] | None = None) -> list[Any] | None:
     """Where rays begin, found where they clearly do not begin at the origin; metres.
+
+    [x, y, z], or a list of them for the LiDARs of merged sweeps in the order of their returns.
 
     The arguments are those of :func:`find_up`.
     """
     if begun:
-        found: list[float] | None = begun.get("looks_from")
+        found: list[Any] | None = begun.get("looks_from")
         return None if recording.sweep(0).sensor_rig is not None else found
     viewpoint = None if recording.name == "run" else find_viewpoint(recording)
     if viewpoint is None or viewpoint.share < LEAST_IN_TRIANGLES:
         return None  # if returns lack neighbours, a run warns of it
+    several = len(viewpoint.places) > 1
     log.warning(
-        "%s: seen from the origin, %.0f %% of the returns have neighbours in their sweep, from "
-        "[%g, %g, %g] %.0f %%: rays are taken to begin there. Say by looks_from in docdepth.yaml "
-        "where the LiDAR is if you know it, and give several LiDARs as several",
-        recording.path, 100 * viewpoint.at_origin, *viewpoint.place, 100 * viewpoint.share,
+        "%s: seen from the origin, %.0f %% of the returns have neighbours in their sweep, from %s "
+        "%.0f %%: rays are taken to begin there. %s",
+        recording.path, 100 * viewpoint.at_origin,
+        " and ".join("[{:g}, {:g}, {:g}]".format(*place) for place in viewpoint.places),
+        100 * viewpoint.share,
+        "Its points are of several LiDARs, one after the other; bring them as several if you can"
+        if several
+        else "Say by looks_from in docdepth.yaml where the LiDAR is if you know it, and bring "
+        "several LiDARs as several",
     )  # fmt: skip
-    return list(viewpoint.place)
+    return [list(place) for place in viewpoint.places] if several else list(viewpoint.places[0])
 
 
 def find_up(recording: Dataset, begun: dict[str, Any] | None = None) -> list[float] | None:
