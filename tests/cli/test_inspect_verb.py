@@ -59,7 +59,7 @@ def test_errors_of_poses_and_pages(tmp_path: Path) -> None:
     other.write_text("mine")
     result = cli("inspect", sequence, "-o", other)
     assert result.exit_code == 2
-    assert "is no page of docdepth inspect" in str(result.exception)
+    assert "is no page of docdepth; name another file" in str(result.exception)
     assert other.read_text() == "mine"
     assert "is a folder" in str(cli("inspect", sequence, "-o", tmp_path).exception)
 
