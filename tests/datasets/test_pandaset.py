@@ -73,11 +73,7 @@ def test_a_pickle_that_would_run_a_program(pandaset: Path, tmp_path: Path) -> No
     assert not (tmp_path / "ran").exists()
 
 
-@pytest.mark.parametrize(
-    "content",
-    [b"", b"nothing", gzip.compress(pickle.dumps([1, 2]))],
-    ids=["empty", "text", "list"],  # the bytes of gzip hold the time, an id must not
-)
+@pytest.mark.parametrize("content", [b"", b"nothing", gzip.compress(pickle.dumps([1, 2]))])
 def test_a_sweep_of_pandaset_that_is_no_table(pandaset: Path, content: bytes) -> None:
     (pandaset / "lidar" / "01.pkl.gz").write_bytes(content)
     with pytest.raises(DatasetError, match=r"01\.pkl\.gz \(frame 1\) .*table of pandas"):
