@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
+
 import pytest
 
-from docdepth.cli import progress
+from docdepth.cli import progress, terminal
 from docdepth.cli.progress import duration, progress_lines
 
 
@@ -13,6 +15,17 @@ def lines(monkeypatch):
     told = []
     monkeypatch.setattr(progress.err, "print", lambda line, **options: told.append(line))
     return told
+
+
+def test_a_warning_is_printed_once_by_a_command(monkeypatch):
+    told = []
+    monkeypatch.setattr(terminal.err, "print", lambda text, **options: told.append(text))
+    log = logging.getLogger("docdepth.a_test")
+    for _ in range(2):
+        terminal.set_volume(quiet=False, verbose=False)
+        for frame in (1, 1, 2, 1):
+            log.warning("frame %d is odd", frame)
+    assert [text for text in told if "odd" in text] == ["frame 1 is odd", "frame 2 is odd"] * 2
 
 
 def feed(steps, seconds, total, start=0):

@@ -55,6 +55,10 @@ def summary_of(folder: RunFolder) -> dict[str, Any]:
     }
 
 
+_LEAST_SHARE = 0.1
+"""Of the seconds of a stage: smaller steps are not shown."""
+
+
 def show_summary(folder: RunFolder, as_json: bool = False) -> None:
     """Print seconds per stage, density, images left out, and what is not up to date."""
     from docdepth.pipeline.run_state import changes_since_start
@@ -64,10 +68,11 @@ def show_summary(folder: RunFolder, as_json: bool = False) -> None:
         return show_json(summary)
     if volume.quiet:
         return None
-    table = Table("stage", "frames", "seconds", "ms/frame", "seconds by step", box=None)
+    table = Table("stage", "frames", "seconds", "ms/frame", "seconds of larger steps", box=None)
     for name, state in summary["stages"].items():
         steps = sorted(state["seconds_by_step"].items(), key=lambda step: -step[1])
-        parts = ", ".join(f"{step} {seconds:.1f}" for step, seconds in steps)
+        least = max(0.05, _LEAST_SHARE * sum(seconds for _, seconds in steps))
+        parts = ", ".join(f"{step} {seconds:.1f}" for step, seconds in steps if seconds >= least)
         each = f"{1000 * state['seconds'] / state['made']:.0f}" if state["made"] else ""
         table.add_row(name, str(state["frames"]), f"{state['seconds']:.1f}", each, parts)
     out.print(table)

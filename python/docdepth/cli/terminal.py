@@ -48,12 +48,23 @@ volume = _Volume()
 
 
 class _Lines(logging.Handler):
-    """Log records as lines of their own, never broken at the width of a terminal."""
+    """Log records as lines of their own, never broken at the width of a terminal.
+
+    A recording is opened several times by one command; each of its warnings is printed once.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.printed: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
+        message = record.getMessage()
         if record.levelno >= logging.WARNING:
+            if message in self.printed:
+                return
+            self.printed.add(message)
             err.print("warning:", style="yellow", end=" ")
-        err.print(record.getMessage(), soft_wrap=True, markup=False)
+        err.print(message, soft_wrap=True, markup=False)
 
 
 _LINES = _Lines()
@@ -62,6 +73,7 @@ _LINES = _Lines()
 def set_volume(quiet: bool, verbose: bool) -> None:
     """Say how much is printed from now on."""
     volume.quiet, volume.verbose = quiet, verbose
+    _LINES.printed.clear()
     root = logging.getLogger()
     if _LINES not in root.handlers:
         root.addHandler(_LINES)
