@@ -175,8 +175,8 @@ CameraNames = Annotated[
     typer.Option(
         "--camera",
         metavar="NAME[,NAME...]",
-        help="Cameras to draw, as the recording names them (image_02), or all; the left colour "
-        "camera if absent.",
+        help="Cameras to draw, as the recording names them (image_02), all, or none for poses and "
+        "labels alone; the left colour camera if absent.",
     ),
 ]
 OneCamera = Annotated[

@@ -360,9 +360,14 @@ class RunFolder(RecordedFolder):
         Raises
         ------
         RunError
-            There is no such camera, or there are several and none is named.
+            There is no such camera, there are several and none is named, or the run has none.
         """
         folders = {name: str(entry["folder"]) for name, entry in self.cameras.items()}
+        if not folders and self.manifest.get("source"):
+            raise RunError(
+                f"{self.path} has no depth maps, since its run has no camera; name one: "
+                f"docdepth run DATASET -o {self.path} --camera NAME"
+            )
         if not folders:  # of the official release, or of arrays
             apart = (p.name for p in (self.path / "depth").glob("*") if p.is_dir())
             folders = {name: name for name in sorted(apart)} or {"camera": ""}

@@ -88,8 +88,8 @@ def run(
     layout : str, optional
         Layout of the recording; guessed if absent.
     camera : str or sequence of str, optional
-        Cameras to render, or ``all``; the left colour camera if absent. Cameras that the run has
-        already stay.
+        Cameras to render, ``all``, or ``none`` for poses and labels alone; the left colour camera
+        if absent. Cameras that the run has already stay.
     poses : Path or str, optional
         File of LiDAR poses ``T_world_lidar`` (TUM, KITTI, PLY, NPY); ``CAMERA:FILE`` for those of
         a camera; ``dataset`` for the recording's own. Estimated if absent.

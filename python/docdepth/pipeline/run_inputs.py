@@ -44,8 +44,8 @@ from docdepth.pipeline.virtual_camera import parse_size, virtual_stream
 
 log = logging.getLogger(__name__)
 
-ALL = "all"
-"""Name that stands for all cameras of a recording."""
+ALL, NO_CAMERA = "all", "none"
+"""Names that stand for all cameras of a recording, and for no camera: poses and labels alone."""
 
 
 @dataclass(frozen=True)
@@ -354,17 +354,20 @@ def known_poses(source: dict[str, Any], recording: Dataset) -> NDArray[np.float6
 
 def _camera_names(wanted: str | Sequence[str] | None, recording: Dataset) -> list[str]:
     """Names of the wanted cameras; the left colour camera if none is named."""
+    names = [wanted] if isinstance(wanted, str) else list(dict.fromkeys(wanted or ()))
+    if names == [NO_CAMERA]:
+        return []
     cameras = recording.cameras
     if not cameras:
         images = ", ".join(image_streams(recording))
         raise CalibrationError(
             f"{recording.path} has no calibrated camera; add its calibration"
             + (f", or find that of {images} by docdepth calibrate" if images else "")
+            + "; --camera none makes poses and labels alone"
         )
     if wanted is None:
         colour = [c for c in cameras if c in ("image_02", "image_2")]
         return [colour[0] if colour else next(iter(cameras))]
-    names = [wanted] if isinstance(wanted, str) else list(dict.fromkeys(wanted))
     if names == [ALL]:
         return list(cameras)
     for name in names:
