@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from typing import Literal
@@ -21,10 +22,26 @@ _CHUNK = 1 << 22  # bytes that are read at once for a checksum
 
 @dataclass
 class _Record:
+    __slots__ = ("checksum", "key", "size", "time")  # a long drive has many
     size: int
     time: int
     checksum: int
-    key: dict[str, str]
+    key: tuple[str, ...]
+    """Names and values in turn: half the size of a dict."""
+
+
+def _flat(key: dict[str, str]) -> tuple[str, ...]:
+    return tuple(sys.intern(str(part)) for item in key.items() for part in item)
+
+
+def _entry(record: _Record) -> dict[str, object]:
+    """A record as its line tells it."""
+    known = {"size": record.size, "time": record.time, "checksum": record.checksum}
+    return {**known, "key": _dict(record.key)}
+
+
+def _dict(flat: tuple[str, ...]) -> dict[str, str]:
+    return dict(zip(flat[::2], flat[1::2], strict=True))
 
 
 class FileRecords:
@@ -59,6 +76,7 @@ class FileRecords:
             entry = json.loads(line)
             name = str(entry.pop("name"))
             if entry:
+                entry["key"] = _flat(entry["key"])
                 self._records[name] = _Record(**entry)
             else:
                 self._records.pop(name, None)
@@ -78,9 +96,9 @@ class FileRecords:
 
     def add(self, name: str, written: Written, key: dict[str, str]) -> None:
         """Note a file; called before it gets its name."""
-        record = _Record(written.size, written.time, written.checksum, key)
+        record = _Record(written.size, written.time, written.checksum, _flat(key))
         with self._lock:
-            self._append(name, asdict(record))
+            self._append(name, _entry(record))
             self._records[name] = record
             self._states.pop(name, None)
 
@@ -116,7 +134,8 @@ class FileRecords:
         with self._lock:
             if self._lines <= 2 * len(self._records) + 100:
                 return
-            lines = [json.dumps({"name": n, **asdict(r)}) + "\n" for n, r in self._records.items()]
+            records = self._records.items()
+            lines = [json.dumps({"name": name, **_entry(r)}) + "\n" for name, r in records]
             part = self.path.with_name(self.path.name + ".part")
             part.write_text("".join(lines))
             os.replace(part, self.path)
@@ -124,11 +143,11 @@ class FileRecords:
 
     def key(self, name: str) -> dict[str, str]:
         """What a file was made of: a hash for each stage; empty if the file is not whole."""
-        return dict(self._records[name].key) if self.state(name) == "whole" else {}
+        return _dict(self._records[name].key) if self.state(name) == "whole" else {}
 
     def recorded_key(self, name: str) -> dict[str, str]:
         """What the record of a file says, whatever has become of the file."""
-        return dict(self._records[name].key) if name in self._records else {}
+        return _dict(self._records[name].key) if name in self._records else {}
 
     def size(self, name: str) -> int:
         """Bytes of a file; 0 without a record."""
