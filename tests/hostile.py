@@ -110,8 +110,9 @@ def _used(scene: Scene, made: Any) -> None:
         made.query_visibility(scene.points)
     elif isinstance(made, _core.Detections):
         _ = made.arrays
-        found = [made, *good["detections"], made]
-        _core.track_objects(found, np.arange(len(found)) * 0.1, _core.TrackParameters(), 1)
+        found = [made, *(good["read"](k) for k in range(4)), made]
+        times = np.arange(len(found)) * 0.1
+        _core.track_objects(found.__getitem__, times, _core.TrackParameters(), 1, good["take"], 2)
     elif isinstance(made, _core.GroundParameters):
         made.neighbors = 3
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -79,7 +80,9 @@ class Scene:
             "samples": samples,
             "borders": borders,
             "voxels": np.arange(9, dtype=np.uint64),
-            "detections": [detections] * 4,
+            "read": lambda sweep: detections,
+            "take": lambda found: None,
+            "held": 2,
             "times": np.arange(4) * 0.1,
             "K": np.array([[20.0, 0, 16], [0, 20, 12], [0, 0, 1]]),
             "width": 32,
@@ -167,6 +170,9 @@ class Scene:
             return self._list(value)
         if isinstance(value, str):
             return self._any(["", "egl", "egl:9", "\0", "\udcff", "x" * 5000, "surfaceless"])
+        if inspect.isfunction(value):
+            made = self._any([None, 3, np.zeros(3), (), self.good["mesh"], inspect.isfunction])[1]
+            return "a function of " + repr(made)[:40], lambda *given: made
         return self._instance(value)
 
     def _any(self, values: list[Any]) -> tuple[str, Any]:

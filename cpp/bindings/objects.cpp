@@ -153,7 +153,7 @@ py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bo
   return to_numpy(std::move(result), {static_cast<py::ssize_t>(sweep.points.rows())});
 }
 
-std::unique_ptr<Detections> make_detections(const Array<float>& points, const Array<bool>& ground,
+std::shared_ptr<Detections> make_detections(const Array<float>& points, const Array<bool>& ground,
                                             const Array<std::uint32_t>& objects,
                                             const Array<bool>& dynamic, const Array<bool>& one_stay,
                                             const Array<std::int32_t>& first_occupied,
@@ -174,7 +174,7 @@ std::unique_ptr<Detections> make_detections(const Array<float>& points, const Ar
   check_coordinates(points, "points of objects");
   const Pose T_world_lidar = as_pose(pose);
   const py::gil_scoped_release release;
-  return std::make_unique<Detections>(detect_objects(map, evidence, mesh, T_world_lidar));
+  return std::make_shared<Detections>(detect_objects(map, evidence, mesh, T_world_lidar));
 }
 
 /// Detections as arrays: per object its first row, its points, how many of them are dynamic, how
@@ -217,7 +217,7 @@ void take(const PointMap& points, Eigen::Index& row, std::uint32_t count, Sample
     into.push_back(points.row(row).transpose());
 }
 
-std::unique_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
+std::shared_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
                                           const Array<float>& areas, const Array<float>& boxes,
                                           const Array<float>& samples, const Array<float>& normals,
                                           const Array<float>& borders) {
@@ -234,7 +234,7 @@ std::unique_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
   if (!is_table(numbers, 8) || !is_table(areas, 4) || directions.rows() != all.rows())
     throw std::invalid_argument(
         "detections are numbers (K, 8), areas (K, 4), boxes (K, 6), samples and normals (M, 3)");
-  auto detections = std::make_unique<Detections>(extents.size());
+  auto detections = std::make_shared<Detections>(extents.size());
   Eigen::Index row = 0, normal = 0, border = 0;
   for (std::size_t k = 0; k < extents.size(); ++k) {
     Detection& object = (*detections)[k];
@@ -253,7 +253,7 @@ std::unique_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
   return detections;
 }
 
-py::tuple sweep_of(TrackedSweep& sweep) {
+py::tuple sweep_of(const TrackedSweep& sweep) {
   std::vector<std::uint32_t> members, tracks;
   std::vector<float> boxes;
   for (const Member& member : sweep.members)
@@ -265,9 +265,10 @@ py::tuple sweep_of(TrackedSweep& sweep) {
   const auto rows = static_cast<py::ssize_t>(sweep.members.size()),
              count = static_cast<py::ssize_t>(sweep.boxes.size()),
              voxels = static_cast<py::ssize_t>(sweep.voxels.size());
-  return py::make_tuple(
-      to_numpy(std::move(members), {rows, 3}), to_numpy(std::move(tracks), {count, 2}),
-      to_numpy(std::move(boxes), {count, kBoxValues}), to_numpy(std::move(sweep.voxels), {voxels}));
+  return py::make_tuple(to_numpy(std::move(members), {rows, 3}),
+                        to_numpy(std::move(tracks), {count, 2}),
+                        to_numpy(std::move(boxes), {count, kBoxValues}),
+                        to_numpy(std::vector<std::uint64_t>(sweep.voxels), {voxels}));
 }
 
 py::tuple object_of(const TrackedObject& object) {
@@ -289,30 +290,43 @@ py::tuple object_of(const TrackedObject& object) {
                         to_numpy(std::vector<double>(size), {3}), object.rigid);
 }
 
-/// A list with a tuple a sweep: members (first row, track, whether it becomes dynamic), tracks of
-/// boxes and whether they move, boxes, dynamic voxels. And one with a tuple a track: sweeps,
-/// points, poses, velocities, size, whether it is rigid.
-py::tuple track(const std::vector<const Detections*>& detections, const Array<double>& times,
-                const TrackParameters& parameters, int threads) {
-  const auto count = static_cast<py::ssize_t>(detections.size());
+/// Calls `take` with a tuple for each sweep in order: members (first row, track, whether it becomes
+/// dynamic), tracks of boxes and whether they move, boxes, dynamic voxels. Returns a tuple a track:
+/// sweeps, points, poses, velocities, size, whether it is rigid. `read` gives the detections of a
+/// sweep, and is asked for each several times; `held` sweeps are in memory at once.
+py::list track(const py::function& read, const Array<double>& times,
+               const TrackParameters& parameters, int threads, const py::function& take,
+               py::ssize_t held) {
+  const auto count = times.size();
   const double* t = as_column(times, count, "times");
-  for (const Detections* sweep : detections)
-    if (!sweep) throw std::invalid_argument("tracking needs the detections of each sweep");
   for (py::ssize_t i = 0; i < count; ++i) {
     in_range(t[i], -1e12, 1e12, "a time in seconds");
     if (i > 0 && !(t[i] > t[i - 1])) throw std::invalid_argument("times must increase");
   }
   const TrackParameters used = checked(parameters);
   threads = checked_threads(threads);
-  TrackingResult tracked;
+  if (held < 1) throw std::invalid_argument("at least one sweep must be held");
+  const auto detections = [&](std::size_t sweep) -> std::shared_ptr<const Detections> {
+    const py::gil_scoped_acquire acquire;
+    auto found = read(sweep).cast<std::shared_ptr<Detections>>();
+    if (!found) throw std::invalid_argument("tracking needs the detections of each sweep");
+    return found;
+  };
+  const auto give = [&](const TrackedSweep& sweep) {
+    const py::gil_scoped_acquire acquire;
+    take(sweep_of(sweep));
+  };
+  std::vector<TrackedObject> tracked;
   {
     const py::gil_scoped_release release;
-    tracked = track_objects(detections, {t, t + count}, used, threads);
+    tracked = track_objects(detections, {t, t + count}, used, threads, give, std::size_t(held));
   }
-  py::list sweeps, objects;
-  for (TrackedSweep& sweep : tracked.sweeps) sweeps.append(sweep_of(sweep));
-  for (const TrackedObject& object : tracked.objects) objects.append(object_of(object));
-  return py::make_tuple(sweeps, objects);
+  py::list objects;
+  for (TrackedObject& object : tracked) {
+    objects.append(object_of(object));
+    object = {};
+  }
+  return objects;
 }
 
 void bind_parameters(py::module_& m) {
@@ -355,14 +369,15 @@ void bind_objects(py::module_& m) {
         "static_votes"_a, "dynamic_votes"_a, "dynamic"_a, "parameters"_a);
   m.def("add_points_inside", &with_inside, "points"_a, "ground"_a, "static_votes"_a,
         "dynamic_votes"_a, "T_world_lidar"_a, "boxes"_a, "voxels"_a, "dynamic"_a, "parameters"_a);
-  py::class_<Detections>(m, "Detections")
+  py::class_<Detections, std::shared_ptr<Detections>>(m, "Detections")
       .def(py::init(&make_detections), "points"_a, "ground"_a, "objects"_a, "dynamic"_a,
            "one_stay"_a, "first_occupied"_a, "last_occupied"_a, "mesh"_a, "T_world_lidar"_a,
            "time_offset"_a = py::none())
       .def_static("of", &detections_of, "numbers"_a, "areas"_a, "extents"_a, "samples"_a,
                   "normals"_a, "borders"_a)
       .def_property_readonly("arrays", &arrays_of);
-  m.def("track_objects", &track, "detections"_a, "times"_a, "parameters"_a, "threads"_a = 0);
+  m.def("track_objects", &track, "read"_a, "times"_a, "parameters"_a, "threads"_a, "take"_a,
+        "held"_a);
 }
 
 }  // namespace docdepth::bindings

@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 from tracks_reference import dynamic_voxels as reference_voxels
 
+from docdepth.dynamics import tracking
 from docdepth.dynamics.tracking import (
     TRACK_PARAMETERS,
     Detections,
     PointStays,
     TrackedSweep,
+    Tracking,
     apply_tracks,
-    packed,
+    follow_tracks,
     track_objects,
-    unpacked,
 )
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
@@ -386,25 +387,54 @@ def random_things(rng, count):
     return things
 
 
+def same_tracking(one, other):
+    """Whether all arrays of two results are the same."""
+    assert len(one.sweeps) == len(other.sweeps)
+    for left, right in zip(one.sweeps, other.sweeps, strict=True):
+        for of_left, of_right in zip(left, right, strict=True):
+            np.testing.assert_array_equal(of_left, of_right)
+    for left, right in zip(one.tracks, other.tracks, strict=True):
+        assert (left.id, left.kind) == (right.id, right.kind)
+        for name in ("times", "poses", "velocities", "size", "points", "deviations"):
+            np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_tracks_do_not_depend_on_threads_or_files(seed):
     rng = np.random.default_rng(seed)
     detections, _ = detections_of(random_things(rng, 30), 30, seed)
     again = [Detections.of(seen.arrays) for seen in detections]
     one, two = (track_objects(detections, straight(30), threads) for threads in (1, 2))
-    read = unpacked(packed(track_objects(again, straight(30))), 30)
     assert len(one.tracks) >= 3
-    for other in (two, read):
-        for left, right in zip(packed(one), packed(other), strict=True):
-            np.testing.assert_array_equal(left, right)
-    with pytest.raises(ValueError, match="are not the tracks"):
-        unpacked(packed(one)[:-1], 30)
+    same_tracking(one, two)
+    same_tracking(one, track_objects(again, straight(30)))
     claimed = [set(sweep.dynamic.tolist()) for sweep in one.sweeps]
     times = straight(30).times * 1e-9
     voxels = reference_voxels([seen.arrays for seen in detections], claimed, times)
     assert sum(len(of) for of in voxels) > 100
     for sweep, right in zip(one.sweeps, voxels, strict=True):
         np.testing.assert_array_equal(sweep.voxels, right)
+
+
+def test_a_drive_of_which_few_sweeps_are_held(monkeypatch):
+    """As if all were held: sweeps are read again when they are needed, and not for nothing."""
+    count = 90
+    detections, _ = detections_of(random_things(np.random.default_rng(0), 60)[:8], count)
+    saved = [seen.arrays for seen in detections]
+    monkeypatch.setattr(tracking, "_HELD_SWEEPS", count)
+    right = track_objects(detections, straight(count))
+    assert len(right.tracks) > 3
+    for held, reads_a_sweep in ((1, 7), (3, 7), (20, 5), (count, 3)):
+        monkeypatch.setattr(tracking, "_HELD_SWEEPS", held)
+        reads, sweeps = [], []
+
+        def read(sweep, reads=reads):
+            reads.append(sweep)
+            return Detections.of(saved[sweep])
+
+        tracks = follow_tracks(read, straight(count), sweeps.append)
+        same_tracking(Tracking(sweeps, tracks), right)
+        assert len(reads) <= reads_a_sweep * count
 
 
 def turning(i):

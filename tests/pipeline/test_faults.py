@@ -92,7 +92,9 @@ def test_a_folder_that_cannot_be_written(drive: Path, whole: Path, tmp_path: Pat
 def start(drive: Path, output: Path) -> subprocess.Popen[str]:
     """A run that waits behind its second frame until the file ``go`` is there."""
     code = (
-        "import os, sys, time\n"
+        "import os, signal, sys, time\n"
+        # Jobs in the background of a shell ignore it, and so would what they start.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from docdepth.cli import main\n"
         "from docdepth.pipeline import odometry\n"
         "frame, made = odometry._frame, []\n"
@@ -150,7 +152,7 @@ def test_ctrl_c_leaves_a_clean_state(drive: Path, whole: Path, tmp_path: Path) -
     process = start(drive, tmp_path / "run")
     wait_for(tmp_path / "run" / "frames" / "frame_000001.ply")
     process.send_signal(signal.SIGINT)
-    said = process.communicate()[1]
+    said = process.communicate(timeout=120)[1]
     assert process.returncode == 130, said
     assert said.splitlines()[-1] == "stopped; the same command continues"
     assert not list((tmp_path / "run").rglob("*.part"))

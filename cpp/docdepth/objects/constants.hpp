@@ -35,10 +35,14 @@ constexpr float kWideSampleSpacing = 0.25f;
 
 // --- Tracking ---
 
+/// So many tracks are made into paths at once.
+constexpr std::size_t kTracksAtOnce = 32;
 /// Flatter objects are ground that the ground growing missed [m].
 constexpr float kMinTrackedHeight = 0.15f;
 /// Narrower objects are static [m]: poles.
 constexpr float kMinTrackedWidth = 0.3f;
+/// How much rounding may move a box [m].
+constexpr float kRoundingMargin = 0.1f;
 /// An object is searched this far around its predicted box [m].
 constexpr float kSearchMargin = 0.5f;
 /// Samples match exactly within this horizontal distance [m]: they are this far apart at most.

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <unordered_map>
 
-#include "docdepth/geometry/parallel.hpp"
 #include "docdepth/objects/constants.hpp"
 
 namespace docdepth {
@@ -14,16 +13,24 @@ struct SampleCount {
   int dynamic = 0, fixed = 0;
 };
 
-std::vector<std::uint64_t> voxels_of_sweep(std::size_t sweep,
-                                           const std::vector<const Detections*>& detections,
-                                           const std::vector<double>& times,
-                                           const std::vector<TrackedSweep>& tracked,
-                                           double window) {
+}  // namespace
+
+std::uint64_t voxel_of(const Eigen::Vector3f& point) {
+  return voxel_key(voxel_coordinate(point.x(), kDynamicVoxelSize),
+                   voxel_coordinate(point.y(), kDynamicVoxelSize),
+                   voxel_coordinate(point.z(), kDynamicVoxelSize));
+}
+
+std::vector<std::uint64_t> dynamic_voxels(
+    std::size_t sweep, std::size_t first,
+    const std::vector<std::shared_ptr<const Detections>>& around, const std::vector<double>& times,
+    const std::vector<TrackedSweep>& tracked, double window) {
+  if (!(window > 0)) return {};
   std::unordered_map<std::uint64_t, SampleCount> counts;
   for (const bool dynamic : {true, false})
-    for (std::size_t i = 0; i < times.size(); ++i) {
+    for (std::size_t i = first; i < first + around.size(); ++i) {
       if (i == sweep || std::fabs(times[i] - times[sweep]) > window + kTimeTolerance) continue;
-      for (const Detection& object : *detections[i]) {
+      for (const Detection& object : *around[i - first]) {
         if ((object.is_dynamic() || tracked[i].claims(object.first)) != dynamic) continue;
         for (const Eigen::Vector3f& sample : object.samples()) {
           if (dynamic) {
@@ -41,25 +48,6 @@ std::vector<std::uint64_t> voxels_of_sweep(std::size_t sweep,
       voxels.push_back(voxel);
   std::sort(voxels.begin(), voxels.end());
   return voxels;
-}
-
-}  // namespace
-
-std::uint64_t voxel_of(const Eigen::Vector3f& point) {
-  return voxel_key(voxel_coordinate(point.x(), kDynamicVoxelSize),
-                   voxel_coordinate(point.y(), kDynamicVoxelSize),
-                   voxel_coordinate(point.z(), kDynamicVoxelSize));
-}
-
-std::vector<std::vector<std::uint64_t>> dynamic_voxels(
-    const std::vector<const Detections*>& detections, const std::vector<double>& times,
-    const std::vector<TrackedSweep>& tracked, double window, int threads) {
-  std::vector<std::vector<std::uint64_t>> result(detections.size());
-  if (!(window > 0)) return result;
-  parallel_for(detections.size(), 1, threads, [&](std::size_t i, std::size_t) {
-    result[i] = voxels_of_sweep(i, detections, times, tracked, window);
-  });
-  return result;
 }
 
 }  // namespace docdepth

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <cstdint>
-#include <deque>
 #include <vector>
 
 #include "docdepth/objects/detections.hpp"
@@ -19,13 +18,15 @@ struct TrackObservation {
   bool voted;             ///< whether the votes call most of it dynamic
   /// Of its points, of those that are passing, and of those whose place was free (Detection).
   float area, passing_area, free_area;
+  std::uint32_t points;  ///< of its objects
+  double time_offset;    ///< mean time of these points [s after the sweep's stamp]
 
   bool is_passing() const { return passing_area >= kMinFreeShare * area; }
 };
 
 struct Track {
-  std::deque<TrackObservation> observations;  ///< ascending in time
-  int dynamic = 0;                            ///< how many of them are dynamic
+  std::vector<TrackObservation> observations;  ///< ascending in time
+  int dynamic = 0;                             ///< how many of them are dynamic
 };
 
 /// Whether a box may be the same object as one that was seen with another size.

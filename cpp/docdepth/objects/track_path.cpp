@@ -72,30 +72,18 @@ Extent extent_in(const SampledPoints& points, const Pose& T_world_object) {
 
 }  // namespace
 
-TrackPath::TrackPath(const Track& track, const std::vector<const Detections*>& detections,
-                     const std::vector<double>& times, const TrackParameters& p)
-    : track_(track), detections_(detections), times_(times), p_(p) {
+TrackPath::TrackPath(const Track& track, const SeenSurface* seen, const std::vector<double>& times,
+                     const TrackParameters& p)
+    : track_(track), times_(times), p_(p), seen_(seen) {
   std::vector<float> widths;
-  for (const TrackObservation& seen : track.observations) {
-    SeenSurface surface;
-    const auto append = [](SampledPoints& all, const SampledPoints& more) {
-      all.insert(all.end(), more.begin(), more.end());
-    };
-    for (const auto k : seen.objects) {
-      const Detection& part = (*detections[seen.sweep])[k];
-      append(surface.points, part.surface.points), append(surface.normals, part.surface.normals);
-      append(surface.edges, part.edges), append(surface.hidden, part.hidden);
-    }
-    seen_.push_back(std::move(surface));
-    widths.push_back(seen.box.width());
-  }
+  for (const TrackObservation& of : track.observations) widths.push_back(of.box.width());
   rigid_ = quantile(widths, kRigidQuantile) >= kMinRigidWidth && track.observations.size() > 2;
-  end_ = seen_.size();
+  end_ = track.observations.size();
   measure_shifts();
   find_headings();
   if (rigid_) register_surfaces();
   if (is_one_object()) find_extents();
-  seen_.clear();
+  seen_ = nullptr;
 }
 
 /// Sum the shifts from sweep to sweep. Heights are those of the lowest points, since shifts are
@@ -111,12 +99,7 @@ void TrackPath::measure_shifts() {
       at = (0.5f * (seen.box.low + seen.box.high)).cast<double>();
     else
       at += seen.shift.cast<double>();
-    double offset = 0, points = 0;
-    for (const auto k : seen.objects) {
-      const Detection& part = (*detections_[seen.sweep])[k];
-      offset += double(part.time_offset) * part.points, points += part.points;
-    }
-    const double time = times_[seen.sweep] + offset / points;
+    const double time = times_[seen.sweep] + seen.time_offset;
     measured.push_back({time, {at.x(), at.y(), seen.box.low.z()}, variance.asDiagonal()});
   }
   const auto motions = smooth_positions(measured, {measured.size(), kChange});
@@ -132,7 +115,7 @@ void TrackPath::find_headings() {
   for (std::size_t k = 0; k < states_.size(); ++k)
     if (states_[k].velocity.head<2>().norm() >= least) moving.push_back(k);
   if (moving.empty()) {
-    const double heading = longest_direction(seen_.empty() ? SampledPoints{} : seen_[0].points);
+    const double heading = longest_direction(seen_[0].points);
     for (State& state : states_) state.heading = heading;
     return;
   }

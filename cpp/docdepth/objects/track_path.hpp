@@ -20,9 +20,10 @@ namespace docdepth {
 /// summed. Positions are smoothed by how well each is known.
 class TrackPath {
  public:
-  /// The arguments must outlive the path.
-  TrackPath(const Track& track, const std::vector<const Detections*>& detections,
-            const std::vector<double>& times, const TrackParameters& p);
+  /// The arguments must outlive the path, but for the surfaces.
+  /// @param seen  what each observation of the track saw
+  TrackPath(const Track& track, const SeenSurface* seen, const std::vector<double>& times,
+            const TrackParameters& p);
 
   /// The object at a time [s], interpolated between its observations and continued beyond them.
   Pose pose(double t) const;  ///< T_world_object; x forward, z up
@@ -76,12 +77,11 @@ class TrackPath {
   std::size_t after(double t) const;
 
   const Track& track_;
-  const std::vector<const Detections*>& detections_;
   const std::vector<double>& times_;
   const TrackParameters& p_;
   bool rigid_ = false;
   std::size_t begin_ = 0, end_ = 0;
-  std::vector<SeenSurface> seen_;  ///< of each observation, in the world
+  const SeenSurface* seen_;  ///< of each observation, in the world
   std::vector<State> states_;
   std::vector<Extent> extents_;  ///< of each observation, in the frame of the object
   Extent extent_{Eigen::Vector3f::Zero(), Eigen::Vector3f::Zero()};

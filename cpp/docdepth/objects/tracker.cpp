@@ -79,6 +79,13 @@ SampledPoints together(SampledPoints older, const Vector& shift, const SampledPo
   return downsample(older, kSampleSpacing, kMaxSamples);
 }
 
+double mean_time_offset(const Detections& seen, const std::vector<std::uint32_t>& objects) {
+  double offset = 0, points = 0;
+  for (const auto k : objects)
+    offset += double(seen[k].time_offset) * seen[k].points, points += seen[k].points;
+  return offset / points;
+}
+
 /// Share of the shifted samples that have one of `others` beside them. Rings leave gaps above and
 /// below, so that only the horizontal distance tells exactly.
 float level_share(const SampledPoints& samples, const Vector& shift, const SampledPoints& others) {
@@ -95,15 +102,8 @@ float level_share(const SampledPoints& samples, const Vector& shift, const Sampl
 
 class Tracker {
  public:
-  Tracker(const std::vector<const Detections*>& detections, const std::vector<double>& times,
-          const TrackParameters& p)
-      : detections_(detections), times_(times), p_(p) {
-    for (const Detections* seen : detections) {
-      owners_.emplace_back();
-      for (const Detection& object : *seen)
-        owners_.back().push_back(can_be_tracked(object) ? kFree : kUntracked);
-    }
-  }
+  Tracker(DetectionWindow& detections, const std::vector<double>& times, const TrackParameters& p)
+      : detections_(detections), times_(times), p_(p) {}
 
   std::vector<Track> run() {
     for (std::size_t i = 0; i < times_.size(); ++i) forward(i);
@@ -124,7 +124,11 @@ class Tracker {
 
  private:
   void forward(std::size_t sweep) {
-    const Detections& seen = *detections_[sweep];
+    const Detections& seen = detections_[sweep];
+    std::vector<int> owners;
+    for (const Detection& object : seen)
+      owners.push_back(can_be_tracked(object) ? kFree : kUntracked);
+    owners_.push_back(std::move(owners));
     go_on(sweep, [&](const End& end, Match&& match) {
       add(end.track, sweep, match, false);
       last_speeds_[std::size_t(end.track)] = end.speed;
@@ -143,7 +147,9 @@ class Tracker {
                            seen[k].is_dynamic(),
                            seen[k].area,
                            seen[k].passing_area(),
-                           seen[k].free_area}},
+                           seen[k].free_area,
+                           seen[k].points,
+                           mean_time_offset(seen, {k})}},
                          1});
       last_speeds_.emplace_back();
       const SampledPoints& samples = seen[k].samples();
@@ -164,7 +170,7 @@ class Tracker {
       tracks_[end.track].dynamic += tracks_[before].dynamic;
       for (const TrackObservation& seen : earlier)
         for (const auto k : seen.objects) owners_[seen.sweep][k] = end.track;
-      earlier.clear();
+      earlier = {};
       gone_.push_back(end.track);  // it goes on at its new beginning
     });
     for (const int track : gone_) {
@@ -215,8 +221,18 @@ class Tracker {
   }
 
   void add(int track, std::size_t sweep, const Match& match, bool at_front) {
-    const Detections& seen = *detections_[sweep];
-    TrackObservation added{sweep, match.objects, match.box, match.shift, false, false, 0, 0, 0};
+    const Detections& seen = detections_[sweep];
+    TrackObservation added{sweep,
+                           match.objects,
+                           match.box,
+                           match.shift,
+                           false,
+                           false,
+                           0,
+                           0,
+                           0,
+                           0,
+                           mean_time_offset(seen, match.objects)};
     std::uint32_t points = 0, of_dynamic = 0, voted = 0;
     for (const auto k : match.objects) {
       owners_[sweep][k] = track;
@@ -227,6 +243,7 @@ class Tracker {
       if (seen[k].is_passing()) of_dynamic += seen[k].points;
       if (seen[k].is_dynamic()) voted += seen[k].points;
     }
+    added.points = points;
     added.dynamic = 2 * of_dynamic >= points;
     added.voted = 2 * voted >= points;
     tracks_[track].dynamic += added.dynamic;
@@ -234,7 +251,7 @@ class Tracker {
     if (at_front) {
       observations.front().shift = -match.shift;
       added.shift = Vector::Zero();
-      observations.push_front(std::move(added));
+      observations.insert(observations.begin(), std::move(added));
     } else {
       observations.push_back(std::move(added));
     }
@@ -245,7 +262,7 @@ class Tracker {
     const auto& seen = tracks_[track].observations;
     const auto samples_of = [&](const TrackObservation& of) {
       SampledPoints samples;
-      for (const auto k : of.objects) append(samples, (*detections_[of.sweep])[k].samples());
+      for (const auto k : of.objects) append(samples, detections_[of.sweep][k].samples());
       return samples;
     };
     End end{track, {},          samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep],
@@ -256,7 +273,7 @@ class Tracker {
     end.samples = together(samples_of(seen[1]), -seen[1].shift, end.last);
     float range = 0;
     for (const auto k : seen[0].objects)
-      range = std::max(range, (*detections_[seen[0].sweep])[k].range());
+      range = std::max(range, detections_[seen[0].sweep][k].range());
     end.speed.add(-seen[1].shift, end.time - times_[seen[1].sweep], range);
     return end;
   }
@@ -276,8 +293,8 @@ class Tracker {
     int found = -1;
     std::uint32_t most = 0;
     for (const auto k : match.objects)
-      if (owners_[sweep][k] >= 0 && (*detections_[sweep])[k].points > most)
-        found = owners_[sweep][k], most = (*detections_[sweep])[k].points;
+      if (owners_[sweep][k] >= 0 && detections_[sweep][k].points > most)
+        found = owners_[sweep][k], most = detections_[sweep][k].points;
     if (found < 0) return found;
     auto& objects = match.objects;
     objects.erase(std::remove_if(objects.begin(), objects.end(),
@@ -302,7 +319,7 @@ class Tracker {
 
   /// The best match of these samples of a track.
   Match find(const End& end, const SampledPoints& samples, std::size_t sweep, double dt) const {
-    const Detections& seen = *detections_[sweep];
+    const Detections& seen = detections_[sweep];
     const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
     Match best;
     const Vector expected = end.speed.velocity * static_cast<float>(dt);
@@ -340,7 +357,7 @@ class Tracker {
   /// The detections onto which the samples fall, with a shift that is refined from `start`.
   Match match_from(const End& end, const SampledPoints& samples, std::size_t sweep,
                    const Vector& start, const Vector& expected, double dt) const {
-    const Detections& seen = *detections_[sweep];
+    const Detections& seen = detections_[sweep];
     const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
     Extent box = extent_of(samples);
     box.low += start;
@@ -413,7 +430,7 @@ class Tracker {
     }
   }
 
-  const std::vector<const Detections*>& detections_;
+  DetectionWindow& detections_;
   const std::vector<double>& times_;
   const TrackParameters& p_;
   std::vector<Track> tracks_;
@@ -430,8 +447,8 @@ bool could_match(const Extent& box, const Vector& size) {
   return (box.size().array() < most.array()).all();
 }
 
-std::vector<Track> follow_objects(const std::vector<const Detections*>& detections,
-                                  const std::vector<double>& times, const TrackParameters& p) {
+std::vector<Track> follow_objects(DetectionWindow& detections, const std::vector<double>& times,
+                                  const TrackParameters& p) {
   return Tracker(detections, times, p).run();
 }
 

@@ -3,6 +3,7 @@
 
 #include <vector>
 
+#include "docdepth/objects/detection_window.hpp"
 #include "docdepth/objects/parameters.hpp"
 #include "docdepth/objects/track.hpp"
 
@@ -17,7 +18,7 @@ namespace docdepth {
 /// tracks become one where the later, followed backward, meets the end of the earlier.
 ///
 /// @param times  of the sweeps [s]
-std::vector<Track> follow_objects(const std::vector<const Detections*>& detections,
-                                  const std::vector<double>& times, const TrackParameters& p);
+std::vector<Track> follow_objects(DetectionWindow& detections, const std::vector<double>& times,
+                                  const TrackParameters& p);
 
 }  // namespace docdepth

@@ -3,8 +3,10 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <vector>
 
+#include "docdepth/objects/detection_window.hpp"
 #include "docdepth/objects/detections.hpp"
 #include "docdepth/objects/parameters.hpp"
 #include "docdepth/objects/track_path.hpp"
@@ -49,10 +51,8 @@ struct TrackedObject {
   bool rigid;
 };
 
-struct TrackingResult {
-  std::vector<TrackedSweep> sweeps;
-  std::vector<TrackedObject> objects;  ///< track 1, 2, ...
-};
+/// Takes what tracks found in a sweep; called for each sweep in order.
+using TakeSweep = std::function<void(const TrackedSweep& sweep)>;
 
 /// Find the objects that move at some time of the drive, and where they are in each sweep.
 ///
@@ -63,9 +63,17 @@ struct TrackingResult {
 ///
 /// Between its observations, and a little before and after, an object is where its motion leads.
 ///
+/// Detections are read three times in order of time and once backward, and are not kept. What stays
+/// in memory are the tracks, without their surfaces.
+///
 /// @param times  of the sweeps [s]
-TrackingResult track_objects(const std::vector<const Detections*>& detections,
-                             const std::vector<double>& times, const TrackParameters& parameters,
-                             int threads);
+/// @param held   so many sweeps are held at once, at least 1, and those within the window of
+/// dynamic
+///               voxels around them; results do not depend on it
+/// @return track 1, 2, ...
+std::vector<TrackedObject> track_objects(const ReadDetections& read,
+                                         const std::vector<double>& times,
+                                         const TrackParameters& parameters, int threads,
+                                         const TakeSweep& take, std::size_t held);
 
 }  // namespace docdepth

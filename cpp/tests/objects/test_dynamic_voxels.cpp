@@ -1,5 +1,6 @@
 #include <doctest/doctest.h>
 
+#include <memory>
 #include <vector>
 
 #include "docdepth/objects/dynamic_voxels.hpp"
@@ -15,13 +16,15 @@ TEST_CASE("the window says which sweeps feed the dynamic voxels") {
   seen.box = extent_of(samples);
   seen.surface.points = samples;
   const Detections none, object{seen};
-  const std::vector<const Detections*> detections{&none, &none, &none, &none, &object};
+  std::vector<std::shared_ptr<const Detections>> detections;
+  for (int i = 0; i < 5; ++i)
+    detections.push_back(std::make_shared<const Detections>(i < 4 ? none : object));
   const std::vector<double> times{0, 0.2, 0.4, 0.6, 0.8};
   const std::vector<TrackedSweep> tracked(5);
   const auto voxels = [&](double window) {
     std::vector<std::size_t> counts;
-    for (const auto& sweep : dynamic_voxels(detections, times, tracked, window, 1))
-      counts.push_back(sweep.size());
+    for (std::size_t i = 0; i < times.size(); ++i)
+      counts.push_back(dynamic_voxels(i, 0, detections, times, tracked, window).size());
     return counts;
   };
   CHECK(voxels(0.3) == std::vector<std::size_t>{0, 0, 0, 1, 0});
@@ -29,5 +32,8 @@ TEST_CASE("the window says which sweeps feed the dynamic voxels") {
   CHECK(voxels(0) == std::vector<std::size_t>{0, 0, 0, 0, 0});
   TrackParameters parameters;
   parameters.window = 0.6;
-  CHECK(track_objects(detections, times, parameters, 1).sweeps[1].voxels.size() == 1);
+  std::vector<std::size_t> counts;
+  track_objects([&](std::size_t i) { return detections[i]; }, times, parameters, 1,
+                [&](const TrackedSweep& sweep) { counts.push_back(sweep.voxels.size()); }, 2);
+  CHECK(counts == std::vector<std::size_t>{0, 1, 1, 1, 0});
 }

@@ -12,9 +12,10 @@ from docdepth.config import Parameters
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.scheduling import classify_sweeps
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep
-from docdepth.dynamics.tracking import Detections, Tracking
+from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep, Tracking
 from docdepth.errors import InputError
 from docdepth.geometry.points import DeskewedSweep, points_of, rig_of
+from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import grow_ground
 
@@ -86,8 +87,10 @@ class _Memory:
     def tracks(self) -> Tracking | None:
         return None
 
-    def keep_tracks(self, found: Tracking) -> None:
-        pass
+    def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> Tracking:
+        sweeps: list[TrackedSweep] = []
+        tracks = find(sweeps.append)
+        return Tracking(sweeps, tracks)
 
     def has_evidence(self, index: int) -> bool:
         return False

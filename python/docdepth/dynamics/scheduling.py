@@ -12,8 +12,9 @@ from docdepth.config import DynamicsParameters
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.look_ahead import LookAhead
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep, PreparedSweep, SweepClassifier
-from docdepth.dynamics.tracking import Detections, Tracking
+from docdepth.dynamics.tracking import Detections, TakeSweep, Tracking
 from docdepth.dynamics.voting import KeyFrame
+from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 
 _FILE_THREADS = 5
@@ -34,7 +35,9 @@ class SweepStore(Protocol):
         """What an earlier run found of tracks; None if there are none."""
         ...
 
-    def keep_tracks(self, found: Tracking) -> None: ...
+    def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> Tracking:
+        """Keep what ``find`` hands over, sweep by sweep, and the tracks that it returns."""
+        ...
 
     def has_evidence(self, index: int) -> bool:
         """Whether an interrupted run left the evidence of this sweep."""
@@ -162,9 +165,7 @@ def _add_tracks(
 
     with ThreadPoolExecutor(_FILE_THREADS) as pool:
         if tracks is None:
-            sweeps = range(len(steps.key_frames))
-            tracks = steps.track(list(pool.map(store.detections, sweeps)), threads)
-            store.keep_tracks(tracks)
+            tracks = store.keep_tracks(lambda take: steps.track(store.detections, take, threads))
         results = tracks
         for _ in prefetch(pool, add, left, _FILE_THREADS):
             pass

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -18,16 +18,17 @@ from docdepth.dynamics.key_frames import key_frames
 from docdepth.dynamics.tracking import (
     Detections,
     PointStays,
+    TakeSweep,
     TrackedSweep,
-    Tracking,
     apply_tracks,
+    follow_tracks,
     local_poses,
-    track_objects,
 )
 from docdepth.dynamics.voting import KeyFrame, Votes
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 
 
@@ -163,10 +164,12 @@ class SweepClassifier:
             )
         return Evidence(Labels(classid, votes), objects), detections
 
-    def track(self, detections: Sequence[Detections], threads: int = 0) -> Tracking:
-        """Track objects through the drive, from the detections of all sweeps in order."""
+    def track(
+        self, read: Callable[[int], Detections], take: TakeSweep, threads: int = 0
+    ) -> list[Track]:
+        """Track objects through the drive, as :func:`follow_tracks` does."""
         with self._watch("tracks"):
-            return track_objects(detections, self._trajectory, threads)
+            return follow_tracks(read, self._trajectory, take, threads)
 
     def add_tracks(
         self, index: int, sweep: InputSweep, evidence: Evidence, result: TrackedSweep

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from docdepth.dynamics.voting import NEVER, Votes
 from docdepth.errors import InputError
 from docdepth.geometry.points import DYNAMIC, STATIC, check_sweep
 from docdepth.geometry.scan_mesh import ScanMesh
-from docdepth.geometry.track import KINDS, MAX_TRACKS, Kind, Track
+from docdepth.geometry.track import MAX_TRACKS, Kind, Track
 from docdepth.geometry.trajectory import Trajectory
 
 log = logging.getLogger(__name__)
@@ -45,6 +45,10 @@ BOX_MARGIN = 0.5
 
 MIN_SIZE = 0.1
 """Least side of a box [m]."""
+
+_HELD_SWEEPS = 32
+"""Sweeps whose detections are in memory while objects are tracked: more than the gap over which a
+track goes on, so that few are read again."""
 
 
 class TrackedSweep(NamedTuple):
@@ -85,43 +89,18 @@ class Tracking(NamedTuple):
 
     Attributes
     ----------
-    sweeps : list of TrackedSweep
-        One for each sweep.
+    sweeps : sequence of TrackedSweep
+        One for each sweep; it may read them when they are asked for.
     tracks : list of Track
         Track ``k`` of the sweeps is ``tracks[k - 1]``.
     """
 
-    sweeps: list[TrackedSweep]
+    sweeps: Sequence[TrackedSweep]
     tracks: list[Track]
 
 
-def packed(tracking: Tracking) -> list[NDArray[Any]]:
-    """All of it as arrays, to be written to a file."""
-    arrays: list[NDArray[Any]] = [array for sweep in tracking.sweeps for array in sweep]
-    for t in tracking.tracks:
-        about = np.array([t.id, KINDS.index(t.kind)])
-        arrays += [about, t.times, t.poses, t.velocities, t.size, t.points, t.deviations]
-    return arrays
-
-
-def unpacked(arrays: Sequence[NDArray[Any]], sweeps: int) -> Tracking:
-    """What :func:`packed` made these arrays of.
-
-    Raises
-    ------
-    ValueError
-        They are not of so many sweeps.
-    """
-    of_sweep, of_track = len(TrackedSweep._fields), 7
-    first = of_sweep * sweeps
-    if len(arrays) < first or (len(arrays) - first) % of_track:
-        raise ValueError(f"{len(arrays)} arrays are not the tracks of {sweeps} sweeps")
-    found = [TrackedSweep(*arrays[k : k + of_sweep]) for k in range(0, first, of_sweep)]
-    tracks = []
-    for k in range(first, len(arrays), of_track):
-        (number, kind), *rest = arrays[k : k + of_track]
-        tracks.append(Track(int(number), KINDS[int(kind)], *rest))
-    return Tracking(found, tracks)
+TakeSweep = Callable[[TrackedSweep], None]
+"""Takes what tracks found in a sweep."""
 
 
 class PointStays(NamedTuple):
@@ -151,7 +130,7 @@ class PointStays(NamedTuple):
 
 
 class Detections:
-    """The objects of a sweep, small enough to keep those of a whole drive in memory.
+    """The objects of a sweep, with some of their points.
 
     Parameters
     ----------
@@ -252,22 +231,54 @@ def track_objects(
     InputError
         The numbers of detections and poses differ.
     """
+    if len(detections) != len(trajectory):
+        raise InputError(
+            f"{len(detections)} detections and {len(trajectory)} poses; give one of each"
+        )
+    sweeps: list[TrackedSweep] = []
+    tracks = follow_tracks(detections.__getitem__, trajectory, sweeps.append, threads)
+    return Tracking(sweeps, tracks)
+
+
+def follow_tracks(
+    read: Callable[[int], Detections], trajectory: Trajectory, take: TakeSweep, threads: int = 0
+) -> list[Track]:
+    """As :func:`track_objects`, of a drive that does not fit into memory.
+
+    Parameters
+    ----------
+    read : callable
+        Gives the detections of a sweep. It is called from one thread, four or five times a sweep:
+        those of few sweeps are held at once.
+    trajectory : Trajectory
+    take : callable
+        Called with what is found in each sweep, in order.
+    threads : int
+
+    Returns
+    -------
+    list of Track
+        Track 1, 2, ...
+    """
     times = trajectory.times
-    if len(detections) != len(times):
-        raise InputError(f"{len(detections)} detections and {len(times)} poses; give one of each")
-    seconds = (times - times[0]) * 1e-9
-    sweeps, objects = _core.track_objects(
-        [of._core for of in detections], seconds, TRACK_PARAMETERS, threads
+    objects = _core.track_objects(
+        lambda sweep: read(sweep)._core,
+        (times - times[0]) * 1e-9,
+        TRACK_PARAMETERS,
+        threads,
+        lambda found: take(TrackedSweep(*found)),
+        _HELD_SWEEPS,
     )
-    origin = trajectory.poses[0, :3, 3]
     if len(objects) > MAX_TRACKS:
         log.warning(
             "%d objects move in this drive, more than ids; those after %d get instance 0",
             len(objects), MAX_TRACKS,
         )  # fmt: skip
-    followed = enumerate(objects[:MAX_TRACKS], 1)
-    tracks = [_track(k, times, origin, *of) for k, of in followed]
-    return Tracking([TrackedSweep(*sweep) for sweep in sweeps], tracks)
+    origin, tracks = trajectory.poses[0, :3, 3], []
+    for number, of in enumerate(objects[:MAX_TRACKS], 1):
+        tracks.append(_track(number, times, origin, *of))
+        objects[number - 1] = None
+    return tracks
 
 
 def _track(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import zipfile
+from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.lib import format as npy
@@ -64,6 +66,18 @@ def _of_archive(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any
         return array
 
 
+class _Header(NamedTuple):
+    shape: tuple[int, ...]
+    fortran: bool
+    dtype: np.dtype[Any]
+    entries: int
+
+    @property
+    def size(self) -> int:
+        """Bytes of the data behind the header."""
+        return self.entries * self.dtype.itemsize
+
+
 def read_next_array(stream: BinaryIO, size: int) -> NDArray[Any]:
     """The next array of a stream of which ``size`` bytes are left.
 
@@ -74,6 +88,32 @@ def read_next_array(stream: BinaryIO, size: int) -> NDArray[Any]:
     ArrayError
         As for :func:`read_array`.
     """
+    header = _read_header(stream, size)
+    data = stream.read(header.size)
+    if len(data) < header.size:
+        raise ArrayError(f"{len(data)} of {header.size} bytes are there")
+    try:
+        if header.size:
+            array = np.frombuffer(bytearray(data), header.dtype, header.entries)
+        else:
+            array = np.empty(header.entries, header.dtype)
+        return array.reshape(header.shape, order="F" if header.fortran else "C")
+    except (ValueError, OverflowError) as error:
+        raise ArrayError(str(error)) from None
+
+
+def skip_next_array(stream: BinaryIO, size: int) -> None:
+    """Go behind the next array of a stream of which ``size`` bytes are left.
+
+    Raises
+    ------
+    ArrayError
+        As for :func:`read_array`.
+    """
+    stream.seek(_read_header(stream, size).size, io.SEEK_CUR)
+
+
+def _read_header(stream: BinaryIO, size: int) -> _Header:
     try:
         version = npy.read_magic(stream)
         read_header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
@@ -86,20 +126,10 @@ def read_next_array(stream: BinaryIO, size: int) -> NDArray[Any]:
         raise ArrayError("it holds objects of Python, which docdepth does not load")
     if any(n < 0 for n in shape) or not _is_sound(dtype):
         raise ArrayError(f"its shape is {shape} of {dtype}")
-    count = 1
-    for n in shape:
-        count *= n
-    needed = count * dtype.itemsize
-    if needed > size:
-        raise ArrayError(f"its header tells of {needed} bytes, the file has {size}")
-    data = stream.read(needed)
-    if len(data) < needed:
-        raise ArrayError(f"{len(data)} of {needed} bytes are there")
-    try:
-        array = np.frombuffer(bytearray(data), dtype, count) if needed else np.empty(count, dtype)
-        return array.reshape(shape, order="F" if fortran else "C")
-    except (ValueError, OverflowError) as error:
-        raise ArrayError(str(error)) from None
+    header = _Header(shape, fortran, dtype, prod(shape))
+    if header.size > size:
+        raise ArrayError(f"its header tells of {header.size} bytes, the file has {size}")
+    return header
 
 
 def _is_sound(dtype: np.dtype[Any]) -> bool:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
-from typing import Literal
+from typing import Any, Literal
 
 from docdepth.errors import RunError
 from docdepth.io.atomic import Written
@@ -22,10 +23,26 @@ _CHUNK = 1 << 22  # bytes that are read at once for a checksum
 
 @dataclass
 class _Record:
+    __slots__ = ("checksum", "key", "size", "time")  # a long drive has many
     size: int
     time: int
     checksum: int
-    key: dict[str, str]
+    key: tuple[str, ...]
+    """Names and values in turn: half the size of a dict."""
+
+
+def _flat(key: dict[str, str]) -> tuple[str, ...]:
+    return tuple(sys.intern(str(part)) for item in key.items() for part in item)
+
+
+def _entry(record: _Record) -> dict[str, object]:
+    """A record as its line tells it."""
+    known = {"size": record.size, "time": record.time, "checksum": record.checksum}
+    return {**known, "key": _dict(record.key)}
+
+
+def _dict(flat: tuple[str, ...]) -> dict[str, str]:
+    return dict(zip(flat[::2], flat[1::2], strict=True))
 
 
 class FileRecords:
@@ -62,7 +79,7 @@ class FileRecords:
             if not is_file_name(name):
                 return  # of another folder: not by docdepth
             if entry:
-                self._records[name] = _checked(_Record(**entry))
+                self._records[name] = _checked(entry)
             else:
                 self._records.pop(name, None)
         except (ValueError, TypeError, AttributeError, KeyError):
@@ -81,9 +98,9 @@ class FileRecords:
 
     def add(self, name: str, written: Written, key: dict[str, str]) -> None:
         """Note a file; called before it gets its name."""
-        record = _Record(written.size, written.time, written.checksum, key)
+        record = _Record(written.size, written.time, written.checksum, _flat(key))
         with self._lock:
-            self._append(name, asdict(record))
+            self._append(name, _entry(record))
             self._records[name] = record
             self._states.pop(name, None)
 
@@ -119,7 +136,8 @@ class FileRecords:
         with self._lock:
             if self._lines <= 2 * len(self._records) + 100:
                 return
-            lines = [json.dumps({"name": n, **asdict(r)}) + "\n" for n, r in self._records.items()]
+            records = self._records.items()
+            lines = [json.dumps({"name": name, **_entry(r)}) + "\n" for name, r in records]
             part = self.path.with_name(self.path.name + ".part")
             part.write_text("".join(lines))
             os.replace(part, self.path)
@@ -127,11 +145,11 @@ class FileRecords:
 
     def key(self, name: str) -> dict[str, str]:
         """What a file was made of: a hash for each stage; empty if the file is not whole."""
-        return dict(self._records[name].key) if self.state(name) == "whole" else {}
+        return _dict(self._records[name].key) if self.state(name) == "whole" else {}
 
     def recorded_key(self, name: str) -> dict[str, str]:
         """What the record of a file says, whatever has become of the file."""
-        return dict(self._records[name].key) if name in self._records else {}
+        return _dict(self._records[name].key) if name in self._records else {}
 
     def size(self, name: str) -> int:
         """Bytes of a file; 0 without a record."""
@@ -173,14 +191,14 @@ def is_file_name(name: str) -> bool:
     return name == os.path.basename(name) and name not in ("", ".", "..")
 
 
-def _checked(record: _Record) -> _Record:
-    """Refuse a record whose entries are of other types."""
-    numbers = (record.size, record.time, record.checksum)
-    if not all(type(number) is int for number in numbers) or not isinstance(record.key, dict):
+def _checked(entry: dict[str, Any]) -> _Record:
+    """The record of a line; one whose entries are of other types is refused."""
+    key, numbers = entry.pop("key"), entry.values()
+    if not all(type(number) is int for number in numbers) or not isinstance(key, dict):
         raise TypeError
-    if not all(isinstance(text, str) for text in record.key.values()):
+    if not all(isinstance(text, str) for text in key.values()):
         raise TypeError
-    return record
+    return _Record(**entry, key=_flat(key))
 
 
 def same_content(path: Path, written: Written) -> bool:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
+from array import array
 from collections.abc import Iterable
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,7 @@ _NUMBERS = (
     "vz",
     "deviation",
 )
+_ROWS = 1000  # that are written at once
 COLUMNS = ("frame", "time_ns", "id", "kind", *_NUMBERS, "points")
 
 
@@ -52,24 +55,34 @@ def write_tracks(
         Stamps of all sweeps [ns].
     write_file : callable
     """
-    rows = []
-    for track in tracks:
-        frames = np.searchsorted(times, track.times)
-        forward = track.poses[:, :3, 0]
-        yaw = np.arctan2(forward[:, 1], forward[:, 0])
-        pitch = np.arctan2(forward[:, 2], np.hypot(forward[:, 0], forward[:, 1]))
-        for k, frame in enumerate(frames.tolist()):
-            place = (*track.poses[k, :3, 3], yaw[k], pitch[k], *track.size, *track.velocities[k])
-            numbers = [f"{value:.4f}" for value in (*place, track.deviations[k])]
-            row = [frame, int(track.times[k]), track.id, track.kind, *numbers]
-            rows.append([*row, int(track.points[k])])
-    rows.sort(key=lambda row: (row[0], row[2]))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(rows)
-    content = text.getvalue().encode()
-    write_file(path, lambda stream: stream.write(content))
+    known = list(tracks)
+    frames = [np.searchsorted(times, track.times) for track in known]
+    frame = np.concatenate([*frames, np.zeros(0, np.int64)])
+    number = np.repeat(np.arange(len(known)), [len(track) for track in known])
+    place = np.concatenate([*(np.arange(len(track)) for track in known), np.zeros(0, np.int64)])
+    ids = np.array([track.id for track in known], np.int64)
+    order = np.lexsort((place, number, ids[number], frame))
+
+    def write(stream: BinaryIO) -> None:
+        # Rows are made while they are written: those of a long drive would fill the memory.
+        stream.write((",".join(COLUMNS) + "\n").encode())
+        for part in np.array_split(order, len(order) // _ROWS + 1):
+            text = io.StringIO()
+            writer = csv.writer(text, lineterminator="\n")
+            for row in part.tolist():
+                writer.writerow(_row(known[number[row]], int(place[row]), int(frame[row])))
+            stream.write(text.getvalue().encode())
+
+    write_file(path, write)
+
+
+def _row(track: Track, k: int, frame: int) -> list[object]:
+    """Of a track at one of its sweeps."""
+    x, y, z = track.poses[k, :3, 0]
+    heading = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+    values = (*track.poses[k, :3, 3], *heading, *track.size, *track.velocities[k])
+    numbers = [f"{value:.4f}" for value in (*values, track.deviations[k])]
+    return [frame, int(track.times[k]), track.id, track.kind, *numbers, int(track.points[k])]
 
 
 def cut_tracks(path: Path, times: NDArray[np.int64]) -> bytes:
@@ -108,30 +121,42 @@ def read_tracks(path: Path) -> list[Track]:
         The file is missing, lacks a column, or a row is none.
     """
     try:
+        found: dict[int, _Rows] = {}
         with path.open(newline="", encoding="utf-8") as stream:
-            rows = list(csv.DictReader(stream))
-        by_id: dict[int, list[dict[str, str]]] = {}
-        for row in rows:
-            by_id.setdefault(int(row["id"]), []).append(row)
-        return [_track(number, by_id[number]) for number in sorted(by_id)]
+            for row in csv.DictReader(stream):
+                number = int(row["id"])
+                if number not in found:
+                    found[number] = _Rows(row["kind"])
+                found[number].add(row)
+        return [_track(number, found.pop(number)) for number in sorted(found)]
     except (OSError, csv.Error, KeyError, TypeError, ValueError, OverflowError) as error:
         reason = f"{error}; a file of tracks has the columns {', '.join(COLUMNS)}"
         raise DamagedFileError(path, reason) from None
 
 
-def _track(number: int, rows: list[dict[str, str]]) -> Track:
-    values = np.array([[float(row[name]) for name in _NUMBERS] for row in rows])
+class _Rows:
+    """The rows of a track, as numbers: as texts those of a long drive would fill the memory."""
+
+    def __init__(self, kind: str) -> None:
+        self.kind, self.values, self.whole = kind, array("d"), array("q")
+
+    def add(self, row: dict[str, str]) -> None:
+        self.values.extend([float(row[name]) for name in _NUMBERS])
+        self.whole.extend([int(row["time_ns"]), int(row["points"])])
+
+
+def _track(number: int, rows: _Rows) -> Track:
+    values = np.array(rows.values).reshape(-1, len(_NUMBERS))
     if not np.isfinite(values).all():
         raise ValueError(f"track {number} has a number that is not finite")
-    poses = np.repeat(np.eye(4)[None], len(rows), axis=0)
+    poses = np.repeat(np.eye(4)[None], len(values), axis=0)
     poses[:, :3, 3] = values[:, :3]
     turn = rotation_exp(values[:, 3:4] * (0.0, 0.0, 1.0))
     poses[:, :3, :3] = turn @ rotation_exp(values[:, 4:5] * (0.0, -1.0, 0.0))
-    kind = next((kind for kind in KINDS if kind == rows[0]["kind"]), None)
+    kind = next((kind for kind in KINDS if kind == rows.kind), None)
     if kind is None:
-        raise ValueError(f"track {number} has kind {rows[0]['kind']!r}")
-    times = np.array([int(row["time_ns"]) for row in rows], np.int64)
-    points = np.array([int(row["points"]) for row in rows], np.int64)
+        raise ValueError(f"track {number} has kind {rows.kind!r}")
+    times, points = np.array(rows.whole, np.int64).reshape(-1, 2).T.copy()
     try:
         return Track(
             number, kind, times, poses, values[:, 8:11], values[0, 5:8], points, values[:, 11]

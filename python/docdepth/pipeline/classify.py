@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +18,15 @@ from docdepth.concurrency import Watch, unwatched
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.scheduling import classify_sweeps
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep
-from docdepth.dynamics.tracking import Detections, Tracking, packed, unpacked
+from docdepth.dynamics.tracking import Detections, TakeSweep, Tracking
 from docdepth.dynamics.voting import Votes
-from docdepth.errors import DamagedFileError, InputError
+from docdepth.errors import DamagedFileError
+from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import chunk_progress, chunks, label_chunk
-from docdepth.io.arrays import ArrayError, read_next_array
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS, write_tracks
+from docdepth.pipeline.array_files import Offsets, array_offsets, read_arrays, write_arrays
 from docdepth.pipeline.classified_files import (
     GROUND,
     TRACKING,
@@ -32,11 +37,18 @@ from docdepth.pipeline.classified_files import (
 from docdepth.pipeline.given_labels import take_labels
 from docdepth.pipeline.graph import classify_parts, label_files
 from docdepth.pipeline.input_files import InputFiles
+from docdepth.pipeline.kept_tracks import keep_tracking, kept_tracking
 from docdepth.pipeline.sanity import count_classes, warn_of_classes
 from docdepth.pipeline.stage import Profile, Progress, progress_callback, stage
 
 _EVIDENCE = "evidence"
 """Folder in the notes of a run with what an interrupted stage goes on with."""
+
+_OF_EVIDENCE, _OF_DETECTIONS = 4, 6
+"""Arrays of a file of evidence."""
+
+_HELD_DETECTIONS = 64
+"""Sweeps whose detections stay in memory: half a megabyte each by a LiDAR of 64 beams."""
 
 
 def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = None) -> None:
@@ -81,6 +93,31 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
             remove_outdated(run, ground_key, key)
 
 
+class _GroundLabels:
+    """Ground labels of all frames, in a file for each chunk of the drive."""
+
+    def __init__(self) -> None:
+        self._files: list[Path] = []
+        self._first: list[int] = []
+        self._offsets: list[Offsets] = []
+
+    def add(self, file: Path, first: int) -> None:
+        """The labels of the frames from ``first`` on."""
+        self._files.append(file)
+        self._first.append(first)
+        self._offsets.append(array_offsets(file))
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """Of a frame, as packed bits."""
+        chunk = bisect_right(self._first, index) - 1
+        file, offsets = self._files[chunk], self._offsets[chunk]
+        place = index - self._first[chunk]
+        if place >= len(offsets):
+            raise DamagedFileError(file, f"it has labels of {len(offsets)} frames")
+        packed: NDArray[np.uint8] = read_arrays(file, 1, offset=int(offsets[place]))[0]
+        return packed
+
+
 def _grow_ground(
     run: RunFolder,
     trajectory: Trajectory,
@@ -88,22 +125,22 @@ def _grow_ground(
     profile: Profile,
     threads: int,
     progress: Progress | None,
-) -> list[NDArray[np.uint8]]:
-    """Ground labels of every frame as packed bits; each chunk is kept in a file."""
+) -> _GroundLabels:
+    """Ground labels of every frame; those of each chunk are kept in a file."""
     p, watch = run.parameters.ground, profile.watch
 
     def read(index: int) -> NDArray[np.float32]:
         with watch("read"):
             return run.points(index)
 
-    ground: list[NDArray[np.uint8]] = []
+    ground = _GroundLabels()
     for chunk in chunks(trajectory, p):
         kept = run.notes / GROUND / f"chunk_{chunk.frames[0]:06d}.npy"
         if run.key(kept) != key:
             done = partial(chunk_progress, progress, chunk, len(trajectory))
             labels = label_chunk(chunk, read, trajectory, p, threads, done, watch)
-            _write_arrays(run, kept, key, *[np.packbits(flags) for flags in labels])
-        ground += _read_arrays(kept, len(chunk.frames))
+            write_arrays(run, kept, key, map(np.packbits, labels))
+        ground.add(kept, chunk.frames[0])
     progress_callback(progress, "ground")(len(trajectory), len(trajectory))
     return ground
 
@@ -119,8 +156,8 @@ class _FrameStore:
 
     Attributes
     ----------
-    ground : list of ndarray of uint8
-        Ground labels of each frame as packed bits; set before frames are read.
+    ground : _GroundLabels
+        Set before frames are read.
     watch : callable
     counts : list of tuple of int
         Points of each sweep that was written, by class.
@@ -129,9 +166,9 @@ class _FrameStore:
     def __init__(self, run: RunFolder, key: dict[str, str], trajectory: Trajectory) -> None:
         self._run, self._key, self._trajectory = run, key, trajectory
         self._labels = label_files(run)
-        # Only those that were made by an earlier run are read from their files.
-        self._detections: dict[int, Detections] = {}
-        self.ground: list[NDArray[np.uint8]] = []
+        self._detections: OrderedDict[int, Detections] = OrderedDict()
+        self._keeping = Lock()
+        self.ground = _GroundLabels()
         self.watch: Watch = unwatched
         self.counts: list[tuple[int, int, int]] = []
 
@@ -150,14 +187,12 @@ class _FrameStore:
     def tracks(self) -> Tracking | None:
         if self._run.key(self._tracks) != self._key:
             return None
-        arrays = _read_arrays(self._tracks, None)
-        try:
-            return unpacked(arrays, len(self._trajectory))
-        except (InputError, ValueError) as error:
-            raise DamagedFileError(self._tracks, str(error)) from None
+        return kept_tracking(self._tracks, len(self._trajectory))
 
-    def keep_tracks(self, found: Tracking) -> None:
-        _write_arrays(self._run, self._tracks, self._key, *packed(found))
+    def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> Tracking:
+        found = keep_tracking(self._run, self._tracks, self._key, find)
+        self._detections.clear()
+        return found
 
     def has_tracks(self) -> bool:
         """Whether the file of tracks is there, where there should be one."""
@@ -177,7 +212,7 @@ class _FrameStore:
     def read(self, index: int) -> InputSweep:
         with self.watch("read"):
             record = self._run.frame(index)
-            ground = np.unpackbits(self.ground[index], count=len(record.points))
+            ground = np.unpackbits(self.ground.read(index), count=len(record.points))
         return InputSweep(
             record.points,
             ground.view(np.bool_),
@@ -187,23 +222,34 @@ class _FrameStore:
         )
 
     def keep(self, index: int, evidence: Evidence, detections: Detections) -> None:
-        self._detections[index] = detections
+        self._hold(index, detections)
         labels, objects = evidence
         arrays: list[NDArray[Any]] = [objects, labels.votes.static, labels.votes.dynamic]
         arrays += [labels.classid, *detections.arrays]
         with self.watch("write"):
-            _write_arrays(self._run, self._kept(index), self._key, *arrays)
+            write_arrays(self._run, self._kept(index), self._key, arrays)
 
     def evidence(self, index: int) -> Evidence:
         with self.watch("read"):
-            objects, static, dynamic, classid = _read_arrays(self._kept(index), 4)
+            objects, static, dynamic, classid = read_arrays(self._kept(index), _OF_EVIDENCE)
         return Evidence(Labels(classid, Votes(static, dynamic)), objects)
 
     def detections(self, index: int) -> Detections:
-        if index in self._detections:
-            return self._detections[index]
-        with self.watch("read"):
-            return Detections.of(_read_arrays(self._kept(index), 10)[4:])
+        with self._keeping:
+            held = self._detections.get(index)
+        if held is None:
+            with self.watch("read"):
+                arrays = read_arrays(self._kept(index), _OF_DETECTIONS, skipped=_OF_EVIDENCE)
+                held = Detections.of(arrays)
+            self._hold(index, held)
+        return held
+
+    def _hold(self, index: int, detections: Detections) -> None:
+        """Keep those of the last sweeps, which tracks ask for several times."""
+        with self._keeping:
+            self._detections[index] = detections
+            if len(self._detections) > _HELD_DETECTIONS:
+                self._detections.popitem(last=False)
 
     def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
         self.counts.append(count_classes(labels.classid))
@@ -216,25 +262,3 @@ class _FrameStore:
                 instance=labels.instance,
             )
             write_classified(self._run, index, classified, self._key)
-
-
-def _write_arrays(run: RunFolder, path: Path, key: dict[str, str], *arrays: NDArray[Any]) -> None:
-    """Write arrays into one file, one after the other."""
-
-    def write(out: BinaryIO) -> None:
-        for array in arrays:
-            np.save(out, array)
-
-    run.write(path, write, key, sync=False)
-
-
-def _read_arrays(path: Path, count: int | None) -> list[NDArray[Any]]:
-    """Read the first arrays of a file; None reads all."""
-    try:
-        with path.open("rb") as stream:
-            size, arrays = path.stat().st_size, list[NDArray[Any]]()
-            while stream.tell() < size if count is None else len(arrays) < count:
-                arrays.append(read_next_array(stream, size - stream.tell()))
-            return arrays
-    except (OSError, ArrayError) as error:
-        raise DamagedFileError(path, str(error)) from None

@@ -2,6 +2,7 @@
 
 from docdepth.synthetic.actors import Actor, Pace, Part, Path, Speeds, Standing
 from docdepth.synthetic.drive import Drive, TrueSweep, kitti_rig, sweeps_of
+from docdepth.synthetic.endless import EndlessDrive, EndlessRecording
 from docdepth.synthetic.mesh import Mesh, Paint, box, pose_of
 from docdepth.synthetic.photo import View
 from docdepth.synthetic.scenes import SCENES, scene
@@ -13,6 +14,8 @@ __all__ = [
     "SCENES",
     "Actor",
     "Drive",
+    "EndlessDrive",
+    "EndlessRecording",
     "Mesh",
     "Pace",
     "Paint",

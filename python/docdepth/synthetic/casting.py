@@ -157,6 +157,8 @@ class World:
     span : tuple of float
         First and last second of the drive. An actor that moves in between has its moving class in
         all sweeps.
+    instances : sequence of int, optional
+        Of the actors; 1, 2, 3, ... if absent.
 
     Attributes
     ----------
@@ -164,7 +166,13 @@ class World:
         One row per face: the static mesh, then each part of each actor.
     """
 
-    def __init__(self, static: Mesh, actors: Sequence[Actor], span: tuple[float, float]) -> None:
+    def __init__(
+        self,
+        static: Mesh,
+        actors: Sequence[Actor],
+        span: tuple[float, float],
+        instances: Sequence[int] | None = None,
+    ) -> None:
         self.static = Target(static)
         self.actors = list(actors)
         meshes = [static, *(part.mesh for actor in self.actors for part in actor.parts)]
@@ -172,7 +180,8 @@ class World:
         targets = iter(zip(first[1:], map(Target, meshes[1:]), strict=False))
         self.targets = [[next(targets) for _ in actor.parts] for actor in self.actors]
         labels = [static.labels]
-        for number, actor in enumerate(self.actors, 1):
+        numbers = range(1, len(self.actors) + 1) if instances is None else instances
+        for number, actor in zip(numbers, self.actors, strict=True):
             moves = actor.moves_between(*span)
             label = (number << 16) | (actor.moving_label if moves else actor.label)
             labels += [np.full(len(part.mesh), label, np.uint32) for part in actor.parts]

@@ -133,13 +133,19 @@ class Drive:
             raise InputError(
                 f"scene {scene.name!r} is long enough for 2 to {longest} sweeps, not {frames}"
             )
+        self._begin(scene, sensor, frames, seed, skew, shutter)
+        half = 0.5 * sensor.period
+        self.world = World(scene.static, scene.actors, (-half, float(self.times[-1]) / _NS + half))
+
+    def _begin(
+        self, scene: Scene, sensor: Sensor, frames: int, seed: int, skew: bool, shutter: float
+    ) -> None:
+        """Times and poses."""
         self.scene, self.sensor, self.seed, self.skew = scene, sensor, seed, skew
         self.rig = kitti_rig()
         period = round(sensor.period * _NS)
         self.times = period * np.arange(frames, dtype=np.int64)
         self.camera_times = self.times[:-1] + round(shutter * period)
-        half = 0.5 * sensor.period
-        self.world = World(scene.static, scene.actors, (-half, float(self.times[-1]) / _NS + half))
         self.T_scene_world = self._scene_poses(np.zeros(1))[0]
         self.poses = self.pose_at(self.times)
         self._bias = sensor.bias * np.random.default_rng([seed, 2]).normal(size=256)
@@ -164,8 +170,13 @@ class Drive:
         seconds = np.atleast_1d(times).astype(np.float64) / _NS
         return inverse(self.T_scene_world) @ self._scene_poses(seconds)
 
+    def world_at(self, second: float) -> World:
+        """What the LiDAR or a camera sees at a time [s]."""
+        return self.world
+
     def sweep(self, index: int) -> TrueSweep:
         """The sweep ``index``."""
+        world = self.world_at(float(self.times[index]) / _NS)
         sensor, rng = self.sensor, np.random.default_rng([self.seed, 1, index])
         pattern = sensor.pattern(index)
         seconds = float(self.times[index]) / _NS + sensor.period * pattern.relative_times
@@ -177,8 +188,8 @@ class Drive:
             ray_origins = np.zeros_like(directions)
         origins = poses[which, :3, 3] + np.einsum("nij,nj->ni", rotation, ray_origins)
         rays = Rays(origins, directions, seconds, which)
-        hits = self.world.cast(rays, sensor.max_range)
-        reflectivity = self.world.reflectivity[hits.face]
+        hits = world.cast(rays, sensor.max_range)
+        reflectivity = world.reflectivity[hits.face]
         if sensor.blooming:
             hits, reflectivity = _with_blooming(
                 hits, reflectivity, directions, sensor.blooming, rng
@@ -229,12 +240,13 @@ class Drive:
         """The image of camera 2 at ``camera_times[index]``, with exact depth."""
         time = self.camera_times[index : index + 1]
         pose = self.T_scene_world @ self.pose_at(time)[0] @ inverse(self.rig.T_camera_lidar)
-        return photograph(self.world, self.rig.camera, pose, float(time[0]) / _NS)
+        second = float(time[0]) / _NS
+        return photograph(self.world_at(second), self.rig.camera, pose, second)
 
     def depth(self, camera: Camera, T_world_camera: Floats, time: int) -> NDArray[np.float32]:
         """Exact depth (h, w) of any camera at any time [ns]; NaN = no surface."""
         pose = self.T_scene_world @ T_world_camera
-        return photograph(self.world, camera, pose, time / _NS).depth
+        return photograph(self.world_at(time / _NS), camera, pose, time / _NS).depth
 
 
 def _with_blooming(

@@ -82,9 +82,14 @@ class Road:
         result: Floats = resting_poses(*self.point(ends[:, 0], ends[:, 1])[:, None])[0]
         return result
 
-    def ground(self, step: float = 1.0) -> Mesh:
-        """The ground as a mesh; its cells follow kerbs and markings."""
-        s = _breaks(self.start, self.end, step, self.s_cuts)
+    def cuts_between(self, start: float, end: float) -> Sequence[float]:
+        """Positions of edges on a part of the road [m]."""
+        return self.s_cuts
+
+    def ground(self, step: float = 1.0, span: tuple[float, float] | None = None) -> Mesh:
+        """The ground as a mesh, or a part of it; its cells follow kerbs and markings."""
+        start, end = span or (self.start, self.end)
+        s = _breaks(start, end, step, self.cuts_between(start, end))
         d: Floats = np.unique(np.round(np.asarray(self.d_cuts, np.float64), 4))
         grid_s, grid_d = np.meshgrid(s, d, indexing="ij")
         vertices = self.point(grid_s, grid_d).reshape(-1, 3)

@@ -1,0 +1,85 @@
+"""Arrays in the notes of a run, and tracks that are read sweep by sweep."""
+
+import numpy as np
+import pytest
+
+from docdepth.config import Parameters
+from docdepth.dynamics.tracking import TrackedSweep
+from docdepth.errors import DamagedFileError
+from docdepth.geometry.track import Track
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.array_files import array_offsets, read_arrays, write_arrays
+from docdepth.pipeline.kept_tracks import keep_tracking, kept_tracking
+
+KEY = {"classify": "1"}
+
+
+@pytest.fixture
+def run(tmp_path):
+    return RunFolder.create(tmp_path / "run", {}, Parameters())
+
+
+def arrays_of(rng):
+    """Of all kinds, some of them empty."""
+    kinds = [(np.uint8, (0,)), (np.float32, (3, 15)), (np.uint64, (7,)), (np.uint32, (0, 3)),
+             (np.float64, ()), (np.int64, (2, 1))]  # fmt: skip
+    return [rng.integers(0, 99, shape).astype(kind) for kind, shape in kinds]
+
+
+def test_any_array_of_a_file_is_read_alone(run):
+    arrays = arrays_of(np.random.default_rng(0))
+    path = run.notes / "some.npy"
+    write_arrays(run, path, KEY, iter(arrays))
+    offsets = array_offsets(path)
+    for k, array in enumerate(arrays):
+        for read in (read_arrays(path, 1, skipped=k), read_arrays(path, 1, offset=offsets[k])):
+            np.testing.assert_array_equal(read[0], array)
+            assert read[0].dtype == array.dtype
+    with path.open("rb") as stream:  # as np.save writes them
+        for array in arrays:
+            np.testing.assert_array_equal(np.load(stream), array)
+    path.write_bytes(path.read_bytes()[:-3])
+    with pytest.raises(DamagedFileError, match="cut off"):
+        array_offsets(path)
+    with pytest.raises(DamagedFileError):
+        read_arrays(path, len(arrays))
+    np.save(path, np.zeros((2, 70)))
+    path.write_bytes(path.read_bytes().replace(b"(2, 70)", b"(-1,70)"))
+    with pytest.raises(DamagedFileError, match=r"its shape is \(-1, 70\)"):
+        array_offsets(path)
+
+
+def test_tracks_are_read_as_they_were_kept(run):
+    rng = np.random.default_rng(1)
+    sweeps = [
+        TrackedSweep(
+            rng.integers(0, 9, (k, 3)).astype(np.uint32),
+            rng.integers(0, 9, (2, 2)).astype(np.uint32),
+            rng.random((2, 15), np.float32),
+            np.arange(k, dtype=np.uint64),
+        )
+        for k in range(6)
+    ]
+    times, poses = np.arange(3) * 100, np.repeat(np.eye(4)[None], 3, 0)
+    points = np.array([4, 0, 2])
+    track = Track(7, "person", times, poses, poses[:, 0, :3], np.ones(3), points, 0.1 * points)
+
+    def find(take):
+        for sweep in sweeps:
+            take(sweep)
+        return [track]
+
+    path = run.notes / "tracks" / "tracks.npy"
+    kept = keep_tracking(run, path, KEY, find)
+    read = kept_tracking(path, 6)
+    assert run.key(path) == KEY
+    for found in (kept, read):
+        assert len(found.sweeps) == 6
+        for sweep, right in zip(found.sweeps, sweeps, strict=True):
+            for left, array in zip(sweep, right, strict=True):
+                np.testing.assert_array_equal(left, array)
+        np.testing.assert_array_equal(found.sweeps[3:5][1].voxels, np.arange(4))
+    for name in Track.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(read.tracks[0], name), getattr(track, name))
+    with pytest.raises(DamagedFileError, match="are not the tracks"):
+        kept_tracking(path, 5)
