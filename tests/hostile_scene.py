@@ -92,6 +92,7 @@ class Scene:
             "dynamic_size": (80.0, 35.0),
             "owner": owner,
             "motion": motion,
+            "drawn": np.ones(len(motion), np.uint8),
             "displacement": np.zeros((n, 3), np.float32),
             "visibility_sweeps": 15,
             "isolated_angle": 0.002,

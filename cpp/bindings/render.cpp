@@ -53,8 +53,8 @@ std::unique_ptr<MeshFrame> make_mesh_frame(
     const Array<std::uint32_t>& triangles, const Array<std::uint8_t>& discontinuity,
     const Array<std::uint32_t>& isolated, float isolated_angle, const Array<std::uint16_t>& owner,
     const Array<float>& motion, const std::optional<Array<float>>& time_offset,
-    const std::optional<Array<float>>& displacement,
-    const std::optional<Array<float>>& ray_origins) {
+    const std::optional<Array<float>>& displacement, const std::optional<Array<float>>& ray_origins,
+    const std::optional<Array<std::uint8_t>>& drawn) {
   const PointMap map = as_points(points);
   const Points from = rows_of(ray_origins, map, "ray_origins");
   const Points moved = rows_of(displacement, map, "displacement");
@@ -77,12 +77,13 @@ std::unique_ptr<MeshFrame> make_mesh_frame(
       reinterpret_cast<const std::uint32_t (*)[3]>(as_rows(triangles, map.rows(), "triangles"));
   const std::uint32_t* alone = as_rows(isolated, map.rows(), "isolated");
   in_range(isolated_angle, 0, 1, "isolated_angle");
+  const std::uint8_t* shown = drawn ? as_column(*drawn, motion.shape(0), "drawn") : nullptr;
   const py::gil_scoped_release release;
   const Points all = map;
   return std::make_unique<MeshFrame>(
       MeshParts{all, corners, jumps, std::size_t(count), alone, std::size_t(isolated.size()),
-                isolated_angle, classes, owners, motions, times, displacement ? &moved : nullptr,
-                ray_origins ? &from : nullptr});
+                isolated_angle, classes, owners, motions, shown, times,
+                displacement ? &moved : nullptr, ray_origins ? &from : nullptr});
 }
 
 py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
@@ -212,7 +213,7 @@ void bind_render(py::module_& m) {
   py::class_<MeshFrame>(m, "MeshFrame")
       .def(py::init(&make_mesh_frame), "points"_a, "classid"_a, "triangles"_a, "discontinuity"_a,
            "isolated"_a, "isolated_angle"_a, "owner"_a, "motion"_a, "time_offset"_a = py::none(),
-           "displacement"_a = py::none(), "ray_origins"_a = py::none());
+           "displacement"_a = py::none(), "ray_origins"_a = py::none(), "drawn"_a = py::none());
   py::class_<Rays>(m, "Rays")
       .def(py::init(&make_rays), "points"_a, "normals"_a, "ray_origins"_a = py::none())
       .def("query_visibility", &query_visibility, "points"_a);

@@ -60,7 +60,7 @@ MeshFrame::MeshFrame(const MeshParts& parts) {
   const Points& points = parts.points;
   const std::size_t owners = parts.motions.size() + 1;
   auto mesh = partition_mesh(points, parts.triangles, parts.discontinuity, parts.triangle_count,
-                             parts.owner, owners);
+                             parts.owner, owners, parts.drawn);
   std::vector<std::uint8_t> moving;
   for (Eigen::Index i = 0; i < points.rows(); ++i) moving.push_back(parts.owner[i] != 0);
   rays = Rays(points, mesh.normals, parts.ray_origins, {}, parts.time_offset, moving.data());
@@ -80,10 +80,12 @@ MeshFrame::MeshFrame(const MeshParts& parts) {
   MeshVertices all(vertices, classes);
   static_mesh = PatchMesh(all, mesh.parts[0].whole);
   std::vector<Rays> near = object_rays(parts, mesh.normals);
+  dynamic_meshes.resize(owners - 1);
   for (std::size_t k = 1; k < owners; ++k)
-    dynamic_meshes.push_back({PatchMesh(all, mesh.parts[k].whole),
-                              PatchMesh(all, mesh.parts[k].inner),
-                              PatchMesh(all, mesh.parts[k].outer), std::move(near[k - 1])});
+    if (!parts.drawn || parts.drawn[k - 1])
+      dynamic_meshes[k - 1] = {PatchMesh(all, mesh.parts[k].whole),
+                               PatchMesh(all, mesh.parts[k].inner),
+                               PatchMesh(all, mesh.parts[k].outer), std::move(near[k - 1])};
 }
 
 MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>& static_frames,

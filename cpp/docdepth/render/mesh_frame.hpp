@@ -29,6 +29,7 @@ struct MeshParts {
   const std::uint16_t* classid;  ///< ClassId of every point
   const std::uint16_t* owner;    ///< of every point: 0 the static surface, 1, 2, ... objects
   const std::vector<ObjectMotion>& motions;  ///< of object 1, 2, ...
+  const std::uint8_t* drawn;   ///< of object 1, 2, ...: 0 if nobody draws it; null if all are drawn
   const float* time_offset;    ///< of every point [s after the sweep's stamp]; may be null
   const Points* displacement;  ///< moves every point to the time of its object; may be null
   const Points* ray_origins;   ///< where the ray of every point starts; may be null
@@ -44,7 +45,7 @@ struct MeshFrame {
   };
   PatchMesh static_mesh;                    ///< measured surface and isolated returns
   Rays rays;                                ///< as they were measured
-  std::vector<DynamicMesh> dynamic_meshes;  ///< of owner 1, 2, ...
+  std::vector<DynamicMesh> dynamic_meshes;  ///< of owner 1, 2, ...; empty if it is not drawn
 
   explicit MeshFrame(const MeshParts& parts);
 };

@@ -63,7 +63,12 @@ std::vector<Rays> object_rays(const MeshParts& parts, const std::vector<Vector>&
                                                 ? directions_of(Matrix(points - *parts.ray_origins))
                                                 : directions_of(points);
   std::vector<Rays> result;
+  result.reserve(parts.motions.size());
   for (const Around& around : around_objects(parts, directions, parts.motions.size())) {
+    if (parts.drawn && !parts.drawn[result.size()]) {
+      result.emplace_back();
+      continue;
+    }
     std::vector<Eigen::Index> rows;
     for (Eigen::Index i = 0; i < points.rows(); ++i)
       if (around.holds(directions[i])) rows.push_back(i);

@@ -97,7 +97,8 @@ int corner_alone(const std::vector<Vector>& vertices, const std::uint32_t corner
 
 PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*triangles)[3],
                                const std::uint8_t* discontinuity, std::size_t count,
-                               const std::uint16_t* owner, std::size_t owners) {
+                               const std::uint16_t* owner, std::size_t owners,
+                               const std::uint8_t* drawn) {
   PartitionedMesh mesh;
   mesh.vertices.reserve(points.rows() + points.rows() / 2);
   for (Eigen::Index i = 0; i < points.rows(); ++i) mesh.vertices.push_back(points.row(i));
@@ -125,7 +126,7 @@ PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*trian
     const std::uint32_t i = corner[alone], j = corner[(alone + 1) % 3], k = corner[(alone + 2) % 3];
     const bool own = owner[i] == owner[j] && owner[j] == owner[k];
     const auto part = [&](std::uint32_t of) -> Triangles* {
-      if (!of) return nullptr;
+      if (!of || (drawn && !drawn[of - 1])) return nullptr;
       return own ? &mesh.parts[of].inner : &mesh.parts[of].outer;
     };
     splitter.split(i, j, k, part(owner[i]), part(owner[j]), own ? kInnerShare : kOuterShare);

@@ -35,8 +35,10 @@ struct PartitionedMesh {
 /// @param discontinuity  1 for each triangle across a depth jump
 /// @param owner          of every point: 0 the static surface, 1, 2, ... objects
 /// @param owners         number of objects plus one
+/// @param drawn          of object 1, 2, ...: 0 if it is not to be continued; null if all are
 PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*triangles)[3],
                                const std::uint8_t* discontinuity, std::size_t count,
-                               const std::uint16_t* owner, std::size_t owners);
+                               const std::uint16_t* owner, std::size_t owners,
+                               const std::uint8_t* drawn = nullptr);
 
 }  // namespace docdepth

@@ -172,6 +172,44 @@ struct ScoreVisibility {
   }
 };
 
+/// A ray before it is sorted into its cell.
+struct UnsortedRay {
+  float left, up;  ///< offset of its origin from the sensor [units * m]
+  float plane[3];  ///< of the surface at its end
+  float range;
+};
+
+struct PrepareRays {
+  /// @param origins  where each ray starts; null for the sensor
+  DOCDEPTH_KERNEL static void run(std::size_t count, const float* points, std::size_t stride,
+                                  const Vector* normals, const float* origins,
+                                  std::size_t origin_stride, UnsortedRay* __restrict rays) {
+    for (std::size_t i = 0; i < count; ++i) {
+      const float* p = points + stride * i;
+      const float x = p[0], y = p[1], z = p[2];
+      const float n_x = normals[i].x(), n_y = normals[i].y(), n_z = normals[i].z();
+      const float squared = (x * x + y * y) + z * z;
+      const float length = std::sqrt((n_x * n_x + n_y * n_y) + n_z * n_z);
+      const float offset = (n_x * x + n_y * y) + n_z * z;
+      const float range = std::sqrt(squared);
+      const bool known = std::fabs(offset) > kMinIncidenceSine * length * range;
+      const float over = known ? offset : squared;
+      rays[i].plane[0] = (known ? n_x : x) / over;
+      rays[i].plane[1] = (known ? n_y : y) / over;
+      rays[i].plane[2] = (known ? n_z : z) / over;
+      rays[i].range = range;
+    }
+    for (std::size_t i = 0; origins && i < count; ++i) {
+      const float *p = points + stride * i, *o = origins + origin_stride * i;
+      const float x = p[0] - o[0], y = p[1] - o[1], z = p[2] - o[2];
+      const float across = std::sqrt(x * x + y * y), along = o[0] * x + o[1] * y;
+      const float lift = o[2] * across - along * z / across;
+      rays[i].left = (o[1] * x - o[0] * y) / across / kRadiansPerUnit;
+      rays[i].up = lift / std::sqrt(across * across + z * z) / kRadiansPerUnit;
+    }
+  }
+};
+
 }  // namespace
 
 Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Points* ray_origins,
@@ -193,21 +231,27 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Point
     const int place = std::min(cells_.place(int(column)), cells_.used - 1);
     return std::size_t(place) * cells_.rows + (d.elevation - cells_.low) / cells_.side;
   };
-  for (const auto i : rows) ++cells_.start[cell(directions[i]) + 1];
+  std::vector<UnsortedRay> rays(points.rows(), UnsortedRay{});
+  dispatch<PrepareRays>(rays.size(), points.data(), static_cast<std::size_t>(points.outerStride()),
+                        normals.data(), ray_origins ? ray_origins->data() : nullptr,
+                        static_cast<std::size_t>(ray_origins ? ray_origins->outerStride() : 0),
+                        rays.data());
+  std::vector<std::size_t> cell_of;
+  cell_of.reserve(rows.size());
+  for (const auto i : rows) cell_of.push_back(cell(directions[i]));
+  for (const std::size_t c : cell_of) ++cells_.start[c + 1];
   for (std::size_t c = 1; c < cells_.start.size(); ++c) cells_.start[c] += cells_.start[c - 1];
   auto next = cells_.start;
-  for (const auto i : rows) {
-    const std::uint32_t to = next[cell(directions[i])]++;
-    const Vector p = points.row(i), &n = normals[i];
-    const float squared = (p.x() * p.x() + p.y() * p.y()) + p.z() * p.z();
-    const float length = std::sqrt((n.x() * n.x() + n.y() * n.y()) + n.z() * n.z());
-    const float offset = (n.x() * p.x() + n.y() * p.y()) + n.z() * p.z();
-    const float range = std::sqrt(squared);
-    const bool known = std::fabs(offset) > kMinIncidenceSine * length * range;
-    if (ray_origins) place_origin(ray_origins->row(i), p, to);
+  std::vector<std::uint32_t> order(rows.size());
+  for (std::size_t k = 0; k < rows.size(); ++k) order[next[cell_of[k]]++] = rows[k];
+  // Reading from all over costs less than writing all over.
+  for (std::size_t to = 0; to < order.size(); ++to) {
+    const std::uint32_t i = order[to];
+    const UnsortedRay& ray = rays[i];
+    cells_.left[to] = ray.left, cells_.up[to] = ray.up;
     cells_.azimuth[to] = float(directions[i].azimuth);
     cells_.elevation[to] = float(directions[i].elevation);
-    cells_.ends[to] = {known ? Vector(n / offset) : Vector(p / squared), range};
+    cells_.ends[to] = {{ray.plane[0], ray.plane[1], ray.plane[2]}, ray.range};
     cells_.time[to] = time_offset ? time_offset[i] : 0.0f;
     cells_.moving[to] = moving && moving[i];
   }
@@ -228,23 +272,13 @@ void Rays::make_cells(const std::vector<std::uint32_t>& rows, int low, int high,
   cells_.used = std::min(cells_.columns, int(column_of(first + sector.span) - cells_.first) + 1);
   cells_.start.assign(std::size_t(cells_.used) * cells_.rows + 1, 0);
   for (auto* column : {&cells_.azimuth, &cells_.elevation, &cells_.left, &cells_.up})
-    column->resize(rows.size());
+    column->resize(rows.size() + kLanes);
   cells_.ends.resize(rows.size()), cells_.time.resize(rows.size());
   cells_.moving.resize(rows.size());
 }
 
 float Rays::Cells::spacing() const {
   return float(side) / float(kRayCellSize) * kRadiansPerUnit;
-}
-
-/// Offset of the origin of ray `to` from the sensor, across the ray to the left and up.
-void Rays::place_origin(const Vector& origin, const Vector& point, std::uint32_t to) {
-  const Vector ray = point - origin;
-  const float across = std::sqrt(ray.x() * ray.x() + ray.y() * ray.y());
-  const float along = origin.x() * ray.x() + origin.y() * ray.y();
-  const float lift = origin.z() * across - along * ray.z() / across;
-  cells_.left[to] = (origin.y() * ray.x() - origin.x() * ray.y()) / across / kRadiansPerUnit;
-  cells_.up[to] = lift / std::sqrt(across * across + ray.z() * ray.z()) / kRadiansPerUnit;
 }
 
 void Rays::query_visibility(const PointBatch& points, float blur, float* scores) const {

@@ -55,8 +55,9 @@ class Rays {
     int side = 1, columns = 0, rows = 0, low = 0;  ///< angles in units of kTurn; columns of a turn
     int first = 0, used = 0;                       ///< columns that have rays, round the seam
     std::vector<std::uint32_t> start;              ///< first ray of each cell, and the end
-    std::vector<float> azimuth, elevation;         ///< of each ray; integers
-    std::vector<float> left, up;                   ///< offset of the ray's origin [units * m]
+    // Eight values may be read behind the last ray.
+    std::vector<float> azimuth, elevation;  ///< of each ray; integers
+    std::vector<float> left, up;            ///< offset of the ray's origin [units * m]
     std::vector<End> ends;
     std::vector<float> time;           ///< of each ray [s after the sweep's stamp]
     std::vector<std::uint8_t> moving;  ///< 1 if the ray ended on a dynamic object
@@ -73,7 +74,6 @@ class Rays {
 
  private:
   void make_cells(const std::vector<std::uint32_t>& rows, int low, int high, const Sector& sector);
-  void place_origin(const Eigen::Vector3f& origin, const Eigen::Vector3f& point, std::uint32_t to);
 
   Cells cells_;
 };

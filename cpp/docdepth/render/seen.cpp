@@ -7,6 +7,7 @@
 
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/geometry/rigid.hpp"
+#include "docdepth/geometry/simd.hpp"
 #include "docdepth/mesh/directions.hpp"
 
 namespace docdepth {
@@ -30,7 +31,8 @@ struct Corner {
 using Corners = std::array<Corner, 4>;
 
 /// The same margins as of Rays::query_visibility().
-Verdict verdict_of(const Rays::End& end, bool same_kind, const Vector& point, float range) {
+DOCDEPTH_KERNEL Verdict verdict_of(const Rays::End& end, bool same_kind, const Vector& point,
+                                   float range) {
   const float margin = kSurfaceMargin + kSurfaceMarginGrowth * range;
   const float depth =
       (end.plane.x() * point.x() + end.plane.y() * point.y()) + end.plane.z() * point.z();
@@ -64,7 +66,8 @@ class ShutterRays {
   }
 
   /// Keep the nearest ray of each quadrant around a point in the frame of the camera.
-  void find(const Vector& target, Kind kind, std::size_t number, Corners& corners) const {
+  DOCDEPTH_KERNEL void find(const Vector& target, Kind kind, std::size_t number,
+                            Corners& corners) const {
     const Vector point = T_rays_camera_ * target;
     const float across = std::sqrt(point.x() * point.x() + point.y() * point.y());
     const float range = std::sqrt(across * across + point.z() * point.z());
@@ -98,53 +101,70 @@ class ShutterRays {
     std::size_t sweep;
   };
 
-  static float farthest(const Corners& corners) {
-    float squared = 0;
-    for (const Corner& corner : corners) squared = std::max(squared, corner.squared);
-    return std::sqrt(squared);
+  DOCDEPTH_KERNEL static float farthest_squared(const Corners& corners) {
+    return std::max(std::max(corners[0].squared, corners[1].squared),
+                    std::max(corners[2].squared, corners[3].squared));
+  }
+  DOCDEPTH_KERNEL static float farthest(const Corners& corners) {
+    return std::sqrt(farthest_squared(corners));
   }
 
   /// Look at the rays whose directions lie within `reach` of (azimuth, elevation).
-  void scan(const Target& to, float azimuth, float elevation, float reach, Corners& corners) const {
+  DOCDEPTH_KERNEL void scan(const Target& to, float azimuth, float elevation, float reach,
+                            Corners& corners) const {
     const int low = std::max(row_of(elevation - reach), 0);
     const int high = std::min(row_of(elevation + reach), cells_.rows - 1);
     if (low > high) return;
     const int left = column_of(azimuth - reach / to.cosine);
     const int right = std::min(column_of(azimuth + reach / to.cosine), left + cells_.columns - 1);
     const float inverse_range = 1 / to.range;
+    float most = farthest_squared(corners);
     for (int k = left; k <= right; ++k) {
       const int column = wrapped(k);
       const float from = to.azimuth - float((k - column) / cells_.columns) * kTurn;
       const int place = cells_.place(column);
       if (place == cells_.used) continue;
       const std::uint32_t* start = &cells_.start[std::size_t(place) * cells_.rows];
-      for (std::uint32_t i = start[low]; i < start[high + 1]; ++i) {
-        const float u = (cells_.azimuth[i] - from) * to.cosine + cells_.left[i] * inverse_range;
-        const float v = (cells_.elevation[i] - to.elevation) + cells_.up[i] * inverse_range;
-        Corner& corner = corners[(u > 0) + 2 * (v > 0)];
-        const float squared = u * u + v * v;
-        if (!(squared < corner.squared) || std::fabs(u) > reach_ || std::fabs(v) > reach_) continue;
-        if (cells_.time[i] < first_ || cells_.time[i] > last_) continue;
-        const Rays::End& end = cells_.ends[i];
-        const bool same_kind = to.kind == Kind::kAny || Kind(cells_.moving[i]) == to.kind;
-        corner = {squared, end.range * inverse_range,
-                  verdict_of(end, same_kind, to.point, to.range), end.plane, to.sweep};
+      const std::uint32_t end = start[high + 1];
+      for (std::uint32_t i = start[low]; i < end; i += kLanes) {
+        const Floats u =
+            (load(&cells_.azimuth[i]) - from) * to.cosine + load(&cells_.left[i]) * inverse_range;
+        const Floats v =
+            (load(&cells_.elevation[i]) - to.elevation) + load(&cells_.up[i]) * inverse_range;
+        const Floats squared = u * u + v * v;
+        const Ints near = (squared < most) & (absolute(u) <= reach_) & (absolute(v) <= reach_);
+        if (!docdepth::any(near)) continue;  // of most eight
+        const int some = std::min<int>(end - i, kLanes);
+        for (int lane = 0; lane < some; ++lane)
+          if (near[lane]) take(to, i + lane, u[lane], v[lane], squared[lane], corners);
+        most = farthest_squared(corners);
       }
     }
   }
 
-  int row_of(float elevation) const {
+  /// Keep ray i if it is nearer than what its quadrant has.
+  DOCDEPTH_KERNEL void take(const Target& to, std::uint32_t i, float u, float v, float squared,
+                            Corners& corners) const {
+    Corner& corner = corners[(u > 0) + 2 * (v > 0)];
+    if (!(squared < corner.squared) || cells_.time[i] < first_ || cells_.time[i] > last_) return;
+    const Rays::End& end = cells_.ends[i];
+    const bool same_kind = to.kind == Kind::kAny || Kind(cells_.moving[i]) == to.kind;
+    corner = {squared, end.range * (1 / to.range), verdict_of(end, same_kind, to.point, to.range),
+              end.plane, to.sweep};
+  }
+
+  DOCDEPTH_KERNEL int row_of(float elevation) const {
     return int(std::floor((elevation - float(cells_.low)) / float(cells_.side)));
   }
-  int column_of(float azimuth) const {
+  DOCDEPTH_KERNEL int column_of(float azimuth) const {
     return int(std::floor((azimuth + kTurn / 2) * float(cells_.columns) / float(kTurn)));
   }
-  int wrapped(int column) const {
+  DOCDEPTH_KERNEL int wrapped(int column) const {
     return (column % cells_.columns + cells_.columns) % cells_.columns;
   }
 
   /// A ray in the cell of a direction or in one beside it; -1 if there is none.
-  std::int64_t any_ray(float azimuth, float elevation) const {
+  DOCDEPTH_KERNEL std::int64_t any_ray(float azimuth, float elevation) const {
     const int row = row_of(elevation), column = column_of(azimuth);
     for (const int r : {row, row - 1, row + 1})
       for (const int c : {column, column - 1, column + 1}) {
@@ -180,9 +200,16 @@ Sweeps within_shutter(const std::vector<PlacedRays>& rays) {
   return sweeps;
 }
 
+struct FindCorners {
+  DOCDEPTH_KERNEL static void run(const Sweeps& sweeps, const Vector& point, Kind kind,
+                                  Corners& corners) {
+    for (std::size_t s = 0; s < sweeps.size(); ++s) sweeps[s].find(point, kind, s, corners);
+  }
+};
+
 Corners corners_around(const Sweeps& sweeps, const Vector& point, Kind kind) {
   Corners corners;
-  for (std::size_t s = 0; s < sweeps.size(); ++s) sweeps[s].find(point, kind, s, corners);
+  dispatch<FindCorners>(sweeps, point, kind, corners);
   return corners;
 }
 
@@ -315,6 +342,7 @@ void empty_behind_boxes(const Camera& camera, const MeshScene& scene,
                         int threads) {
   if (scene.boxes.empty()) return;
   const Sweeps sweeps = within_shutter(scene.shutter_rays);
+  std::vector<std::uint8_t> was_seen(depth.size(), 0);  // behind a box before this one
   for (const PlacedBox& placed : scene.boxes) {
     const SeenBox box(camera, placed);
     const PixelBounds& bounds = box.bounds();
@@ -324,10 +352,11 @@ void empty_behind_boxes(const Camera& camera, const MeshScene& scene,
       for (std::size_t row = begin; row < end; ++row)
         for (int u = bounds.begin_u; u < bounds.end_u; ++u) {
           const std::size_t i = (bounds.begin_v + row) * camera.width + u;
-          if (!(depth[i] > 0) || (!owners.empty() && owners[i] != 0)) continue;
+          if (was_seen[i] || !(depth[i] > 0) || (!owners.empty() && owners[i] != 0)) continue;
           const Vector point = point_at(camera, i, depth[i]);
-          if (box.hides(point) && !most_ended(corners_around(sweeps, point, Kind::kStatic)))
-            depth[i] = std::numeric_limits<float>::quiet_NaN();
+          if (!box.hides(point)) continue;
+          was_seen[i] = most_ended(corners_around(sweeps, point, Kind::kStatic));
+          if (!was_seen[i]) depth[i] = std::numeric_limits<float>::quiet_NaN();
         }
     });
   }

@@ -108,7 +108,13 @@ class SensorRig:
 
     def select(self, rows: NDArray[np.bool_] | slice) -> SensorRig:
         """The rig of some of the points."""
-        ego_displacement = None if self.ego_displacement is None else self.ego_displacement[rows]
+        ego_displacement = self.ego_displacement
+        if ego_displacement is not None:
+            ego_displacement = (
+                ego_displacement[rows]
+                if isinstance(rows, slice)
+                else ego_displacement.compress(rows, axis=0)
+            )
         return replace(self, index=self.index[rows], ego_displacement=ego_displacement)
 
     def with_lidar(self, T_lidar_sensor: NDArray[np.float64], points: int) -> SensorRig:

@@ -106,8 +106,16 @@ class Track:
     def _pose_at(self) -> Callable[[int], NDArray[np.float64]]:
         return lru_cache(maxsize=_KEPT_POSES)(self._compute_pose)
 
+    @cached_property
+    def _rows(self) -> dict[int, int]:
+        """The row of each stamp. Nearly all times that are asked for are stamps of sweeps."""
+        return {stamp: row for row, stamp in enumerate(self.times.tolist())}
+
     def _compute_pose(self, time: int) -> NDArray[np.float64]:
-        pose = self._path.interpolate(time)[0] if self.covers(time) else self._beyond(time)
+        if time in self._rows:
+            pose = self._path.poses[self._rows[time]]
+        else:
+            pose = self._path.interpolate(time)[0] if self.covers(time) else self._beyond(time)
         pose.setflags(write=False)
         return pose
 
@@ -121,20 +129,35 @@ class Track:
 
     def velocity_at(self, time: int) -> NDArray[np.float64]:
         """Velocity (3,) at ``time`` [ns] in the world frame [m/s], linear between stamps."""
+        row = self._rows.get(int(time))
+        if row is not None:
+            return self.velocities[row].astype(np.float64)
         return np.array([self._between(time, of_axis) for of_axis in self.velocities.T])
 
     def deviation_at(self, time: int) -> float:
         """How well the place is known at ``time`` [ns]: standard deviation [m]."""
-        return self._between(time, self.deviations)
+        row = self._rows.get(int(time))
+        return self._between(time, self.deviations) if row is None else float(self.deviations[row])
+
+    @cached_property
+    def _elapsed(self) -> NDArray[np.float64]:
+        return (self.times - self.times[0]).astype(np.float64)
 
     def _between(self, time: int, values: NDArray[np.float64]) -> float:
-        elapsed = (self.times - self.times[0]).astype(np.float64)
-        return float(np.interp(float(int(time) - int(self.times[0])), elapsed, values))
+        return float(np.interp(float(int(time) - int(self.times[0])), self._elapsed, values))
 
     def turn_rate_at(self, time: int) -> NDArray[np.float64]:
         """Rotation vector a second (3,) at ``time`` [ns], world frame [rad/s]."""
         if len(self) < 2:
             return np.zeros(3)
-        after = int(np.clip(np.searchsorted(self.times, np.int64(time)), 1, len(self) - 1))
-        turn = self.poses[after, :3, :3] @ self.poses[after - 1, :3, :3].T
-        return rotation_log(turn) / (int(self.times[after] - self.times[after - 1]) * 1e-9)
+        after = min(max(int(np.searchsorted(self.times, np.int64(time))), 1), len(self) - 1)
+        if after not in self._turn_rates:
+            turn = self.poses[after, :3, :3] @ self.poses[after - 1, :3, :3].T
+            seconds = int(self.times[after] - self.times[after - 1]) * 1e-9
+            self._turn_rates[after] = rotation_log(turn) / seconds
+        return self._turn_rates[after].copy()
+
+    @cached_property
+    def _turn_rates(self) -> dict[int, NDArray[np.float64]]:
+        """What :meth:`turn_rate_at` has computed, by the later of two rows."""
+        return {}

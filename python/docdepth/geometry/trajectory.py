@@ -12,6 +12,7 @@ from docdepth.errors import InputError
 from docdepth.geometry.se3 import check_rigid, rotation_exp, rotation_log
 
 _JITTER = 0.05  # metres; poses of a standing sensor differ by less
+_KEPT_POSES = 64  # of single times; those of an image and of the sweeps around it
 _EARLY = 0.95  # share of a duration that counts as all of it, since stamps jitter
 
 
@@ -144,7 +145,20 @@ class Trajectory:
         InputError
             A time lies outside the trajectory: poses are not extrapolated.
         """
-        times = np.atleast_1d(np.asarray(times, dtype=np.int64))
+        if isinstance(times, int):  # an image asks for the same few times again and again
+            if times not in self._kept:
+                if len(self._kept) >= _KEPT_POSES:
+                    self._kept.clear()
+                self._kept[times] = self._interpolated(np.array([times]))
+            return self._kept[times].copy()
+        return self._interpolated(np.atleast_1d(np.asarray(times, dtype=np.int64)))
+
+    @cached_property
+    def _kept(self) -> dict[int, NDArray[np.float64]]:
+        """What :meth:`interpolate` found at single times."""
+        return {}
+
+    def _interpolated(self, times: NDArray[np.int64]) -> NDArray[np.float64]:
         outside = np.flatnonzero(~self.covers(times))
         if len(outside):
             raise InputError(

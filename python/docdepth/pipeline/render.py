@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
+from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
@@ -32,6 +33,7 @@ from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.frame_cache import FrameCache
+from docdepth.render.in_view import Images, TracksInView
 from docdepth.render.layers import compose_layers
 from docdepth.render.moving_objects import Tracks, objects_of
 from docdepth.render.selection import needed_frames
@@ -211,15 +213,18 @@ def _render_images(job: _Job, images: list[ImageToRender], progress: Callable[[i
     run, plan, watch = job.run, job.plan, job.watch
     trajectory, parameters = plan.trajectory, plan.parameters
     tracks = plan.tracks
-    cache = FrameCache(lambda i, w: load_frame(run, trajectory, i, parameters, tracks, w, watch))
+    is_drawn = TracksInView(tracks, trajectory, _views(trajectory, images)).draws
+    cache = FrameCache(
+        lambda i, w: load_frame(run, trajectory, i, parameters, tracks, w, watch, is_drawn=is_drawn)
+    )
     progress(0)
     with ThreadPoolExecutor(2) as pool:
         writing: Future[None] | None = None
+        needed: list[dict[int, bool]] = []
         for done, image in enumerate(images):
-            now_and_next = images[done : done + 2]
-            needed = [
-                needed_frames(trajectory, i.time, parameters.render, tracks) for i in now_and_next
-            ]
+            needed = needed[1:]
+            for coming in images[done + len(needed) : done + 2]:
+                needed.append(needed_frames(trajectory, coming.time, parameters.render, tracks))
             requested = cache.request({one for some in needed for one in some.items()}, pool)
             with watch("wait for frames"):
                 frames = {i: requested[i, whole].result() for i, whole in needed[0].items()}
@@ -230,6 +235,16 @@ def _render_images(job: _Job, images: list[ImageToRender], progress: Callable[[i
             progress(done + 1)
         if writing:
             writing.result()
+
+
+def _views(trajectory: Trajectory, images: list[ImageToRender]) -> list[Images]:
+    """Where each camera is when it takes its images."""
+    views: list[Images] = []
+    for files in {id(image.files): image.files for image in images}.values():
+        times = np.array([image.time for image in images if image.files is files])
+        T_camera_world = files.stream.T_camera_lidar @ inverse(trajectory.interpolate(times))
+        views.append((files.stream.camera, times, T_camera_world))
+    return views
 
 
 def _render_image(
@@ -272,10 +287,12 @@ def load_frame(
     whole: bool = True,
     watch: Stopwatch | None = None,
     kept_of: Callable[[FrameRecord], NDArray[np.bool_]] | None = None,
+    is_drawn: Callable[[int, int], bool] | None = None,
 ) -> Frame:
     """Read a classified sweep of a run and prepare it for rendering, or what is near vehicles.
 
-    ``kept_of`` tells which of its points to take; all if left out.
+    ``kept_of`` tells which of its points to take; all if left out. ``is_drawn`` is that of
+    :func:`~docdepth.render.moving_objects.objects_of`.
 
     Raises
     ------
@@ -294,6 +311,6 @@ def load_frame(
             record, classid = record.select(kept), classid[kept]
         points, late, rig = record.points, record.time_offset, run.sensor_rig(record)
         time, pose = int(trajectory.times[index]), trajectory.poses[index]
-        objects = objects_of(points, classid, time, pose, record.instance, tracks, late)
+        objects = objects_of(points, classid, time, pose, record.instance, tracks, late, is_drawn)
         velocity = trajectory.velocity(index)
         return Frame(points, classid, parameters.render, late, rig, velocity, objects)

@@ -61,7 +61,7 @@ class Frame:
     objects : SweepObjects
         Of the points that are drawn. Triangles only.
     T_object_sensor : ndarray of float64, shape (objects, 4, 4)
-        From the sensor of the dynamic part to each object. Triangles only.
+        From the sensor of the dynamic part to each object that is drawn. Triangles only.
 
     Raises
     ------
@@ -189,5 +189,6 @@ def _part(mesh: LidarMesh, classid: NDArray[np.uint16], objects: SweepObjects) -
         objects.time_offset,
         displacement,
         ray_origins,
+        objects.drawn,
     )
     return core, mesh.view.T_lidar_sensor

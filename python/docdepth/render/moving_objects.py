@@ -6,7 +6,7 @@ carried along the track to the time of the image.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,6 +44,8 @@ class SweepObjects:
         Seconds from the stamp to each measurement.
     displacement : ndarray of float32, shape (N, 3), optional
         Moves each point from where it was measured to where it is at the time of its object [m].
+    drawn : ndarray of bool, shape (objects,), optional
+        Which objects images draw; all if absent. The others are not placed.
     """
 
     owner: NDArray[np.uint16]
@@ -53,11 +55,12 @@ class SweepObjects:
     motion: NDArray[np.float32]
     time_offset: NDArray[np.float32] | None = None
     displacement: NDArray[np.float32] | None = None
+    drawn: NDArray[np.bool_] | None = None
 
     def select(self, rows: NDArray[np.bool_]) -> SweepObjects:
         """The objects of some points."""
         late = None if self.time_offset is None else self.time_offset[rows]
-        moved = None if self.displacement is None else self.displacement[rows]
+        moved = None if self.displacement is None else self.displacement.compress(rows, axis=0)
         return replace(self, owner=self.owner[rows], time_offset=late, displacement=moved)
 
 
@@ -69,6 +72,7 @@ def objects_of(
     instance: NDArray[np.uint16] | None = None,
     tracks: Tracks | None = None,
     time_offset: NDArray[np.float32] | None = None,
+    is_drawn: Callable[[int, int], bool] | None = None,
 ) -> SweepObjects:
     """Divide the dynamic points of a sweep into objects, each held at one time.
 
@@ -89,6 +93,9 @@ def objects_of(
     tracks : mapping of int to Track, optional
     time_offset : ndarray of float32, shape (N,), optional
         Seconds from the stamp to each measurement.
+    is_drawn : callable, optional
+        Whether images draw what was seen of a track, given its id, at a time [ns]; they draw all
+        tracks if absent.
     """
     tracks = tracks or {}
     rows = np.flatnonzero(classid >= DYNAMIC)
@@ -108,6 +115,7 @@ def objects_of(
     owner[rows] = number + 1
     count = len(instances)
     times: list[int] = []
+    drawn = np.ones(count, np.bool_)
     motion, T_object_lidar = np.zeros((count, 4), np.float32), np.repeat(np.eye(4)[None], count, 0)
     displacement = np.zeros(points.shape, np.float32) if instances.any() else None
     for k, of in enumerate(instances.tolist()):
@@ -115,7 +123,8 @@ def objects_of(
         late = float(delay[own].mean())
         times.append(int(time) + round(late * 1e9))
         motion[k, 3] = late
-        if not of or displacement is None:
+        drawn[k] = not of or not is_drawn or is_drawn(of, times[k])
+        if not of or not drawn[k] or displacement is None:
             continue
         track = tracks[of]
         T_object_lidar[k] = inverse(track.pose_at(times[k])) @ pose
@@ -130,6 +139,7 @@ def objects_of(
         motion,
         None if time_offset is None else time_offset.astype(np.float32),
         displacement,
+        drawn,
     )
 
 
@@ -138,8 +148,11 @@ def _held(
 ) -> NDArray[np.float64]:
     """Points measured ``earlier`` seconds before ``time``, as the object is at ``time``."""
     velocity, centre = track.velocity_at(time), track.pose_at(time)[:3, 3]
-    turn = rotation_exp(earlier[:, None] * track.turn_rate_at(time))
+    turn_rate = track.turn_rate_at(time)
     then = centre - earlier[:, None] * velocity
+    if not turn_rate.any():
+        return np.asarray(centre + (world - then))
+    turn = rotation_exp(earlier[:, None] * turn_rate)
     return np.asarray(centre + np.einsum("nij,nj->ni", turn, world - then))
 
 

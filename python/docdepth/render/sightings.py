@@ -147,19 +147,27 @@ def _extent(track: Track, trajectory: Trajectory) -> Extent:
 
 def _in_view(camera: Camera, T_camera_object: Floats, track: Track) -> bool:
     """Whether the camera may see something of the object."""
-    radius = float(np.linalg.norm(track.size)) / 2 + REACH
-    x, y, z = T_camera_object[:3, :3] @ (0, 0, 0.5 * track.size[2]) + T_camera_object[:3, 3]
-    if z < -radius:
-        return False
+    middle = T_camera_object[:3, :3] @ (0, 0, 0.5 * track.size[2]) + T_camera_object[:3, 3]
+    return bool(within_image(camera, middle, object_radius(track)))
+
+
+def object_radius(track: Track) -> float:
+    """No part of an object lies farther from the middle of its box [m]."""
+    return float(np.linalg.norm(track.size)) / 2 + REACH
+
+
+def within_image(camera: Camera, places: Floats, radius: float) -> NDArray[np.bool_]:
+    """Whether an image may show something within ``radius`` [m] of each place (n, 3), or (3,)."""
+    x, y, z = places.T
+    shown = z >= -radius
     for offset, focal, centre, pixels in (
         (x, camera.K[0, 0], camera.K[0, 2], camera.width),
         (y, camera.K[1, 1], camera.K[1, 2], camera.height),
     ):
         for normal, limit in ((focal, centre), (-focal, pixels - centre)):
             # Distance to the plane through the camera and a border of the image.
-            if (normal * offset + limit * z) / np.hypot(normal, limit) < -radius:
-                return False
-    return True
+            shown = shown & ((normal * offset + limit * z) / np.hypot(normal, limit) >= -radius)
+    return np.asarray(shown)
 
 
 def _chosen(

@@ -105,11 +105,14 @@ def near_vehicles(
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     own = np.where(classid >= DYNAMIC, instance, 0)
-    for of in np.unique(own).tolist():
+    for of in np.unique(own[own > 0]).tolist():
         if of not in tracks or tracks[of].kind != "vehicle":
             continue
         rows = np.flatnonzero(own == of)
-        turn = (azimuth - azimuth[rows[0]] + np.pi) % (2 * np.pi) - np.pi
+        turn = azimuth - azimuth[rows[0]] + np.pi
+        turn[turn < 0] += 2 * np.pi
+        turn[turn >= 2 * np.pi] -= 2 * np.pi
+        turn -= np.pi
         kept |= _between(turn, rows) & _between(elevation, rows)
     return kept
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.geometry.points import DYNAMIC, STATIC
+from docdepth.geometry.points import DYNAMIC, STATIC, usable_points
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.visualization.pictures import Picture
@@ -83,8 +83,8 @@ def drive_map(run: RunFolder) -> DriveMap:
     heights = np.full(rows * columns, -1, np.float32)
     for k in _spaced(trajectory):
         record, classid = run.classified_frame(k)
-        kept = (classid < DYNAMIC) & np.isfinite(record.points).all(axis=1)
-        points = record.points[kept]
+        kept = (classid < DYNAMIC) & usable_points(record.points, 0)
+        points = record.points.compress(kept, axis=0)
         above = heights_above_ground(points, classid[kept] < STATIC)
         pose = trajectory.poses[k]
         place = np.floor(empty.pixels(points @ pose[:3, :3].T + pose[:3, 3])).astype(np.int64)

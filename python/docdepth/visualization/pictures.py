@@ -57,9 +57,9 @@ def colorize(
         BGR.
     """
     valid = np.isfinite(depth) & (depth > 0)
-    share = np.log(np.where(valid, depth, near) / near) / np.log(far / near)
-    colors = _viridis(share)
-    colors[~valid] = BACKGROUND
+    share = np.log(np.where(valid, depth, near) / near) / float(np.log(far / near))
+    colors = np.full((*depth.shape, 3), BACKGROUND, np.uint8)
+    cv2.copyTo(_viridis(share), valid.astype(np.uint8), colors)
     return draw_bar(colors, near, far) if bar else colors
 
 
@@ -90,7 +90,7 @@ def overlay(
         gray = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
         blended = cv2.addWeighted(colors, opacity, gray, 1 - opacity, 0)
         darker = cv2.convertScaleAbs(gray, alpha=0.5)
-        colors = np.where(np.isnan(depth)[..., None], darker, blended)
+        colors = np.asarray(cv2.copyTo(darker, np.isnan(depth).astype(np.uint8), blended), np.uint8)
     return draw_bar(colors, near, far)
 
 
@@ -233,7 +233,8 @@ def _viridis(share: NDArray[np.floating[Any]]) -> Picture:
     table = cv2.applyColorMap(
         np.linspace(20, 255, 256).astype(np.uint8)[:, None], cv2.COLORMAP_VIRIDIS
     )
-    return np.asarray(table[:, 0][steps], np.uint8)
+    flat = cv2.applyColorMap(steps.reshape(-1, 1), table) if steps.size else np.empty((0, 1, 3))
+    return np.asarray(flat, np.uint8).reshape(*steps.shape, 3)
 
 
 def draw_classes(
