@@ -1,6 +1,6 @@
 """Memory and processor time of each stage against the length of the drive.
 
-    python benchmarks/endless.py OUT [--frames 250 500 1000 2000] [--sensor VLP-16] [--columns 600]
+    python benchmarks/endless.py OUT [--frames 250 1000 2000 4000] [--sensor VLP-16] [--columns 600]
 
 Drives along an endless street that is made while it is read; the longer drive begins as the shorter
 one. Each stage runs in a process of its own. Of the first and the last hundred sweeps it prints the

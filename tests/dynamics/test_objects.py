@@ -130,7 +130,7 @@ def test_an_interrupted_run_continues_and_ends_the_same(street, few_votes, tmp_p
 
     again = folder_of(tmp_path / "again", trajectory, sweeps, p)
     # One file of ground comes first; then while it votes, and while it adds tracks.
-    for name, times in (("_write_arrays", 8), ("_write_arrays", 3), ("write_classified", 7)):
+    for name, times in (("write_arrays", 8), ("write_arrays", 3), ("write_classified", 7)):
         whole, left = getattr(stage, name), iter(range(times))
 
         def interrupted(*arguments, whole=whole, left=left):
