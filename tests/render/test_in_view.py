@@ -65,7 +65,7 @@ def test_pixels_are_the_same_without_what_no_image_shows(kind: str) -> None:
     whole = [frame(i, False) for i in range(30)]
     cropped = [frame(i, True) for i in range(30)]
     drawn = np.array(
-        [dict(zip(f.objects.instances, f.objects.drawn, strict=True)) for f in cropped]
+        [dict(zip(f.objects.instances, f.objects.drawn.tolist(), strict=True)) for f in cropped]
     )
     assert not any(of[7] for of in drawn)
     assert all(of[6] for of in drawn[:12])
