@@ -131,6 +131,7 @@ void measure_surfaces(const Camera& camera, const std::vector<Matrix>& sweeps,
                       {},
                       nullptr,
                       nullptr,
+                      nullptr,
                       nullptr});
   };
   for (const double ahead :
