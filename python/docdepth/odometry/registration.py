@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from docdepth.datasets.base import Sweep
 from docdepth.errors import OdometryError
 from docdepth.geometry.se3 import inverse, nearest_rigid, se3_exp, se3_log
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
+from docdepth.odometry.level_ground import thin_level_ground
 from docdepth.odometry.registration_log import Found, RegistrationLog
 from docdepth.odometry.smoothing import State, filtered
 from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_sweep
@@ -60,29 +62,25 @@ class Registration:
     ----------
     voxel_size : float
         Edge of a voxel of the map [m].
-    sampling : float
-        Edge of a voxel in which a sweep keeps one point [m].
+    sampling : float, optional
+        Edge of a voxel in which a sweep keeps one point [m]; None where sweeps are thin enough.
     threads : int
         For the normals of a sweep.
     """
 
-    def __init__(self, voxel_size: float, sampling: float, threads: int) -> None:
+    def __init__(self, voxel_size: float, sampling: float | None, threads: int) -> None:
         import small_gicp
 
         self._small_gicp = small_gicp
         self._map = small_gicp.GaussianVoxelMap(voxel_size)
-        self._sampling, self._threads = sampling, threads
+        self._voxel_size, self._sampling, self._threads = voxel_size, sampling, threads
         self._empty, self._cloud = True, None
 
     def take(self, points: NDArray[np.float32]) -> None:
         """Take the next deskewed sweep: its points get their distributions."""
-        gicp = self._small_gicp
-        cloud = gicp.PointCloud(points.astype(np.float64))
-        if self._sampling > FINE_SAMPLING:
-            cloud = gicp.voxelgrid_sampling(cloud, self._sampling)
-        tree = gicp.KdTree(cloud)
-        gicp.estimate_covariances(cloud, tree, _NORMAL_NEIGHBORS, self._threads)
-        self._cloud = cloud
+        self._cloud = _cloud(
+            points.astype(np.float64), self._sampling, self._voxel_size, self._threads
+        )
 
     def align(self, guess: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Register the sweep that was taken, from an initial guess (4, 4).
@@ -111,6 +109,19 @@ class Registration:
         """Add the sweep that was taken to the map."""
         self._map.insert(self._cloud, pose)
         self._empty = False
+
+
+def _cloud(
+    points: NDArray[np.float64], sampling: float | None, voxel_size: float, threads: int
+) -> Any:
+    """A small_gicp.PointCloud with the distribution of each point, for a map of such voxels."""
+    import small_gicp
+
+    if sampling is not None:
+        points = small_gicp.voxelgrid_sampling(points, sampling).points()[:, :3]
+    cloud = small_gicp.PointCloud(thin_level_ground(points, voxel_size))
+    small_gicp.estimate_covariances(cloud, small_gicp.KdTree(cloud), _NORMAL_NEIGHBORS, threads)
+    return cloud
 
 
 class LoggedRegistration:
@@ -216,9 +227,8 @@ def register(
         A sweep cannot be registered.
     """
     count, times = len(sweeps), sweeps.times
-    voxel, sampling = _FINE_VOXEL, FINE_SAMPLING
-    if known is None:
-        voxel, sampling = parameters.voxel_size, 0.5 * parameters.voxel_size
+    voxel = _FINE_VOXEL if known else parameters.voxel_size
+    sampling = None if known else 0.5 * parameters.voxel_size
     registration = LoggedRegistration(
         Registration(voxel, sampling, threads),
         RegistrationLog() if kept is None else kept,
@@ -293,8 +303,7 @@ def first_motion(
         near = points_in_range(sweeps[k].points, parameters)
         if len(near) < FEWEST_POINTS:
             break
-        cloud, _ = small_gicp.preprocess_points(near, _FIRST_SAMPLING, _NORMAL_NEIGHBORS, _THREADS)
-        clouds.append(cloud)
+        clouds.append(_cloud(near, _FIRST_SAMPLING, _FIRST_VOXEL, _THREADS))
     best, most = np.eye(4), 0.0
     for speed in _STEPS if len(clouds) > 1 else ():
         voxel_map = small_gicp.GaussianVoxelMap(_FIRST_VOXEL)
