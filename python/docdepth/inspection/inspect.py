@@ -31,6 +31,7 @@ from docdepth.odometry.pose_checks import check_given_poses, warn_of_jumps, warn
 from docdepth.pipeline.check_cameras import check_camera
 from docdepth.pipeline.check_sweeps import check_sweeps
 from docdepth.pipeline.problems import Findings, Problem
+from docdepth.pipeline.run_inputs import find_looks_from
 from docdepth.pipeline.sanity import warn_of_viewpoint
 from docdepth.pipeline.stage import recorded_warnings
 
@@ -198,7 +199,7 @@ def _look_at_poses(recording: Dataset, result: Inspection, source: str, found: F
     figures["ego"] = None
     if any(step > findings.MOVING for step in steps) and result.sweeps:
         figures["ego"] = ego_body([s.points for s in result.sweeps.values()], result.ground)
-    if result.sweeps:
+    if result.sweeps and find_looks_from(recording) is None:
         keys = list(result.sweeps)
         warn_of_viewpoint(
             lambda i: _usable(result.sweeps[keys[i]]),
