@@ -36,6 +36,7 @@ from docdepth.pipeline.sanity import warn_of_viewpoint
 from docdepth.pipeline.stage import recorded_warnings
 
 _WINDOW = 6  # sweeps that are registered with each other
+_LEAST_TRAVEL = 5.0  # metres; on a shorter drive the traffic beside the vehicle stays with it, too
 _BETTER = 1.1  # times the share of points on each other, by registration against given poses
 _ONE_PASS = OdometryParameters(passes=1)
 
@@ -197,7 +198,9 @@ def _look_at_poses(recording: Dataset, result: Inspection, source: str, found: F
             with found.collected():
                 warn_of_misfit(lambda k: recording.sweep(k).points, poses, _ONE_PASS)
     figures["ego"] = None
-    if any(step > findings.MOVING for step in steps) and result.sweeps:
+    fastest = max(steps, default=0.0)
+    travelled = fastest * len(recording) > _LEAST_TRAVEL
+    if fastest > findings.MOVING and travelled and result.sweeps:
         figures["ego"] = ego_body([s.points for s in result.sweeps.values()], result.ground)
     if result.sweeps and find_looks_from(recording) is None:
         keys = list(result.sweeps)
