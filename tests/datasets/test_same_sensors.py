@@ -17,6 +17,8 @@ from docdepth.synthetic import sensors, write_drive
 pytestmark = pytest.mark.slow
 
 FRAMES = 3
+_SAME_READER = ("db3", "ros1")
+"""Bags that the reader of MCAP reads; maps of one kind are enough, and take time."""
 
 
 @pytest.fixture(scope="module", params=list(sensors()))
@@ -60,6 +62,13 @@ def test_every_sensor_in_every_format(form, drive, poses, depth, tmp_path) -> No
     np.testing.assert_array_equal(other.times, drive.times)
     for k in range(FRAMES):
         assert set(differences(drive.sweep(k), other.sweep(k))) <= {"name"}, f"sweep {k}"
-    for one, same in zip(depth, maps_of(other, poses, tmp_path / "run"), strict=True):
-        np.testing.assert_array_equal(one, same)
-        assert np.isfinite(one).mean() > 0.05
+    streams = {name: s for name, s in drive.cameras.items() if s.images}
+    (one,), (same,) = streams.values(), [s for s in other.cameras.values() if s.images]
+    np.testing.assert_array_equal(one.times, same.times)
+    np.testing.assert_array_equal(one.T_camera_lidar, same.T_camera_lidar)
+    np.testing.assert_array_equal(one.camera.K, same.camera.K)
+    if form in _SAME_READER:
+        return  # from here on nothing knows the format
+    for right, drawn in zip(depth, maps_of(other, poses, tmp_path / "run"), strict=True):
+        np.testing.assert_array_equal(drawn, right)
+        assert np.isfinite(right).mean() > 0.05
