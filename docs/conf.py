@@ -20,8 +20,8 @@ import docdepth
 ROOT = Path(__file__).parent.parent
 CHAPTERS = {
     "Use": (
-        *("docs/quickstart", "docs/recordings", "docs/calibration", "docs/mistakes"),
-        "notebooks/README",
+        *("docs/quickstart", "docs/recordings", "docs/datasets", "docs/calibration"),
+        *("docs/mistakes", "notebooks/README"),
     ),
     "Look up": ("docs/python", "docs/parameters", "docs/formats"),
     "Understand": ("docs/method", "docs/measurements", "docs/decisions"),

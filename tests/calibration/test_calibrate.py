@@ -8,12 +8,12 @@ import yaml
 from boards import BOARD, LENS, T_CAMERA_LIDAR, all_poses, corners_of, pair
 
 from docdepth.calibration.board import Board
-from docdepth.calibration.bundle import Solution, pose_by_sweep, solve_bundle
+from docdepth.calibration.bundle import Solution, covariance, pose_by_sweep, solve_bundle
 from docdepth.calibration.calibrate import calibrate, find
 from docdepth.calibration.linear import normals_condition, solve_linear, solve_scale
 from docdepth.calibration.outline import crossings, rays_near
 from docdepth.calibration.pairs import board_pairs
-from docdepth.calibration.quality import difference
+from docdepth.calibration.quality import difference, leave_one_out, uncertainty
 from docdepth.calibration.result import quality_of
 from docdepth.calibration.sweeps import board_sweep
 from docdepth.datasets import image_streams, open_dataset
@@ -61,6 +61,26 @@ def test_k_is_estimated_with_the_extrinsic(exact_pairs):
     solution = solve_bundle(BOARD, found, start, True)
     np.testing.assert_allclose(solution.lens.K[:2], LENS.K[:2], atol=0.3)
     assert difference(solution.T_camera_lidar, T_CAMERA_LIDAR)[0] < 0.06
+
+
+def test_the_uncertainty_has_what_an_estimated_k_costs(calibrated):
+    """Against how much the calibrations of boards with other noise differ."""
+    rng, turns, told, bounds = np.random.default_rng(2), [], [], []
+    for draw in range(6):
+        noisy = [
+            replace(o, corners=o.corners + rng.normal(0, 0.3, o.corners.shape))
+            for o in calibrated.observations
+        ]
+        found = solve_bundle(BOARD, noisy, calibrated.solution, True)
+        turns.append(difference(found.T_camera_lidar, T_CAMERA_LIDAR)[0])
+        bounds.append(np.trace(covariance(BOARD, noisy, found, True)[:3, :3]))
+        if draw < 2:
+            left_out = leave_one_out(BOARD, noisy, found, True)
+            told.append(np.linalg.norm(uncertainty(left_out)[0]))
+    error, bound = np.sqrt(np.mean(np.square(turns))), np.degrees(np.sqrt(np.mean(bounds)))
+    assert error > 0.1, "several times that of a known K"
+    assert 0.6 < error / bound < 1.5
+    assert 0.5 < error / np.mean(told) < 1.8
 
 
 def test_a_board_that_moved_by_seven_centimetres_is_left_out(exact_pairs, calibrated):

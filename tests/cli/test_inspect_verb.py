@@ -13,6 +13,7 @@ from command_line import cli
 from docdepth.datasets import open_dataset
 from docdepth.geometry.se3 import inverse
 from docdepth.io.poses import write_kitti
+from docdepth.visualization.inspection_text import inspection_lines
 from small_drive import write_small_drive
 
 
@@ -20,8 +21,11 @@ def test_figures_and_a_page_with_pictures(drive: Path, tmp_path: Path) -> None:
     page = tmp_path / "drive.html"
     result = cli("inspect", drive, "-o", page)
     assert result.exit_code == 0, result.output
-    for part in ("beams: 16", "rate [Hz]: 10", "tilt [degrees]: ", f"pictures: {page}"):
+    for part in ("16 beams; sees 360", ": 10 a second, 100 ms apart", f"pictures: {page}"):
         assert part in result.output
+    assert re.search(
+        r"ground +1\.\d+ m below the origin; z is [0-2]\S* degrees from", result.output
+    )
     assert "warning" not in result.output
     text = page.read_text()
     assert "No problem was found." in text
@@ -29,6 +33,45 @@ def test_figures_and_a_page_with_pictures(drive: Path, tmp_path: Path) -> None:
     assert not re.search(r'src="(?!data:)|href=', text), "nothing else is needed"
     assert cli("inspect", drive, "-o", page, "--frames", "1:4").exit_code == 0, "it is replaced"
     assert "count</td><td>3" in page.read_text()
+
+
+def test_figures_that_are_not_known_are_said_so(tmp_path: Path) -> None:
+    """A single sweep of points without times."""
+    lines = list(
+        inspection_lines(
+            {
+                "recording": {"path": "a", "format": "folder"},
+                "sweeps": {"count": 1, "from_s": 12.5, "motion_compensated": False, "to_s": 12.5},
+                "lidars": [
+                    {
+                        "name": "top",
+                        "points": 9,
+                        "range_m": [1, 2, 3, 4.26],
+                        "field_of_view_deg": {"horizontal": 70, "vertical": [-5, 5]},
+                        "beams": None,
+                        "spacing_deg": None,
+                        "same_ray": 0.0,
+                        "same_point": 0.0,
+                    }
+                ],
+                "rows": {"not_finite": 0.25, "at_origin": 0.0, "close": 0.0, "one_place": 0.0},
+                "point_times": None,
+                "ground": None,
+                "poses": None,
+            }
+        )
+    )
+    assert [line.strip() for line in lines] == [
+        "a, read as folder",
+        "sweeps    1, at 12.500 s",
+        "points have no times: sweeps stay as they were measured",
+        "LiDAR     top: 9 points from 1.0 to 4 m, half of them within 2.0 m, 99 % within 3 m",
+        "no beams that can be told apart; sees 70 degrees around, from -5 to 5 degrees of "
+        "elevation",
+        "rows      at most, of a sweep: 25 % are not finite",
+        "ground    not found",
+        "poses     none: a run estimates them",
+    ]
 
 
 def test_json_and_wrong_poses(drive: Path, tmp_path: Path) -> None:

@@ -73,6 +73,8 @@ def write_bag(path: Path, kind: str, dataset: Dataset, poses: list[str]) -> Path
         for k, time in enumerate(dataset.times.tolist()):
             bag.write("/points", bag.cloud(rows_of(dataset.sweep(k), period), time), time)
         for name, stream in dataset.cameras.items():
+            if not stream.images:
+                continue
             size = (stream.camera.width, stream.camera.height)
             for image, time in zip(stream.images, stream.times.tolist(), strict=True):
                 info = bag.camera_info(stream.camera.K, np.zeros(5), size, time)

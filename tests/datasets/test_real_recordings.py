@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 import yaml
 from conformance import check
+from scipy.optimize import least_squares
 from vehicles import nuscenes_tables
 
 from docdepth.datasets import open_dataset, usable_points
 from docdepth.datasets.point_times import TimeSample, find_point_times
 from docdepth.datasets.viewpoint import find_viewpoint
 from docdepth.errors import DatasetError
+from docdepth.geometry.se3 import se3_exp
 from docdepth.geometry.sensor_rig import lidar_views
+from docdepth.odometry.deskewing import deskew
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -114,6 +117,38 @@ def test_point_times_of_a_real_ouster(recordings: Path) -> None:
     late = found.relative(samples[0])
     assert late is not None
     np.testing.assert_allclose(late, samples[0].values * 10, atol=1e-6)
+
+
+def test_deskewing_is_that_of_others(recordings: Path) -> None:
+    """Of a hand-held Ouster that turns by up to 100 degrees a second, deskewed by an IMU.
+
+    The three sweeps are seconds apart, so that the motion is fitted: one constant velocity has to
+    explain what others did with the times of the points, to the start of the sweep.
+    """
+    folder = recordings / "newer_college_06"
+    T_imu_lidar = np.array([(-1, 0, 0, -0.006), (0, -1, 0, 0.012), (0, 0, 1, -0.029)])
+    for k in range(3):
+        raw, theirs = (
+            np.fromfile(folder / f"{name}_{k:02d}.bin", "<f4").reshape(-1, 3)
+            for name in ("raw", "deskewed")
+        )
+        late = 10 * np.fromfile(folder / f"times_{k:02d}.bin", "<f4")
+        theirs = (theirs - T_imu_lidar[:, 3]) @ T_imu_lidar[:, :3]
+
+        def errors(twist, rows, raw=raw, late=late, theirs=theirs):
+            motion = se3_exp(twist[:3], twist[3:])
+            return (deskew(raw[rows], late[rows], motion) - theirs[rows]).ravel().astype(float)
+
+        some, every = np.arange(0, len(raw), 20), np.arange(len(raw))
+        fit = least_squares(
+            errors, np.zeros(6), args=(some,), loss="soft_l1", f_scale=0.02, diff_step=1e-3
+        )
+        before, after = (
+            np.median(np.linalg.norm(errors(twist, every).reshape(-1, 3), axis=1))
+            for twist in (np.zeros(6), fit.x)
+        )
+        assert before > 0.35
+        assert after < min(0.04, before / 20)
 
 
 # ---- data sets of vehicles

@@ -320,9 +320,9 @@ def test_two_returns_of_a_real_lidar(recordings: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_real_scene_of_dgp_needs_to_know_where_it_looks_from(recordings: Path) -> None:
+def test_where_the_lidars_of_a_real_scene_of_dgp_are(recordings: Path) -> None:
     """Points are in the vehicle's frame, whose origin is on the ground, of several LiDARs."""
     result = inspect_recording(open_dataset(recordings / "dgp"))
-    assert ["looks_from" in text for text in warnings_of(result)] == [True]
+    assert ["rays are taken to begin there" in text for text in warnings_of(result)] == [True]
     np.testing.assert_allclose(result.figures["ground"]["height_m"], 0, atol=0.3)
     assert len(result.figures["cameras"]) == 3

@@ -41,6 +41,16 @@ def city(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return open_dataset(write_drive(folder, "city", "XT-32", frames=15, seed=2))
 
 
+@pytest.fixture(scope="module")
+def overtaking(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Nine raw sweeps of a motorway, eight images: nearly all edges are of what drives along."""
+    pytest.importorskip("embreex")
+    from docdepth.synthetic import write_drive
+
+    folder = tmp_path_factory.mktemp("overtaking")
+    return open_dataset(write_drive(folder, "overtaking", "VLP-16", frames=9, seed=31, skew=True))
+
+
 def turned(stream: CameraStream, tilt: float = 0, pan: float = 0, roll: float = 0) -> CameraStream:
     T = np.eye(4)
     T[:3, :3] = rotation_exp(np.radians([tilt, pan, roll]))
@@ -74,6 +84,15 @@ def test_the_right_calibration_of_a_real_drive_is_left_alone(drive_9001: Path) -
     assert find_misalignment(real, stream) is None
     found = find_misalignment(real, turned(stream, pan=1.5))
     assert found == f"{BETTER} the camera turns 1.5 degrees to the right"
+
+
+def test_what_drives_along_is_no_shift(overtaking: Dataset) -> None:
+    """At 25 m/s the LiDAR moves by 0.9 m from a sweep to its image, and they with it."""
+    stream = overtaking.cameras["image_2"]
+    assert find_misalignment(overtaking, stream) is None
+    found = find_misalignment(overtaking, turned(stream, pan=2))
+    assert found is not None
+    assert found.startswith(f"{BETTER} the camera turns 2")
 
 
 @pytest.mark.parametrize(

@@ -253,6 +253,33 @@ def residuals(
     return found
 
 
+def covariance(
+    board: Board, observations: Sequence[Observation], at: Solution, free_lens: bool
+) -> Floats:
+    """How far noise alone moves the extrinsic: the bound of Cramér and Rao.
+
+    Parameters
+    ----------
+    board : Board
+    observations : sequence of Observation
+    at : Solution
+    free_lens : bool
+        K and distortion are not known, either.
+
+    Returns
+    -------
+    ndarray of float64, shape (6, 6)
+        Of turn [rad] and shift [m] about the camera's axes.
+    """
+    common = _SHARED + (_LENS if free_lens else 0)
+    views = [
+        _View(board, o, at.T_camera_lidar, pose, AT_EDGE[-1])
+        for o, pose in zip(observations, at.T_camera_board, strict=True)
+    ]
+    H, _ = _normal_equations(views, at, _values(views, at), common)
+    return np.asarray(np.linalg.inv(H)[:6, :6])
+
+
 def pose_by_sweep(
     board: Board, observation: Observation, at: Solution, T_camera_board: Floats
 ) -> Floats:

@@ -135,7 +135,7 @@ def calibrate(
     count, free_lens = len(observations), lens is None
     while True:
         solution = solve_bundle(board, observations, start, free_lens)
-        boards = leave_one_out(board, observations, solution, progress)
+        boards = leave_one_out(board, observations, solution, free_lens, progress)
         bad = _that_disagree(boards)
         if not bad:
             break
@@ -157,7 +157,7 @@ def calibrate(
         solution,
         errors,
         boards,
-        halves(board, observations, solution, progress),
+        halves(board, observations, solution, free_lens, progress),
         turn,
         shift,
         not_used,

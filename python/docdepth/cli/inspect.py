@@ -79,9 +79,9 @@ def inspect(
 
 
 def _show(result: Inspection, findings: list[tuple[str, str]]) -> None:
-    from docdepth.visualization.inspection_page import as_lines
+    from docdepth.visualization.inspection_text import inspection_lines
 
-    for line in as_lines(result.figures):
+    for line in inspection_lines(result.figures):
         out.print(line, soft_wrap=True, markup=False, highlight=False)
     for severity, text in findings:
         colour = {"error": "red", "warning": "yellow"}.get(severity, "cyan")

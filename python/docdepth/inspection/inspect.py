@@ -31,10 +31,12 @@ from docdepth.odometry.pose_checks import check_given_poses, warn_of_jumps, warn
 from docdepth.pipeline.check_cameras import check_camera
 from docdepth.pipeline.check_sweeps import check_sweeps
 from docdepth.pipeline.problems import Findings, Problem
+from docdepth.pipeline.run_inputs import find_looks_from
 from docdepth.pipeline.sanity import warn_of_viewpoint
 from docdepth.pipeline.stage import recorded_warnings
 
 _WINDOW = 6  # sweeps that are registered with each other
+_LEAST_TRAVEL = 5.0  # metres; on a shorter drive the traffic beside the vehicle stays with it, too
 _BETTER = 1.1  # times the share of points on each other, by registration against given poses
 _ONE_PASS = OdometryParameters(passes=1)
 
@@ -196,9 +198,11 @@ def _look_at_poses(recording: Dataset, result: Inspection, source: str, found: F
             with found.collected():
                 warn_of_misfit(lambda k: recording.sweep(k).points, poses, _ONE_PASS)
     figures["ego"] = None
-    if any(step > findings.MOVING for step in steps) and result.sweeps:
+    fastest = max(steps, default=0.0)
+    travelled = fastest * len(recording) > _LEAST_TRAVEL
+    if fastest > findings.MOVING and travelled and result.sweeps:
         figures["ego"] = ego_body([s.points for s in result.sweeps.values()], result.ground)
-    if result.sweeps:
+    if result.sweeps and find_looks_from(recording) is None:
         keys = list(result.sweeps)
         warn_of_viewpoint(
             lambda i: _usable(result.sweeps[keys[i]]),

@@ -9,7 +9,7 @@ other times. Nothing is said where the evidence is thin.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,10 @@ _STEP_DEG, _FARTHEST_DEG = 0.5, 4.0  # turns that are compared
 _WIDE_STEP_DEG, _WIDEST_DEG = 1.0, 12.0  # those where none of them fits
 _ROLLS_DEG = (-6.0, -4.0, -3.0, 3.0, 4.0, 6.0)
 _SHIFTS = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)  # metres along each axis
+_LIKE_TRAVEL = (
+    0.6  # metres; shifts nearer to the way from sweep to image are told by what drives along
+)
+_LEAST_TRAVEL = 0.25  # metres; shorter ways are like no shift that is compared
 _IMAGES_OFF = (-3, 3)  # images before and after; neighbours may fit as well
 _LEAST_DEG = 1.0  # a smaller turn is no error worth a warning
 _SIGNIFICANT = 3.5  # standard errors that the better score lies above
@@ -68,7 +72,7 @@ def find_misalignment(recording: Dataset, stream: CameraStream) -> str | None:
     found = pairs.best(pairs.turns, _MOVED_GAIN if moved else _GAIN)
     if moved:
         return None if found is None else better + in_words(found[0])
-    both = [found, pairs.best(_shifts(), _GAIN)]
+    both = [found, pairs.best(pairs.shifts(), _GAIN)]
     known = [one for one in both if one is not None]
     if known:
         return better + in_words(max(known, key=lambda one: one[1])[0])
@@ -131,6 +135,18 @@ class _Pairs:
             return None
         return (changes[k], float(mean[k])) if _is_better(scores[k], self.given, gain) else None
 
+    def shifts(self) -> list[Change]:
+        """Shifts that are compared.
+
+        A vehicle that drives along with the LiDAR stays where the sweep saw it, so its edges lie
+        off by the LiDAR's way from the sweep to the image. A shift like that tells nothing.
+        """
+        travel = np.median([view.travel for view in self.views], axis=0)
+        ahead = self.stream.T_camera_lidar[:3, :3] @ travel
+        if np.linalg.norm(ahead) < _LEAST_TRAVEL:
+            return _shifts()
+        return [s for s in _shifts() if np.linalg.norm(ahead - s[3:]) > _LIKE_TRAVEL]
+
     def better_images(self) -> int:
         """How many images later those fit better; 0 if the given ones are best."""
         best, best_score = 0, max(float(self.given.mean()), _SHARP * float(self.chance.mean()))
@@ -139,7 +155,7 @@ class _Pairs:
             for k, view in enumerate(self.views):
                 if 0 <= view.image + off < len(self.stream.images):
                     strength = edge_strength(self.stream, view.image + off)
-                    others.append(View(view.ends, view.weight, view.image + off, strength))
+                    others.append(replace(view, image=view.image + off, strength=strength))
                     inside.append(k)
             if len(others) < _FEWEST_PAIRS:
                 continue

@@ -18,6 +18,7 @@ from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.odometry.deskewing import centred_motion, deskew
 
 PAIRS = 8
 """Pairs of a sweep and an image that are compared."""
@@ -50,12 +51,15 @@ class View:
         Index of the image.
     strength : ndarray of float32, shape (h, w, 3)
         Edges of the image, see :func:`edge_strength`.
+    travel : ndarray of float64, shape (3,)
+        Path of the LiDAR from the sweep to the image, in its frame, metres; 0 if it is not known.
     """
 
     ends: NDArray[np.float64]
     weight: NDArray[np.float64]
     image: int
     strength: NDArray[np.float32]
+    travel: NDArray[np.float64]
 
 
 def views_of(recording: Dataset, stream: CameraStream) -> list[View]:
@@ -69,20 +73,28 @@ def views_of(recording: Dataset, stream: CameraStream) -> list[View]:
     views = []
     for image in chosen.tolist() if len(inside) else []:
         index = int(np.abs(times - stream.times[image]).argmin())
-        ends, weight = _depth_edges(recording, index, stream)
+        ends, late, weight = _depth_edges(recording, index, stream)
+        travel = np.zeros(3)
         if trajectory is not None:
+            if late is not None:
+                (own,) = centred_motion(trajectory.poses, times, [index])
+                ends = np.stack([deskew(end, late, own) for end in ends.astype(np.float32)])
             T_world_image = trajectory.interpolate(stream.times[image : image + 1])[0]
             motion = inverse(T_world_image) @ trajectory.poses[index]
-            ends = ends @ motion[:3, :3].T + motion[:3, 3]
+            ends, travel = ends @ motion[:3, :3].T + motion[:3, 3], -motion[:3, 3]
         if weight.sum() >= _FEWEST_EDGES:
-            views.append(View(ends, weight, image, edge_strength(stream, image)))
+            views.append(View(ends, weight, image, edge_strength(stream, image), travel))
     return views
 
 
 def _depth_edges(
     recording: Dataset, index: int, stream: CameraStream
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Depth edges of a sweep around the image, as :class:`View` has them."""
+) -> tuple[NDArray[np.float64], NDArray[np.float32] | None, NDArray[np.float64]]:
+    """Depth edges of a sweep around the image, as :class:`View` has them, at the time of each.
+
+    The second array has the times of the near returns, as a share of the sweep; None where the
+    sweep has none or is motion compensated.
+    """
     sweep = recording.sweep(index)
     kept = usable_points(sweep.points)
     kept[kept] = _around_image(sweep.points[kept], stream)
@@ -90,7 +102,7 @@ def _depth_edges(
     rig = None if sweep.sensor_rig is None else sweep.sensor_rig.select(kept)
     mesh = ScanMesh(points, rig)
     if not len(mesh.triangles) or mesh.discontinuity.mean() > _MOST_JUMPS:
-        return np.zeros((3, 0, 3)), np.zeros(0)
+        return np.zeros((3, 0, 3)), None, np.zeros(0)
     corners = mesh.triangles[mesh.discontinuity].astype(np.int64)
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     origins = _origins(rig, len(points))
@@ -110,7 +122,10 @@ def _depth_edges(
     near, far, distance = near[rows], far[rows], distance[rows, None]
     ends = np.stack([rays[near], (rays[near] + rays[far]) / 2, rays[far]]) * distance
     ends += origins[near]
-    return ends, np.minimum(1.0, _SHARPEST_GAP_DEG / np.maximum(gap[rows], 0.1))
+    late = None
+    if sweep.relative_time is not None and not sweep.motion_compensated:
+        late = sweep.relative_time[kept][near]
+    return ends, late, np.minimum(1.0, _SHARPEST_GAP_DEG / np.maximum(gap[rows], 0.1))
 
 
 def _origins(rig: SensorRig | None, count: int) -> NDArray[np.float64]:

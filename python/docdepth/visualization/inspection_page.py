@@ -64,18 +64,6 @@ def write_inspection(
     write_page(path, parts)
 
 
-def as_lines(figures: dict[str, Any]) -> Iterator[str]:
-    """The figures for a terminal: each group under its name and what its figures mean."""
-    for name, group in figures.items():
-        meaning = f" ({_MEANINGS[name]})" if name in _MEANINGS else ""
-        entries = [entry for entry in (group if isinstance(group, list) else [group]) if entry]
-        yield f"{_words(name)}{meaning}{'' if entries else ': none'}"
-        for k, entry in enumerate(entries):
-            if k:
-                yield ""
-            yield from (f"  {_words(key)}: {_as_text(value)}" for key, value in entry.items())
-
-
 def _as_text(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{_words(key)} {_as_text(item)}" for key, item in value.items())
