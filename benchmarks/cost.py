@@ -5,8 +5,8 @@
 ``docdepth run`` (default and paper), KISS-ICP and DUFOMap take turns, each in a process of its own,
 so that a slow moment of the machine hits all of them. Processor time is user and system time of all
 threads and children. KISS-ICP reads the sweeps through docdepth, deskews them and has its own
-settings. DUFOMap (pip install dufomap; left out where it or poses of the recording are missing)
-classifies deskewed sweeps that are in memory, with the poses of the recording. Ratios are medians
+settings. DUFOMap (pip install dufomap; left out without it) classifies sweeps that are deskewed, in
+memory and have poses: what that takes is part of ``all``, not of ``classify``. Ratios are medians
 of those of each turn. ``--code`` measures another version of docdepth, too.
 """
 
@@ -107,13 +107,6 @@ def run_dufomap(drive: str, frames: str) -> tuple[Times, int]:
 PEERS = {"KISS-ICP": run_kiss_icp, "DUFOMap": run_dufomap}
 
 
-def has_dufomap(drive: str) -> bool:
-    """Whether DUFOMap can be run."""
-    from docdepth.datasets import open_dataset
-
-    return find_spec("dufomap") is not None and open_dataset(Path(drive)).poses is not None
-
-
 def run_child(job: str, options: argparse.Namespace, code: str | None) -> tuple[Times, int]:
     """One job in a process of its own."""
     environment = dict(os.environ)
@@ -146,7 +139,7 @@ def main() -> None:
         print(json.dumps({"times": times, "sweeps": sweeps}))
         return
     jobs = {"KISS-ICP": ("KISS-ICP", None), "default": ("default", None), "paper": ("paper", None)}
-    if has_dufomap(options.drive):
+    if find_spec("dufomap"):
         jobs["DUFOMap"] = ("DUFOMap", None)
     if options.code:
         jobs["other default"] = ("default", options.code)
