@@ -1,11 +1,13 @@
-"""Processor and wall time of a whole run by stage, beside KISS-ICP alone on the same sweeps.
+"""Processor and wall time of a whole run by stage, beside KISS-ICP and DUFOMap on the same sweeps.
 
     python benchmarks/cost.py DRIVE [--frames 0:60] [--repeat 5] [--code OTHER/python]
 
-``docdepth run`` (default and paper) and KISS-ICP take turns, each in a process of its own, so that
-a slow moment of the machine hits all of them. Processor time is user and system time of all threads
-and children. KISS-ICP reads the sweeps through docdepth, deskews them and has its own settings.
-Ratios are medians of those of each turn. ``--code`` measures another version of docdepth, too.
+``docdepth run`` (default and paper), KISS-ICP and DUFOMap take turns, each in a process of its own,
+so that a slow moment of the machine hits all of them. Processor time is user and system time of all
+threads and children. KISS-ICP reads the sweeps through docdepth, deskews them and has its own
+settings. DUFOMap (pip install dufomap; left out without it) classifies sweeps that are deskewed, in
+memory and have poses: what that takes is part of ``all``, not of ``classify``. Ratios are medians
+of those of each turn. ``--code`` measures another version of docdepth, too.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -52,9 +55,8 @@ def run_docdepth(drive: str, frames: str, preset: str) -> tuple[Times, int]:
             times[stage] = measured(lambda: of(*args, **named))
 
         setattr(pipeline, name, timed)
-    cli.keep_memory()
-    if hasattr(cli, "take_one_blas_thread"):
-        cli.take_one_blas_thread()
+    for prepare in ("keep_memory", "take_one_blas_thread", "have_threads_sleep"):
+        getattr(cli, prepare, lambda: None)()  # as main() does; earlier versions lack some
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "run"
         command = ["run", drive, "-o", str(run), "--preset", preset, "--frames", frames, "-q"]
@@ -70,13 +72,11 @@ def run_kiss_icp(drive: str, frames: str) -> tuple[Times, int]:
 
     from docdepth.datasets import open_dataset
 
-    first, last = (int(part) for part in frames.split(":"))
-    dataset = open_dataset(Path(drive))
+    dataset = open_dataset(Path(drive), frames=frames)
     odometry = KissICP(load_config(None))
-    sweeps = range(first, min(last, len(dataset)))
 
     def register() -> None:
-        for k in sweeps:
+        for k in range(len(dataset)):
             sweep = dataset.sweep(k)
             usable = np.isfinite(sweep.points).all(axis=1) & sweep.points.any(axis=1)
             times = sweep.relative_time
@@ -86,12 +86,31 @@ def run_kiss_icp(drive: str, frames: str) -> tuple[Times, int]:
                 none if times is None else times[usable].astype(np.float64),
             )
 
-    return {"odometry": measured(register)}, len(sweeps)
+    return {"odometry": measured(register)}, len(dataset)
+
+
+def run_dufomap(drive: str, frames: str) -> tuple[Times, int]:
+    """DUFOMap with the settings of benchmarks/peers.py."""
+    import numpy as np
+    from peer_classifiers import Drive, dufomap
+
+    from docdepth.datasets import open_dataset, usable_points
+    from docdepth.odometry.odometry import register_drive
+
+    dataset = open_dataset(Path(drive), frames=frames)
+    odometry = register_drive(dataset, poses=dataset.poses)
+    points = [sweep.points[usable_points(sweep.points)] for sweep in odometry.sweeps]
+    given = Drive(odometry.trajectory.poses, "", points.__getitem__, lambda _: np.empty(0))
+    return {"classify": measured(lambda: dufomap(given, 2, 0.2, 0.1, 0))}, len(points)
+
+
+PEERS = {"KISS-ICP": run_kiss_icp, "DUFOMap": run_dufomap}
 
 
 def run_child(job: str, options: argparse.Namespace, code: str | None) -> tuple[Times, int]:
     """One job in a process of its own."""
     environment = dict(os.environ)
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package is compiled once
     if code:
         environment["PYTHONPATH"] = code
     command = [sys.executable, __file__, options.drive, "--frames", options.frames, "--job", job]
@@ -113,12 +132,15 @@ def main() -> None:
     parser.add_argument("--job", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.job:
-        kiss = options.job == "KISS-ICP"
-        found = run_kiss_icp(options.drive, options.frames) if kiss else None
-        times, sweeps = found or run_docdepth(options.drive, options.frames, options.job)
+        if options.job in PEERS:
+            times, sweeps = PEERS[options.job](options.drive, options.frames)
+        else:
+            times, sweeps = run_docdepth(options.drive, options.frames, options.job)
         print(json.dumps({"times": times, "sweeps": sweeps}))
         return
     jobs = {"KISS-ICP": ("KISS-ICP", None), "default": ("default", None), "paper": ("paper", None)}
+    if find_spec("dufomap"):
+        jobs["DUFOMap"] = ("DUFOMap", None)
     if options.code:
         jobs["other default"] = ("default", options.code)
     turns: list[dict[str, Times]] = []

@@ -239,3 +239,20 @@ def test_numpy_multiplies_in_the_calling_thread(wanted: str | None) -> None:
     assert taken == str(wanted is None)
     if wanted is None:
         assert threads == "1"
+
+
+@pytest.mark.parametrize("wanted", [None, "ACTIVE"])
+def test_waiting_threads_sleep(wanted: str | None) -> None:
+    """Unless the user wants other. OpenMP reads it when it is loaded, with small_gicp."""
+    script = (
+        "import os, sys\n"
+        "from docdepth.cli import have_threads_sleep\n"
+        "have_threads_sleep()\n"
+        "print(os.environ['OMP_WAIT_POLICY'], 'small_gicp' in sys.modules)\n"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "OMP_WAIT_POLICY"}
+    if wanted:
+        environment["OMP_WAIT_POLICY"] = wanted
+    command = [sys.executable, "-c", script]
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert result.stdout.split() == [wanted or "PASSIVE", "False"]

@@ -8,6 +8,7 @@ import yaml
 
 from docdepth.config import parameters
 from docdepth.datasets import kitti_lidar, open_dataset
+from docdepth.datasets.mounts import ground_of
 from docdepth.errors import DatasetError
 from docdepth.evaluation.runs import evaluate_depth
 from docdepth.io.run_folder import RunFolder
@@ -65,6 +66,14 @@ def test_sweeps_of_other_lidars_are_not_taken_for_it(name):
     few = sweep.points[:20]
     assert kitti_lidar.is_kitti_lidar([few, sweep.points]) == (name == "HDL-64")
     assert not kitti_lidar.is_kitti_lidar([few])
+
+
+def test_it_stands_upright_as_the_ground_says(drive_0005):
+    dataset = open_dataset(drive_0005)
+    assert dataset.up == (0, 0, 1)
+    ground = ground_of(dataset)
+    assert ground is not None
+    assert ground.tilt_deg < 2
 
 
 def test_the_laser_of_each_point_is_found():

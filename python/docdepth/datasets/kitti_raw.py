@@ -99,6 +99,11 @@ class KittiRaw:
     def _is_kitti_lidar(self) -> bool:
         return kitti_lidar.is_kitti_lidar(kitti_files.points_of_each(self._sweeps))
 
+    @cached_property
+    def up(self) -> tuple[float, float, float] | None:
+        """Which way is up in the LiDAR frame: KITTI's own LiDAR stands upright."""
+        return (0.0, 0.0, 1.0) if self._is_kitti_lidar else None
+
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``; None without a file."""
         sweep = self._sweeps[index]

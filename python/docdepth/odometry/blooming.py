@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from small_gicp import KdTree
 
 from docdepth.errors import InputError
 
@@ -45,6 +44,8 @@ def blooming_points(
     InputError
         The shapes differ.
     """
+    from small_gicp import KdTree
+
     if points.ndim != 2 or points.shape[1] != 3 or intensity.shape != points.shape[:1]:
         raise InputError(
             f"points {points.shape} and intensity {intensity.shape} differ; give (N, 3) and (N,)"

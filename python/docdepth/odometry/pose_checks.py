@@ -8,12 +8,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from docdepth import _core
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset
 from docdepth.errors import InputError, OdometryError
 from docdepth.geometry.se3 import check_rigid, inverse
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.odometry.registration import FEWEST_POINTS, first_motion, points_in_range
+from docdepth.odometry.registration import FEWEST_POINTS, first_motion
 from docdepth.odometry.sweeps import DeskewedSweeps
 
 log = logging.getLogger(__name__)
@@ -140,7 +141,7 @@ def _shift_to_those_before(
     """How far a sweep moves when it is aligned with those before; None with too few points."""
     import small_gicp
 
-    clouds = [points_in_range(points(k), parameters) for k in range(frame - _BEFORE, frame + 1)]
+    clouds = [_thinned(points(k), parameters) for k in range(frame - _BEFORE, frame + 1)]
     if min(len(cloud) for cloud in clouds) < FEWEST_POINTS:
         return None
     before = []
@@ -152,6 +153,15 @@ def _shift_to_those_before(
     found = small_gicp.align(target, source, tree, registration_type="GICP", num_threads=1)
     shift = float(np.linalg.norm(found.T_target_source[:3, 3]))
     return shift if np.isfinite(shift) else None
+
+
+def _thinned(points: NDArray[np.float32], parameters: OdometryParameters) -> NDArray[np.float64]:
+    """The points in range, one mean point for each voxel."""
+    low, high = parameters.min_range, parameters.max_range
+    thinned, _ = _core.thin_sweep(
+        np.ascontiguousarray(points), np.zeros(len(points), np.float32), _SAMPLING, low, high
+    )
+    return np.asarray(thinned, np.float64)
 
 
 def warn_of_jumps(trajectory: Trajectory) -> None:

@@ -81,11 +81,11 @@ def view_of_points(
     """
     picture = _over(*_nothing(camera), image)
     ahead = np.flatnonzero(points[:, 2] > _NEAR)
-    order = ahead[np.argsort(-points[ahead, 2], kind="stable")]
-    u, v = np.rint(_pixels(points[order], camera)).T
+    u, v = np.rint(_pixels(points[ahead], camera)).T
     inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    rows, columns = v[inside].astype(int), u[inside].astype(int)
-    colors = _class_colors(classid[order][inside])
+    order = np.argsort(-points[ahead[inside], 2], kind="stable")
+    rows, columns = (of[inside][order].astype(int) for of in (v, u))
+    colors = _class_colors(classid[ahead[inside][order]])
     side = max(camera.width // 600, 1)  # pixels to either side
     # A point covers several pixels; all of a farther point are drawn before those of a nearer one.
     square = [(down, right) for down in range(-side, side) for right in range(-side, side)]
