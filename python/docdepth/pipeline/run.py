@@ -42,6 +42,7 @@ from docdepth.pipeline.run_inputs import (
 from docdepth.pipeline.run_state import require, states
 from docdepth.pipeline.stage import Progress
 from docdepth.pipeline.virtual_camera import check_name
+from docdepth.pipeline.workers import Workers
 from docdepth.render.backends import Renderer
 from docdepth.visualization.report import index_is_whole
 
@@ -69,6 +70,8 @@ def run(
     force: bool = False,
     dry_run: bool = False,
     threads: int = 0,
+    jobs: int = 1,
+    scheduler: str | None = None,
     renderer: Renderer | None = None,
     progress: Progress | None = None,
 ) -> RunFolder:
@@ -118,7 +121,14 @@ def run(
         Check everything and make nothing; :func:`docdepth.pipeline.run_state.states` tells what
         would be made.
     threads : int
-        0 takes every core. The result does not depend on it.
+        Of all processes together; 0 takes every core. The result does not depend on it. Of each
+        worker of a cluster; 0 takes one.
+    jobs : int
+        Processes of this machine that share the work after odometry. The result does not depend on
+        it. A script needs the line ``if __name__ == "__main__":`` then.
+    scheduler : str, optional
+        Address of a Dask scheduler, whose workers share the work instead. They see recording and
+        run folder under the same paths.
     renderer : Renderer, optional
         Draws the depth maps; the CPU if absent. All draw the same.
     progress : callable, optional
@@ -147,6 +157,7 @@ def run(
     if labels is not None:
         inputs["labels"] = _absolute(labels)
     values, place = parameters or Parameters(), Path(output)
+    workers = Workers(threads, jobs, scheduler)
     begun = RunFolder(place).manifest.get("source")
     if on_error not in (None, "stop", "skip"):
         raise ConfigError(f"on_error is {on_error!r}; it must be stop or skip")
@@ -166,7 +177,7 @@ def run(
     if dry_run:
         _check(folder, recording)
     else:
-        _make(folder, recording, threads, renderer, progress)
+        _make(folder, recording, workers, renderer, progress)
     return folder
 
 
@@ -175,6 +186,8 @@ def continue_run(
     *,
     dry_run: bool = False,
     threads: int = 0,
+    jobs: int = 1,
+    scheduler: str | None = None,
     renderer: Renderer | None = None,
     progress: Progress | None = None,
 ) -> RunFolder:
@@ -184,7 +197,7 @@ def continue_run(
     ----------
     output : Path
         Run folder.
-    dry_run, threads, renderer, progress
+    dry_run, threads, jobs, scheduler, renderer, progress
         As for :func:`run`.
 
     Raises
@@ -202,7 +215,7 @@ def continue_run(
     if dry_run:
         _check(folder, recording)
     else:
-        _make(folder, recording, threads, renderer, progress)
+        _make(folder, recording, Workers(threads, jobs, scheduler), renderer, progress)
     return folder
 
 
@@ -337,7 +350,7 @@ def _check(folder: RunFolder, recording: Dataset) -> None:
 def _make(
     folder: RunFolder,
     recording: Dataset,
-    threads: int,
+    workers: Workers,
     renderer: Renderer | None,
     progress: Progress | None,
 ) -> None:
@@ -351,13 +364,13 @@ def _make(
     if left:
         _check(folder, recording)
     poses = known_poses(folder.manifest["source"], recording)
-    with folder.lock("run"):
+    with folder.lock("run"), workers:
         for _ in range(_MOST_REPAIRS):
             try:
-                run_odometry(folder, recording, poses, progress, threads)
-                run_classify(folder, threads, progress)
+                run_odometry(folder, recording, poses, progress, workers.threads)
+                run_classify(folder, workers.threads, progress, workers)
                 streams = [camera.stream for camera in run_cameras(folder, recording)]
-                run_render(folder, streams, threads, progress, renderer)
+                run_render(folder, streams, workers.threads, progress, renderer, workers)
                 return
             except (DatasetError, OdometryError):
                 # A file that was whole when the run began is not any more.
@@ -368,9 +381,10 @@ def _make(
                 poses = known_poses(folder.manifest["source"], recording)
             except DamagedFileError as error:
                 # Size and time were those of its record. Now that it is known, it is made again.
-                if folder.path not in error.path.parents:
+                whole = folder.path.absolute()  # as workers name it
+                if whole not in error.path.absolute().parents:
                     raise
-                folder.forget(error.path)
+                folder.forget(folder.path / error.path.absolute().relative_to(whole))
         raise RunError(
             f"more than {_MOST_REPAIRS} files of {folder.path} are damaged; check the disk"
         )
