@@ -121,14 +121,11 @@ def run(
         Check everything and make nothing; :func:`docdepth.pipeline.run_state.states` tells what
         would be made.
     threads : int
-        Of all processes together; 0 takes every core. The result does not depend on it. Of each
-        worker of a cluster; 0 takes one.
-    jobs : int
-        Processes of this machine that share the work after odometry. The result does not depend on
-        it. A script needs the line ``if __name__ == "__main__":`` then.
-    scheduler : str, optional
-        Address of a Dask scheduler, whose workers share the work instead. They see recording and
-        run folder under the same paths.
+        Of all processes of this machine, 0 takes every core; of each worker of a cluster, 0 takes
+        one. The result depends neither on it nor on who does the work.
+    jobs, scheduler
+        As for :class:`docdepth.pipeline.workers.Workers`. A script that asks for jobs needs the
+        line ``if __name__ == "__main__":``.
     renderer : Renderer, optional
         Draws the depth maps; the CPU if absent. All draw the same.
     progress : callable, optional

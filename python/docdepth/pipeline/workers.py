@@ -198,7 +198,7 @@ class Workers:
                 done += size(chunk)
             return
         run.remove_tree(run.parts)  # what dead workers left
-        threads = self._threads_each(len(chunks))
+        threads = self.threads_each(len(chunks))
         tasks = [_Task(run, work, chunk, threads) for chunk in chunks]
         for number, out in self.results(tasks):
             run.take(out.files)
@@ -210,7 +210,8 @@ class Workers:
             yield number, out.result
         run.remove_tree(run.parts)
 
-    def _threads_each(self, chunks: int) -> int:
+    def threads_each(self, chunks: int) -> int:
+        """Threads of a worker, where there are so many chunks."""
         if self._client is not None:
             return max(self.threads, 1)
         return max(thread_count(self.threads) // min(self._jobs, max(chunks, 1)), 1)
