@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import pickle
+import re
 import shutil
 import signal
 from functools import partial
@@ -230,3 +231,19 @@ def test_a_scheduler_that_is_not_there(drive: Path, tmp_path: Path) -> None:
         pytest.raises(RunError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"),
     ):
         run(drive, tmp_path / "run", camera="all", scheduler="tcp://127.0.0.1:9")
+
+
+@pytest.mark.slow
+def test_the_quick_start_tells_what_slurm_is_asked_for() -> None:
+    jobqueue = pytest.importorskip("dask_jobqueue")
+    text = (Path(__file__).parents[2] / "docs" / "quickstart.md").read_text(encoding="utf-8")
+    called = re.search(r"^cluster = SLURMCluster\((.*)\)$", text, re.MULTILINE)
+    assert called
+    options = eval(f"dict({called[1]})")
+    with jobqueue.SLURMCluster(
+        **options, interface="lo", scheduler_options={"dashboard_address": ":0"}
+    ) as cluster:
+        asked = [line for line in cluster.job_script().splitlines() if line.startswith("#SBATCH")]
+        assert "--nthreads 1" in cluster.job_script()
+        assert "--nworkers 4" in cluster.job_script()
+    assert re.findall(r"^#SBATCH.*$", text, re.MULTILINE) == asked
