@@ -182,6 +182,17 @@ def test_chunks_are_even_and_hold_each_frame_once() -> None:
     assert Workers(jobs=2).cut([], np.zeros(0)) == []
 
 
+def test_each_job_is_counted_in_the_memory_that_a_run_needs(drive: Path, tmp_path: Path) -> None:
+    told = [
+        float(re.findall(r"([\d.]+) GB of memory", folder.manifest["estimate"])[0])
+        for folder in (
+            run(drive, tmp_path / f"{jobs}", camera="all", jobs=jobs, dry_run=True)
+            for jobs in (1, 4)
+        )
+    ]
+    assert told[1] > 2 * told[0] > 0
+
+
 def test_jobs_and_a_scheduler_exclude_each_other() -> None:
     with pytest.raises(ConfigError, match="give one of them"):
         Workers(jobs=2, scheduler="tcp://127.0.0.1:1")

@@ -149,12 +149,9 @@ def run(
         "image_size": image_size,
         "frames": frames,
     }
-    if calibration is not None:
-        inputs["calibration"] = _absolute(calibration)
-    if labels is not None:
-        inputs["labels"] = _absolute(labels)
+    further = {"calibration": _absolute(calibration), "labels": _absolute(labels)}
+    inputs |= {name: place for name, place in further.items() if place is not None}
     values, place = parameters or Parameters(), Path(output)
-    workers = Workers(threads, jobs, scheduler)
     begun = RunFolder(place).manifest.get("source")
     if on_error not in (None, "stop", "skip"):
         raise ConfigError(f"on_error is {on_error!r}; it must be stop or skip")
@@ -171,10 +168,7 @@ def run(
     register(folder, streams)
     if labels is not None:
         open_labels(folder)
-    if dry_run:
-        _check(folder, recording)
-    else:
-        _make(folder, recording, workers, renderer, progress)
+    _make(folder, recording, Workers(threads, jobs, scheduler), dry_run, renderer, progress)
     return folder
 
 
@@ -209,10 +203,7 @@ def continue_run(
     _check_place(folder)
     with _all_problems(source, folder.parameters, folder.path):
         recording, _ = open_inputs(source)
-    if dry_run:
-        _check(folder, recording)
-    else:
-        _make(folder, recording, Workers(threads, jobs, scheduler), renderer, progress)
+    _make(folder, recording, Workers(threads, jobs, scheduler), dry_run, renderer, progress)
     return folder
 
 
@@ -332,11 +323,11 @@ def _follow_recording(folder: RunFolder, recording: Dataset) -> None:
             source["dataset"] = place
 
 
-def _check(folder: RunFolder, recording: Dataset) -> None:
+def _check(folder: RunFolder, recording: Dataset, jobs: int) -> None:
     """Check all inputs of a run that has something to do; what is found is kept in run.yaml."""
     source, cameras = folder.manifest["source"], run_cameras(folder, recording)
     streams = [camera.stream for camera in cameras]
-    report = check_opened(source, recording, streams, folder.parameters, folder.path)
+    report = check_opened(source, recording, streams, folder.parameters, folder.path, jobs)
     raise_problems(report.problems)
     folder.manifest["warnings"] = [problem.text for problem in report.problems]
     folder.manifest["estimate"] = report.summary
@@ -348,10 +339,13 @@ def _make(
     folder: RunFolder,
     recording: Dataset,
     workers: Workers,
+    dry_run: bool,
     renderer: Renderer | None,
     progress: Progress | None,
 ) -> None:
-    """Run each stage that has something to do."""
+    """Run each stage that has something to do, or check it alone."""
+    if dry_run:
+        return _check(folder, recording, workers.jobs)
     left = outdated(states(folder))
     if not left and index_is_whole(folder):
         if folder.manifest != RunFolder(folder.path).manifest:  # the recording was moved
@@ -359,7 +353,7 @@ def _make(
                 folder.save()
         return
     if left:
-        _check(folder, recording)
+        _check(folder, recording, workers.jobs)
     poses = known_poses(folder.manifest["source"], recording)
     with folder.lock("run"), workers:
         for _ in range(_MOST_REPAIRS):

@@ -104,7 +104,7 @@ class Workers:
                 if jobs < 1
                 else "--jobs is for this machine, --scheduler for a cluster: give one of them"
             )
-        self.threads, self._jobs, self._scheduler = threads, jobs, scheduler
+        self.threads, self.jobs, self._scheduler = threads, jobs, scheduler
         self._client: Any = None
         self._pool: Executor | None = None
         self._lifeline: Connection | None = None
@@ -123,13 +123,13 @@ class Workers:
     def count(self) -> int:
         """How many chunks are worked on at the same time."""
         if self._client is None:
-            return self._jobs
+            return self.jobs
         return max(sum(self._client.nthreads().values()), 1)
 
     @property
     def are_elsewhere(self) -> bool:
         """Whether other processes do the work."""
-        return self._scheduler is not None or self._jobs > 1
+        return self._scheduler is not None or self.jobs > 1
 
     def cut(self, items: Sequence[_Item], arc: NDArray[np.float64]) -> list[list[_Item]]:
         """Cut sweeps or images into chunks of about the same path length.
@@ -214,7 +214,7 @@ class Workers:
         """Threads of a worker, where there are so many chunks."""
         if self._client is not None:
             return max(self.threads, 1)
-        return max(thread_count(self.threads) // min(self._jobs, max(chunks, 1)), 1)
+        return max(thread_count(self.threads) // min(self.jobs, max(chunks, 1)), 1)
 
     def results(self, tasks: Sequence[Callable[[], _Result]]) -> Iterator[tuple[int, _Result]]:
         """Number and result of each task, as they get done.
@@ -277,7 +277,7 @@ class Workers:
         elif self._pool is None:
             context = multiprocessing.get_context("spawn")
             theirs, self._lifeline = context.Pipe(duplex=False)
-            self._pool = ProcessPoolExecutor(self._jobs, context, _begin, (theirs,))
+            self._pool = ProcessPoolExecutor(self.jobs, context, _begin, (theirs,))
         return self._pool
 
     def _end_pool(self, at_once: bool) -> None:
