@@ -8,6 +8,10 @@ import pickle
 import re
 import shutil
 import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -153,6 +157,39 @@ def test_workers_that_die_again_and_again_are_given_up(tmp_path: Path) -> None:
     folder = begun(tmp_path / "run")
     with pytest.raises(RunError, match="give fewer --jobs"), Workers(1, jobs=2) as two:
         list(two.each(folder, die, [[0], [1]], workers_module.Stopwatch(), lambda done: None))
+
+
+def test_workers_end_with_the_process_that_has_started_them(tmp_path: Path) -> None:
+    """Else they would go on to write into a run that another command has taken up."""
+    sleep = f"import os, time; open(f'{tmp_path}/{{os.getpid()}}', 'w').close(); time.sleep(300)"
+    code = (
+        "from functools import partial\n"
+        "from docdepth.pipeline.workers import Workers\n"
+        "with Workers(1, jobs=2) as two:\n"
+        f"    list(two.results([partial(exec, {sleep!r})] * 2))\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
+    wait_until(lambda: len(list(tmp_path.iterdir())) == 2)
+    process.kill()
+    process.wait()
+    for path in tmp_path.iterdir():
+        wait_until(partial(is_gone, int(path.name)))
+
+
+def is_gone(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def wait_until(true: Callable[[], bool]) -> None:
+    for _ in range(6000):
+        if true():
+            return
+        time.sleep(0.01)
+    raise AssertionError("it does not happen")
 
 
 def test_errors_of_workers_are_told_as_if_they_were_ours(tmp_path: Path) -> None:

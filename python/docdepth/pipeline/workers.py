@@ -200,15 +200,17 @@ class Workers:
         run.remove_tree(run.parts)  # what dead workers left
         threads = self.threads_each(len(chunks))
         tasks = [_Task(run, work, chunk, threads) for chunk in chunks]
-        for number, out in self.results(tasks):
-            run.take(out.files)
-            watch.add(out.seconds, out.peak_memory_mb)
-            for text in out.warnings:
-                log.warning("%s", text)
-            done += size(chunks[number])
-            told(done)
-            yield number, out.result
-        run.remove_tree(run.parts)
+        try:
+            for number, out in self.results(tasks):
+                run.take(out.files)
+                watch.add(out.seconds, out.peak_memory_mb)
+                for text in out.warnings:
+                    log.warning("%s", text)
+                done += size(chunks[number])
+                told(done)
+                yield number, out.result
+        finally:
+            run.remove_tree(run.parts)
 
     def threads_each(self, chunks: int) -> int:
         """Threads of a worker, where there are so many chunks."""
