@@ -5,10 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 
 class DocDepthError(Exception):
     """Base class of all errors that docdepth raises."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Of a worker's error another process makes a copy. Exception would call __init__ with the
+        # message, which some classes below make themselves.
+        return _copy, (type(self), self.args, vars(self))
+
+
+def _copy(kind: type[DocDepthError], args: tuple[Any, ...], rest: dict[str, Any]) -> DocDepthError:
+    error = kind.__new__(kind, *args)
+    vars(error).update(rest)
+    return error
 
 
 class InputError(DocDepthError, ValueError):

@@ -70,15 +70,14 @@ def test_tracks_are_read_as_they_were_kept(run):
         return [track]
 
     path = run.notes / "tracks" / "tracks.npy"
-    kept = keep_tracking(run, path, KEY, find)
+    keep_tracking(run, path, KEY, find)
     read = kept_tracking(path, 6)
     assert run.key(path) == KEY
-    for found in (kept, read):
-        assert len(found.sweeps) == 6
-        for sweep, right in zip(found.sweeps, sweeps, strict=True):
-            for left, array in zip(sweep, right, strict=True):
-                np.testing.assert_array_equal(left, array)
-        np.testing.assert_array_equal(found.sweeps[3:5][1].voxels, np.arange(4))
+    assert len(read.sweeps) == 6
+    for sweep, right in zip(read.sweeps, sweeps, strict=True):
+        for left, array in zip(sweep, right, strict=True):
+            np.testing.assert_array_equal(left, array)
+    np.testing.assert_array_equal(read.sweeps[3:5][1].voxels, np.arange(4))
     for name in Track.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(read.tracks[0], name), getattr(track, name))
     with pytest.raises(DamagedFileError, match="are not the tracks"):

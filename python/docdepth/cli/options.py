@@ -161,6 +161,32 @@ Threads = Annotated[
         min=0, max=256, metavar="N", help="Threads to use; 0 takes every core. Same result."
     ),
 ]
+Jobs = Annotated[
+    int,
+    typer.Option(
+        min=1,
+        max=1024,
+        metavar="N",
+        help="Processes of this machine that share the work after odometry. Same result.",
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Dask scheduler (tcp://HOST:8786) whose workers share the work instead. They must see "
+        "recording and run folder under the same paths.",
+    ),
+]
+AllBelow = Annotated[
+    Path | None,
+    typer.Option(
+        "--all",
+        metavar="ROOT",
+        help="Run every recording below this folder, the longest first, each into a folder of its "
+        "own below -o. One that fails does not stop the others.",
+    ),
+]
 RendererName = Annotated[
     str | None,
     typer.Option(

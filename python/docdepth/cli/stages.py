@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from docdepth.cli.options import (
+    AllBelow,
     CalibrationFile,
     CameraNames,
     CameraTimes,
@@ -20,6 +21,7 @@ from docdepth.cli.options import (
     GivenLabels,
     HashInputs,
     ImageSize,
+    Jobs,
     Json,
     LayerNames,
     Layout,
@@ -29,6 +31,7 @@ from docdepth.cli.options import (
     RendererName,
     RunPath,
     Scale,
+    Scheduler,
     Settings,
     Threads,
     VirtualIntrinsics,
@@ -44,12 +47,11 @@ from docdepth.cli.options import (
 )
 from docdepth.cli.progress import progress_bars
 from docdepth.cli.status import show_states
-from docdepth.cli.summary import show_summary
-from docdepth.cli.terminal import app, verb
+from docdepth.cli.summary import show_json, show_summary
+from docdepth.cli.terminal import app, out, verb
 
 if TYPE_CHECKING:
     from docdepth.io.run_folder import RunFolder
-    from docdepth.render.backends import Renderer
 
 
 @verb(app)
@@ -64,6 +66,7 @@ def run(
         ),
     ] = None,
     output: Output = None,
+    every: AllBelow = None,
     config: ConfigFile = None,
     layout: Layout = None,
     camera: CameraNames = None,
@@ -79,6 +82,8 @@ def run(
     scale: Scale = None,
     layers: LayerNames = None,
     threads: Threads = 0,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
     renderer: RendererName = None,
     on_error: OnError = None,
     hash_inputs: HashInputs = False,
@@ -93,38 +98,65 @@ def run(
 
       docdepth run 2011_09_26_drive_0005_sync -o run --camera image_02
       docdepth run --config run/run.yaml -o again
+
+      docdepth run --all 2011_09_26 -o runs --jobs 8
     """
     from docdepth.cli.config_file import Given, read_config
     from docdepth.config import parameters
-    from docdepth.pipeline.run import run as run_all
+    from docdepth.pipeline.run import run as run_one
     from docdepth.render.backends import choose
 
-    drawn_by = choose(renderer)
+    how: dict[str, Any] = {"dry_run": dry_run, "threads": threads, "renderer": choose(renderer)}
+    how |= {"jobs": jobs, "scheduler": scheduler}
     if output is None:
-        chosen = (config, layout, camera, frames, poses, camera_times, calibration, labels,
+        chosen = (every, config, layout, camera, frames, poses, camera_times, calibration, labels,
                   image_size, preset, settings, format, scale, layers,
                   on_error, hash_inputs or None, force or None)  # fmt: skip
-        folder = _continue(dataset, chosen, dry_run, threads, drawn_by)
-        return show_states(folder, as_json) if dry_run else show_summary(folder, as_json)
+        return _show(_continue(dataset, chosen, how), dry_run, as_json)
     given = read_config(config) if config else Given()
     inputs = given.inputs(
-        dataset, layout, listed(camera), poses, camera_times, image_size, frames, calibration,
-        labels,
+        dataset or every, layout, listed(camera), poses, camera_times, image_size, frames,
+        calibration, labels,
     )  # fmt: skip
     changes = given.settings | changes_of(settings) | output_of(format, scale, layers)
+    how["parameters"] = parameters(preset or given.preset, changes)  # type: ignore[arg-type]
+    how |= {"on_error": on_error, "hash_inputs": hash_inputs, "force": force}
+    if every is not None:
+        return _run_all(dataset, output, inputs | how, as_json)
     with progress_bars() as progress:
-        folder = run_all(
-            output=output,
-            parameters=parameters(preset or given.preset, changes),  # type: ignore[arg-type]
-            **inputs, on_error=on_error, hash_inputs=hash_inputs, force=force,
-            dry_run=dry_run, threads=threads, renderer=drawn_by, progress=progress,
-        )  # fmt: skip
+        folder = run_one(output=output, **inputs, **how, progress=progress)
+    return _show(folder, dry_run, as_json)
+
+
+def _show(folder: RunFolder, dry_run: bool, as_json: bool) -> None:
     return show_states(folder, as_json) if dry_run else show_summary(folder, as_json)
 
 
-def _continue(
-    run: Path | None, chosen: tuple[object, ...], dry_run: bool, threads: int, drawn_by: Renderer
-) -> RunFolder:
+def _run_all(dataset: Path | None, output: Path, options: dict[str, Any], as_json: bool) -> None:
+    """Run every recording of a data set, and list what failed."""
+    from docdepth.cli.failures import BUG, MISTAKE, explain
+    from docdepth.errors import ConfigError
+    from docdepth.pipeline.run_all import run_all
+
+    if dataset is not None:
+        raise ConfigError("--all names the recordings: leave out DATASET")
+    with progress_bars() as progress:
+        ended = run_all(options.pop("dataset"), output, **options, progress=progress)
+    failed = {one.recording: one.error for one in ended if one.error is not None}
+    told = {place: explain(error) for place, error in failed.items()}
+    said = {place: str(known.sentence if known else failed[place]) for place, known in told.items()}
+    if as_json:
+        show_json([{"recording": str(one.recording), "run": str(one.folder),
+                    "error": said.get(one.recording)} for one in ended])  # fmt: skip
+    else:
+        out.print(f"{len(ended) - len(failed)} of {len(ended)} recordings are done; see {output}")
+        for recording, sentence in said.items():
+            out.print(f"failed: {recording}: {sentence}", soft_wrap=True, markup=False)
+    if failed:
+        raise typer.Exit(BUG if None in told.values() else MISTAKE)
+
+
+def _continue(run: Path | None, chosen: tuple[object, ...], how: dict[str, Any]) -> RunFolder:
     """Bring a run up to date by its run.yaml; no option can be chosen."""
     from docdepth.errors import ConfigError
     from docdepth.pipeline.run import continue_run
@@ -137,9 +169,7 @@ def _continue(
             "-o RUN"
         )
     with progress_bars() as progress:
-        return continue_run(
-            run, dry_run=dry_run, threads=threads, renderer=drawn_by, progress=progress
-        )
+        return continue_run(run, **how, progress=progress)
 
 
 @verb(app)

@@ -6,7 +6,7 @@ from docdepth.datasets.base import CameraStream, Dataset, LidarStream, Sweep
 from docdepth.datasets.format import Format
 from docdepth.datasets.frame_range import FrameRange
 from docdepth.datasets.image_stream import ImageStream, image_streams
-from docdepth.datasets.registry import format_names, open_dataset
+from docdepth.datasets.registry import find_recordings, format_names, open_dataset
 from docdepth.geometry.points import usable_points
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "ImageStream",
     "LidarStream",
     "Sweep",
+    "find_recordings",
     "format_names",
     "image_streams",
     "open_dataset",

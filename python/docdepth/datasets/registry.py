@@ -107,6 +107,28 @@ def open_dataset(
     return FrameRange(recording, frames) if frames else recording
 
 
+def find_recordings(root: Path, format: str | None = None) -> list[Path]:
+    """Every recording below a folder, or the one that it is.
+
+    Parameters
+    ----------
+    root : Path
+    format : str, optional
+        Of this format alone.
+
+    Raises
+    ------
+    DatasetError
+        There is no such folder or format.
+    """
+    formats = _all() if format is None else [_named(format.replace("-", "_"))]
+    if not root.is_dir():
+        raise DatasetError(f"{root} is no folder; name one with recordings below it")
+    if any(known.recognises(root) for known in formats):
+        return [root]
+    return [place for place, _ in _recordings_below(root, _DEEPEST, formats)]
+
+
 def _foreign() -> list[EntryPoint]:
     return list(entry_points(group=ENTRY_POINTS))
 

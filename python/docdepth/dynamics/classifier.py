@@ -79,18 +79,19 @@ class _Memory:
     ) -> None:
         self._sweeps, self._ground = sweeps, ground
         self._kept: dict[int, tuple[Evidence, Detections]] = {}
+        self._tracks: Tracking | None = None
         self.labels: dict[int, Labels] = {}
 
     def is_done(self, index: int) -> bool:
         return False
 
     def tracks(self) -> Tracking | None:
-        return None
+        return self._tracks
 
-    def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> Tracking:
+    def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
         sweeps: list[TrackedSweep] = []
         tracks = find(sweeps.append)
-        return Tracking(sweeps, tracks)
+        self._tracks = Tracking(sweeps, tracks)
 
     def has_evidence(self, index: int) -> bool:
         return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -63,10 +64,8 @@ def _end(ascending: NDArray[np.float64], value: float) -> int:
     return int(np.searchsorted(ascending, value + _ROUNDING, "right"))
 
 
-def key_frames(
-    trajectory: Trajectory, parameters: DynamicsParameters | None = None
-) -> list[NDArray[np.int64]]:
-    """Choose the key frames that vote on each sweep.
+class KeyFrames(Mapping[int, NDArray[np.int64]]):
+    """The key frames that vote on each sweep: their indices, ascending; chosen when asked for.
 
     The trajectory is subsampled twice: fine key frames vote on sweeps nearby, coarse ones also on
     sweeps farther away. With ``time_spacing``, key frames are also chosen by time where the vehicle
@@ -77,35 +76,52 @@ def key_frames(
     ----------
     trajectory : Trajectory
     parameters : DynamicsParameters, optional
-
-    Returns
-    -------
-    list of ndarray of int64
-        For each sweep the indices of its key frames, ascending.
     """
-    p = parameters or DynamicsParameters()
-    arc, time = trajectory.arc_length, (trajectory.times - trajectory.times[0]) * 1e-9
-    last = len(trajectory) - 1
 
-    def family(frames: NDArray[np.int64], radius: float, duration: float) -> _Family:
-        return _Family(frames, arc[frames], time[frames], radius, duration)
+    def __init__(
+        self, trajectory: Trajectory, parameters: DynamicsParameters | None = None
+    ) -> None:
+        p = parameters or DynamicsParameters()
+        self._arc = trajectory.arc_length
+        self._time = (trajectory.times - trajectory.times[0]) * 1e-9
+        self._families = [
+            self._family(trajectory.subsample(p.fine_spacing), p.fine_radius, np.inf),
+            self._family(trajectory.subsample(p.coarse_spacing), p.coarse_radius, np.inf),
+        ]
+        self._ends = np.zeros(0, np.int64)
+        if p.time_spacing:
+            often = trajectory.subsample(p.fine_spacing, p.time_spacing)
+            self._families.append(self._family(often, p.fine_radius, TIME_RADIUS))
+            self._ends = np.append(trajectory.subsample(np.inf, END_SPACING), len(trajectory) - 1)
+        self._chosen: dict[int, NDArray[np.int64]] = {}
 
-    families = [
-        family(trajectory.subsample(p.fine_spacing), p.fine_radius, np.inf),
-        family(trajectory.subsample(p.coarse_spacing), p.coarse_radius, np.inf),
-    ]
-    ends = np.zeros(0, np.int64)
-    if p.time_spacing:
-        often = trajectory.subsample(p.fine_spacing, p.time_spacing)
-        families.append(family(often, p.fine_radius, TIME_RADIUS))
-        ends = np.append(trajectory.subsample(np.inf, END_SPACING), last)
-    chosen = []
-    for i in range(len(trajectory)):
-        near = [of.near(arc[i], time[i]) for of in families]
-        if time[last] - time[i] <= END_RADIUS:
+    def _family(self, frames: NDArray[np.int64], radius: float, duration: float) -> _Family:
+        return _Family(frames, self._arc[frames], self._time[frames], radius, duration)
+
+    def __len__(self) -> int:
+        return len(self._arc)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(range(len(self)))
+
+    def __getitem__(self, i: int) -> NDArray[np.int64]:
+        if i not in self._chosen:
+            self._chosen[i] = self._choose(i)
+        return self._chosen[i]
+
+    def _choose(self, i: int) -> NDArray[np.int64]:
+        time, ends = self._time, self._ends
+        near = [of.near(self._arc[i], time[i]) for of in self._families]
+        if time[-1] - time[i] <= END_RADIUS:
             near.append(ends[np.searchsorted(ends, i, "right") :])
         if time[i] <= END_RADIUS:
             near.append(ends[: np.searchsorted(ends, i, "left")])
         every = np.unique(np.concatenate(near))
-        chosen.append(every[every != i].astype(np.int64, copy=False))
-    return chosen
+        return every[every != i].astype(np.int64, copy=False)
+
+
+def key_frames(
+    trajectory: Trajectory, parameters: DynamicsParameters | None = None
+) -> list[NDArray[np.int64]]:
+    """For each sweep the indices of its :class:`KeyFrames`."""
+    return list(KeyFrames(trajectory, parameters).values())

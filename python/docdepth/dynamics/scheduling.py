@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol
 
@@ -14,11 +14,16 @@ from docdepth.dynamics.look_ahead import LookAhead
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep, PreparedSweep, SweepClassifier
 from docdepth.dynamics.tracking import Detections, TakeSweep, Tracking
 from docdepth.dynamics.voting import KeyFrame
+from docdepth.errors import RunError
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 
 _FILE_THREADS = 5
 """Threads that read and write while they add tracks: most of them wait for the disk."""
+
+
+Told = Callable[[int], None]
+"""Called with the number of sweeps that are done."""
 
 
 class SweepStore(Protocol):
@@ -32,10 +37,10 @@ class SweepStore(Protocol):
         ...
 
     def tracks(self) -> Tracking | None:
-        """What an earlier run found of tracks; None if there are none."""
+        """What is kept of tracks; None if there are none."""
         ...
 
-    def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> Tracking:
+    def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
         """Keep what ``find`` hands over, sweep by sweep, and the tracks that it returns."""
         ...
 
@@ -58,6 +63,13 @@ class SweepStore(Protocol):
         ...
 
 
+Work = Callable[[SweepClassifier, SweepStore, Sequence[int], Told, int], None]
+"""What is done with sweeps: :func:`vote_on`, :func:`add_tracks`. The last argument is threads."""
+
+Share = Callable[[Work, list[int], Told], None]
+"""Has work done on sweeps, all in their order or parts of them elsewhere."""
+
+
 def classify_sweeps(
     store: SweepStore,
     trajectory: Trajectory,
@@ -65,6 +77,7 @@ def classify_sweeps(
     progress: Callable[[int, int], None] | None = None,
     threads: int = 0,
     watch: Watch = unwatched,
+    share: Share | None = None,
 ) -> int:
     """Classify the sweeps of a store that are not classified yet.
 
@@ -80,6 +93,8 @@ def classify_sweeps(
         0 for all cores.
     watch : callable, optional
         Takes the times of the steps.
+    share : callable, optional
+        Has sweeps worked on by many workers.
 
     Returns
     -------
@@ -90,26 +105,24 @@ def classify_sweeps(
     left = [i for i in every if not store.is_done(i)]
     if not left:
         return 0
-    told = progress or (lambda done, total: None)
-    if not steps.uses_tracks:
-        _vote(steps, store, left, len(trajectory), told, threads)
-        return len(left)
+    tell = progress or (lambda done, total: None)
+    each = share or (lambda work, sweeps, told: work(steps, store, sweeps, told, threads))
     tracks = store.tracks()
     # Tracks are made of the evidence of all sweeps. Where they are known, few sweeps are missing.
-    needed = every if tracks is None else left
-    without = [i for i in needed if not store.has_evidence(i)]
-    _vote(steps, store, without, len(trajectory), told, threads)
-    _add_tracks(steps, store, left, tracks, threads)
+    needed = every if steps.uses_tracks and tracks is None else left
+    without = [i for i in needed if not (steps.uses_tracks and store.has_evidence(i))]
+    kept = len(trajectory) - len(without)
+    tell(kept, len(trajectory))
+    each(vote_on, without, lambda done: tell(kept + done, len(trajectory)))
+    if steps.uses_tracks:
+        if tracks is None:
+            store.keep_tracks(lambda take: steps.track(store.detections, take, threads))
+        each(add_tracks, left, lambda done: None)
     return len(left)
 
 
-def _vote(
-    steps: SweepClassifier,
-    store: SweepStore,
-    left: list[int],
-    total: int,
-    progress: Callable[[int, int], None],
-    threads: int,
+def vote_on(
+    steps: SweepClassifier, store: SweepStore, sweeps: Sequence[int], told: Told, threads: int
 ) -> None:
     """Classify sweeps by their own votes."""
 
@@ -128,44 +141,40 @@ def _vote(
             return writers.submit(store.write, index, sweep, labels)
         return writers.submit(store.keep, index, *steps.detect(index, prepared, votes))
 
-    progress(total - len(left), total)
     # A job takes one thread, since a sweep alone has too little to do for many. Others write, so
     # that workers do not wait for the disk.
     workers = thread_count(threads)
     with ThreadPoolExecutor(2) as writers, ThreadPoolExecutor(workers) as pool:
         ahead = LookAhead(
-            pool, workers, left, voters, lambda k: steps.prepare(store.read(k)), steps.key_frame
+            pool, workers, sweeps, voters, lambda k: steps.prepare(store.read(k)), steps.key_frame
         )
         working: deque[Future[Future[None]]] = deque()
-        for step, index in enumerate(left):
+        for step, index in enumerate(sweeps):
             working.append(pool.submit(classify, index, *ahead.take(step)))
             if len(working) > workers:
                 working.popleft().result().result()
-            progress(total - len(left) + step + 1 - len(working), total)
+            told(step + 1 - len(working))
         while working:
             working.popleft().result().result()
-            progress(total - len(working), total)
+            told(len(sweeps) - len(working))
 
 
-def _add_tracks(
-    steps: SweepClassifier,
-    store: SweepStore,
-    left: list[int],
-    tracks: Tracking | None,
-    threads: int,
+def add_tracks(
+    steps: SweepClassifier, store: SweepStore, sweeps: Sequence[int], told: Told, threads: int
 ) -> None:
-    """Classify objects that move at another time of the drive."""
+    """Classify objects that move at another time of the drive; the store has its tracks."""
+    tracks = store.tracks()
+    if tracks is None:
+        raise RunError("there are no tracks to add; run the same command again")
+    results = tracks.sweeps
 
     def add(index: int) -> None:
         # The sweep is read once more, since tracks are known when all sweeps have voted and a drive
         # may not fit into memory.
         sweep = store.read(index)
-        labels = steps.add_tracks(index, sweep, store.evidence(index), results.sweeps[index])
+        labels = steps.add_tracks(index, sweep, store.evidence(index), results[index])
         store.write(index, sweep, labels)
 
     with ThreadPoolExecutor(_FILE_THREADS) as pool:
-        if tracks is None:
-            tracks = store.keep_tracks(lambda take: steps.track(store.detections, take, threads))
-        results = tracks
-        for _ in prefetch(pool, add, left, _FILE_THREADS):
-            pass
+        for done, _ in enumerate(prefetch(pool, add, sweeps, _FILE_THREADS), 1):
+            told(done)

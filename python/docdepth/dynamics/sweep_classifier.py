@@ -14,7 +14,7 @@ from docdepth.config import DynamicsParameters
 from docdepth.dynamics import voting
 from docdepth.dynamics.classes import Labels, classify
 from docdepth.dynamics.clustering import cluster_objects
-from docdepth.dynamics.key_frames import key_frames
+from docdepth.dynamics.key_frames import KeyFrames
 from docdepth.dynamics.tracking import (
     Detections,
     PointStays,
@@ -90,7 +90,7 @@ class SweepClassifier:
 
     Attributes
     ----------
-    key_frames : list of ndarray of int64
+    key_frames : KeyFrames
         For each sweep the indices of the key frames that vote on it.
     uses_tracks : bool
         Whether classes wait for :meth:`track`, which needs the detections of all sweeps.
@@ -99,7 +99,7 @@ class SweepClassifier:
     def __init__(
         self, trajectory: Trajectory, parameters: DynamicsParameters, watch: Watch = unwatched
     ) -> None:
-        self.key_frames = key_frames(trajectory, parameters)
+        self.key_frames = KeyFrames(trajectory, parameters)
         self.uses_tracks = parameters.evidence == "tracks"
         self._trajectory, self._parameters, self._watch = trajectory, parameters, watch
         self._local_poses = local_poses(trajectory)

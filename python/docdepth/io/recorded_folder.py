@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from threading import RLock
-from typing import BinaryIO
+from typing import Any, BinaryIO, NamedTuple
+from uuid import uuid4
 
 from docdepth.errors import RunError
 from docdepth.io.atomic import WriteFile, Written, write_atomically
@@ -22,20 +24,79 @@ NOTES = ".docdepth"
 """Folder of a run with what docdepth needs to continue it; nothing in it is a result."""
 
 
+class HandedFile(NamedTuple):
+    """A file that a worker has written, under a name that it does not keep.
+
+    Attributes
+    ----------
+    part, path : str
+        What it is called now, and what it is to be called; relative to the folder.
+    written : Written
+    key : dict
+        What it is made of.
+    """
+
+    part: str
+    path: str
+    written: Written
+    key: dict[str, str]
+
+
 class RecordedFolder:
     """A folder whose files have records, in ``.docdepth/records``.
 
     Nothing that has no record is overwritten or deleted.
 
+    A copy in another process (the folder is pickled) is that of a worker. It reads like the folder
+    itself. What it writes waits in ``.docdepth/parts`` for :meth:`take`, so that one process alone
+    gives names and keeps records.
+
     Parameters
     ----------
     path : Path
+
+    Attributes
+    ----------
+    handed : list of HandedFile, or None
+        What the copy of a worker has written; None for the folder itself.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
+        self.handed: list[HandedFile] | None = None
         self._records: dict[Path, FileRecords] = {}
         self._lock_depth, self._writing = 0, RLock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "path": self.path.absolute(), "_records": {}, "_writing": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, handed=[], _writing=RLock())
+
+    @property
+    def parts(self) -> Path:
+        """Folder of files that workers have written and that have no name yet."""
+        return self.notes / "parts"
+
+    def take(self, files: Iterable[HandedFile]) -> None:
+        """Give files of a worker their names, and record them.
+
+        Raises
+        ------
+        RunError
+            A file cannot be moved or recorded.
+        """
+        for file in files:
+            path = self.path / file.path
+            self._record(path, file.written, file.key)
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(self.path / file.part, path)
+            except OSError as error:
+                raise RunError(
+                    f"cannot write {path}: {error.strerror}; run the same command again; it "
+                    "continues where it stopped"
+                ) from error
 
     @contextmanager
     def lock(self, what: str) -> Iterator[None]:
@@ -126,16 +187,27 @@ class RecordedFolder:
         RunError
             The file cannot be written.
         """
+        self.records(path.parent)  # refuses a place outside
+        if self.handed is None:
+            write_atomically(
+                path, write, sync=sync, before_rename=lambda one: self._record(path, one, key)
+            )
+            return
+        part, handed, inside = self.parts / uuid4().hex, self.handed, path.relative_to(self.path)
+
+        def hand_over(written: Written) -> None:
+            handed.append(HandedFile(str(part.relative_to(self.path)), str(inside), written, key))
+
+        write_atomically(part, write, sync=sync, before_rename=hand_over)
+
+    def _record(self, path: Path, written: Written, key: dict[str, str]) -> None:
+        """Note a file that gets its name next."""
         records = self.records(path.parent)
         if not records.path.is_file():
             self._adopt(path.parent)
-
-        def record(written: Written) -> None:
-            if path.name not in records and not same_content(path, written):
-                move_aside(path)
-            records.add(path.name, written, key)
-
-        write_atomically(path, write, sync=sync, before_rename=record)
+        if path.name not in records and not same_content(path, written):
+            move_aside(path)
+        records.add(path.name, written, key)
 
     def _adopt(self, folder: Path) -> None:
         """Take the files of a folder for docdepth's if it has written there and records are lost.

@@ -18,28 +18,11 @@ Offsets = NDArray[np.int64]
 """Where each array of a file begins, in bytes."""
 
 
-class ArrayWriter:
-    """Writes arrays one after the other and notes where each begins.
-
-    Parameters
-    ----------
-    stream : file
-        Needs the method ``write`` only.
-    """
-
-    def __init__(self, stream: BinaryIO) -> None:
-        self._stream, self._offsets, self._end = stream, list[int](), 0
-
-    def write(self, array: NDArray[Any]) -> None:
-        content = io.BytesIO()
-        np.save(content, array)
-        self._offsets.append(self._end)
-        self._end += self._stream.write(content.getbuffer())
-
-    @property
-    def offsets(self) -> Offsets:
-        """Of the arrays so far."""
-        return np.array(self._offsets, np.int64)
+def write_array(stream: BinaryIO, array: NDArray[Any]) -> None:
+    """Write an array behind others; the stream needs the method ``write`` only."""
+    content = io.BytesIO()
+    np.save(content, array)
+    stream.write(content.getbuffer())
 
 
 def write_arrays(
@@ -48,9 +31,8 @@ def write_arrays(
     """Write arrays into one file; they may be made while it is written."""
 
     def write(stream: BinaryIO) -> None:
-        writer = ArrayWriter(stream)
         for array in arrays:
-            writer.write(array)
+            write_array(stream, array)
 
     run.write(path, write, key, sync=False)
 

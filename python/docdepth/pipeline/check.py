@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -96,8 +96,9 @@ def check_opened(
     cameras: list[CameraStream],
     parameters: Parameters,
     output: Path | None = None,
+    jobs: int = 1,
 ) -> Report:
-    """The same for inputs that are open already."""
+    """The same for inputs that are open already; so many processes will share the work."""
     found = Findings()
     _check_parameters(parameters, found)
     with found.collected():
@@ -115,6 +116,7 @@ def check_opened(
         check_output(output, folders, recording.path, found)
     points = [len(sweep.points) for sweep in sweeps.values()] or [0]
     needed = estimate(max(points), int(len(files) * np.median(points)), cameras, parameters)
+    needed = replace(needed, memory=jobs * needed.memory)
     check_resources(needed, cameras, output, found)
     seen = ", ".join(f"{s.name} ({len(s.names)} images)" for s in cameras)
     summary = (

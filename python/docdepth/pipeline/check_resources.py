@@ -78,7 +78,8 @@ def check_resources(
     if len(found.errors) == before and memory is not None and needed.memory > memory:
         found.error(
             f"the run needs {gigabytes(needed.memory)} of memory for these sweeps and images by "
-            f"estimate, {gigabytes(memory)} are free; end other programs or take another machine"
+            f"estimate, {gigabytes(memory)} are free; end other programs, give fewer --jobs or "
+            "take another machine"
         )
     elif memory is not None and needed.memory + needed.kept > memory:
         found.warn(

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Watch, unwatched
 from docdepth.dynamics.classes import Labels
-from docdepth.dynamics.scheduling import classify_sweeps
-from docdepth.dynamics.sweep_classifier import Evidence, InputSweep
+from docdepth.dynamics.scheduling import Told, Work, classify_sweeps
+from docdepth.dynamics.sweep_classifier import Evidence, InputSweep, SweepClassifier
 from docdepth.dynamics.tracking import Detections, TakeSweep, Tracking
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import DamagedFileError
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.ground.growing import chunk_progress, chunks, label_chunk
+from docdepth.ground.growing import Chunk, chunks, label_chunk
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS, write_tracks
 from docdepth.pipeline.array_files import Offsets, array_offsets, read_arrays, write_arrays
@@ -39,7 +39,8 @@ from docdepth.pipeline.graph import classify_parts, label_files
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.kept_tracks import keep_tracking, kept_tracking
 from docdepth.pipeline.sanity import count_classes, warn_of_classes
-from docdepth.pipeline.stage import Profile, Progress, progress_callback, stage
+from docdepth.pipeline.stage import Progress, Stopwatch, progress_callback, stage
+from docdepth.pipeline.workers import Worker, Workers
 
 _EVIDENCE = "evidence"
 """Folder in the notes of a run with what an interrupted stage goes on with."""
@@ -51,7 +52,12 @@ _HELD_DETECTIONS = 64
 """Sweeps whose detections stay in memory: half a megabyte each by a LiDAR of 64 beams."""
 
 
-def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = None) -> None:
+def run_classify(
+    run: RunFolder,
+    threads: int = 0,
+    progress: Progress | None = None,
+    workers: Workers | None = None,
+) -> None:
     """Write ground, votes, class and track of every point into ``frames/``, ``labels/`` and tracks.
 
     Parameters
@@ -62,6 +68,8 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         0 for all cores.
     progress : callable, optional
         Called with the step (``ground``, ``classify``), the frames done and their number.
+    workers : Workers, optional
+        Who does the work; this process with its threads if absent.
 
     Raises
     ------
@@ -70,7 +78,7 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
     """
     if run.manifest["source"].get("labels"):
         return take_labels(run, progress)
-    p = run.parameters
+    p, workers = run.parameters, workers or Workers(threads)
     with run.lock("classify"):
         trajectory = run.trajectory()
         parts = classify_parts(run, run.stage("odometry").get("key"), InputFiles(run))
@@ -80,12 +88,19 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
         if all(store.is_done(i) for i in range(len(trajectory))) and store.has_tracks():
             return
         with stage(run, "classify", parts, len(trajectory)) as profile:
-            store.watch = profile.watch
+            store.watch = watch = profile.watch
             ground_key = {"ground": stage_key(*made_of)}
-            store.ground = _grow_ground(run, trajectory, ground_key, profile, threads, progress)
-            told = progress_callback(progress, "classify")
+            _grow_ground(run, trajectory, ground_key, watch, workers, progress)
+
+            def share(work: Work, sweeps: list[int], told: Told) -> None:
+                chunks = workers.cut(sweeps, trajectory.arc_length[sweeps])
+                on_chunk = partial(_classify_chunk, work, key)
+                for _, counts in workers.each(run, on_chunk, chunks, watch, told):
+                    store.counts += counts
+
+            tell = progress_callback(progress, "classify")
             profile.frames = classify_sweeps(
-                store, trajectory, p.dynamics, told, threads, profile.watch
+                store, trajectory, p.dynamics, tell, threads, watch, share
             )
             store.write_tracks()
             warn_of_classes(store.counts)
@@ -96,22 +111,19 @@ def run_classify(run: RunFolder, threads: int = 0, progress: Progress | None = N
 class _GroundLabels:
     """Ground labels of all frames, in a file for each chunk of the drive."""
 
-    def __init__(self) -> None:
-        self._files: list[Path] = []
-        self._first: list[int] = []
-        self._offsets: list[Offsets] = []
-
-    def add(self, file: Path, first: int) -> None:
-        """The labels of the frames from ``first`` on."""
-        self._files.append(file)
-        self._first.append(first)
-        self._offsets.append(array_offsets(file))
+    def __init__(self, run: RunFolder, trajectory: Trajectory) -> None:
+        found = chunks(trajectory, run.parameters.ground)
+        self._first = [chunk.frames[0] for chunk in found]
+        self._files = [_ground_file(run, chunk) for chunk in found]
+        self._offsets: dict[Path, Offsets] = {}
 
     def read(self, index: int) -> NDArray[np.uint8]:
         """Of a frame, as packed bits."""
         chunk = bisect_right(self._first, index) - 1
-        file, offsets = self._files[chunk], self._offsets[chunk]
-        place = index - self._first[chunk]
+        file, place = self._files[chunk], index - self._first[chunk]
+        if file not in self._offsets:
+            self._offsets[file] = array_offsets(file)
+        offsets = self._offsets[file]
         if place >= len(offsets):
             raise DamagedFileError(file, f"it has labels of {len(offsets)} frames")
         packed: NDArray[np.uint8] = read_arrays(file, 1, offset=int(offsets[place]))[0]
@@ -122,27 +134,57 @@ def _grow_ground(
     run: RunFolder,
     trajectory: Trajectory,
     key: dict[str, str],
-    profile: Profile,
-    threads: int,
+    watch: Stopwatch,
+    workers: Workers,
     progress: Progress | None,
-) -> _GroundLabels:
+) -> None:
     """Ground labels of every frame; those of each chunk are kept in a file."""
-    p, watch = run.parameters.ground, profile.watch
+    tell, total = progress_callback(progress, "ground"), len(trajectory)
+    found = chunks(trajectory, run.parameters.ground)
+    left = [chunk for chunk in found if run.key(_ground_file(run, chunk)) != key]
+    kept = total - sum(map(_frames, left))
+
+    def told(done: int) -> None:
+        tell(kept + done, total)
+
+    for _ in workers.each(run, partial(_label_ground, key), left, watch, told, _frames):
+        pass
+    tell(total, total)
+
+
+def _label_ground(key: dict[str, str], worker: Worker, chunk: Chunk) -> None:
+    """Write the ground labels of a chunk."""
+    run, watch = worker.run, worker.watch
 
     def read(index: int) -> NDArray[np.float32]:
         with watch("read"):
             return run.points(index)
 
-    ground = _GroundLabels()
-    for chunk in chunks(trajectory, p):
-        kept = run.notes / GROUND / f"chunk_{chunk.frames[0]:06d}.npy"
-        if run.key(kept) != key:
-            done = partial(chunk_progress, progress, chunk, len(trajectory))
-            labels = label_chunk(chunk, read, trajectory, p, threads, done, watch)
-            write_arrays(run, kept, key, map(np.packbits, labels))
-        ground.add(kept, chunk.frames[0])
-    progress_callback(progress, "ground")(len(trajectory), len(trajectory))
-    return ground
+    def done(share: float) -> None:
+        worker.told(int(share * _frames(chunk)))
+
+    trajectory, p = run.trajectory(), run.parameters.ground
+    labels = label_chunk(chunk, read, trajectory, p, worker.threads, done, watch)
+    write_arrays(run, _ground_file(run, chunk), key, map(np.packbits, labels))
+
+
+def _frames(chunk: Chunk) -> int:
+    return len(chunk.frames)
+
+
+def _ground_file(run: RunFolder, chunk: Chunk) -> Path:
+    return run.notes / GROUND / f"chunk_{chunk.frames[0]:06d}.npy"
+
+
+def _classify_chunk(
+    work: Work, key: dict[str, str], worker: Worker, sweeps: list[int]
+) -> list[tuple[int, int, int]]:
+    """Do a step of classification on some sweeps; the counts of those that were written."""
+    trajectory, watch = worker.run.trajectory(), worker.watch
+    store = _FrameStore(worker.run, key, trajectory, watch)
+    steps = SweepClassifier(trajectory, worker.run.parameters.dynamics, watch)
+    work(steps, store, sweeps, worker.told, worker.threads)
+    return store.counts
 
 
 class _FrameStore:
@@ -153,23 +195,23 @@ class _FrameStore:
     key : dict
         What classes are made of.
     trajectory : Trajectory
+    watch : callable
 
     Attributes
     ----------
-    ground : _GroundLabels
-        Set before frames are read.
-    watch : callable
     counts : list of tuple of int
         Points of each sweep that was written, by class.
     """
 
-    def __init__(self, run: RunFolder, key: dict[str, str], trajectory: Trajectory) -> None:
+    def __init__(
+        self, run: RunFolder, key: dict[str, str], trajectory: Trajectory, watch: Watch = unwatched
+    ) -> None:
         self._run, self._key, self._trajectory = run, key, trajectory
         self._labels = label_files(run)
         self._detections: OrderedDict[int, Detections] = OrderedDict()
         self._keeping = Lock()
-        self.ground = _GroundLabels()
-        self.watch: Watch = unwatched
+        self._ground = _GroundLabels(run, trajectory)
+        self.watch = watch
         self.counts: list[tuple[int, int, int]] = []
 
     @property
@@ -189,10 +231,9 @@ class _FrameStore:
             return None
         return kept_tracking(self._tracks, len(self._trajectory))
 
-    def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> Tracking:
-        found = keep_tracking(self._run, self._tracks, self._key, find)
+    def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
+        keep_tracking(self._run, self._tracks, self._key, find)
         self._detections.clear()
-        return found
 
     def has_tracks(self) -> bool:
         """Whether the file of tracks is there, where there should be one."""
@@ -212,7 +253,7 @@ class _FrameStore:
     def read(self, index: int) -> InputSweep:
         with self.watch("read"):
             record = self._run.frame(index)
-            ground = np.unpackbits(self.ground.read(index), count=len(record.points))
+            ground = np.unpackbits(self._ground.read(index), count=len(record.points))
         return InputSweep(
             record.points,
             ground.view(np.bool_),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,21 @@ class DepthFiles:
     key: str = ""
     images: list[str] = field(default_factory=list)
     coverage: dict[int, float] = field(default_factory=dict)
+
+    def of(self, indices: Sequence[int]) -> DepthFiles:
+        """The files of some images, numbered anew: what a worker needs to know."""
+        stream, images = self.stream, self.stream.images
+        part = replace(
+            stream,
+            times=stream.times[indices],
+            names=[stream.names[k] for k in indices],
+            images=[images[k] for k in indices] if images else [],
+        )
+        return replace(self, stream=part, images=[self.images[k] for k in indices], coverage={})
+
+    def shares(self) -> list[float]:
+        """The coverage of the images that are done, in order."""
+        return [share for _, share in sorted(self.coverage.items())]
 
     def files(self, index: int) -> list[Path]:
         """All files of an image."""
@@ -127,8 +142,14 @@ class DepthFiles:
 
     def write(
         self, index: int, depth: NDArray[np.float32], layers: dict[str, NDArray[Any]]
-    ) -> None:
-        """Write all files of an image; the depth map last, so that it marks the image as done."""
+    ) -> float:
+        """Write all files of an image; the depth map last, so that it marks the image as done.
+
+        Returns
+        -------
+        float
+            Share of pixels with depth.
+        """
         key = self._key(index)
 
         def write(path: Path, content: bytes) -> None:
@@ -143,7 +164,7 @@ class DepthFiles:
         for format, path in self._depths(index).items():
             content = encode_depth(depth, format, self.parameters.output.scale)
             write(path, content)
-        self.coverage[index] = _share_with_depth(depth)
+        return _share_with_depth(depth)
 
     def describe(self, complete: bool = True) -> None:
         """Write ``depth.json``: unit, camera, parameters, and time and coverage of each map.

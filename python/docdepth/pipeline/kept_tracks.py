@@ -12,7 +12,7 @@ from docdepth.dynamics.tracking import TakeSweep, TrackedSweep, Tracking
 from docdepth.errors import DamagedFileError, InputError
 from docdepth.geometry.track import KINDS, Track
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.array_files import ArrayWriter, Offsets, array_offsets, read_arrays
+from docdepth.pipeline.array_files import Offsets, array_offsets, read_arrays, write_array
 
 _OF_SWEEP, _OF_TRACK = len(TrackedSweep._fields), 7  # arrays
 
@@ -46,28 +46,20 @@ class TrackedSweeps(Sequence[TrackedSweep]):
 
 def keep_tracking(
     run: RunFolder, path: Path, key: dict[str, str], find: Callable[[TakeSweep], list[Track]]
-) -> Tracking:
+) -> None:
     """Write what ``find`` hands over sweep by sweep, and the tracks that it returns."""
-    tracks: list[Track] = []
-    offsets = np.zeros(0, np.int64)
 
     def write(stream: BinaryIO) -> None:
-        nonlocal offsets
-        writer = ArrayWriter(stream)
-
         def take(sweep: TrackedSweep) -> None:
             for array in sweep:
-                writer.write(array)
+                write_array(stream, array)
 
-        tracks.extend(find(take))
-        offsets = writer.offsets[::_OF_SWEEP]
-        for t in tracks:
+        for t in find(take):
             about = np.array([t.id, KINDS.index(t.kind)])
             for array in (about, t.times, t.poses, t.velocities, t.size, t.points, t.deviations):
-                writer.write(array)
+                write_array(stream, array)
 
     run.write(path, write, key, sync=False)
-    return Tracking(TrackedSweeps(path, offsets), tracks)
 
 
 def kept_tracking(path: Path, sweeps: int) -> Tracking:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.calibration_check import edges_of_images, judge
 from docdepth.pipeline.depth_files import DepthFiles
-from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render
+from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render, tracks_of
 from docdepth.pipeline.run_inputs import (
     RunCamera,
     camera_parameters,
@@ -29,6 +30,7 @@ from docdepth.pipeline.run_inputs import (
 from docdepth.pipeline.run_state import require
 from docdepth.pipeline.sanity import warn_of_density
 from docdepth.pipeline.stage import Profile, Progress, Stopwatch, progress_callback, stage
+from docdepth.pipeline.workers import Worker, Workers
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
@@ -47,6 +49,7 @@ def run_render(
     threads: int = 0,
     progress: Progress | None = None,
     renderer: Renderer | None = None,
+    workers: Workers | None = None,
 ) -> list[str]:
     """Render a depth map of every image into ``depth/``; layers and pictures beside it.
 
@@ -64,6 +67,8 @@ def run_render(
         Called with the stage, the number of images done and of all images.
     renderer : Renderer, optional
         From :func:`docdepth.render.backends.choose`; the CPU if absent.
+    workers : Workers, optional
+        Who does the work; this process with its threads if absent.
 
     Returns
     -------
@@ -80,6 +85,7 @@ def run_render(
         A frame has no classes.
     """
     streams = [streams] if isinstance(streams, CameraStream) else list(streams)
+    renderer, workers = renderer or Renderer(), workers or Workers(threads)
     with run.lock("render"):
         register(run, streams)
         cameras = [
@@ -89,7 +95,7 @@ def run_render(
         left_out: list[str] = []
         before = _profiles(run)
         for alike in _drawn_alike(cameras):
-            left_out += _render_cameras(run, alike, threads, progress, renderer or Renderer())
+            left_out += _render_cameras(run, alike, workers, progress, renderer)
         if before != _profiles(run) or not index_is_whole(run):
             opened = {stream.name: stream for stream in streams}
             others = {} if run.cameras.keys() <= opened.keys() else cameras_at_hand(run)
@@ -137,7 +143,7 @@ def _drawn_alike(cameras: list[RunCamera]) -> list[list[RunCamera]]:
 def _render_cameras(
     run: RunFolder,
     cameras: list[RunCamera],
-    threads: int,
+    workers: Workers,
     progress: Progress | None,
     renderer: Renderer,
 ) -> list[str]:
@@ -170,11 +176,16 @@ def _render_cameras(
         _write_cameras(plan)
         report = progress_callback(progress, "render")
         kept, total = len(plan.images) - len(images), len(plan.images)
-        job = _Job(run, plan, threads, renderer, profiles[0].watch)
-        _render_images(job, images, lambda done: report(kept + done, total))
+        report(kept, total)
+        work, told = partial(_render_images, renderer), lambda done: report(kept + done, total)
+        chunks = workers.cut(images, plan.trajectory.arc_length_at([i.time for i in images]))
+        parts = [_apart(chunk) for chunk in chunks]
+        for number, shares in workers.each(run, work, parts, profiles[0].watch, told):
+            for image, share in zip(chunks[number], shares, strict=True):
+                image.files.coverage[image.index] = share
         for files, profile in zip(plan.files, profiles, strict=True):
             files.describe()
-            profile.more["density"] = float(np.mean(list(files.coverage.values())))
+            profile.more["density"] = float(np.mean(files.shares()))
             profile.more["calibration"] = _judge_maps(plan, files)
     return left_out
 
@@ -182,7 +193,7 @@ def _render_cameras(
 def _judge_maps(plan: RenderPlan, files: DepthFiles) -> str | None:
     """Warn of depth maps that cannot be right; what images say about the calibration."""
     stream, done = files.stream, sorted(files.coverage)
-    warn_of_density(list(files.coverage.values()), stream.name)
+    warn_of_density(files.shares(), stream.name)
     if not stream.images or plan.parameters.render.primitive == "splats":
         return None  # splats reach over edges
     path, tracks = files.run.path, plan.tracks.values()
@@ -199,27 +210,33 @@ def _write_cameras(plan: RenderPlan) -> None:
 
 
 class _Job(NamedTuple):
-    """What all images of the stage share."""
+    """What all images of a chunk share."""
 
-    run: RunFolder
-    plan: RenderPlan
+    trajectory: Trajectory
+    tracks: Tracks
     threads: int
     renderer: Renderer
     watch: Stopwatch
 
 
-def _render_images(job: _Job, images: list[ImageToRender], progress: Callable[[int], None]) -> None:
-    """Render images in order; meanwhile the next is prepared and the last is written."""
-    run, plan, watch = job.run, job.plan, job.watch
-    trajectory, parameters = plan.trajectory, plan.parameters
-    tracks = plan.tracks
+def _render_images(renderer: Renderer, worker: Worker, images: list[ImageToRender]) -> list[float]:
+    """Render images in order; meanwhile the next is prepared and the last is written.
+
+    Returns
+    -------
+    list of float
+        Share of pixels with depth of each.
+    """
+    run, watch, parameters = worker.run, worker.watch, images[0].files.parameters
+    trajectory, tracks = run.trajectory(), tracks_of(run)
+    job = _Job(trajectory, tracks, worker.threads, renderer, watch)
     is_drawn = TracksInView(tracks, trajectory, _views(trajectory, images)).draws
     cache = FrameCache(
         lambda i, w: load_frame(run, trajectory, i, parameters, tracks, w, watch, is_drawn=is_drawn)
     )
-    progress(0)
+    shares: list[float] = []
     with ThreadPoolExecutor(2) as pool:
-        writing: Future[None] | None = None
+        writing: Future[float] | None = None
         needed: list[dict[int, bool]] = []
         for done, image in enumerate(images):
             needed = needed[1:]
@@ -230,11 +247,23 @@ def _render_images(job: _Job, images: list[ImageToRender], progress: Callable[[i
                 frames = {i: requested[i, whole].result() for i, whole in needed[0].items()}
             depth, layers = _render_image(job, image, frames)
             if writing:
-                writing.result()
+                shares.append(writing.result())
             writing = pool.submit(_write, image, depth, layers, watch)
-            progress(done + 1)
+            worker.told(done + 1)
         if writing:
-            writing.result()
+            shares.append(writing.result())
+    return shares
+
+
+def _apart(images: list[ImageToRender]) -> list[ImageToRender]:
+    """Some images without what is known of others."""
+    found = list(images)
+    for files in {id(image.files): image.files for image in images}.values():
+        numbers = [n for n, image in enumerate(images) if image.files is files]
+        part = files.of([images[n].index for n in numbers])
+        for k, n in enumerate(numbers):
+            found[n] = ImageToRender(images[n].time, part, k)
+    return found
 
 
 def _views(trajectory: Trajectory, images: list[ImageToRender]) -> list[Images]:
@@ -254,18 +283,18 @@ def _render_image(
     scene = (
         stream.camera,
         stream.T_camera_lidar,
-        job.plan.trajectory,
+        job.trajectory,
         image.time,
         frames.__getitem__,
         parameters.render,
         job.threads,
     )
     with job.watch("draw"):
-        depth = compose_depth(*scene, job.renderer, job.plan.tracks)
+        depth = compose_depth(*scene, job.renderer, job.tracks)
     if not parameters.output.layers:
         return depth, {}
     with job.watch("layers"):
-        return depth, compose_layers(parameters.output.layers, depth, *scene, job.plan.tracks)
+        return depth, compose_layers(parameters.output.layers, depth, *scene, job.tracks)
 
 
 def _write(
@@ -273,9 +302,9 @@ def _write(
     depth: NDArray[np.float32],
     layers: dict[str, NDArray[Any]],
     watch: Stopwatch,
-) -> None:
+) -> float:
     with watch("write"):
-        image.files.write(image.index, depth, layers)
+        return image.files.write(image.index, depth, layers)
 
 
 def load_frame(

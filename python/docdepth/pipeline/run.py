@@ -42,6 +42,7 @@ from docdepth.pipeline.run_inputs import (
 from docdepth.pipeline.run_state import require, states
 from docdepth.pipeline.stage import Progress
 from docdepth.pipeline.virtual_camera import check_name
+from docdepth.pipeline.workers import Workers
 from docdepth.render.backends import Renderer
 from docdepth.visualization.report import index_is_whole
 
@@ -69,6 +70,8 @@ def run(
     force: bool = False,
     dry_run: bool = False,
     threads: int = 0,
+    jobs: int = 1,
+    scheduler: str | None = None,
     renderer: Renderer | None = None,
     progress: Progress | None = None,
 ) -> RunFolder:
@@ -118,7 +121,11 @@ def run(
         Check everything and make nothing; :func:`docdepth.pipeline.run_state.states` tells what
         would be made.
     threads : int
-        0 takes every core. The result does not depend on it.
+        Of all processes of this machine, 0 takes every core; of each worker of a cluster, 0 takes
+        one. The result depends neither on it nor on who does the work.
+    jobs, scheduler
+        As for :class:`docdepth.pipeline.workers.Workers`. A script that asks for jobs needs the
+        line ``if __name__ == "__main__":``.
     renderer : Renderer, optional
         Draws the depth maps; the CPU if absent. All draw the same.
     progress : callable, optional
@@ -142,10 +149,8 @@ def run(
         "image_size": image_size,
         "frames": frames,
     }
-    if calibration is not None:
-        inputs["calibration"] = _absolute(calibration)
-    if labels is not None:
-        inputs["labels"] = _absolute(labels)
+    further = {"calibration": _absolute(calibration), "labels": _absolute(labels)}
+    inputs |= {name: place for name, place in further.items() if place is not None}
     values, place = parameters or Parameters(), Path(output)
     begun = RunFolder(place).manifest.get("source")
     if on_error not in (None, "stop", "skip"):
@@ -163,10 +168,7 @@ def run(
     register(folder, streams)
     if labels is not None:
         open_labels(folder)
-    if dry_run:
-        _check(folder, recording)
-    else:
-        _make(folder, recording, threads, renderer, progress)
+    _make(folder, recording, Workers(threads, jobs, scheduler), dry_run, renderer, progress)
     return folder
 
 
@@ -175,6 +177,8 @@ def continue_run(
     *,
     dry_run: bool = False,
     threads: int = 0,
+    jobs: int = 1,
+    scheduler: str | None = None,
     renderer: Renderer | None = None,
     progress: Progress | None = None,
 ) -> RunFolder:
@@ -184,7 +188,7 @@ def continue_run(
     ----------
     output : Path
         Run folder.
-    dry_run, threads, renderer, progress
+    dry_run, threads, jobs, scheduler, renderer, progress
         As for :func:`run`.
 
     Raises
@@ -199,10 +203,7 @@ def continue_run(
     _check_place(folder)
     with _all_problems(source, folder.parameters, folder.path):
         recording, _ = open_inputs(source)
-    if dry_run:
-        _check(folder, recording)
-    else:
-        _make(folder, recording, threads, renderer, progress)
+    _make(folder, recording, Workers(threads, jobs, scheduler), dry_run, renderer, progress)
     return folder
 
 
@@ -322,11 +323,11 @@ def _follow_recording(folder: RunFolder, recording: Dataset) -> None:
             source["dataset"] = place
 
 
-def _check(folder: RunFolder, recording: Dataset) -> None:
+def _check(folder: RunFolder, recording: Dataset, jobs: int) -> None:
     """Check all inputs of a run that has something to do; what is found is kept in run.yaml."""
     source, cameras = folder.manifest["source"], run_cameras(folder, recording)
     streams = [camera.stream for camera in cameras]
-    report = check_opened(source, recording, streams, folder.parameters, folder.path)
+    report = check_opened(source, recording, streams, folder.parameters, folder.path, jobs)
     raise_problems(report.problems)
     folder.manifest["warnings"] = [problem.text for problem in report.problems]
     folder.manifest["estimate"] = report.summary
@@ -337,11 +338,14 @@ def _check(folder: RunFolder, recording: Dataset) -> None:
 def _make(
     folder: RunFolder,
     recording: Dataset,
-    threads: int,
+    workers: Workers,
+    dry_run: bool,
     renderer: Renderer | None,
     progress: Progress | None,
 ) -> None:
-    """Run each stage that has something to do."""
+    """Run each stage that has something to do, or check it alone."""
+    if dry_run:
+        return _check(folder, recording, workers.jobs)
     left = outdated(states(folder))
     if not left and index_is_whole(folder):
         if folder.manifest != RunFolder(folder.path).manifest:  # the recording was moved
@@ -349,15 +353,15 @@ def _make(
                 folder.save()
         return
     if left:
-        _check(folder, recording)
+        _check(folder, recording, workers.jobs)
     poses = known_poses(folder.manifest["source"], recording)
-    with folder.lock("run"):
+    with folder.lock("run"), workers:
         for _ in range(_MOST_REPAIRS):
             try:
-                run_odometry(folder, recording, poses, progress, threads)
-                run_classify(folder, threads, progress)
+                run_odometry(folder, recording, poses, progress, workers.threads)
+                run_classify(folder, workers.threads, progress, workers)
                 streams = [camera.stream for camera in run_cameras(folder, recording)]
-                run_render(folder, streams, threads, progress, renderer)
+                run_render(folder, streams, workers.threads, progress, renderer, workers)
                 return
             except (DatasetError, OdometryError):
                 # A file that was whole when the run began is not any more.
@@ -368,9 +372,10 @@ def _make(
                 poses = known_poses(folder.manifest["source"], recording)
             except DamagedFileError as error:
                 # Size and time were those of its record. Now that it is known, it is made again.
-                if folder.path not in error.path.parents:
+                whole = folder.path.absolute()  # as workers name it
+                if whole not in error.path.absolute().parents:
                     raise
-                folder.forget(error.path)
+                folder.forget(folder.path / error.path.absolute().relative_to(whole))
         raise RunError(
             f"more than {_MOST_REPAIRS} files of {folder.path} are damaged; check the disk"
         )

@@ -22,7 +22,7 @@ class Stopwatch:
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
-        self._lock = Lock()
+        self._lock, self._most_elsewhere = Lock(), 0
         self._start = time.perf_counter()
 
     def wall(self) -> float:
@@ -35,9 +35,20 @@ class Stopwatch:
         try:
             yield
         finally:
-            spent = time.perf_counter() - start
-            with self._lock:
+            self.add({name: time.perf_counter() - start})
+
+    def add(self, seconds: dict[str, float], peak_memory_mb: int = 0) -> None:
+        """Count what was spent here, or by a worker in another process."""
+        with self._lock:
+            for name, spent in seconds.items():
                 self.seconds[name] = self.seconds.get(name, 0.0) + spent
+            self._most_elsewhere = max(self._most_elsewhere, peak_memory_mb)
+
+    def peak_memory_mb(self) -> int:
+        """The most memory of this process so far, or of a worker that was added."""
+        kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        here = kilobytes // 1024 if sys.platform != "darwin" else kilobytes // 1024**2
+        return max(here, self._most_elsewhere)
 
 
 @contextmanager
@@ -94,8 +105,6 @@ class Profile:
 
     def state(self, before: dict[str, Any], warnings: list[str]) -> dict[str, Any]:
         """Entries of the stage, those of earlier commands added."""
-        kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        peak = kilobytes // 1024 if sys.platform != "darwin" else kilobytes // 1024**2
         wall = self.share * self.watch.wall()
         return {
             "frames": self.frames,
@@ -103,7 +112,7 @@ class Profile:
             "seconds": {name: round(self.share * s, 3) for name, s in self.watch.seconds.items()},
             "total_frames": before.get("total_frames", 0) + self.frames,
             "total_seconds": round(before.get("total_seconds", 0.0) + wall, 3),
-            "peak_memory_mb": max(peak, before.get("peak_memory_mb", 0)),
+            "peak_memory_mb": max(self.watch.peak_memory_mb(), before.get("peak_memory_mb", 0)),
             "warnings": list(dict.fromkeys([*before.get("warnings", []), *warnings])),
             **self.more,
         }

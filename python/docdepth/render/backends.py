@@ -62,6 +62,9 @@ class Renderer:
         self.description: str = core.renderer if self._library else _CPU
         self.software: bool = core.software if self._library else True
 
+    def __reduce__(self) -> tuple[type[Renderer], tuple[str]]:
+        return Renderer, (self.name,)
+
     @property
     def core(self) -> Any:
         """The object with ``render_splats`` and ``render_meshes`` for this thread.

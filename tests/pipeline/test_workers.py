@@ -1,0 +1,297 @@
+"""Many workers make what one makes, wherever the drive is cut and whoever dies on the way."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from command_line import cli
+from docdepth.config import Parameters
+from docdepth.errors import ConfigError, DamagedFileError, RunError, SeveralProblems
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline import workers as workers_module
+from docdepth.pipeline.run import run
+from docdepth.pipeline.run_all import run_all
+from docdepth.pipeline.run_state import states
+from docdepth.pipeline.workers import Worker, Workers
+from small_drive import write_small_drive
+
+SWEEPS = 8
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_small_drive(tmp_path_factory.mktemp("workers") / "drive", SWEEPS)
+
+
+@pytest.fixture(scope="module")
+def whole(drive: Path) -> Path:
+    """A run by one process."""
+    run(drive, drive.parent / "whole", camera="all", threads=1)
+    return drive.parent / "whole"
+
+
+def results(folder: Path) -> dict[str, bytes]:
+    found = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
+    return {
+        name: path.read_bytes()
+        for name, path in found.items()
+        if not name.startswith((".docdepth", "run.yaml", "report/index.html"))
+    }
+
+
+def cut_into(patch: pytest.MonkeyPatch, metres: float) -> None:
+    patch.setattr(workers_module, "_LONGEST", metres)
+    patch.setattr(workers_module, "_SHORTEST", metres / 4)
+
+
+def test_two_processes_make_what_one_makes_though_one_is_killed(
+    drive: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cut_into(monkeypatch, 2.0)
+    monkeypatch.chdir(tmp_path)
+    told: list[tuple[str, int, int]] = []
+
+    def progress(stage: str, done: int, total: int) -> None:
+        if stage == "render" and done and told[-1][1] == 0:
+            multiprocessing.active_children()[0].kill()
+        told.append((stage, done, total))
+
+    folder = run(drive, "run", camera="all", jobs=2, progress=progress)
+    assert any("died" in text for text in folder.stage("render image_2")["warnings"])
+    assert results(tmp_path / "run") == results(whole)
+    assert {state.state for state in states(folder, verify=True)} == {"done"}
+    assert not (folder.path / ".docdepth" / "parts").exists()
+    for stage, total in (("classify", SWEEPS), ("render", 2 * SWEEPS)):
+        done = [step[1] for step in told if step[0] == stage]
+        assert done == sorted(done)
+        assert (done[0], done[-1]) == (0, total)
+        assert len(set(done)) > 3  # chunk by chunk
+    profile = folder.stage("classify")
+    assert profile["seconds"]["vote"] > 0  # of the workers
+    assert profile["peak_memory_mb"] > 0
+
+
+@pytest.mark.parametrize("metres", [1.0, 3.0, 5.0])
+def test_it_does_not_matter_where_a_drive_is_cut(
+    drive: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metres: float
+) -> None:
+    """Labels and depth at a border equal those inside: each chunk is worked on alone."""
+    cut_into(monkeypatch, metres)
+    borders: list[list[int]] = []
+
+    def each(self, run, work, chunks, watch, told, size=len):  # type: ignore[no-untyped-def]
+        for number, chunk in enumerate(chunks):
+            one = pickle.loads(pickle.dumps(workers_module._Task(run, work, chunk, 1)))()
+            run.take(one.files)
+            borders.append([len(chunk)])
+            yield number, one.result
+
+    monkeypatch.setattr(Workers, "each", each)
+    run(drive, tmp_path / "run", camera="all", jobs=2)
+    assert len(borders) > 4
+    assert results(tmp_path / "run") == results(whole)
+
+
+def kill_once(flag: Path, worker: Worker, chunk: list[int]) -> list[int]:
+    """Die in the midst of the first chunk; a file of it is written already."""
+    path = worker.run.path / "labels" / f"{chunk[0]}.label"
+    worker.run.write(path, lambda stream: stream.write(b"%d" % chunk[0]), {"of": "this"})
+    try:
+        flag.rmdir()
+    except FileNotFoundError:
+        return [2 * number for number in chunk]
+    os.kill(os.getpid(), signal.SIGKILL)
+    raise AssertionError
+
+
+def die(worker: Worker, chunk: list[int]) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def refuse(worker: Worker, chunk: list[int]) -> None:
+    raise DamagedFileError(worker.run.path / "frames" / "frame_000003.ply", "cut off")
+
+
+def begun(path: Path) -> RunFolder:
+    folder = RunFolder.create(path, {}, Parameters())
+    folder.notes.mkdir(parents=True)
+    folder.save()
+    return folder
+
+
+def test_what_a_dead_worker_had_in_hand_is_done_again(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder, flag = begun(tmp_path / "run"), tmp_path / "flag"
+    flag.mkdir()
+    chunks = [[0, 1], [2], [3, 4, 5]]
+    told: list[int] = []
+    watch = workers_module.Stopwatch()
+    with Workers(1, jobs=2) as two:
+        found = dict(two.each(folder, partial(kill_once, flag), chunks, watch, told.append))
+    assert found == {0: [0, 2], 1: [4], 2: [6, 8, 10]}
+    assert told[-1] == 6
+    assert "a worker has died" in caplog.text
+    for first in (0, 2, 3):
+        path = folder.path / "labels" / f"{first}.label"
+        assert path.read_bytes() == b"%d" % first
+        assert RunFolder.open(folder.path).key(path) == {"of": "this"}
+    assert not (folder.notes / "parts").exists()
+
+
+def test_workers_that_die_again_and_again_are_given_up(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "run")
+    with pytest.raises(RunError, match="give fewer --jobs"), Workers(1, jobs=2) as two:
+        list(two.each(folder, die, [[0], [1]], workers_module.Stopwatch(), lambda done: None))
+
+
+def test_workers_end_with_the_process_that_has_started_them(tmp_path: Path) -> None:
+    """Else they would go on to write into a run that another command has taken up."""
+    sleep = f"import os, time; open(f'{tmp_path}/{{os.getpid()}}', 'w').close(); time.sleep(300)"
+    code = (
+        "from functools import partial\n"
+        "from docdepth.pipeline.workers import Workers\n"
+        "with Workers(1, jobs=2) as two:\n"
+        f"    list(two.results([partial(exec, {sleep!r})] * 2))\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
+    wait_until(lambda: len(list(tmp_path.iterdir())) == 2)
+    process.kill()
+    process.wait()
+    for path in tmp_path.iterdir():
+        wait_until(partial(is_gone, int(path.name)))
+
+
+def is_gone(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def wait_until(true: Callable[[], bool]) -> None:
+    for _ in range(6000):
+        if true():
+            return
+        time.sleep(0.01)
+    raise AssertionError("it does not happen")
+
+
+def test_errors_of_workers_are_told_as_if_they_were_ours(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "run")
+    with pytest.raises(DamagedFileError, match="cut off") as raised, Workers(1, jobs=2) as two:
+        list(two.each(folder, refuse, [[0], [1]], workers_module.Stopwatch(), lambda done: None))
+    assert raised.value.path.name == "frame_000003.ply"
+    several = pickle.loads(pickle.dumps(SeveralProblems(["one", "two"])))
+    assert several.problems == ["one", "two"]
+    assert str(several) == str(SeveralProblems(["one", "two"]))
+
+
+def test_chunks_are_even_and_hold_each_frame_once() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        steps = rng.choice([0, 0.1, 1, 3], int(rng.integers(1, 900)))
+        items = list(range(len(steps)))
+        workers = Workers(jobs=int(rng.integers(2, 9)))
+        chunks = workers.cut(items, np.cumsum(steps))
+        assert [i for chunk in chunks for i in chunk] == items
+        path = [steps[chunk[1:]].sum() + 0.5 * (len(chunk) - 1) for chunk in chunks]
+        assert max(path) <= 200 + 3.5
+        assert min(map(len, chunks)) >= 1
+        if len(chunks) > 1:
+            assert max(path) - min(path) <= 2 * 3.5
+    assert Workers().cut([1, 2, 3], np.arange(3.0)) == [[1, 2, 3]]
+    assert Workers(jobs=2).cut([], np.zeros(0)) == []
+
+
+def test_each_job_is_counted_in_the_memory_that_a_run_needs(drive: Path, tmp_path: Path) -> None:
+    told = [
+        float(re.findall(r"([\d.]+) GB of memory", folder.manifest["estimate"])[0])
+        for folder in (
+            run(drive, tmp_path / f"{jobs}", camera="all", jobs=jobs, dry_run=True)
+            for jobs in (1, 4)
+        )
+    ]
+    assert told[1] > 2 * told[0] > 0
+
+
+def test_jobs_and_a_scheduler_exclude_each_other() -> None:
+    with pytest.raises(ConfigError, match="give one of them"):
+        Workers(jobs=2, scheduler="tcp://127.0.0.1:1")
+    with pytest.raises(ConfigError, match="from 1 on"):
+        Workers(jobs=0)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_all_recordings_of_a_folder(drive: Path, whole: Path, tmp_path: Path, jobs: int) -> None:
+    root = tmp_path / "set"
+    shutil.copytree(drive, root / "a" / "long")
+    write_small_drive(root / "b", 4)
+    shutil.copytree(root / "b", root / "broken")
+    (root / "broken" / "velodyne" / "000002.bin").write_bytes(b"123")
+    ended = cli(
+        "run", "--all", root, "-o", tmp_path / "runs", "--camera", "all", "--jobs", jobs, "-q"
+    )
+    assert ended.exit_code == 2, ended.output
+    said = " ".join(ended.output.split())
+    assert "2 of 3 recordings are done" in said
+    assert f"failed: {root}/broken: " in said
+    assert "000002.bin" in said
+    assert results(tmp_path / "runs" / "a" / "long") == results(whole)
+    again = run_all(root, tmp_path / "runs", camera="all")
+    assert [one.folder.name for one in again] == ["long", "b", "broken"]
+    assert [one.error is None for one in again] == [True, True, False]
+
+
+@pytest.mark.slow
+def test_workers_of_a_dask_cluster_make_what_one_makes(
+    drive: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    cut_into(monkeypatch, 2.0)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
+    ) as cluster:
+        run(drive, tmp_path / "run", camera="all", scheduler=cluster.scheduler_address)
+    assert results(tmp_path / "run") == results(whole)
+
+
+def test_a_scheduler_that_is_not_there(drive: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    dask = pytest.importorskip("dask")
+    with (
+        dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
+        pytest.raises(RunError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"),
+    ):
+        run(drive, tmp_path / "run", camera="all", scheduler="tcp://127.0.0.1:9")
+
+
+@pytest.mark.slow
+def test_the_quick_start_tells_what_slurm_is_asked_for() -> None:
+    jobqueue = pytest.importorskip("dask_jobqueue")
+    text = (Path(__file__).parents[2] / "docs" / "quickstart.md").read_text(encoding="utf-8")
+    called = re.search(r"^cluster = SLURMCluster\((.*)\)$", text, re.MULTILINE)
+    assert called
+    options = eval(f"dict({called[1]})")
+    with jobqueue.SLURMCluster(
+        **options, interface="lo", scheduler_options={"dashboard_address": ":0"}
+    ) as cluster:
+        asked = [line for line in cluster.job_script().splitlines() if line.startswith("#SBATCH")]
+        assert "--nthreads 1" in cluster.job_script()
+        assert "--nworkers 4" in cluster.job_script()
+    assert re.findall(r"^#SBATCH.*$", text, re.MULTILINE) == asked
