@@ -143,6 +143,9 @@ constexpr double kExtentQuantile = 0.99;
 
 /// Smaller parts of a match than this share of the area of another one are its fragments.
 constexpr float kFragmentShare = 0.25f;
+/// A track is a part of a vehicle if it lies in it in this share of the sweeps that saw both, and
+/// goes as fast but for this [m/s]: what few returns of a piece say of its speed.
+constexpr float kPartShare = 0.8f, kPartSpeed = 3;
 /// Two parts belong together if their shares that are passing differ by less than this factor.
 constexpr float kTogetherShare = 0.35f;
 /// An object that is never seen to move stands where for so long [s] this share of it was free, in
@@ -156,6 +159,8 @@ constexpr float kMinRailLength = 2.5f;
 /// A place belongs to another vehicle if this share of an object would lie in its box: in a queue
 /// they stand where others stood.
 constexpr float kQueueShare = 0.25f;
+/// Longer than any van [m]: where its rear stands its front was long before.
+constexpr float kMinLongVehicle = 8;
 /// An object that is less far from where it was stands at the same place [m].
 constexpr float kSamePlace = 0.5f;
 

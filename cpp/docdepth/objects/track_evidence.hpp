@@ -9,26 +9,12 @@
 #include <vector>
 
 #include "docdepth/objects/constants.hpp"
+#include "docdepth/objects/followed.hpp"
 #include "docdepth/objects/tracking.hpp"
 
 namespace docdepth {
 
-/// Whether it is large and solid enough for what comes and goes without being seen to move. Pieces
-/// of walls that show behind something are flat.
-inline bool is_vehicle(const TrackPath& path) {
-  const Eigen::Vector3f size = path.extent().size();
-  return path.is_rigid() && size.head<2>().minCoeff() >= kMinVehicleWidth &&
-         size.z() >= kMinVehicleHeight;
-}
-
-/// Whether it is a long, thin thing that seems to go along itself. What is seen of a guard rail
-/// goes along with us, or with a car that hides the rest.
-inline bool is_rail(const TrackPath& path) {
-  const Eigen::Vector3f size = path.extent().size();
-  return path.is_rigid() && size.x() >= kMinRailLength && size.y() < kMinVehicleWidth;
-}
-
-/// A track and its path, and what both say about detections.
+/// What an object that moves at some time says about detections, by its track and path.
 class TrackEvidence {
   using Vector = Eigen::Vector3f;
 
@@ -61,15 +47,6 @@ class TrackEvidence {
            (time > last_known_ && stands_after());
   }
 
-  /// Whether the object moves at some time: by its path, or as it was not there before or after.
-  bool moves() const {
-    if (track_.dynamic < p_.min_detections || is_rail(path_)) return false;
-    if (path_.distance(false) >= p_.min_distance &&
-        path_.distance(true) >= kMinVotedDistanceShare * p_.min_distance)
-      return true;
-    return is_vehicle(path_) && appears();
-  }
-
   /// Whether it moved while the votes called it dynamic.
   bool seen_to_move() const {
     const auto& seen = track_.observations;
@@ -86,6 +63,7 @@ class TrackEvidence {
 
   /// Whether the track makes a detection of a sweep dynamic.
   bool claims(std::size_t sweep, const Detection& object, bool is_member) {
+    if (is_rail(path_)) return false;
     if (object.dynamic == object.points || object.box.width() < kMinTrackedWidth) return false;
     if (object.area - object.dynamic_area > supported_) return false;
     // What has come to stand is asked about each sweep of the rest of the drive.
@@ -112,23 +90,6 @@ class TrackEvidence {
     return {T.translation() - reach, T.translation() + reach};
   }
 
-  /// Whether for a while much of it was found where nothing was before or after.
-  bool appears() const {
-    const auto& seen = track_.observations;
-    float share = 0;
-    std::size_t first = 0;
-    for (std::size_t k = 0; k < seen.size(); ++k) {
-      share += seen[k].free_area / seen[k].area;
-      while (times_[seen[k].sweep] - times_[seen[first].sweep] > kFreeWindow + kTimeTolerance)
-        share -= seen[first].free_area / seen[first].area, ++first;
-      const auto count = float(k + 1 - first);
-      if (times_[seen[k].sweep] - times_[seen[first].sweep] >= kFreeWindow / 2 &&
-          share >= kMeanFreeShare * count && int(count) >= p_.min_detections)
-        return true;
-    }
-    return false;
-  }
-
   bool lies_there(const Detection& object, double time, float margin) const {
     if (!(p_.window > 0)) return false;
     const OrientedBox box = path_.box(time);
@@ -149,18 +110,21 @@ class TrackEvidence {
     const bool came = is_vehicle(path_) && seen_to_move();
     if (!free && !came) return false;
     return (object.first_occupied >= stay.first ||
-            (came && is_of_another(object, object.first_occupied))) &&
+            (came && is_of_vehicle(object, object.first_occupied))) &&
            (object.last_occupied <= stay.last ||
-            (came && is_of_another(object, object.last_occupied)));
+            (came && is_of_vehicle(object, object.last_occupied)));
   }
 
-  /// Whether much of the place of a detection belongs to another vehicle that moves, in a sweep.
-  bool is_of_another(const Detection& object, std::int32_t sweep) const {
+  /// Whether much of the place of a detection belongs to a vehicle that moves, in a sweep: another
+  /// one, or the front of this one, if it is long.
+  bool is_of_vehicle(const Detection& object, std::int32_t sweep) const {
     const auto& samples = object.samples();
     const auto& boxes = tracked_[std::size_t(sweep)].boxes;
-    return std::any_of(boxes.begin(), boxes.end(), [&](const TrackBox& other) {
-      const auto inside = [&](const Vector& p) { return other.box.holds(p, kSearchMargin); };
-      return other.track != number_ && 2 * other.box.half.head<2>().maxCoeff() >= kMinRigidWidth &&
+    const bool is_long = path_.extent().size().x() >= kMinLongVehicle;
+    return std::any_of(boxes.begin(), boxes.end(), [&](const TrackBox& of) {
+      const auto inside = [&](const Vector& p) { return of.box.holds(p, kSearchMargin); };
+      return (is_long || of.track != number_) &&
+             2 * of.box.half.head<2>().maxCoeff() >= kMinRigidWidth &&
              std::count_if(samples.begin(), samples.end(), inside) >=
                  kQueueShare * float(samples.size());
     });
@@ -187,12 +151,10 @@ class TrackEvidence {
       return (path_.pose(times_[at.sweep]).translation() - place).norm();
     };
     for (const TrackObservation& at : seen) {
-      if (distance(at) <= kSamePlace) {
-        const float share = at.free_area / at.area;
-        stay.half_free += at.is_passing();
-        stay.free += share >= kFreeEdges, stay.free_share += share, ++count;
-      }
       if (distance(at) > std::max(half, kSamePlace)) continue;
+      const float share = at.free_area / at.area;
+      stay.half_free += at.is_passing();
+      stay.free += share >= kFreeEdges, stay.free_share += share, ++count;
       stay.first = std::min(stay.first, int(at.sweep));
       stay.last = std::max(stay.last, int(at.sweep));
     }

@@ -8,6 +8,8 @@
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/objects/constants.hpp"
 #include "docdepth/objects/dynamic_voxels.hpp"
+#include "docdepth/objects/followed.hpp"
+#include "docdepth/objects/parts.hpp"
 #include "docdepth/objects/track_evidence.hpp"
 #include "docdepth/objects/tracker.hpp"
 
@@ -28,7 +30,7 @@ struct HeldSweeps {
   const Detections& operator[](std::size_t sweep) const { return *detections[sweep - first]; }
 };
 
-/// Where the object of a track that moves is in the sweeps in which that is known.
+/// Where the object of a track is in the sweeps in which that is known.
 Boxes boxes_of(const Track& track, const TrackPath& path, std::uint32_t number,
                const std::vector<double>& times) {
   Boxes boxes;
@@ -46,10 +48,9 @@ struct Reach {
   std::size_t first, last;
 };
 
-Reach reach_of(const TrackEvidence& evidence, const Track& track, bool moves,
+Reach reach_of(const TrackEvidence& evidence, const Track& track,
                const std::vector<double>& times) {
   std::size_t first = track.observations.front().sweep, last = track.observations.back().sweep;
-  if (!moves) return {first, last};
   if (evidence.stands_before()) first = 0;
   if (evidence.stands_after()) last = times.size() - 1;
   while (first > 0 && evidence.covers(times[first - 1])) --first;
@@ -58,7 +59,7 @@ Reach reach_of(const TrackEvidence& evidence, const Track& track, bool moves,
 }
 
 /// The detections of some sweeps that belong to a track, in order. Sweeps are asked in order, too.
-Members members_of(TrackEvidence& evidence, const Track& track, bool moves, std::uint32_t number,
+Members members_of(TrackEvidence& evidence, const Track& track, std::uint32_t number,
                    const Reach& reach, const HeldSweeps& sweeps, std::size_t begin,
                    const std::vector<double>& times) {
   Members members;
@@ -69,12 +70,12 @@ Members members_of(TrackEvidence& evidence, const Track& track, bool moves, std:
   for (std::size_t i = first; i < end; ++i) {
     while (seen != track.observations.end() && seen->sweep < i) ++seen;
     const bool is_seen = seen != track.observations.end() && seen->sweep == i;
-    if (!is_seen && (!moves || !evidence.covers(times[i]))) continue;
+    if (!is_seen && !evidence.covers(times[i])) continue;
     const Detections& objects = sweeps[i];
     for (std::uint32_t k = 0; k < objects.size(); ++k) {
       const bool is_member = is_seen && std::find(seen->objects.begin(), seen->objects.end(), k) !=
                                             seen->objects.end();
-      const bool claimed = moves && evidence.claims(i, objects[k], is_member);
+      const bool claimed = evidence.claims(i, objects[k], is_member);
       if (is_member || claimed) members.push_back({i, {objects[k].first, number, claimed}});
     }
   }
@@ -105,20 +106,6 @@ Track part_of(const Track& track, std::size_t begin, std::size_t end) {
   return part;
 }
 
-/// A track and where its object is.
-struct TrackAndPath {
-  TrackAndPath(Track of, const SeenSurface* seen, const std::vector<double>& times,
-               const TrackParameters& p)
-      : track(std::move(of)), path(track, seen, times, p) {}
-  TrackAndPath(const TrackAndPath&) = delete;  // the path refers to the track
-  TrackAndPath& operator=(const TrackAndPath&) = delete;
-
-  Track track;
-  TrackPath path;
-};
-
-using Paths = std::vector<std::unique_ptr<const TrackAndPath>>;
-
 /// A track and what its observations saw, as far as they have been read.
 struct SeenTrack {
   std::size_t number;  ///< among all
@@ -126,15 +113,29 @@ struct SeenTrack {
   std::vector<SeenSurface> surfaces;
 };
 
-SeenSurface surface_of(const TrackObservation& seen, const Detections& detections) {
+/// Velocity since the last observation of a track; until the next one at its beginning [m/s].
+Vector mean_velocity(const Track& track, std::size_t k, const std::vector<double>& times) {
+  const auto& seen = track.observations;
+  if (seen.size() == 1) return Vector::Zero();
+  const std::size_t later = std::max<std::size_t>(k, 1);
+  return seen[later].shift / float(times[seen[later].sweep] - times[seen[later - 1].sweep]);
+}
+
+/// What an observation saw, all at its time: a part that was measured later has moved on since.
+SeenSurface surface_of(const Track& track, std::size_t k, const Detections& detections,
+                       const std::vector<double>& times) {
+  const TrackObservation& seen = track.observations[k];
+  const Vector velocity = mean_velocity(track, k, times);
   SeenSurface surface;
-  const auto append = [](SampledPoints& all, const SampledPoints& more) {
-    all.insert(all.end(), more.begin(), more.end());
+  const auto append = [](SampledPoints& all, const SampledPoints& more, const Vector& shift) {
+    for (const Vector& point : more) all.push_back(point + shift);
   };
-  for (const auto k : seen.objects) {
-    const Detection& part = detections[k];
-    append(surface.points, part.surface.points), append(surface.normals, part.surface.normals);
-    append(surface.edges, part.edges), append(surface.hidden, part.hidden);
+  for (const auto of : seen.objects) {
+    const Detection& part = detections[of];
+    const Vector back = velocity * float(seen.time_offset - double(part.time_offset));
+    append(surface.points, part.surface.points, back);
+    append(surface.normals, part.surface.normals, Vector::Zero());
+    append(surface.edges, part.edges, back), append(surface.hidden, part.hidden, back);
   }
   return surface;
 }
@@ -188,7 +189,7 @@ Paths single_objects(std::vector<Track> tracks, DetectionWindow& detections,
     for (SeenTrack& seen : open) {
       const auto& observations = seen.track.observations;
       if (observations[seen.surfaces.size()].sweep != i) continue;
-      seen.surfaces.push_back(surface_of(observations[seen.surfaces.size()], detections[i]));
+      seen.surfaces.push_back(surface_of(seen.track, seen.surfaces.size(), detections[i], times));
       if (seen.surfaces.size() == observations.size()) whole.push_back(std::move(seen));
     }
     const auto is_whole = [](const SeenTrack& seen) { return seen.track.observations.empty(); };
@@ -212,7 +213,6 @@ class SweepTracker {
         p_(p),
         threads_(threads),
         evidence_(followed.size()),
-        moves_(followed.size()),
         reach_(followed.size()),
         begin_(times.size()),
         result_(times.size()) {
@@ -221,9 +221,8 @@ class SweepTracker {
       const auto& [track, path] = *followed[k];
       const auto number = std::uint32_t(k + 1);
       evidence_[k] = std::make_unique<TrackEvidence>(track, path, number, times, p, result_);
-      moves_[k] = evidence_[k]->moves();
-      if (moves_[k] && p.window > 0) boxes[k] = boxes_of(track, path, number, times);
-      reach_[k] = reach_of(*evidence_[k], track, moves_[k], times);
+      if (p.window > 0 && !is_rail(path)) boxes[k] = boxes_of(track, path, number, times);
+      reach_[k] = reach_of(*evidence_[k], track, times);
     });
     for (const Boxes& of : boxes)
       for (const auto& [sweep, box] : of) result_[sweep].boxes.push_back(box);
@@ -253,8 +252,8 @@ class SweepTracker {
     std::vector<Members> members(active_.size());
     parallel_for(active_.size(), 1, threads_, [&](std::size_t n, std::size_t) {
       const std::size_t k = active_[n];
-      members[n] = members_of(*evidence_[k], followed_[k]->track, moves_[k], std::uint32_t(k + 1),
-                              reach_[k], held_, begin, times_);
+      members[n] = members_of(*evidence_[k], followed_[k]->track, std::uint32_t(k + 1), reach_[k],
+                              held_, begin, times_);
     });
     for (const Members& of : members)
       for (const auto& [sweep, member] : of) result_[sweep].members.push_back(member);
@@ -295,7 +294,6 @@ class SweepTracker {
   const TrackParameters& p_;
   const int threads_;
   std::vector<std::unique_ptr<TrackEvidence>> evidence_;
-  std::vector<std::uint8_t> moves_;
   std::vector<Reach> reach_;
   std::vector<std::vector<std::size_t>> begin_;  ///< tracks by the first sweep in reach
   std::vector<std::size_t> active_;              ///< tracks in reach of the sweeps in hand
@@ -320,7 +318,15 @@ std::vector<TrackedObject> track_objects(const ReadDetections& read,
   Paths followed;
   {
     DetectionWindow detections(read, held);
-    followed = single_objects(follow_objects(detections, times, p), detections, times, p, threads);
+    const auto add_moving = [&](std::vector<Track> tracks) {
+      for (auto& one : single_objects(std::move(tracks), detections, times, p, threads))
+        if (moves(*one, times, p)) followed.push_back(std::move(one));
+    };
+    add_moving(follow_objects(detections, times, p));
+    add_moving(join_parts(followed, times, p));
+    std::stable_sort(followed.begin(), followed.end(), [](const auto& a, const auto& b) {
+      return a->track.observations.size() > b->track.observations.size();
+    });
   }
   SweepTracker(followed, times, p, threads).run(read, take, held);
   std::vector<TrackedObject> objects(followed.size());

@@ -62,9 +62,10 @@ using TakeSweep = std::function<void(const TrackedSweep& sweep)>;
 /// object.
 ///
 /// Between its observations, and a little before and after, an object is where its motion leads.
+/// Tracks of parts of one vehicle are joined (join_parts).
 ///
-/// Detections are read three times in order of time and once backward, and are not kept. What stays
-/// in memory are the tracks, without their surfaces.
+/// Detections are read three times in order of time and once backward, those of joined tracks once
+/// more, and are not kept. What stays in memory are the tracks, without their surfaces.
 ///
 /// @param times  of the sweeps [s]
 /// @param held   so many sweeps are held at once, at least 1, and those within the window of

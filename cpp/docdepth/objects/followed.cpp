@@ -1,0 +1,50 @@
+#include "docdepth/objects/followed.hpp"
+
+#include <algorithm>
+
+#include "docdepth/objects/constants.hpp"
+
+namespace docdepth {
+namespace {
+
+/// Whether for a while much of it was found where nothing was before or after.
+bool appears(const std::vector<TrackObservation>& seen, const std::vector<double>& times,
+             const TrackParameters& p) {
+  float share = 0;
+  std::size_t first = 0;
+  for (std::size_t k = 0; k < seen.size(); ++k) {
+    share += seen[k].free_area / seen[k].area;
+    while (times[seen[k].sweep] - times[seen[first].sweep] > kFreeWindow + kTimeTolerance)
+      share -= seen[first].free_area / seen[first].area, ++first;
+    const auto count = float(k + 1 - first);
+    if (times[seen[k].sweep] - times[seen[first].sweep] >= kFreeWindow / 2 &&
+        share >= kMeanFreeShare * count && int(count) >= p.min_detections)
+      return true;
+  }
+  return false;
+}
+
+}  // namespace
+
+bool is_rail(const TrackPath& path) {
+  const Eigen::Vector3f size = path.extent().size();
+  return path.is_rigid() && size.x() >= kMinRailLength && size.y() < kMinVehicleWidth;
+}
+
+bool is_vehicle(const TrackPath& path) {
+  const Eigen::Vector3f size = path.extent().size();
+  return path.is_rigid() && size.head<2>().minCoeff() >= kMinVehicleWidth &&
+         size.z() >= kMinVehicleHeight;
+}
+
+bool moves(const TrackAndPath& followed, const std::vector<double>& times,
+           const TrackParameters& p) {
+  const auto& [track, path] = followed;
+  if (track.dynamic < p.min_detections) return false;
+  if (path.distance(false) >= p.min_distance &&
+      path.distance(true) >= kMinVotedDistanceShare * p.min_distance)
+    return true;
+  return is_vehicle(path) && appears(track.observations, times, p);
+}
+
+}  // namespace docdepth

@@ -1,0 +1,145 @@
+#include "docdepth/objects/parts.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+
+#include "docdepth/objects/constants.hpp"
+#include "docdepth/objects/quantile.hpp"
+
+namespace docdepth {
+namespace {
+
+using Vector = Eigen::Vector3f;
+
+double time_of(const TrackObservation& seen, const std::vector<double>& times) {
+  return times[seen.sweep] + seen.time_offset;
+}
+
+/// Whether two boxes overlap, as seen from above.
+bool overlap(const TrackPath& whole, const TrackPath& part, double time) {
+  const Eigen::Isometry3f T = (whole.pose(time).inverse() * part.pose(time)).cast<float>();
+  const auto middle = [](const Extent& box) { return Vector(0.5f * (box.low + box.high)); };
+  const Vector off = T * middle(part.extent()) - middle(whole.extent());
+  const Vector reach =
+      0.5f * (whole.extent().size() + T.linear().cwiseAbs() * part.extent().size());
+  return (off.head<2>().cwiseAbs().array() < reach.head<2>().array()).all();
+}
+
+/// Whether a track is a part of a vehicle: it lies in it, and goes as fast, while both are known.
+bool is_part(const TrackPath& whole, const TrackAndPath& part, const std::vector<double>& times,
+             const TrackParameters& p) {
+  std::vector<float> speeds;
+  int common = 0, inside = 0;
+  for (const TrackObservation& seen : part.track.observations) {
+    const double time = time_of(seen, times);
+    if (!whole.covers(time)) continue;
+    ++common, inside += overlap(whole, part.path, time);
+    speeds.push_back(float((whole.velocity(time) - part.path.velocity(time)).norm()));
+  }
+  return common >= p.min_detections && float(inside) >= kPartShare * float(common) &&
+         quantile(speeds, 0.5) < kPartSpeed;
+}
+
+float total_area(const Track& track) {
+  float area = 0;
+  for (const TrackObservation& seen : track.observations) area += seen.area;
+  return area;
+}
+
+/// Of each track the largest vehicle that it is a part of, or itself.
+std::vector<std::size_t> find_wholes(const Paths& followed, const std::vector<double>& times,
+                                     const TrackParameters& p) {
+  std::vector<float> areas;
+  std::vector<std::size_t> wholes(followed.size());
+  for (const auto& one : followed) areas.push_back(total_area(one->track));
+  for (std::size_t k = 0; k < followed.size(); ++k) {
+    wholes[k] = k;
+    const auto& mine = followed[k]->track.observations;
+    for (std::size_t other = 0; other < followed.size(); ++other) {
+      const auto& [track, path] = *followed[other];
+      const bool larger = areas[other] > areas[k] || (areas[other] == areas[k] && other < k);
+      if (!larger || areas[other] <= areas[wholes[k]] || !is_vehicle(path) ||
+          times[track.observations.front().sweep] > times[mine.back().sweep] + p.max_gap_standing ||
+          times[mine.front().sweep] > times[track.observations.back().sweep] + p.max_gap_standing)
+        continue;
+      if (is_part(path, *followed[k], times, p)) wholes[k] = other;
+    }
+  }
+  return wholes;
+}
+
+/// What a sweep saw of a vehicle in two parts.
+void add(const TrackObservation& part, TrackObservation& seen) {
+  const auto most = [&](bool of_part, bool of_seen) {
+    return 2 * (of_part * part.points + of_seen * seen.points) >= part.points + seen.points;
+  };
+  seen.dynamic = most(part.dynamic, seen.dynamic), seen.voted = most(part.voted, seen.voted);
+  const double points = double(seen.points) + part.points;
+  seen.time_offset = (seen.points * seen.time_offset + part.points * part.time_offset) / points;
+  seen.objects.insert(seen.objects.end(), part.objects.begin(), part.objects.end());
+  seen.box.add(part.box);
+  seen.points += part.points, seen.area += part.area;
+  seen.passing_area += part.passing_area, seen.free_area += part.free_area;
+}
+
+/// Parts of one vehicle as one track. How far it went from sweep to sweep says the part of which
+/// most was seen.
+Track joined(const std::vector<const TrackAndPath*>& parts, const std::vector<double>& times) {
+  struct Seen {
+    const TrackObservation* of;
+    const TrackPath* path;
+  };
+  std::vector<Seen> all;
+  for (const TrackAndPath* part : parts)
+    for (const TrackObservation& of : part->track.observations) all.push_back({&of, &part->path});
+  std::stable_sort(all.begin(), all.end(),
+                   [](const Seen& a, const Seen& b) { return a.of->sweep < b.of->sweep; });
+  Track track;
+  for (auto begin = all.begin(); begin != all.end();) {
+    const auto end = std::find_if(
+        begin, all.end(), [&](const Seen& other) { return other.of->sweep != begin->of->sweep; });
+    TrackObservation seen = *begin->of;
+    for (auto part = begin + 1; part != end; ++part) add(*part->of, seen);
+    seen.shift = Vector::Zero();
+    if (!track.observations.empty()) {
+      const TrackPath& path = *std::max_element(begin, end, [](const Seen& a, const Seen& b) {
+                                 return a.of->area < b.of->area;
+                               })->path;
+      const double before = time_of(track.observations.back(), times);
+      seen.shift = (path.pose(time_of(seen, times)).translation() - path.pose(before).translation())
+                       .cast<float>();
+    }
+    track.dynamic += seen.dynamic;
+    track.observations.push_back(std::move(seen));
+    begin = end;
+  }
+  return track;
+}
+
+}  // namespace
+
+std::vector<Track> join_parts(Paths& followed, const std::vector<double>& times,
+                              const TrackParameters& p) {
+  std::vector<std::size_t> wholes = find_wholes(followed, times, p);
+  std::vector<std::vector<const TrackAndPath*>> parts(followed.size());
+  for (std::size_t k = 0; k < followed.size(); ++k) {
+    std::size_t whole = k;
+    while (wholes[whole] != whole) whole = wholes[whole];
+    parts[whole].push_back(followed[k].get());
+  }
+  std::vector<Track> vehicles;
+  std::vector<const TrackAndPath*> taken;
+  for (const auto& of : parts)
+    if (of.size() > 1) {
+      vehicles.push_back(joined(of, times));
+      taken.insert(taken.end(), of.begin(), of.end());
+    }
+  const auto is_taken = [&](const auto& one) {
+    return std::find(taken.begin(), taken.end(), one.get()) != taken.end();
+  };
+  followed.erase(std::remove_if(followed.begin(), followed.end(), is_taken), followed.end());
+  return vehicles;
+}
+
+}  // namespace docdepth
