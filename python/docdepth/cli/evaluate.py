@@ -1,4 +1,4 @@
-"""Verbs that measure the accuracy of a run: labels, tracks, depth, returns that were left out."""
+"""Verbs that measure the accuracy of a run: labels, tracks, poses, depth, left out returns."""
 
 from __future__ import annotations
 
@@ -94,6 +94,31 @@ def tracks(
     with progress_bars() as progress:
         result = evaluate_tracks(run, truth, tracks, partial(progress, "evaluate"))
     show(result, as_json)
+
+
+@verb(evaluate)
+def trajectories(
+    run: RunPath,
+    poses: Annotated[
+        str,
+        typer.Option(
+            "--poses",
+            metavar="FILE|dataset",
+            help="True poses, as run takes them: a file of the LiDAR's (TUM, KITTI, PLY, NPY), "
+            "CAMERA:FILE for a camera's, or dataset for those of the recording. A file with times "
+            "may have any rate.",
+        ),
+    ],
+    as_json: Json = False,
+) -> None:
+    """Compare the poses of a run with true ones.
+
+    Absolute and relative pose error, as evo computes them, and drift, as KITTI's odometry
+    benchmark does. For its plots: docdepth convert RUN poses.tum --to tum, and evo_traj.
+    """
+    from docdepth.evaluation.trajectories import evaluate_trajectories
+
+    show(evaluate_trajectories(run, poses), as_json)
 
 
 @verb(evaluate)
