@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,10 +13,12 @@ from docdepth.config import DynamicsParameters
 from docdepth.dynamics.voting import KeyFrame, vote
 from docdepth.errors import InputError
 from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.se3 import inverse
 from docdepth.geometry.sensor_rig import LidarView, SensorRig, lidar_views
 from docdepth.io.frames import FrameRecord
 
 _MANY_LASERS = 4  # a rig of more places knows each laser, as that of KITTI's LiDAR
+_PIXEL_DEG = 0.05  # of the picture in which returns are looked up; half a pixel of most cameras
 _BAND_DEG = 0.2  # least height of a beam; returns of sharper ones lie together
 
 
@@ -76,15 +79,20 @@ class LeftOut:
     def clear(self, record: FrameRecord, rig: SensorRig | None) -> NDArray[np.bool_]:
         """Which returns can be judged to the pixel, (N,): it is clear what their pixel shows.
 
-        A return beside a depth edge of its own sweep may fall into a pixel of the other side. And
-        what the other LiDARs of a rig could not see at that time is hidden from where they stand:
-        no ray of their sweep ended there or passed behind it, which is how a key frame votes.
+        A return beside a depth edge of its own sweep may fall into a pixel of the other side. Where
+        a LiDAR of a rig was left out, the others tell two things more. A return between the two
+        sides of a depth edge of theirs may belong to either: nothing was measured there. And what
+        they could not see at that time is hidden from where they stand: no ray of their sweep ended
+        there or passed behind it, which is how a key frame votes.
         """
         own = self.rows(record, rig)
         view = LeftOut(self.lidar).view(record, rig)
         clear = ~beside_edges(view)
         if self.lidar is None or rig is None:
             return clear
+        for number, other in _by_number(record, rig):
+            if number != self.lidar:
+                clear &= ~between_sides(record.points, other)
         others = record.points.copy()
         others[own] = np.nan
         flat = np.zeros(len(own), np.bool_)
@@ -127,6 +135,42 @@ def beside_edges(view: LidarView) -> NDArray[np.bool_]:
     found = np.zeros(len(points), np.bool_)
     found[mesh.triangles[mesh.discontinuity].ravel()] = True
     return found
+
+
+def between_sides(points: NDArray[np.float32], view: LidarView) -> NDArray[np.bool_]:
+    """Which points lie, as a LiDAR sees them, in a triangle over a depth jump of its sweep, (N,).
+
+    Or half a pixel of a camera beside it: a pixel shows what its middle meets.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        LiDAR frame of the sweep [m].
+    view : LidarView
+    """
+    corners, mesh = _mesh(view)
+    directions = _directions(corners)[mesh.triangles[mesh.discontinuity].astype(np.int64)]
+    # The shorter way around from the first corner; triangles over the seam are drawn at both ends.
+    directions[..., 0] -= 360 * np.rint((directions[..., 0] - directions[:, :1, 0]) / 360)
+    turn, height = round(360 / _PIXEL_DEG), round(180 / _PIXEL_DEG)
+    image = np.zeros((height + 1, turn + 1), np.uint8)
+    pixels = np.rint((directions + (180, 90)) / _PIXEL_DEG).astype(np.int32)
+    for triangle in pixels:
+        for side in (-turn, 0, turn):
+            if triangle[:, 0].max() + side >= 0 and triangle[:, 0].min() + side <= turn:
+                cv2.fillConvexPoly(image, triangle + np.array((side, 0), np.int32), 1)
+    image = cv2.dilate(image, np.ones((3, 3), np.uint8))
+    T = inverse(view.T_lidar_sensor).astype(np.float32)
+    places = np.rint((_directions(points @ T[:3, :3].T + T[:3, 3]) + (180, 90)) / _PIXEL_DEG)
+    column, row = places.astype(np.int64).T
+    return np.asarray(image[row, column] > 0)
+
+
+def _directions(points: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Azimuth and elevation of points, (N, 2) [degrees]; 0 of those that are not finite."""
+    x, y, z = points.astype(np.float64).T
+    angles = np.degrees([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))]).T
+    return np.nan_to_num(angles)
 
 
 def _spacing_deg(view: LidarView) -> float:
