@@ -14,7 +14,7 @@ from docdepth.cli.names import MODES, one_of
 from docdepth.cli.options import Json, OneCamera, RunPath, Threads
 from docdepth.cli.progress import progress_bars
 from docdepth.cli.summary import show
-from docdepth.cli.terminal import app, err, verb
+from docdepth.cli.terminal import app, err, out, verb
 
 if TYPE_CHECKING:
     from docdepth.evaluation import Table
@@ -130,7 +130,7 @@ def depth(
             "--depth",
             metavar="DIR",
             help="Folder of true depth maps of the same names, in any format that docdepth "
-            "writes, or its parent.",
+            "writes, or its parent. Images without one are not compared.",
         ),
     ],
     mode: Annotated[
@@ -143,12 +143,22 @@ def depth(
     ] = "valid",
     max_range: MaxRange = 80.0,
     camera: OneCamera = None,
+    other: Annotated[
+        Path | None,
+        typer.Option(
+            "--other",
+            metavar="RUN",
+            help="Another run, or a folder of depth maps of another method: both are compared over "
+            "the pixels that both fill.",
+        ),
+    ] = None,
     html: Page = None,
     as_json: Json = False,
 ) -> None:
     """Compare depth maps with true ones, pixel by pixel.
 
-    Mean absolute and root mean square error, density, and pixels more than 5 % too near or too far.
+    Mean absolute and root mean square error, density, and pixels more than 5 % too near or too far,
+    by region; then the figures of KITTI's development kit.
     """
     from docdepth.evaluation.error_page import DepthPage
     from docdepth.evaluation.runs import evaluate_depth
@@ -164,9 +174,12 @@ def depth(
     with progress_bars() as progress:
         result = evaluate_depth(
             run, truth, mode, max_range, camera,  # type: ignore[arg-type]
-            partial(progress, "evaluate"), page.look if page else None,
+            partial(progress, "evaluate"), page.look if page else None, other,
         )  # fmt: skip
     show(result, as_json)
+    if not as_json:
+        out.print()
+        out.print(str(result.kitti_table()), soft_wrap=True, markup=False)
     _write(page, html, [result.table(), result.kitti_table()])
 
 
