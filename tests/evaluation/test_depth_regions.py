@@ -13,9 +13,9 @@ import pytest
 from command_line import cli
 from docdepth.errors import DamagedFileError, DatasetError
 from docdepth.evaluation.class_names import CLASS_NAMES
-from docdepth.evaluation.pixels import below_horizon, depth_edges, edge_distance
+from docdepth.evaluation.pixels import depth_edges, edge_distance
 from docdepth.evaluation.runs import evaluate_depth
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, below_horizon
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.io.run_folder import RunFolder
 

@@ -15,6 +15,7 @@ from docdepth.cli.options import Json, OneCamera, RunPath, Threads
 from docdepth.cli.progress import progress_bars
 from docdepth.cli.summary import show
 from docdepth.cli.terminal import app, err, out, verb
+from docdepth.errors import RunError
 
 if TYPE_CHECKING:
     from docdepth.evaluation import Table
@@ -222,8 +223,9 @@ def held_out(
     from docdepth.evaluation.held_out import evaluate_held_out
     from docdepth.evaluation.left_out import LeftOut
     from docdepth.io.run_folder import RunFolder
+    from docdepth.pipeline.render import report
     from docdepth.pipeline.run_inputs import recorded_camera
-    from docdepth.visualization.report import keep_held_out
+    from docdepth.visualization.report import index_is_whole, keep_held_out
 
     left_out = LeftOut(lidar, beams)
 
@@ -248,7 +250,13 @@ def held_out(
         err.print("warning:", style="yellow", end=" ")
         err.print(line, soft_wrap=True, markup=False)
     _write(page, html, [result.table()], result.found)
-    keep_held_out(folder, camera, asdict(result.table()))
+    if keep_held_out(folder, camera, asdict(result.table())) and index_is_whole(folder):
+        try:
+            report(folder)
+        except RunError as error:
+            err.print(
+                f"the report of the run stays as it was: {error}", soft_wrap=True, markup=False
+            )
 
 
 PageKind = TypeVar("PageKind", bound="ErrorPage")

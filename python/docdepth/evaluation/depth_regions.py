@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError
 from docdepth.evaluation.class_names import class_name
-from docdepth.evaluation.pixels import Mask, below_horizon
+from docdepth.evaluation.pixels import Mask
+from docdepth.geometry.camera import below_horizon
 from docdepth.io.arrays import ArrayError, read_arrays
 from docdepth.io.run_folder import RunFolder
 

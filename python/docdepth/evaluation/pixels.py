@@ -132,13 +132,6 @@ def edge_distance(depth: Depth) -> NDArray[np.float32]:
     return np.asarray(cv2.distanceTransform((~edges).astype(np.uint8), cv2.DIST_C, 3), np.float32)
 
 
-def below_horizon(camera: Camera, T_camera_lidar: NDArray[np.float64]) -> Mask:
-    """Pixels whose ray leads down in the frame of the LiDAR, whose z is up, (h, w)."""
-    v, u = np.mgrid[: camera.height, : camera.width]
-    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(camera.K).T
-    return np.asarray(rays @ T_camera_lidar[:3, 2] < 0)
-
-
 def shifted(depth: Depth) -> Depth:
     """The depth map moved right by one pixel; the first column becomes NaN."""
     result = np.full_like(depth, np.nan)
