@@ -207,6 +207,28 @@ def test_left_out_beams_are_not_drawn(rig):
     assert np.nanmedian(seen[1].truth) < 0.8 * np.nanmedian(seen[0].truth)
 
 
+def test_left_out_sectors_are_every_second_one(rig):
+    """Of the judged sweep alone, and of the LiDAR that judges."""
+    sectors = LeftOut(sectors=30)
+    record, sensors = record_of(rig, 3)
+    rows = sectors.rows(record, sensors)
+    first = record.sensor == 0
+    azimuth = np.degrees(np.arctan2(record.points[:, 1], record.points[:, 0]))[first] % 60
+    clearly = (np.abs(azimuth - 30) > 3) & (azimuth > 3) & (azimuth < 57)  # the vehicle moves
+    np.testing.assert_array_equal(rows[first][clearly], azimuth[clearly] < 30)
+    assert not rows[~first].any()
+    seen = []
+    result = evaluate_held_out(rig, every=7, left_out=sectors, look=seen.append)
+    assert "every second sector of 30 degrees" in result.table().title
+    u = np.arange(seen[0].truth.shape[1])
+    columns = np.isfinite(seen[0].truth).any(axis=0)
+    K = RunFolder.open(rig).calibration()[0].K
+    ahead = np.degrees(np.arctan2(K[0, 2] - u, K[0, 0]))  # to the left of the camera's axis
+    assert columns[(ahead > 2) & (ahead < 28)].mean() > 0.3
+    assert not columns[(ahead < -2) & (ahead > -28)].any()
+    assert result.clear.mae < 0.2
+
+
 def replace_beams(rows):
     """The same rows, whatever the points are."""
 
@@ -260,8 +282,10 @@ def test_on_the_command_line(rig):
 
 
 def test_mistakes(rig):
-    with pytest.raises(InputError, match="not both"):
+    with pytest.raises(InputError, match="not several of them"):
         LeftOut(lidar=1, beams=2)
+    with pytest.raises(InputError, match="sectors of 200 degrees"):
+        LeftOut(sectors=200)
     with pytest.raises(InputError, match="every 1-th beam"):
         LeftOut(beams=1)
     with pytest.raises(InputError, match=r"LiDAR 0, 1; LiDAR\s+2"):

@@ -205,6 +205,15 @@ def held_out(
             min=2, metavar="N", help="Leave out every N-th beam of the sweep instead of all of it."
         ),
     ] = None,
+    sectors: Annotated[
+        float | None,
+        typer.Option(
+            min=1,
+            max=180,
+            metavar="DEG",
+            help="Leave out every second sector of DEG degrees of the sweep instead of all of it.",
+        ),
+    ] = None,
     max_range: MaxRange = 80.0,
     camera: OneCamera = None,
     threads: Threads = 0,
@@ -213,8 +222,9 @@ def held_out(
 ) -> None:
     """Compare depth with returns that were left out: needs no ground truth.
 
-    A sweep is left out, or some of its beams, or a LiDAR of a rig. Its view is rendered from all
-    else, and each of its returns is compared with the map. Pixels between returns are not judged.
+    A sweep is left out, or some of its beams or sectors, or a LiDAR of a rig. Its view is rendered
+    from all else, and each of its returns is compared with the map. Pixels between returns are not
+    judged.
     Poses that jitter and sweeps that are not motion compensated are named. Where the camera is and
     when it looked does not count here: see calibrate --check and --time.
     """
@@ -227,7 +237,7 @@ def held_out(
     from docdepth.pipeline.run_inputs import recorded_camera
     from docdepth.visualization.report import index_is_whole, keep_held_out
 
-    left_out = LeftOut(lidar, beams)
+    left_out = LeftOut(lidar, beams, sectors)
 
     def start() -> HeldOutPage:
         folder = RunFolder.open(run)

@@ -1,4 +1,4 @@
-"""What is left out of a depth map that is judged by it: a sweep, beams of it, or a whole LiDAR."""
+"""What is left out of a depth map that is judged by it: a sweep, a part of it, or a whole LiDAR."""
 
 from __future__ import annotations
 
@@ -29,24 +29,32 @@ class LeftOut:
     Attributes
     ----------
     lidar : int, optional
-        A LiDAR of the rig, left out of all sweeps. Without it and ``beams`` a whole sweep is.
+        A LiDAR of the rig, left out of all sweeps. Without any of these a whole sweep is.
     beams : int, optional
         Every n-th beam of the sweep; its other beams and all other sweeps are drawn.
+    sectors : float, optional
+        Every second sector of so many degrees of the sweep; its other sectors and all other sweeps
+        are drawn.
     """
 
     lidar: int | None = None
     beams: int | None = None
+    sectors: float | None = None
 
     def __post_init__(self) -> None:
-        if self.lidar is not None and self.beams is not None:
-            raise InputError("leave out beams or a LiDAR, not both")
+        if sum(part is not None for part in (self.lidar, self.beams, self.sectors)) > 1:
+            raise InputError("leave out beams, sectors or a LiDAR, not several of them")
+        if self.sectors is not None and not 1 <= self.sectors <= 180:
+            raise InputError(
+                f"sectors of {self.sectors:g} degrees cannot be left out; give 1 to 180"
+            )
         if self.beams is not None and self.beams < 2:
             raise InputError(f"every {self.beams}-th beam cannot be left out; 2 leaves out half")
 
     @property
     def whole_sweep(self) -> bool:
         """Whether nothing of the judged sweep is drawn."""
-        return self.lidar is None and self.beams is None
+        return self.lidar is None and self.beams is None and self.sectors is None
 
     def view(self, record: FrameRecord, rig: SensorRig | None) -> LidarView:
         """The returns that judge, as the LiDAR saw them that measured them; other rows are NaN."""
@@ -58,7 +66,7 @@ class LeftOut:
                 f"{self.lidar} cannot be left out. LiDARs count from 0, as docdepth inspect lists "
                 "them"
             )
-        if self.beams is None:
+        if self.beams is None and self.sectors is None:
             return views[number]
         points = views[number].points.copy()
         points[~self.rows(record, rig)] = np.nan
@@ -69,12 +77,15 @@ class LeftOut:
         if self.lidar is not None:
             assert rig is not None
             return np.asarray(rig.lidar_id[rig.index] == self.lidar)
-        if self.beams is None:
+        if self.whole_sweep:
             return np.ones(len(record.points), np.bool_)
         _, view = next(_by_number(record, rig))
-        beam = beam_of(view, rig)
         own = np.isfinite(view.points).all(axis=1)
-        return np.asarray((beam % self.beams == self.beams // 2) & own)
+        if self.sectors is not None:
+            sector = np.floor(_directions(view.motion_corrected())[:, 0] / self.sectors)
+            return np.asarray((sector % 2 == 0) & own)
+        assert self.beams is not None
+        return np.asarray((beam_of(view, rig) % self.beams == self.beams // 2) & own)
 
     def clear(self, record: FrameRecord, rig: SensorRig | None) -> NDArray[np.bool_]:
         """Which returns can be judged to the pixel, (N,): it is clear what their pixel shows.
@@ -106,6 +117,8 @@ class LeftOut:
             return f"sweeps of LiDAR {self.lidar}, which was left out"
         if self.beams is not None:
             return f"sweeps of which every {self.beams}-th beam was left out"
+        if self.sectors is not None:
+            return f"sweeps of which every second sector of {self.sectors:g} degrees was left out"
         return "held-out sweeps"
 
 
