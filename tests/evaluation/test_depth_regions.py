@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from command_line import cli
-from docdepth.errors import DamagedFileError, DatasetError
+from docdepth.errors import DamagedFileError, DatasetError, InputError
 from docdepth.evaluation.class_names import CLASS_NAMES
 from docdepth.evaluation.pixels import depth_edges, edge_distance
 from docdepth.evaluation.runs import evaluate_depth
@@ -138,7 +138,11 @@ def test_equal_pixels_of_two_methods(layered, drive, tmp_path) -> None:
     error = (p["made"] - p["true"])[odd]
     assert these["mae"] == pytest.approx(np.nanmean(np.abs(error)), rel=1e-4)
     assert others["mae"] == pytest.approx(np.nanmean(np.abs(error + 1)), rel=1e-4)
-    next(other.iterdir()).unlink()
+    first = next(other.iterdir())
+    cv2.imwrite(str(first), np.full((7, 9), 500, np.uint16))
+    with pytest.raises(InputError, match=r"other depth \(7, 9\)"):
+        evaluate_depth(layered, drive, other=other)
+    first.unlink()
     with pytest.raises(DatasetError, match="both methods need the same images"):
         evaluate_depth(layered, drive, other=other)
     with pytest.raises(DatasetError, match="has no depth maps; name another run"):

@@ -20,6 +20,7 @@ from docdepth.errors import RunError
 if TYPE_CHECKING:
     from docdepth.evaluation import Table
     from docdepth.evaluation.error_page import ErrorPage
+    from docdepth.io.run_folder import RunFolder
 
 evaluate = typer.Typer(no_args_is_help=True, help="Measure the accuracy of a run.")
 app.add_typer(evaluate, name="evaluate")
@@ -44,6 +45,36 @@ MaxRange = Annotated[
     float,
     typer.Option(
         min=1, max=10000, metavar="M", help="Ignore what is truly farther than this, metres."
+    ),
+]
+
+LeftOutLidar = Annotated[
+    int | None,
+    typer.Option(
+        "--lidar",
+        min=0,
+        metavar="N",
+        help="Leave out this LiDAR of a rig, in all sweeps, instead of a sweep; they count from 0, "
+        "as inspect lists them.",
+    ),
+]
+LeftOutBeams = Annotated[
+    int | None,
+    typer.Option(
+        "--beams",
+        min=2,
+        metavar="N",
+        help="Leave out every N-th beam of the sweep instead of all of it.",
+    ),
+]
+LeftOutSectors = Annotated[
+    float | None,
+    typer.Option(
+        "--sectors",
+        min=1,
+        max=180,
+        metavar="DEG",
+        help="Leave out every second sector of DEG degrees of the sweep instead of all of it.",
     ),
 ]
 
@@ -190,30 +221,9 @@ def held_out(
     every: Annotated[
         int, typer.Option(min=1, metavar="N", help="Judge by every N-th sweep, one at a time.")
     ] = 10,
-    lidar: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="Leave out this LiDAR of a rig, in all sweeps, instead of a sweep; they count "
-            "from 0, as inspect lists them.",
-        ),
-    ] = None,
-    beams: Annotated[
-        int | None,
-        typer.Option(
-            min=2, metavar="N", help="Leave out every N-th beam of the sweep instead of all of it."
-        ),
-    ] = None,
-    sectors: Annotated[
-        float | None,
-        typer.Option(
-            min=1,
-            max=180,
-            metavar="DEG",
-            help="Leave out every second sector of DEG degrees of the sweep instead of all of it.",
-        ),
-    ] = None,
+    lidar: LeftOutLidar = None,
+    beams: LeftOutBeams = None,
+    sectors: LeftOutSectors = None,
     max_range: MaxRange = 80.0,
     camera: OneCamera = None,
     threads: Threads = 0,
@@ -233,9 +243,7 @@ def held_out(
     from docdepth.evaluation.held_out import evaluate_held_out
     from docdepth.evaluation.left_out import LeftOut
     from docdepth.io.run_folder import RunFolder
-    from docdepth.pipeline.render import report
     from docdepth.pipeline.run_inputs import recorded_camera
-    from docdepth.visualization.report import index_is_whole, keep_held_out
 
     left_out = LeftOut(lidar, beams, sectors)
 
@@ -260,13 +268,20 @@ def held_out(
         err.print("warning:", style="yellow", end=" ")
         err.print(line, soft_wrap=True, markup=False)
     _write(page, html, [result.table()], result.found)
-    if keep_held_out(folder, camera, asdict(result.table())) and index_is_whole(folder):
+    _keep(folder, camera, result.table())
+
+
+def _keep(folder: RunFolder, camera: str | None, table: Table) -> None:
+    """Keep the errors for the report of the run, and write that anew."""
+    from docdepth.pipeline.render import report
+    from docdepth.visualization.report import index_is_whole, keep_held_out
+
+    if keep_held_out(folder, camera, asdict(table)) and index_is_whole(folder):
         try:
             report(folder)
         except RunError as error:
-            err.print(
-                f"the report of the run stays as it was: {error}", soft_wrap=True, markup=False
-            )
+            line = f"the report of the run stays as it was: {error}"
+            err.print(line, soft_wrap=True, markup=False)
 
 
 PageKind = TypeVar("PageKind", bound="ErrorPage")

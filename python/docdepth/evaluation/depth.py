@@ -263,11 +263,8 @@ class DepthEvaluation:
             The arrays differ in size, or a depth is negative or infinite.
         """
         predicted, truth = _depth("predicted", predicted), _depth("true", truth)
-        if predicted.shape != truth.shape or (dynamic is not None and dynamic.shape != truth.shape):
-            raise InputError(
-                f"predicted depth {predicted.shape}, true depth {truth.shape} and the mask of "
-                "moving objects must have one size; was the truth made for another camera?"
-            )
+        other = None if other is None else _depth("other", other)
+        _check_sizes(predicted, truth, dynamic, other, regions or {})
         surface, has_depth = ~np.isnan(truth), ~np.isnan(predicted)
         self._pixels += truth.size
         self._with_depth += int(np.count_nonzero(has_depth))
@@ -275,6 +272,7 @@ class DepthEvaluation:
         self._on_surfaces += int(np.count_nonzero(has_depth & surface))
         if self._mode == "kitti":
             predicted = fill_background(predicted)
+            other = None if other is None else fill_background(other)
         with np.errstate(invalid="ignore"):
             selected = np.flatnonzero(truth <= self._max_range)
         d = truth.ravel()[selected].astype(np.float64)
@@ -297,7 +295,7 @@ class DepthEvaluation:
             sums = self._regions.setdefault(name, PixelSums([0.0, self._max_range]))
             _add(sums, region.ravel()[selected], pixels)
         if other is not None:
-            self._add_equal(_depth("other", other).ravel()[selected] - d, pixels)
+            self._add_equal(other.ravel()[selected] - d, pixels)
         known = ~np.isnan(error)
         if K is not None:
             compared = selected[known]
@@ -354,6 +352,26 @@ class DepthEvaluation:
 def _add(sums: PixelSums, chosen: Mask, pixels: tuple[Any, ...]) -> None:
     """Add some of the pixels."""
     sums.add(*(column[chosen] for column in pixels))
+
+
+def _check_sizes(
+    predicted: Depth,
+    truth: Depth,
+    dynamic: Mask | None,
+    other: Depth | None,
+    regions: Mapping[str, Mask],
+) -> None:
+    masks = [] if dynamic is None else [dynamic]
+    if any(image.shape != truth.shape for image in (predicted, *masks, *regions.values())):
+        raise InputError(
+            f"predicted depth {predicted.shape}, true depth {truth.shape} and the mask of "
+            "moving objects must have one size; was the truth made for another camera?"
+        )
+    if other is not None and other.shape != truth.shape:
+        raise InputError(
+            f"the other depth {other.shape} and the true depth {truth.shape} must have one size; "
+            "was it made for another camera?"
+        )
 
 
 def _depth(name: str, depth: Depth) -> Depth:
