@@ -161,7 +161,7 @@ class DepthResult:
             near = max(row.near, 0)
             far = f"more than {near:g}" if math.isinf(row.far) else f"{near:g}..{row.far:g}"
             rows.append((f"{far} px from an edge", *row.errors.cells()))
-        rows += [(name, *errors.cells()) for name, errors in self.regions.items()]
+        rows += [(name, *errors.cells()) for name, errors in self.regions.items() if errors.pixels]
         if self.equal_pixels is not None:
             names = ("pixels of both: this run", "pixels of both: other")
             rows += [
