@@ -201,6 +201,9 @@ def correlations(rows: list[Row]) -> Table:
     groups = {
         "what the LiDAR can see": seen,
         "the same, preset default": [row for row in seen if row[1] == "default"],
+        "as it is and poses off, preset default": [
+            row for row in seen if row[1] == "default" and row[2] != "not compensated"
+        ],
         "all rows": rows,
     }
     lines = []

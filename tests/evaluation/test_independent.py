@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from test_evaluation_depth import fill_by_the_kit
 
+from docdepth.evaluation.class_names import CLASS_NAMES
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
 from docdepth.io.run_folder import RunFolder
 
@@ -89,19 +90,29 @@ def test_depth_figures_by_range_and_density(finished, pairs) -> None:
         assert row.errors.too_far == pytest.approx(100 * np.mean(p[both] > 1.05 * d[both]))
 
 
+def same_shares(counts, true, said) -> None:
+    """Points of one class, static or moving."""
+    assert (counts.static, counts.dynamic) == ((~true).sum(), true.sum())
+    share = counts.da if true.any() else 100 - counts.sa
+    assert share == pytest.approx(100 * said.mean())
+
+
 def test_label_figures_are_those_of_scikit_learn(finished, drive) -> None:
     metrics = pytest.importorskip("sklearn.metrics")
     result = evaluate_labels(finished[0], drive)
     folder = RunFolder.open(finished[0])
-    truth, found, far, speed = [], [], [], []
+    truth, instances, found, far, speed = [], [], [], [], []
     for k in range(len(folder.trajectory())):
         name = folder.frame(k).name
-        truth.append(np.fromfile(drive / "labels" / f"{name}.label", "<u4") & 0xFFFF)
+        labels = np.fromfile(drive / "labels" / f"{name}.label", "<u4")
+        truth.append(labels & 0xFFFF)
+        instances.append(labels >> 16)
         found.append(np.fromfile(finished[0] / "labels" / f"{name}.label", "<u4") & 0xFFFF)
         points = np.fromfile(drive / "velodyne" / f"{name}.bin", "<f4").reshape(-1, 4)[:, :3]
         far.append(np.linalg.norm(points, axis=1))
         speed.append(np.load(drive / "speeds" / f"{name}.npy"))
-    classes, made, ranges, speeds = map(np.concatenate, (truth, found, far, speed))
+    columns = (truth, instances, found, far, speed)
+    classes, numbers, made, ranges, speeds = map(np.concatenate, columns)
     counted = classes > 1
     moves, dynamic = (classes >= 251) & (classes <= 259), made >= 251
     assert result.ignored == (~counted).sum()
@@ -121,6 +132,19 @@ def test_label_figures_are_those_of_scikit_learn(finished, drive) -> None:
     now = counted & ~(moves & ~(speeds > 0.3))
     same(result.counts, now)
     same(result.with_standing, counted)
+    names = {name: number for number, name in CLASS_NAMES.items()}
+    assert {names[name] for name in result.by_class} == set(classes[now].tolist())
+    for name, counts in result.by_class.items():
+        same_shares(
+            counts, moves[now & (classes == names[name])], dynamic[now & (classes == names[name])]
+        )
+    objects = [
+        rows
+        for k in np.unique(numbers[numbers > 0])
+        if (rows := now & moves & (numbers == k)).any()
+    ]
+    assert result.objects == len(objects) > 2
+    assert result.objects_found == sum(dynamic[rows].mean() >= 0.5 for rows in objects)
     for row in result.by_range:
         inside = now & (ranges >= row.near) & (ranges < row.far)
         assert abs(row.counts.static - (inside & ~moves).sum()) <= 0.001 * inside.sum() + 1

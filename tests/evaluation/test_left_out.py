@@ -14,7 +14,9 @@ from docdepth.datasets import kitti_lidar
 from docdepth.errors import InputError
 from docdepth.evaluation.depth_metrics import DepthErrors
 from docdepth.evaluation.held_out import evaluate_held_out
-from docdepth.evaluation.left_out import LeftOut, beam_of
+from docdepth.evaluation.left_out import LeftOut, beam_of, between_sides
+from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.se3 import inverse
 from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder
@@ -115,6 +117,54 @@ def test_hidden_returns_are_those_whose_line_to_the_other_lidar_is_blocked(rig):
     assert clear[own][~hidden & inside].mean() > 0.4
 
 
+def test_points_between_the_sides_of_an_edge_are_those_in_its_triangles(rig):
+    """Looked up in a picture, and solved for each of the points and triangles."""
+    record, sensors = record_of(rig, 3)
+    view = list(lidar_views(record.points, sensors))[1]
+    points = record.points[record.sensor == 0][::6]
+    found = between_sides(points, view)
+    own = points.astype(np.float64) @ inverse(view.T_lidar_sensor)[:3, :3].T
+    own += inverse(view.T_lidar_sensor)[:3, 3]
+    corners = view.motion_corrected()
+    mesh = ScanMesh(corners)
+
+    def angles(p):
+        return np.degrees([np.arctan2(p[..., 1], p[..., 0]), np.arcsin(p[..., 2] / norm(p))])
+
+    def norm(p):
+        return np.linalg.norm(p, axis=-1)
+
+    at = angles(own)
+    least = np.full(len(own), -np.inf)  # how far inside of a triangle, at most [deg]
+    for triangle in mesh.triangles[mesh.discontinuity]:
+        x, y = angles(corners[triangle].astype(np.float64))
+        if np.ptp(x) > 180:
+            continue
+        sides = []
+        for i, j in ((0, 1), (1, 2), (2, 0)):
+            along = np.array([x[j] - x[i], y[j] - y[i]])
+            across = along[0] * (at[1] - y[i]) - along[1] * (at[0] - x[i])
+            sides.append(across / max(np.hypot(*along), 1e-9))
+        least = np.maximum(least, np.min(sides, axis=0))
+    inside, outside = least > 0.05, least < -0.15
+    assert min(inside.sum(), outside.sum()) > 50
+    assert found[inside].all()
+    assert found[outside & (np.abs(at[0]) < 175)].mean() < 0.01
+
+
+def test_exact_depth_passes_as_clear(rig):
+    """What the judge calls clear must fit the truth; of all returns some are metres off."""
+    from two_lidars import SENSOR, ExactJudge
+
+    from docdepth.synthetic import Drive, scene, sensor
+
+    drive = Drive(scene("city", 1), sensor(SENSOR), FRAMES, 1)
+    judge = ExactJudge(drive, RunFolder.open(rig).calibration()[1])
+    evaluate_held_out(rig, every=2, left_out=SECOND, look=judge.look)
+    assert judge._sums.errors().rmse > 0.5
+    assert judge._sums.errors(interior=1).rmse < 0.1
+
+
 def test_half_of_the_beams_judge_the_others():
     """Bands of elevation are the rings of a LiDAR, and a laser of KITTI's is a beam."""
     from docdepth.synthetic import Drive, scene, sensor
@@ -155,6 +205,28 @@ def test_left_out_beams_are_not_drawn(rig):
     folder.write(folder.frame_path(3), lambda stream: stream.write(before), key)
     np.testing.assert_array_equal(seen[0].depth, seen[1].depth)
     assert np.nanmedian(seen[1].truth) < 0.8 * np.nanmedian(seen[0].truth)
+
+
+def test_left_out_sectors_are_every_second_one(rig):
+    """Of the judged sweep alone, and of the LiDAR that judges."""
+    sectors = LeftOut(sectors=30)
+    record, sensors = record_of(rig, 3)
+    rows = sectors.rows(record, sensors)
+    first = record.sensor == 0
+    azimuth = np.degrees(np.arctan2(record.points[:, 1], record.points[:, 0]))[first] % 60
+    clearly = (np.abs(azimuth - 30) > 3) & (azimuth > 3) & (azimuth < 57)  # the vehicle moves
+    np.testing.assert_array_equal(rows[first][clearly], azimuth[clearly] < 30)
+    assert not rows[~first].any()
+    seen = []
+    result = evaluate_held_out(rig, every=7, left_out=sectors, look=seen.append)
+    assert "every second sector of 30 degrees" in result.table().title
+    u = np.arange(seen[0].truth.shape[1])
+    columns = np.isfinite(seen[0].truth).any(axis=0)
+    K = RunFolder.open(rig).calibration()[0].K
+    ahead = np.degrees(np.arctan2(K[0, 2] - u, K[0, 0]))  # to the left of the camera's axis
+    assert columns[(ahead > 2) & (ahead < 28)].mean() > 0.3
+    assert not columns[(ahead < -2) & (ahead > -28)].any()
+    assert result.clear.mae < 0.2
 
 
 def replace_beams(rows):
@@ -210,8 +282,10 @@ def test_on_the_command_line(rig):
 
 
 def test_mistakes(rig):
-    with pytest.raises(InputError, match="not both"):
+    with pytest.raises(InputError, match="not several of them"):
         LeftOut(lidar=1, beams=2)
+    with pytest.raises(InputError, match="sectors of 200 degrees"):
+        LeftOut(sectors=200)
     with pytest.raises(InputError, match="every 1-th beam"):
         LeftOut(beams=1)
     with pytest.raises(InputError, match=r"LiDAR 0, 1; LiDAR\s+2"):

@@ -1,4 +1,4 @@
-"""Verbs that measure the accuracy of a run: labels, tracks, depth, returns that were left out."""
+"""Verbs that measure the accuracy of a run: labels, tracks, poses, depth, left out returns."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ from docdepth.cli.names import MODES, one_of
 from docdepth.cli.options import Json, OneCamera, RunPath, Threads
 from docdepth.cli.progress import progress_bars
 from docdepth.cli.summary import show
-from docdepth.cli.terminal import app, err, verb
+from docdepth.cli.terminal import app, err, out, verb
+from docdepth.errors import RunError
 
 if TYPE_CHECKING:
     from docdepth.evaluation import Table
     from docdepth.evaluation.error_page import ErrorPage
+    from docdepth.io.run_folder import RunFolder
 
 evaluate = typer.Typer(no_args_is_help=True, help="Measure the accuracy of a run.")
 app.add_typer(evaluate, name="evaluate")
@@ -43,6 +45,36 @@ MaxRange = Annotated[
     float,
     typer.Option(
         min=1, max=10000, metavar="M", help="Ignore what is truly farther than this, metres."
+    ),
+]
+
+LeftOutLidar = Annotated[
+    int | None,
+    typer.Option(
+        "--lidar",
+        min=0,
+        metavar="N",
+        help="Leave out this LiDAR of a rig, in all sweeps, instead of a sweep; they count from 0, "
+        "as inspect lists them.",
+    ),
+]
+LeftOutBeams = Annotated[
+    int | None,
+    typer.Option(
+        "--beams",
+        min=2,
+        metavar="N",
+        help="Leave out every N-th beam of the sweep instead of all of it.",
+    ),
+]
+LeftOutSectors = Annotated[
+    float | None,
+    typer.Option(
+        "--sectors",
+        min=1,
+        max=180,
+        metavar="DEG",
+        help="Leave out every second sector of DEG degrees of the sweep instead of all of it.",
     ),
 ]
 
@@ -97,6 +129,31 @@ def tracks(
 
 
 @verb(evaluate)
+def trajectories(
+    run: RunPath,
+    poses: Annotated[
+        str,
+        typer.Option(
+            "--poses",
+            metavar="FILE|dataset",
+            help="True poses, as run takes them: a file of the LiDAR's (TUM, KITTI, PLY, NPY), "
+            "CAMERA:FILE for a camera's, or dataset for those of the recording. A file with times "
+            "may have any rate.",
+        ),
+    ],
+    as_json: Json = False,
+) -> None:
+    """Compare the poses of a run with true ones.
+
+    Absolute and relative pose error, as evo computes them, and drift, as KITTI's odometry
+    benchmark does. For its plots: docdepth convert RUN poses.tum --to tum, and evo_traj.
+    """
+    from docdepth.evaluation.trajectories import evaluate_trajectories
+
+    show(evaluate_trajectories(run, poses), as_json)
+
+
+@verb(evaluate)
 def depth(
     run: RunPath,
     truth: Annotated[
@@ -105,7 +162,7 @@ def depth(
             "--depth",
             metavar="DIR",
             help="Folder of true depth maps of the same names, in any format that docdepth "
-            "writes, or its parent.",
+            "writes, or its parent. Images without one are not compared.",
         ),
     ],
     mode: Annotated[
@@ -118,12 +175,22 @@ def depth(
     ] = "valid",
     max_range: MaxRange = 80.0,
     camera: OneCamera = None,
+    other: Annotated[
+        Path | None,
+        typer.Option(
+            "--other",
+            metavar="RUN",
+            help="Another run, or a folder of depth maps of another method: both are compared over "
+            "the pixels that both fill.",
+        ),
+    ] = None,
     html: Page = None,
     as_json: Json = False,
 ) -> None:
     """Compare depth maps with true ones, pixel by pixel.
 
-    Mean absolute and root mean square error, density, and pixels more than 5 % too near or too far.
+    Mean absolute and root mean square error, density, and pixels more than 5 % too near or too far,
+    by region; then the figures of KITTI's development kit.
     """
     from docdepth.evaluation.error_page import DepthPage
     from docdepth.evaluation.runs import evaluate_depth
@@ -139,9 +206,12 @@ def depth(
     with progress_bars() as progress:
         result = evaluate_depth(
             run, truth, mode, max_range, camera,  # type: ignore[arg-type]
-            partial(progress, "evaluate"), page.look if page else None,
+            partial(progress, "evaluate"), page.look if page else None, other,
         )  # fmt: skip
     show(result, as_json)
+    if not as_json:
+        out.print()
+        out.print(str(result.kitti_table()), soft_wrap=True, markup=False)
     _write(page, html, [result.table(), result.kitti_table()])
 
 
@@ -151,21 +221,9 @@ def held_out(
     every: Annotated[
         int, typer.Option(min=1, metavar="N", help="Judge by every N-th sweep, one at a time.")
     ] = 10,
-    lidar: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="Leave out this LiDAR of a rig, in all sweeps, instead of a sweep; they count "
-            "from 0, as inspect lists them.",
-        ),
-    ] = None,
-    beams: Annotated[
-        int | None,
-        typer.Option(
-            min=2, metavar="N", help="Leave out every N-th beam of the sweep instead of all of it."
-        ),
-    ] = None,
+    lidar: LeftOutLidar = None,
+    beams: LeftOutBeams = None,
+    sectors: LeftOutSectors = None,
     max_range: MaxRange = 80.0,
     camera: OneCamera = None,
     threads: Threads = 0,
@@ -174,8 +232,9 @@ def held_out(
 ) -> None:
     """Compare depth with returns that were left out: needs no ground truth.
 
-    A sweep is left out, or some of its beams, or a LiDAR of a rig. Its view is rendered from all
-    else, and each of its returns is compared with the map. Pixels between returns are not judged.
+    A sweep is left out, or some of its beams or sectors, or a LiDAR of a rig. Its view is rendered
+    from all else, and each of its returns is compared with the map. Pixels between returns are not
+    judged.
     Poses that jitter and sweeps that are not motion compensated are named. Where the camera is and
     when it looked does not count here: see calibrate --check and --time.
     """
@@ -185,9 +244,8 @@ def held_out(
     from docdepth.evaluation.left_out import LeftOut
     from docdepth.io.run_folder import RunFolder
     from docdepth.pipeline.run_inputs import recorded_camera
-    from docdepth.visualization.report import keep_held_out
 
-    left_out = LeftOut(lidar, beams)
+    left_out = LeftOut(lidar, beams, sectors)
 
     def start() -> HeldOutPage:
         folder = RunFolder.open(run)
@@ -210,7 +268,20 @@ def held_out(
         err.print("warning:", style="yellow", end=" ")
         err.print(line, soft_wrap=True, markup=False)
     _write(page, html, [result.table()], result.found)
-    keep_held_out(folder, camera, asdict(result.table()))
+    _keep(folder, camera, result.table())
+
+
+def _keep(folder: RunFolder, camera: str | None, table: Table) -> None:
+    """Keep the errors for the report of the run, and write that anew."""
+    from docdepth.pipeline.render import report
+    from docdepth.visualization.report import index_is_whole, keep_held_out
+
+    if keep_held_out(folder, camera, asdict(table)) and index_is_whole(folder):
+        try:
+            report(folder)
+        except RunError as error:
+            line = f"the report of the run stays as it was: {error}"
+            err.print(line, soft_wrap=True, markup=False)
 
 
 PageKind = TypeVar("PageKind", bound="ErrorPage")

@@ -6,7 +6,8 @@ Labels
     (DynamicMap_Benchmark, ERASOR).
 Depth
     the error metrics of KITTI's development kit, density, and errors by range and region.
-
+Trajectories
+    absolute and relative pose error (evo), drift (KITTI's odometry benchmark).
 Tracks
     share of moving objects found, points with the right instance, HOTA, CLEAR, and errors of boxes.
 

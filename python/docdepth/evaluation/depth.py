@@ -7,7 +7,7 @@ Errors by region (interior, moving objects) and by range are over the pixels of 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from typing import Any, Literal
@@ -16,9 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.evaluation.depth_metrics import DepthErrors, PixelSums, RegionErrors
+from docdepth.evaluation.depth_metrics import DepthErrors, PixelSums, RegionErrors, Values
 from docdepth.evaluation.nearest import cloud_distance
-from docdepth.evaluation.pixels import Depth, Mask, fill_background, near_edges, points_of, shifted
+from docdepth.evaluation.pixels import (
+    Depth,
+    Mask,
+    edge_distance,
+    fill_background,
+    near_edges,
+    points_of,
+    shifted,
+)
 from docdepth.evaluation.tables import Table, number, percent, plain, ratio
 
 Mode = Literal["valid", "kitti"]
@@ -26,6 +34,8 @@ Mode = Literal["valid", "kitti"]
 # Ranges that are reported apart [m].
 RANGE_BINS = (0.0, 10.0, 20.0, 30.0, 50.0, 80.0)
 
+EDGE_BINS = (-math.inf, 1.0, 3.0, 10.0, math.inf)
+"""Distances to the next depth edge of the truth that are reported apart [pixels]."""
 
 ERRORS = (
     "density: share of these pixels that have depth; MAE, RMSE: mean absolute and root mean square "
@@ -83,6 +93,12 @@ class DepthResult:
         other cloud, both ways, over the compared pixels of an image [m]; NaN without camera
         matrices.
     by_range : tuple of RangeErrors
+    by_edge_distance : tuple of RangeErrors
+        Pixels with ``near < distance to the next depth edge <= far`` [pixels].
+    regions : dict of str to RegionErrors
+        Further regions by name, as they were given.
+    equal_pixels : tuple of two RegionErrors, optional
+        Of these maps and of those of another method, over the pixels that both fill.
     """
 
     protocol: str
@@ -98,6 +114,9 @@ class DepthResult:
     dynamic_interior: RegionErrors | None = None
     point_to_point: float = math.nan
     by_range: tuple[RangeErrors, ...] = field(default=())
+    by_edge_distance: tuple[RangeErrors, ...] = field(default=())
+    regions: Mapping[str, RegionErrors] = field(default_factory=dict)
+    equal_pixels: tuple[RegionErrors, RegionErrors] | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """All metrics by name, ready for JSON; None replaces NaN."""
@@ -117,9 +136,16 @@ class DepthResult:
             result["dynamic"] = self.dynamic.as_dict()
         if self.dynamic_interior is not None:
             result["dynamic_interior"] = self.dynamic_interior.as_dict()
-        result["by_range"] = [
-            {"near": row.near, "far": row.far, **row.errors.as_dict()} for row in self.by_range
-        ]
+        for name in ("by_range", "by_edge_distance"):
+            result[name] = [
+                {"near": max(row.near, 0), "far": row.far, **row.errors.as_dict()}
+                for row in getattr(self, name)
+            ]
+        result["regions"] = {name: errors.as_dict() for name, errors in self.regions.items()}
+        if self.equal_pixels is not None:
+            names = ("these", "other")
+            pair = zip(names, self.equal_pixels, strict=True)
+            result["equal_pixels"] = {name: errors.as_dict() for name, errors in pair}
         return dict(plain(result))
 
     def table(self) -> Table:
@@ -131,6 +157,17 @@ class DepthResult:
             rows.append(("their interior", *self.dynamic_interior.cells()))
         for row in self.by_range:
             rows.append((f"{row.near:g}..{row.far:g} m", *row.errors.cells()))
+        for row in self.by_edge_distance:
+            near = max(row.near, 0)
+            far = f"more than {near:g}" if math.isinf(row.far) else f"{near:g}..{row.far:g}"
+            rows.append((f"{far} px from an edge", *row.errors.cells()))
+        rows += [(name, *errors.cells()) for name, errors in self.regions.items() if errors.pixels]
+        if self.equal_pixels is not None:
+            names = ("pixels of both: this run", "pixels of both: other")
+            rows += [
+                (name, *errors.cells())
+                for name, errors in zip(names, self.equal_pixels, strict=True)
+            ]
         title = (
             f"depth: {self.protocol}; poses: {self.poses}; {self.images} images, "
             f"density {number(self.density, 1)} % ({number(self.density_on_surfaces, 1)} % "
@@ -186,6 +223,9 @@ class DepthEvaluation:
         self._sums = PixelSums(self._bins)
         self._pixels = self._with_depth = self._surfaces = self._on_surfaces = 0
         self._distance, self._distances = 0.0, 0
+        self._edges = [PixelSums([0.0, max_range]) for _ in EDGE_BINS[1:]]
+        self._regions: dict[str, PixelSums] = {}
+        self._equal: tuple[PixelSums, PixelSums] | None = None
         self._with_dynamic = False
 
     def add(
@@ -194,6 +234,8 @@ class DepthEvaluation:
         truth: Depth,
         dynamic: Mask | None = None,
         K: NDArray[np.float64] | None = None,
+        regions: Mapping[str, Mask] | None = None,
+        other: Depth | None = None,
     ) -> DepthErrors:
         """Compare one depth map with ground truth.
 
@@ -205,6 +247,10 @@ class DepthEvaluation:
             Pixels of moving objects.
         K : ndarray of float64, shape (3, 3), optional
             Camera matrix; needed for ``point_to_point``.
+        regions : mapping of str to ndarray of bool (h, w), optional
+            Pixels that are reported apart, by name.
+        other : ndarray of float32, shape (h, w), optional
+            The map of another method, to be compared over the pixels that both fill.
 
         Returns
         -------
@@ -217,11 +263,8 @@ class DepthEvaluation:
             The arrays differ in size, or a depth is negative or infinite.
         """
         predicted, truth = _depth("predicted", predicted), _depth("true", truth)
-        if predicted.shape != truth.shape or (dynamic is not None and dynamic.shape != truth.shape):
-            raise InputError(
-                f"predicted depth {predicted.shape}, true depth {truth.shape} and the mask of "
-                "moving objects must have one size; was the truth made for another camera?"
-            )
+        other = None if other is None else _depth("other", other)
+        _check_sizes(predicted, truth, dynamic, other, regions or {})
         surface, has_depth = ~np.isnan(truth), ~np.isnan(predicted)
         self._pixels += truth.size
         self._with_depth += int(np.count_nonzero(has_depth))
@@ -229,6 +272,7 @@ class DepthEvaluation:
         self._on_surfaces += int(np.count_nonzero(has_depth & surface))
         if self._mode == "kitti":
             predicted = fill_background(predicted)
+            other = None if other is None else fill_background(other)
         with np.errstate(invalid="ignore"):
             selected = np.flatnonzero(truth <= self._max_range)
         d = truth.ravel()[selected].astype(np.float64)
@@ -236,13 +280,22 @@ class DepthEvaluation:
         error = p - d
         self._with_dynamic |= dynamic is not None
         moving = np.zeros(truth.shape, bool) if dynamic is None else np.asarray(dynamic, bool)
-        self._sums.add(
+        pixels = (
             error,
             d,
             np.abs(shifted(truth).ravel()[selected] - d),
             ~near_edges(truth).ravel()[selected],
             moving.ravel()[selected],
         )
+        self._sums.add(*pixels)
+        to_edge = edge_distance(truth).ravel()[selected]
+        for (near, far), sums in zip(pairwise(EDGE_BINS), self._edges, strict=True):
+            _add(sums, (to_edge > near) & (to_edge <= far), pixels)
+        for name, region in (regions or {}).items():
+            sums = self._regions.setdefault(name, PixelSums([0.0, self._max_range]))
+            _add(sums, region.ravel()[selected], pixels)
+        if other is not None:
+            self._add_equal(other.ravel()[selected] - d, pixels)
         known = ~np.isnan(error)
         if K is not None:
             compared = selected[known]
@@ -253,6 +306,14 @@ class DepthEvaluation:
         errors = DepthErrors.of(d[known], p[known])
         self._images.append(errors)
         return errors
+
+    def _add_equal(self, error: Values, pixels: tuple[Any, ...]) -> None:
+        """Add the pixels that both methods fill; ``error`` is that of the other one."""
+        if self._equal is None:
+            self._equal = PixelSums([0.0, self._max_range]), PixelSums([0.0, self._max_range])
+        both = ~np.isnan(error) & ~np.isnan(pixels[0])
+        _add(self._equal[0], both, pixels)
+        _add(self._equal[1], both, (error, *pixels[1:]))
 
     def result(self) -> DepthResult:
         """Metrics of all images added so far."""
@@ -277,6 +338,39 @@ class DepthEvaluation:
                 RangeErrors(near, far, self._sums.errors(ranges=k))
                 for k, (near, far) in enumerate(pairwise(self._bins))
             ),
+            by_edge_distance=tuple(
+                RangeErrors(near, far, sums.errors())
+                for (near, far), sums in zip(pairwise(EDGE_BINS), self._edges, strict=True)
+            ),
+            regions={name: sums.errors() for name, sums in self._regions.items()},
+            equal_pixels=(
+                None if self._equal is None else (self._equal[0].errors(), self._equal[1].errors())
+            ),
+        )
+
+
+def _add(sums: PixelSums, chosen: Mask, pixels: tuple[Any, ...]) -> None:
+    """Add some of the pixels."""
+    sums.add(*(column[chosen] for column in pixels))
+
+
+def _check_sizes(
+    predicted: Depth,
+    truth: Depth,
+    dynamic: Mask | None,
+    other: Depth | None,
+    regions: Mapping[str, Mask],
+) -> None:
+    masks = [] if dynamic is None else [dynamic]
+    if any(image.shape != truth.shape for image in (predicted, *masks, *regions.values())):
+        raise InputError(
+            f"predicted depth {predicted.shape}, true depth {truth.shape} and the mask of "
+            "moving objects must have one size; was the truth made for another camera?"
+        )
+    if other is not None and other.shape != truth.shape:
+        raise InputError(
+            f"the other depth {other.shape} and the true depth {truth.shape} must have one size; "
+            "was it made for another camera?"
         )
 
 

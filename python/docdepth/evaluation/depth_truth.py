@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
-from docdepth.evaluation.label_counts import moving
 from docdepth.io.arrays import ArrayError, read_array
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
@@ -22,6 +21,25 @@ _COMPLETION = Path("proj_depth") / "groundtruth"
 
 _SELECTION = "groundtruth_depth"
 """Folder of ``val_selection_cropped`` with maps of all drives and cameras."""
+
+
+class TrueDepth(NamedTuple):
+    """True depth of an image, and what was made of it.
+
+    Attributes
+    ----------
+    made, true : ndarray of float32, shape (h, w)
+        Metres; NaN = none.
+    K : ndarray of float64, shape (3, 3)
+        Camera matrix of both.
+    part : tuple of two slices
+        Rows and columns of the whole image that they show.
+    """
+
+    made: NDArray[np.float32]
+    true: NDArray[np.float32]
+    K: NDArray[np.float64]
+    part: tuple[slice, slice]
 
 
 class DepthTruth:
@@ -55,7 +73,7 @@ class DepthTruth:
             )
         self._K = run.calibration(depth_folder)[0].K
         self._intrinsics: str | None = None
-        self.folder, some = folder, True
+        self.folder = folder
         if (folder / _SELECTION).is_dir():
             drive = Path(str(run.manifest["source"].get("dataset"))).name
             self._intrinsics = f"{drive}_image_{{}}_{camera}.txt"
@@ -67,11 +85,8 @@ class DepthTruth:
             self.folder = folder / _COMPLETION / camera
             self._truths = maps_in(self.folder)
         else:
-            self._truths, some = maps_in(folder), False
-        self.maps = self._with_truth(made) if some else made
-        for name, path in self.maps.items():
-            if name not in self._truths:
-                raise DatasetError(f"{folder} has no depth map {name}, {run.path} has {path.name}")
+            self._truths = maps_in(folder)
+        self.maps = self._with_truth(made)
         self._classes = self.folder.parent / self.folder.name.replace("depth", "class")
 
     def _with_truth(self, made: dict[str, Path]) -> dict[str, Path]:
@@ -89,27 +104,23 @@ class DepthTruth:
             )  # fmt: skip
         return found
 
-    def read(
-        self, name: str
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-        """Made and true depth of an image, (h, w) each [m], and the camera matrix of both.
-
-        The selection is cropped; the made depth is cropped alike.
-        """
+    def read(self, name: str) -> TrueDepth:
+        """Made and true depth of an image; the made one is cropped where the truth is."""
         made, true = read_depth(self.maps[name]), read_depth(self._truths[name])
         if self._intrinsics is None or made.shape == true.shape:
-            return made, true, self._K
+            return TrueDepth(made, true, self._K, (slice(None), slice(None)))
         left, top = self._corner(name, made.shape, true.shape)
         height, width = true.shape
         K = self._K.copy()
         K[0, 2], K[1, 2] = K[0, 2] - left, K[1, 2] - top
-        cropped = made[top : top + height, left : left + width]
+        part = slice(top, top + height), slice(left, left + width)
+        cropped = made[part]
         if min(left, top) < 0 or cropped.shape != true.shape:
             raise DatasetError(
                 f"{self._truths[name]} is no part of an image of {made.shape[1]} x {made.shape[0]} "
                 "pixels; is it of this drive and camera?"
             )
-        return cropped, true, K
+        return TrueDepth(cropped, true, K, part)
 
     def _corner(self, name: str, made: tuple[int, ...], true: tuple[int, ...]) -> tuple[int, int]:
         """Column and row where the crop begins: by its intrinsics, else the lower middle."""
@@ -124,13 +135,12 @@ class DepthTruth:
             ) from None
         return round(self._K[0, 2] - values[0, 2]), round(self._K[1, 2] - values[1, 2])
 
-    def dynamic(self, name: str) -> NDArray[np.bool_] | None:
-        """Pixels of moving objects (h, w), where the truth tells."""
-        mask = self._classes / f"{name}.npy"
-        if self._classes == self.folder or not mask.is_file():
+    def classes(self, name: str) -> NDArray[np.uint32] | None:
+        """SemanticKITTI class of each pixel (h, w), where the truth tells."""
+        file = self._classes / f"{name}.npy"
+        if self._classes == self.folder or not file.is_file():
             return None
-        classes = array_of(mask)
-        return moving(classes.ravel()).reshape(classes.shape)
+        return np.asarray(array_of(file).astype(np.uint32) & np.uint32(0xFFFF))
 
 
 def array_of(path: Path) -> NDArray[Any]:

@@ -23,15 +23,22 @@ def moving(labels: NDArray[np.uint32]) -> NDArray[np.bool_]:
     labels : ndarray of uint32, shape (N,)
         Class in the low 16 bits, instance in the high 16 bits.
     """
-    return np.isin(_classes(labels), MOVING_LABELS)
+    return np.isin(classes_of(labels), MOVING_LABELS)
 
 
 def ignored(labels: NDArray[np.uint32]) -> NDArray[np.bool_]:
     """Which SemanticKITTI labels are not evaluated: 0 (unlabelled) and 1 (outlier)."""
-    return _classes(labels) <= _OUTLIER
+    return classes_of(labels) <= _OUTLIER
 
 
-def _classes(labels: NDArray[np.uint32]) -> NDArray[np.uint32]:
+def classes_of(labels: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """SemanticKITTI class of each label, (N,).
+
+    Raises
+    ------
+    InputError
+        Labels are not integers of shape (N,).
+    """
     labels = np.asarray(labels)
     if labels.ndim != 1 or labels.dtype.kind not in "ui":
         raise InputError(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -12,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.evaluation.label_counts import HEADER, NOTE, LabelCounts, ignored, moving
+from docdepth.evaluation.class_names import class_name
+from docdepth.evaluation.label_counts import (
+    HEADER,
+    NOTE,
+    LabelCounts,
+    classes_of,
+    ignored,
+    moving,
+)
 from docdepth.evaluation.objects import MOVING_SPEED, SeenObject, each_object, instances
 from docdepth.evaluation.tables import Table, number, plain
 
@@ -23,6 +32,8 @@ _STANDING = (
     ("arrived", "    arrived"),
     ("departs", "    depart"),
 )
+
+_FOUND = "; an object is found if half of its moving points are labelled dynamic"
 
 # Distances from the sensor that are reported apart [m].
 RANGE_BINS = (0.0, 10.0, 20.0, 30.0, 50.0, 80.0, math.inf)
@@ -65,6 +76,11 @@ class LabelResult:
         those that have not been seen to move yet. The others pause. None without speeds.
     by_range : tuple of RangeCounts
         Empty without ranges.
+    by_class : dict of str to LabelCounts
+        Points of each true class: static ones, or those that move at that moment.
+    objects, objects_found : int
+        Number of moving objects, by the instances of the truth, and of those of which at least half
+        of the moving points are labelled dynamic.
     ignored : int
         Number of points without a label.
     """
@@ -79,6 +95,9 @@ class LabelResult:
     arrived: LabelCounts | None = None
     departs: LabelCounts | None = None
     by_range: tuple[RangeCounts, ...] = field(default=())
+    by_class: Mapping[str, LabelCounts] = field(default_factory=dict)
+    objects: int = 0
+    objects_found: int = 0
     ignored: int = 0
 
     def as_dict(self) -> dict[str, Any]:
@@ -99,6 +118,8 @@ class LabelResult:
         result["by_range"] = [
             {"near": row.near, "far": row.far, **row.counts.as_dict()} for row in self.by_range
         ]
+        result["by_class"] = {name: counts.as_dict() for name, counts in self.by_class.items()}
+        result["objects"], result["objects_found"] = self.objects, self.objects_found
         return dict(plain(result))
 
     def table(self) -> Table:
@@ -114,8 +135,14 @@ class LabelResult:
         for row in self.by_range:
             far = "" if math.isinf(row.far) else f"{row.far:g}"
             rows.append((f"{row.near:g}..{far} m", *row.counts.cells()))
+        for name, counts in self.by_class.items():
+            sizes, shares = (counts.static, counts.dynamic), (counts.sa, counts.da)
+            cells = [f"{size:,}" if size else "-" for size in sizes]
+            rows.append((name, *cells, *(number(share, 2) for share in shares), *["-"] * 4))
         title = f"labels: {self.protocol}; poses: {self.poses}; {self.sweeps} sweeps"
-        return Table(title, ("points", *HEADER), tuple(rows), NOTE)
+        if self.objects:
+            title += f"; {self.objects_found} of {self.objects} moving objects found"
+        return Table(title, ("points", *HEADER), tuple(rows), NOTE + _FOUND * bool(self.objects))
 
 
 class LabelEvaluation:
@@ -144,7 +171,10 @@ class LabelEvaluation:
             raise InputError(f"range bins must increase, got {self._bins}")
         self._counts, self._standing = LabelCounts(), LabelCounts()
         self._by_range = [LabelCounts() for _ in self._bins[1:]]
+        self._by_class: dict[int, LabelCounts] = {}
         self._objects: dict[int, SeenObject] = {}
+        self._moving = Counter[int]()  # points of each object while it moves, and those found
+        self._found = Counter[int]()
         self._sweeps = self._ignored = self._with_speeds = self._with_ranges = 0
 
     def add(
@@ -189,6 +219,15 @@ class LabelEvaluation:
                 found.add(float(np.median(speeds[rows])), seconds, counts, self._min_speed)
         now = counted & ~standing
         self._counts += LabelCounts.of(truth[now], dynamic[now])
+        classes = classes_of(labels)
+        for key in np.unique(classes[now]).tolist():
+            inside = now & (classes == key)
+            before = self._by_class.get(key, LabelCounts())
+            self._by_class[key] = before + LabelCounts.of(truth[inside], dynamic[inside])
+        numbers = instances(labels)
+        for key, rows in each_object(numbers, now & truth & (numbers > 0)):
+            self._moving[key] += len(rows)
+            self._found[key] += int(np.count_nonzero(dynamic[rows]))
         if ranges is not None:
             ranges = _values("ranges", ranges, len(truth))
             for k, (near, far) in enumerate(pairwise(self._bins)):
@@ -232,6 +271,9 @@ class LabelEvaluation:
             arrived=_sum(o.arrived for o in travel) if speeds else None,
             departs=_sum(o.departs for o in travel) if speeds else None,
             by_range=by_range,
+            by_class={class_name(key): self._by_class[key] for key in sorted(self._by_class)},
+            objects=len(self._moving),
+            objects_found=sum(2 * self._found[key] >= self._moving[key] for key in self._moving),
             ignored=self._ignored,
         )
 

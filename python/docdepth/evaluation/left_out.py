@@ -1,10 +1,11 @@
-"""What is left out of a depth map that is judged by it: a sweep, beams of it, or a whole LiDAR."""
+"""What is left out of a depth map that is judged by it: a sweep, a part of it, or a whole LiDAR."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,10 +13,12 @@ from docdepth.config import DynamicsParameters
 from docdepth.dynamics.voting import KeyFrame, vote
 from docdepth.errors import InputError
 from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.se3 import inverse
 from docdepth.geometry.sensor_rig import LidarView, SensorRig, lidar_views
 from docdepth.io.frames import FrameRecord
 
 _MANY_LASERS = 4  # a rig of more places knows each laser, as that of KITTI's LiDAR
+_PIXEL_DEG = 0.05  # of the picture in which returns are looked up; half a pixel of most cameras
 _BAND_DEG = 0.2  # least height of a beam; returns of sharper ones lie together
 
 
@@ -26,24 +29,32 @@ class LeftOut:
     Attributes
     ----------
     lidar : int, optional
-        A LiDAR of the rig, left out of all sweeps. Without it and ``beams`` a whole sweep is.
+        A LiDAR of the rig, left out of all sweeps. Without any of these a whole sweep is.
     beams : int, optional
         Every n-th beam of the sweep; its other beams and all other sweeps are drawn.
+    sectors : float, optional
+        Every second sector of so many degrees of the sweep; its other sectors and all other sweeps
+        are drawn.
     """
 
     lidar: int | None = None
     beams: int | None = None
+    sectors: float | None = None
 
     def __post_init__(self) -> None:
-        if self.lidar is not None and self.beams is not None:
-            raise InputError("leave out beams or a LiDAR, not both")
+        if sum(part is not None for part in (self.lidar, self.beams, self.sectors)) > 1:
+            raise InputError("leave out beams, sectors or a LiDAR, not several of them")
+        if self.sectors is not None and not 1 <= self.sectors <= 180:
+            raise InputError(
+                f"sectors of {self.sectors:g} degrees cannot be left out; give 1 to 180"
+            )
         if self.beams is not None and self.beams < 2:
             raise InputError(f"every {self.beams}-th beam cannot be left out; 2 leaves out half")
 
     @property
     def whole_sweep(self) -> bool:
         """Whether nothing of the judged sweep is drawn."""
-        return self.lidar is None and self.beams is None
+        return self.lidar is None and self.beams is None and self.sectors is None
 
     def view(self, record: FrameRecord, rig: SensorRig | None) -> LidarView:
         """The returns that judge, as the LiDAR saw them that measured them; other rows are NaN."""
@@ -55,7 +66,7 @@ class LeftOut:
                 f"{self.lidar} cannot be left out. LiDARs count from 0, as docdepth inspect lists "
                 "them"
             )
-        if self.beams is None:
+        if self.beams is None and self.sectors is None:
             return views[number]
         points = views[number].points.copy()
         points[~self.rows(record, rig)] = np.nan
@@ -66,25 +77,33 @@ class LeftOut:
         if self.lidar is not None:
             assert rig is not None
             return np.asarray(rig.lidar_id[rig.index] == self.lidar)
-        if self.beams is None:
+        if self.whole_sweep:
             return np.ones(len(record.points), np.bool_)
         _, view = next(_by_number(record, rig))
-        beam = beam_of(view, rig)
         own = np.isfinite(view.points).all(axis=1)
-        return np.asarray((beam % self.beams == self.beams // 2) & own)
+        if self.sectors is not None:
+            sector = np.floor(_directions(view.motion_corrected())[:, 0] / self.sectors)
+            return np.asarray((sector % 2 == 0) & own)
+        assert self.beams is not None
+        return np.asarray((beam_of(view, rig) % self.beams == self.beams // 2) & own)
 
     def clear(self, record: FrameRecord, rig: SensorRig | None) -> NDArray[np.bool_]:
         """Which returns can be judged to the pixel, (N,): it is clear what their pixel shows.
 
-        A return beside a depth edge of its own sweep may fall into a pixel of the other side. And
-        what the other LiDARs of a rig could not see at that time is hidden from where they stand:
-        no ray of their sweep ended there or passed behind it, which is how a key frame votes.
+        A return beside a depth edge of its own sweep may fall into a pixel of the other side. Where
+        a LiDAR of a rig was left out, the others tell two things more. A return between the two
+        sides of a depth edge of theirs may belong to either: nothing was measured there. And what
+        they could not see at that time is hidden from where they stand: no ray of their sweep ended
+        there or passed behind it, which is how a key frame votes.
         """
         own = self.rows(record, rig)
         view = LeftOut(self.lidar).view(record, rig)
         clear = ~beside_edges(view)
         if self.lidar is None or rig is None:
             return clear
+        for number, other in _by_number(record, rig):
+            if number != self.lidar:
+                clear &= ~between_sides(record.points, other)
         others = record.points.copy()
         others[own] = np.nan
         flat = np.zeros(len(own), np.bool_)
@@ -98,6 +117,8 @@ class LeftOut:
             return f"sweeps of LiDAR {self.lidar}, which was left out"
         if self.beams is not None:
             return f"sweeps of which every {self.beams}-th beam was left out"
+        if self.sectors is not None:
+            return f"sweeps of which every second sector of {self.sectors:g} degrees was left out"
         return "held-out sweeps"
 
 
@@ -127,6 +148,42 @@ def beside_edges(view: LidarView) -> NDArray[np.bool_]:
     found = np.zeros(len(points), np.bool_)
     found[mesh.triangles[mesh.discontinuity].ravel()] = True
     return found
+
+
+def between_sides(points: NDArray[np.float32], view: LidarView) -> NDArray[np.bool_]:
+    """Which points lie, as a LiDAR sees them, in a triangle over a depth jump of its sweep, (N,).
+
+    Or half a pixel of a camera beside it: a pixel shows what its middle meets.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        LiDAR frame of the sweep [m].
+    view : LidarView
+    """
+    corners, mesh = _mesh(view)
+    directions = _directions(corners)[mesh.triangles[mesh.discontinuity].astype(np.int64)]
+    # The shorter way around from the first corner; triangles over the seam are drawn at both ends.
+    directions[..., 0] -= 360 * np.rint((directions[..., 0] - directions[:, :1, 0]) / 360)
+    turn, height = round(360 / _PIXEL_DEG), round(180 / _PIXEL_DEG)
+    image = np.zeros((height + 1, turn + 1), np.uint8)
+    pixels = np.rint((directions + (180, 90)) / _PIXEL_DEG).astype(np.int32)
+    for triangle in pixels:
+        for side in (-turn, 0, turn):
+            if triangle[:, 0].max() + side >= 0 and triangle[:, 0].min() + side <= turn:
+                cv2.fillConvexPoly(image, triangle + np.array((side, 0), np.int32), 1)
+    image = cv2.dilate(image, np.ones((3, 3), np.uint8))
+    T = inverse(view.T_lidar_sensor).astype(np.float32)
+    places = np.rint((_directions(points @ T[:3, :3].T + T[:3, 3]) + (180, 90)) / _PIXEL_DEG)
+    column, row = places.astype(np.int64).T
+    return np.asarray(image[row, column] > 0)
+
+
+def _directions(points: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Azimuth and elevation of points, (N, 2) [degrees]; 0 of those that are not finite."""
+    x, y, z = points.astype(np.float64).T
+    angles = np.degrees([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))]).T
+    return np.nan_to_num(angles)
 
 
 def _spacing_deg(view: LidarView) -> float:

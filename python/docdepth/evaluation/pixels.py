@@ -121,6 +121,17 @@ def near_edges(depth: Depth) -> Mask:
     return np.asarray(cv2.dilate(edges, np.ones((size, size), np.uint8)) > 0)
 
 
+def edge_distance(depth: Depth) -> NDArray[np.float32]:
+    """Distance of each pixel to the next depth edge, along rows or columns or both alike (h, w).
+
+    Chebyshev's [pixels]: 0 on an edge, infinite without one.
+    """
+    edges = depth_edges(depth)
+    if not edges.any():
+        return np.full(depth.shape, np.inf, np.float32)
+    return np.asarray(cv2.distanceTransform((~edges).astype(np.uint8), cv2.DIST_C, 3), np.float32)
+
+
 def shifted(depth: Depth) -> Depth:
     """The depth map moved right by one pixel; the first column becomes NaN."""
     result = np.full_like(depth, np.nan)

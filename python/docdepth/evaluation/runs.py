@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import open_dataset
 from docdepth.errors import DatasetError
 from docdepth.evaluation.depth import DepthEvaluation, DepthResult, Mode
+from docdepth.evaluation.depth_regions import DepthRegions
 from docdepth.evaluation.depth_truth import DepthTruth, array_of
 from docdepth.evaluation.label_counts import ignored, moving
 from docdepth.evaluation.labels import LabelEvaluation, LabelResult
@@ -22,6 +23,7 @@ from docdepth.evaluation.tracks import TrackEvaluation, TrackResult
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import TRACKS, read_tracks
 from docdepth.pipeline.run_state import require
@@ -203,6 +205,7 @@ def evaluate_depth(
     camera: str | None = None,
     progress: Callable[[int, int], None] | None = None,
     look: Callable[[JudgedImage], None] | None = None,
+    other: Path | None = None,
 ) -> DepthResult:
     """Compare the depth maps of a run with true depth maps of the same names.
 
@@ -213,8 +216,8 @@ def evaluate_depth(
     depth : Path
         Folder of depth maps in any format, or its parent with a folder ``depth_2``. A folder
         ``class_2`` beside it marks the pixels of moving objects. Or a drive of KITTI's depth
-        completion, with ``proj_depth/groundtruth``, which lacks maps at both ends, or its
-        ``val_selection_cropped``; images without one are not compared.
+        completion, with ``proj_depth/groundtruth``, or its ``val_selection_cropped``. Images
+        without a true map are not compared, and counted in a warning.
     mode : {"valid", "kitti"}
         ``kitti`` fills empty pixels first, as KITTI's development kit does.
     max_range : float
@@ -225,22 +228,30 @@ def evaluate_depth(
         Called with the number of compared depth maps and the number of all.
     look : callable, optional
         Called with each :class:`JudgedImage`.
+    other : Path, optional
+        Another run, or a folder of the depth maps of another method, of the same names. Both are
+        compared over the pixels that both fill.
 
     Raises
     ------
     DatasetError
-        The folder or a true depth map is missing, or the run has no depth maps.
+        The folder or all true depth maps are missing, or the run has no depth maps.
     """
     folder = RunFolder.open(run)
     depth = _truth_folder(depth, "depth_2", folder)
     camera = folder.depth_folder(camera)
     require(folder, f"render {folder.camera_in(camera)}")
     truth = DepthTruth(depth, folder, camera)
+    regions = DepthRegions(folder, camera)
+    others = None if other is None else _maps_of(other, camera)
     evaluation = DepthEvaluation(mode=mode, max_range=max_range, poses=_poses(folder))
     ratios: list[float] = []
     for done, name in enumerate(truth.maps, 1):
-        made, true, K = truth.read(name)
-        evaluation.add(made, true, truth.dynamic(name), K)
+        made, true, K, part = truth.read(name)
+        classes = truth.classes(name)
+        dynamic = None if classes is None else moving(classes.ravel()).reshape(classes.shape)
+        beside = None if others is None else _map_in(others, name, part)
+        evaluation.add(made, true, dynamic, K, regions.of(name, classes, part), beside)
         if look:
             look(JudgedImage(name, made, true))
         ratios.append(_ratio(made, true))
@@ -254,6 +265,23 @@ def evaluate_depth(
             truth.folder, ratio,
         )  # fmt: skip
     return evaluation.result()
+
+
+def _maps_of(other: Path, camera: str) -> dict[str, Path]:
+    """Depth maps of another run, for the same camera, or of a folder."""
+    folder = other / "depth" / camera if (other / "depth").is_dir() else other
+    maps = maps_in(folder) if folder.is_dir() else {}
+    if not maps:
+        raise DatasetError(f"{folder} has no depth maps; name another run, or a folder of them")
+    return maps
+
+
+def _map_in(maps: dict[str, Path], name: str, part: tuple[slice, slice]) -> NDArray[np.float32]:
+    if name not in maps:
+        folder = next(iter(maps.values())).parent
+        raise DatasetError(f"{folder} has no depth map {name}; both methods need the same images")
+    depth = read_depth(maps[name])
+    return depth if depth.shape == depth[part].shape else depth[part]
 
 
 def _ratio(made: NDArray[np.float32], true: NDArray[np.float32]) -> float:

@@ -49,3 +49,13 @@ class Camera:
                 f"{self.width} x {self.height} image: the size does not fit K"
             )
         object.__setattr__(self, "K", K)
+
+
+def below_horizon(camera: Camera, T_camera_lidar: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Pixels whose ray leads down in the frame of the LiDAR, whose z is up, (h, w).
+
+    The share of these with depth tells more than that of all: no LiDAR measures the sky.
+    """
+    v, u = np.mgrid[: camera.height, : camera.width]
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(camera.K).T
+    return np.asarray(rays @ T_camera_lidar[:3, 2] < 0)

@@ -13,7 +13,8 @@ STYLE = """
 button { font: inherit; padding: .15em .8em; border: 1px solid #888; border-radius: 4px;
   background: #f2f2f2; cursor: pointer }
 button[aria-pressed=true] { background: #003c96; color: #fff }
-.views { background: #181818; min-height: 60px } .views img { display: block; width: 100% }
+.views { background: #181818; min-height: 60px } .views img { display: block; width: 100%;
+  max-height: 78vh; object-fit: contain }
 [hidden], .views img[hidden] { display: none }
 """
 

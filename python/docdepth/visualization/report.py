@@ -56,9 +56,11 @@ _STYLE = (
 .chart .x { flex-direction: row } .chart svg { width: 100%; height: 90px; border: 1px solid #ccc }
 .chart polyline { fill: none; stroke: #003c96; stroke-width: 2px;
   vector-effect: non-scaling-stroke } .times td:not(.note) { white-space: nowrap }
-.times .note { min-width: 300px }
+.times .note { min-width: 300px } .times th { white-space: nowrap }
+.facts td { overflow-wrap: anywhere; min-width: 6em }
 """
 )
+_BELOW = " ({:.1%} of those below the horizon)"
 _DENSITIES = 2000  # points of the curve of a camera
 _TICKS = (3, 5, 10, 20, 40, 80)
 _VIEWS = {
@@ -113,7 +115,7 @@ def write_report(run: RunFolder, streams: Mapping[str, CameraStream]) -> Path:
         "<h2>Parameters</h2>",
         _parameters(run.parameters),
         "<h2>Inputs</h2>",
-        table((), _inputs(run)),
+        f"<div class=facts>{table((), _inputs(run))}</div>",
         scripts(["report.js"]),
     ]
     path = run.path / "report" / "index.html"
@@ -122,7 +124,7 @@ def write_report(run: RunFolder, streams: Mapping[str, CameraStream]) -> Path:
     return path
 
 
-def keep_held_out(run: RunFolder, camera: str | None, errors: Mapping[str, Any]) -> None:
+def keep_held_out(run: RunFolder, camera: str | None, errors: Mapping[str, Any]) -> bool:
     """Keep errors against held-out sweeps; the report shows them as long as the depth stays.
 
     Nothing is kept in a folder without depth maps of docdepth. Where the folder cannot be written,
@@ -135,11 +137,16 @@ def keep_held_out(run: RunFolder, camera: str | None, errors: Mapping[str, Any])
         Needed if the run has several.
     errors : mapping
         A table: ``title``, ``header``, ``rows`` and ``note``, all texts.
+
+    Returns
+    -------
+    bool
+        Whether they were kept.
     """
     folder = run.depth_folder(camera)
     made_of = run.stage(f"render {run.camera_in(folder)}").get("key")
     if made_of is None:
-        return
+        return False
     content = json.dumps(errors, indent=1).encode()
     path = run.path / "report" / folder / HELD_OUT
     try:
@@ -147,6 +154,8 @@ def keep_held_out(run: RunFolder, camera: str | None, errors: Mapping[str, Any])
             run.write(path, lambda stream: stream.write(content), {"render": made_of})
     except (OSError, RunError) as error:
         log.warning("the errors are not kept for the report: %s", error)
+        return False
+    return True
 
 
 def _summary(
@@ -167,7 +176,10 @@ def _summary(
     ]
     for page in cameras:
         mean = np.mean([share for _, share in page.density])
-        parts.append(f"{len(page.density)} depth maps of {page.name}, {mean:.1%} of pixels filled")
+        below = "" if np.isnan(page.below_horizon) else _BELOW.format(page.below_horizon)
+        parts.append(
+            f"{len(page.density)} depth maps of {page.name}, {mean:.1%} of pixels filled{below}"
+        )
     return "; ".join(parts) + "."
 
 
@@ -259,7 +271,7 @@ def _held_out(run: RunFolder, camera: str) -> str:
     if run.key(path) != {"render": run.stage(f"render {camera}").get("key")}:
         return (
             "<p class=note>Errors against sweeps that were left out are not measured yet: docdepth "
-            "evaluate held-out RUN, then docdepth report RUN</p>"
+            "evaluate held-out RUN does it, and adds them here</p>"
         )
     kept = json.loads(path.read_text(encoding="utf-8"))
     rows = (tuple(row) for row in kept["rows"])

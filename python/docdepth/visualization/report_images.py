@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import DamagedFileError
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, below_horizon
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
@@ -61,11 +61,14 @@ class CameraPage(NamedTuple):
     moments : tuple of Moment
     density : list of (int, float)
         Time [ns] and share of pixels with depth of each map.
+    below_horizon : float
+        The same share of the pixels below the horizon, mean over the moments.
     """
 
     name: str
     moments: tuple[Moment, ...]
     density: list[tuple[int, float]]
+    below_horizon: float
 
 
 def camera_pages(
@@ -106,8 +109,21 @@ def camera_pages(
             )
             for k in np.unique(np.rint(even).astype(int))
         )
-        pages.append(CameraPage(name, moments, [maps[image] for image in names]))
+        shown = [files[moment.name] for moment in moments]
+        below = _share_below_horizon(run, str(entry["folder"]), shown)
+        pages.append(CameraPage(name, moments, [maps[image] for image in names], below))
     return pages
+
+
+def _share_below_horizon(run: RunFolder, folder: str, files: Sequence[Path]) -> float:
+    """Share of the pixels below the horizon that have depth; NaN without such pixels."""
+    if not files:
+        return float("nan")
+    camera, T_camera_lidar, _ = run.calibration(folder)
+    below = below_horizon(camera, T_camera_lidar)
+    if not below.any():
+        return float("nan")
+    return float(np.mean([np.isfinite(read_depth(file)[below]).mean() for file in files]))
 
 
 def budget(cameras: int) -> tuple[int, int]:
