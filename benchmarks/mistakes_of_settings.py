@@ -46,7 +46,7 @@ SETTINGS = [
     ("a renderer's device that is not there", [*NEW, "--renderer", "egl:99"], None, REFUSED),
     ("an unknown parameter", _set("dynamics.tau=1"), None, REFUSED),
     ("a setting without a value", _set("dynamics.tolerance"), None, REFUSED),
-    ("a setting of half a list", _set("odometry.passes=[1"), None, REFUSED),
+    ("a setting of half a list", _set("odometry.voxel_size=[1"), None, REFUSED),
     ("a setting that is NaN", _set("dynamics.tolerance=.nan"), None, REFUSED),
     ("a pixel of 0.0001 degrees", _set("dynamics.resolution_deg=0.0001"), None, REFUSED),
     ("a step of a nanometre", _set("render.step=1e-9"), None, REFUSED),

@@ -82,7 +82,10 @@ def test_a_value_is_replaced_by_name():
         ),
         ("render.static_size=[3, 50]", r"^render\.static_size = .*sigma_max, must not be below"),
         ("render.max_depth=1:20", r"^render\.max_depth = '1:20': it must be a number"),
-        ("odometry.passes=[1", r"^--set 'odometry\.passes=\[1': the value '\[1' cannot be read"),
+        (
+            "odometry.voxel_size=[1",
+            r"^--set 'odometry\.voxel_size=\[1': the value '\[1' cannot be read",
+        ),
         ("tolerance", "^--set 'tolerance': write stage.name=value"),
     ],
 )

@@ -42,6 +42,7 @@ RENAMED: dict[str, tuple[str, Convert]] = {
 # run.yaml with these values still opens.
 REMOVED: dict[str, tuple[float, ...]] = {
     "odometry.refine_voxel_size": (0.5,),
+    "odometry.passes": (2, 3),
     "ground.chunk_overlap": (100.0, 0),
     "ground.least_share": (0.01, 0),
     "surface.max_gap_deg": (4.0,),

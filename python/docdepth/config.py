@@ -49,11 +49,12 @@ class OdometryParameters(_Stage):
     voxel_size: float = Field(
         1.0, ge=0.1, le=10, description="edge of a voxel of the first pass's map [m]"
     )
-    passes: int = Field(
-        2,
-        ge=1,
-        le=5,
-        description="registrations of the whole drive: one finds the poses, the others refine them",
+    loop_closure: float = Field(
+        0.0,
+        ge=0,
+        le=0.1,
+        description="streets seen again are looked for within this share of the path since then; "
+        "0: no loop closure [-]",
     )
     blooming_deg: float = Field(
         0.0,

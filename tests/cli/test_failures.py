@@ -47,7 +47,7 @@ def odd(tmp_path):
         (["-o", "run", "--config", "list.yaml"], "list.yaml holds no parameters"),
         (["-o", "run", "--config", "broken.yaml"], "broken.yaml cannot be read as YAML"),
         (["-o", "run", "--config", "binary"], "binary cannot be read as YAML"),
-        (["-o", "run", "--set", "odometry.passes=[1"], "odometry.passes"),
+        (["-o", "run", "--set", "odometry.voxel_size=[1"], "odometry.voxel_size"),
         (["-o", "run", "--preset", "best"], "'best' is unknown; there are default, paper"),
         (["-o", "run", "--format", "jpg"], "'jpg' is unknown; there are png"),
         (["-o", "run", "--frobnicate"], "--frobnicate"),

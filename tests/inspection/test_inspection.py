@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from drives import COUNT, T_CAMERA_LIDAR, Recorded, camera, moved, right_poses, turned
 
-from docdepth.config import OdometryParameters
 from docdepth.datasets import Sweep, open_dataset
 from docdepth.errors import DatasetError, OdometryError
 from docdepth.geometry.se3 import (
@@ -274,7 +273,7 @@ def test_real_drives_have_no_warning(drive_0005: Path, drive_9001: Path) -> None
 @pytest.mark.slow
 def test_wrong_poses_of_a_real_drive_are_told(drive_0005: Path) -> None:
     recording = open_dataset(drive_0005, frames="50:75")
-    poses = estimate_poses(recording, OdometryParameters(passes=1))
+    poses = estimate_poses(recording, passes=1)
     T = recording.cameras["image_02"].T_camera_lidar
     assert warnings_of(inspect_recording(recording, poses)) == []
     for wrong, text in (

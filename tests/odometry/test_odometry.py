@@ -139,14 +139,10 @@ def test_a_lost_sweep_does_not_double_the_motion() -> None:
 # ---- registration
 
 
-def passes(count: int) -> Parameters:
-    return Parameters(odometry=OdometryParameters(passes=count))
-
-
 def test_raw_sweeps_at_speed() -> None:
     """At 1.1 m a sweep from the start; registration that starts at standstill is 0.8 m off."""
     drive = Drive(12)
-    result = register_drive(drive, passes(3))
+    result = register_drive(drive)
     errors = pose_errors(result.trajectory.poses, drive.exact)
     assert errors.max() < 0.01
     np.testing.assert_array_equal(result.trajectory.times, drive.times)
@@ -207,7 +203,7 @@ def test_unusable_sweeps_do_not_end_the_process(caplog: pytest.LogCaptureFixture
     drive._sweeps[4] = Sweep(
         spoilt, good.name, good.time, relative_time=np.full_like(spoilt[:, 0], 7)
     )
-    result = register_drive(drive, passes(2))
+    result = register_drive(drive)
     assert caplog.messages == [
         "1 of 8 sweeps have less than 50 usable points between 3 and 100 m, the first of them "
         "frame 4: their poses are predicted"
@@ -249,9 +245,8 @@ def test_sweeps_are_read_when_asked_for_and_once_each() -> None:
 @pytest.mark.parametrize("number", [1, 2, 3])
 def test_all_passes_read_each_sweep_once(number: int) -> None:
     drive = Drive(30)
-    register_drive(drive, passes(number))
-    # One look at whether they are raw.
-    assert drive.read == [0, *range(30)]
+    estimate_poses(drive, passes=number)
+    assert drive.read == [*range(30)]
 
 
 # ---- thinning

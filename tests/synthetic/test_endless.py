@@ -6,7 +6,7 @@ import numpy as np
 
 from docdepth.synthetic import EndlessDrive, sensor
 from docdepth.synthetic.casting import Rays
-from docdepth.synthetic.endless_street import PIECE, TILE, endless_road
+from docdepth.synthetic.endless_street import PIECE, TILE, EndlessStreet, endless_road
 
 FIRST_MOVING = 252
 
@@ -65,3 +65,13 @@ def test_the_street_comes_back():
     np.testing.assert_array_equal(first.vertices, again.vertices)
     names = [[(p.instance, p.begin) for p in drive.street.passers(k)] for k in (1, 31)]
     assert not set(names[0]) & set(names[1])
+
+
+def test_a_street_that_is_built_alike_stands_elsewhere():
+    street = EndlessStreet(4, 2, 175.0)
+    first, again = street.static(3), street.static(23)
+    start, end = (street.road.upright(s, 0.0) for s in (3 * PIECE, 23 * PIECE))
+    moved = first.moved(end @ np.linalg.inv(start))
+    assert np.linalg.norm((end - start)[:3, 3]) > 30
+    np.testing.assert_allclose(again.vertices, moved.vertices, atol=1e-3)
+    np.testing.assert_array_equal(again.faces, first.faces)

@@ -42,8 +42,8 @@ BASE = Trial("as the run", {})
 NARROW = Trial("narrow", {"dynamics.window": 1, "dynamics.fine_spacing": 0.5})
 LETTER = Trial("letter", {"preset": "paper", "ground.voxel_size": 0.1})
 BEHIND = Trial("behind", {"render.behind": 0.0})
-ALL = Trial("all", {"odometry.passes": 1, "dynamics.tolerance": 0.4, "render.behind": 0.0})
-PATHS = ("odometry.passes", "dynamics.tolerance")
+ALL = Trial("all", {"odometry.voxel_size": 1.5, "dynamics.tolerance": 0.4, "render.behind": 0.0})
+PATHS = ("odometry.voxel_size", "dynamics.tolerance")
 
 
 @pytest.fixture(scope="module")
@@ -123,13 +123,13 @@ def test_labels_of_a_run_and_of_a_preset(run, drive, tmp_path) -> None:
     [
         ("labels", {}, []),
         ("labels", {"dynamics.tolerance": 0.4}, ["classify"]),
-        ("labels", {"odometry.passes": 1}, ["odometry", "classify"]),
+        ("labels", {"odometry.voxel_size": 1.5}, ["odometry", "classify"]),
         ("held-out", {"render.behind": 0.0}, []),
         ("held-out", {"dynamics.tolerance": 0.4, "render.behind": 0.0}, ["classify"]),
         ("depth", {}, []),
         ("depth", {"render.behind": 0.0}, ["render"]),
         ("depth", {"dynamics.tolerance": 0.4}, ["classify", "render"]),
-        ("depth", {"odometry.passes": 1}, ["odometry", "classify", "render"]),
+        ("depth", {"odometry.voxel_size": 1.5}, ["odometry", "classify", "render"]),
     ],
 )
 def test_only_what_its_parameters_change_is_made_again(
@@ -293,7 +293,7 @@ def test_impossible_searches_are_refused_before_anything_is_made(run, drive, tmp
     folder.manifest["source"] = {}
     folder.save()
     with pytest.raises(ConfigError, match="its odometry is given"):
-        tune(own, labels, [Trial("a", {"odometry.passes": 1})], out)
+        tune(own, labels, [Trial("a", {"odometry.voxel_size": 1.5})], out)
     assert not out.exists()
 
 

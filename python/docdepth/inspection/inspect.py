@@ -38,7 +38,7 @@ from docdepth.pipeline.stage import recorded_warnings
 _WINDOW = 6  # sweeps that are registered with each other
 _LEAST_TRAVEL = 5.0  # metres; on a shorter drive the traffic beside the vehicle stays with it, too
 _BETTER = 1.1  # times the share of points on each other, by registration against given poses
-_ONE_PASS = OdometryParameters(passes=1)
+_PARAMETERS = OdometryParameters()
 
 
 @dataclass
@@ -104,7 +104,7 @@ def inspect_recording(
         _look_at_sweeps(recording, result)
         if given is not None:
             with found.collected():
-                result.poses = check_given_poses(recording, given, _ONE_PASS)
+                result.poses = check_given_poses(recording, given, _PARAMETERS)
         result.windows = _register(recording, result)
         _look_at_poses(recording, result, "file" if poses is not None else "recording", found)
         for stream in recording.cameras.values():
@@ -169,7 +169,7 @@ def _register(recording: Dataset, result: Inspection) -> list[Window]:
     for frames in windows_of(poses, len(recording), _WINDOW) if len(recording) > 1 else []:
         part = FrameRange(recording, f"{frames.start}:{frames.stop}")
         try:
-            measured = estimate_poses(part, _ONE_PASS, threads=1)
+            measured = estimate_poses(part, threads=1, passes=1)
         except DocDepthError as error:
             result.notes.append(
                 f"frames {frames.start} to {frames.stop - 1} are not registered: {error}"
@@ -196,7 +196,7 @@ def _look_at_poses(recording: Dataset, result: Inspection, source: str, found: F
         warn_of_jumps(Trajectory(recording.times, poses))
         if not findings.judge_poses(recording, result, found) and np.ptp(poses, axis=0).any():
             with found.collected():
-                warn_of_misfit(lambda k: recording.sweep(k).points, poses, _ONE_PASS)
+                warn_of_misfit(lambda k: recording.sweep(k).points, poses, _PARAMETERS)
     figures["ego"] = None
     fastest = max(steps, default=0.0)
     travelled = fastest * len(recording) > _LEAST_TRAVEL

@@ -4,7 +4,8 @@ small_gicp registers the sweeps in two passes, distribution to distribution. The
 poses in coarse voxels, on sweeps deskewed with the motion before them. The second refines them in
 fine voxels, on sweeps deskewed with the motion around them. In both, positions are filtered and
 smoothed (see :mod:`docdepth.odometry.smoothing`). The second pass follows the first a few sweeps
-behind, so each sweep is read and thinned once for both.
+behind, so each sweep is read and thinned once for both. Loop closure is an option (see
+:mod:`docdepth.odometry.loop_closure`).
 """
 
 from __future__ import annotations
@@ -26,16 +27,23 @@ from docdepth.datasets.mounts import LEVEL_DEG, ground_of
 from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
+from docdepth.odometry.loop_closure import close_loops
+from docdepth.odometry.places import KEPT_SWEEPS
 from docdepth.odometry.pose_checks import check_given_poses, warn_of_jumps
+from docdepth.odometry.pose_graph import check_solver
 from docdepth.odometry.registration import FINE_SAMPLING, FIRST_SWEEPS, register
 from docdepth.odometry.registration_log import RegistrationLog
 from docdepth.odometry.smoothing import LAG, smoothed
-from docdepth.odometry.sweeps import DeskewedSweeps, ThinnedSweeps, is_raw
+from docdepth.odometry.sweeps import DeskewedSweeps, ThinnedSweeps
 
 log = logging.getLogger(__name__)
 
 Progress = Callable[[int, int, str], None]
 """Called with the sweeps done, their number, and a description."""
+
+PASSES = 2
+"""Registrations of the whole drive: one finds the poses, the other refines them. A third makes no
+drive truer."""
 
 
 @dataclass(frozen=True)
@@ -129,20 +137,21 @@ def estimate_poses(
     progress: Progress | None = None,
     checkpoint: Path | None = None,
     threads: int = 0,
+    passes: int = PASSES,
 ) -> NDArray[np.float64]:
     """Poses ``T_world_lidar`` (n, 4, 4) in the frame of the first sweep.
 
-    The arguments are those of :func:`register_drive`. Motion compensated sweeps take two passes at
-    most: their points do not change.
+    The arguments are those of :func:`register_drive`, and the number of passes.
     """
     parameters, count = parameters or OdometryParameters(), len(dataset)
+    if parameters.loop_closure:
+        check_solver()
     poses: NDArray[np.float64] = np.repeat(np.eye(4)[None], count, axis=0)
-    passes = parameters.passes if is_raw(dataset.sweep(0)) else min(parameters.passes, 2)
     # The last pass is this far behind the first, which looks ahead at its start.
     behind = (passes - 1) * (LAG + NEIGHBORS)
     sweeps = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, behind + FIRST_SWEEPS)
     stream: _PoseStream | None = None
-    logs = [_log(dataset, parameters, checkpoint, number) for number in range(passes)]
+    logs = [_log(dataset, parameters, checkpoint, f"pass_{k + 1}") for k in range(passes)]
     for log_of_pass in logs:
         registered = register(sweeps, parameters, stream, thread_count(threads), log_of_pass)
         stream = _PoseStream(smoothed(registered), count)
@@ -155,20 +164,27 @@ def estimate_poses(
     finally:
         for log_of_pass in logs:
             log_of_pass.close()
+    if parameters.loop_closure:
+        kept = _log(dataset, parameters, checkpoint, "loops")
+        again = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, KEPT_SWEEPS)
+        try:
+            poses = close_loops(again, poses, parameters.loop_closure, progress, kept)
+        finally:
+            kept.close()
     return poses
 
 
 def _log(
-    dataset: Dataset, parameters: OdometryParameters, folder: Path | None, number: int
+    dataset: Dataset, parameters: OdometryParameters, folder: Path | None, name: str
 ) -> RegistrationLog:
-    """What pass ``number`` found before it was interrupted."""
+    """What a pass, or loop closure, found before it was interrupted."""
     if folder is None:
         return RegistrationLog()
     times = zlib.crc32(np.asarray(dataset.times, "<i8").tobytes())
     registered_by = f"small_gicp {version('small_gicp')}"
     place = Path(dataset.path).resolve()
     key = f"{place} {len(dataset)} {times} {registered_by} {parameters.model_dump_json()}"
-    return RegistrationLog(folder / f"pass_{number + 1}.log", key)
+    return RegistrationLog(folder / f"{name}.log", key)
 
 
 class _PoseStream:

@@ -120,7 +120,7 @@ def _registration_progress(progress: Progress | None) -> Callable[[int, int, str
     def report(done: int, total: int, what: str) -> None:
         log.debug("%s", what)
         if progress:
-            progress("register", done, total)
+            progress("register" if what == "odometry" else what, done, total)
 
     return report
 

@@ -48,6 +48,9 @@ class EndlessDrive(Drive):
     tiles : int
         Tiles of 600 m after which the ego comes back and drives along the same street again, with
         other traffic.
+    turn_deg : float, optional
+        Of a tile [deg]; 360 over ``tiles`` by default. With another turn the ego comes to a street
+        that is built like the first and lies beside it.
     """
 
     def __init__(
@@ -58,8 +61,9 @@ class EndlessDrive(Drive):
         skew: bool = True,
         shutter: float = 0.37,
         tiles: int = WAY_BACK,
+        turn_deg: float | None = None,
     ) -> None:
-        self.street = EndlessStreet(seed, tiles)
+        self.street = EndlessStreet(seed, tiles, turn_deg)
         nothing = merged([self.street.road.ground(1.0, (0.0, 1.0))])
         street = Scene("endless", seed, nothing, [], ego_path(self.street.road), np.inf)
         self._begin(street, sensor, frames, seed, skew, shutter)
@@ -92,8 +96,9 @@ class EndlessDrive(Drive):
 class EndlessRecording:
     """An endless drive as a recording, described by a file ``NAME.endless.yaml``.
 
-    Its entries: ``sensor`` and ``frames``; perhaps ``seed`` (0), ``tiles``, ``columns`` of a sensor
-    that spins (all), ``image_every`` so many sweeps (1) and ``image_scale`` (1: as of KITTI).
+    Its entries: ``sensor`` and ``frames``; perhaps ``seed`` (0), ``tiles``, ``turn_deg``,
+    ``columns`` of a sensor that spins (all), ``image_every`` so many sweeps (1) and ``image_scale``
+    (1: as of KITTI).
 
     Parameters
     ----------
@@ -113,7 +118,8 @@ class EndlessRecording:
         lidar = sensor(about["sensor"])
         if about["columns"]:
             lidar = replace(lidar, pattern=_thinned(lidar.pattern(0), about["columns"]))
-        self.drive = EndlessDrive(lidar, about["frames"], about["seed"], tiles=about["tiles"])
+        street = {name: about[name] for name in ("tiles", "turn_deg")}
+        self.drive = EndlessDrive(lidar, about["frames"], about["seed"], **street)
         self.times, self.poses = self.drive.times, self.drive.poses
         every = about["image_every"]
         taken = np.arange(every // 2, len(self) - 1, every)
@@ -171,7 +177,14 @@ FORMAT = Format(
 )
 """For an entry point of a package that wants ``docdepth run`` to read such files."""
 
-_DEFAULTS = {"seed": 0, "tiles": WAY_BACK, "columns": 0, "image_every": 1, "image_scale": 1.0}
+_DEFAULTS = {
+    "seed": 0,
+    "tiles": WAY_BACK,
+    "turn_deg": None,
+    "columns": 0,
+    "image_every": 1,
+    "image_scale": 1.0,
+}
 
 
 def _read(path: Path) -> dict[str, Any]:

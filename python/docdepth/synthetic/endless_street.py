@@ -101,10 +101,14 @@ class EndlessStreet:
     tiles : int
         After so many the street comes back to where it began: what stands there is the same, the
         traffic is not.
+    turn_deg : float, optional
+        Of a tile. With another than 360 over ``tiles`` the same houses stand beside the first ones.
     """
 
-    def __init__(self, seed: int, tiles: int) -> None:
-        self.seed, self.road = seed, endless_road(2 * np.pi / tiles)
+    def __init__(self, seed: int, tiles: int, turn_deg: float | None = None) -> None:
+        turn = 2 * np.pi / tiles if turn_deg is None else np.radians(turn_deg)
+        self.seed, self.road = seed, endless_road(float(turn))
+        self._comes_back = turn_deg is None
         self._pieces = round(tiles * TILE / PIECE)
 
     def static(self, piece: int) -> Mesh:
@@ -113,7 +117,8 @@ class EndlessStreet:
         rng = np.random.default_rng([self.seed, 1, number])
         street = Street(self.road, rng, instances=_NUMBERS + 40 * number % _NUMBERS)
         # A street that comes back is the same piece, made at the same place.
-        start, end = PIECE * number, PIECE * (number + 1)
+        start = PIECE * (number if self._comes_back else piece)
+        end = start + PIECE
         tile = TILE * np.floor(start / TILE)
         junctions = [(s + tile, half) for s, half in _JUNCTIONS if start < s + tile < end]
         add_houses(street, blocks(start, end, junctions), _WALK, 13.0)
