@@ -41,6 +41,14 @@ def test_a_level_column_keeps_its_mean() -> None:
     assert len(thin_level_ground(points, 1.0)) < 0.6 * len(points)
 
 
+def test_where_walls_are_most_of_a_sweep_all_points_stay() -> None:
+    rng = np.random.default_rng(6)
+    road = np.column_stack([rng.uniform(-20, 20, (900, 2)), rng.normal(-1.8, 0.02, 900)])
+    wall = np.column_stack([rng.uniform(-9, 9, 1000), np.full(1000, 7.3), rng.uniform(-2, 3, 1000)])
+    points = np.concatenate([road, wall])
+    assert thin_level_ground(points, 1.0) is points
+
+
 def test_no_points() -> None:
     assert thin_level_ground(np.empty((0, 3)), 1.0).shape == (0, 3)
 

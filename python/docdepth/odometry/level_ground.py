@@ -3,7 +3,8 @@
 A spinning LiDAR draws rings on a flat road, and they move with it: registered on each other, they
 say that it stands. VGICP weighs distances along a surface by a thousandth of those across it, but
 on a motorway nine of ten points lie on the road, and with 16 beams they win. Level ground tells
-height, roll and pitch, and needs few points for that.
+height, roll and pitch, and needs few points for that. In a city it is the smaller part of a sweep,
+walls hold the vehicle, and all its points stay: they average the errors of the lasers.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ _LEVEL = 0.1  # metres between the returns of a column; kerbs, walls and twigs h
 
 
 def thin_level_ground(points: NDArray[np.float64], edge: float) -> NDArray[np.float64]:
-    """Points of which each level column keeps its mean alone.
+    """Points of which each level column keeps its mean alone, if most of them lie in such columns.
 
     Parameters
     ----------
@@ -28,7 +29,8 @@ def thin_level_ground(points: NDArray[np.float64], edge: float) -> NDArray[np.fl
     Returns
     -------
     ndarray of float64, shape (M, 3)
-        Points of the other columns, in their order, then the means of level columns.
+        Points of the other columns, in their order, then the means of level columns; ``points``
+        itself if at most half of them lie in level columns.
     """
     if not len(points):
         return points
@@ -39,6 +41,8 @@ def thin_level_ground(points: NDArray[np.float64], edge: float) -> NDArray[np.fl
     first = np.flatnonzero(np.append(True, column[1:] != column[:-1]))
     count = np.diff(np.append(first, len(column)))
     level = np.maximum.reduceat(height, first) - np.minimum.reduceat(height, first) < _LEVEL
+    if count[level].sum() <= 0.5 * len(points):
+        return points
     means = np.add.reduceat(points[order], first)[level] / count[level, None]
     others = np.sort(order[np.repeat(~level, count)])
     return np.concatenate([points[others], means])
