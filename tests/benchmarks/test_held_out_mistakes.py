@@ -75,6 +75,7 @@ def test_correlation_of_errors_that_grow_together() -> None:
     rows = [row("as it is", 1, 2), row("poses 5 cm off", 2, 4), row("images 50 ms late", 9, 2.1)]
     rows.append(row("not compensated", 3, 6))
     table = held_out.correlations(rows)
-    assert [line[3:] for line in table.rows[:2]] == [("1.000",) * 3] * 2
-    assert float(table.rows[4][3]) < 0.2, "what only the camera shows is no part of it"
+    mae = {line[0]: line[3:] for line in table.rows if line[1] == "mae"}
+    assert float(mae.pop("all rows")[0]) < 0.2, "what only the camera shows is no part of it"
+    assert list(mae.values()) == [("1.000",) * 3] * 3
     assert "the poses jitter" in str(held_out.table(rows))
