@@ -184,6 +184,24 @@ std::vector<PixelHypotheses> find_edges(const Columns& columns, const std::vecto
   return found;
 }
 
+/// Empty pixels that a nearer surface may hide, which goes on beyond its last return.
+void empty_hidden(const Columns& columns, const std::vector<float>& continued,
+                  const VisibilityQueries& queries, std::vector<float>& inverse_depth,
+                  std::vector<float>& scores) {
+  std::vector<PixelHypotheses> nearer;
+  for (int v = 0; v < columns.height; ++v)
+    for (int u = 0; u < columns.width; ++u) {
+      const std::size_t at = columns.at(u, v);
+      if (inverse_depth[at] > 0 && continued[at] > inverse_depth[at] * (1 + kSameDepth))
+        nearer.push_back({u, v, {continued[at]}});
+    }
+  const std::vector<float> found = queries.score(nearer, 0);
+  for (std::size_t i = 0; i < nearer.size(); ++i) {
+    const std::size_t at = columns.at(nearer[i].u, nearer[i].v);
+    if (found[i] > 0) inverse_depth[at] = scores[at] = 0;
+  }
+}
+
 /// Move edges to where rays confirm them, and empty what no ray confirms.
 ///
 /// A surface ends at its last return, but the object goes on for up to a pixel. A pixel next to a
@@ -227,8 +245,12 @@ void move_edges(const Columns& columns, const std::vector<Tile>& tiles,
 
 }  // namespace
 
-DepthHypotheses::DepthHypotheses(const Columns& columns, std::vector<float> trusted)
-    : columns_(columns), tiles_(tiles_along(columns.width)), open_(edge_tiles(columns, trusted)) {
+DepthHypotheses::DepthHypotheses(const Columns& columns, std::vector<float> trusted,
+                                 std::vector<float> continued)
+    : columns_(columns),
+      tiles_(tiles_along(columns.width)),
+      open_(edge_tiles(columns, trusted)),
+      continued_(std::move(continued)) {
   for (int k = 1; k < kMost; ++k) hypotheses_[k].assign(trusted.size(), 0.0f);
   hypotheses_[0] = std::move(trusted);
 }
@@ -279,6 +301,7 @@ std::vector<float> DepthHypotheses::resolve(const Camera& camera,
     }
     pixels.resize(left);
   }
+  empty_hidden(columns_, continued_, queries, result, scores);
   if (rays.size() == 1) return result;  // one sweep only confirms itself
   move_edges(columns_, tiles, queries, result, scores);
   return result;

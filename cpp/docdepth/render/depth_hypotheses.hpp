@@ -23,14 +23,19 @@ struct Columns {
 /// nothing, every sweep adds its depth as a hypothesis. The nearest hypothesis that rays confirm
 /// wins, else the nearest one that no ray tells about. At the edges of the result rays also test
 /// whether a nearer surface covers the next pixel; what no ray confirms closely is left empty.
+///
+/// The camera stands beside the sensor and looks past a nearer surface where the sensor did not:
+/// between its last return and the next ray. There what is farther is left empty if the rays that
+/// passed nearest ended on the nearer surface.
 class DepthHypotheses {
  public:
   static constexpr int kTile = 8;     ///< edge of the square tiles that are open or closed [pixel]
   static constexpr int kStrip = 104;  ///< columns whose edges are found without their neighbours
   static constexpr int kMost = 3;     ///< hypotheses kept for a pixel
 
-  /// @param trusted  inverse depth of the nearest sweep
-  DepthHypotheses(const Columns& columns, std::vector<float> trusted);
+  /// @param trusted    inverse depth of the nearest sweep
+  /// @param continued  of its surfaces beyond their last returns
+  DepthHypotheses(const Columns& columns, std::vector<float> trusted, std::vector<float> continued);
 
   /// 1 for each tile, row after row, in which further sweeps are drawn.
   const std::vector<std::uint8_t>& open_tiles() const { return open_; }
@@ -46,6 +51,7 @@ class DepthHypotheses {
   Columns columns_;
   int tiles_;
   std::vector<std::uint8_t> open_;
+  std::vector<float> continued_;
   std::vector<float> hypotheses_[kMost];  // each differs from those before it; 0 if there is none
 };
 

@@ -79,6 +79,7 @@ MeshFrame::MeshFrame(const MeshParts& parts) {
       vertices[i] += parts.displacement->row(mesh.sources[i]).transpose();
   MeshVertices all(vertices, classes);
   static_mesh = PatchMesh(all, mesh.parts[0].whole);
+  static_outer = PatchMesh(all, mesh.parts[0].outer);
   std::vector<Rays> near = object_rays(parts, mesh.normals);
   dynamic_meshes.resize(owners - 1);
   for (std::size_t k = 1; k < owners; ++k)
@@ -94,6 +95,9 @@ MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>
                         const std::vector<PlacedBox>& boxes) {
   MeshScene scene;
   const auto count = static_cast<int>(static_frames.size());
+  if (count > 0)
+    scene.continued.push_back(
+        {&static_frames[0].frame->static_outer, static_frames[0].T_camera_frame});
   for (int i = 0; i < count; ++i)
     (i == 0 ? scene.trusted : scene.others)
         .push_back({&static_frames[i].frame->static_mesh, static_frames[i].T_camera_frame, i});

@@ -44,6 +44,7 @@ struct MeshFrame {
     Rays rays;        ///< near it, as object_rays() moves them
   };
   PatchMesh static_mesh;                    ///< measured surface and isolated returns
+  PatchMesh static_outer;                   ///< continues it over what may be hidden behind it
   Rays rays;                                ///< as they were measured
   std::vector<DynamicMesh> dynamic_meshes;  ///< of owner 1, 2, ...; empty if it is not drawn
 

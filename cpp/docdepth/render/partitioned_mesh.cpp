@@ -111,7 +111,7 @@ PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*trian
   for (std::size_t t = 0; t < count; ++t) {
     const auto [i, j, k] = triangles[t];
     if (discontinuity[t] || owner[i] != owner[j] || owner[j] != owner[k]) {
-      if (owner[i] || owner[j] || owner[k]) jumps.push_back(t);
+      jumps.push_back(t);
       continue;
     }
     mesh.parts[owner[i]].whole.push_back({i, j, k});
@@ -125,6 +125,12 @@ PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*trian
     const int alone = corner_alone(mesh.vertices, corner, owner);
     const std::uint32_t i = corner[alone], j = corner[(alone + 1) % 3], k = corner[(alone + 2) % 3];
     const bool own = owner[i] == owner[j] && owner[j] == owner[k];
+    if (own && !owner[i]) {
+      Triangles* outer = &mesh.parts[0].outer;
+      const bool nearer = points.row(i).norm() < points.row(j).norm();
+      splitter.split(i, j, k, nearer ? outer : nullptr, nearer ? nullptr : outer, kOuterShare);
+      continue;
+    }
     const auto part = [&](std::uint32_t of) -> Triangles* {
       if (!of || (drawn && !drawn[of - 1])) return nullptr;
       return own ? &mesh.parts[of].inner : &mesh.parts[of].outer;

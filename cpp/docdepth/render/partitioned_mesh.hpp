@@ -15,15 +15,15 @@ using Triangles = std::vector<std::array<std::uint32_t, 3>>;
 /// The mesh of a sweep by owner: the static surface, and each dynamic object.
 ///
 /// A triangle across a discontinuity or between two owners is no measured surface: an edge crosses
-/// it somewhere. For static surface other sweeps tell where, so the triangle is dropped. Objects
-/// have moved meanwhile, so their triangles are split. Each side continues the plane at its own
-/// corners until it meets the other plane: within an object a little past the middle if it never
-/// does, and towards other owners almost to their return, since rays tell where the object ends.
+/// it somewhere. Such triangles are split. Each side continues the plane at its own corners until
+/// it meets the other plane: within an object a little past the middle if it never does, and
+/// elsewhere almost to the return of the other side, since rays tell where the surface ends. Of
+/// static surface only the nearer side is continued: it may hide the other one.
 struct PartitionedMesh {
   struct Parts {
     Triangles whole;  ///< measured surface
     Triangles inner;  ///< continues an object over its own discontinuities
-    Triangles outer;  ///< continues an object towards other owners
+    Triangles outer;  ///< continues an object towards other owners, static surface over its own
   };
   std::vector<Eigen::Vector3f> vertices;  ///< the points, then the vertices of split triangles
   std::vector<std::uint32_t> sources;     ///< the point whose surface a vertex continues

@@ -48,7 +48,10 @@ struct DrawStrip {
                                   std::vector<std::uint16_t>& owners) {
     for (const PlacedMesh& mesh : scene.trusted) draw_mesh(camera, mesh, strip);
     const Columns columns{strip.begin, strip.end - strip.begin, strip.height, Strip::kStride};
-    DepthHypotheses hypotheses(columns, strip.inverse_depth);
+    std::vector<float> trusted(strip.inverse_depth.size(), 0.0f);
+    std::swap(trusted, strip.inverse_depth);
+    for (const PlacedMesh& mesh : scene.continued) draw_mesh(camera, mesh, strip);
+    DepthHypotheses hypotheses(columns, std::move(trusted), strip.inverse_depth);
     strip.open_only(hypotheses);
     for (const PlacedMesh& mesh : scene.others) {
       draw_mesh(camera, mesh, strip);

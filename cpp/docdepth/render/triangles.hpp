@@ -43,7 +43,8 @@ struct MeshScene {
   std::vector<PlacedRays> rays;     ///< decide between hypotheses
   std::vector<PlacedDynamicObject> dynamic_objects;  ///< hide what is farther
   std::vector<PlacedRays> shutter_rays{};            ///< of the sweeps nearest in time to the image
-  std::vector<PlacedBox> boxes{};  ///< the static world behind is drawn where these saw it
+  std::vector<PlacedMesh> continued{};  ///< continue `trusted`, and may hide what is farther
+  std::vector<PlacedBox> boxes{};       ///< the static world behind is drawn where these saw it
 };
 
 /// Depth of the surface at each pixel, row after row [m]; NaN if there is none. Triangles with a

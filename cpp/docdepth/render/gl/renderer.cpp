@@ -202,7 +202,7 @@ std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Mesh
       return widened(inverse_depth(gl, camera, meshes), camera.width, stride);
     };
     const Columns columns{0, camera.width, camera.height, stride};
-    DepthHypotheses hypotheses(columns, drawn(scene.trusted));
+    DepthHypotheses hypotheses(columns, drawn(scene.trusted), drawn(scene.continued));
     for (const auto& mesh : scene.others) hypotheses.add(drawn({mesh}).data());
     auto static_depth = hypotheses.resolve(camera, scene.rays);
     std::vector<std::uint16_t> wide(static_depth.size(), 0), owners;
