@@ -17,7 +17,7 @@ from full_disk import MOMENTS
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.run import run
 from docdepth.pipeline.run_state import states
-from small_drive import write_small_drive
+from small_drive import results, write_small_drive
 
 COUNT = 6
 
@@ -32,15 +32,6 @@ def whole(drive: Path) -> Path:
     """An undisturbed run."""
     run(drive, drive.parent / "whole", camera="image_2", threads=2)
     return drive.parent / "whole"
-
-
-def results(folder: Path) -> dict[str, bytes]:
-    found = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
-    return {
-        name: path.read_bytes()
-        for name, path in found.items()
-        if not name.startswith((".docdepth", "run.yaml", "report/index.html"))
-    }
 
 
 def test_a_disk_that_fills_up_again_and_again(drive: Path, whole: Path, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from docdepth.pipeline.run import run
 from docdepth.pipeline.run_all import run_all
 from docdepth.pipeline.run_state import states
 from docdepth.pipeline.workers import Worker, Workers
-from small_drive import write_small_drive
+from small_drive import results, write_small_drive
 
 SWEEPS = 8
 
@@ -42,15 +42,6 @@ def whole(drive: Path) -> Path:
     """A run by one process."""
     run(drive, drive.parent / "whole", camera="all", threads=1)
     return drive.parent / "whole"
-
-
-def results(folder: Path) -> dict[str, bytes]:
-    found = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
-    return {
-        name: path.read_bytes()
-        for name, path in found.items()
-        if not name.startswith((".docdepth", "run.yaml", "report/index.html"))
-    }
 
 
 def cut_into(patch: pytest.MonkeyPatch, metres: float) -> None:
