@@ -37,6 +37,7 @@ from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.depth import encode_depth, read_depth
 from docdepth.io.frames import FrameRecord, read_frame, read_trajectory, write_frame
 from docdepth.io.frames import write_trajectory as write_ply
+from docdepth.io.labels import read_classes
 from docdepth.io.poses import read_poses, read_tum
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import COLUMNS, read_tracks
@@ -88,6 +89,12 @@ def test_pcd(tmp_path: Path, content: bytes, match: str) -> None:
     pytest.importorskip("lzf")
     with pytest.raises(DatasetError, match=match):
         read_cloud(written(tmp_path / "a.pcd", content), 3, RowFormat())
+
+
+def test_pcd_with_several_labels_a_point(tmp_path: Path) -> None:
+    content = pcd("x label", "F U", "1 2", "binary", bytes(12))
+    with pytest.raises(DatasetError, match=r"frame 3.*label has 2 values a point"):
+        read_classes(written(tmp_path / "a.pcd", content), 2, 3, lambda: np.arange(2))
 
 
 def message(**changes: object) -> SimpleNamespace:

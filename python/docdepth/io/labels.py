@@ -154,6 +154,8 @@ def _read_pcd(file: Path, frame: int) -> NDArray[np.uint32]:
     if name is None:
         raise DatasetError(f"{where} has neither a field label nor intensity, which tell classes")
     values = rows[name]
+    if values.ndim != 1:
+        raise DatasetError(f"{where}: {name} has {values.shape[1]} values a point; a class is one")
     if name == "label":
         if not (np.isfinite(values) & (values >= 0) & (values == np.floor(values))).all():
             raise DatasetError(f"{where}: label must be whole numbers, as SemanticKITTI's classes")
