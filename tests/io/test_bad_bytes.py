@@ -272,6 +272,16 @@ def test_images_that_claim_too_much(tmp_path: Path) -> None:
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < begun + 100_000  # kB
 
 
+def test_a_chunk_of_an_image_that_is_longer_than_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    content = bytearray(encode_depth(np.full((4, 6), 3, np.float32)))
+    struct.pack_into(">I", content, content.index(b"IDAT") - 4, 1 << 30)
+    monkeypatch.setattr("cv2.imdecode", lambda *_: pytest.fail("it would take a gigabyte"))
+    with pytest.raises(DatasetError, match="not a readable image"):
+        read_depth(written(tmp_path / "a.png", bytes(content)))
+
+
 # ---- numbers beyond all bounds, trees beyond all depth
 
 

@@ -23,7 +23,7 @@ def decode_image(content: bytes | NDArray[np.uint8], flags: int) -> NDArray[Any]
         As for ``cv2.imdecode``.
     """
     data = np.frombuffer(content, np.uint8)
-    if not len(data) or _claims_too_much(data[:24].tobytes(), len(data)):
+    if not len(data) or _claims_too_much(data):
         return None
     try:
         image = cv2.imdecode(data, flags)
@@ -32,9 +32,22 @@ def decode_image(content: bytes | NDArray[np.uint8], flags: int) -> NDArray[Any]
     return None if image is None else np.asarray(image)
 
 
-def _claims_too_much(head: bytes, size: int) -> bool:
-    """Whether the header of a PNG tells of more pixels than its bytes can hold."""
-    if not head.startswith(_PNG) or len(head) < 24:
+def _claims_too_much(data: NDArray[np.uint8]) -> bool:
+    """Whether a PNG tells of more pixels, or of longer chunks, than its bytes can hold.
+
+    OpenCV takes memory for both before it reads them.
+    """
+    if data[:8].tobytes() != _PNG or len(data) < 24:
         return False
-    width, height = struct.unpack(">II", head[16:24])
-    return bool(width * height > _MOST_PACKED * size)
+    width, height = struct.unpack(">II", data[16:24].tobytes())
+    if width * height > _MOST_PACKED * len(data):
+        return True
+    begin = len(_PNG)
+    while begin + 8 <= len(data):
+        length, kind = struct.unpack(">I4s", data[begin : begin + 8].tobytes())
+        begin += length + 12  # with length, kind and checksum
+        if begin > len(data):
+            return True
+        if kind == b"IEND":
+            break
+    return False
