@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import resource
 import subprocess
@@ -89,11 +90,16 @@ def main() -> None:
         return fuzz(given.readers[0], given.out, given.seconds)
     from fuzz_readers import READERS
 
+    if unknown := set(given.readers) - READERS.keys():
+        parser.error(f"unknown reader {', '.join(unknown)}; there are {', '.join(READERS)}")
+    writers = Path(__file__).parents[1] / "tests/datasets"  # write the bags that are changed
+    known = os.environ.get("PYTHONPATH")
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [str(writers), known]))}
     file = given.out / "figures.json"
     for name in given.readers or READERS:
         out = given.out / name
         command = [sys.executable, __file__, str(out), name, "--seconds", str(given.seconds)]
-        done = subprocess.run([*command, "--here"], capture_output=True, text=True)
+        done = subprocess.run([*command, "--here"], capture_output=True, text=True, env=env)
         runs = re.search(r"number_of_executed_units:\s+(\d+)", done.stderr)
         finds = sorted(path.stem for path in (out / "finds").glob("*.txt"))
         figures = json.loads(file.read_text()) if file.is_file() else {}
@@ -106,6 +112,8 @@ def main() -> None:
             (out / "end.txt").write_text(done.stderr[-4000:])
         file.write_text(json.dumps(figures, indent=1))
         print(name, figures[name], flush=True)
+        if done.returncode:
+            print(done.stderr[-1000:], file=sys.stderr)
     return None
 
 
