@@ -73,12 +73,12 @@ class RunDataset:
     def sweep(self, index: int) -> Sweep:
         """Frame ``index``: the usable returns of the original sweep, deskewed."""
         record = self._run.frame(index)
-        timed = record.time_offset is not None and self._period > 0
+        late = record.time_offset if self._period else None
         return Sweep(
             record.points,
             record.name,
             int(self.times[index]),
-            relative_time=record.time_offset / self._period if timed else None,
+            relative_time=None if late is None else late / self._period,
             sensor_rig=self._run.sensor_rig(record),
             motion_compensated=True,
         )
