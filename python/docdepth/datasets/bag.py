@@ -16,11 +16,10 @@ from pydantic import Field
 from docdepth.datasets.bag_camera import BagRig, camera_name
 from docdepth.datasets.bag_file import SUFFIXES, BagFile, Message, bag_files
 from docdepth.datasets.bag_odometry import Body, read_bag_poses
-from docdepth.datasets.base import CameraStream, LidarStream
+from docdepth.datasets.base import CameraStream, ImageStream, LidarStream
 from docdepth.datasets.cloud import Cloud
 from docdepth.datasets.format import Format
 from docdepth.datasets.hesai import read_angles
-from docdepth.datasets.image_stream import ImageStream
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.ros_frames import TRANSFORMS, StaticFrames
 from docdepth.datasets.ros_images import IMAGES
