@@ -131,7 +131,7 @@ def _velodyne(root: Path) -> Written:
 
 # ---- Hesai
 
-HESAI_PACKETS = 200  # in a revolution of a PandarXT-32 of two returns, 4 firings each
+HESAI_PACKETS = 50  # in a revolution of a PandarXT-32 of two returns, 4 firings each
 HESAI_MM = 4
 
 
@@ -145,7 +145,7 @@ def hesai_ranges(packet: int) -> np.ndarray:
 
 def hesai_azimuths(packet: int) -> np.ndarray:
     """Hundredths of a degree, (4,); the first packet looks back."""
-    return (18000 + 45 * (4 * packet + np.arange(4))) % 36000
+    return (18000 + 180 * (4 * packet + np.arange(4))) % 36000
 
 
 def hesai_packet(number: int, microsecond: int) -> bytes:

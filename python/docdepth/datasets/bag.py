@@ -23,7 +23,7 @@ from docdepth.datasets.hesai import read_angles
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.ros_frames import TRANSFORMS, StaticFrames
 from docdepth.datasets.ros_images import IMAGES
-from docdepth.datasets.ros_points import reader_of, undecoded
+from docdepth.datasets.ros_points import is_hesai, reader_of, undecoded
 from docdepth.datasets.settings import (
     CameraSettings,
     Numbers,
@@ -164,9 +164,23 @@ def _lidars(
             first = lidars[0].messages[0].frame
             T = _place(given, frames, first, messages[0].frame, f"{file}, {topic}")
         names = [str(time) for time in times.tolist()]
-        angles = read_angles(file.parent / given.angles) if given.angles else None
+        angles = _angles(given, bag.topics[topic], topic, file)
         lidars.append(BagLidar(bag, LidarStream(topic, times, names, T), messages, angles))
     return lidars
+
+
+def _angles(
+    given: BagLidarSettings, kind: str, topic: str, file: Path
+) -> NDArray[np.float64] | None:
+    """Those of the lasers of a Hesai, where the user has its file."""
+    if given.angles is None:
+        return None
+    if not is_hesai(kind):
+        raise DatasetError(
+            f"{file}, {topic}: angles are those of a Hesai's lasers, but the topic holds {kind}; "
+            "leave them out"
+        )
+    return read_angles(file.parent / given.angles)
 
 
 def _with_poses(

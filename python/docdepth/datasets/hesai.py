@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -51,6 +52,7 @@ _PACKET = np.dtype(
     ]
 )
 _MAGIC = b"\xee\xff"
+_BEGINNING = re.compile(rb"\xee\xff\x06...\x20\x08", re.DOTALL)  # of a packet
 _KIND = Packets("Hesai", _PACKET.itemsize, 12)
 _HEAD = 1 << 16  # bytes of a capture that show whose it is
 
@@ -196,7 +198,7 @@ def _recognises(path: Path) -> bool:
         return False
     with path.open("rb") as stream:
         head = stream.read(_HEAD)
-    return _MAGIC + b"\6" in head and bytes([LASERS, _BLOCKS]) in head
+    return _BEGINNING.search(head) is not None
 
 
 FORMAT = Format("hesai", "a capture .pcap of a Hesai PandarXT-32", _recognises, _open)

@@ -14,7 +14,6 @@ from docdepth.datasets.cloud import Cloud, cloud_from_fields
 from docdepth.errors import DatasetError
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
-HESAI = "PandarScan"
 
 ReadMessage: TypeAlias = Callable[[Any, str], Cloud]
 
@@ -44,9 +43,14 @@ def reader_of(kind: str, angles: NDArray[np.float64] | None = None) -> ReadMessa
     name = kind.rpartition("/")[2]
     if name == "CustomMsg" and "livox" in kind:
         return _read_livox
-    if name == HESAI:
+    if is_hesai(kind):
         return partial(_read_hesai, angles=hesai.DESIGNED if angles is None else angles)
     return _read_velodyne if name == "VelodyneScan" else None
+
+
+def is_hesai(kind: str) -> bool:
+    """Whether messages of a type hold packets of a Hesai."""
+    return kind.rpartition("/")[2] == "PandarScan"
 
 
 def undecoded(kind: str) -> str | None:
