@@ -112,9 +112,9 @@ def decode_packets(
     kept = ranges > 0
     kept[..., 1:] &= ranges[..., 1:] != ranges[..., :1]
     number, ring, _ = np.nonzero(kept)
-    metres = ranges[kept] * (rows["range_unit"][0] * 1e-3)
+    metres = ranges[kept].astype(np.float64) * rows["range_unit"][0] * 1e-3
     elevation = np.radians(angles[ring, 0])
-    azimuth = np.radians(firing["azimuth"][number, 0] * 0.01 + angles[ring, 1])
+    azimuth = np.radians(firing["azimuth"][number, 0].astype(np.float64) / 100 + angles[ring, 1])
     level = metres * np.cos(elevation)
     points = [level * np.sin(azimuth), level * np.cos(azimuth), metres * np.sin(elevation)]
     start = stamps[0] - stamp + _since_first(rows)[number // (_BLOCKS // returns)]
@@ -134,17 +134,18 @@ def _rows(packets: Sequence[bytes], where: str) -> NDArray[np.void]:
     if not packets or min(map(len, packets)) < size:
         raise DatasetError(f"{where} is truncated; copy it again")
     rows = np.frombuffer(b"".join(packet[:size] for packet in packets), _PACKET)
-    told = [(rows["magic"] == _MAGIC).all(), rows["lasers"], rows["blocks"], rows["returns"]]
-    if not told[0] or (rows["lasers"] != LASERS).any() or (rows["blocks"] != _BLOCKS).any():
-        lasers, blocks = rows["lasers"][0], rows["blocks"][0]
+    its_own = (rows["lasers"] == LASERS) & (rows["blocks"] == _BLOCKS)
+    if not (its_own & (rows["magic"] == _MAGIC)).all():
         raise DatasetError(
-            f"{where} holds packets of another LiDAR than a Hesai PandarXT-32 ({lasers} lasers, "
-            f"{blocks} blocks); record PointCloud2, or decode them with the driver of the LiDAR"
+            f"{where} holds packets of another LiDAR than a Hesai PandarXT-32 "
+            f"({rows['lasers'][0]} lasers, {rows['blocks'][0]} blocks); record PointCloud2, or "
+            "decode them with the driver of the LiDAR"
         )
-    if rows["returns"][0] not in (1, 2) or (rows["returns"] != rows["returns"][0]).any():
+    returns = sorted(set(rows["returns"].tolist()))
+    if returns not in ([1], [2]):
         raise DatasetError(
-            f"{where} holds packets of {sorted(set(rows['returns'].tolist()))} returns a ray, "
-            "where all should be of 1 or 2; record it again"
+            f"{where} holds packets of {returns} returns a ray, where all should be of 1 or 2; "
+            "record it again"
         )
     return rows
 
