@@ -70,6 +70,19 @@ class House:
                     found.add((room, other))
         return found
 
+    def imports(self) -> dict[str, set[str]]:
+        """What each module imports of the package, inside functions and for types, too.
+
+        The package itself is left out: it imports nothing before someone asks.
+        """
+        names = {_module(path, self.package): path for path in self.python}
+        found = {}
+        for module, path in names.items():
+            wanted = set(_imports(path))
+            wanted |= {name.rpartition(".")[0] for name in wanted - names.keys()}
+            found[module] = (wanted & names.keys()) - {module, self.package.name}
+        return found
+
     def rooms(self) -> set[str]:
         rooms = {self._room(path.relative_to(self.package).parts) for path in self.python}
         return rooms - {""}
@@ -145,6 +158,12 @@ class House:
             return None
         there = self.package / parts[1]
         return parts[1] if there.is_dir() or there.with_suffix(".py").is_file() else None
+
+
+def _module(path: Path, package: Path) -> str:
+    return ".".join(path.relative_to(package.parent).with_suffix("").parts).removesuffix(
+        ".__init__"
+    )
 
 
 def _imports(path: Path) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """The house stays one that a newcomer can walk through: bounds on what `structure.py` counts."""
 
 import re
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,10 @@ def test_few_modules_lie_at_the_top():
 
 def test_rooms_do_not_import_each_other_in_a_circle():
     assert max(HOUSE.floors().values()) <= len(HOUSE.rooms())
+
+
+def test_modules_do_not_import_each_other_in_a_circle():
+    TopologicalSorter(HOUSE.imports()).prepare()
 
 
 def test_no_function_is_longer_than_sixty_lines_of_code():
@@ -50,6 +55,9 @@ def test_the_counts_see_what_they_count(tmp_path: Path):
     (package / "one" / "c.py").write_text("import docdepth.two.b\n")
     with pytest.raises(ValueError, match=r"one -> two -> one|two -> one -> two"):
         House(tmp_path).floors()
+    (package / "one" / "a.py").write_text("def f():\n    from docdepth.one.c import x\n")
+    with pytest.raises(CycleError, match=r"docdepth\.one\.a"):
+        TopologicalSorter(House(tmp_path).imports()).prepare()
 
 
 def test_rooms_import_only_rooms_above_them_on_the_map_of_contributors():

@@ -95,7 +95,7 @@ def velodyne_packet(number: int) -> bytes:
     return packet.tobytes()
 
 
-def write_velodyne(path: Path, packets: list[tuple[int, bytes]], sender: str = "10.0.0.1") -> None:
+def write_capture(path: Path, packets: list[tuple[int, bytes]], sender: str = "10.0.0.1") -> None:
     """A capture of packets and the times of their arrival in ns, by dpkt."""
     dpkt = pytest.importorskip("dpkt")
     import socket
@@ -125,5 +125,60 @@ def velodyne_drive() -> list[tuple[int, bytes]]:
 def _velodyne(root: Path) -> Written:
     pytest.importorskip("velodyne_decoder")
     path = root / "drive.pcap"
-    write_velodyne(path, velodyne_drive())
+    write_capture(path, velodyne_drive())
+    return Written(path, None, set(), clock=None, points=False)
+
+
+# ---- Hesai
+
+HESAI_PACKETS = 50  # in a revolution of a PandarXT-32 of two returns, 4 firings each
+HESAI_MM = 4
+
+
+def hesai_ranges(packet: int) -> np.ndarray:
+    """In steps of 4 mm, (4, 2, 32): every fifth ray returns twice alike, every seventh never."""
+    ranges = np.random.default_rng(packet).integers(1000, 2200, (4, 2, 32))
+    rays = np.arange(4 * 32).reshape(4, 32)
+    ranges[:, 1] = np.where(rays % 5 == 0, ranges[:, 0], ranges[:, 1])
+    return ranges * (rays % 7 > 0)[:, None]
+
+
+def hesai_azimuths(packet: int) -> np.ndarray:
+    """Hundredths of a degree, (4,); the first packet looks back."""
+    return (18000 + 180 * (4 * packet + np.arange(4))) % 36000
+
+
+def hesai_packet(number: int, microsecond: int) -> bytes:
+    """A packet of a PandarXT-32, by the tables of its manual; ``microsecond`` is of the day."""
+    head = bytes([0xEE, 0xFF, 6, 1, 0, 0, 32, 8, 1, HESAI_MM, 2, 1])
+    body = b""
+    for azimuth, firing in zip(hesai_azimuths(number), hesai_ranges(number), strict=True):
+        for ranges in firing:
+            body += int(azimuth).to_bytes(2, "little")
+            for laser, steps in enumerate(ranges.tolist()):
+                body += steps.to_bytes(2, "little") + bytes([laser + 100, 0])
+    second, microsecond = divmod(microsecond % 86_400_000_000, 10**6)
+    clock = bytes([second // 3600, second // 60 % 60, second % 60])
+    tail = bytes(10) + b"\x39" + (600).to_bytes(2, "little") + bytes([124, 11, 24]) + clock
+    tail += microsecond.to_bytes(4, "little") + b"\x42" + number.to_bytes(4, "little")
+    return head + body + tail
+
+
+def hesai_drive(midnight: int = 2) -> list[tuple[int, bytes]]:
+    """As many revolutions as the drive has; midnight is in the middle of one of them."""
+    packets = []
+    for k, time in enumerate(DRIVE.times.tolist()):
+        for n in range(HESAI_PACKETS):
+            late = n * (DRIVE.period // HESAI_PACKETS) // 1000
+            of_day = (time - int(DRIVE.times[midnight])) // 1000 + late - DRIVE.period // 2000
+            packet = hesai_packet(HESAI_PACKETS * k + n, of_day)
+            packets.append((time + late * 1000, packet))
+        packets.append((time + 99_000_000, b"\0" * 512))
+    return packets
+
+
+@writes("Hesai capture", "hesai")
+def _hesai(root: Path) -> Written:
+    path = root / "drive.pcap"
+    write_capture(path, hesai_drive())
     return Written(path, None, set(), clock=None, points=False)

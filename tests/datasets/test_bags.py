@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from bags import BagWriter, padded_rows, write_drive
+from captures import HESAI_PACKETS, hesai_drive, write_capture
 from conformance import check, differences
 from made_up import DISTORTION, DRIVE, EMPTY, SIZE, K
 
@@ -101,6 +102,43 @@ def test_livox_messages(tmp_path: Path, kind: str, package: str) -> None:
     np.testing.assert_allclose(sweep.relative_time, rows["share"] + 0.5, atol=1e-6)
     np.testing.assert_array_equal(sweep.ring, rows["ring"])
     np.testing.assert_array_equal(sweep.intensity, rows["intensity"])
+
+
+@pytest.mark.parametrize("kind", ["ros1", "db3"])
+def test_packets_of_a_hesai_are_those_of_a_capture(tmp_path: Path, kind: str) -> None:
+    pytest.importorskip("dpkt")
+    from rosbags.typesys import get_types_from_msg
+
+    from docdepth.datasets.bag_file import _DEFINITIONS
+
+    path = place(tmp_path, kind)
+    names = [f"pandar_msgs/msg/{name}" for name in ("PandarPacket", "PandarScan")]
+    packets = [one for one in hesai_drive() if len(one[1]) == 1080]
+    with BagWriter(path, kind) as bag:
+        for name in names:
+            bag.types.register(get_types_from_msg(_DEFINITIONS[name], name))
+        for k, time in enumerate(DRIVE.times.tolist()):
+            messages = [
+                bag.make(names[0], bag.stamp(t), np.frombuffer(data.ljust(1500), np.uint8), 1080)
+                for t, data in packets[HESAI_PACKETS * k : HESAI_PACKETS * (k + 1)]
+            ]
+            bag.write("/packets", bag.make(names[1], bag.header(time, "hesai"), messages), time)
+    dataset = open_dataset(path)
+    check(dataset, "bag")
+    write_capture(tmp_path / "drive.pcap", packets)
+    other = open_dataset(tmp_path / "drive.pcap")
+    for name in ("points", "ring", "intensity"):
+        sweep, same = getattr(dataset.sweep(3), name), getattr(other.sweep(3), name)
+        np.testing.assert_array_equal(sweep, same)
+    late = other.sweep(3).relative_time
+    np.testing.assert_allclose(dataset.sweep(3).relative_time, late, atol=1e-5)
+
+
+def test_angles_of_a_lidar_that_is_no_hesai(tmp_path: Path) -> None:
+    path = points_alone(tmp_path / "drive", "db3", lambda bag, k, t: bag.cloud(padded_rows(k), t))
+    say(path, lidars={"/points": {"angles": "xt32.csv"}})
+    with pytest.raises(DatasetError, match=r"/points: angles are those of a Hesai.*PointCloud2"):
+        open_dataset(path)
 
 
 def test_rows_without_return_keep_their_place(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,18 +11,24 @@ import yaml
 from captures import (
     COLUMNS,
     FIRINGS,
+    HESAI_MM,
+    HESAI_PACKETS,
     PACKETS,
     ROWS,
+    hesai_azimuths,
+    hesai_drive,
+    hesai_packet,
+    hesai_ranges,
     ouster_ranges,
     velodyne_drive,
     velodyne_ranges,
+    write_capture,
     write_ouster,
-    write_velodyne,
 )
 from conformance import check
 from made_up import DRIVE
 
-from docdepth.datasets import open_dataset, usable_points
+from docdepth.datasets import hesai, open_dataset, usable_points
 from docdepth.errors import DatasetError
 
 
@@ -97,7 +104,7 @@ def test_a_real_capture(recordings: Path) -> None:
 
 def test_points_of_a_velodyne(tmp_path: Path) -> None:
     """Ranges but for the lasers' heights, the turn from behind, times from the first packet on."""
-    write_velodyne(tmp_path / "drive.pcap", velodyne_drive())
+    write_capture(tmp_path / "drive.pcap", velodyne_drive())
     dataset = open_dataset(tmp_path / "drive.pcap")
     assert len(dataset) == DRIVE.count
     np.testing.assert_allclose(dataset.times, DRIVE.times, atol=500)
@@ -116,7 +123,7 @@ def test_points_of_a_velodyne(tmp_path: Path) -> None:
 
 def test_parts_of_revolutions_at_the_ends_are_left_out(tmp_path: Path, caplog) -> None:
     caplog.set_level("INFO")
-    write_velodyne(tmp_path / "drive.pcap", velodyne_drive()[50:-40])
+    write_capture(tmp_path / "drive.pcap", velodyne_drive()[50:-40])
     dataset = open_dataset(tmp_path / "drive.pcap")
     check(dataset, "velodyne")
     assert len(dataset) == DRIVE.count - 2
@@ -125,8 +132,8 @@ def test_parts_of_revolutions_at_the_ends_are_left_out(tmp_path: Path, caplog) -
 
 def test_two_velodynes_in_one_capture(tmp_path: Path) -> None:
     dpkt = pytest.importorskip("dpkt")
-    write_velodyne(tmp_path / "a.pcap", velodyne_drive()[:20], "10.0.0.1")
-    write_velodyne(tmp_path / "b.pcap", velodyne_drive()[:20], "10.0.0.2")
+    write_capture(tmp_path / "a.pcap", velodyne_drive()[:20], "10.0.0.1")
+    write_capture(tmp_path / "b.pcap", velodyne_drive()[:20], "10.0.0.2")
     with (tmp_path / "both.pcap").open("wb") as stream:
         writer = dpkt.pcap.Writer(stream)
         for name in "ab":
@@ -146,7 +153,7 @@ def test_captures_that_are_none(tmp_path: Path, content: bytes) -> None:
 
 
 def test_a_truncated_capture_gives_what_is_whole(tmp_path: Path) -> None:
-    write_velodyne(tmp_path / "drive.pcap", velodyne_drive())
+    write_capture(tmp_path / "drive.pcap", velodyne_drive())
     content = (tmp_path / "drive.pcap").read_bytes()
     (tmp_path / "drive.pcap").write_bytes(content[: int(0.7 * len(content))])
     dataset = open_dataset(tmp_path / "drive.pcap")
@@ -165,7 +172,7 @@ def test_real_packets_in_a_capture_are_the_bag_s(recordings: Path, tmp_path: Pat
         for message in BagFile(path).read_all("/velodyne_packets")
         for p in message.packets
     ]
-    write_velodyne(tmp_path / "drive.pcap", packets)
+    write_capture(tmp_path / "drive.pcap", packets)
     dataset, bag = open_dataset(tmp_path / "drive.pcap"), open_dataset(path)
     check(dataset, "velodyne")
     ours = np.concatenate([dataset.sweep(k).points for k in range(len(dataset))])
@@ -174,3 +181,67 @@ def test_real_packets_in_a_capture_are_the_bag_s(recordings: Path, tmp_path: Pat
     share = np.mean([point.tobytes() in known for point in ours])
     assert share > 0.99, "points between packets are interpolated"
     assert len(ours) > 0.97 * len(theirs)
+
+
+# ---- Hesai
+
+
+def test_points_of_a_hesai(tmp_path: Path) -> None:
+    """Each return by the manual, of a unit's own angles, over midnight of its clock."""
+    rng = np.random.default_rng(3)
+    angles = np.stack([15.0 - np.arange(32), np.zeros(32)], axis=1) + rng.normal(0, 0.1, (32, 2))
+    lines = [f"{n},{up!r},{turn!r}" for n, (up, turn) in enumerate(angles.tolist(), 1)]
+    (tmp_path / "xt32.csv").write_text("\n".join(["Channel,Elevation,Azimuth", *lines]) + "\n")
+    (tmp_path / "docdepth.yaml").write_text("angles: xt32.csv\n")
+    write_capture(tmp_path / "drive.pcap", hesai_drive(midnight=2))
+    dataset = open_dataset(tmp_path / "drive.pcap")
+    check(dataset, "hesai")
+    assert len(dataset) == DRIVE.count
+    sweep, rows = dataset.sweep(2), []
+    for n in range(HESAI_PACKETS):
+        packet = 2 * HESAI_PACKETS + n
+        for firing, ranges in enumerate(hesai_ranges(packet)):
+            for laser, (up, turn) in enumerate(np.radians(angles)):
+                toward = np.radians(hesai_azimuths(packet)[firing] / 100) + turn
+                ray = [np.cos(up) * np.sin(toward), np.cos(up) * np.cos(toward), np.sin(up)]
+                nanoseconds = (
+                    n * (DRIVE.period // HESAI_PACKETS) // 1000 * 1000
+                    + 6000
+                    - 50_000 * (3 - firing)
+                    + 1512 * laser
+                )
+                for steps in dict.fromkeys(ranges[:, laser].tolist()):
+                    if steps:
+                        metres = steps * HESAI_MM / 1000
+                        rows.append([*(metres * np.array(ray)), laser, nanoseconds / DRIVE.period])
+    expected = np.array(rows)
+    np.testing.assert_allclose(sweep.points, expected[:, :3], rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(sweep.ring, expected[:, 3])
+    np.testing.assert_array_equal(sweep.intensity, expected[:, 3] + 100)
+    np.testing.assert_allclose(sweep.relative_time, expected[:, 4], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({6: 16}, "another LiDAR than a Hesai PandarXT-32 (16 lasers, 8 blocks)"),
+        ({10: 3}, "packets of [3] returns a ray"),
+        ({0: 0}, "another LiDAR than a Hesai"),
+        (None, "is truncated; copy it again"),
+    ],
+)
+def test_packets_that_are_no_pandar_xt_32(change: dict[int, int] | None, problem: str) -> None:
+    packet = bytearray(hesai_packet(0, 0))
+    for place, value in (change or {}).items():
+        packet[place] = value
+    with pytest.raises(DatasetError, match=re.escape(problem)):
+        hesai.decode_packets([bytes(packet)[: 1080 if change else 900]], [0], 0, "here")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "Channel,Elevation,Azimuth\n1,15,0\n", "a\n" + "x,y,z\n" * 32]
+)
+def test_angles_that_are_none(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(DatasetError, match=r"a.csv does not have the angles of a PandarXT-32"):
+        hesai.read_angles(tmp_path / "a.csv")

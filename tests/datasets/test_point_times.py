@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from docdepth.datasets.point_times import TimeSample, find_point_times
+from docdepth.datasets.point_times import TimeSample, find_point_times, sweep_seconds
 
 PERIOD = 100_000_000
 STAMPS = [1_700_000_000_000_000_000 + k * PERIOD for k in (0, 50, 99)]
@@ -138,3 +138,12 @@ def test_a_sweep_whose_clock_has_jumped_has_no_times():
 def test_fields_without_any_return():
     usable = np.zeros(500, bool)
     assert relative(lambda _: SHARES, usable=usable) is None
+
+
+@pytest.mark.parametrize("period", [99_990_016, 100_000_000, 50_123_457, 199_000_001])
+def test_seconds_of_a_sweep_survive_the_way_to_shares_and_back(period):
+    rng = np.random.default_rng(period)
+    whole = sweep_seconds(np.arange(5) * period)
+    seconds = whole * rng.uniform(-1.6, 1.6, 100_000).astype(np.float32)
+    assert seconds.dtype == np.float32
+    np.testing.assert_array_equal(whole * (seconds / whole), seconds)

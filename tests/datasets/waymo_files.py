@@ -36,8 +36,7 @@ def write_component(root: Path, component: str, columns: dict) -> Path:
 
 def images_of(name: str, images: list[np.ndarray]) -> dict:
     """Columns of range images."""
-    import pyarrow
-
+    pyarrow = pytest.importorskip("pyarrow")
     values = [image.astype(np.float32).ravel() for image in images]
     kind = pyarrow.list_(pyarrow.float32())
     return {

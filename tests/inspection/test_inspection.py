@@ -19,7 +19,8 @@ from docdepth.geometry.se3 import (
     matrix_to_quaternion,
     quaternion_to_matrix,
 )
-from docdepth.inspection.inspect import Inspection, inspect_recording
+from docdepth.inspection.inspect import inspect_recording
+from docdepth.inspection.inspection import Inspection
 from docdepth.inspection.pictures import pictures_of
 from docdepth.io.poses import read_poses, write_kitti
 from docdepth.odometry.odometry import estimate_poses

@@ -96,6 +96,21 @@ def test_nanoseconds_survive(tmp_path):
     np.testing.assert_array_equal(indices, [0, 1])
 
 
+def test_poses_that_were_read_are_written_as_they_were(tmp_path):
+    rng = np.random.default_rng(5)
+    turned = [rotation_exp(v) for v in rng.normal(size=(300, 3)) * [0.05, 0.05, 1.5]]
+    # Quarter turns, where components are equal, and half turns, where w is 0.
+    axes = np.array(list(np.ndindex(3, 3, 3))) - 1
+    turned += [rotation_exp(v * np.pi / n) for v in axes for n in (1, 2)]
+    given = poses_from(turned, rng.normal(size=(len(turned), 3)) * 1e3)
+    times = np.arange(len(turned)) * 100_000_001
+    write_trajectory(tmp_path / "one.ply", Trajectory(times, given), np.arange(len(times)))
+    read, indices = read_trajectory(tmp_path / "one.ply")
+    np.testing.assert_allclose(read.poses, given, rtol=0, atol=2e-14)
+    write_trajectory(tmp_path / "two.ply", read, indices)
+    np.testing.assert_array_equal(read_trajectory(tmp_path / "two.ply")[0].poses, read.poses)
+
+
 def test_a_failed_write_leaves_the_old_file(tmp_path):
     path = tmp_path / "depth.png"
     path.write_bytes(b"whole")

@@ -18,7 +18,7 @@ from docdepth.cli.summary import show_json
 from docdepth.cli.terminal import app, err, out, verb
 
 if TYPE_CHECKING:
-    from docdepth.inspection.inspect import Inspection
+    from docdepth.inspection.inspection import Inspection
 
 
 @verb(app)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from docdepth.datasets.base import CameraStream, Dataset, LidarStream, Sweep
+from docdepth.datasets.base import CameraStream, Dataset, ImageStream, LidarStream, Sweep
 from docdepth.datasets.format import Format
 from docdepth.datasets.frame_range import FrameRange
-from docdepth.datasets.image_stream import ImageStream, image_streams
+from docdepth.datasets.image_streams import image_streams
 from docdepth.datasets.registry import find_recordings, format_names, open_dataset
 from docdepth.geometry.points import usable_points
 

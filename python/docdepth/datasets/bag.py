@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -16,14 +16,14 @@ from pydantic import Field
 from docdepth.datasets.bag_camera import BagRig, camera_name
 from docdepth.datasets.bag_file import SUFFIXES, BagFile, Message, bag_files
 from docdepth.datasets.bag_odometry import Body, read_bag_poses
-from docdepth.datasets.base import CameraStream, LidarStream
+from docdepth.datasets.base import CameraStream, ImageStream, LidarStream
 from docdepth.datasets.cloud import Cloud
 from docdepth.datasets.format import Format
-from docdepth.datasets.image_stream import ImageStream
+from docdepth.datasets.hesai import read_angles
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.ros_frames import TRANSFORMS, StaticFrames
 from docdepth.datasets.ros_images import IMAGES
-from docdepth.datasets.ros_points import reader_of, undecoded
+from docdepth.datasets.ros_points import is_hesai, reader_of, undecoded
 from docdepth.datasets.settings import (
     CameraSettings,
     Numbers,
@@ -45,9 +45,12 @@ class BagLidarSettings(Strict):
     ----------
     T_lidar_sensor : list of float, optional
         Takes its points to the frame of the first LiDAR; from the static transforms if left out.
+    angles : str, optional
+        Of packets of a Hesai, see :func:`~.hesai.read_angles`.
     """
 
     T_lidar_sensor: Numbers | None = None
+    angles: str | None = None
 
 
 class BagSettings(RecordingSettings):
@@ -85,18 +88,21 @@ class BagLidar:
     stream : LidarStream
     messages : list of Message
         In the order of their stamps.
+    angles : ndarray of float64, shape (32, 2), optional
+        Of a Hesai's lasers, see :func:`~.ros_points.reader_of`.
     """
 
     bag: BagFile
     stream: LidarStream
     messages: list[Message]
+    angles: NDArray[np.float64] | None = None
 
     def read(self, index: int) -> Cloud:
         """Own sweep ``index``."""
         topic = self.stream.name
         where = f"{self.bag.path}, {topic} (frame {index})"
         message = self.bag.read(topic, self.messages[index], where)
-        read = reader_of(self.bag.topics[topic])
+        read = reader_of(self.bag.topics[topic], self.angles)
         assert read is not None
         try:
             return read(message, where)
@@ -153,14 +159,28 @@ def _lidars(
         if not index[topic]:
             raise DatasetError(f"{bag.path}, {topic}: there is no message; record the topic again")
         messages, times = in_order(index[topic], topic, settings.stamps, file, bag.path)
-        T = np.eye(4)
+        T, given = np.eye(4), settings.lidars.get(topic) or BagLidarSettings()
         if lidars:
-            given = settings.lidars.get(topic) or BagLidarSettings()
             first = lidars[0].messages[0].frame
             T = _place(given, frames, first, messages[0].frame, f"{file}, {topic}")
         names = [str(time) for time in times.tolist()]
-        lidars.append(BagLidar(bag, LidarStream(topic, times, names, T), messages))
+        angles = _angles(given, bag.topics[topic], topic, file)
+        lidars.append(BagLidar(bag, LidarStream(topic, times, names, T), messages, angles))
     return lidars
+
+
+def _angles(
+    given: BagLidarSettings, kind: str, topic: str, file: Path
+) -> NDArray[np.float64] | None:
+    """Those of the lasers of a Hesai, where the user has its file."""
+    if given.angles is None:
+        return None
+    if not is_hesai(kind):
+        raise DatasetError(
+            f"{file}, {topic}: angles are those of a Hesai's lasers, but the topic holds {kind}; "
+            "leave them out"
+        )
+    return read_angles(file.parent / given.angles)
 
 
 def _with_poses(
@@ -186,7 +206,7 @@ def _with_poses(
     kept = np.flatnonzero(inside)
     names = [stream.names[k] for k in kept]
     part = LidarStream(stream.name, stream.times[kept], names, stream.T_lidar_sensor)
-    return BagLidar(lidar.bag, part, [lidar.messages[k] for k in kept]), poses
+    return replace(lidar, stream=part, messages=[lidar.messages[k] for k in kept]), poses
 
 
 def _cameras(
@@ -291,8 +311,8 @@ def _lidar_topics(bag: BagFile, settings: BagSettings, file: Path) -> list[str]:
             "of the LiDAR"
         )
     raise DatasetError(
-        f"{bag.path} has no points (PointCloud2, Livox CustomMsg or VelodyneScan); its topics are "
-        f"{', '.join(bag.topics) or 'none'}"
+        f"{bag.path} has no points (PointCloud2, Livox CustomMsg, VelodyneScan or PandarScan); its "
+        f"topics are {', '.join(bag.topics) or 'none'}"
     )
 
 

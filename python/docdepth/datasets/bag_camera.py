@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.bag_file import BagFile, Message
-from docdepth.datasets.base import CameraStream
-from docdepth.datasets.image_stream import ImageStream
+from docdepth.datasets.base import CameraStream, ImageStream
 from docdepth.datasets.images import StoredImage
 from docdepth.datasets.ros_frames import StaticFrames
 from docdepth.datasets.ros_images import CAMERA_INFO, camera_of, decode_image, is_photo

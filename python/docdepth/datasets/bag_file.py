@@ -23,6 +23,10 @@ _DEFINITIONS = {
     "velodyne_msgs/msg/VelodyneScan": (
         "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets"
     ),
+    "pandar_msgs/msg/PandarPacket": (
+        "builtin_interfaces/Time stamp\nuint8[1500] data\nuint32 size"
+    ),
+    "pandar_msgs/msg/PandarScan": "std_msgs/Header header\npandar_msgs/PandarPacket[] packets",
     **{
         f"{package}/msg/{name}": text.replace("PACKAGE", package)
         for package in ("livox_ros_driver", "livox_ros_driver2", "livox_interfaces")

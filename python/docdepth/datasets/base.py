@@ -188,6 +188,36 @@ class CameraStream:
         return np.asarray(image, np.uint8)
 
 
+@dataclass(frozen=True)
+class ImageStream:
+    """The images of one camera, which may not be calibrated yet, and what is known of it.
+
+    Attributes
+    ----------
+    name : str
+    times : ndarray of int64, shape (m,)
+        Time of each image in nanoseconds, on the clock of the sweeps.
+    names : list of str
+    images : sequence of Path or StoredImage
+    camera : Camera, optional
+        None if K is not known.
+    distortion, model
+        As :class:`CameraStream` has them.
+    """
+
+    name: str
+    times: NDArray[np.int64]
+    names: list[str]
+    images: Sequence[ImageSource]
+    camera: Camera | None = None
+    distortion: NDArray[np.float64] | None = None
+    model: LensModel = "pinhole"
+
+    def __post_init__(self) -> None:
+        if self.camera is not None:
+            check_distortion(self.name, self.distortion, self.model)
+
+
 @runtime_checkable
 class Dataset(Protocol):
     """A recorded drive. Sweeps are read when they are asked for."""

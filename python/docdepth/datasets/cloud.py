@@ -1,14 +1,16 @@
-"""One sweep of one LiDAR as a file or message holds it, whatever its fields are called."""
+"""One sweep of one LiDAR as a file or message holds it, and what reads them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.datasets.base import LidarStream
 from docdepth.datasets.point_times import FIELD_NAMES as TIME_NAMES
 from docdepth.errors import DatasetError
 
@@ -37,6 +39,21 @@ class Cloud:
     ring: NDArray[np.uint16] | None = None
     times: NDArray[Any] | None = None
     T_world_lidar: NDArray[np.float64] | None = None
+
+
+class LidarReader(Protocol):
+    """Reads the sweeps of one LiDAR, in any order and from any thread."""
+
+    @property
+    def stream(self) -> LidarStream: ...
+
+    def read(self, index: int) -> Cloud:
+        """Own sweep ``index``; errors name file and frame."""
+        ...
+
+    def files(self, index: int) -> list[Path]:
+        """The files that ``read(index)`` reads."""
+        ...
 
 
 def cloud_from_fields(rows: NDArray[Any], where: str) -> Cloud:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from docdepth.datasets.base import CameraStream, LidarStream
-from docdepth.datasets.image_stream import ImageStream
+from docdepth.datasets.base import CameraStream, ImageStream, LidarStream
+from docdepth.datasets.cloud import LidarReader
 from docdepth.datasets.kitti_files import image_files, image_size
-from docdepth.datasets.recording import LidarReader, Recording
+from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import CameraSettings, RecordingSettings
 from docdepth.datasets.stamps import times_of_files
 from docdepth.datasets.times import read_times

@@ -7,18 +7,15 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import CameraStream, Dataset, LidarStream, Sweep
+from docdepth.datasets.base import CameraStream, Dataset, ImageStream, LidarStream, Sweep
 from docdepth.errors import DatasetError
 
-if TYPE_CHECKING:
-    from docdepth.datasets.image_stream import ImageStream
-
-_Stream = TypeVar("_Stream", "CameraStream", "ImageStream")
+_Stream = TypeVar("_Stream", CameraStream, ImageStream)
 
 
 class FrameRange:

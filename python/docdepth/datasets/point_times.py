@@ -178,6 +178,15 @@ def find_point_times(
     return PointTimes(count, "first", shift, duration)
 
 
+def sweep_seconds(times: NDArray[np.int64]) -> np.float32:
+    """Seconds of a sweep (median), 0 if there is one; float32 like the times that it scales.
+
+    Shares of a sweep become seconds by this number alone. Seconds that are divided by it and
+    multiplied again are the same seconds, to the last bit.
+    """
+    return np.float32(np.median(np.diff(times)) * 1e-9 if len(times) > 1 else 0)
+
+
 def median_period(times: NDArray[np.int64]) -> int | None:
     """Nanoseconds between sweeps (median); None for a single sweep."""
     return int(np.median(np.diff(times))) if len(times) > 1 else None

@@ -6,17 +6,16 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_lidar
-from docdepth.datasets.base import CameraStream, LidarStream, Sweep
-from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.base import CameraStream, ImageStream, LidarStream, Sweep
+from docdepth.datasets.cloud import Cloud, LidarReader
 from docdepth.datasets.ego import without_ego
 from docdepth.datasets.files import settings_file
-from docdepth.datasets.image_stream import ImageStream
 from docdepth.datasets.point_times import (
     USUAL_PERIOD,
     Instant,
@@ -37,21 +36,6 @@ from docdepth.geometry.sensor_rig import SensorRig
 log = logging.getLogger(__name__)
 
 _TOGETHER = 0.75  # of a sweep: LiDARs whose stamps are farther apart did not measure together
-
-
-class LidarReader(Protocol):
-    """Reads the sweeps of one LiDAR, in any order and from any thread."""
-
-    @property
-    def stream(self) -> LidarStream: ...
-
-    def read(self, index: int) -> Cloud:
-        """Own sweep ``index``; errors name file and frame."""
-        ...
-
-    def files(self, index: int) -> list[Path]:
-        """The files that ``read(index)`` reads."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -7,21 +7,18 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import LidarStream
-from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.cloud import Cloud, LidarReader
 from docdepth.datasets.point_times import LONGEST, PointTimes, TimeSample
 from docdepth.datasets.pose_tables import continue_ends
 from docdepth.errors import DatasetError
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from docdepth.datasets.recording import LidarReader
 
 _LEAST = 0.5  # of the duration that measured sweeps must cover; a rest is no sweep
 _KEPT = 4  # clouds beyond those of one sweep that stay in memory for the next one

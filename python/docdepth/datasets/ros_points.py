@@ -1,24 +1,26 @@
-"""Clouds of ROS messages: PointCloud2 of any layout, Livox CustomMsg, VelodyneScan."""
+"""Clouds of ROS messages: PointCloud2 of any layout, Livox CustomMsg, VelodyneScan, PandarScan."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.datasets import hesai, velodyne
 from docdepth.datasets.cloud import Cloud, cloud_from_fields
-from docdepth.datasets.velodyne import decode_packets
 from docdepth.errors import DatasetError
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+
+ReadMessage: TypeAlias = Callable[[Any, str], Cloud]
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Numbers of ``sensor_msgs/PointField``."""
 
 _DECODE_FIRST = {
-    "PandarScan": "Hesai packets",
     "NebulaPackets": "packets of the Nebula driver",
     "PacketMsg": "Ouster packets",
     "RslidarPacket": "RoboSense packets",
@@ -27,14 +29,28 @@ _DECODE_FIRST = {
 }
 
 
-def reader_of(kind: str) -> Callable[[Any, str], Cloud] | None:
-    """What turns messages of a type into clouds; None for other messages."""
+def reader_of(kind: str, angles: NDArray[np.float64] | None = None) -> ReadMessage | None:
+    """What turns messages of a type into clouds; None for other messages.
+
+    Parameters
+    ----------
+    kind : str
+    angles : ndarray of float64, shape (32, 2), optional
+        Of a Hesai's lasers, see :func:`~.hesai.decode_packets`; as designed if left out.
+    """
     if kind == POINT_CLOUD:
         return _read_point_cloud
     name = kind.rpartition("/")[2]
     if name == "CustomMsg" and "livox" in kind:
         return _read_livox
+    if is_hesai(kind):
+        return partial(_read_hesai, angles=hesai.DESIGNED if angles is None else angles)
     return _read_velodyne if name == "VelodyneScan" else None
+
+
+def is_hesai(kind: str) -> bool:
+    """Whether messages of a type hold packets of a Hesai."""
+    return kind.rpartition("/")[2] == "PandarScan"
 
 
 def undecoded(kind: str) -> str | None:
@@ -100,9 +116,26 @@ def _read_livox(message: Any, where: str) -> Cloud:
 
 def _read_velodyne(message: Any, where: str) -> Cloud:
     """Packets of one revolution, decoded by velodyne-decoder."""
+    packets, stamps, stamp = _packets(message, where)
+    return velodyne.decode_packets(packets, stamps, stamp, where)
+
+
+def _read_hesai(message: Any, where: str, angles: NDArray[np.float64]) -> Cloud:
+    packets, stamps, stamp = _packets(message, where)
+    return hesai.decode_packets(packets, stamps, stamp, where, angles)
+
+
+def _packets(message: Any, where: str) -> tuple[list[bytes], list[int], int]:
+    """The packets of a revolution, nanoseconds at which they arrived, and those of the message."""
     if not len(message.packets):
         raise DatasetError(f"{where} holds no packets; the LiDAR or its recording failed")
-    stamps = [p.stamp.sec * 10**9 + p.stamp.nanosec for p in message.packets]
     packets = [np.asarray(p.data, np.uint8).tobytes() for p in message.packets]
-    stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-    return decode_packets(packets, stamps, stamp, where)
+    return (
+        packets,
+        [_nanoseconds(p.stamp) for p in message.packets],
+        _nanoseconds(message.header.stamp),
+    )
+
+
+def _nanoseconds(stamp: Any) -> int:
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream, Sweep
 from docdepth.datasets.format import Format
-from docdepth.datasets.point_times import median_period
+from docdepth.datasets.point_times import sweep_seconds
 from docdepth.geometry.points import DYNAMIC
 from docdepth.io.frames import read_frame_name, read_trajectory
 from docdepth.io.run_folder import RunFolder
@@ -40,7 +40,7 @@ class RunDataset:
         trajectory = self._run.trajectory()
         self.times: NDArray[np.int64] = trajectory.times
         self.poses: NDArray[np.float64] | None = trajectory.poses
-        self._period = median_period(self.times)
+        self._period = sweep_seconds(self.times)
         self.cameras: dict[str, CameraStream] = {}
         several = sorted(p.parent.name for p in self.path.glob("cameras/*/traj_camera.ply"))
         for name in ["", *several]:
@@ -73,15 +73,12 @@ class RunDataset:
     def sweep(self, index: int) -> Sweep:
         """Frame ``index``: the usable returns of the original sweep, deskewed."""
         record = self._run.frame(index)
-        relative_time = None
-        if record.time_offset is not None and self._period:
-            seconds = record.time_offset.astype(np.float64)
-            relative_time = (seconds / (self._period * 1e-9)).astype(np.float32)
+        late = record.time_offset if self._period else None
         return Sweep(
             record.points,
             record.name,
             int(self.times[index]),
-            relative_time=relative_time,
+            relative_time=None if late is None else late / self._period,
             sensor_rig=self._run.sensor_rig(record),
             motion_compensated=True,
         )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.datasets.point_times import sweep_seconds
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
@@ -110,7 +111,7 @@ class _Sweeps:
 
     def __init__(self, run: RunFolder, trajectory: Trajectory) -> None:
         self._run, self._kept = run, dict[int, tuple[Points, Points | None]]()
-        self._period = float(np.median(np.diff(trajectory.times))) * 1e-9
+        self._period = sweep_seconds(trajectory.times)
 
     def __call__(self, index: int) -> tuple[Points, Points | None]:
         """Points, and their times after the stamp as shares of a sweep, or None."""
@@ -118,7 +119,7 @@ class _Sweeps:
             record, classid = self._run.classified_frame(index)
             standing = record.select(classid < DYNAMIC)
             late = standing.time_offset
-            shares = None if late is None else late / np.float32(self._period)
+            shares = None if late is None else late / self._period
             self._kept[index] = standing.points, shares
             for old in [k for k in self._kept if k < index - 40]:
                 del self._kept[old]

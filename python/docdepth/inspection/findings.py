@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import Dataset, image_streams, usable_points
+from docdepth.inspection.inspection import Inspection
 from docdepth.inspection.pose_figures import explain_misfit, rotations_are_missing
 from docdepth.pipeline.problems import Findings
-
-if TYPE_CHECKING:
-    from docdepth.inspection.inspect import Inspection
 
 MOVING = 0.05
 """Metres a sweep, by registration; less may be its errors."""
@@ -150,7 +148,7 @@ def _judge_lidars(where: str, lidars: list[dict[str, Any]], found: Findings) -> 
             found.warn(
                 f"{where}: {100 * same_ray:.0f} % of the points of {name} share their ray with "
                 "another point, so the LiDAR records two returns; keep the strongest or the last "
-                "of each ray"
+                "of each ray, or set the LiDAR to one return"
             )
 
 

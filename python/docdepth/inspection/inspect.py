@@ -7,7 +7,6 @@ sweeps takes seconds. What a run checks when it starts is checked by the same fu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,11 @@ from docdepth.config import OdometryParameters, Parameters
 from docdepth.datasets import Dataset, FrameRange, Sweep, usable_points
 from docdepth.datasets.recording import Recording
 from docdepth.errors import DocDepthError
-from docdepth.geometry.ground_plane import GroundPlane, find_ground
+from docdepth.geometry.ground_plane import find_ground
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.inspection import findings
+from docdepth.inspection.inspection import Inspection
 from docdepth.inspection.lidar_figures import lidar_figures
 from docdepth.inspection.overlap import share_on
 from docdepth.inspection.pose_figures import Window, pose_figures, windows_of
@@ -30,7 +30,7 @@ from docdepth.odometry.odometry import estimate_poses
 from docdepth.odometry.pose_checks import check_given_poses, warn_of_jumps, warn_of_misfit
 from docdepth.pipeline.check_cameras import check_camera
 from docdepth.pipeline.check_sweeps import check_sweeps
-from docdepth.pipeline.problems import Findings, Problem
+from docdepth.pipeline.problems import Findings
 from docdepth.pipeline.run_inputs import find_looks_from
 from docdepth.pipeline.sanity import warn_of_viewpoint
 from docdepth.pipeline.stage import recorded_warnings
@@ -39,36 +39,6 @@ _WINDOW = 6  # sweeps that are registered with each other
 _LEAST_TRAVEL = 5.0  # metres; on a shorter drive the traffic beside the vehicle stays with it, too
 _BETTER = 1.1  # times the share of points on each other, by registration against given poses
 _PARAMETERS = OdometryParameters()
-
-
-@dataclass
-class Inspection:
-    """What a recording holds.
-
-    Attributes
-    ----------
-    figures : dict
-        Of the recording, its sweeps, LiDARs, points, poses and cameras, ready for JSON.
-    problems : list of Problem
-        Errors first; empty if all is well.
-    notes : list of str
-        What is unusual, but no problem.
-    sweeps : dict of int to Sweep
-        Those that were opened, by frame.
-    poses : ndarray of float64, shape (n, 4, 4), or None
-        ``T_world_lidar`` of every sweep.
-    windows : list of Window
-        Sweeps that were registered.
-    ground : GroundPlane or None
-    """
-
-    figures: dict[str, Any] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    sweeps: dict[int, Sweep] = field(default_factory=dict)
-    poses: NDArray[np.float64] | None = None
-    windows: list[Window] = field(default_factory=list)
-    ground: GroundPlane | None = None
 
 
 def inspect_recording(

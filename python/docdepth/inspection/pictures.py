@@ -13,7 +13,7 @@ from docdepth.errors import DocDepthError
 from docdepth.geometry.ground_plane import GroundPlane, level_turn
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.inspection.inspect import Inspection
+from docdepth.inspection.inspection import Inspection
 from docdepth.visualization.overlays import COLOR_NAMES, clouds_in_plane, points_on_image
 from docdepth.visualization.pictures import Picture
 

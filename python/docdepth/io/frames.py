@@ -23,6 +23,8 @@ _TRAJECTORY = np.dtype(
     # A double loses the nanoseconds of a clock that counts from 1970, so they stand apart.
     + [("indices", "<i4"), ("seconds", "<u4"), ("nanoseconds", "<u4")]
 )
+_GRID = 2.0**-48  # of quaternions in files: 7e-15 radians, 16 times what a double loses
+_LARGE = 0.4  # the largest component of a unit quaternion is at least 0.5
 _SECONDS = {"<u4": (0, 1 << 32), "<i4": (-(1 << 31), 1 << 31)}
 """Limits of what holds the seconds: 1970 to 2106, or 1902 to 2038 where a stamp is before 1970."""
 
@@ -94,12 +96,26 @@ def write_trajectory(
     """Write poses as ``x y z q_w q_x q_y q_z timestamp indices``, in doubles and seconds."""
     rows = np.zeros(len(trajectory), _trajectory_type(trajectory.times, path))
     rows["x"], rows["y"], rows["z"] = trajectory.poses[:, :3, 3].T
-    quaternions = np.array([matrix_to_quaternion(pose[:3, :3]) for pose in trajectory.poses])
+    quaternions = np.array([_stored_quaternion(pose[:3, :3]) for pose in trajectory.poses])
     rows["q_x"], rows["q_y"], rows["q_z"], rows["q_w"] = quaternions.T
     rows["timestamp"] = trajectory.times / _SECOND
     rows["seconds"], rows["nanoseconds"] = np.divmod(trajectory.times, _SECOND)
     rows["indices"] = indices
     write_vertices(path, rows, [], write_file)
+
+
+def _stored_quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quaternion (x, y, z, w) of a 3x3 rotation; poses that were read are written as they were.
+
+    The way to a matrix and back moves the last digits. So three components lie on a grid that is
+    coarser than that, and a large one makes the length 1.
+    """
+    quaternion = np.round(matrix_to_quaternion(rotation) / _GRID) * _GRID
+    # Not the largest: rounding could make another one the largest.
+    large = int(np.argmax(np.abs(quaternion) > _LARGE))
+    others = np.delete(quaternion, large)
+    quaternion[large] = np.copysign(np.sqrt(1 - others @ others), quaternion[large])
+    return quaternion
 
 
 def _trajectory_type(times: NDArray[np.int64], path: Path) -> np.dtype[Any]:

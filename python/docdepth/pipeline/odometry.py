@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import Dataset, Sweep
+from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.points import usable_points
 from docdepth.io.frames import FrameRecord, write_trajectory
@@ -138,8 +139,7 @@ def _write_frames(
     dataset, watch = odometry.sweeps.dataset, profile.watch
     blooming_deg = run.parameters.odometry.blooming_deg
     total = len(dataset)
-    # float32, so that time_offset is too.
-    period = np.float32(np.median(np.diff(dataset.times)) * 1e-9 if total > 1 else 0)
+    period = sweep_seconds(dataset.times)
     for index in left:
         report(total - len(left) + profile.frames, total)
         with watch("deskew"):

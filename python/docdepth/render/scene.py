@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from docdepth.concurrency import thread_count
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream, Sweep
+from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.points import usable_points
@@ -87,8 +88,7 @@ class Scene:
         self.sweeps, self.trajectory, self.labels = sweeps, trajectory, labels
         self.parameters = parameters or Parameters()
         self.tracks = by_id(tracks)
-        times = trajectory.times
-        self._period = np.float32(np.median(np.diff(times)) * 1e-9 if len(times) > 1 else 0)
+        self._period = sweep_seconds(trajectory.times)
         self._cache = FrameCache(self._prepare)
         self._reading = Lock()
 
