@@ -269,7 +269,7 @@ struct GroundMap::State {
   int threads;
   std::optional<Vector3d> corner;
   Vector3d origin = Vector3d::Zero();  // also the corner of a voxel
-  std::vector<Vector3d> positions;  // of the poses, relative to origin
+  std::vector<Vector3d> positions;     // of the poses, relative to origin
   VoxelMap map;
   mutable std::shared_mutex mutex;  // several threads may call one map
   std::atomic<bool> stopped{false};

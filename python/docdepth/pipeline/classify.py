@@ -82,7 +82,7 @@ def run_classify(
     with run.lock("classify"):
         trajectory = run.trajectory()
         parts = classify_parts(run, run.stage("odometry").get("key"), InputFiles(run))
-        made_of = parts["odometry"], p.ground.model_dump()
+        made_of = parts["version"], parts["odometry"], p.ground.model_dump()
         key = {"classify": stage_key(parts)}
         store = _FrameStore(run, key, trajectory)
         if all(store.is_done(i) for i in range(len(trajectory))) and store.has_tracks():
