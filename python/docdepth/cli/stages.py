@@ -25,6 +25,7 @@ from docdepth.cli.options import (
     Json,
     LayerNames,
     Layout,
+    Memory,
     OnError,
     Output,
     PosesFile,
@@ -84,6 +85,7 @@ def run(
     threads: Threads = 0,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
+    memory: Memory = None,
     renderer: RendererName = None,
     on_error: OnError = None,
     hash_inputs: HashInputs = False,
@@ -110,7 +112,7 @@ def run(
     how |= {"jobs": jobs, "scheduler": scheduler}
     if output is None:
         chosen = (every, config, layout, camera, frames, poses, camera_times, calibration, labels,
-                  image_size, preset, settings, format, scale, layers,
+                  image_size, preset, settings, format, scale, layers, memory,
                   on_error, hash_inputs or None, force or None)  # fmt: skip
         return _show(_continue(dataset, chosen, how), dry_run, as_json)
     given = read_config(config) if config else Given()
@@ -120,7 +122,7 @@ def run(
     )  # fmt: skip
     changes = given.settings | changes_of(settings) | output_of(format, scale, layers)
     how["parameters"] = parameters(preset or given.preset, changes)  # type: ignore[arg-type]
-    how |= {"on_error": on_error, "hash_inputs": hash_inputs, "force": force}
+    how |= {"memory": memory, "on_error": on_error, "hash_inputs": hash_inputs, "force": force}
     if every is not None:
         return _run_all(dataset, output, inputs | how, as_json)
     with progress_bars() as progress:
