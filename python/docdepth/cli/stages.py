@@ -105,7 +105,6 @@ def run(
     """
     from docdepth.cli.config_file import Given, read_config
     from docdepth.config import parameters
-    from docdepth.pipeline.run import run as run_one
     from docdepth.render.backends import choose
 
     how: dict[str, Any] = {"dry_run": dry_run, "threads": threads, "renderer": choose(renderer)}
@@ -125,13 +124,19 @@ def run(
     how |= {"memory": memory, "on_error": on_error, "hash_inputs": hash_inputs, "force": force}
     if every is not None:
         return _run_all(dataset, output, inputs | how, as_json)
-    with progress_bars() as progress:
-        folder = run_one(output=output, **inputs, **how, progress=progress)
-    return _show(folder, dry_run, as_json)
+    return _show(_run_one(output, inputs | how), dry_run, as_json)
 
 
 def _show(folder: RunFolder, dry_run: bool, as_json: bool) -> None:
     return show_states(folder, as_json) if dry_run else show_summary(folder, as_json)
+
+
+def _run_one(output: Path, options: dict[str, Any]) -> RunFolder:
+    """Run one recording."""
+    from docdepth.pipeline.run import run
+
+    with progress_bars() as progress:
+        return run(options.pop("dataset"), output, **options, progress=progress)
 
 
 def _run_all(dataset: Path | None, output: Path, options: dict[str, Any], as_json: bool) -> None:
