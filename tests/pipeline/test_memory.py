@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import gc
+import json
 import os
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +17,10 @@ import pytest
 
 from docdepth.config import parameters
 from docdepth.datasets import open_dataset
+from docdepth.dynamics.key_frames import KeyFrames
 from docdepth.errors import ConfigError
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.file_records import FileRecords
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.memory import bytes_of, memory_of_run, within_memory
 from docdepth.pipeline.run import run
@@ -28,6 +34,30 @@ def test_memory_grows_with_the_sensor_and_the_chunk_and_hardly_with_the_drive() 
     assert memory_of_run(100_000, 1000, [], short) < 0.7 * long[0]
     assert memory_of_run(10_000, 1000, [], parameters()) < 0.5 * long[0]
     assert memory_of_run(100_000, 1000, [], parameters(), jobs=3) > 2.9 * long[0]
+
+
+def test_a_sweep_leaves_less_than_a_kilobyte(tmp_path: Path) -> None:
+    sweeps = 4000
+    for folder in ("frames", "labels"):
+        names = (f"{folder}_{k:06d}" for k in range(sweeps))
+        key = {"odometry": "a" * 16, "classify": "b" * 16}
+        lines = [{"name": n, "size": 10**6, "time": 10**18, "checksum": 1, "key": key}
+                 for n in names]  # fmt: skip
+        (tmp_path / folder).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    poses = np.tile(np.eye(4), (sweeps, 1, 1))
+    poses[:, 0, 3] = 0.9 * np.arange(sweeps)
+    tracemalloc.start()
+    kept = [FileRecords(tmp_path, tmp_path / folder) for folder in ("frames", "labels")]
+    for records in kept:
+        for name in records.names():
+            records.state(name)
+    key_frames = KeyFrames(Trajectory(10**8 * np.arange(sweeps), poses))
+    for k in range(sweeps):
+        assert k not in key_frames[k]
+    gc.collect()
+    left = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert left / sweeps < 1000
 
 
 def test_a_budget_shortens_chunks_of_ground_or_says_what_is_needed(drive: Path) -> None:
