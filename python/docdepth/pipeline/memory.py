@@ -28,10 +28,10 @@ _PER_SWEEP = 1e3
 _VOTES, _VOTES_PER_POINT = 280e6, 2.1e3
 """Of the images of some 40 key frames, and of a point of a sweep [bytes]."""
 
-_PER_VOXEL = 105.0
+_PER_VOXEL = 125.0
 """Of a voxel of the ground map while its ground grows [bytes]."""
 
-_DENSE_SWEEP = 100_000
+_DENSE_SWEEP = 80_000
 """Points of a sweep half of which fall into voxels that other points have filled."""
 
 _SWEEPS_A_METRE = 1.0
