@@ -1,6 +1,6 @@
 """Labels beside the borders of chunks of ground, when the borders are moved.
 
-    python benchmarks/borders.py OUT [--frames 600] [--lengths 150 200 300]
+    python benchmarks/borders.py OUT [--frames 600] [--lengths 150 200 300] [--sensor VLP-16]
 
 The endless street of benchmarks/endless.py by exact poses, every second sweep. Ground grows over
 the whole drive at once, then in chunks of these lengths. Printed is the share of points whose
@@ -29,11 +29,12 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--frames", type=int, default=600)
     parser.add_argument("--lengths", type=float, nargs="+", default=[150, 200, 300])
+    parser.add_argument("--sensor", default="VLP-16")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / "drive.endless.yaml"
-    about = {"sensor": "VLP-16", "columns": 600, "seed": options.seed, "tiles": 40}
+    about = {"sensor": options.sensor, "columns": 600, "seed": options.seed, "tiles": 40}
     about |= {"frames": options.frames, "image_every": 10, "image_scale": 0.5}
     path.write_text(yaml.safe_dump(about, sort_keys=False))
     recording = EndlessRecording(path)

@@ -67,6 +67,7 @@ class Scene:
             "discontinuity": of_mesh[1],
             "isolated": isolated,
             "T_world_lidar": pose,
+            "corner": pose[:3, 3].copy(),
             "poses": np.stack([pose, pose]),
             "key_frames": [image, self.mesh_image],
             "one_stay": stays[0],

@@ -1,8 +1,11 @@
 #include "docdepth/ground/ground.hpp"
 
+#include <pybind11/stl.h>
+
 #include <chrono>
 #include <future>
 #include <memory>
+#include <optional>
 
 #include "arrays.hpp"
 
@@ -41,10 +44,13 @@ void bind_ground(py::module_& m) {
       .def_readwrite("max_slope", &GroundParameters::max_slope);
 
   py::class_<GroundMap>(m, "GroundMap")
-      .def(py::init([](const GroundParameters& parameters, int threads) {
-             return std::make_unique<GroundMap>(checked(parameters), checked_threads(threads));
+      .def(py::init([](const GroundParameters& parameters, int threads,
+                       const std::optional<Array<double>>& corner) {
+             std::optional<Eigen::Vector3d> at;
+             if (corner) at = Eigen::Map<const Eigen::Vector3d>(as_column(*corner, 3, "corner"));
+             return std::make_unique<GroundMap>(checked(parameters), checked_threads(threads), at);
            }),
-           py::arg("parameters"), py::arg("threads") = 0)
+           py::arg("parameters"), py::arg("threads") = 0, py::arg("corner") = py::none())
       .def("__len__", &GroundMap::size)
       .def(
           "insert",

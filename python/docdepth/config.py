@@ -86,14 +86,15 @@ class GroundParameters(_Stage):
       until one does.
     - A seed's plane goes through the mean of its neighbours, not through the seed: the lowest point
       is often a ghost return below the road.
-    - Chunks overlap by 100 m of path; the paper is silent on their borders.
+    - Chunks overlap by 100 m of path; the paper is silent on their borders. Labels do not depend on
+      ``chunk_length``, but memory does.
     - Path length leaves out steps shorter than 5 cm, which a standing sensor's jitter makes.
 
     The paper seeds with the lowest point and has no steps: ``seed_quantile=0``, ``step_height=0``.
     """
 
     chunk_length: float = Field(
-        500.0, ge=10, le=5000, description="path length of a chunk that grows as a whole, l [m]"
+        300.0, ge=10, le=5000, description="path length of a chunk that grows as a whole, l [m]"
     )
     voxel_size: float = Field(0.03, ge=0.01, le=1, description="edge of a voxel, s [m]")
     seed_radius: float = Field(
@@ -310,7 +311,7 @@ def _default(name: str) -> Any:
 
 # What `paper` sets apart from `default`, stage by stage.
 _PAPER: dict[str, dict[str, Any]] = {
-    "ground": {"seed_quantile": 0, "step_height": 0},
+    "ground": {"chunk_length": 500, "seed_quantile": 0, "step_height": 0},
     "dynamics": {
         "vote_model": "range_image",
         "coarse_spacing": 10,

@@ -193,6 +193,22 @@ def test_chunks_overlap(monkeypatch):
     assert sorted(i for frames, _ in found for i in frames) == list(range(9))
 
 
+def test_labels_do_not_depend_on_where_chunks_begin(monkeypatch):
+    rng, sweeps = np.random.default_rng(3), []
+    way = np.array([pose(7.013 * i, 0.017 * i, 1.7, 0.01 * i) for i in range(12)])
+    for T in way:
+        world = street(rng, 6000)
+        world[:, 0] += T[0, 3]
+        sweeps.append(((world - T[:3, 3]) @ T[:3, :3]).astype(np.float32))
+    monkeypatch.setattr(growing, "CHUNK_OVERLAP", 40)  # sweeps reach 10 m
+    whole, *parts = (
+        ground_of(sweeps, way, GroundParameters(chunk_length=length)) for length in (500, 30, 45)
+    )
+    assert 0.2 < np.concatenate(whole).mean() < 0.9
+    for part in parts:
+        np.testing.assert_array_equal(np.concatenate(part), np.concatenate(whole))
+
+
 def test_seed_radius_widens_until_something_is_found():
     sweeps, poses = street_drive(sweeps=1)
     near = np.linalg.norm(sweeps[0][:, :2], axis=1) < 3.7

@@ -251,7 +251,7 @@ def test_a_run_that_needs_too_much_is_refused(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(check_resources, "available_memory", lambda: 10**8)
-    assert "pixels need 0.2 GB of memory by estimate, 0.1 GB are free" in texts(
+    assert "pixels need 0.1 GB of memory by estimate, 0.1 GB are free" in texts(
         problems(drive), "error"
     )
     monkeypatch.setattr(check_resources, "available_memory", lambda: 240 * 10**6)

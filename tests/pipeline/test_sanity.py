@@ -44,14 +44,13 @@ def test_points_that_were_not_seen_from_their_origin(height, wrong, caplog):
     ],
 )
 def test_classes_that_cannot_be(count, message, caplog):
-    sanity.warn_of_classes([count] * 20)
+    sanity.warn_of_classes(np.multiply(count, 20))
     assert [r.message.startswith(message) for r in caplog.records] == ([True] if message else [])
 
 
 def test_classes_are_counted():
     classid = np.array([0, 0, 50, 100, 100, 100], np.uint16)
-    assert sanity.count_classes(classid) == (6, 2, 3)
-    sanity.warn_of_classes([])
+    assert sanity.count_classes(classid).tolist() == [6, 2, 3]
 
 
 @pytest.mark.parametrize(("coverage", "warned"), [([0.6, 0.7], 0), ([0.01, 0.0, 0.02], 1), ([], 0)])

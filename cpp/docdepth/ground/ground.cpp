@@ -180,8 +180,13 @@ void Front::pass_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood,
 /// it is higher or lower by at most a step.
 class Plan {
  public:
-  Plan(const Octree& tree, const GroundParameters& parameters, int threads)
-      : tree_(tree), parameters_(parameters), threads_(threads), counted_(tree.points().size()) {}
+  /// @param offset  from a corner of a cell to the origin of the points
+  Plan(const Octree& tree, const GroundParameters& parameters, int threads, const Vector3d& offset)
+      : tree_(tree),
+        parameters_(parameters),
+        threads_(threads),
+        offset_(offset),
+        counted_(tree.points().size()) {}
 
   /// @return whether there are new seeds
   bool seed(Front& front) {
@@ -233,23 +238,25 @@ class Plan {
     for (std::uint32_t i = 0; i < counted_.size(); ++i) {
       if (counted_[i] || !front.labelled(i)) continue;
       counted_[i] = 1;
-      const Vector3d& p = tree_.points()[i];
+      const Vector3d p = tree_.points()[i] + offset_;
       const Cell cell{std::int64_t(std::floor(p.x() / kStepCell)),
                       std::int64_t(std::floor(p.y() / kStepCell))};
       if (!ground || cell != last) ground = &cells_[cell];  // points are sorted along a curve
       last = cell;
       ++ground->points;
-      ground->heights += p.z();
+      ground->heights += tree_.points()[i].z();
     }
   }
   std::uint32_t low_point(const Cell& cell) const {
     const double x = (double(cell[0]) + 0.5) * kStepCell, y = (double(cell[1]) + 0.5) * kStepCell;
-    return tree_.quantile(x, y, 0.5 * kStepCell, parameters_.seed_quantile);
+    return tree_.quantile(x - offset_.x(), y - offset_.y(), 0.5 * kStepCell,
+                          parameters_.seed_quantile);
   }
 
   const Octree& tree_;
   const GroundParameters& parameters_;
   int threads_;
+  Vector3d offset_;
   std::vector<std::uint8_t> counted_;
   std::map<Cell, Ground> cells_;
   Lows lows_;  ///< low point of each cell searched so far
@@ -260,8 +267,9 @@ class Plan {
 struct GroundMap::State {
   GroundParameters parameters;
   int threads;
-  Vector3d origin = Vector3d::Zero();
-  std::vector<Vector3d> positions;  // of the poses, relative to origin
+  std::optional<Vector3d> corner;
+  Vector3d origin = Vector3d::Zero();  // also the corner of a voxel
+  std::vector<Vector3d> positions;     // of the poses, relative to origin
   VoxelMap map;
   mutable std::shared_mutex mutex;  // several threads may call one map
   std::atomic<bool> stopped{false};
@@ -269,11 +277,20 @@ struct GroundMap::State {
   VoxelGrid grid(const Pose& T_world_lidar) const {
     return VoxelGrid(T_world_lidar, origin, parameters.voxel_size);
   }
+  /// Take the corner of a voxel at the first pose as origin: the map reaches far from there.
+  void begin_at(const Vector3d& first) {
+    if (!corner) corner = first;
+    const Vector3d voxels = ((first - *corner) / parameters.voxel_size).array().round();
+    origin = *corner + parameters.voxel_size * voxels;
+  }
 };
 
-GroundMap::GroundMap(const GroundParameters& parameters, int threads) : state_(new State) {
+GroundMap::GroundMap(const GroundParameters& parameters, int threads,
+                     std::optional<Vector3d> corner)
+    : state_(new State) {
   state_->parameters = parameters;
   state_->threads = threads;
+  state_->corner = corner;
 }
 GroundMap::~GroundMap() = default;
 
@@ -285,7 +302,7 @@ std::size_t GroundMap::size() const {
 void GroundMap::insert(const Points& points, const Pose& T_world_lidar) {
   State& state = *state_;
   const std::unique_lock<std::shared_mutex> lock(state.mutex);
-  if (state.positions.empty()) state.origin = T_world_lidar.translation();
+  if (state.positions.empty()) state.begin_at(T_world_lidar.translation());
   state.map.insert(points, state.grid(T_world_lidar), state.threads);
   state.positions.push_back(T_world_lidar.translation() - state.origin);
 }
@@ -320,7 +337,7 @@ std::size_t GroundMap::grow() {
     };
     if (double(ground()) < state.parameters.least_share * points && first_radius < kMaxSeedRadius)
       continue;
-    Plan plan(tree, state.parameters, state.threads);
+    Plan plan(tree, state.parameters, state.threads, state.origin - *state.corner);
     while (state.parameters.step_height > 0 && plan.seed(front)) front.grow();
     tree.store_ground([&](std::uint32_t i) { return front.labelled(i); }, state.threads);
     return ground();

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 
 #include "docdepth/geometry/types.hpp"
 
@@ -28,10 +29,13 @@ struct GroundParameters {
 /// depend on the number of threads.
 class GroundMap {
  public:
-  explicit GroundMap(const GroundParameters& parameters, int threads = 0);
+  /// @param corner  of some voxel, in the world: maps with the same one have the same voxels where
+  ///                they overlap. The position of the first pose by default.
+  explicit GroundMap(const GroundParameters& parameters, int threads = 0,
+                     std::optional<Eigen::Vector3d> corner = std::nullopt);
   ~GroundMap();
 
-  /// Merge a sweep. Coordinates are kept relative to the position of the first pose.
+  /// Merge a sweep. Coordinates are kept relative to the corner of a voxel at the first pose.
   /// @throws std::out_of_range a point is not finite or too far from the first pose
   void insert(const Points& points, const Pose& T_world_lidar);
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+import threading
+import time
+from functools import cache
 from typing import Annotated
 
 import typer
@@ -55,13 +58,21 @@ def options(
         raise typer.Exit
 
 
+_GIVEN_BACK_EVERY = 1.0
+"""Seconds: some dozens of sweeps."""
+
+
+@cache
 def keep_memory() -> None:
     """Have glibc keep what arrays leave behind, in one place for all threads.
 
     Every sweep needs the same megabytes. The system clears them page by page when they were given
-    back in between, which takes a tenth of the time of ``classify``.
+    back in between, which takes a tenth of the time of ``classify``. But small things that stay lie
+    between, so the heap of a long drive grows though nothing more is in use. So each second what is
+    free goes back after all: memory is that of a second of work, however long the drive.
     """
-    if sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "mallopt"):
+    library = ctypes.CDLL(None)
+    if sys.platform != "linux" or not hasattr(library, "mallopt"):
         return
     trim_threshold, top_pad, mmap_threshold, arena_max = -1, -2, -3, -8
     for parameter, value in (
@@ -70,7 +81,14 @@ def keep_memory() -> None:
         (mmap_threshold, 1 << 25),
         (arena_max, 1),
     ):
-        ctypes.CDLL(None).mallopt(parameter, value)
+        library.mallopt(parameter, value)
+
+    def give_back() -> None:
+        while True:
+            time.sleep(_GIVEN_BACK_EVERY)
+            library.malloc_trim(0)
+
+    threading.Thread(target=give_back, name="give back memory", daemon=True).start()
 
 
 def take_one_blas_thread() -> bool:

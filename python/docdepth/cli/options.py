@@ -170,6 +170,14 @@ Jobs = Annotated[
         help="Processes of this machine that share the work after odometry. Same result.",
     ),
 ]
+Memory = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SIZE",
+        help="Most memory of all processes together, for example 4G: ground grows in chunks short "
+        "enough, or the run says before it starts what it would need. Same result.",
+    ),
+]
 Scheduler = Annotated[
     str | None,
     typer.Option(

@@ -25,6 +25,7 @@ from docdepth.cli.options import (
     Json,
     LayerNames,
     Layout,
+    Memory,
     OnError,
     Output,
     PosesFile,
@@ -84,6 +85,7 @@ def run(
     threads: Threads = 0,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
+    memory: Memory = None,
     renderer: RendererName = None,
     on_error: OnError = None,
     hash_inputs: HashInputs = False,
@@ -103,14 +105,13 @@ def run(
     """
     from docdepth.cli.config_file import Given, read_config
     from docdepth.config import parameters
-    from docdepth.pipeline.run import run as run_one
     from docdepth.render.backends import choose
 
     how: dict[str, Any] = {"dry_run": dry_run, "threads": threads, "renderer": choose(renderer)}
     how |= {"jobs": jobs, "scheduler": scheduler}
     if output is None:
         chosen = (every, config, layout, camera, frames, poses, camera_times, calibration, labels,
-                  image_size, preset, settings, format, scale, layers,
+                  image_size, preset, settings, format, scale, layers, memory,
                   on_error, hash_inputs or None, force or None)  # fmt: skip
         return _show(_continue(dataset, chosen, how), dry_run, as_json)
     given = read_config(config) if config else Given()
@@ -120,16 +121,22 @@ def run(
     )  # fmt: skip
     changes = given.settings | changes_of(settings) | output_of(format, scale, layers)
     how["parameters"] = parameters(preset or given.preset, changes)  # type: ignore[arg-type]
-    how |= {"on_error": on_error, "hash_inputs": hash_inputs, "force": force}
+    how |= {"memory": memory, "on_error": on_error, "hash_inputs": hash_inputs, "force": force}
     if every is not None:
         return _run_all(dataset, output, inputs | how, as_json)
-    with progress_bars() as progress:
-        folder = run_one(output=output, **inputs, **how, progress=progress)
-    return _show(folder, dry_run, as_json)
+    return _show(_run_one(output, inputs | how), dry_run, as_json)
 
 
 def _show(folder: RunFolder, dry_run: bool, as_json: bool) -> None:
     return show_states(folder, as_json) if dry_run else show_summary(folder, as_json)
+
+
+def _run_one(output: Path, options: dict[str, Any]) -> RunFolder:
+    """Run one recording."""
+    from docdepth.pipeline.run import run
+
+    with progress_bars() as progress:
+        return run(options.pop("dataset"), output, **options, progress=progress)
 
 
 def _run_all(dataset: Path | None, output: Path, options: dict[str, Any], as_json: bool) -> None:

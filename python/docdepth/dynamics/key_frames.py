@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,9 @@ END_RADIUS = 3.0
 
 END_SPACING = 0.4
 """Spacing of these: every fourth sweep of a LiDAR that turns ten times a second [s]."""
+
+_RECENT = 256
+"""Sweeps whose key frames are kept: those in hand ask several times."""
 
 
 class _Family(NamedTuple):
@@ -93,7 +97,7 @@ class KeyFrames(Mapping[int, NDArray[np.int64]]):
             often = trajectory.subsample(p.fine_spacing, p.time_spacing)
             self._families.append(self._family(often, p.fine_radius, TIME_RADIUS))
             self._ends = np.append(trajectory.subsample(np.inf, END_SPACING), len(trajectory) - 1)
-        self._chosen: dict[int, NDArray[np.int64]] = {}
+        self._chosen = lru_cache(_RECENT)(self._choose)
 
     def _family(self, frames: NDArray[np.int64], radius: float, duration: float) -> _Family:
         return _Family(frames, self._arc[frames], self._time[frames], radius, duration)
@@ -105,9 +109,7 @@ class KeyFrames(Mapping[int, NDArray[np.int64]]):
         return iter(range(len(self)))
 
     def __getitem__(self, i: int) -> NDArray[np.int64]:
-        if i not in self._chosen:
-            self._chosen[i] = self._choose(i)
-        return self._chosen[i]
+        return self._chosen(i)
 
     def _choose(self, i: int) -> NDArray[np.int64]:
         time, ends = self._time, self._ends

@@ -29,6 +29,9 @@ class GroundMap:
     parameters : GroundParameters, optional
     threads : int
         0 for all cores. The labels do not depend on it.
+    corner : ndarray of float64, shape (3,), optional
+        Of some voxel, in the world [m]. Maps with the same one have the same voxels where they
+        overlap. The position of the first pose if left out.
 
     Examples
     --------
@@ -39,8 +42,14 @@ class GroundMap:
     >>> ground = ground_map.label(sweeps[0], poses[0])  # doctest: +SKIP
     """
 
-    def __init__(self, parameters: GroundParameters | None = None, threads: int = 0) -> None:
-        self._map = _core.GroundMap(_core_parameters(parameters or GroundParameters()), threads)
+    def __init__(
+        self,
+        parameters: GroundParameters | None = None,
+        threads: int = 0,
+        corner: NDArray[np.float64] | None = None,
+    ) -> None:
+        core = _core_parameters(parameters or GroundParameters())
+        self._map = _core.GroundMap(core, threads, corner)
         self._grown = False
 
     def __len__(self) -> int:

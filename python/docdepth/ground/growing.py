@@ -84,7 +84,8 @@ def label_chunk(
     ndarray of bool, shape (N,)
         True for ground.
     """
-    ground_map = GroundMap(parameters, threads)
+    # Voxels are counted from the first pose of the drive, so labels do not depend on the chunks.
+    ground_map = GroundMap(parameters, threads, trajectory.poses[0, :3, 3])
 
     def label(index: int) -> NDArray[np.bool_]:
         points = read(index)

@@ -21,14 +21,15 @@ FileState = Literal["whole", "damaged", "missing", "unknown"]
 _CHUNK = 1 << 22  # bytes that are read at once for a checksum
 
 
-@dataclass
+@dataclass(slots=True)  # a long drive has many
 class _Record:
-    __slots__ = ("checksum", "key", "size", "time")  # a long drive has many
     size: int
     time: int
     checksum: int
     key: tuple[str, ...]
     """Names and values in turn: half the size of a dict."""
+    state: FileState | None = None
+    """What was found, so that nothing is read twice."""
 
 
 def _flat(key: dict[str, str]) -> tuple[str, ...]:
@@ -61,7 +62,6 @@ class FileRecords:
     def __init__(self, folder: Path, path: Path) -> None:
         self._folder, self.path, self._lock = folder, path, Lock()
         self._records: dict[str, _Record] = {}
-        self._states: dict[str, FileState] = {}  # what was found, so that nothing is read twice
         self._lines = 0
         try:
             text = self.path.read_bytes().decode("utf-8", "surrogateescape")
@@ -102,7 +102,6 @@ class FileRecords:
         with self._lock:
             self._append(name, _entry(record))
             self._records[name] = record
-            self._states.pop(name, None)
 
     def invalidate(self, name: str) -> None:
         """Note that a file of docdepth is to be made again."""
@@ -113,7 +112,6 @@ class FileRecords:
         with self._lock:
             if self._records.pop(name, None) is not None:
                 self._append(name, {})
-            self._states.pop(name, None)
 
     def _append(self, name: str, entry: dict[str, object]) -> None:
         self._append_text("\n" * self._torn + json.dumps({"name": name, **entry}) + "\n")
@@ -167,9 +165,9 @@ class FileRecords:
         record = self._records.get(name)
         if record is None:
             return "unknown"
-        if verify or name not in self._states:
-            self._states[name] = self._compare(name, record, verify)
-        return self._states[name]
+        if verify or record.state is None:
+            record.state = self._compare(name, record, verify)
+        return record.state
 
     def _compare(self, name: str, record: _Record, verify: bool) -> FileState:
         path = self._folder / name

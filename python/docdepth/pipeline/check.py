@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -114,14 +114,13 @@ def check_opened(
     if output is not None:
         folders = sorted({file.parent for file in files[0]}) if files else []
         check_output(output, folders, recording.path, found)
-    points = [len(sweep.points) for sweep in sweeps.values()] or [0]
-    needed = estimate(max(points), int(len(files) * np.median(points)), cameras, parameters)
-    needed = replace(needed, memory=jobs * needed.memory)
+    points = np.array([len(sweep.points) for sweep in sweeps.values()] or [0])
+    needed = estimate(points, len(files), cameras, parameters, jobs)
     check_resources(needed, cameras, output, found)
     seen = ", ".join(f"{s.name} ({len(s.names)} images)" for s in cameras)
     summary = (
         f"{len(recording)} sweeps of {np.median(points):.0f} points, cameras {seen}; by estimate "
-        f"{gigabytes(needed.memory + needed.kept)} of memory and {gigabytes(needed.disk)} on disk"
+        f"{gigabytes(needed.memory)} of memory and {gigabytes(needed.disk)} on disk"
     )
     return Report(found.all(), summary)
 

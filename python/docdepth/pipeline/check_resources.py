@@ -8,15 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from docdepth.config import Parameters
 from docdepth.datasets import CameraStream
 from docdepth.errors import CalibrationError
+from docdepth.pipeline.memory import BASE, PER_PIXEL, memory_of_run
 from docdepth.pipeline.problems import Findings
 
-_BASE = 200_000_000  # bytes of the program
-_BYTES_PER_POINT = 5000  # of a sweep: some 60 of them are in memory to draw an image
-_BYTES_PER_PIXEL = 45  # of an image
-_KEPT_BYTES = 25  # of every point of the drive: objects and ground, until tracks are known
 _FRAME_BYTES = 29  # of a point in frames/*.ply
 _PICTURE_BYTES = 0.3  # of a pixel in report/*.jpg
 _LAYER_BYTES = 4.0  # of a pixel of a layer
@@ -30,40 +30,40 @@ class Estimate:
 
     Attributes
     ----------
-    memory : int
-        For any number of such sweeps.
-    kept : int
-        More memory, for what is kept of all of them.
-    disk : int
+    memory, disk : int
     """
 
     memory: int
-    kept: int
     disk: int
 
 
 def estimate(
-    points: int, all_points: int, cameras: Sequence[CameraStream], parameters: Parameters
+    points: NDArray[np.int64],
+    sweeps: int,
+    cameras: Sequence[CameraStream],
+    parameters: Parameters,
+    jobs: int = 1,
 ) -> Estimate:
     """Estimate memory and disk.
 
     Parameters
     ----------
-    points : int
-        Of the largest sweep.
-    all_points : int
-        Of all sweeps.
+    points : ndarray of int64, shape (n,)
+        Of some sweeps.
+    sweeps : int
+        All.
     cameras : sequence of CameraStream
     parameters : Parameters
+    jobs : int
+        Processes that share the work.
     """
     output = parameters.output
     pixel = sum(_FORMAT_BYTES.get(format, 4.0) for format in output.format) + _PICTURE_BYTES
     pixel += _LAYER_BYTES * len(output.layers)
     sizes = [camera.camera.width * camera.camera.height for camera in cameras]
     images = sum(size * len(c.times) for size, c in zip(sizes, cameras, strict=True))
-    memory = _BASE + _BYTES_PER_POINT * points + _BYTES_PER_PIXEL * max(sizes, default=0)
-    kept = _KEPT_BYTES * all_points if parameters.dynamics.evidence == "tracks" else 0
-    return Estimate(memory, kept, int(_FRAME_BYTES * all_points + pixel * images))
+    memory = memory_of_run(int(points.max()), sweeps, cameras, parameters, jobs)
+    return Estimate(memory, int(_FRAME_BYTES * sweeps * np.median(points) + pixel * images))
 
 
 def check_resources(
@@ -78,14 +78,8 @@ def check_resources(
     if len(found.errors) == before and memory is not None and needed.memory > memory:
         found.error(
             f"the run needs {gigabytes(needed.memory)} of memory for these sweeps and images by "
-            f"estimate, {gigabytes(memory)} are free; end other programs, give fewer --jobs or "
-            "take another machine"
-        )
-    elif memory is not None and needed.memory + needed.kept > memory:
-        found.warn(
-            f"the run needs {gigabytes(needed.memory + needed.kept)} of memory by estimate, most "
-            f"of it for the objects of so many sweeps; {gigabytes(memory)} are free: run parts of "
-            "the drive with --frames A:B, or set dynamics.evidence=objects"
+            f"estimate, {gigabytes(memory)} are free; give --memory or fewer --jobs, or end "
+            "other programs"
         )
     if output is None:
         return
@@ -106,7 +100,7 @@ def check_image_size(width: int, height: int, name: str = "the image") -> None:
     CalibrationError
         An image of this size needs more memory than there is.
     """
-    needed, memory = _BASE + _BYTES_PER_PIXEL * width * height, available_memory()
+    needed, memory = int(BASE) + PER_PIXEL * width * height, available_memory()
     if memory is not None and needed > memory:
         raise CalibrationError(
             f"{name}: {width} x {height} pixels need {gigabytes(needed)} of memory by estimate, "

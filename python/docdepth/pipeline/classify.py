@@ -82,7 +82,7 @@ def run_classify(
     with run.lock("classify"):
         trajectory = run.trajectory()
         parts = classify_parts(run, run.stage("odometry").get("key"), InputFiles(run))
-        made_of = parts["odometry"], p.ground.model_dump()
+        made_of = parts["version"], parts["odometry"], p.ground.model_dump()
         key = {"classify": stage_key(parts)}
         store = _FrameStore(run, key, trajectory)
         if all(store.is_done(i) for i in range(len(trajectory))) and store.has_tracks():
@@ -178,7 +178,7 @@ def _ground_file(run: RunFolder, chunk: Chunk) -> Path:
 
 def _classify_chunk(
     work: Work, key: dict[str, str], worker: Worker, sweeps: list[int]
-) -> list[tuple[int, int, int]]:
+) -> NDArray[np.int64]:
     """Do a step of classification on some sweeps; the counts of those that were written."""
     trajectory, watch = worker.run.trajectory(), worker.watch
     store = _FrameStore(worker.run, key, trajectory, watch)
@@ -199,8 +199,8 @@ class _FrameStore:
 
     Attributes
     ----------
-    counts : list of tuple of int
-        Points of each sweep that was written, by class.
+    counts : ndarray of int64, shape (3,)
+        Points of the sweeps that were written, from :func:`docdepth.pipeline.sanity.count_classes`.
     """
 
     def __init__(
@@ -212,7 +212,7 @@ class _FrameStore:
         self._keeping = Lock()
         self._ground = _GroundLabels(run, trajectory)
         self.watch = watch
-        self.counts: list[tuple[int, int, int]] = []
+        self.counts = np.zeros(3, np.int64)
 
     @property
     def _tracks(self) -> Path:
@@ -293,7 +293,9 @@ class _FrameStore:
                 self._detections.popitem(last=False)
 
     def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
-        self.counts.append(count_classes(labels.classid))
+        counts = count_classes(labels.classid)
+        with self._keeping:
+            self.counts += counts
         with self.watch("write"):
             classified = replace(
                 sweep.record,

@@ -27,6 +27,7 @@ from docdepth.pipeline.given_labels import open_labels, take_labels
 from docdepth.pipeline.given_poses import poses_entry
 from docdepth.pipeline.graph import outdated
 from docdepth.pipeline.input_files import InputFiles
+from docdepth.pipeline.memory import within_memory
 from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.problems import raise_problems
 from docdepth.pipeline.render import run_render
@@ -39,7 +40,7 @@ from docdepth.pipeline.run_inputs import (
     register,
     run_cameras,
 )
-from docdepth.pipeline.run_state import require, states
+from docdepth.pipeline.run_state import forget_cameras, require, states
 from docdepth.pipeline.stage import Progress
 from docdepth.pipeline.virtual_camera import check_name
 from docdepth.pipeline.workers import Workers
@@ -72,6 +73,7 @@ def run(
     threads: int = 0,
     jobs: int = 1,
     scheduler: str | None = None,
+    memory: str | None = None,
     renderer: Renderer | None = None,
     progress: Progress | None = None,
 ) -> RunFolder:
@@ -126,6 +128,9 @@ def run(
     jobs, scheduler
         As for :class:`docdepth.pipeline.workers.Workers`. A script that asks for jobs needs the
         line ``if __name__ == "__main__":``.
+    memory : str, optional
+        ``4G``: the most that all processes together may take, by
+        :func:`docdepth.pipeline.memory.within_memory`.
     renderer : Renderer, optional
         Draws the depth maps; the CPU if absent. All draw the same.
     progress : callable, optional
@@ -159,6 +164,8 @@ def run(
         inputs[SKIPPED] = {}
     with _all_problems(inputs, values, place):
         recording, streams = open_upright(inputs, begun)
+        if memory is not None:
+            values = within_memory(memory, recording, streams, values, jobs)
     folder = RunFolder(place)  # another command may have begun the run meanwhile
     inputs["dataset"] = _absolute(recording.path)  # a folder that holds one recording may be given
     if hash_inputs or folder.manifest.get("source", {}).get("hash_inputs"):
@@ -277,21 +284,9 @@ def render_again(
             take_labels(folder, progress)
         run_render(folder, streams, threads, progress, renderer)
     except DocDepthError:
-        _forget_cameras(folder.path, new)
+        forget_cameras(folder.path, new)
         raise
     return folder
-
-
-def _forget_cameras(path: Path, names: Sequence[str]) -> None:
-    """Take back cameras whose first maps were refused, so that the run can go on without them."""
-    folder = RunFolder.open(path)  # as it was saved, without the settings that were refused
-    saved = [name for name in names if name in folder.cameras]
-    for name in saved:
-        del folder.cameras[name]
-        folder.manifest["stages"].pop(f"render {name}", None)
-    if saved:
-        with folder.lock("render"):
-            folder.save()
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from typing import Any
 
 from docdepth.datasets import find_recordings, open_dataset
 from docdepth.errors import ConfigError, DatasetError, DocDepthError, RunError
+from docdepth.pipeline.memory import bytes_of
 from docdepth.pipeline.run import run
 from docdepth.pipeline.stage import Progress, progress_callback
 from docdepth.pipeline.virtual_camera import parse_size
@@ -79,8 +80,10 @@ def run_all(
     told(0, len(places))
     with Workers(threads, jobs, scheduler) as workers:
         if workers.are_elsewhere and len(places) >= workers.count:
-            each = workers.threads_each(len(places))
-            found = _whole_runs(workers, places, folders, {**options, "threads": each})
+            alone = {**options, "threads": workers.threads_each(len(places))}
+            if options.get("memory") is not None and scheduler is None:
+                alone["memory"] = str(bytes_of(options["memory"]) // jobs)
+            found = _whole_runs(workers, places, folders, alone)
         else:
             shared = {"threads": threads, "jobs": jobs, "scheduler": scheduler}
             one = partial(_run_one, options={**options, **shared, "progress": progress})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from docdepth.errors import RunError
@@ -79,3 +80,15 @@ def _graph(folder: RunFolder, verify: bool = False) -> RunGraph:
         poses = known_poses(source, recording)
     cameras = run_cameras(folder, recording) if recording else []
     return RunGraph(folder, recording, poses, cameras, verify)
+
+
+def forget_cameras(path: Path, names: Sequence[str]) -> None:
+    """Take back cameras whose first maps were refused, so that the run can go on without them."""
+    folder = RunFolder.open(path)  # as it was saved, without the settings that were refused
+    saved = [name for name in names if name in folder.cameras]
+    for name in saved:
+        del folder.cameras[name]
+        folder.manifest["stages"].pop(f"render {name}", None)
+    if saved:
+        with folder.lock("render"):
+            folder.save()

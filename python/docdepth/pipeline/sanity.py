@@ -67,23 +67,21 @@ def warn_of_viewpoint(
         )
 
 
-def count_classes(classid: NDArray[np.uint16]) -> tuple[int, int, int]:
+def count_classes(classid: NDArray[np.uint16]) -> NDArray[np.int64]:
     """Points of a sweep: all, of the ground, and dynamic ones, for :func:`warn_of_classes`."""
     ground, dynamic = classid == GROUND, classid >= DYNAMIC
-    return len(classid), int(np.count_nonzero(ground)), int(np.count_nonzero(dynamic))
+    return np.array([len(classid), np.count_nonzero(ground), np.count_nonzero(dynamic)])
 
 
-def warn_of_classes(counts: Sequence[tuple[int, int, int]]) -> None:
+def warn_of_classes(counts: NDArray[np.int64]) -> None:
     """Warn if there is next to no ground, or if moving points are everywhere.
 
     Parameters
     ----------
-    counts : sequence of tuple of int
-        Of each sweep, from :func:`count_classes`.
+    counts : ndarray of int64, shape (3,)
+        The sum of those of each sweep, from :func:`count_classes`.
     """
-    if not counts:
-        return
-    points, ground, dynamic = (sum(column) for column in zip(*counts, strict=True))
+    points, ground, dynamic = counts.tolist()
     if ground < LEAST_GROUND * points:
         log.warning(
             "only %.1f %% of the points are ground: the LiDAR's z axis may not point up, the poses "
