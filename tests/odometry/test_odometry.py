@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -172,18 +173,22 @@ def test_compensated_sweeps_are_left_alone() -> None:
     assert calls == [(k + 1, 8, "odometry") for k in range(8)]
 
 
-def test_the_same_poses_bit_for_bit_whatever_threads_and_environment() -> None:
+def test_the_same_poses_bit_for_bit_whatever_threads_and_environment(tmp_path: Path) -> None:
+    drive = Drive(14)
+    for k in range(len(drive)):
+        drive.sweep(k)
+    (tmp_path / "drive").write_bytes(pickle.dumps(drive))
     script = (
-        "import sys; sys.path[:0] = ['tests', 'tests/odometry']\n"
-        "from test_odometry import Drive, estimate_poses\n"
-        "threads = int(sys.argv[1])\n"
-        "import hashlib\n"
-        "print(hashlib.sha256(estimate_poses(Drive(14), threads=threads).tobytes()).hexdigest())"
+        "import hashlib, pickle, sys; sys.path[:0] = ['tests']\n"
+        "from docdepth.odometry.odometry import estimate_poses\n"
+        "drive = pickle.load(open(sys.argv[2], 'rb'))\n"
+        "poses = estimate_poses(drive, threads=int(sys.argv[1]))\n"
+        "print(hashlib.sha256(poses.tobytes()).hexdigest())"
     )
     root = Path(__file__).resolve().parents[2]
     hashes = {
         subprocess.run(
-            [sys.executable, "-c", script, threads],
+            [sys.executable, "-c", script, threads, str(tmp_path / "drive")],
             env=os.environ | extra,
             cwd=root,
             check=True,

@@ -15,7 +15,7 @@ from docdepth.errors import DatasetError
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.run import run
 from docdepth.pipeline.run_state import states
-from small_drive import write_image, write_small_drive
+from small_drive import results, write_image, write_small_drive
 
 COUNT = 9
 BROKEN = (0, 3, 7)
@@ -50,15 +50,6 @@ def make(drive: Path, output: Path, *more: object):
     return cli("run", drive, "-o", output, "--camera", "image_2", *more)
 
 
-def products(folder: Path) -> dict[str, bytes]:
-    found = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
-    return {
-        name: path.read_bytes()
-        for name, path in sorted(found.items())
-        if not name.startswith((".docdepth", "run.yaml", "report/index.html"))
-    }
-
-
 def told(folder: Path) -> list[str]:
     return json.loads(cli("status", folder, "--json").stdout)["skipped"]
 
@@ -75,7 +66,7 @@ def test_broken_frames_are_as_if_they_had_not_been_recorded(drive: Path, tmp_pat
 
     result = make(drive, tmp_path / "run", "--on-error", "skip")
     assert result.exit_code == 0, result.output
-    made, expected = products(tmp_path / "run"), products(tmp_path / "without")
+    made, expected = results(tmp_path / "run"), results(tmp_path / "without")
     assert made.keys() == expected.keys()
     assert [name for name in made if made[name] != expected[name]] == []
     assert len([name for name in made if name.startswith("labels/")]) == COUNT - len(BROKEN)

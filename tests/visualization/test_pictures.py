@@ -52,8 +52,8 @@ def test_error_picture_tells_near_from_far() -> None:
     truth = np.full((1, 4), 10.0)
     picture = visualize.error_picture(np.array([[10.0, 8.0, 12.0, np.nan]]), truth)
     assert picture[0, 0].tolist() == [255, 255, 255]
-    assert picture[0, 1].tolist() == [0, 0, 255]
-    assert picture[0, 2].tolist() == [255, 0, 0]
+    assert tuple(picture[0, 1]) == visualize.TOO_NEAR_COLOR
+    assert tuple(picture[0, 2]) == visualize.TOO_FAR_COLOR
     assert picture[0, 3].max() < 40
 
 
@@ -140,3 +140,26 @@ def test_colours_of_depth_get_darker_in_even_steps_for_every_reader(blindness: s
     steps = -np.diff(lab[:, 0])
     assert steps.min() > 1
     assert steps.max() < 2.5 * np.median(steps)
+
+
+BACKGROUND = (visualize.BACKGROUND,) * 3
+ERRORS = (visualize.TOO_NEAR_COLOR, visualize.TOO_FAR_COLOR, (255, 255, 255), BACKGROUND)
+MISTAKES = (visualize.FOUND_COLOR, visualize.MISSED_COLOR, visualize.FALSE_COLOR)
+LABELS = (*MISTAKES, visualize.STATIC_COLOR, visualize.GROUND_COLOR, BACKGROUND)
+
+
+@pytest.mark.parametrize("blindness", BLINDNESS)
+@pytest.mark.parametrize("colors", [ERRORS, LABELS], ids=["errors", "labels"])
+def test_every_reader_tells_mistakes_apart(colors: tuple, blindness: str) -> None:
+    lab = seen(np.array(colors), blindness)
+    apart = np.linalg.norm(lab[:, None] - lab, axis=2)[np.triu_indices(len(colors), 1)]
+    assert apart.min() > 30
+
+
+def test_mistakes_are_seen_on_the_dark_ground_and_no_side_of_the_errors_stands_out() -> None:
+    near, far = seen(np.array(ERRORS[:2]), "none")[:, 0]
+    assert abs(near - far) < 3
+    shown = np.array([*ERRORS[:2], *MISTAKES, BACKGROUND])[:, ::-1] / 255
+    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    light = linear @ (0.2126, 0.7152, 0.0722) + 0.05
+    assert (light[:-1] / light[-1]).min() > 4.5  # what WCAG asks of text

@@ -29,9 +29,14 @@ TRACK_COLORS = ((0, 159, 230), (233, 180, 86), (115, 158, 0), (167, 121, 204), (
 """Of tracks by turns: orange, sky blue, green, purple, vermilion."""
 
 # Compared with ground truth: true positives, false negatives and false positives.
-FOUND_COLOR = (90, 200, 60)
-MISSED_COLOR = (20, 170, 255)
-FALSE_COLOR = (220, 40, 230)
+# They stand apart from each other, from ground, static points and the background for every reader.
+FOUND_COLOR = (40, 245, 10)
+MISSED_COLOR = (80, 70, 245)
+FALSE_COLOR = (255, 80, 175)
+
+# Ends of the scale of errors, equally light, since pure blue cannot be seen on a dark background.
+TOO_NEAR_COLOR = (30, 115, 235)
+TOO_FAR_COLOR = (245, 150, 60)
 
 BACKGROUND = 24
 _TICKS = (3, 5, 10, 20, 40, 80, 160, 320)
@@ -97,7 +102,7 @@ def overlay(
 def error_picture(
     predicted: NDArray[np.floating[Any]], truth: NDArray[np.floating[Any]], limit: float = 0.1
 ) -> Picture:
-    """Colour the relative error of depth: red too near, blue too far, white correct.
+    """Colour the relative error of depth: orange too near, blue too far, white correct.
 
     Parameters
     ----------
@@ -109,12 +114,9 @@ def error_picture(
     relative = (predicted - truth) / truth
     known = np.isfinite(relative)
     strength = np.clip(np.abs(np.where(known, relative, 0)) / limit, 0, 1)
-    near = (relative < 0) & known
-    colors = np.empty((*relative.shape, 3))
-    colors[..., 0] = np.where(near, 1 - strength, 1)
-    colors[..., 1] = 1 - strength
-    colors[..., 2] = np.where(near, 1, 1 - strength)
-    picture = np.rint(255 * colors).astype(np.uint8)
+    ends = np.where((relative < 0)[..., None], TOO_NEAR_COLOR, TOO_FAR_COLOR)
+    colors = 255 + strength[..., None] * (ends - 255.0)
+    picture = np.rint(colors).astype(np.uint8)
     picture[~known] = BACKGROUND
     return picture
 
@@ -135,8 +137,8 @@ def labels_from_above(
     classid : ndarray of uint16, shape (N,)
         Ground below 50, static below 100, dynamic from 100 on.
     truth : ndarray of bool, shape (N,), optional
-        Which points are really dynamic. With it, true positives are green, false negatives orange
-        and false positives magenta; without it, dynamic points are orange.
+        Which points are really dynamic. With it, true positives are green, false negatives red
+        and false positives violet; without it, dynamic points are orange.
     reach : float
         Distance from the sensor to the edges of the picture [m].
     size : int
