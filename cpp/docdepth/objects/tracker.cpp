@@ -385,7 +385,7 @@ class Tracker {
       if (match.objects.empty()) match.box = seen[k].box;
       match.objects.push_back(k);
       append(match.samples, seen[k].samples());
-      match.hidden |= !seen[k].hidden.empty();
+      match.hidden |= !seen[k].hidden.points.empty();
       match.area += seen[k].area;
       match.box.add(seen[k].box);
       match.largest = match.largest.cwiseMax(seen[k].box.size());
