@@ -86,7 +86,7 @@ def measured(ranges, rays, rng):
     return (RAYS[rays] * (ranges[rays] + noise)[:, None]).astype(np.float32)
 
 
-def detections_of(things, count, seed=0, joined=None):
+def detections_of(things, count, seed=0, joined=None, drive=None):
     """Detections from a vehicle that drives ahead, and in each sweep the first row of each thing.
 
     ``joined`` maps a pair of things to the sweeps in which both are one object.
@@ -94,7 +94,7 @@ def detections_of(things, count, seed=0, joined=None):
     rng = np.random.default_rng(seed)
     detections, rows = [], []
     for i in range(count):
-        T = straight(count).poses[i]
+        T = (drive or straight(count)).poses[i]
         points, first, moving, stays, firsts, wholes = [], [], [], [], {}, {}
         ranges = np.array([thing.ranges(i, T[:3, 3]) for thing in things])
         nearest = np.where(np.isfinite(ranges).any(0), ranges.argmin(0), -1)
@@ -351,6 +351,24 @@ def test_a_car_is_tracked_though_each_sweep_of_a_rosette_sees_other_parts(seed):
 
     car = Thing(CAR, at, range(35, 60), seen=cells)
     assert tracked([car], 60) == [list(range(35))]
+
+
+def test_what_the_lidar_sees_of_its_own_vehicle_is_not_tracked():
+    """It moves with the vehicle, as a cyclist does who rides beside it for half of the drive."""
+    rack = Thing((0.4, 0.4, 0.4), lambda i: (0.8 * i - 1, 1.2, 1.1), range(40))
+    ahead = [0.8 * i + 1 + 0.02 * max(0, i - 20) ** 2 for i in range(40)]
+    cyclist = Thing((1.7, 0.6, 1.7), lambda i: (ahead[i], 2.2), range(40))
+    for things, count in (((rack, cyclist), 1), ((cyclist,), 1), ((rack,), 0)):
+        detections, _ = detections_of(things, 40)
+        assert len(track_objects(detections, straight(40)).tracks) == count
+
+
+def test_a_thing_beside_a_lidar_that_stands_is_tracked():
+    """It waits for most of the drive, at the same place of both frames, and goes."""
+    there = Trajectory(straight(40).times, np.repeat(straight(1).poses, 40, 0))
+    things = [Thing(PERSON, lambda i: (1 + max(0, i - 35) * 0.5, 2.0), range(36, 40))]
+    detections, _ = detections_of(things, 40, drive=there)
+    assert len(track_objects(detections, there).tracks) == 1
 
 
 def test_a_bin_that_a_pedestrian_leaves_is_not_part_of_him():

@@ -88,7 +88,7 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
     }
     Detection& object = detections[number[first]];
     const float area = here.squaredNorm();
-    ++object.points, object.area += area;
+    ++object.points, object.area += area, object.middle += here;
     if (dynamic[i]) ++object.dynamic, object.dynamic_area += area;
     if (one_stay[i]) object.free_area += area;
     porous[number[first]] += isolated[i];
@@ -103,6 +103,7 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
   }
   for (std::size_t k = 0; k < detections.size(); ++k) {
     detections[k].time_offset /= float(detections[k].points);
+    detections[k].middle /= float(detections[k].points);
     if (float(porous[k]) > kMaxIsolatedShare * float(detections[k].points))
       detections[k].free_area = 0;
     detections[k].first_occupied = quantile(firsts[k], 0.5);
