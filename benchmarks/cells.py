@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from docdepth.config import Parameters
 from docdepth.datasets import CameraStream, open_dataset
+from docdepth.datasets.kitti_lidar import azimuth_relative_time
 from docdepth.errors import RunError
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.atomic import write_atomically
 from docdepth.io.labels import classes_of_labels
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_odometry
@@ -57,8 +59,7 @@ class Cell:
             write_drive(self.folder, self.scene, self.sensor, self.frames, self.seed, images=False)
         elif yaml.safe_load(about.read_text()) != wanted:
             raise RunError(f"{about.parent} holds another drive than {wanted}; delete it")
-        elif not (about.parent / "point_times").is_dir():
-            raise RunError(f"{about.parent} is of an older version, without point_times; delete it")
+        _write_point_times(about.parent)
         return about.parent
 
     def run(self, path: Path | None = None, parameters: Parameters | None = None) -> RunFolder:
@@ -75,6 +76,17 @@ class Cell:
         dataset = open_dataset(sequence)
         run_odometry(run, dataset, dataset.poses)
         return run
+
+
+def _write_point_times(sequence: Path) -> None:
+    """Tell when each point was measured, as recordings do; without it, moving objects blur."""
+    folder = sequence / "point_times"
+    folder.mkdir(exist_ok=True)
+    for sweep in sorted((sequence / "velodyne").iterdir()):
+        if (folder / sweep.name).exists():
+            continue
+        times = azimuth_relative_time(np.fromfile(sweep, "<f4").reshape(-1, 4)[:, :3]).tobytes()
+        write_atomically(folder / sweep.name, lambda stream, content=times: stream.write(content))
 
 
 Item = TypeVar("Item")

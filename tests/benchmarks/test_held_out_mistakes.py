@@ -18,7 +18,7 @@ def raw(drive, tmp_path_factory):
     """The drive with a time for each point, as raw sweeps have it."""
     copy = tmp_path_factory.mktemp("raw") / "sequences" / "00"
     shutil.copytree(drive, copy)
-    (copy / "point_times").mkdir(exist_ok=True)
+    (copy / "point_times").mkdir()
     for sweep in (copy / "velodyne").iterdir():
         points = sweep.stat().st_size // 16
         np.zeros(points, "<f4").tofile(copy / "point_times" / f"{sweep.stem}.bin")

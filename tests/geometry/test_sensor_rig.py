@@ -139,7 +139,6 @@ def two(tmp_path_factory):
     street = scene("city", 4)
     low = Drive(street, replace(sensor("XT-32"), height=LOW), FRAMES, seed=9)
     (folder / "velodyne_2").mkdir()
-    shutil.rmtree(folder / "point_times")  # of one LiDAR
     for k in range(FRAMES):
         sweep, name = low.sweep(k), f"{k:06d}"
         rows = np.column_stack([sweep.points, sweep.intensity])

@@ -148,7 +148,7 @@ def test_parameters_that_leave_no_point(drive: Path) -> None:
 
 
 def test_point_times_in_seconds_of_the_day(copy: Path) -> None:
-    (copy / "point_times").mkdir(exist_ok=True)
+    (copy / "point_times").mkdir()
     for file in (copy / "velodyne").iterdir():
         times = np.full(file.stat().st_size // 16, 40000, "<f4")
         times.tofile(copy / "point_times" / file.name)

@@ -60,8 +60,9 @@ def write_drive(
         Number of sweeps. There is one image between each two sweeps.
     seed : int
     skew : bool
-        Write raw sweeps. Otherwise sweeps are motion compensated with the exact motion of the ego,
-        as in SemanticKITTI. Both have ``point_times``: moving objects stay where they were.
+        Write raw sweeps and ``point_times``. Otherwise sweeps are motion compensated with the exact
+        motion of the ego, as in SemanticKITTI, and have ``point_times`` only if the sensor does not
+        spin.
     images : bool
         Write camera images and exact depth maps.
     blooming_deg : float
@@ -196,7 +197,8 @@ def _write_sweep(folder: Path, drive: Drive, index: int) -> NDArray[np.uint32]:
     rows.tofile(_file(folder, "velodyne", index))
     sweep.labels.tofile(_file(folder, "labels", index))
     np.save(_file(folder, "speeds", index), sweep.speed.astype(np.float16))
-    sweep.relative_time.tofile(_file(folder, "point_times", index))
+    if drive.skew or not drive.sensor.spins:  # else the azimuth tells the time
+        sweep.relative_time.tofile(_file(folder, "point_times", index))
     return sweep.labels >> np.uint32(16)
 
 
