@@ -13,10 +13,12 @@ import yaml
 from numpy.typing import NDArray
 
 from docdepth.config import Parameters
-from docdepth.datasets import CameraStream, Sweep, open_dataset
+from docdepth.datasets import CameraStream, open_dataset
+from docdepth.datasets.kitti_lidar import azimuth_relative_time
 from docdepth.errors import RunError
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.atomic import write_atomically
 from docdepth.io.labels import classes_of_labels
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_odometry
@@ -57,6 +59,7 @@ class Cell:
             write_drive(self.folder, self.scene, self.sensor, self.frames, self.seed, images=False)
         elif yaml.safe_load(about.read_text()) != wanted:
             raise RunError(f"{about.parent} holds another drive than {wanted}; delete it")
+        _write_point_times(about.parent)
         return about.parent
 
     def run(self, path: Path | None = None, parameters: Parameters | None = None) -> RunFolder:
@@ -73,6 +76,17 @@ class Cell:
         dataset = open_dataset(sequence)
         run_odometry(run, dataset, dataset.poses)
         return run
+
+
+def _write_point_times(sequence: Path) -> None:
+    """Tell when each point was measured, as recordings do; without it, moving objects blur."""
+    folder = sequence / "point_times"
+    folder.mkdir(exist_ok=True)
+    for sweep in sorted((sequence / "velodyne").iterdir()):
+        if (folder / sweep.name).exists():
+            continue
+        times = azimuth_relative_time(np.fromfile(sweep, "<f4").reshape(-1, 4)[:, :3]).tobytes()
+        write_atomically(folder / sweep.name, lambda stream, content=times: stream.write(content))
 
 
 Item = TypeVar("Item")
@@ -120,7 +134,7 @@ class ExactDrive:
     def scene(self, parameters: Parameters) -> Scene:
         """The drive with exact classes, instances and tracks, ready for rendering."""
         count = len(self.dataset)
-        sweeps, labels = Lazy(count, self._sweep), Lazy(count, self._labels)
+        sweeps, labels = Lazy(count, self.dataset.sweep), Lazy(count, self._labels)
         return Scene(sweeps, self.trajectory, labels, parameters, self.drive.tracks())
 
     def images(self, count: int, ends: bool = True) -> list[int]:
@@ -135,22 +149,6 @@ class ExactDrive:
         assert labels is not None
         classid, instance = classes_of_labels(labels)
         return ExactLabels(classid, np.where(classid == DYNAMIC, instance, np.uint16(0)))
-
-    def _sweep(self, index: int) -> Sweep:
-        """A sweep with the time of each point: moving objects are where they were at that time."""
-        sweep = self.dataset.sweep(index)
-        if sweep.relative_time is not None:
-            return sweep
-        x, y = sweep.points[:, 0], sweep.points[:, 1]
-        relative_time = (-np.arctan2(y, x) / (2 * np.pi)).astype(np.float32)
-        return Sweep(
-            sweep.points,
-            sweep.name,
-            sweep.time,
-            relative_time=relative_time,
-            sensor_rig=sweep.sensor_rig,
-            motion_compensated=True,
-        )
 
 
 def add_cell_arguments(parser: argparse.ArgumentParser, images: int) -> None:

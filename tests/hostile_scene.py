@@ -42,7 +42,7 @@ class Scene:
         image = _core.RangeImage(self.points, ground, 0.01, 5, 0.2)
         stays = (dynamic, np.zeros(n, np.int32), np.full(n, 3, np.int32))
         detections = _core.Detections(self.points, ground, objects, dynamic, *stays, mesh, pose)
-        numbers, areas, extents, samples, _, borders = detections.arrays
+        numbers, areas, extents, samples, _, borders, sample_times = detections.arrays
         box = np.r_[np.eye(4)[:3].ravel(), 2, 1, 1].astype(np.float32)
         self.mesh_image = _core.MeshImage(self.points, ground, mesh, _core.MeshImageParameters())
         self.static_splats, self.dynamic_splats = [(frame, pose)] * 3, [(frame, pose)]
@@ -80,6 +80,7 @@ class Scene:
             "numbers": numbers,
             "samples": samples,
             "borders": borders,
+            "sample_times": sample_times,
             "voxels": np.arange(9, dtype=np.uint64),
             "read": lambda sweep: detections,
             "take": lambda found: None,

@@ -180,47 +180,56 @@ std::shared_ptr<Detections> make_detections(const Array<float>& points, const Ar
 /// Detections as arrays: per object its first row, its points, how many of them are dynamic, how
 /// many samples it has, when its place was occupied first and last, how many edges and hidden
 /// borders it has, (K, 8); its area, that of its dynamic points and that of free places, and its
-/// time offset, (K, 4); its box, (K, 6); all samples, (M, 3); their normals, (M, 3); the edges and
-/// hidden borders of each object, (B, 3).
+/// time offset, and its middle, (K, 7); its box, (K, 6); all samples, (M, 3); their normals, (M,
+/// 3); the edges and hidden borders of each object, (B, 3); when each sample, and then each border,
+/// was measured, (M + B,).
 py::tuple arrays_of(const Detections& detections) {
   const auto count = static_cast<py::ssize_t>(detections.size());
   std::vector<std::uint32_t> numbers;
-  std::vector<float> areas, boxes, samples, normals, borders;
+  std::vector<float> areas, boxes, samples, normals, borders, times, border_times;
   for (const Detection& object : detections) {
     numbers.insert(numbers.end(), {object.first, object.points, object.dynamic,
                                    static_cast<std::uint32_t>(object.samples().size()),
                                    static_cast<std::uint32_t>(object.first_occupied),
                                    static_cast<std::uint32_t>(object.last_occupied),
-                                   static_cast<std::uint32_t>(object.edges.size()),
-                                   static_cast<std::uint32_t>(object.hidden.size())});
+                                   static_cast<std::uint32_t>(object.edges.points.size()),
+                                   static_cast<std::uint32_t>(object.hidden.points.size())});
     areas.insert(areas.end(),
                  {object.area, object.dynamic_area, object.free_area, object.time_offset});
+    append(object.middle, areas);
     append(object.box.low, boxes), append(object.box.high, boxes);
     for (const auto& point : object.samples()) append(point, samples);
     for (const auto& normal : object.surface.normals) append(normal, normals);
-    for (const auto& point : object.edges) append(point, borders);
-    for (const auto& point : object.hidden) append(point, borders);
+    times.insert(times.end(), object.surface.times.begin(), object.surface.times.end());
+    for (const TimedPoints* border : {&object.edges, &object.hidden}) {
+      for (const auto& point : border->points) append(point, borders);
+      border_times.insert(border_times.end(), border->times.begin(), border->times.end());
+    }
   }
+  times.insert(times.end(), border_times.begin(), border_times.end());
   const auto all = static_cast<py::ssize_t>(samples.size() / 3),
              at_borders = static_cast<py::ssize_t>(borders.size() / 3);
   return py::make_tuple(
-      to_numpy(std::move(numbers), {count, 8}), to_numpy(std::move(areas), {count, 4}),
+      to_numpy(std::move(numbers), {count, 8}), to_numpy(std::move(areas), {count, 7}),
       to_numpy(std::move(boxes), {count, 6}), to_numpy(std::move(samples), {all, 3}),
-      to_numpy(std::move(normals), {all, 3}), to_numpy(std::move(borders), {at_borders, 3}));
+      to_numpy(std::move(normals), {all, 3}), to_numpy(std::move(borders), {at_borders, 3}),
+      to_numpy(std::move(times), {all + at_borders}));
 }
 
-/// Take points off the front of the rest of an array.
-void take(const PointMap& points, Eigen::Index& row, std::uint32_t count, SampledPoints& into) {
+/// Take points and their times off the front of the rest of an array.
+void take(const PointMap& points, const float* times, Eigen::Index& row, std::uint32_t count,
+          TimedPoints& into) {
   if (row + count > points.rows())
     throw std::invalid_argument("there are fewer samples than the detections say");
   for (const Eigen::Index end = row + count; row < end; ++row)
-    into.push_back(points.row(row).transpose());
+    into.add(points.row(row).transpose(), times[row]);
 }
 
 std::shared_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
                                           const Array<float>& areas, const Array<float>& boxes,
                                           const Array<float>& samples, const Array<float>& normals,
-                                          const Array<float>& borders) {
+                                          const Array<float>& borders,
+                                          const Array<float>& sample_times) {
   const PointMap all = as_points(samples), directions = as_points(normals, "normals"),
                  around = as_points(borders, "borders");
   check_coordinates(samples, "samples");
@@ -231,24 +240,31 @@ std::shared_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
   const auto is_table = [&](const auto& array, py::ssize_t columns) {
     return array.ndim() == 2 && array.shape(0) == count && array.shape(1) == columns;
   };
-  if (!is_table(numbers, 8) || !is_table(areas, 4) || directions.rows() != all.rows())
+  if (!is_table(numbers, 8) || !is_table(areas, 7) || directions.rows() != all.rows())
     throw std::invalid_argument(
-        "detections are numbers (K, 8), areas (K, 4), boxes (K, 6), samples and normals (M, 3)");
+        "detections are numbers (K, 8), areas (K, 7), boxes (K, 6), samples and normals (M, 3)");
+  const float* times = as_column(sample_times, all.rows() + around.rows(), "sample_times");
+  const float* border_times = times + all.rows();
   auto detections = std::make_shared<Detections>(extents.size());
-  Eigen::Index row = 0, normal = 0, border = 0;
+  Eigen::Index row = 0, border = 0;
   for (std::size_t k = 0; k < extents.size(); ++k) {
     Detection& object = (*detections)[k];
     const std::uint32_t* n = numbers.data() + 8 * k;
-    const float* a = areas.data() + 4 * k;
+    const float* a = areas.data() + 7 * k;
     object.first = n[0], object.points = n[1], object.dynamic = n[2];
     object.area = a[0], object.dynamic_area = a[1], object.free_area = a[2];
     object.first_occupied = std::int32_t(n[4]), object.last_occupied = std::int32_t(n[5]);
-    object.time_offset = a[3];
+    object.time_offset = a[3], object.middle = {a[4], a[5], a[6]};
     object.box = extents[k];
     if (n[1] == 0 || n[3] == 0) throw std::invalid_argument("a detection has points and samples");
-    take(all, row, n[3], object.surface.points),
-        take(directions, normal, n[3], object.surface.normals);
-    take(around, border, n[6], object.edges), take(around, border, n[7], object.hidden);
+    for (std::uint32_t i = 0; i < n[3] && row + i < all.rows(); ++i)
+      object.surface.normals.push_back(directions.row(row + i).transpose());
+    TimedPoints surface;
+    take(all, times, row, n[3], surface);
+    object.surface.points = std::move(surface.points);
+    object.surface.times = std::move(surface.times);
+    take(around, border_times, border, n[6], object.edges);
+    take(around, border_times, border, n[7], object.hidden);
   }
   return detections;
 }
@@ -374,7 +390,7 @@ void bind_objects(py::module_& m) {
            "one_stay"_a, "first_occupied"_a, "last_occupied"_a, "mesh"_a, "T_world_lidar"_a,
            "time_offset"_a = py::none())
       .def_static("of", &detections_of, "numbers"_a, "areas"_a, "extents"_a, "samples"_a,
-                  "normals"_a, "borders"_a)
+                  "normals"_a, "borders"_a, "sample_times"_a)
       .def_property_readonly("arrays", &arrays_of);
   m.def("track_objects", &track, "read"_a, "times"_a, "parameters"_a, "threads"_a, "take"_a,
         "held"_a);

@@ -73,7 +73,7 @@ def ranges_of(size, middle, turn=0.0):
     """Where each ray of a LiDAR at the origin meets a box; infinite where it does not."""
     rotation = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0],
                          [0, 0, 1]])  # fmt: skip
-    start, along = -rotation @ middle, RAYS @ rotation.T
+    start, along = np.negative(middle) @ rotation.T, RAYS @ rotation.T
     with np.errstate(divide="ignore"):
         ends = np.sort((np.array([-1, 1])[:, None, None] * np.array(size) / 2 - start) / along, 0)
     near, far = ends[0].max(1), ends[1].min(1)
@@ -86,7 +86,7 @@ def measured(ranges, rays, rng):
     return (RAYS[rays] * (ranges[rays] + noise)[:, None]).astype(np.float32)
 
 
-def detections_of(things, count, seed=0, joined=None):
+def detections_of(things, count, seed=0, joined=None, drive=None):
     """Detections from a vehicle that drives ahead, and in each sweep the first row of each thing.
 
     ``joined`` maps a pair of things to the sweeps in which both are one object.
@@ -94,7 +94,7 @@ def detections_of(things, count, seed=0, joined=None):
     rng = np.random.default_rng(seed)
     detections, rows = [], []
     for i in range(count):
-        T = straight(count).poses[i]
+        T = (drive or straight(count)).poses[i]
         points, first, moving, stays, firsts, wholes = [], [], [], [], {}, {}
         ranges = np.array([thing.ranges(i, T[:3, 3]) for thing in things])
         nearest = np.where(np.isfinite(ranges).any(0), ranges.argmin(0), -1)
@@ -353,6 +353,24 @@ def test_a_car_is_tracked_though_each_sweep_of_a_rosette_sees_other_parts(seed):
     assert tracked([car], 60) == [list(range(35))]
 
 
+def test_what_the_lidar_sees_of_its_own_vehicle_is_not_tracked():
+    """It moves with the vehicle, as a cyclist does who rides beside it for half of the drive."""
+    rack = Thing((0.4, 0.4, 0.4), lambda i: (0.8 * i - 1, 1.2, 1.1), range(40))
+    ahead = [0.8 * i + 1 + 0.02 * max(0, i - 20) ** 2 for i in range(40)]
+    cyclist = Thing((1.7, 0.6, 1.7), lambda i: (ahead[i], 2.2), range(40))
+    for things, count in (((rack, cyclist), 1), ((cyclist,), 1), ((rack,), 0)):
+        detections, _ = detections_of(things, 40)
+        assert len(track_objects(detections, straight(40)).tracks) == count
+
+
+def test_a_thing_beside_a_lidar_that_stands_is_tracked():
+    """It waits for most of the drive, at the same place of both frames, and goes."""
+    there = Trajectory(straight(40).times, np.repeat(straight(1).poses, 40, 0))
+    things = [Thing(PERSON, lambda i: (1 + max(0, i - 35) * 0.5, 2.0), range(36, 40))]
+    detections, _ = detections_of(things, 40, drive=there)
+    assert len(track_objects(detections, there).tracks) == 1
+
+
 def test_a_bin_that_a_pedestrian_leaves_is_not_part_of_him():
     """They are one object at first; when he is far away, the bin is occluded."""
     walker = Thing(PERSON, lambda i: (8 + 0.08 * i, 3), range(60))
@@ -461,6 +479,30 @@ def test_the_path_of_a_turning_car_is_found():
     np.testing.assert_allclose(track.size, CAR, atol=0.4)
 
 
+def test_a_lorry_that_overtakes_is_measured_at_different_times():
+    """In a sweep its front and its rear are up to 40 ms apart, in which it goes 0.7 m."""
+    speed, count, rng = 18.0, 30, np.random.default_rng(0)
+    parts = (((6.5, 2.5, 3.5), (-1.5, 0, 1.75)), ((2, 2.3, 2.8), (4, 0, 1.6)))
+    late = np.arctan2(RAYS[:, 1], RAYS[:, 0]) / (-2 * np.pi) * 0.1
+    moved = np.outer(late, (1, 0, 0))
+    truth = np.stack([1.8 * np.arange(count) - 14, np.full(count, 4.0), np.zeros(count)], 1)
+    detections = []
+    for i, T in enumerate(straight(count).poses):
+        middle = truth[i] - T[:3, 3] + (speed - 8) * moved
+        ranges = np.min([ranges_of(np.array(size), middle + off) for size, off in parts], 0)
+        hit = np.isfinite(ranges)
+        cloud = (measured(ranges, hit, rng) + 8 * moved[hit]).astype(np.float32)
+        none, here = np.zeros(len(cloud), bool), np.full(len(cloud), i, np.int32)
+        whole, stays = np.zeros(len(cloud), np.uint32), PointStays(~none, here, here)
+        times = late[hit].astype(np.float32)
+        detections.append(Detections(cloud, none, whole, ~none, stays, ScanMesh(cloud), T, times))
+    (track,) = track_objects(detections, straight(count)).tracks
+    assert len(track) == count
+    off = track.poses[:, 0, 3] - truth[:, 0]
+    assert np.abs(off - np.median(off)).max() < 0.08  # 0.2 m as if all were measured at once
+    np.testing.assert_allclose(track.size[0], 10, atol=0.3)
+
+
 def test_a_few_points_in_a_dynamic_voxel_are_dynamic():
     """They are too few for an object; beside a hedge they may be of the hedge."""
     walker = Thing(PERSON, lambda i: (8 + 0.1 * i, 3) if i != 15 else None, range(30))
@@ -490,7 +532,7 @@ def test_detections_are_the_objects_of_their_sweep():
     free = rng.random(400) < 0.5
     stays, mesh = PointStays(free, ends, ends), ScanMesh(points)
     made = Detections(points, ground, objects, moving, stays, mesh, T)
-    numbers, areas, boxes, places, normals, borders = made.arrays
+    numbers, areas, boxes, places, normals, borders, times = made.arrays
     assert list(numbers[:, 0]) == sorted(set(objects[~ground]))
     for (first, count, dynamic, _, earliest, *_), area, box in zip(
         numbers, areas, boxes, strict=True
@@ -509,6 +551,7 @@ def test_detections_are_the_objects_of_their_sweep():
         assert earliest == np.sort(np.flatnonzero(members))[count // 2]
     assert numbers[:, 3].sum() == len(places) == len(normals)
     assert numbers[:, 6:].sum() == len(borders)
+    assert len(times) == len(places) + len(borders)
     assert ((np.abs(np.linalg.norm(normals, axis=1) - 1) < 1e-5) | ~normals.any(1)).all()
     assert numbers[:, 3].max() <= 100
 
@@ -521,7 +564,7 @@ def test_borders_tell_where_an_object_ends_and_where_it_is_hidden():
         Thing(POLE, parked_at(0.8, 4)),
     ]
     detections, rows = detections_of(things, 1)
-    numbers, *_, borders = detections[0].arrays
+    numbers, *_, borders, _ = detections[0].arrays
     (k,) = np.flatnonzero(numbers[:, 0] == rows[0][0])
     ends = np.cumsum(numbers[:, 6:].ravel().astype(int))  # edges and hidden of each in turn
     edges, hidden = (

@@ -23,7 +23,7 @@ def dynamic_voxels(detections, tracked, times):
     return result
 
 
-def objects_of(numbers, areas, boxes, places, normals, _borders):
+def objects_of(numbers, areas, boxes, places, normals, _borders, _times):
     ends = np.cumsum(numbers[:, 3]).astype(int)
     return [
         {

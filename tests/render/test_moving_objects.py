@@ -22,7 +22,12 @@ from docdepth.render.sightings import (
     boxes_in_view,
     sighted_objects,
 )
-from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS, near_vehicles, track_sweeps
+from docdepth.render.track_sweeps import (
+    MOST_TRACK_SWEEPS,
+    near_vehicles,
+    sweeps_of_track,
+    track_sweeps,
+)
 
 CORNERS = np.array([(x, y, z) for x in (-2, 2) for y in (-0.9, 0.9) for z in (0, 1.5)])
 
@@ -240,6 +245,28 @@ def test_further_sweeps_show_a_vehicle_from_elsewhere_and_belong_to_its_track():
     drawn = drawn_frames(trajectory, beside, TRIANGLES, {2: track})
     assert not {*drawn.tracked} & {*drawn.static, *drawn.dynamic}
     assert {i for i, whole in drawn.needed.items() if not whole} == {*drawn.tracked}
+
+
+def test_a_vehicle_is_drawn_from_the_further_sweeps_of_its_own_track_alone():
+    """Those that an image takes for a lorry show a car beside it from too far."""
+    trajectory = straight(40, spacing=0.5)
+    lorry = moving_track(trajectory, (10.5, -1, -1), (4, 0.5, 0), (1, 1.6, 1.4), of=6)
+    where = [lorry.poses[i, :2, 3] - (0.5, 0) for i in range(40)]
+    time = 530_000_000
+    own = sweeps_of_track(lorry, trajectory, time)
+    view = View(small_camera(), AXES @ inverse(trajectory.interpolate(time)[0]), time)
+    for track, wanted in ((lorry, {*own}), (replace(lorry, size=np.array((1, 1.6, 0.5))), set())):
+        frames = [
+            followed(*wall_and_box(i, trajectory, where[i]), i, trajectory, track, TRIANGLES)
+            for i in range(40)
+        ]
+        drawn = drawn_frames(trajectory, time, TRIANGLES)
+        drawn = drawn._replace(static=drawn.static[:1], tracked=[30, *own])
+        of = sighted_objects(view, trajectory, frames.__getitem__, drawn, {6: track}, 0)
+        others = {drawn.sighted[number] for *_, number in of[0][2]}
+        assert others == wanted - {*drawn.dynamic}
+    assert len(own) == 2
+    assert 30 not in own
 
 
 def test_near_a_vehicle_its_neighbours_are_kept_also_across_the_seam():

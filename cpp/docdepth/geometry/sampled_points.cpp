@@ -53,6 +53,24 @@ void for_each_voxel(const SampledPoints& points, float size, const Visit& visit)
   }
 }
 
+/// Mean of the values of the points in each voxel.
+template <class Value>
+std::vector<Value> voxel_means(const SampledPoints& points, const std::vector<Value>& values,
+                               float size, const Value& zero) {
+  std::vector<Value> sums;
+  std::vector<float> counts;
+  for_each_voxel(points, size, [&](std::size_t i, std::size_t number) {
+    if (number == sums.size()) {
+      sums.push_back(zero);
+      counts.push_back(0);
+    }
+    sums[number] += values[i];
+    ++counts[number];
+  });
+  for (std::size_t i = 0; i < sums.size(); ++i) sums[i] /= counts[i];
+  return sums;
+}
+
 }  // namespace
 
 Extent extent_of(const SampledPoints& points) {
@@ -75,33 +93,30 @@ std::int64_t voxel_coordinate(float value, float size) {
 }
 
 SampledPoints downsample(const SampledPoints& points, float size) {
-  SampledPoints sums;
-  std::vector<float> counts;
-  for_each_voxel(points, size, [&](std::size_t i, std::size_t number) {
-    if (number == sums.size()) {
-      sums.push_back(Vector::Zero());
-      counts.push_back(0);
-    }
-    sums[number] += points[i];
-    ++counts[number];
-  });
-  for (std::size_t i = 0; i < sums.size(); ++i) sums[i] /= counts[i];
-  return sums;
-}
-
-SampledSurface downsample(const SampledSurface& surface, float size) {
-  SampledSurface result{downsample(surface.points, size), {}};
-  result.normals.assign(result.points.size(), Vector::Zero());
-  for_each_voxel(surface.points, size, [&](std::size_t i, std::size_t number) {
-    result.normals[number] += surface.normals[i];
-  });
-  return result;
+  return voxel_means<Vector>(points, points, size, Vector::Zero());
 }
 
 SampledPoints downsample(const SampledPoints& points, float size, std::size_t most) {
   SampledPoints samples = downsample(points, size);
   while (samples.size() > most) samples = downsample(points, size *= kSampleSpacingGrowth);
   return samples;
+}
+
+TimedPoints downsample(const TimedPoints& points, float size, std::size_t most) {
+  SampledPoints samples = downsample(points.points, size);
+  while (samples.size() > most) samples = downsample(points.points, size *= kSampleSpacingGrowth);
+  return {std::move(samples), voxel_means(points.points, points.times, size, 0.0f)};
+}
+
+TimedSurface downsample(const TimedSurface& surface, float size) {
+  TimedSurface result;
+  result.points = downsample(surface.points, size);
+  result.times = voxel_means(surface.points, surface.times, size, 0.0f);
+  result.normals.assign(result.points.size(), Vector::Zero());
+  for_each_voxel(surface.points, size, [&](std::size_t i, std::size_t number) {
+    result.normals[number] += surface.normals[i];
+  });
+  return result;
 }
 
 TimedPoints downsample_sweep(const Points& points, const float* times, float size, float min_range,

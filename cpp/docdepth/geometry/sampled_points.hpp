@@ -49,14 +49,30 @@ struct SampledSurface {
   SampledPoints points, normals;
 };
 
-/// The same for points and normals.
-SampledSurface downsample(const SampledSurface& surface, float size);
-
-/// Points of a sweep and when each was measured.
+/// Points of a sweep and when each was measured [s].
 struct TimedPoints {
-  std::vector<Eigen::Vector3f> points;
+  SampledPoints points;
   std::vector<float> times;
+
+  void add(const Eigen::Vector3f& point, float time) {
+    points.push_back(point), times.push_back(time);
+  }
 };
+
+/// Means of points and of their times.
+TimedPoints downsample(const TimedPoints& points, float size, std::size_t most);
+
+/// A surface and when each of its points was measured [s].
+struct TimedSurface : SampledSurface {
+  std::vector<float> times;
+
+  void add(const Eigen::Vector3f& point, const Eigen::Vector3f& normal, float time) {
+    points.push_back(point), normals.push_back(normal), times.push_back(time);
+  }
+};
+
+/// Means of points and of their times, and sums of normals.
+TimedSurface downsample(const TimedSurface& surface, float size);
 
 /// Mean of the finite points, and of their times, in each voxel of edge `size`, in the order of the
 /// first point of each. Points nearer than `min_range` or not nearer than `max_range` are left out.

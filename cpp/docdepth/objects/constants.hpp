@@ -65,6 +65,11 @@ constexpr float kPartialShare = 0.5f;
 /// How wrong a shift may be [m]; far away as much as rays are apart [rad]: 0.3 degrees.
 constexpr float kShiftError = 0.15f, kRaySpacing = 0.005f;
 
+/// What the LiDAR sees within this distance [m] at the same place of its own frame, in this share
+/// of the sweeps, while it goes so far [m], is the vehicle that carries it. Nothing else keeps
+/// beside it for a whole drive.
+constexpr float kEgoReach = 3, kEgoShare = 0.8f, kMinEgoPath = 5;
+
 // --- Motion of a track ---
 
 /// One object never looks larger than its size times the factor, plus the margin [m].

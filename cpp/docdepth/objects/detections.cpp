@@ -13,10 +13,10 @@ namespace {
 using Vector = Eigen::Vector3f;
 
 /// Samples of samples where each size would start from the points again: much faster, and as even.
-SampledSurface sample(const SampledSurface& surface, const Extent& box) {
+TimedSurface sample(const TimedSurface& surface, const Extent& box) {
   if (box.width() > kMaxObjectWidth) return downsample(surface, kWideSampleSpacing);
   float size = kSampleSpacing;
-  SampledSurface samples = downsample(surface, size);
+  TimedSurface samples = downsample(surface, size);
   while (samples.points.size() > kMaxSamples)
     samples = downsample(samples, size *= kSampleSpacingGrowth);
   return samples;
@@ -69,7 +69,7 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
   const std::vector<std::uint8_t> borders = borders_of(points, evidence, mesh);
   const Eigen::Matrix3f rotation = T_world_lidar.linear().cast<float>();
   Detections detections;
-  std::vector<SampledSurface> members;
+  std::vector<TimedSurface> members;
   std::vector<std::vector<std::int32_t>> firsts, lasts;
   std::vector<std::uint32_t> porous;  // isolated returns of each object
   std::vector<std::uint8_t> isolated(count);
@@ -88,26 +88,27 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
     }
     Detection& object = detections[number[first]];
     const float area = here.squaredNorm();
-    ++object.points, object.area += area;
+    ++object.points, object.area += area, object.middle += here;
     if (dynamic[i]) ++object.dynamic, object.dynamic_area += area;
     if (one_stay[i]) object.free_area += area;
     porous[number[first]] += isolated[i];
-    if (time_offset) object.time_offset += time_offset[i];
+    const float time = time_offset ? time_offset[i] : 0;
+    object.time_offset += time;
     object.box.add({p, p});
     firsts[number[first]].push_back(first_occupied[i]);
     lasts[number[first]].push_back(last_occupied[i]);
-    if (borders[i] == 1) object.edges.push_back(p);
-    if (borders[i] & 2) object.hidden.push_back(p);
-    members[number[first]].points.push_back(p);
-    members[number[first]].normals.push_back(rotation * normals[i]);
+    if (borders[i] == 1) object.edges.add(p, time);
+    if (borders[i] & 2) object.hidden.add(p, time);
+    members[number[first]].add(p, rotation * normals[i], time);
   }
   for (std::size_t k = 0; k < detections.size(); ++k) {
     detections[k].time_offset /= float(detections[k].points);
+    detections[k].middle /= float(detections[k].points);
     if (float(porous[k]) > kMaxIsolatedShare * float(detections[k].points))
       detections[k].free_area = 0;
     detections[k].first_occupied = quantile(firsts[k], 0.5);
     detections[k].last_occupied = quantile(lasts[k], 0.5);
-    for (SampledPoints* border : {&detections[k].edges, &detections[k].hidden})
+    for (TimedPoints* border : {&detections[k].edges, &detections[k].hidden})
       *border = downsample(*border, kBorderSpacing, kMaxBorderSamples);
     detections[k].surface = sample(members[k], detections[k].box);
     for (Vector& normal : detections[k].surface.normals)

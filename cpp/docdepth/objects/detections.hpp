@@ -28,10 +28,11 @@ struct Detection {
   std::int32_t first_occupied = 0;  ///< median of the first sweeps that found a place occupied
   std::int32_t last_occupied = 0;   ///< the same of the last ones
   float time_offset = 0;            ///< mean time of its points [s after the sweep's stamp]
-  Extent box{};                     ///< in the world
-  SampledSurface surface;           ///< in the world
-  SampledPoints edges;              ///< beside which the background shows: there it ends
-  SampledPoints hidden;             ///< beside which something nearer hides how it goes on
+  Eigen::Vector3f middle = Eigen::Vector3f::Zero();  ///< mean of its points in the LiDAR frame
+  Extent box{};                                      ///< in the world
+  TimedSurface surface;  ///< in the world; times after the sweep's stamp
+  TimedPoints edges;     ///< beside which the background shows: there it ends
+  TimedPoints hidden;    ///< beside which something nearer hides how it goes on
 
   bool is_dynamic() const { return 2 * dynamic >= points; }
   /// Whether most of its place was free before or after.

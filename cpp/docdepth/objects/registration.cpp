@@ -35,7 +35,7 @@ Ends ends_of(const SeenSurface& seen, const Eigen::Isometry3f& T_object_world) {
     sideways += std::fabs(across * normal) > 2 * std::fabs(along * normal);
   if (float(sideways) < kMinSideShare * float(seen.points.size())) return {};
   float most[3][2];  // of the surface, its edges, its hidden borders; at the low and the high end
-  const SampledPoints* groups[3] = {&seen.points, &seen.edges, &seen.hidden};
+  const SampledPoints* groups[3] = {&seen.points, &seen.edges.points, &seen.hidden.points};
   for (int g = 0; g < 3; ++g) {
     most[g][0] = most[g][1] = -INFINITY;
     for (const Vector& p : *groups[g]) {
@@ -108,6 +108,17 @@ void add_ends(const SeenSurface& seen, const Ends& expected,
 }
 
 }  // namespace
+
+SeenSurface SeenSurface::held(const Vector& velocity) const {
+  SeenSurface surface = *this;
+  const auto hold = [&](SampledPoints& moved, std::vector<float>& late) {
+    for (std::size_t i = 0; i < moved.size(); ++i) moved[i] -= late[i] * velocity;
+    std::fill(late.begin(), late.end(), 0.0f);
+  };
+  hold(surface.points, surface.times);
+  for (TimedPoints* border : {&surface.edges, &surface.hidden}) hold(border->points, border->times);
+  return surface;
+}
 
 void SurfaceModel::add(const SeenSurface& seen, const Pose& T_world_object) {
   const Eigen::Isometry3f T = T_world_object.inverse().cast<float>();

@@ -12,9 +12,13 @@
 
 namespace docdepth {
 
-/// What a sweep saw of an object.
-struct SeenSurface : SampledSurface {
-  SampledPoints edges, hidden;  ///< as in Detection
+/// What a sweep saw of an object. Times are those after its observation [s].
+struct SeenSurface : TimedSurface {
+  TimedPoints edges, hidden;  ///< as in Detection
+
+  /// All at the time of the observation: a sweep takes a tenth of a second, in which the far end
+  /// of a lorry beside us has moved on by half a metre.
+  SeenSurface held(const Eigen::Vector3f& velocity) const;
 };
 
 /// Where the ends of an object are along its x axis, if they are seen.

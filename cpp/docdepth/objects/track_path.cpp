@@ -157,7 +157,7 @@ void TrackPath::register_surfaces() {
   measured.headings[first] = {states_[first].time,
                               {states_[first].heading, 0, 0},
                               Eigen::Vector3d(exact, 1, 1).asDiagonal()};
-  model.add(seen_[first], pose_of(first));
+  model.add(surface(first), pose_of(first));
   end_ = register_from(first, 1, model, measured);
   begin_ = register_from(first, -1, model, measured) + 1;
   if (!is_one_object()) return;  // the others are something else
@@ -167,7 +167,7 @@ void TrackPath::register_surfaces() {
                           kGuessHeadingDeviation * kGuessHeadingDeviation};
   for (std::size_t k = 0; k < states_.size(); ++k) {
     const ExpectedPose expected{pose_of(k), near.covariance, near.heading_variance};
-    measured.set(k, register_surface(seen_[k], model, expected), states_[k]);
+    measured.set(k, register_surface(surface(k), model, expected), states_[k]);
   }
   smooth(measured);
   find_extent(model);
@@ -184,10 +184,11 @@ std::size_t TrackPath::register_from(std::size_t first, int step, SurfaceModel& 
   Pose T_last = pose_of(first);
   for (std::size_t k = first + std::size_t(step); k < states_.size(); k += std::size_t(step)) {
     const double time = states_[k].time;
+    const SeenSurface seen = surface(k);
     motion.predict(time, kChange), turn.predict(time, turn_change(k));
     Pose guess = standing_pose(motion.position(), turn.position().x(), states_[k].slope);
     ++misses;
-    if (lies_on(seen_[k].points, model, guess)) {
+    if (lies_on(seen.points, model, guess)) {
       misses = 0;
     } else {
       // The motion has lost it: as the shifts say, if it can have gone there.
@@ -195,12 +196,12 @@ std::size_t TrackPath::register_from(std::size_t first, int step, SurfaceModel& 
       const double dt = time - states_[last].time;
       const double reach = kSearchMargin + kMaxAcceleration * dt * dt / 2;
       if ((shifted.translation() - guess.translation()).head<2>().norm() <= reach &&
-          lies_on(seen_[k].points, model, shifted))
+          lies_on(seen.points, model, shifted))
         guess = shifted, misses = 0;
     }
     if (misses == kMaxMisses) return k - (misses - 1) * std::size_t(step);
     const auto registered = [&](const Pose& expected) {
-      return register_surface(seen_[k], model,
+      return register_surface(seen, model,
                               {expected, motion.covariance(), turn.covariance()(0, 0)});
     };
     Registration found = registered(guess);
@@ -223,7 +224,7 @@ std::size_t TrackPath::register_from(std::size_t first, int step, SurfaceModel& 
     motion.update(position), turn.update(measured.headings[k]);
     if (misses > 0) continue;
     last = k, T_last = found.T_world_object;
-    if (found.share >= kMinRegisteredShare) model.add(seen_[k], found.T_world_object);
+    if (found.share >= kMinRegisteredShare) model.add(seen, found.T_world_object);
   }
   return step > 0 ? states_.size() : std::size_t(-1);
 }
@@ -269,6 +270,7 @@ void TrackPath::find_extent(const SurfaceModel& model) {
   }
 }
 
+/// As measured, not held: what a sweep shows of the object is looked for in these boxes.
 void TrackPath::find_extents() {
   std::vector<float> sides[6];
   for (std::size_t k = 0; k < states_.size(); ++k) {

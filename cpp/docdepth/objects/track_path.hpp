@@ -64,6 +64,10 @@ class TrackPath {
     void set(std::size_t k, const Registration& found, const State& state);
   };
 
+  /// What an observation saw, all at its time.
+  SeenSurface surface(std::size_t k) const {
+    return seen_[k].held(states_[k].velocity.cast<float>());
+  }
   void measure_shifts();
   void register_surfaces();
   std::size_t register_from(std::size_t first, int step, SurfaceModel& model,

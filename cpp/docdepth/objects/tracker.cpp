@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "docdepth/objects/constants.hpp"
+#include "docdepth/objects/ego_places.hpp"
 
 namespace docdepth {
 namespace {
@@ -106,6 +107,7 @@ class Tracker {
       : detections_(detections), times_(times), p_(p) {}
 
   std::vector<Track> run() {
+    for (std::size_t i = 0; i < times_.size(); ++i) ego_.add(detections_[i]);
     for (std::size_t i = 0; i < times_.size(); ++i) forward(i);
     alive_.clear();
     std::vector<std::vector<int>> begin(times_.size());  // tracks by their first sweep
@@ -127,7 +129,7 @@ class Tracker {
     const Detections& seen = detections_[sweep];
     std::vector<int> owners;
     for (const Detection& object : seen)
-      owners.push_back(can_be_tracked(object) ? kFree : kUntracked);
+      owners.push_back(can_be_tracked(object) && !ego_.hold(object) ? kFree : kUntracked);
     owners_.push_back(std::move(owners));
     go_on(sweep, [&](const End& end, Match&& match) {
       add(end.track, sweep, match, false);
@@ -385,7 +387,7 @@ class Tracker {
       if (match.objects.empty()) match.box = seen[k].box;
       match.objects.push_back(k);
       append(match.samples, seen[k].samples());
-      match.hidden |= !seen[k].hidden.empty();
+      match.hidden |= !seen[k].hidden.points.empty();
       match.area += seen[k].area;
       match.box.add(seen[k].box);
       match.largest = match.largest.cwiseMax(seen[k].box.size());
@@ -431,6 +433,7 @@ class Tracker {
   }
 
   DetectionWindow& detections_;
+  EgoPlaces ego_;
   const std::vector<double>& times_;
   const TrackParameters& p_;
   std::vector<Track> tracks_;

@@ -15,7 +15,8 @@ namespace docdepth {
 /// unless together they are larger than the object ever looked. These samples are those of the last
 /// two sweeps, since a sensor of few beams or a rosette sees other parts in each sweep. So an
 /// object is followed to where it stands before or after, and to where no key frame looked. Two
-/// tracks become one where the later, followed backward, meets the end of the earlier.
+/// tracks become one where the later, followed backward, meets the end of the earlier. What the
+/// LiDAR sees of its own vehicle is not tracked (EgoPlaces).
 ///
 /// @param times  of the sweeps [s]
 std::vector<Track> follow_objects(DetectionWindow& detections, const std::vector<double>& times,

@@ -113,29 +113,21 @@ struct SeenTrack {
   std::vector<SeenSurface> surfaces;
 };
 
-/// Velocity since the last observation of a track; until the next one at its beginning [m/s].
-Vector mean_velocity(const Track& track, std::size_t k, const std::vector<double>& times) {
-  const auto& seen = track.observations;
-  if (seen.size() == 1) return Vector::Zero();
-  const std::size_t later = std::max<std::size_t>(k, 1);
-  return seen[later].shift / float(times[seen[later].sweep] - times[seen[later - 1].sweep]);
-}
-
-/// What an observation saw, all at its time: a part that was measured later has moved on since.
-SeenSurface surface_of(const Track& track, std::size_t k, const Detections& detections,
-                       const std::vector<double>& times) {
-  const TrackObservation& seen = track.observations[k];
-  const Vector velocity = mean_velocity(track, k, times);
+/// What an observation saw, and when.
+SeenSurface surface_of(const TrackObservation& seen, const Detections& detections) {
   SeenSurface surface;
-  const auto append = [](SampledPoints& all, const SampledPoints& more, const Vector& shift) {
-    for (const Vector& point : more) all.push_back(point + shift);
+  const auto append = [&](SampledPoints& points, std::vector<float>& times,
+                          const SampledPoints& more, const std::vector<float>& more_times) {
+    points.insert(points.end(), more.begin(), more.end());
+    for (const float time : more_times) times.push_back(time - float(seen.time_offset));
   };
   for (const auto of : seen.objects) {
     const Detection& part = detections[of];
-    const Vector back = velocity * float(seen.time_offset - double(part.time_offset));
-    append(surface.points, part.surface.points, back);
-    append(surface.normals, part.surface.normals, Vector::Zero());
-    append(surface.edges, part.edges, back), append(surface.hidden, part.hidden, back);
+    const TimedSurface& its = part.surface;
+    append(surface.points, surface.times, its.points, its.times);
+    surface.normals.insert(surface.normals.end(), its.normals.begin(), its.normals.end());
+    append(surface.edges.points, surface.edges.times, part.edges.points, part.edges.times);
+    append(surface.hidden.points, surface.hidden.times, part.hidden.points, part.hidden.times);
   }
   return surface;
 }
@@ -189,7 +181,7 @@ Paths single_objects(std::vector<Track> tracks, DetectionWindow& detections,
     for (SeenTrack& seen : open) {
       const auto& observations = seen.track.observations;
       if (observations[seen.surfaces.size()].sweep != i) continue;
-      seen.surfaces.push_back(surface_of(seen.track, seen.surfaces.size(), detections[i], times));
+      seen.surfaces.push_back(surface_of(observations[seen.surfaces.size()], detections[i]));
       if (seen.surfaces.size() == observations.size()) whole.push_back(std::move(seen));
     }
     const auto is_whole = [](const SeenTrack& seen) { return seen.track.observations.empty(); };

@@ -45,7 +45,7 @@ from docdepth.pipeline.workers import Worker, Workers
 _EVIDENCE = "evidence"
 """Folder in the notes of a run with what an interrupted stage goes on with."""
 
-_OF_EVIDENCE, _OF_DETECTIONS = 4, 6
+_OF_EVIDENCE, _OF_DETECTIONS = 4, 7
 """Arrays of a file of evidence."""
 
 _HELD_DETECTIONS = 64

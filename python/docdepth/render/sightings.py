@@ -19,7 +19,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.frame import Frame
 from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import DrawnFrames
-from docdepth.render.track_sweeps import MOST_TRACK_SWEEPS, lidar_range, seen_to_its_top
+from docdepth.render.track_sweeps import lidar_range, seen_to_its_top, sweeps_of_track
 
 SOFT_SECONDS = 0.12
 """Sweeps farther in time from the image tell nothing about what is not rigid [s]. A step of a
@@ -183,11 +183,13 @@ def _chosen(
     stamp = {view.sweep: int(trajectory.times[view.sweep]) for view in seen}
     known = [v for v in seen if track.deviation_at(stamp[v.sweep]) <= MAX_DEVIATION]
     others = sorted((view for view in known if view.sweep not in drawn.dynamic), key=_away)
-    further = [view for view in others if view.sweep in drawn.tracked][:MOST_TRACK_SWEEPS]
+    own = set(sweeps_of_track(track, trajectory, time))
+    further = [view for view in others if view.sweep in own]
     others = [
         view
         for view in others
-        if view.sweep not in drawn.tracked
+        if view.sweep not in own
+        and view.sweep not in drawn.tracked
         and lidar_range(track, trajectory, stamp[view.sweep]) <= COARSER * away
     ]
     room = MOST_SIGHTINGS - len(around) - len(further)

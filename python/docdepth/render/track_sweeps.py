@@ -41,15 +41,19 @@ def track_sweeps(trajectory: Trajectory, time: int, tracks: Tracks) -> list[int]
 
     The choice belongs to the tracks and not to the image, so consecutive images share it.
     """
-    T_lidar_world = inverse(trajectory.interpolate(time)[0])
     chosen: set[int] = set()
     for track in tracks.values():
-        if track.kind != "vehicle" or not track.covers(time):
-            continue
-        x, y, z, _ = T_lidar_world @ track.pose_at(time) @ (0, 0, track.size[2], 1)
-        if np.arctan2(z, np.hypot(x, y)) > HIGHEST:
-            chosen.update(_views(track, trajectory))
+        chosen.update(sweeps_of_track(track, trajectory, time))
     return sorted(chosen)
+
+
+def sweeps_of_track(track: Track, trajectory: Trajectory, time: int) -> list[int]:
+    """Sweeps that saw from elsewhere what of a vehicle is too high at ``time`` [ns], ascending."""
+    if track.kind != "vehicle" or not track.covers(time):
+        return []
+    T_lidar_world = inverse(trajectory.interpolate(time)[0])
+    x, y, z, _ = T_lidar_world @ track.pose_at(time) @ (0, 0, track.size[2], 1)
+    return _views(track, trajectory) if np.arctan2(z, np.hypot(x, y)) > HIGHEST else []
 
 
 def lidar_range(track: Track, trajectory: Trajectory, time: int) -> float:
