@@ -7,6 +7,7 @@ import os
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
@@ -18,6 +19,7 @@ from docdepth.io.poses import write_kitti
 from docdepth.io.recorded_folder import RecordedFolder
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry
+from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.run import continue_run, render_again, run
 from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.pipeline.run_state import require, states
@@ -259,6 +261,27 @@ def test_run_ends_like_a_fresh_one_whatever_happened(tmp_path_factory, actions):
     written = [p.name for p, t in times.items() if p.is_file() and p.stat().st_mtime_ns != t]
     assert written in ([], ["lock"])
     shutil.rmtree(world.root)
+
+
+def test_a_camera_that_was_drawn_stays_though_the_report_was_refused(tmp_path: Path) -> None:
+    world = World(tmp_path)
+    (world.run / "calib.json").write_bytes(b"\xff")  # of image_2, which the report reads
+    with pytest.raises(DocDepthError, match=r"calib\.json is damaged"):
+        render_again(world.run, {}, "image_3", threads=1)
+    folder = world.make()
+    assert "image_3" in folder.cameras
+    assert {state.state for state in states(folder, verify=True)} == {"done"}
+
+
+def test_nothing_stays_of_a_camera_without_a_map(tmp_path: Path) -> None:
+    world = World(tmp_path)
+    before = set(results(world.run, world))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(DepthFiles, "write", Mock(side_effect=DocDepthError("too deep")))
+        with pytest.raises(DocDepthError, match="too deep"):
+            render_again(world.run, {}, "image_3", threads=1)
+    assert "image_3" not in RunFolder.open(world.run).cameras
+    assert set(results(world.run, world)) == before
 
 
 def _check_that_little_was_written(

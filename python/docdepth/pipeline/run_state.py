@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from docdepth.errors import RunError
+from docdepth.io.depth import DESCRIPTION
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.graph import RunGraph, StageState
 from docdepth.pipeline.run_inputs import known_poses, open_recording, run_cameras
@@ -83,12 +84,23 @@ def _graph(folder: RunFolder, verify: bool = False) -> RunGraph:
 
 
 def forget_cameras(path: Path, names: Sequence[str]) -> None:
-    """Take back cameras whose first maps were refused, so that the run can go on without them."""
+    """Take back cameras of which no map was drawn, so that the run can go on without them."""
     folder = RunFolder.open(path)  # as it was saved, without the settings that were refused
-    saved = [name for name in names if name in folder.cameras]
-    for name in saved:
-        del folder.cameras[name]
-        folder.manifest["stages"].pop(f"render {name}", None)
-    if saved:
-        with folder.lock("render"):
-            folder.save()
+    undrawn = [name for name in names if name in folder.cameras and not _has_maps(folder, name)]
+    if not undrawn:
+        return
+    with folder.lock("render"):
+        for name in undrawn:
+            camera = folder.cameras.pop(name)["folder"]
+            folder.manifest["stages"].pop(f"render {name}", None)
+            for place in (folder.path / "depth" / camera, folder.calibration_folder(camera)):
+                records = folder.records(place)
+                for file in records.names():
+                    if file == DESCRIPTION or "render" in records.recorded_key(file):
+                        folder.remove(place / file)
+        folder.save()
+
+
+def _has_maps(folder: RunFolder, camera: str) -> bool:
+    place = folder.path / "depth" / folder.cameras[camera]["folder"]
+    return bool(set(folder.records(place).names()) - {DESCRIPTION})
