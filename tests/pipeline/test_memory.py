@@ -97,6 +97,14 @@ def test_a_run_that_would_need_more_does_not_begin(drive: Path, tmp_path: Path) 
     assert not (tmp_path / "run").exists()
 
 
+def test_what_the_caller_held_does_not_count() -> None:
+    held = np.ones(50 << 20)  # 400 MB
+    code = "from docdepth.pipeline.stage import Stopwatch as S; print(S().peak_memory_mb())"
+    printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    assert held.nbytes > 4e8
+    assert int(printed.stdout) < 300
+
+
 @pytest.mark.slow
 def test_the_formula_tells_what_a_run_takes(drive_0005: Path, tmp_path: Path) -> None:
     sweeps, out = 40, tmp_path / "run"

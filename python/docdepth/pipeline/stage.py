@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from threading import Lock
 from typing import Any
 
@@ -46,9 +47,16 @@ class Stopwatch:
 
     def peak_memory_mb(self) -> int:
         """The most memory of this process so far, or of a worker that was added."""
-        kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        here = kilobytes // 1024 if sys.platform != "darwin" else kilobytes // 1024**2
-        return max(here, self._most_elsewhere)
+        return max(_peak_memory() >> 20, self._most_elsewhere)
+
+
+def _peak_memory() -> int:
+    """The most memory of this process so far, in bytes."""
+    if sys.platform == "darwin":
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # Linux counts what the caller held before it started this program into ru_maxrss.
+    status = Path("/proc/self/status").read_text()
+    return int(status.partition("VmHWM:")[2].split()[0]) << 10
 
 
 @contextmanager
