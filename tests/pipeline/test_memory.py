@@ -24,6 +24,7 @@ from docdepth.io.file_records import FileRecords
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.memory import bytes_of, memory_of_run, within_memory
 from docdepth.pipeline.run import run
+from docdepth.pipeline.stage import Stopwatch
 
 
 def test_memory_grows_with_the_sensor_and_the_chunk_and_hardly_with_the_drive() -> None:
@@ -103,6 +104,12 @@ def test_what_the_caller_held_does_not_count() -> None:
     printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
     assert held.nbytes > 4e8
     assert int(printed.stdout) < 300
+
+
+def test_a_system_that_does_not_tell_the_peak(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = Stopwatch().peak_memory_mb()
+    monkeypatch.setattr(Path, "read_text", lambda _: "VmRSS: 5 kB")  # as in some sandboxes
+    assert Stopwatch().peak_memory_mb() >= told - 1
 
 
 @pytest.mark.slow

@@ -59,7 +59,7 @@ def options(
 
 
 _GIVEN_BACK_EVERY = 1.0
-"""Seconds: some dozens of sweeps."""
+"""Some ten sweeps take as long [s]."""
 
 
 @cache
