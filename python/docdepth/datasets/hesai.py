@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from docdepth.datasets.cloud import Cloud
 from docdepth.datasets.files import read_lines
 from docdepth.datasets.format import Format
-from docdepth.datasets.packet_capture import PacketCapture, Packets
+from docdepth.datasets.packet_capture import PacketCapture, Packets, recording_of
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import DatasetError
-from docdepth.io.poses import read_poses
 
 LASERS = 32
 DESIGNED = np.stack([15.0 - np.arange(LASERS), np.zeros(LASERS)], axis=1)
@@ -188,10 +187,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
     settings, file = read_settings(path, HesaiSettings)
     angles = read_angles(file.parent / settings.angles) if settings.angles else DESIGNED
     capture = PacketCapture(path, _KIND, partial(decode_packets, angles=angles))
-    poses = None
-    if settings.poses:
-        poses = read_poses(file.parent / settings.poses, len(capture.stream.times))
-    return Recording("hesai", path, [capture], {}, poses, settings.facts())
+    return recording_of(capture, settings, file)
 
 
 def _recognises(path: Path) -> bool:

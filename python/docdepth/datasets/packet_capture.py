@@ -14,7 +14,10 @@ from docdepth.datasets.base import LidarStream
 from docdepth.datasets.cloud import Cloud
 from docdepth.datasets.files import unreadable
 from docdepth.datasets.kitti_files import check_increasing
+from docdepth.datasets.recording import Recording
+from docdepth.datasets.settings import RecordingSettings
 from docdepth.errors import DatasetError, MissingExtraError
+from docdepth.io.poses import read_poses
 
 log = logging.getLogger(__name__)
 
@@ -105,6 +108,14 @@ class PacketCapture:
     def files(self, index: int) -> list[Path]:
         """The capture."""
         return [self.path]
+
+
+def recording_of(capture: PacketCapture, settings: RecordingSettings, file: Path) -> Recording:
+    """A capture with the poses and facts that its ``docdepth.yaml``, ``file``, tells."""
+    stream, poses = capture.stream, None
+    if settings.poses:
+        poses = read_poses(file.parent / settings.poses, len(stream.times))
+    return Recording(stream.name, capture.path, [capture], {}, poses, settings.facts())
 
 
 def _scan(

@@ -11,11 +11,10 @@ import numpy as np
 
 from docdepth.datasets.cloud import Cloud, cloud_from_fields
 from docdepth.datasets.format import Format
-from docdepth.datasets.packet_capture import PacketCapture, Packets
+from docdepth.datasets.packet_capture import PacketCapture, Packets, recording_of
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import DatasetError, MissingExtraError
-from docdepth.io.poses import read_poses
 
 _KIND = Packets("Velodyne", 1206, 2)
 
@@ -98,10 +97,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
     settings, file = read_settings(path, RecordingSettings)
     velodyne_decoder()  # tells what to install before the capture is searched
     capture = PacketCapture(path, _KIND, partial(decode_packets, capture=path))
-    poses = None
-    if settings.poses:
-        poses = read_poses(file.parent / settings.poses, len(capture.stream.times))
-    return Recording("velodyne", path, [capture], {}, poses, settings.facts())
+    return recording_of(capture, settings, file)
 
 
 def _recognises(path: Path) -> bool:
