@@ -64,7 +64,7 @@ def dufomap(
 
 
 def write_pcd(path: Path, points: np.ndarray, number: np.ndarray, origin: np.ndarray) -> None:
-    """Write points (N, 3) with a number each as intensity, measured from ``origin``."""
+    """Write points (N, 3) with a number each as intensity; ``origin`` becomes VIEWPOINT."""
     rows = np.column_stack([points, number]).astype(np.float32)
     header = f"""VERSION .7
 FIELDS x y z intensity
@@ -107,9 +107,10 @@ def beautymap(drive: Drive, clone: Path) -> tuple[list[np.ndarray], float]:
         for index in range(len(drive)):
             world, origin = drive.in_world(index), drive.poses[index][:3, 3]
             clouds.append(world)
-            # BeautyMap adds the position of the sensor to the points of a sweep.
+            # BeautyMap takes sweeps in the frame of the map; VIEWPOINT tells where each was seen
+            # from. It adds the position to the points when it reads them, and subtracts it again.
             number = np.arange(len(world))
-            write_pcd(data / "pcd" / f"{index:06d}.pcd", world - origin, number, origin)
+            write_pcd(data / "pcd" / f"{index:06d}.pcd", world, number, origin)
         number = np.arange(first[-1])
         write_pcd(data / "raw_map.pcd", np.concatenate(clouds), number, np.zeros(3))
         start = time.perf_counter()

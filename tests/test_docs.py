@@ -264,3 +264,35 @@ def _with(text: str, replaced: dict[str, str]) -> str:
         assert old in text, f"the snippet no longer holds {old}"
         text = text.replace(old, new)
     return text
+
+
+def _rows(text: str) -> Iterator[list[str]]:
+    """Cells of the rows of all tables of a text."""
+    for line in text.splitlines():
+        if line.startswith("| ") and not line.startswith("| ---"):
+            yield [cell.strip() for cell in line[1:-1].split("|")]
+
+
+def test_the_short_table_of_measurements_holds_the_means_of_the_long_ones() -> None:
+    page = (ROOT / "docs" / "measurements.md").read_text(encoding="utf-8")
+    sections = dict(part.split("\n", 1) for part in page.split("\n## ")[1:])
+    unseen = "synthetic drives that no parameter was chosen on"
+    labels = {row[0]: row for row in _rows(sections[f"Labels on {unseen}"])}
+    depth = {row[0]: row for row in _rows(sections[f"Depth on {unseen}"])}
+    scenes = ("city", "crossing", "residential")
+    short = {row[0]: row[1:] for row in _rows(sections["In short"])}
+    for sensor in ("HDL-64", "OS1-128", "XT-32", "VLP-16", "Avia"):
+        cells = [[float(value) for value in cell.split("/")] for cell in labels[sensor][1:6]]
+        f1, precision = np.mean(cells, axis=0)
+        assert float(short[sensor][0]) == pytest.approx(f1, abs=6e-4)
+        assert float(short[sensor][1]) == pytest.approx(precision, abs=6e-4)
+        assert float(short[sensor][2]) == float(labels[sensor][6].split(",")[2])
+        rows = [depth[name] for scene in scenes if (name := f"{sensor}, {scene}") in depth]
+        assert len(rows) == len(scenes) or short[sensor][3:] == ["", "", ""]
+        if rows:
+            wrong = np.mean([float(row[4]) + float(row[5]) for row in rows])
+            interior = np.mean([float(row[6].split(",")[0]) for row in rows])
+            density = np.mean([float(row[1]) for row in rows])
+            assert float(short[sensor][3]) == pytest.approx(wrong, abs=0.006)
+            assert float(short[sensor][4]) == pytest.approx(interior, abs=6e-4)
+            assert float(short[sensor][5]) == pytest.approx(density, abs=0.06)

@@ -16,7 +16,7 @@ from docdepth.cli.doctor import doctor, requirements
 def metadata(monkeypatch):
     """docdepth as if it were installed with these requirements."""
     meta = Message()
-    for extra in ("viz", "synth", "dev"):
+    for extra in ("viz", "synth", "dev", "some"):
         meta["Provides-Extra"] = extra
     for text in (
         "numpy>=1.24",
@@ -25,6 +25,9 @@ def metadata(monkeypatch):
         "not-there ; extra == 'synth'",
         'docdepth[viz]; extra == "dev"',
         'rich; extra == "dev"',
+        'rich; extra == "some"',
+        'gone-1; extra == "some"',
+        'gone-2; extra == "some"',
     ):
         meta["Requires-Dist"] = text
     versions = {"numpy": "2.0", "broken-library": "1.1", "open3d": "0.19", "rich": "13"}
@@ -58,6 +61,7 @@ def test_extras_are_those_of_the_package(metadata):
         "viz": ["open3d"],
         "synth": ["not-there"],
         "dev": ["rich"],
+        "some": ["rich", "gone-1", "gone-2"],
     }
 
 
@@ -70,7 +74,8 @@ def test_what_cannot_be_imported_is_not_well(metadata):
         "on Debian: apt install libusb-1.0-0",
         False,
     )
-    assert rows["extra synth"] == ('not-there missing; pip install "docdepth[synth]"', False)
+    assert rows["extra synth"] == ('not installed; pip install "docdepth[synth]"', False)
+    assert rows["extra some"] == ('gone-1, gone-2 missing; pip install "docdepth[some]"', False)
     assert rows["extra dev"] == ("rich 13", True)
 
 

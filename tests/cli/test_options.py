@@ -44,6 +44,14 @@ def test_help_has_a_short_name(docdepth, words):
     assert "Usage: docdepth" in ended.out
 
 
+def test_what_a_reader_needs_first_is_listed_first(docdepth):
+    listed = docdepth().out
+    places = [
+        listed.index(f" {name} ") for name in ("demo", "check", "run", "evaluate", "classify")
+    ]
+    assert places == sorted(places)
+
+
 @pytest.mark.parametrize(
     ("verb", "names"),
     [

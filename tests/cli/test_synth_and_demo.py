@@ -104,4 +104,9 @@ def test_the_demo_of_another_length_or_preset_is_not_taken(docdepth, drive, tmp_
     assert preset.code == 2
     assert "'default', not 'paper'" in preset.err
     assert contents(tmp_path) == before
-    assert docdepth(*command, "--frames", "5").code == 0
+    shown = docdepth(*command, "--frames", "5")
+    assert shown.code == 0
+    assert f"more figures: docdepth evaluate labels {tmp_path / 'demo' / 'run'}" in shown.out
+    assert f"open {tmp_path / 'demo' / 'run' / 'report' / 'index.html'}" in shown.out
+    assert "\ninterior " in shown.out
+    assert "0..10 m" not in shown.out

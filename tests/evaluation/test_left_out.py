@@ -14,9 +14,9 @@ from docdepth.datasets import kitti_lidar
 from docdepth.errors import InputError
 from docdepth.evaluation.depth_metrics import DepthErrors
 from docdepth.evaluation.held_out import evaluate_held_out
-from docdepth.evaluation.left_out import LeftOut, beam_of, between_sides
+from docdepth.evaluation.left_out import LeftOut, Neighbour, beam_of, between_sides
 from docdepth.geometry.scan_mesh import ScanMesh
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder
@@ -115,6 +115,31 @@ def test_hidden_returns_are_those_whose_line_to_the_other_lidar_is_blocked(rig):
     assert clear[own][hidden].mean() < 0.05
     inside = np.abs(np.degrees(np.arcsin(points[:, 2] / ranges))) < 14  # where the first one looks
     assert clear[own][~hidden & inside].mean() > 0.4
+
+
+@pytest.mark.parametrize("turned_deg", [0, 30])
+def test_an_edge_that_only_a_neighbouring_sweep_met_is_not_clear(rig, turned_deg):
+    """A return of the first LiDAR stands for a thin post: half as far as all around it."""
+    record, sensors = record_of(rig, 3)
+    second = record.sensor == 1
+    clear = SECOND.clear(record, sensors)
+    unit = record.points / np.linalg.norm(record.points, axis=1, keepdims=True)
+    tree = scipy_spatial.cKDTree(unit[~second])
+    distance, nearest = tree.query(unit)
+    distance[~(second & clear)] = np.inf
+    assert distance.min() < np.radians(0.05)
+    post = np.flatnonzero(~second)[nearest[distance.argmin()]]
+    points = record.points.copy()
+    points[post] /= 2
+    T = np.eye(4)
+    T[:2, :2] = rotation_exp(np.radians((0, 0, turned_deg)))[:2, :2]
+    neighbour = Neighbour(replace(record, points=(points @ T[:3, :3].T).astype("f4")), sensors, T)
+    lost = clear & ~SECOND.clear(record, sensors, [neighbour])
+    apart = np.degrees(np.arccos(np.clip(unit @ unit[post], -1, 1)))
+    assert lost[distance.argmin()]
+    far = clear & (apart > 3)  # turned points fall at another place in their pixels
+    assert lost[far].mean() < (0.01 if turned_deg else 1e-9)
+    assert not SECOND.clear(record, sensors, [neighbour])[~clear].any()
 
 
 def test_points_between_the_sides_of_an_edge_are_those_in_its_triangles(rig):

@@ -34,6 +34,7 @@ from docdepth.tuning import (
     tune,
     tune_runs,
 )
+from docdepth.tuning.results import beside_each_other
 
 pytest.importorskip("embreex")
 
@@ -340,6 +341,13 @@ def test_a_users_files_beside_the_results_stay(run, tmp_path) -> None:
     kept.write_text("mine")
     tune(run, HeldOutJudge(), [BEHIND], tmp_path)
     assert kept.read_text() == "mine"
+
+
+def test_labels_of_points_that_lie_together_are_one() -> None:
+    places = np.array([[0, 0], [10, 1], [0.4, 0.05], [np.nan, 0], [0.4, 0.1], [10, 1]])
+    assert beside_each_other(places) == [[0, 2], [1, 5], [3], [4]]
+    assert beside_each_other(np.zeros((3, 2))) == [[0, 1, 2]]
+    assert beside_each_other(np.full((2, 2), np.nan)) == [[0], [1]]
 
 
 @pytest.mark.parametrize("judge", [LabelJudge(Path()), DepthJudge(Path()), HeldOutJudge()])

@@ -96,12 +96,16 @@ def _examine_extra(
     extra: str, packages: list[str], modules: Mapping[str, Sequence[str]]
 ) -> tuple[str, bool]:
     findings = {package: examine(package, modules) for package in packages}
-    broken = [f"{p} {finding}" for p, (finding, well) in findings.items() if not well]
-    if not broken:
+    if all(well for _, well in findings.values()):
         return ", ".join(f"{p} {version}" for p, (version, _) in findings.items()), True
-    missing = any(finding == "missing" for finding, _ in findings.values())
-    remedy = f'; pip install "docdepth[{extra}]"' if missing else ""
-    return "; ".join(broken) + remedy, False
+    missing = [package for package, (finding, _) in findings.items() if finding == "missing"]
+    broken = [
+        f"{p} {finding}" for p, (finding, well) in findings.items() if not well and p not in missing
+    ]
+    if missing:
+        some = f"{', '.join(missing)} missing" if len(missing) < len(packages) else "not installed"
+        broken += [some, f'pip install "docdepth[{extra}]"']
+    return "; ".join(broken), False
 
 
 def _remedy(error: str) -> str:

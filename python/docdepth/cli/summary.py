@@ -89,5 +89,7 @@ def show_summary(folder: RunFolder, as_json: bool = False) -> None:
     if left := [name for name, state in summary["stages"].items() if state["state"] != "done"]:
         remedy = f"docdepth run {folder.path}"
         lines.append(f"not up to date: {', '.join(left)}; bring it up to date: {remedy}")
+    elif (page := folder.path / "report" / "index.html").is_file():
+        lines.append(f"look at it: open {page} in a browser")
     for line in lines:
         out.print(line, soft_wrap=True, markup=False)

@@ -14,8 +14,25 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 from rich.console import Console
+from typer.core import TyperGroup
+
+_ORDER = (
+    *("demo", "inspect", "check", "run", "status", "report", "view", "map", "video"),
+    *("evaluate", "tune", "convert", "calibrate", "odometry", "classify", "render"),
+)
+
+
+class _Verbs(TyperGroup):
+    """Lists the verbs in the order in which a reader needs them."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names of the verbs; those without a place come last."""
+        names = super().list_commands(ctx)
+        return sorted(names, key=lambda name: (*_ORDER, name).index(name))
+
 
 app = typer.Typer(
+    cls=_Verbs,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

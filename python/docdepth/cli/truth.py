@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import wraps
+from dataclasses import replace
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,6 +45,8 @@ HeldOutSweeps = Annotated[
         "held-out does: needs no truth. Chosen with N = 10 if no other judge is.",
     ),
 ]
+
+_ROWS_OF_THE_DEMO = ("moving now", "temporarily static", "all", "interior", "moving objects")
 
 
 @verb(app)
@@ -104,16 +107,24 @@ def demo(
 ) -> None:
     """Make a synthetic drive and its depth maps, and print their errors."""
     from docdepth.cli.demo import demo as make
-    from docdepth.cli.evaluate import depth, labels
+    from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
     from docdepth.io.run_folder import RunFolder
 
     with progress_bars() as progress:
         sequence, folder = make(output, preset, frames, threads, progress)  # type: ignore[arg-type]
     show_summary(RunFolder(folder))
-    labels(folder, sequence)
-    depth(folder, sequence)
+    with progress_bars() as progress:
+        labels = evaluate_labels(folder, sequence, partial(progress, "labels"))
+        depth = evaluate_depth(folder, sequence, progress=partial(progress, "depth"))
+    for table in (labels.table(), depth.table()):
+        rows = tuple(row for row in table.rows if row[0] in _ROWS_OF_THE_DEMO)
+        out.print(f"\n{replace(table, rows=rows)}", soft_wrap=True, markup=False)
     if not volume.quiet:
-        out.print(f"look at the pictures in {folder / 'report'}", soft_wrap=True, markup=False)
+        lines = (
+            f"\nmore figures: docdepth evaluate labels {folder} --labels {sequence}",
+            f"              docdepth evaluate depth {folder} --depth {sequence}",
+        )
+        out.print("\n".join(lines), soft_wrap=True, markup=False)
 
 
 @verb(app)

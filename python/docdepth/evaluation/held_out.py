@@ -9,7 +9,7 @@ errors that all sweeps share.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from docdepth.errors import InputError
 from docdepth.evaluation.depth import ERRORS, RANGE_BINS, RangeErrors
 from docdepth.evaluation.depth_metrics import PixelSums, RegionErrors
-from docdepth.evaluation.left_out import LeftOut
+from docdepth.evaluation.left_out import LeftOut, Neighbour
 from docdepth.evaluation.nearest import cloud_distance
 from docdepth.evaluation.pixels import points_of, project
 from docdepth.evaluation.tables import Table, number, plain, ratio
@@ -279,8 +279,17 @@ class _HeldOutViews:
         truth, row = project(self.camera, T_camera_sensor, view.points)
         depth = self._depth_without(index, T_camera_sensor @ inverse(view.T_lidar_sensor))
         classes = np.where(row < 0, np.uint16(0), classid[row])
-        clear = (row >= 0) & self._left_out.clear(record, rig)[row]
+        clear = (row >= 0) & self._left_out.clear(record, rig, self._neighbours(index))[row]
         return JudgedView(index, record.name, depth, truth, classes, clear)
+
+    def _neighbours(self, index: int) -> Iterator[Neighbour]:
+        """The sweeps before and after a sweep."""
+        poses = self._trajectory.poses
+        for k in (index - 1, index + 1):
+            record = self._folder.frame(k)
+            yield Neighbour(
+                record, self._folder.sensor_rig(record), inverse(poses[k]) @ poses[index]
+            )
 
     def _depth_without(
         self, index: int, T_camera_lidar: NDArray[np.float64]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -20,6 +21,14 @@ from docdepth.io.frames import FrameRecord
 _MANY_LASERS = 4  # a rig of more places knows each laser, as that of KITTI's LiDAR
 _PIXEL_DEG = 0.05  # of the picture in which returns are looked up; half a pixel of most cameras
 _BAND_DEG = 0.2  # least height of a beam; returns of sharper ones lie together
+
+
+class Neighbour(NamedTuple):
+    """A sweep near the judged one: its frame and rig, and ``T_neighbour_lidar``, (4, 4)."""
+
+    record: FrameRecord
+    rig: SensorRig | None
+    T_neighbour_lidar: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -87,23 +96,29 @@ class LeftOut:
         assert self.beams is not None
         return np.asarray((beam_of(view, rig) % self.beams == self.beams // 2) & own)
 
-    def clear(self, record: FrameRecord, rig: SensorRig | None) -> NDArray[np.bool_]:
+    def clear(
+        self, record: FrameRecord, rig: SensorRig | None, neighbours: Iterable[Neighbour] = ()
+    ) -> NDArray[np.bool_]:
         """Which returns can be judged to the pixel, (N,): it is clear what their pixel shows.
 
         A return beside a depth edge of its own sweep may fall into a pixel of the other side. Where
         a LiDAR of a rig was left out, the others tell two things more. A return between the two
-        sides of a depth edge of theirs may belong to either: nothing was measured there. And what
-        they could not see at that time is hidden from where they stand: no ray of their sweep ended
-        there or passed behind it, which is how a key frame votes.
+        sides of a depth edge of theirs may belong to either: nothing was measured there. A single
+        sweep may miss a thin post, so neighbouring sweeps are asked as well. And what they could
+        not see at that time is hidden from where they stand: no ray of their sweep ended there or
+        passed behind it, which is how a key frame votes.
         """
         own = self.rows(record, rig)
         view = LeftOut(self.lidar).view(record, rig)
         clear = ~beside_edges(view)
         if self.lidar is None or rig is None:
             return clear
-        for number, other in _by_number(record, rig):
-            if number != self.lidar:
-                clear &= ~between_sides(record.points, other)
+        for sweep in (Neighbour(record, rig, np.eye(4)), *neighbours):
+            T = sweep.T_neighbour_lidar.astype(np.float32)
+            points = record.points @ T[:3, :3].T + T[:3, 3]
+            for number, other in _by_number(sweep.record, sweep.rig):
+                if number != self.lidar:
+                    clear &= ~between_sides(points, other)
         others = record.points.copy()
         others[own] = np.nan
         flat = np.zeros(len(own), np.bool_)

@@ -10,9 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from docdepth.errors import MissingExtraError
 from docdepth.evaluation.tables import Table, number
 from docdepth.io.atomic import write_atomically
+
+_LABEL = (0.05, 0.06)  # size of a label, as shares of what an axis spans
 
 
 @dataclass(frozen=True)
@@ -215,11 +220,37 @@ def plot(outcomes: Sequence[Outcome], view: View, path: Path) -> None:
 
 def _scatter(axes: Any, outcomes: Sequence[Outcome], x: Column, y: Column) -> None:
     """A point with its number for each trial."""
-    for k, outcome in enumerate(outcomes, 1):
-        position = x.scaled(outcome), y.scaled(outcome)
-        axes.plot(*position, "o", label=f"{k}: {outcome.name}")
-        axes.annotate(str(k), position, textcoords="offset points", xytext=(4, 4), size=8)
+    places = np.array([(x.scaled(outcome), y.scaled(outcome)) for outcome in outcomes])
+    for k, (outcome, place) in enumerate(zip(outcomes, places, strict=True), 1):
+        axes.plot(*place, "o", label=f"{k}: {outcome.name}")
+    for group in beside_each_other(places):
+        text = ", ".join(str(k + 1) for k in group)
+        axes.annotate(text, places[group[0]], textcoords="offset points", xytext=(4, 4), size=8)
     axes.set(xlabel=x.label, ylabel=y.label)
+
+
+def beside_each_other(places: NDArray[np.float64]) -> list[list[int]]:
+    """Groups of points so close in a plot that their labels would run over each other.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (N, 2)
+
+    Returns
+    -------
+    list of list of int
+        Rows of each group, in order of their first one.
+    """
+    known = places[np.isfinite(places).all(axis=1)]
+    span = np.ptp(known, axis=0) if len(known) else np.zeros(2)
+    groups: list[list[int]] = []
+    for k, place in enumerate(places):
+        near = (g for g in groups if (abs(place - places[g[0]]) <= np.multiply(_LABEL, span)).all())
+        if (group := next(near, None)) is None:
+            groups.append([k])
+        else:
+            group.append(k)
+    return groups
 
 
 def _varying_parameter(outcomes: Sequence[Outcome]) -> str | None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from docdepth import __version__
+from docdepth.visualization.inspection_text import inspection_lines
 from docdepth.visualization.page import figure, head, table, write_page
 from docdepth.visualization.pictures import Picture
 
@@ -54,13 +55,17 @@ def write_inspection(
         There is another file, or none can be written.
     """
     title = f"docdepth: {Path(figures['recording']['path']).resolve().name}"
-    parts = [head(title), f"<p>docdepth {escape(__version__)}</p>", *_findings(findings)]
+    parts = [head(title), *_findings(findings)]
+    text = "\n".join(inspection_lines(figures))
+    parts += [f'<pre style="white-space:pre-wrap">{escape(text)}</pre>', "<h2>Pictures</h2>"]
+    parts += [figure(picture, caption) for picture, caption in pictures]
+    parts.append("<details><summary>All figures</summary>")
     for name, group in figures.items():
-        parts += [f"<h2>{escape(_words(name))}</h2>"]
+        parts += [f"<h2>{escape(_words(name).capitalize())}</h2>"]
         if name in _MEANINGS:
             parts.append(f"<p>{escape(_MEANINGS[name])}</p>")
         parts.append(_group(group))
-    parts += ["<h2>pictures</h2>", *(figure(picture, text) for picture, text in pictures)]
+    parts += [f"<p>docdepth {escape(__version__)}</p>", "</details>"]
     write_page(path, parts)
 
 

@@ -228,7 +228,8 @@ def _legend(view: str) -> str:
     if view == "depth":
         colors = colorize(np.geomspace(NEAR, FAR, 24)[None], bar=False)[0]
         span = np.log(FAR / NEAR)
-        ticks = [(np.log(t / NEAR) / span, f"{t} m") for t in _TICKS]
+        ends = {NEAR: "\u2264 ", FAR: "\u2265 "}  # what is nearer or farther has the same colour
+        ticks = [(np.log(t / NEAR) / span, f"{ends.get(t, '')}{t} m") for t in _TICKS]
         return scale(colors, ticks) + swatches([([(BACKGROUND,) * 3], "no depth")])
     if view == "class":
         return swatches([
