@@ -67,8 +67,9 @@ std::unique_ptr<MeshFrame> make_mesh_frame(
   std::vector<ObjectMotion> motions;
   for (py::ssize_t k = 0; k < motion.shape(0); ++k)
     motions.push_back({{motion.at(k, 0), motion.at(k, 1), motion.at(k, 2)}, motion.at(k, 3)});
-  for (py::ssize_t i = 0; i < map.rows(); ++i)
-    in_range(owners[i], 0, double(motions.size()), "an owner");
+  std::uint16_t last = 0;
+  for (py::ssize_t i = 0; i < map.rows(); ++i) last = std::max(last, owners[i]);
+  in_range(last, 0, double(motions.size()), "an owner");
   if (triangles.ndim() != 2 || triangles.shape(1) != 3)
     throw std::invalid_argument("triangles must be a uint32 array of shape (M, 3)");
   const py::ssize_t count = triangles.shape(0);

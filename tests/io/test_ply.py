@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from docdepth.errors import RunError
-from docdepth.io.frames import read_frame, read_trajectory, write_frame
+from docdepth.io.frames import read_frame, read_points, read_trajectory, write_frame
 from docdepth.io.ply import read_comments, read_vertices, write_vertices
 
 LAYOUTS = ["ascii", "binary_little_endian", "binary_big_endian"]
@@ -260,3 +260,16 @@ def test_the_header_of_a_written_frame(tmp_path: Path) -> None:
         "element vertex 3", "property float x", "property float y", "property float z",
         "property uint index", "property ushort classid",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("names", ["x y z other", "y x z other", "x y other z", "other x y z"])
+@pytest.mark.parametrize("count", [0, 5])
+def test_points_of_any_order_of_columns(tmp_path: Path, names: str, count: int) -> None:
+    rows = np.zeros(count, [(name, "<u2" if name == "other" else "<f4") for name in names.split()])
+    places = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
+    rows["x"], rows["y"], rows["z"] = places.T
+    write_vertices(tmp_path / "a.ply", rows, [])
+    points = read_points(tmp_path / "a.ply")
+    np.testing.assert_array_equal(points, places)
+    assert points.flags.c_contiguous
+    assert points.flags.writeable

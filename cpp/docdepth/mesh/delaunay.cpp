@@ -106,6 +106,7 @@ class Triangulator {
   void add_guard_row(std::int32_t y, std::int32_t distance, std::uint32_t& guard);
   void join(std::size_t lower, std::size_t upper);
   void legalize(std::uint32_t first);
+  bool flip(std::uint32_t e);
   std::uint32_t add(std::uint32_t a, std::uint32_t b, std::uint32_t c);
   void link(std::uint32_t e, std::uint32_t beyond);
 
@@ -263,61 +264,62 @@ void Triangulator::join(std::size_t lower, std::size_t upper) {
 void Triangulator::legalize(std::uint32_t first) {
   for (std::uint32_t start = first; start < edge_count_; ++start) {
     if (edges_[start].across > start) continue;  // it is tested from the other side
-    doubtful_.push_back(start);
+    if (!flip(start)) continue;                  // most are Delaunay
     while (!doubtful_.empty()) {
-      const std::uint32_t e = doubtful_.back(), f = edges_[e].across;
+      const std::uint32_t e = doubtful_.back();
       doubtful_.pop_back();
-      if (f >= kOpenChain) continue;
-      const std::uint32_t ep = previous(e), fp = previous(f);
-      const std::uint32_t a = edges_[e].corner, b = edges_[f].corner;
-      const std::uint32_t c = edges_[ep].corner, d = edges_[fp].corner;
-      if (!is_within(vertices_[a], vertices_[b], vertices_[c], vertices_[d])) continue;
-      // a b c and b a d become d b c and c a d.
-      edges_[e].corner = d;
-      edges_[f].corner = c;
-      link(e, edges_[fp].across);
-      link(f, edges_[ep].across);
-      link(ep, fp);
-      for (const auto outer : {e, next(e), f, next(f)}) doubtful_.push_back(outer);
+      flip(e);
     }
   }
 }
 
+/// Flip an edge if it is not Delaunay; the four edges around it become doubtful.
+inline bool Triangulator::flip(std::uint32_t e) {
+  const std::uint32_t f = edges_[e].across;
+  if (f >= kOpenChain) return false;
+  const std::uint32_t ep = previous(e), fp = previous(f);
+  const std::uint32_t a = edges_[e].corner, b = edges_[f].corner;
+  const std::uint32_t c = edges_[ep].corner, d = edges_[fp].corner;
+  if (!is_within(vertices_[a], vertices_[b], vertices_[c], vertices_[d])) return false;
+  // a b c and b a d become d b c and c a d.
+  edges_[e].corner = d;
+  edges_[f].corner = c;
+  link(e, edges_[fp].across);
+  link(f, edges_[ep].across);
+  link(ep, fp);
+  for (const auto outer : {e, next(e), f, next(f)}) doubtful_.push_back(outer);
+  return true;
+}
+
 Triangulation Triangulator::triangulation(std::size_t returns) const {
-  // A triangle near the seam has copies. The one whose leftmost corner is no copy is kept.
-  const auto kept = [&](std::size_t t) {
+  Triangulation result;
+  std::vector<std::uint32_t> renamed(edge_count_ / 4, kNone);
+  result.corners.reserve(renamed.size());
+  for (std::uint32_t t = 0; t < renamed.size(); ++t) {
     const Vertex &a = vertices_[edges_[4 * t].corner], &b = vertices_[edges_[4 * t + 1].corner],
                  &c = vertices_[edges_[4 * t + 2].corner];
+    // A triangle near the seam has copies. The one whose leftmost corner is no copy is kept.
     const std::int32_t left = std::min(a.x, std::min(b.x, c.x));
-    return std::max(a.number, std::max(b.number, c.number)) < returns && left >= -kTurn / 2 &&
-           left < kTurn / 2;
-  };
-  std::vector<std::uint32_t> renamed(edge_count_ / 4, kNone), chosen;
-  chosen.reserve(renamed.size());
-  for (std::uint32_t t = 0; t < renamed.size(); ++t) {
-    if (!kept(t)) continue;
-    renamed[t] = static_cast<std::uint32_t>(chosen.size());
-    chosen.push_back(t);
+    const bool is_copy = left < -kTurn / 2 || left >= kTurn / 2;
+    if (is_copy || std::max(a.number, std::max(b.number, c.number)) >= returns) continue;
+    renamed[t] = static_cast<std::uint32_t>(result.corners.size());
+    result.corners.push_back({a.number, b.number, c.number});
   }
   // At the seam the neighbour that is kept is another copy, found by the rows of the edge.
   std::vector<std::array<std::uint32_t, 4>> seam;  // rows of the edge, triangle, edge
-  Triangulation result;
-  result.corners.reserve(chosen.size());
-  result.across.reserve(chosen.size());
-  for (const auto t : chosen) {
-    std::array<std::uint32_t, 3> corners, across = {kNone, kNone, kNone};
-    for (std::size_t i = 0; i < 3; ++i) {
-      const auto [corner, f] = edges_[4 * t + i];
-      corners[i] = vertices_[corner].number;
-      if (f < kOpenChain) across[i] = renamed[f / 4];
-    }
+  result.across.resize(result.corners.size());
+  for (std::uint32_t t = 0; t < renamed.size(); ++t) {
+    const std::uint32_t kept = renamed[t];
+    if (kept == kNone) continue;
     for (std::uint32_t i = 0; i < 3; ++i) {
-      if (across[i] != kNone) continue;
+      const std::uint32_t f = edges_[4 * t + i].across;
+      const std::uint32_t beyond = f < kOpenChain ? renamed[f / 4] : kNone;
+      result.across[kept][i] = beyond;
+      if (beyond != kNone) continue;
+      const auto& corners = result.corners[kept];
       const auto [a, b] = std::minmax(corners[i], corners[(i + 1) % 3]);
-      seam.push_back({a, b, static_cast<std::uint32_t>(result.corners.size()), i});
+      seam.push_back({a, b, kept, i});
     }
-    result.corners.push_back(corners);
-    result.across.push_back(across);
   }
   std::sort(seam.begin(), seam.end());
   for (std::size_t k = 0; k + 1 < seam.size(); ++k) {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "docdepth/geometry/simd.hpp"
 #include "docdepth/mesh/delaunay.hpp"
@@ -209,25 +210,26 @@ ScanMesh build_scan_mesh(const Points& points, const MeshParameters& parameters)
   usable.reserve(rays.size());
   for (std::uint32_t i = 0; i < rays.size(); ++i)
     if (rays[i].range > 0.0f) usable.push_back(i);
-  const Triangulation triangulation = triangulate(directions_of(points), usable);
+  Triangulation triangulation = triangulate(directions_of(points), usable);
   std::vector<Shape> shapes(triangulation.corners.size());
   dispatch<FindShapes>(shapes.size(), triangulation.corners.data(), rays.data(), parameters,
                        shapes.data());
-  const std::vector<std::uint8_t> jump =
-      find_discontinuities(points, triangulation, shapes, parameters.flatness);
-
   ScanMesh mesh;
   mesh.points = rays.size();
-  mesh.triangles.reserve(triangulation.corners.size());
-  mesh.discontinuity.reserve(triangulation.corners.size());
+  mesh.discontinuity = find_discontinuities(points, triangulation, shapes, parameters.flatness);
+  mesh.triangles = std::move(triangulation.corners);
   std::vector<std::uint8_t> used(rays.size(), 0);
-  for (std::size_t t = 0; t < triangulation.corners.size(); ++t) {
+  std::size_t kept = 0;  // wide triangles are left out, in place
+  for (std::size_t t = 0; t < shapes.size(); ++t) {
     if (shapes[t].is_wide) continue;
-    mesh.triangles.push_back(triangulation.corners[t]);
-    mesh.discontinuity.push_back(jump[t]);
-    if (!jump[t])
-      for (const auto corner : triangulation.corners[t]) used[corner] = 1;
+    const auto corners = mesh.triangles[kept] = mesh.triangles[t];
+    const std::uint8_t jump = mesh.discontinuity[kept] = mesh.discontinuity[t];
+    ++kept;
+    if (!jump)
+      for (const auto corner : corners) used[corner] = 1;
   }
+  mesh.triangles.resize(kept);
+  mesh.discontinuity.resize(kept);
   for (const auto i : usable)
     if (!used[i]) mesh.isolated.push_back(i);
   return mesh;

@@ -61,8 +61,8 @@ MeshFrame::MeshFrame(const MeshParts& parts) {
   const std::size_t owners = parts.motions.size() + 1;
   auto mesh = partition_mesh(points, parts.triangles, parts.discontinuity, parts.triangle_count,
                              parts.owner, owners, parts.drawn);
-  std::vector<std::uint8_t> moving;
-  for (Eigen::Index i = 0; i < points.rows(); ++i) moving.push_back(parts.owner[i] != 0);
+  std::vector<std::uint8_t> moving(points.rows());
+  for (Eigen::Index i = 0; i < points.rows(); ++i) moving[i] = parts.owner[i] != 0;
   rays = Rays(points, mesh.normals, parts.ray_origins, {}, parts.time_offset, moving.data());
   std::vector<Vector>& vertices = mesh.vertices;
   std::vector<std::uint8_t> classes(vertices.size(), kNoClass);  // of vertices between returns

@@ -218,6 +218,7 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Point
   const std::vector<Direction> directions =
       ray_origins ? directions_of(Matrix(points - *ray_origins)) : directions_of(points);
   std::vector<std::uint32_t> rows;
+  rows.reserve(points.rows());
   int low = kTurn, high = -kTurn;
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     if (!usable(points, i)) continue;
@@ -229,17 +230,18 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Point
   const auto cell = [&](const Direction& d) {
     const auto column = std::int64_t(d.azimuth + kTurn / 2) * cells_.columns / kTurn;
     const int place = std::min(cells_.place(int(column)), cells_.used - 1);
-    return std::size_t(place) * cells_.rows + (d.elevation - cells_.low) / cells_.side;
+    return std::uint32_t(place * cells_.rows + (d.elevation - cells_.low) / cells_.side);
   };
   std::vector<UnsortedRay> rays(points.rows(), UnsortedRay{});
   dispatch<PrepareRays>(rays.size(), points.data(), static_cast<std::size_t>(points.outerStride()),
                         normals.data(), ray_origins ? ray_origins->data() : nullptr,
                         static_cast<std::size_t>(ray_origins ? ray_origins->outerStride() : 0),
                         rays.data());
-  std::vector<std::size_t> cell_of;
-  cell_of.reserve(rows.size());
-  for (const auto i : rows) cell_of.push_back(cell(directions[i]));
-  for (const std::size_t c : cell_of) ++cells_.start[c + 1];
+  std::vector<std::uint32_t> cell_of(rows.size());
+  for (std::size_t k = 0; k < rows.size(); ++k) {
+    cell_of[k] = cell(directions[rows[k]]);
+    ++cells_.start[cell_of[k] + 1];
+  }
   for (std::size_t c = 1; c < cells_.start.size(); ++c) cells_.start[c] += cells_.start[c - 1];
   auto next = cells_.start;
   std::vector<std::uint32_t> order(rows.size());

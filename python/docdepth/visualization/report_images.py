@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -96,34 +98,19 @@ def camera_pages(
         maps = _maps(run.path / "depth" / str(entry["folder"]))
         files = maps_in(run.path / "depth" / str(entry["folder"]))
         names = sorted(maps.keys() & files.keys(), key=lambda image: maps[image][0])
-        reader = _Reader(run, str(entry["folder"]), files, streams.get(name), trajectory, tracks)
+        reader = _Reader(run, str(entry["folder"]), streams.get(name), trajectory, tracks)
         even = np.linspace(0, len(names) - 1, min(count, len(names)))
-        moments = tuple(
-            Moment(
-                names[k],
-                maps[names[k]][0],
-                {
-                    view: embedded(_reduced(picture), most)
-                    for view, picture in reader.views(names[k], maps[names[k]][0])
-                },
-            )
-            for k in np.unique(np.rint(even).astype(int))
-        )
-        shown = [files[moment.name] for moment in moments]
-        below = _share_below_horizon(run, str(entry["folder"]), shown)
-        pages.append(CameraPage(name, moments, [maps[image] for image in names], below))
+        moments, shares = [], []
+        for k in np.unique(np.rint(even).astype(int)):
+            image, time = names[k], maps[names[k]][0]
+            depth = read_depth(files[image])
+            views = {v: embedded(_reduced(p), most) for v, p in reader.views(image, time, depth)}
+            moments.append(Moment(image, time, views))
+            if reader.below_horizon.any():
+                shares.append(np.isfinite(depth[reader.below_horizon]).mean())
+        below = float(np.mean(shares or [np.nan]))
+        pages.append(CameraPage(name, tuple(moments), [maps[image] for image in names], below))
     return pages
-
-
-def _share_below_horizon(run: RunFolder, folder: str, files: Sequence[Path]) -> float:
-    """Share of the pixels below the horizon that have depth; NaN without such pixels."""
-    if not files:
-        return float("nan")
-    camera, T_camera_lidar, _ = run.calibration(folder)
-    below = below_horizon(camera, T_camera_lidar)
-    if not below.any():
-        return float("nan")
-    return float(np.mean([np.isfinite(read_depth(file)[below]).mean() for file in files]))
 
 
 def budget(cameras: int) -> tuple[int, int]:
@@ -133,23 +120,34 @@ def budget(cameras: int) -> tuple[int, int]:
     return count, min(_BYTES // (views * count), _LARGEST_BYTES)
 
 
-class _Reader(NamedTuple):
+@dataclass(frozen=True)
+class _Reader:
     """Reads what is known of the images of a camera."""
 
     run: RunFolder
     folder: str
-    files: dict[str, Path]
     stream: CameraStream | None
     trajectory: Trajectory
     tracks: Sequence[Track]
 
-    def views(self, name: str, time: int) -> Iterator[tuple[str, Picture]]:
+    @cached_property
+    def _calibration(self) -> tuple[Camera, NDArray[np.float64]]:
+        return self.run.calibration(self.folder)[:2]
+
+    @cached_property
+    def below_horizon(self) -> NDArray[np.bool_]:
+        """Which pixels lie below the horizon; shape (h, w)."""
+        return below_horizon(*self._calibration)
+
+    def views(
+        self, name: str, time: int, depth: NDArray[np.float32]
+    ) -> Iterator[tuple[str, Picture]]:
         """The pictures of an image, by what they show."""
-        camera, T_camera_lidar, _ = self.run.calibration(self.folder)
+        camera, T_camera_lidar = self._calibration
         image = self._image(name)
         if image is not None:
             yield "image", image
-        yield "depth", colorize(read_depth(self.files[name]), bar=False)
+        yield "depth", colorize(depth, bar=False)
         layers = _layers(self.run.path / "layers" / self.folder / f"{name}.npz")
         T_camera_world = T_camera_lidar @ inverse(self.trajectory.interpolate([time])[0])
         if "class" in layers:
