@@ -53,6 +53,7 @@ COLUMNS: dict[str, tuple[tuple[str, ...], int]] = {
     "95 %  ": (("tracks", "kinds", "all", "errors", "heading_deg", "p95"), 1),
     "velocity m/s": (("tracks", "kinds", "all", "errors", "velocity", "median"), 2),
     "95 %   ": (("tracks", "kinds", "all", "errors", "velocity", "p95"), 2),
+    "error / deviation": (("tracks", "kinds", "all", "normalised_error"), 2),
     "kind right %": (("tracks", "kinds", "all", "kind_right"), 1),
 }
 

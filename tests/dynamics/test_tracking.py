@@ -181,6 +181,19 @@ def test_last_sweeps_without_votes():
     assert car == [17, 18, 19]
 
 
+@pytest.mark.parametrize(
+    ("height", "dynamic", "claimed"),
+    [(2.6, range(17), [17, 18, 19]), (0.8, range(17), []), (2.6, range(0, 20, 3), [])],
+    ids=["the side of a lorry", "a crash barrier", "a fence that votes rarely call free"],
+)
+def test_a_long_thin_thing_that_goes_along_itself(height, dynamic, claimed):
+    at = passes(4)
+    side = Thing((9.0, 0.1, height), lambda i: (*at(i), height / 2), dynamic)
+    if claimed == []:  # the order of votes does not tell either that it came or left
+        side.remembered = False
+    assert tracked([side], 20) == [claimed]
+
+
 def test_hidden_for_a_while():
     moving = passes(4)
     hidden = Thing(CAR, lambda i: None if 6 <= i < 9 else moving(i), [*range(6), *range(11, 20)])

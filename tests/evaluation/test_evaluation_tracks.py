@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 from command_line import cli
 from docdepth.errors import InputError
 from docdepth.evaluation import TrackEvaluation
-from docdepth.evaluation.track_errors import box_errors
+from docdepth.evaluation.track_errors import PathErrors, box_errors, offset_of
 from docdepth.evaluation.track_overlaps import Overlaps, over_drive, track_scores
 from docdepth.geometry.track import Track
 
@@ -189,6 +189,43 @@ def test_errors_by_kind():
     assert kinds["all"].errors["along"] == pytest.approx((0.15, 0.3))
     assert (kinds["vehicle"].kind_right, kinds["person"].kind_right) == (100.0, 0.0)
     assert kinds["all"].boxes == 10
+
+
+def test_errors_of_a_path_are_divided_by_what_the_track_states():
+    """The offset that all boxes share is taken away: nobody saw how long the object is."""
+    paths = PathErrors()
+    assert np.isnan(paths.normalised(("vehicle",)))
+    for along, across in ((1.3, 0.0), (0.7, 0.1), (1.0, -0.1)):
+        paths.add("vehicle", 1, 5, np.array([along, across]), 0.2)
+    # Squares 0.09 + 0.09 and 0.01 + 0.01, over 0.2 squared and two boxes more than one mean.
+    expected = np.sqrt(0.20 / 0.04 / 2)
+    assert paths.normalised(("vehicle",)) == pytest.approx(expected)
+    # A box that is known ten times as well holds the mean; one box alone says nothing.
+    paths.add("person", 2, 6, np.array([0.0, 0.0]), 0.01)
+    assert np.isnan(paths.normalised(("person",)))
+    paths.add("person", 2, 6, np.array([0.2, 0.0]), 0.1)
+    mean = 0.2 * 100 / (100 + 10000)
+    of_person = (mean / 0.01) ** 2 + ((0.2 - mean) / 0.1) ** 2
+    assert paths.normalised(("person",)) == pytest.approx(np.sqrt(of_person))
+    both = np.sqrt((2 * expected**2 + of_person) / 3)
+    assert paths.normalised(("person", "vehicle")) == pytest.approx(both)
+
+
+def test_normalised_errors_of_honest_tracks_are_one():
+    """Random paths, each with deviations of its own, and an offset that is not to count."""
+    random, paths = np.random.default_rng(0), PathErrors()
+    for number in range(200):
+        deviation, shift = random.uniform(0.02, 0.5), random.normal(0, 2, 2)
+        for _ in range(20):
+            offset = shift + random.normal(0, deviation / np.sqrt(2), 2)
+            paths.add("vehicle", number, number, offset, deviation)
+    assert paths.normalised(("vehicle",)) == pytest.approx(1, abs=0.03)
+
+
+def test_the_offset_of_a_box_has_signs():
+    true, made = track(1, "vehicle"), track(2, "vehicle", (0.2, -0.5))
+    offset = offset_of(true, made, 200_000_000, np.eye(4), np.eye(4))
+    assert offset == pytest.approx([-0.5, -0.2])
 
 
 def test_a_drive_without_objects_or_instances_has_figures_that_json_can_hold():

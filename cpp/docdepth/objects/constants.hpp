@@ -85,6 +85,8 @@ constexpr double kRigidQuantile = 0.75;
 /// How exactly a shift from sweep to sweep, and the height of the lowest point, tell the position
 /// [m].
 constexpr double kShiftDeviation = 0.08, kHeightDeviation = 0.15;
+/// Errors of shifts add up: after n sweeps to the root of n times this [m].
+constexpr double kShiftDrift = 0.03;
 /// How much a road user changes its acceleration in a second [m/s^2]: firm braking is 4. Roads
 /// bend far less up and down.
 constexpr double kHorizontalChange = 3, kVerticalChange = 0.3;
@@ -161,6 +163,8 @@ constexpr float kMeanFreeShare = 0.4f;
 constexpr float kMinVehicleWidth = 0.5f, kMinVehicleHeight = 0.6f;
 /// Longer than a motorcycle with its rider [m].
 constexpr float kMinRailLength = 2.5f;
+/// Crash barriers are no higher [m].
+constexpr float kMaxRailHeight = 1.2f;
 /// A place belongs to another vehicle if this share of an object would lie in its box: in a queue
 /// they stand where others stood.
 constexpr float kQueueShare = 0.25f;

@@ -24,11 +24,21 @@ bool appears(const std::vector<TrackObservation>& seen, const std::vector<double
   return false;
 }
 
-}  // namespace
-
-bool is_rail(const TrackPath& path) {
+bool is_thin(const TrackPath& path) {
   const Eigen::Vector3f size = path.extent().size();
   return path.is_rigid() && size.x() >= kMinRailLength && size.y() < kMinVehicleWidth;
+}
+
+}  // namespace
+
+bool is_side_of_vehicle(const TrackAndPath& followed) {
+  const auto& [track, path] = followed;
+  return is_thin(path) && path.extent().size().z() >= kMaxRailHeight &&
+         2 * track.dynamic >= int(track.observations.size());
+}
+
+bool is_rail(const TrackAndPath& followed) {
+  return is_thin(followed.path) && !is_side_of_vehicle(followed);
 }
 
 bool is_vehicle(const TrackPath& path) {

@@ -27,9 +27,13 @@ using Paths = std::vector<std::unique_ptr<const TrackAndPath>>;
 /// of walls that show behind something are flat.
 bool is_vehicle(const TrackPath& path);
 
-/// Whether it is a long, thin thing that seems to go along itself. What is seen of a guard rail
-/// goes along with us, or with a car that hides the rest; or it is the side of a car.
-bool is_rail(const TrackPath& path);
+/// Whether it is the side of a lorry or a bus, which is all that is seen of it: long, thin, higher
+/// than any crash barrier, and in most sweeps its place was free before or after.
+bool is_side_of_vehicle(const TrackAndPath& followed);
+
+/// Whether it is another long, thin thing that seems to go along itself. What is seen of a guard
+/// rail goes along with us, or with a car that hides the rest; or it is the side of a car.
+bool is_rail(const TrackAndPath& followed);
 
 /// Whether the object moves at some time: by its path, or as it was not there before or after.
 bool moves(const TrackAndPath& followed, const std::vector<double>& times,

@@ -20,20 +20,27 @@ class TrackEvidence {
 
  public:
   /// @param tracked  with the boxes of all tracks
-  TrackEvidence(const Track& track, const TrackPath& path, std::uint32_t number,
+  TrackEvidence(const TrackAndPath& followed, std::uint32_t number,
                 const std::vector<double>& times, const TrackParameters& p,
                 const std::vector<TrackedSweep>& tracked)
-      : track_(track), path_(path), number_(number), times_(times), p_(p), tracked_(tracked) {
+      : track_(followed.track),
+        path_(followed.path),
+        number_(number),
+        times_(times),
+        p_(p),
+        tracked_(tracked),
+        is_rail_(is_rail(followed)),
+        is_vehicle_(is_vehicle(path_) || is_side_of_vehicle(followed)) {
     float total = 0;
-    for (const TrackObservation& seen : track.observations) {
+    for (const TrackObservation& seen : track_.observations) {
       total += seen.passing_area;
       supported_ = std::max({supported_, seen.passing_area, total / kTotalSupportDivisor});
     }
-    std::size_t first = 0, last = track.observations.size() - 1;
-    while (first < last && path.deviation(first) > kSamePlace) ++first;
-    while (first < last && path.deviation(last) > kSamePlace) --last;
-    first_known_ = times[track.observations[first].sweep];
-    last_known_ = times[track.observations[last].sweep];
+    std::size_t first = 0, last = track_.observations.size() - 1;
+    while (first < last && path_.deviation(first) > kSamePlace) ++first;
+    while (first < last && path_.deviation(last) > kSamePlace) --last;
+    first_known_ = times[track_.observations[first].sweep];
+    last_known_ = times[track_.observations[last].sweep];
     first_place_ = place_at(first_known_), last_place_ = place_at(last_known_);
   }
 
@@ -63,7 +70,7 @@ class TrackEvidence {
 
   /// Whether the track makes a detection of a sweep dynamic.
   bool claims(std::size_t sweep, const Detection& object, bool is_member) {
-    if (is_rail(path_)) return false;
+    if (is_rail_) return false;
     if (object.dynamic == object.points || object.box.width() < kMinTrackedWidth) return false;
     if (object.area - object.dynamic_area > supported_) return false;
     // What has come to stand is asked about each sweep of the rest of the drive.
@@ -107,7 +114,7 @@ class TrackEvidence {
     const Stay& stay = stay_at(path_.pose(time).translation());
     const bool free = stay.free_share >= kFreeEdges &&
                       (seen_to_move() ? stay.free : stay.half_free) >= p_.min_detections;
-    const bool came = is_vehicle(path_) && seen_to_move();
+    const bool came = is_vehicle_ && seen_to_move();
     if (!free && !came) return false;
     return (object.first_occupied >= stay.first ||
             (came && is_of_vehicle(object, object.first_occupied))) &&
@@ -174,6 +181,7 @@ class TrackEvidence {
   const std::vector<double>& times_;
   const TrackParameters& p_;
   const std::vector<TrackedSweep>& tracked_;
+  const bool is_rail_, is_vehicle_;  ///< or only the side of one is seen
   std::deque<Stay> stays_;
   float supported_ = 0;  ///< area of static points that the track can make dynamic
   double first_known_ = 0,

@@ -103,9 +103,13 @@ void TrackPath::measure_shifts() {
     measured.push_back({time, {at.x(), at.y(), seen.box.low.z()}, variance.asDiagonal()});
   }
   const auto motions = smooth_positions(measured, {measured.size(), kChange});
-  for (std::size_t k = 0; k < measured.size(); ++k)
-    states_.push_back({measured[k].time, motions[k].position, motions[k].velocity, 0, 0,
-                       std::sqrt(motions[k].covariance.topLeftCorner<2, 2>().trace())});
+  const double middle = 0.5 * double(measured.size() - 1);
+  for (std::size_t k = 0; k < measured.size(); ++k) {
+    const double drift = kShiftDrift * kShiftDrift * std::fabs(double(k) - middle);
+    const double variance = motions[k].covariance.topLeftCorner<2, 2>().trace() + drift;
+    states_.push_back(
+        {measured[k].time, motions[k].position, motions[k].velocity, 0, 0, std::sqrt(variance)});
+  }
 }
 
 /// Along the motion where it moves; where it stands, as it comes or goes.

@@ -212,8 +212,8 @@ class SweepTracker {
     parallel_for(followed.size(), 1, threads, [&](std::size_t k, std::size_t) {
       const auto& [track, path] = *followed[k];
       const auto number = std::uint32_t(k + 1);
-      evidence_[k] = std::make_unique<TrackEvidence>(track, path, number, times, p, result_);
-      if (p.window > 0 && !is_rail(path)) boxes[k] = boxes_of(track, path, number, times);
+      evidence_[k] = std::make_unique<TrackEvidence>(*followed[k], number, times, p, result_);
+      if (p.window > 0 && !is_rail(*followed[k])) boxes[k] = boxes_of(track, path, number, times);
       reach_[k] = reach_of(*evidence_[k], track, times);
     });
     for (const Boxes& of : boxes)

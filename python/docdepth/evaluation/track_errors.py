@@ -1,4 +1,5 @@
-"""Errors of tracked boxes against exact ones, in the frame of the true box."""
+"""Errors of tracked boxes against exact ones, in the frame of the true box, and of what tracks
+state of them."""
 
 from __future__ import annotations
 
@@ -31,13 +32,59 @@ def box_errors(
     T_true_lidar, T_made_lidar : ndarray of float64, shape (4, 4)
         Pose of the LiDAR in the world of either track.
     """
-    boxes = [inverse(T) @ t.pose_at(time) for t, T in ((true, T_true_lidar), (made, T_made_lidar))]
-    apart = inverse(boxes[0]) @ boxes[1]
+    apart = _apart(true, made, time, T_true_lidar, T_made_lidar)
     heading = abs(float(np.degrees(np.arctan2(apart[1, 0], apart[0, 0]))))
     there, here = T_true_lidar[:3, :3].T, T_made_lidar[:3, :3].T
     velocity = here @ made.velocity_at(time) - there @ true.velocity_at(time)
     along, across = np.abs(apart[:2, 3]).tolist()
     return along, across, heading, float(np.linalg.norm(velocity))
+
+
+def _apart(
+    true: Track, made: Track, time: int, T_true_lidar: Floats, T_made_lidar: Floats
+) -> Floats:
+    boxes = [inverse(T) @ t.pose_at(time) for t, T in ((true, T_true_lidar), (made, T_made_lidar))]
+    return np.asarray(inverse(boxes[0]) @ boxes[1])
+
+
+def offset_of(
+    true: Track, made: Track, time: int, T_true_lidar: Floats, T_made_lidar: Floats
+) -> Floats:
+    """Where a box is along and across the true one at one time, shape (2,), as the LiDAR sees it.
+
+    The arguments are those of :func:`box_errors`.
+    """
+    return _apart(true, made, time, T_true_lidar, T_made_lidar)[:2, 3]
+
+
+class PathErrors:
+    """How the paths of tracks err beside the deviations that the tracks state.
+
+    An object may never have been seen whole. So the centre of its box is off by as much in all
+    sweeps, which no deviation tells: of each track the weighted mean of its offsets is taken away.
+    What remains, divided by the deviation, is 1 in the root mean square where the deviation is
+    right. Its square is known as NEES, the normalised estimation error squared.
+    """
+
+    def __init__(self) -> None:
+        self._boxes: dict[tuple[str, int, int], list[tuple[float, ...]]] = defaultdict(list)
+
+    def add(self, kind: str, true: int, made: int, offset: Floats, deviation: float) -> None:
+        """Add a box: kind and ids, :func:`offset_of` it, and its deviation [m]."""
+        self._boxes[kind, true, made].append((float(offset[0]), float(offset[1]), deviation))
+
+    def normalised(self, kinds: tuple[str, ...]) -> float:
+        """Root mean square of the normalised errors; NaN without a track of two boxes."""
+        total, free = 0.0, 0
+        for (kind, *_), rows in self._boxes.items():
+            along, across, deviation = np.array(rows).T
+            if kind not in kinds or len(rows) < 2 or not (deviation > 0).all():
+                continue
+            weight = deviation**-2
+            for offset in (along, across):
+                total += float(weight @ (offset - weight @ offset / weight.sum()) ** 2)
+            free += len(rows) - 1
+        return float(np.sqrt(total / free)) if free else np.nan
 
 
 class ErrorSums:

@@ -20,7 +20,7 @@ from docdepth.evaluation.objects import (
     instances,
 )
 from docdepth.evaluation.tables import Table, number, percent, plain
-from docdepth.evaluation.track_errors import ErrorSums, Floats, box_errors
+from docdepth.evaluation.track_errors import ErrorSums, Floats, PathErrors, box_errors, offset_of
 from docdepth.evaluation.track_overlaps import (
     Overlaps,
     TrackScores,
@@ -60,6 +60,9 @@ class KindResult:
         Share of these boxes whose track has the right kind [%].
     errors : dict
         Median and 95 % quantile along, across, of the heading [deg] and of the velocity [m/s].
+    normalised_error : float
+        Error of the path divided by the deviation that the track states, root mean square: 1 where
+        tracks state how wrong they are, 2 where they are twice as wrong.
     """
 
     objects: int
@@ -69,6 +72,7 @@ class KindResult:
     boxes: int
     kind_right: float
     errors: dict[str, tuple[float, float]]
+    normalised_error: float
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,7 @@ class TrackResult:
                 number(kind.right, 1),
                 *(scores if name == "all" else ["-"] * len(scores)),
                 *errors,
+                number(kind.normalised_error, 2),
                 number(kind.kind_right, 1),
             ))  # fmt: skip
         title = f"tracks: {self.protocol}; poses: {self.poses}; {self.sweeps} sweeps"
@@ -218,7 +223,7 @@ class TrackEvaluation:
             often.update(o.true[o.true_points >= MIN_RETURNS].tolist())
         counted = {k for k, n in often.items() if n >= MIN_SWEEPS and self._objects[k].seen_to_move}
         judged = [o.without(~_counts(o, counted), MIN_RETURNS) for o, *_ in self._sweeps]
-        errors, matched, kinds = self._compare_boxes(judged)
+        errors, paths, matched, kinds = self._compare_boxes(judged)
         drive = over_drive(judged)
         right, points = right_points(drive), dict(zip(drive.true, drive.true_points, strict=True))
 
@@ -234,6 +239,7 @@ class TrackEvaluation:
                 boxes=len(told),
                 kind_right=percent(sum(told), len(told)),
                 errors=errors.of(among),
+                normalised_error=paths.normalised(among),
             )
 
         protocol = (
@@ -245,9 +251,9 @@ class TrackEvaluation:
 
     def _compare_boxes(
         self, judged: Sequence[Overlaps]
-    ) -> tuple[ErrorSums, Counter[int], dict[str, list[bool]]]:
-        """Errors of matched boxes, matched sweeps of each object, and which kinds are right."""
-        errors, matched = ErrorSums(), Counter[int]()
+    ) -> tuple[ErrorSums, PathErrors, Counter[int], dict[str, list[bool]]]:
+        """Errors of matched boxes and paths, matched sweeps of objects, which kinds are right."""
+        errors, paths, matched = ErrorSums(), PathErrors(), Counter[int]()
         kinds: dict[str, list[bool]] = {"vehicle": [], "person": []}
         for overlaps, (_, time, *worlds) in zip(judged, self._sweeps, strict=True):
             for true, made in overlaps.matches():
@@ -255,8 +261,10 @@ class TrackEvaluation:
                 if true in self._true and made in self._made:
                     kind, track = self._kinds[true], self._made[made]
                     errors.add(kind, box_errors(self._true[true], track, time, *worlds))
+                    offset = offset_of(self._true[true], track, time, *worlds)
+                    paths.add(kind, true, made, offset, track.deviation_at(time))
                     kinds[kind].append(track.kind == kind)
-        return errors, matched, kinds
+        return errors, paths, matched, kinds
 
 
 def _counts(overlaps: Overlaps, counted: set[int]) -> NDArray[np.bool_]:
@@ -268,12 +276,14 @@ def _counts(overlaps: Overlaps, counted: set[int]) -> NDArray[np.bool_]:
 HEADER = (
     *("number", "found %", "right instance %"),
     *("HOTA", "DetA", "AssA", "MOTA", "S_assoc", "id switches", "purity %"),
-    *("along m", "across m", "heading deg", "velocity m/s", "kind right %"),
+    *("along m", "across m", "heading deg", "velocity m/s"),
+    *("error / deviation", "kind right %"),
 )
 NOTE = (
     "found: matched in at least half of the sweeps that count; right instance: share of the points "
     "whose instance is the one of their object; HOTA, DetA, AssA, MOTA, id switches: Luiten et al. "
     "2021 and CLEAR, by intersection over union of points; S_assoc: association half of LSTQ; "
     "purity: share of the points of instances that belong to their main object; errors of "
-    "matched boxes: median (95 %)"
+    "matched boxes: median (95 %); error / deviation: root mean square of how far the path is "
+    "off, over what the track states; 1 is right, above it the track claims too much"
 )

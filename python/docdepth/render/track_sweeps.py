@@ -81,19 +81,30 @@ def _lidar_in_box(track: Track, trajectory: Trajectory) -> tuple[NDArray[np.int6
 
 
 def _views(track: Track, trajectory: Trajectory) -> list[int]:
-    """One sweep for each half octave of range and eighth of a turn around the vehicle."""
+    """One sweep for each half octave of range and eighth of a turn around the vehicle.
+
+    Of those the ones that looked highest: what is sought is above the beams of nearer sweeps.
+    """
     sweep, lidar = _lidar_in_box(track, trajectory)
     if not len(sweep):
         return []
     away = np.maximum(np.hypot(lidar[:, 0], lidar[:, 1]), 1.0)
     octave = np.floor(2 * np.log2(away)).astype(np.int64)
     side = np.round(np.arctan2(lidar[:, 1], lidar[:, 0]) / (np.pi / 4)).astype(np.int64) % 8
-    order = np.argsort(away, kind="stable")  # of each cell the nearest, which is the densest
+    order = np.argsort(-_reach(track, trajectory, sweep), kind="stable")
     _, first = np.unique((8 * octave + side)[order], return_index=True)
-    views = np.sort(sweep[order[first]])
-    if len(views) > MOST_TRACK_SWEEPS:
-        views = views[np.linspace(0, len(views) - 1, MOST_TRACK_SWEEPS).round().astype(np.int64)]
-    return [int(i) for i in views]
+    return sorted(sweep[order[np.sort(first)[:MOST_TRACK_SWEEPS]]].tolist())
+
+
+def _reach(track: Track, trajectory: Trajectory, sweep: NDArray[np.int64]) -> Floats:
+    """How high above the bottom of a vehicle a beam of elevation ``HIGHEST`` met it, (n,) [m]."""
+    T_world_lidar = trajectory.poses[sweep]
+    places = np.array([track.pose_at(time)[:3, 3] for time in trajectory.times[sweep].tolist()])
+    local = np.einsum("nji,nj->ni", T_world_lidar[:, :3, :3], places - T_world_lidar[:, :3, 3])
+    away = np.hypot(local[:, 0], local[:, 1])
+    local[:, 2] = away * np.tan(HIGHEST)
+    met = np.einsum("nij,nj->ni", T_world_lidar[:, :3, :3], local) + T_world_lidar[:, :3, 3]
+    return np.asarray(met[:, 2] - places[:, 2])
 
 
 def near_vehicles(
