@@ -106,9 +106,9 @@ void TrackPath::measure_shifts() {
   const double middle = 0.5 * double(measured.size() - 1);
   for (std::size_t k = 0; k < measured.size(); ++k) {
     const double drift = kShiftDrift * kShiftDrift * std::fabs(double(k) - middle);
-    const double variance = motions[k].covariance.topLeftCorner<2, 2>().trace() + drift;
+    const double spread = motions[k].covariance.topLeftCorner<2, 2>().trace() + drift;
     states_.push_back(
-        {measured[k].time, motions[k].position, motions[k].velocity, 0, 0, std::sqrt(variance)});
+        {measured[k].time, motions[k].position, motions[k].velocity, 0, 0, std::sqrt(spread)});
   }
 }
 
