@@ -244,6 +244,18 @@ def test_a_pedestrian_beside_a_wall_is_tracked_past_it():
     assert tracked([walker, wall], 30) == [list(range(10, 20)), []]
 
 
+def test_a_pedestrian_whose_legs_vanish_behind_a_hedge_stays_upright():
+    """What is seen of him rises by 0.6 m; he does not, and does not lean as a car uphill does."""
+
+    def above(i, points):
+        return points[:, 2] > -0.8 + min(0.03 * i, 0.6)
+
+    walker = Thing(PERSON, lambda i: (6 + 0.15 * i, 3), range(40), seen=above)
+    detections, _ = detections_of([walker], 40)
+    (track,) = track_objects(detections, straight(40)).tracks
+    np.testing.assert_array_equal(track.poses[:, :3, 2], [[0, 0, 1]] * len(track))
+
+
 def test_a_shaking_bush_has_not_moved():
     rng = np.random.default_rng(1)
     bush = Thing((1.2, 1.2, 1.2), lambda i: (6 + rng.normal(0, 0.1), 3), range(0, 30, 2))

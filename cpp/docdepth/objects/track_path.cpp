@@ -126,7 +126,8 @@ void TrackPath::find_headings() {
   for (const std::size_t k : moving) {
     const Position& v = states_[k].velocity;
     states_[k].heading = std::atan2(v.y(), v.x());
-    states_[k].slope = std::clamp(std::atan2(v.z(), v.head<2>().norm()), -kSteepest, kSteepest);
+    if (rigid_)  // people are upright uphill, too
+      states_[k].slope = std::clamp(std::atan2(v.z(), v.head<2>().norm()), -kSteepest, kSteepest);
   }
   std::size_t next = 0;
   for (std::size_t k = 0; k < states_.size(); ++k) {
