@@ -19,7 +19,7 @@ from docdepth.errors import ConfigError
 from docdepth.geometry.points import usable_points
 from docdepth.ground.growing import CHUNK_OVERLAP
 
-BASE = 120e6
+BASE = 100e6
 """Of the program [bytes]."""
 
 _PER_SWEEP = 1e3
