@@ -74,7 +74,7 @@ lint: dev
 CMAKE := $(BIN)/cmake -S . -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) -DDOCDEPTH_WERROR=ON
 
 # The C++ tests under the address and undefined behaviour sanitizers, with the assertions of Eigen.
-# More optimisation takes twice as long to compile and finds nothing more.
+# With -O2 they take twice as long to compile.
 cpp-test: dev
 	$(CMAKE) -B build/sanitize -DDOCDEPTH_PYTHON=OFF -DDOCDEPTH_TESTS=ON -DDOCDEPTH_SANITIZE=ON \
 	  -DDOCDEPTH_BENCHMARKS=ON -DCMAKE_BUILD_TYPE=RelWithDebInfo \

@@ -188,9 +188,9 @@ def test_last_sweeps_without_votes():
 )
 def test_a_long_thin_thing_that_goes_along_itself(height, dynamic, claimed):
     at = passes(4)
-    side = Thing((9.0, 0.1, height), lambda i: (*at(i), height / 2), dynamic)
-    if claimed == []:  # the order of votes does not tell either that it came or left
-        side.remembered = False
+    # Where nothing is claimed, the order of votes does not tell that it came or left either.
+    told = claimed != []
+    side = Thing((9.0, 0.1, height), lambda i: (*at(i), height / 2), dynamic, remembered=told)
     assert tracked([side], 20) == [claimed]
 
 

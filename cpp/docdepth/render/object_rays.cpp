@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
-#include <vector>
 
 #include "docdepth/mesh/directions.hpp"
 
@@ -43,49 +41,6 @@ struct Around {
   }
 };
 
-/// The rows of returns by azimuth. Objects are many and small: few of all returns are near one.
-class ByAzimuth {
- public:
-  explicit ByAzimuth(const std::vector<Direction>& directions)
-      : start_(kColumns + 1, 0), rows_(directions.size()) {
-    for (const Direction& d : directions) ++start_[column_of(d.azimuth) + 1];
-    for (std::uint32_t c = 0; c < kColumns; ++c) start_[c + 1] += start_[c];
-    auto next = start_;
-    for (std::size_t i = 0; i < directions.size(); ++i)
-      rows_[next[column_of(directions[i].azimuth)]++] = Eigen::Index(i);
-  }
-
-  /// Rows of the directions that an object holds, ascending.
-  std::vector<Eigen::Index> held(const Around& around,
-                                 const std::vector<Direction>& directions) const {
-    std::vector<Eigen::Index> found;
-    if (around.right - around.left > kTurn / 8) {  // too many to be sorted
-      for (std::size_t i = 0; i < directions.size(); ++i)
-        if (around.holds(directions[i])) found.push_back(Eigen::Index(i));
-      return found;
-    }
-    std::int32_t left = around.centre.azimuth + around.left;
-    const std::int32_t end = std::min(around.centre.azimuth + around.right + kWidth,
-                                      left - (left & (kWidth - 1)) + kTurn);
-    for (; left < end; left += kWidth)
-      for (auto k = start_[column_of(left)]; k < start_[column_of(left) + 1]; ++k)
-        if (around.holds(directions[rows_[k]])) found.push_back(rows_[k]);
-    std::sort(found.begin(), found.end());
-    return found;
-  }
-
- private:
-  static constexpr std::uint32_t kColumns = 256;
-  static constexpr std::int32_t kWidth = kTurn / kColumns;
-
-  static std::uint32_t column_of(std::int32_t azimuth) {  // of any turn
-    return (std::uint32_t(azimuth) / kWidth) % kColumns;
-  }
-
-  std::vector<std::uint32_t> start_;
-  std::vector<Eigen::Index> rows_;
-};
-
 std::vector<Around> around_objects(const MeshParts& parts, const std::vector<Direction>& directions,
                                    std::size_t owners) {
   std::vector<Around> around(owners);
@@ -107,7 +62,6 @@ std::vector<Rays> object_rays(const MeshParts& parts, const std::vector<Vector>&
   const std::vector<Direction> directions = parts.ray_origins
                                                 ? directions_of(Matrix(points - *parts.ray_origins))
                                                 : directions_of(points);
-  const ByAzimuth by_azimuth(directions);
   std::vector<Rays> result;
   result.reserve(parts.motions.size());
   for (const Around& around : around_objects(parts, directions, parts.motions.size())) {
@@ -115,7 +69,9 @@ std::vector<Rays> object_rays(const MeshParts& parts, const std::vector<Vector>&
       result.emplace_back();
       continue;
     }
-    const std::vector<Eigen::Index> rows = by_azimuth.held(around, directions);
+    std::vector<Eigen::Index> rows;
+    for (Eigen::Index i = 0; i < points.rows(); ++i)
+      if (around.holds(directions[i])) rows.push_back(i);
     const ObjectMotion& motion = parts.motions[result.size()];
     Matrix ends(rows.size(), 3), origins = Matrix::Zero(ends.rows(), 3);
     std::vector<Vector> across;

@@ -209,9 +209,7 @@ def lidar_views(points: NDArray[np.float32], sensor_rig: SensorRig | None) -> It
         T = inverse(T_lidar_sensor)
         aligned = np.array_equal(T[:3, :3], np.eye(3))
         exact = points if aligned else points.astype(np.float64) @ T[:3, :3].T
-        seen = np.empty(points.shape, np.float32)
-        for axis in range(3):  # in double precision, without an array of it
-            np.add(exact[:, axis], T[axis, 3], seen[:, axis], dtype="f8", casting="same_kind")
+        seen = np.add(exact, T[:3, 3], dtype=np.float64).astype(np.float32)
         if (sensor_rig.lidar_id != lidar_id).any():
             seen[sensor_rig.lidar_id[sensor_rig.index] != lidar_id] = np.nan
         at_origin = len(lasers) == 1 and sensor_rig.ego_displacement is None

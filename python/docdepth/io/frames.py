@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -236,11 +235,6 @@ def read_points(path: Path) -> NDArray[np.float32]:
 def _points(path: Path, rows: NDArray[Any]) -> NDArray[np.float32]:
     if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
         raise DamagedFileError(path, "it has no x y z")
-    stored: Mapping[str, Any] = rows.dtype.fields or {}
-    if [stored[name] for name in "xyz"] == [(np.dtype("f4"), 4 * axis) for axis in range(3)]:
-        # As docdepth writes them: twelve bytes of each row at once, three times as fast.
-        places = np.ndarray(len(rows), "V12", rows, strides=rows.strides)
-        return np.ascontiguousarray(places).view(np.float32).reshape(-1, 3)
     return np.stack([np.ascontiguousarray(rows[name], np.float32) for name in "xyz"], axis=1)
 
 

@@ -81,9 +81,10 @@ def _lidar_in_box(track: Track, trajectory: Trajectory) -> tuple[NDArray[np.int6
 
 
 def _views(track: Track, trajectory: Trajectory) -> list[int]:
-    """One sweep for each half octave of range and eighth of a turn around the vehicle.
+    """Sweeps that saw a vehicle from all around, those whose highest beam met it highest.
 
-    Of those the ones that looked highest: what is sought is above the beams of nearer sweeps.
+    Of each half octave of range and eighth of a turn around it there is one: what is missing lies
+    above the beams of the nearest sweep. At most ``MOST_TRACK_SWEEPS`` are taken.
     """
     sweep, lidar = _lidar_in_box(track, trajectory)
     if not len(sweep):
