@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -260,3 +261,12 @@ def test_a_run_is_compared_with_its_drive(drive, finished):
     assert found["sweeps"] == 5
     assert found["kinds"]["all"]["objects"] >= 1
     assert "HOTA" in cli("evaluate", "tracks", finished[0], "--labels", drive).output
+
+
+@pytest.mark.parametrize("package", ["motrics", "scipy"])
+def test_what_to_install_is_told_before_all_sweeps_are_read(drive, finished, monkeypatch, package):
+    monkeypatch.setitem(sys.modules, package, None)
+    result = cli("evaluate", "tracks", finished[0], "--labels", drive)
+    assert result.exit_code == 2
+    assert 'pip install "docdepth[tracks]"' in str(result.exception)
+    assert "1/5" not in result.output

@@ -19,6 +19,7 @@ from docdepth.evaluation.depth_truth import DepthTruth, array_of
 from docdepth.evaluation.label_counts import ignored, moving
 from docdepth.evaluation.labels import LabelEvaluation, LabelResult
 from docdepth.evaluation.objects import instances
+from docdepth.evaluation.track_overlaps import track_packages
 from docdepth.evaluation.tracks import TrackEvaluation, TrackResult
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.track import Track
@@ -154,6 +155,7 @@ def evaluate_tracks(
     """
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
     require(folder, "classify")
+    track_packages()  # tells what to install before all sweeps are read
     labels = _truth_folder(labels, "labels", folder)
     made = folder.path / TRACKS
     if tracks is None and (labels.parent / TRACKS).is_file():

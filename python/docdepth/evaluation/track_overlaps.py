@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,20 +106,33 @@ class TrackScores:
     purity: float
 
 
+def track_packages() -> tuple[Any, Any]:
+    """``motrics``, which computes HOTA and CLEAR, and ``scipy.optimize``, which assigns instances.
+
+    Raises
+    ------
+    MissingExtraError
+        One of them is not installed.
+    """
+    try:
+        import motrics
+        from scipy import optimize
+    except ImportError as error:
+        raise MissingExtraError(
+            f'tracks are judged with motrics and scipy: pip install "docdepth[tracks]" ({error})'
+        ) from error
+    return motrics, optimize
+
+
 def track_scores(sweeps: Sequence[Overlaps]) -> TrackScores:
     """Figures of a drive, from the overlaps of each of its sweeps.
 
     Raises
     ------
     MissingExtraError
-        motrics is not installed.
+        motrics or scipy is not installed.
     """
-    try:
-        import motrics
-    except ImportError as error:
-        raise MissingExtraError(
-            'HOTA and CLEAR need motrics: pip install "docdepth[tracks]"'
-        ) from error
+    motrics, _ = track_packages()
     true, made = [o.true.tolist() for o in sweeps], [o.made.tolist() for o in sweeps]
     similarity = [o.iou.tolist() for o in sweeps]
     hota = motrics.compute_hota_from_similarity(true, made, similarity)
@@ -156,15 +170,10 @@ def right_points(drive: Overlaps) -> dict[int, int]:
     Raises
     ------
     MissingExtraError
-        scipy is not installed.
+        motrics or scipy is not installed.
     """
-    try:
-        from scipy.optimize import linear_sum_assignment
-    except ImportError as error:
-        raise MissingExtraError(
-            'assigning instances needs scipy: pip install "docdepth[tracks]"'
-        ) from error
-    rows, columns = linear_sum_assignment(drive.shared, maximize=True)
+    _, optimize = track_packages()
+    rows, columns = optimize.linear_sum_assignment(drive.shared, maximize=True)
     right = dict(zip(drive.true[rows].tolist(), drive.shared[rows, columns].tolist(), strict=True))
     return {number: int(right.get(number, 0)) for number in drive.true.tolist()}
 
