@@ -1,14 +1,25 @@
-"""Tracks and the evidence that they carry: exact scenes, and plain numpy."""
+"""What tracks make dynamic: exact scenes, and plain numpy."""
 
 import numpy as np
 import pytest
+from things import (
+    CAR,
+    PERSON,
+    POLE,
+    WALL,
+    Thing,
+    detections_of,
+    parked_at,
+    passes,
+    straight,
+    tracked,
+    waits,
+)
 from tracks_reference import dynamic_voxels as reference_voxels
 
 from docdepth.dynamics import tracking
 from docdepth.dynamics.tracking import (
-    TRACK_PARAMETERS,
     Detections,
-    PointStays,
     TrackedSweep,
     Tracking,
     apply_tracks,
@@ -16,139 +27,7 @@ from docdepth.dynamics.tracking import (
     track_objects,
 )
 from docdepth.dynamics.voting import Votes
-from docdepth.errors import InputError
-from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.trajectory import Trajectory
-
-MEMORY = 30  # sweeps: for so long key frames remember a place
-CAR, PERSON, POLE, WALL = (4.2, 1.8, 1.5), (0.6, 0.6, 1.7), (0.3, 0.3, 2.0), (12.0, 0.3, 2.5)
-
-
-def rays():
-    """Directions of a LiDAR with a ring each degree."""
-    azimuth, elevation = np.radians(np.arange(-180, 180, 0.3)), np.radians(np.arange(-25, 3, 1.0))
-    azimuth, elevation = (a.ravel() for a in np.meshgrid(azimuth, elevation))
-    level = np.cos(elevation)
-    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], 1)
-
-
-RAYS = rays()
-
-
-class Thing:
-    """A box, its position in each sweep (None: unseen), and the sweeps that vote dynamic.
-
-    Positions are (x, y) or (x, y, z) of its middle. ``seen`` chooses among its returns, in its own
-    frame; all if None. ``remembered``: votes tell in order of time that it came or left.
-    """
-
-    def __init__(self, size, at, dynamic=(), seen=None, remembered=True):
-        self.at, self.dynamic, self.seen = at, set(dynamic), seen
-        self.box, self.size, self.remembered = size, float(np.hypot(*size[:2])), remembered
-
-    def stay(self, i, count):
-        """Whether its place was free within 3 s, and the sweeps that found it occupied then."""
-        here, half = np.array(self.at(i)[:2]), 0.5 * max(self.box[:2])
-        near = range(max(i - MEMORY, 0), min(i + MEMORY + 1, count))
-        off = {j: np.linalg.norm(self.at(j)[:2] - here) for j in near if self.at(j) is not None}
-        there = [j for j, distance in off.items() if distance < half]
-        left = self.remembered and max(off.values()) > self.size
-        return left, there[0], there[-1]
-
-    def ranges(self, i, lidar):
-        """Where each ray of a sweep meets it."""
-        place = self.at(i)
-        if place is None:
-            return np.full(len(RAYS), np.inf)
-        middle = np.array((*place[:2], *(place[2:] or (0.8,)))) - lidar
-        ranges = ranges_of(self.box, middle)
-        if self.seen is not None:
-            hit = np.flatnonzero(np.isfinite(ranges))
-            unseen = ~self.seen(i, RAYS[hit] * ranges[hit, None] - middle)
-            ranges[hit[unseen]] = np.inf
-        return ranges
-
-
-def ranges_of(size, middle, turn=0.0):
-    """Where each ray of a LiDAR at the origin meets a box; infinite where it does not."""
-    rotation = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0],
-                         [0, 0, 1]])  # fmt: skip
-    start, along = np.negative(middle) @ rotation.T, RAYS @ rotation.T
-    with np.errstate(divide="ignore"):
-        ends = np.sort((np.array([-1, 1])[:, None, None] * np.array(size) / 2 - start) / along, 0)
-    near, far = ends[0].max(1), ends[1].min(1)
-    return np.where((near < far) & (near > 0), near, np.inf)
-
-
-def measured(ranges, rays, rng):
-    """The returns of some rays, with noise."""
-    noise = rng.normal(0, 0.01, np.count_nonzero(rays))
-    return (RAYS[rays] * (ranges[rays] + noise)[:, None]).astype(np.float32)
-
-
-def detections_of(things, count, seed=0, joined=None, drive=None):
-    """Detections from a vehicle that drives ahead, and in each sweep the first row of each thing.
-
-    ``joined`` maps a pair of things to the sweeps in which both are one object.
-    """
-    rng = np.random.default_rng(seed)
-    detections, rows = [], []
-    for i in range(count):
-        T = (drive or straight(count)).poses[i]
-        points, first, moving, stays, firsts, wholes = [], [], [], [], {}, {}
-        ranges = np.array([thing.ranges(i, T[:3, 3]) for thing in things])
-        nearest = np.where(np.isfinite(ranges).any(0), ranges.argmin(0), -1)
-        for k, thing in enumerate(things):
-            own = nearest == k
-            if not own.any():
-                continue
-            firsts[k] = len(points)
-            seen = measured(ranges[k], own, rng)
-            whole = next((wholes[a] for (a, b), sweeps in (joined or {}).items()
-                          if b == k and a in wholes and i in sweeps), firsts[k])  # fmt: skip
-            wholes[k] = whole
-            points += list(seen)
-            first += [whole] * len(seen)
-            moving += [i in thing.dynamic] * len(seen)
-            stays += [thing.stay(i, count)] * len(seen)
-        cloud = np.array(points, np.float32).reshape(-1, 3)
-        none = np.zeros(len(cloud), bool)
-        objects, flags = np.array(first, np.uint32), np.array(moving, bool)
-        once, *ends = np.array(stays, np.int32).reshape(-1, 3).T
-        seen = PointStays(once > 0, *(np.ascontiguousarray(end) for end in ends))
-        detections.append(Detections(cloud, none, objects, flags, seen, ScanMesh(cloud), T))
-        rows.append(firsts)
-    return detections, rows
-
-
-def straight(count):
-    """The trajectory of the vehicle."""
-    poses = np.repeat(np.eye(4)[None], count, 0)
-    poses[:, 0, 3], poses[:, 2, 3] = 0.8 * np.arange(count), 1.7
-    return Trajectory(np.arange(count) * 100_000_000, poses)
-
-
-def tracked(things, count, **more):
-    """For each thing the sweeps in which only tracks make it dynamic."""
-    detections, rows = detections_of(things, count, **more)
-    found = track_objects(detections, straight(count)).sweeps
-    return [
-        [i for i in range(count) if k in rows[i] and rows[i][k] in found[i].dynamic]
-        for k in range(len(things))
-    ]
-
-
-def waits(start, leaves, acceleration=2.0):
-    """Position of a thing that stands until a sweep and then drives off along x."""
-    return lambda i: (start[0] + 0.5 * acceleration * (0.1 * max(i - leaves, 0)) ** 2, start[1])
-
-
-def passes(y, speed=8.0, start=-10.0):
-    return lambda i: (start + 0.1 * speed * i, y)
-
-
-def parked_at(x, y):
-    return lambda i: (x, y)
 
 
 def test_a_car_that_waits_and_drives_off_is_dynamic_all_the_time():
@@ -165,7 +44,7 @@ def test_a_car_that_arrives_and_parks_stays_dynamic_to_the_end():
 
 def test_a_car_that_stands_when_it_is_last_seen_stays_there(monkeypatch):
     """It is hidden for longer than a track is continued, and then seen for two sweeps."""
-    monkeypatch.setitem(globals(), "MEMORY", 200)
+    monkeypatch.setattr("things.MEMORY", 200)
     stop = waits((45, 5), 20)
     lost = [*range(40, 96), *range(98, 110)]
     car = Thing(CAR, lambda i: None if i in lost else stop(49 - i), range(22))
@@ -244,18 +123,6 @@ def test_a_pedestrian_beside_a_wall_is_tracked_past_it():
     assert tracked([walker, wall], 30) == [list(range(10, 20)), []]
 
 
-def test_a_pedestrian_whose_legs_vanish_behind_a_hedge_stays_upright():
-    """What is seen of him rises by 0.6 m; he does not, and does not lean as a car uphill does."""
-
-    def above(i, points):
-        return points[:, 2] > -0.8 + min(0.03 * i, 0.6)
-
-    walker = Thing(PERSON, lambda i: (6 + 0.15 * i, 3), range(40), seen=above)
-    detections, _ = detections_of([walker], 40)
-    (track,) = track_objects(detections, straight(40)).tracks
-    np.testing.assert_array_equal(track.poses[:, :3, 2], [[0, 0, 1]] * len(track))
-
-
 def test_a_shaking_bush_has_not_moved():
     rng = np.random.default_rng(1)
     bush = Thing((1.2, 1.2, 1.2), lambda i: (6 + rng.normal(0, 0.1), 3), range(0, 30, 2))
@@ -270,48 +137,6 @@ def test_a_track_that_drifts_on_without_votes_has_not_moved():
 
 def test_two_dynamic_sweeps_are_no_track():
     assert tracked([Thing(CAR, passes(4), range(10, 12), remembered=False)], 20) == [[]]
-
-
-def path_of(place, count, lost=()):
-    """The track of a car that a standing LiDAR sees, but for some sweeps, and all it says."""
-    rng, detections = np.random.default_rng(0), []
-    for i in range(count):
-        x, y, turn = place(i)
-        ranges = ranges_of(CAR, (x, y, CAR[2] / 2 - 1.7), turn)
-        cloud = measured(ranges, np.isfinite(ranges) & (i not in lost), rng)
-        none, whole = np.zeros(len(cloud), bool), np.zeros(len(cloud), np.uint32)
-        ends = np.full(len(cloud), i, np.int32)
-        stays, mesh = PointStays(~none, ends, ends), ScanMesh(cloud)
-        detections.append(Detections(cloud, none, whole, ~none, stays, mesh, np.eye(4)))
-    poses = np.repeat(np.eye(4)[None], count, 0)
-    found = track_objects(detections, Trajectory(np.arange(count) * 100_000_000, poses))
-    (track,) = found.tracks
-    assert track.kind == "vehicle"
-    return track, found.sweeps
-
-
-def test_a_car_that_is_lost_is_where_its_motion_predicts_it(monkeypatch):
-    lost = {0, 1, 7, 8, 9, 27}
-
-    def place(i):
-        return -10 + 0.8 * i, 8.0, 0.0
-
-    _, sweeps = path_of(place, 28, lost)
-    for i in lost:
-        ((_, moving),) = sweeps[i].box_tracks
-        assert moving
-        T = np.vstack([sweeps[i].boxes[0, :12].reshape(3, 4), [0, 0, 0, 1]])
-        np.testing.assert_allclose(np.linalg.inv(T)[0, 3], place(i)[0], atol=0.3)
-    monkeypatch.setattr(TRACK_PARAMETERS, "window", 0)
-    assert not any(len(sweep.boxes) for sweep in path_of(place, 28, lost)[1])
-
-
-def test_the_box_of_a_standing_object_does_not_move():
-    car = Thing(CAR, waits((15, 3), 20), range(50))
-    found = track_objects(detections_of([car], 50)[0], straight(50)).sweeps
-    assert not any(moves for sweep in found[:18] for _, moves in sweep.box_tracks)
-    assert all(moves for sweep in found[28:] for _, moves in sweep.box_tracks)
-    assert all(len(sweep.boxes) for sweep in found)
 
 
 def test_points_in_a_predicted_box_are_dynamic_unless_votes_or_ground_say_otherwise():
@@ -480,54 +305,6 @@ def test_a_drive_of_which_few_sweeps_are_held(monkeypatch):
         assert len(reads) <= reads_a_sweep * count
 
 
-def turning(i):
-    """A car that drives at 8 m/s and turns by 0.4 rad/s from the first second on."""
-    speed, rate, seconds = 8.0, 0.4, 0.1 * i
-    if seconds < 1:
-        return -6 + speed * seconds, 5.0, 0.0
-    turn = rate * (seconds - 1)
-    radius = speed / rate
-    return 2 + radius * np.sin(turn), 5.0 + radius * (1 - np.cos(turn)), turn
-
-
-def test_the_path_of_a_turning_car_is_found():
-    """Registered surfaces tell position and heading, whatever side of the car is seen."""
-    track, _ = path_of(turning, 40)
-    sweeps = track.times // 100_000_000
-    truth = np.array([turning(i) for i in sweeps])
-    assert len(sweeps) >= 30
-    np.testing.assert_allclose(track.poses[:, :2, 3], truth[:, :2], atol=0.25)
-    heading = np.arctan2(track.poses[:, 1, 0], track.poses[:, 0, 0])
-    assert np.abs(np.degrees(heading - truth[:, 2])).max() < 6
-    speed = np.linalg.norm(track.velocities, axis=1)
-    assert np.abs(speed - 8)[3:-3].max() < 0.6
-    np.testing.assert_allclose(track.size, CAR, atol=0.4)
-
-
-def test_a_lorry_that_overtakes_is_measured_at_different_times():
-    """In a sweep its front and its rear are up to 40 ms apart, in which it goes 0.7 m."""
-    speed, count, rng = 18.0, 30, np.random.default_rng(0)
-    parts = (((6.5, 2.5, 3.5), (-1.5, 0, 1.75)), ((2, 2.3, 2.8), (4, 0, 1.6)))
-    late = np.arctan2(RAYS[:, 1], RAYS[:, 0]) / (-2 * np.pi) * 0.1
-    moved = np.outer(late, (1, 0, 0))
-    truth = np.stack([1.8 * np.arange(count) - 14, np.full(count, 4.0), np.zeros(count)], 1)
-    detections = []
-    for i, T in enumerate(straight(count).poses):
-        middle = truth[i] - T[:3, 3] + (speed - 8) * moved
-        ranges = np.min([ranges_of(np.array(size), middle + off) for size, off in parts], 0)
-        hit = np.isfinite(ranges)
-        cloud = (measured(ranges, hit, rng) + 8 * moved[hit]).astype(np.float32)
-        none, here = np.zeros(len(cloud), bool), np.full(len(cloud), i, np.int32)
-        whole, stays = np.zeros(len(cloud), np.uint32), PointStays(~none, here, here)
-        times = late[hit].astype(np.float32)
-        detections.append(Detections(cloud, none, whole, ~none, stays, ScanMesh(cloud), T, times))
-    (track,) = track_objects(detections, straight(count)).tracks
-    assert len(track) == count
-    off = track.poses[:, 0, 3] - truth[:, 0]
-    assert np.abs(off - np.median(off)).max() < 0.08  # 0.2 m as if all were measured at once
-    np.testing.assert_allclose(track.size[0], 10, atol=0.3)
-
-
 def test_a_few_points_in_a_dynamic_voxel_are_dynamic():
     """They are too few for an object; beside a hedge they may be of the hedge."""
     walker = Thing(PERSON, lambda i: (8 + 0.1 * i, 3) if i != 15 else None, range(30))
@@ -541,78 +318,3 @@ def test_a_few_points_in_a_dynamic_voxel_are_dynamic():
         static = np.uint16([0, 3, 0])  # many more say that it stands
         classid, _ = apply_tracks(few, alone, Votes(static, none), none + 50, place, np.eye(4))
         assert list(classid) == [100 if moves else 50, 50, 50]
-
-
-def test_detections_are_the_objects_of_their_sweep():
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-5, 5, (400, 3)).astype(np.float32)
-    ground = rng.random(400) < 0.3
-    objects = rng.integers(0, 6, 400).astype(np.uint32)
-    objects = np.array([np.flatnonzero((objects == o) & ~ground)[0] for o in objects], np.uint32)
-    objects[ground] = np.flatnonzero(ground)
-    moving = rng.random(400) < 0.5
-    T = np.eye(4)
-    T[:3, 3] = 3, -2, 1
-    ends = np.arange(400, dtype=np.int32)
-    free = rng.random(400) < 0.5
-    stays, mesh = PointStays(free, ends, ends), ScanMesh(points)
-    made = Detections(points, ground, objects, moving, stays, mesh, T)
-    numbers, areas, boxes, places, normals, borders, times = made.arrays
-    assert list(numbers[:, 0]) == sorted(set(objects[~ground]))
-    for (first, count, dynamic, _, earliest, *_), area, box in zip(
-        numbers, areas, boxes, strict=True
-    ):
-        members = ~ground & (objects == first)
-        assert count == members.sum()
-        assert dynamic == (members & moving).sum()
-        world = points[members] + np.float32([3, -2, 1])
-        np.testing.assert_array_equal(box, [*world.min(0), *world.max(0)])
-        squares = (points[members] ** 2).sum(1)
-        np.testing.assert_allclose(area[0], squares.sum(), rtol=1e-5)
-        np.testing.assert_allclose(area[1], squares[moving[members]].sum(), rtol=1e-5)
-        isolated = np.isin(np.flatnonzero(members), mesh.core.isolated).sum()
-        freed = squares[free[members]].sum() if isolated <= 0.1 * count else 0
-        np.testing.assert_allclose(area[2], freed, rtol=1e-5)
-        assert earliest == np.sort(np.flatnonzero(members))[count // 2]
-    assert numbers[:, 3].sum() == len(places) == len(normals)
-    assert numbers[:, 6:].sum() == len(borders)
-    assert len(times) == len(places) + len(borders)
-    assert ((np.abs(np.linalg.norm(normals, axis=1) - 1) < 1e-5) | ~normals.any(1)).all()
-    assert numbers[:, 3].max() <= 100
-
-
-def test_borders_tell_where_an_object_ends_and_where_it_is_hidden():
-    """A car before a wall, with a pole before the car."""
-    things = [
-        Thing(CAR, parked_at(0, 8)),
-        Thing(WALL, parked_at(0, 14)),
-        Thing(POLE, parked_at(0.8, 4)),
-    ]
-    detections, rows = detections_of(things, 1)
-    numbers, *_, borders, _ = detections[0].arrays
-    (k,) = np.flatnonzero(numbers[:, 0] == rows[0][0])
-    ends = np.cumsum(numbers[:, 6:].ravel().astype(int))  # edges and hidden of each in turn
-    edges, hidden = (
-        borders[ends[2 * k] - numbers[k, 6] : ends[2 * k]],
-        borders[ends[2 * k] : ends[2 * k + 1]],
-    )
-    front = 8 - CAR[1] / 2
-    below = edges[:, 2] < 1.3  # the roof ends, too
-    assert below.sum() >= 4
-    np.testing.assert_allclose(np.abs(edges[below, 0]), CAR[0] / 2, atol=0.1)
-    assert len(hidden) >= 4
-    shadow = front * np.array([0.65 / 4.15, 0.95 / 3.85])  # of the pole, from the LiDAR
-    assert np.quantile(np.abs(hidden[:, :1] - shadow).min(1), 0.8) < 0.15
-
-
-def test_wrong_objects_are_refused():
-    points, ground = np.ones((3, 3), np.float32), np.zeros(3, bool)
-    objects, moving = np.array([0, 1, 1], np.uint32), np.zeros(3, bool)
-    stays, mesh = PointStays(moving, *np.zeros((2, 3), np.int32)), ScanMesh(points)
-    with pytest.raises(ValueError, match="cluster_objects"):
-        Detections(points, ground, objects[::-1].copy(), moving, stays, mesh, np.eye(4))
-    one = Detections(points, ground, objects, moving, stays, mesh, np.eye(4))
-    with pytest.raises(InputError, match="one of each"):
-        track_objects([one], straight(2))
-    with pytest.raises(InputError, match="order"):
-        PointStays.of(Votes(*np.zeros((2, 3), np.uint16)), np.arange(2), 2)

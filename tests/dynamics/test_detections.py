@@ -1,0 +1,85 @@
+"""What the tracker is given of a sweep: objects, borders, and what is refused."""
+
+import numpy as np
+import pytest
+from things import CAR, POLE, WALL, Thing, detections_of, parked_at, straight
+
+from docdepth.dynamics.tracking import Detections, PointStays, track_objects
+from docdepth.dynamics.voting import Votes
+from docdepth.errors import InputError
+from docdepth.geometry.scan_mesh import ScanMesh
+
+
+def test_detections_are_the_objects_of_their_sweep():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-5, 5, (400, 3)).astype(np.float32)
+    ground = rng.random(400) < 0.3
+    objects = rng.integers(0, 6, 400).astype(np.uint32)
+    objects = np.array([np.flatnonzero((objects == o) & ~ground)[0] for o in objects], np.uint32)
+    objects[ground] = np.flatnonzero(ground)
+    moving = rng.random(400) < 0.5
+    T = np.eye(4)
+    T[:3, 3] = 3, -2, 1
+    ends = np.arange(400, dtype=np.int32)
+    free = rng.random(400) < 0.5
+    stays, mesh = PointStays(free, ends, ends), ScanMesh(points)
+    made = Detections(points, ground, objects, moving, stays, mesh, T)
+    numbers, areas, boxes, places, normals, borders, times = made.arrays
+    assert list(numbers[:, 0]) == sorted(set(objects[~ground]))
+    for (first, count, dynamic, _, earliest, *_), area, box in zip(
+        numbers, areas, boxes, strict=True
+    ):
+        members = ~ground & (objects == first)
+        assert count == members.sum()
+        assert dynamic == (members & moving).sum()
+        world = points[members] + np.float32([3, -2, 1])
+        np.testing.assert_array_equal(box, [*world.min(0), *world.max(0)])
+        squares = (points[members] ** 2).sum(1)
+        np.testing.assert_allclose(area[0], squares.sum(), rtol=1e-5)
+        np.testing.assert_allclose(area[1], squares[moving[members]].sum(), rtol=1e-5)
+        isolated = np.isin(np.flatnonzero(members), mesh.core.isolated).sum()
+        freed = squares[free[members]].sum() if isolated <= 0.1 * count else 0
+        np.testing.assert_allclose(area[2], freed, rtol=1e-5)
+        assert earliest == np.sort(np.flatnonzero(members))[count // 2]
+    assert numbers[:, 3].sum() == len(places) == len(normals)
+    assert numbers[:, 6:].sum() == len(borders)
+    assert len(times) == len(places) + len(borders)
+    assert ((np.abs(np.linalg.norm(normals, axis=1) - 1) < 1e-5) | ~normals.any(1)).all()
+    assert numbers[:, 3].max() <= 100
+
+
+def test_borders_tell_where_an_object_ends_and_where_it_is_hidden():
+    """A car before a wall, with a pole before the car."""
+    things = [
+        Thing(CAR, parked_at(0, 8)),
+        Thing(WALL, parked_at(0, 14)),
+        Thing(POLE, parked_at(0.8, 4)),
+    ]
+    detections, rows = detections_of(things, 1)
+    numbers, *_, borders, _ = detections[0].arrays
+    (k,) = np.flatnonzero(numbers[:, 0] == rows[0][0])
+    ends = np.cumsum(numbers[:, 6:].ravel().astype(int))  # edges and hidden of each in turn
+    edges, hidden = (
+        borders[ends[2 * k] - numbers[k, 6] : ends[2 * k]],
+        borders[ends[2 * k] : ends[2 * k + 1]],
+    )
+    front = 8 - CAR[1] / 2
+    below = edges[:, 2] < 1.3  # the roof ends, too
+    assert below.sum() >= 4
+    np.testing.assert_allclose(np.abs(edges[below, 0]), CAR[0] / 2, atol=0.1)
+    assert len(hidden) >= 4
+    shadow = front * np.array([0.65 / 4.15, 0.95 / 3.85])  # of the pole, from the LiDAR
+    assert np.quantile(np.abs(hidden[:, :1] - shadow).min(1), 0.8) < 0.15
+
+
+def test_wrong_objects_are_refused():
+    points, ground = np.ones((3, 3), np.float32), np.zeros(3, bool)
+    objects, moving = np.array([0, 1, 1], np.uint32), np.zeros(3, bool)
+    stays, mesh = PointStays(moving, *np.zeros((2, 3), np.int32)), ScanMesh(points)
+    with pytest.raises(ValueError, match="cluster_objects"):
+        Detections(points, ground, objects[::-1].copy(), moving, stays, mesh, np.eye(4))
+    one = Detections(points, ground, objects, moving, stays, mesh, np.eye(4))
+    with pytest.raises(InputError, match="one of each"):
+        track_objects([one], straight(2))
+    with pytest.raises(InputError, match="order"):
+        PointStays.of(Votes(*np.zeros((2, 3), np.uint16)), np.arange(2), 2)

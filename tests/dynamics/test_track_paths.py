@@ -1,0 +1,110 @@
+"""Paths and boxes of tracks against exact ones."""
+
+import numpy as np
+from things import CAR, PERSON, RAYS, Thing, detections_of, measured, ranges_of, straight, waits
+
+from docdepth.dynamics.tracking import TRACK_PARAMETERS, Detections, PointStays, track_objects
+from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.trajectory import Trajectory
+
+
+def test_a_pedestrian_whose_legs_vanish_behind_a_hedge_stays_upright():
+    """What is seen of him rises by 0.6 m; he does not, and does not lean as a car uphill does."""
+
+    def above(i, points):
+        return points[:, 2] > -0.8 + min(0.03 * i, 0.6)
+
+    walker = Thing(PERSON, lambda i: (6 + 0.15 * i, 3), range(40), seen=above)
+    detections, _ = detections_of([walker], 40)
+    (track,) = track_objects(detections, straight(40)).tracks
+    np.testing.assert_array_equal(track.poses[:, :3, 2], [[0, 0, 1]] * len(track))
+
+
+def path_of(place, count, lost=()):
+    """The track of a car that a standing LiDAR sees, but for some sweeps, and all it says."""
+    rng, detections = np.random.default_rng(0), []
+    for i in range(count):
+        x, y, turn = place(i)
+        ranges = ranges_of(CAR, (x, y, CAR[2] / 2 - 1.7), turn)
+        cloud = measured(ranges, np.isfinite(ranges) & (i not in lost), rng)
+        none, whole = np.zeros(len(cloud), bool), np.zeros(len(cloud), np.uint32)
+        ends = np.full(len(cloud), i, np.int32)
+        stays, mesh = PointStays(~none, ends, ends), ScanMesh(cloud)
+        detections.append(Detections(cloud, none, whole, ~none, stays, mesh, np.eye(4)))
+    poses = np.repeat(np.eye(4)[None], count, 0)
+    found = track_objects(detections, Trajectory(np.arange(count) * 100_000_000, poses))
+    (track,) = found.tracks
+    assert track.kind == "vehicle"
+    return track, found.sweeps
+
+
+def test_a_car_that_is_lost_is_where_its_motion_predicts_it(monkeypatch):
+    lost = {0, 1, 7, 8, 9, 27}
+
+    def place(i):
+        return -10 + 0.8 * i, 8.0, 0.0
+
+    _, sweeps = path_of(place, 28, lost)
+    for i in lost:
+        ((_, moving),) = sweeps[i].box_tracks
+        assert moving
+        T = np.vstack([sweeps[i].boxes[0, :12].reshape(3, 4), [0, 0, 0, 1]])
+        np.testing.assert_allclose(np.linalg.inv(T)[0, 3], place(i)[0], atol=0.3)
+    monkeypatch.setattr(TRACK_PARAMETERS, "window", 0)
+    assert not any(len(sweep.boxes) for sweep in path_of(place, 28, lost)[1])
+
+
+def test_the_box_of_a_standing_object_does_not_move():
+    car = Thing(CAR, waits((15, 3), 20), range(50))
+    found = track_objects(detections_of([car], 50)[0], straight(50)).sweeps
+    assert not any(moves for sweep in found[:18] for _, moves in sweep.box_tracks)
+    assert all(moves for sweep in found[28:] for _, moves in sweep.box_tracks)
+    assert all(len(sweep.boxes) for sweep in found)
+
+
+def turning(i):
+    """A car that drives at 8 m/s and turns by 0.4 rad/s from the first second on."""
+    speed, rate, seconds = 8.0, 0.4, 0.1 * i
+    if seconds < 1:
+        return -6 + speed * seconds, 5.0, 0.0
+    turn = rate * (seconds - 1)
+    radius = speed / rate
+    return 2 + radius * np.sin(turn), 5.0 + radius * (1 - np.cos(turn)), turn
+
+
+def test_the_path_of_a_turning_car_is_found():
+    """Registered surfaces tell position and heading, whatever side of the car is seen."""
+    track, _ = path_of(turning, 40)
+    sweeps = track.times // 100_000_000
+    truth = np.array([turning(i) for i in sweeps])
+    assert len(sweeps) >= 30
+    np.testing.assert_allclose(track.poses[:, :2, 3], truth[:, :2], atol=0.25)
+    heading = np.arctan2(track.poses[:, 1, 0], track.poses[:, 0, 0])
+    assert np.abs(np.degrees(heading - truth[:, 2])).max() < 6
+    speed = np.linalg.norm(track.velocities, axis=1)
+    assert np.abs(speed - 8)[3:-3].max() < 0.6
+    np.testing.assert_allclose(track.size, CAR, atol=0.4)
+
+
+def test_a_lorry_that_overtakes_is_measured_at_different_times():
+    """In a sweep its front and its rear are up to 40 ms apart, in which it goes 0.7 m."""
+    speed, count, rng = 18.0, 30, np.random.default_rng(0)
+    parts = (((6.5, 2.5, 3.5), (-1.5, 0, 1.75)), ((2, 2.3, 2.8), (4, 0, 1.6)))
+    late = np.arctan2(RAYS[:, 1], RAYS[:, 0]) / (-2 * np.pi) * 0.1
+    moved = np.outer(late, (1, 0, 0))
+    truth = np.stack([1.8 * np.arange(count) - 14, np.full(count, 4.0), np.zeros(count)], 1)
+    detections = []
+    for i, T in enumerate(straight(count).poses):
+        middle = truth[i] - T[:3, 3] + (speed - 8) * moved
+        ranges = np.min([ranges_of(np.array(size), middle + off) for size, off in parts], 0)
+        hit = np.isfinite(ranges)
+        cloud = (measured(ranges, hit, rng) + 8 * moved[hit]).astype(np.float32)
+        none, here = np.zeros(len(cloud), bool), np.full(len(cloud), i, np.int32)
+        whole, stays = np.zeros(len(cloud), np.uint32), PointStays(~none, here, here)
+        times = late[hit].astype(np.float32)
+        detections.append(Detections(cloud, none, whole, ~none, stays, ScanMesh(cloud), T, times))
+    (track,) = track_objects(detections, straight(count)).tracks
+    assert len(track) == count
+    off = track.poses[:, 0, 3] - truth[:, 0]
+    assert np.abs(off - np.median(off)).max() < 0.08  # 0.2 m as if all were measured at once
+    np.testing.assert_allclose(track.size[0], 10, atol=0.3)

@@ -1,0 +1,137 @@
+"""Boxes around a LiDAR that drives ahead, and what trackers are given of them."""
+
+import numpy as np
+
+from docdepth.dynamics.tracking import Detections, PointStays, track_objects
+from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.trajectory import Trajectory
+
+MEMORY = 30  # sweeps: for so long key frames remember a place
+CAR, PERSON, POLE, WALL = (4.2, 1.8, 1.5), (0.6, 0.6, 1.7), (0.3, 0.3, 2.0), (12.0, 0.3, 2.5)
+
+
+def rays():
+    """Directions of a LiDAR with a ring each degree."""
+    azimuth, elevation = np.radians(np.arange(-180, 180, 0.3)), np.radians(np.arange(-25, 3, 1.0))
+    azimuth, elevation = (a.ravel() for a in np.meshgrid(azimuth, elevation))
+    level = np.cos(elevation)
+    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], 1)
+
+
+RAYS = rays()
+
+
+class Thing:
+    """A box, its position in each sweep (None: unseen), and the sweeps that vote dynamic.
+
+    Positions are (x, y) or (x, y, z) of its middle. ``seen`` chooses among its returns, in its own
+    frame; all if None. ``remembered``: votes tell in order of time that it came or left.
+    """
+
+    def __init__(self, size, at, dynamic=(), seen=None, remembered=True):
+        self.at, self.dynamic, self.seen = at, set(dynamic), seen
+        self.box, self.size, self.remembered = size, float(np.hypot(*size[:2])), remembered
+
+    def stay(self, i, count):
+        """Whether its place was free within 3 s, and the sweeps that found it occupied then."""
+        here, half = np.array(self.at(i)[:2]), 0.5 * max(self.box[:2])
+        near = range(max(i - MEMORY, 0), min(i + MEMORY + 1, count))
+        off = {j: np.linalg.norm(self.at(j)[:2] - here) for j in near if self.at(j) is not None}
+        there = [j for j, distance in off.items() if distance < half]
+        left = self.remembered and max(off.values()) > self.size
+        return left, there[0], there[-1]
+
+    def ranges(self, i, lidar):
+        """Where each ray of a sweep meets it."""
+        place = self.at(i)
+        if place is None:
+            return np.full(len(RAYS), np.inf)
+        middle = np.array((*place[:2], *(place[2:] or (0.8,)))) - lidar
+        ranges = ranges_of(self.box, middle)
+        if self.seen is not None:
+            hit = np.flatnonzero(np.isfinite(ranges))
+            unseen = ~self.seen(i, RAYS[hit] * ranges[hit, None] - middle)
+            ranges[hit[unseen]] = np.inf
+        return ranges
+
+
+def ranges_of(size, middle, turn=0.0):
+    """Where each ray of a LiDAR at the origin meets a box; infinite where it does not."""
+    rotation = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0],
+                         [0, 0, 1]])  # fmt: skip
+    start, along = np.negative(middle) @ rotation.T, RAYS @ rotation.T
+    with np.errstate(divide="ignore"):
+        ends = np.sort((np.array([-1, 1])[:, None, None] * np.array(size) / 2 - start) / along, 0)
+    near, far = ends[0].max(1), ends[1].min(1)
+    return np.where((near < far) & (near > 0), near, np.inf)
+
+
+def measured(ranges, rays, rng):
+    """The returns of some rays, with noise."""
+    noise = rng.normal(0, 0.01, np.count_nonzero(rays))
+    return (RAYS[rays] * (ranges[rays] + noise)[:, None]).astype(np.float32)
+
+
+def detections_of(things, count, seed=0, joined=None, drive=None):
+    """Detections from a vehicle that drives ahead, and in each sweep the first row of each thing.
+
+    ``joined`` maps a pair of things to the sweeps in which both are one object.
+    """
+    rng = np.random.default_rng(seed)
+    detections, rows = [], []
+    for i in range(count):
+        T = (drive or straight(count)).poses[i]
+        points, first, moving, stays, firsts, wholes = [], [], [], [], {}, {}
+        ranges = np.array([thing.ranges(i, T[:3, 3]) for thing in things])
+        nearest = np.where(np.isfinite(ranges).any(0), ranges.argmin(0), -1)
+        for k, thing in enumerate(things):
+            own = nearest == k
+            if not own.any():
+                continue
+            firsts[k] = len(points)
+            seen = measured(ranges[k], own, rng)
+            whole = next((wholes[a] for (a, b), sweeps in (joined or {}).items()
+                          if b == k and a in wholes and i in sweeps), firsts[k])  # fmt: skip
+            wholes[k] = whole
+            points += list(seen)
+            first += [whole] * len(seen)
+            moving += [i in thing.dynamic] * len(seen)
+            stays += [thing.stay(i, count)] * len(seen)
+        cloud = np.array(points, np.float32).reshape(-1, 3)
+        none = np.zeros(len(cloud), bool)
+        objects, flags = np.array(first, np.uint32), np.array(moving, bool)
+        once, *ends = np.array(stays, np.int32).reshape(-1, 3).T
+        seen = PointStays(once > 0, *(np.ascontiguousarray(end) for end in ends))
+        detections.append(Detections(cloud, none, objects, flags, seen, ScanMesh(cloud), T))
+        rows.append(firsts)
+    return detections, rows
+
+
+def straight(count):
+    """The trajectory of the vehicle."""
+    poses = np.repeat(np.eye(4)[None], count, 0)
+    poses[:, 0, 3], poses[:, 2, 3] = 0.8 * np.arange(count), 1.7
+    return Trajectory(np.arange(count) * 100_000_000, poses)
+
+
+def tracked(things, count, **more):
+    """For each thing the sweeps in which only tracks make it dynamic."""
+    detections, rows = detections_of(things, count, **more)
+    found = track_objects(detections, straight(count)).sweeps
+    return [
+        [i for i in range(count) if k in rows[i] and rows[i][k] in found[i].dynamic]
+        for k in range(len(things))
+    ]
+
+
+def waits(start, leaves, acceleration=2.0):
+    """Position of a thing that stands until a sweep and then drives off along x."""
+    return lambda i: (start[0] + 0.5 * acceleration * (0.1 * max(i - leaves, 0)) ** 2, start[1])
+
+
+def passes(y, speed=8.0, start=-10.0):
+    return lambda i: (start + 0.1 * speed * i, y)
+
+
+def parked_at(x, y):
+    return lambda i: (x, y)
