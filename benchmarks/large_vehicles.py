@@ -5,8 +5,9 @@
 Poses are exact, classes and tracks are the run's own. Counted are the pixels up to 80 m that show
 a lorry, a bus or a trailer which moves and is at least 2.5 m high. A pixel is *empty* without
 depth. It is the *world* if its depth lies behind the vehicle, and more than half a metre outside
-its box. Its surface was *seen* if an earlier sweep had a return within 0.2 m of it, in the frame of
-the vehicle: rings of an HDL-64 are as far apart at 25 m.
+its box. Its surface was *seen* if earlier sweeps had a return within 0.2 m of it, in the frame of the
+vehicle, as rings of an HDL-64 are as far apart at 25 m, and one as high within 0.3 m of it: nothing
+tells how far a surface goes on above the highest return.
 
 After a change of the code, give another -o.
 """
@@ -20,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from cells import Cell, ExactDrive, ExactLabels, Lazy, add_cell_arguments, cells_of
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
 
 from docdepth.config import Parameters, parameters
@@ -43,6 +45,10 @@ MARGIN = 0.5
 
 SEEN = 0.2
 """Around a return that has seen the surface of a vehicle [m]."""
+
+BESIDE, CELL = 0.3, 0.1
+"""A return so near, seen from above, tells that the surface is at least as high [m]. Heights are
+kept in cells of this size."""
 
 FARTHEST = 80.0
 """Depth up to which pixels are counted [m]."""
@@ -72,12 +78,26 @@ class Vehicle:
         returns = np.concatenate([np.zeros((0, 3)), *self._returns])
         if not len(returns):
             return np.zeros(len(surface), bool)
-        return np.asarray(cKDTree(returns).query(surface, distance_upper_bound=SEEN)[0] <= SEEN)
+        near = cKDTree(returns).query(surface, distance_upper_bound=SEEN)[0] <= SEEN
+        return np.asarray(near & (surface[:, 2] <= _heights(returns, surface)))
 
     def is_outside(self, local: NDArray[np.float64]) -> NDArray[np.bool_]:
         length, width, height = self.track.size
         off = np.abs(local - (0, 0, height / 2)) - (length / 2, width / 2, height / 2)
         return np.asarray(off.max(axis=-1) > MARGIN)
+
+
+def _heights(returns: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Height of the highest return beside each place."""
+    low = returns[:, :2].min(axis=0) - 2 * BESIDE
+    size = np.ceil((returns[:, :2].max(axis=0) + 2 * BESIDE - low) / CELL).astype(int) + 1
+    heights = np.full(size, -np.inf)
+    np.maximum.at(heights, tuple(((returns[:, :2] - low) / CELL).astype(int).T), returns[:, 2])
+    reach = np.arange(-BESIDE, BESIDE + CELL / 2, CELL)
+    disc = np.hypot(*np.meshgrid(reach, reach)) <= BESIDE + 1e-9
+    heights = maximum_filter(heights, footprint=disc, mode="constant", cval=-np.inf)
+    of = np.clip(((places[:, :2] - low) / CELL).astype(int), 0, size - 1)
+    return np.asarray(heights[tuple(of.T)])
 
 
 def counts(cell: Cell, out: Path, p: Parameters, images: int, threads: int) -> Counts:

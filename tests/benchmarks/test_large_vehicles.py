@@ -33,8 +33,11 @@ def test_what_was_seen_and_what_lies_outside():
     velocity = np.tile((10.0, 0, 0), (2, 1))
     lorry = Vehicle(Track(1, "vehicle", times, poses, velocity, size, points, exact))
     lorry.add(np.array([(-4.0, 0, 1)]), 0)
-    later, front = np.array([(-3.0, 0.15, 1), (-3.0, 0.3, 1)]), np.array([(4.0, 0, 1)])
-    assert lorry.has_seen(lorry.local(later, 100_000_000)).tolist() == [True, False]
+    later = np.array([(-3.0, 0.15, 1), (-3.0, 0.3, 1), (-3.0, 0, 0.9), (-3.0, 0, 1.1)])
+    front = np.array([(4.0, 0, 1)])
+    assert lorry.has_seen(lorry.local(later, 100_000_000)).tolist() == [True, False, True, False]
+    lorry.add(np.array([(-4.0, 0.25, 1.5)]), 0)  # higher, beside it
+    assert lorry.has_seen(lorry.local(later, 100_000_000)).tolist() == [True, False, True, True]
     assert lorry.has_seen(front).tolist() == [False]
     local = np.array([(4.4, 0, 1), (4.6, 0, 1), (0, 1.6, 1), (0, 0, 3.4), (0, 0, 3.6)])
     assert lorry.is_outside(local).tolist() == [False, True, True, False, True]

@@ -153,8 +153,15 @@ constexpr float kFragmentShare = 0.25f;
 /// A track is a part of a vehicle if it lies in it in this share of the sweeps that saw both, and
 /// goes as fast but for this [m/s]: what few returns of a piece say of its speed.
 constexpr float kPartShare = 0.8f, kPartSpeed = 3;
+/// No vehicle is wider [m]: 2.55 by law, its mirrors, and noise. So many directions are tried.
+constexpr float kMaxVehicleWidth = 3.2f;
+constexpr int kWidthDirections = 18;
+/// What touches a track but is none of it is kept as at most this many samples.
+constexpr std::size_t kMaxNeighborSamples = 300;
 /// Two parts belong together if their shares that are passing differ by less than this factor.
 constexpr float kTogetherShare = 0.35f;
+/// Of fewer points that should be passing, a share says nothing.
+constexpr float kMinExpectedPoints = 5;
 /// An object that is never seen to move stands where for so long [s] this share of it was free, in
 /// the mean.
 constexpr double kFreeWindow = 2;

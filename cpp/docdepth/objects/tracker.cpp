@@ -5,6 +5,7 @@
 
 #include "docdepth/objects/constants.hpp"
 #include "docdepth/objects/ego_places.hpp"
+#include "docdepth/objects/neighbors.hpp"
 
 namespace docdepth {
 namespace {
@@ -24,6 +25,7 @@ struct Match {
   bool hidden = false;  ///< partly, by something nearer
   float range = 0;      ///< of the farthest of its objects [m]
   float area = 0;       ///< of its objects
+  SampledPoints neighbors;
 };
 
 /// How wrong a shift of what is so far away may be [m].
@@ -62,7 +64,8 @@ struct End {
   Vector largest;         ///< size of its objects
   double time;
   Speed speed;
-  float area = 0;  ///< that was seen of it when it was not partly hidden
+  float area = 0;                ///< that was seen of it when it was not partly hidden
+  SampledPoints neighbors = {};  ///< of what touched it but is none of it, where these stand
 };
 
 bool can_be_tracked(const Detection& object) {
@@ -220,6 +223,8 @@ class Tracker {
         together(std::move(partial || stands ? end.samples : end.last), match.shift, match.samples);
     end.last = match.samples;
     end.largest = match.largest;
+    append(end.neighbors, match.neighbors);
+    end.neighbors = downsample(end.neighbors, kSampleSpacing, kMaxNeighborSamples);
   }
 
   void add(int track, std::size_t sweep, const Match& match, bool at_front) {
@@ -370,7 +375,7 @@ class Tracker {
     for (std::uint32_t k = 0; k < seen.size(); ++k) {
       if (!seen[k].box.overlaps(box, kSearchMargin) || !is_free(sweep, k, end)) continue;
       if (!end.speed.is_known && !seen[k].is_passing()) continue;
-      if (!could_match(seen[k].box, end.largest)) continue;
+      if (!could_match(seen[k].box, end.largest) || is_among(seen[k], end.neighbors)) continue;
       near.push_back(k);
       range = std::max(range, seen[k].range());
       append(there, seen[k].samples());
@@ -382,19 +387,21 @@ class Tracker {
     if (!refine_shift(samples, there, match.shift)) return {};
     if (!end.speed.allows(match.shift, dt, range)) match.shift = start;
     if (!end.speed.allows(match.shift, dt, range)) return {};
-    for (const auto k : near) {
-      if (matched_share(seen[k].samples(), -match.shift, samples) < kMinMemberShare) continue;
-      if (match.objects.empty()) match.box = seen[k].box;
-      match.objects.push_back(k);
+    for (const auto k : near)
+      if (matched_share(seen[k].samples(), -match.shift, samples) >= kMinMemberShare)
+        match.objects.push_back(k);
+    if (match.objects.empty()) return {};
+    match.neighbors = drop_neighbors(seen, match.objects);
+    match.box = seen[match.objects[0]].box;
+    for (const auto k : match.objects) {
       append(match.samples, seen[k].samples());
       match.hidden |= !seen[k].hidden.points.empty();
       match.area += seen[k].area;
       match.box.add(seen[k].box);
       match.largest = match.largest.cwiseMax(seen[k].box.size());
     }
-    drop_neighbors(seen, match);
     // Together larger than one object: a pedestrian and what he walks away from.
-    if (match.objects.empty() || !could_match(match.box, match.largest)) return {};
+    if (!could_match(match.box, match.largest)) return {};
     // Half of a track may be hidden, so twice its matched share counts. Of two equal matches the
     // one nearer to where it is expected is more likely.
     const auto score = [&](const auto& share) {
@@ -407,29 +414,6 @@ class Tracker {
     if (share < kMinMatchedShare) return {};
     match.score = score(level_share) + kNearWeight * share;
     return match;
-  }
-
-  /// Drop what was not free before or after where something else of a match was: what belongs
-  /// together comes together. A parked car beside one that arrives.
-  static void drop_neighbors(const Detections& seen, Match& match) {
-    if (match.objects.empty()) return;
-    const auto most = *std::max_element(
-        match.objects.begin(), match.objects.end(),
-        [&](auto a, auto b) { return seen[a].passing_area() < seen[b].passing_area(); });
-    const Detection& best = seen[most];
-    const auto is_neighbor = [&](auto k) {
-      return seen[k].area > kFragmentShare * best.area &&
-             seen[k].passing_share() < kTogetherShare * best.passing_share();
-    };
-    auto& objects = match.objects;
-    if (!best.is_passing() || std::none_of(objects.begin(), objects.end(), is_neighbor)) return;
-    objects.erase(std::remove_if(objects.begin(), objects.end(), is_neighbor), objects.end());
-    match.samples.clear();
-    match.box = seen[objects[0]].box;
-    for (const auto k : objects) {
-      append(match.samples, seen[k].samples());
-      match.box.add(seen[k].box);
-    }
   }
 
   DetectionWindow& detections_;
