@@ -8,7 +8,8 @@ that are said to be motion compensated and are not. A row tells the error of eve
 exact depth, the error against sweeps that were left out, and what docdepth says about the run.
 
 Sweeps that are left out are looked at from where the LiDAR is, so they cannot tell where the camera
-is and when it looked: those rows stand apart in the correlation.
+is and when it looked. The images can: what they say that a wrong camera adds is added to the
+held-out error. Both errors are counted, with and without it.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import yaml
 from docdepth import run
 from docdepth.config import parameters
 from docdepth.errors import CalibrationError, DocDepthError
+from docdepth.evaluation.camera_error import camera_error
 from docdepth.evaluation.causes import causes
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.evaluation.runs import evaluate_depth
@@ -119,7 +121,9 @@ def measure(drive: Path, out: Path, preset: str, name: str, every: int) -> dict[
     if not (folder / "report").is_dir():
         run(sequence, folder, parameters(preset), poses="dataset", camera="image_2")
     exact, held = evaluate_depth(folder, drive), evaluate_held_out(folder, every)
+    camera = camera_error(RunFolder.open(folder))
     found = {
+        "camera": {"mae": camera.mae, "wrong": camera.wrong} if camera else {"mae": 0, "wrong": 0},
         "exact": exact.all.as_dict() | {"interior_rmse": exact.interior.rmse},
         "held": held.as_dict(),
         "said": said(folder),
@@ -175,18 +179,23 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 Row = tuple[str, str, str, dict[str, Any]]
-FIGURES = (("exact", "mae"), ("held", "mae"), ("exact", "wrong"), ("held", "wrong"))
+FIGURES = tuple((judge, name) for name in ("mae", "wrong") for judge in ("exact", "held", "camera"))
 
 
 def figure(found: dict[str, Any], judge: str, name: str) -> float:
-    """A figure of either judge; wrong is the share of pixels more than 5 % off."""
+    """A figure of a judge; wrong is the share of pixels more than 5 % off."""
+    if judge == "both":
+        return figure(found, "held", name) + figure(found, "camera", name)
+    if judge == "camera":
+        return float(found["camera"][name])
     errors = found["exact"] if judge == "exact" else found["held"]["all"]
     return float(errors["too_near"] + errors["too_far"] if name == "wrong" else errors[name])
 
 
 def table(rows: list[Row]) -> Table:
-    header = ("drive", "preset", "mistake", "exact MAE m", "held-out MAE m", "exact wrong %",
-              "held-out wrong %", "named")  # fmt: skip
+    figures_of = (f"{judge} {name}" for name in ("MAE m", "wrong %")
+                  for judge in ("exact", "held-out", "camera"))  # fmt: skip
+    header = ("drive", "preset", "mistake", *figures_of, "named")
     lines = []
     for drive, preset, name, found in rows:
         named = "; ".join(one[:90] for one in found["said"] if not one.startswith("("))
@@ -205,11 +214,12 @@ def correlations(rows: list[Row]) -> Table:
             row for row in seen if row[1] == "default" and row[2] != "not compensated"
         ],
         "all rows": rows,
+        "all rows, and what the images say": rows,
     }
     lines = []
     for of, chosen in groups.items():
         for name in ("mae", "wrong"):
-            judges = ("exact", "held")
+            judges = ("exact", "both" if of.endswith("say") else "held")
             pair = np.array([[figure(row[3], j, name) for j in judges] for row in chosen])
             ranks = pair.argsort(axis=0).argsort(axis=0)
             values = [np.corrcoef(x.T)[0, 1] for x in (pair, np.log(pair), ranks)]

@@ -5,9 +5,9 @@
 Poses are exact, classes and tracks are the run's own. Counted are the pixels up to 80 m that show
 a lorry, a bus or a trailer which moves and is at least 2.5 m high. A pixel is *empty* without
 depth. It is the *world* if its depth lies behind the vehicle, and more than half a metre outside
-its box. Its surface was *seen* if earlier sweeps had a return within 0.2 m of it, in the frame of the
-vehicle, as rings of an HDL-64 are as far apart at 25 m, and one as high within 0.3 m of it: nothing
-tells how far a surface goes on above the highest return.
+its box. Its surface was *seen* if earlier sweeps had a return within 0.2 m of it, in the frame of
+the vehicle, as rings of an HDL-64 are as far apart at 25 m, and one as high within 0.3 m of it:
+nothing tells how far a surface goes on above the highest return.
 
 After a change of the code, give another -o.
 """

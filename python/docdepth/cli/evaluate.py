@@ -235,9 +235,10 @@ def held_out(
     A sweep is left out, or some of its beams or sectors, or a LiDAR of a rig. Its view is rendered
     from all else, and each of its returns is compared with the map. Pixels between returns are not
     judged.
-    Poses that jitter and sweeps that are not motion compensated are named. Where the camera is and
-    when it looked does not count here: see calibrate --check and --time.
+    Poses that jitter and sweeps that are not motion compensated are named. Returns cannot tell
+    where the camera is and when it looked. Where images can, it says what a wrong camera adds.
     """
+    from docdepth.evaluation.camera_error import camera_error
     from docdepth.evaluation.causes import causes
     from docdepth.evaluation.error_page import HeldOutPage
     from docdepth.evaluation.held_out import evaluate_held_out
@@ -262,7 +263,13 @@ def held_out(
         )  # fmt: skip
         folder = RunFolder.open(run)
         found = causes(folder, lambda done, total: progress("poses and times", done, total))
+        wrong = camera_error(
+            folder, camera, max_range, lambda done, total: progress("camera", done, total)
+        )
     result = replace(result, found=tuple(found.lines))
+    if wrong:
+        lines = (*found.lines, wrong.line)
+        result = replace(result, found=lines, camera_mae=wrong.mae, camera_wrong=wrong.wrong)
     show(result, as_json)
     for line in result.found:
         err.print("warning:", style="yellow", end=" ")

@@ -14,7 +14,7 @@ from docdepth.evaluation.pixels import Mask
 from docdepth.evaluation.tables import number, percent, ratio
 
 # A pixel is too near or too far if its error exceeds this share of the true depth.
-_RELATIVE_ERROR = 0.05
+RELATIVE_ERROR = 0.05
 
 _ANY = slice(None)
 
@@ -167,7 +167,7 @@ class PixelSums:
         compared = ~np.isnan(error)
         size = np.abs(np.where(compared, error, 0))
         both = compared & ~np.isnan(shift)
-        off = _RELATIVE_ERROR * truth
+        off = RELATIVE_ERROR * truth
         with np.errstate(invalid="ignore"):
             near, far = error < -off, error > off
         shares = (size, size * size, np.where(both, size, 0), np.where(both, shift, 0))

@@ -62,8 +62,11 @@ class HeldOutResult:
     left_out : str
         What was left out, in words.
     found : tuple of str
-        What is wrong with poses or motion compensation, see :mod:`.causes`; empty if nothing was
-        found or looked for.
+        What is wrong with poses, motion compensation or the camera, see :mod:`.causes` and
+        :mod:`.camera_error`; empty if nothing was found or looked for.
+    camera_mae, camera_wrong : float
+        What a wrong camera adds, as far as the images tell: mean absolute difference of the maps
+        [m], and pixels that it puts more than 5 % off [%]. NaN if nothing was found or looked for.
     """
 
     sweeps: int
@@ -77,6 +80,8 @@ class HeldOutResult:
     clear_point_to_point: float = math.nan
     left_out: str = "held-out sweeps"
     found: tuple[str, ...] = ()
+    camera_mae: float = math.nan
+    camera_wrong: float = math.nan
 
     def as_dict(self) -> dict[str, Any]:
         """All metrics by name, ready for JSON; None replaces NaN."""
@@ -85,7 +90,8 @@ class HeldOutResult:
         regions["clear"]["point_to_point"] = self.clear_point_to_point
         ranges = [{"near": r.near, "far": r.far, **r.errors.as_dict()} for r in self.by_range]
         head = {"sweeps": self.sweeps, "max_range": self.max_range, "left_out": self.left_out}
-        return dict(plain({**head, **regions, "by_range": ranges, "found": self.found}))
+        camera = {"camera": {"mae": self.camera_mae, "wrong": self.camera_wrong}}
+        return dict(plain({**head, **regions, **camera, "by_range": ranges, "found": self.found}))
 
     def table(self) -> Table:
         """Errors by class and range, one row each."""

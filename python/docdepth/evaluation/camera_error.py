@@ -1,0 +1,146 @@
+"""What a wrong camera does to depth, as far as the images of a run tell.
+
+Returns that were left out are looked at from the LiDAR, so they say nothing about the camera. The
+images do: depth edges lie beside the edges that they show. The change that brings both together
+also tells what each pixel should have shown.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import CalibrationError, DatasetError
+from docdepth.evaluation.depth_metrics import RELATIVE_ERROR
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import rotation_exp
+from docdepth.io.depth import maps_in, read_depth
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.calibration_check import IMAGES, check_calibration
+from docdepth.pipeline.run_inputs import recorded_camera
+from docdepth.pipeline.sanity import sampled
+
+
+@dataclass(frozen=True)
+class CameraError:
+    """Difference of depth maps as they are and as a right camera would see them.
+
+    Attributes
+    ----------
+    verdict : str
+        What is wrong with the camera, in words.
+    mae : float
+        Mean absolute difference [m].
+    wrong : float
+        Pixels that differ by more than 5 % [%].
+    """
+
+    verdict: str
+    mae: float
+    wrong: float
+
+    @property
+    def line(self) -> str:
+        return (
+            f"{self.verdict}; where the images have them, {self.wrong:.1f} % of the pixels show a "
+            f"depth that is more than 5 % off, and the mean error is {self.mae:.2f} m larger"
+        )
+
+
+def camera_error(
+    run: RunFolder,
+    camera: str | None = None,
+    max_depth: float = 80.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> CameraError | None:
+    """Estimate how wrong depth maps are because of their camera.
+
+    Parameters
+    ----------
+    run : RunFolder
+        With depth maps.
+    camera : str, optional
+        Its name; needed if the run has several.
+    max_depth : float
+        Pixels with a larger depth are not compared [m].
+    progress : callable, optional
+        As for :func:`.check_calibration`.
+
+    Returns
+    -------
+    CameraError or None
+        None where the camera agrees with the images, or they cannot tell: the run has no images,
+        draws splats, or stands.
+
+    Raises
+    ------
+    RunError
+        The run has no depth maps, or they are out of date.
+    """
+    try:
+        check = check_calibration(run, camera, progress)
+    except (CalibrationError, DatasetError):
+        return None
+    name = run.depth_folder(camera)
+    stream = recorded_camera(run, name)
+    if check.agrees or stream is None:
+        return None
+    files = list(maps_in(run.path / "depth" / name).values())
+    maps = (read_depth(files[k]) for k in sampled(len(files), IMAGES))
+    mae, wrong = difference(maps, stream.camera, check.fit.change, max_depth)
+    return CameraError(check.verdict, mae, wrong)
+
+
+def difference(
+    maps: Iterable[NDArray[np.float32]],
+    camera: Camera,
+    change: NDArray[np.float64],
+    max_depth: float = 80.0,
+) -> tuple[float, float]:
+    """Difference of depth maps before and after a change of their camera.
+
+    Parameters
+    ----------
+    maps : iterable of ndarray of float32, shape (h, w)
+        Metres along the optical axis; NaN without depth.
+    camera : Camera
+    change : ndarray of float64, shape (6,)
+        Of points in the camera's frame: turn about its axes x, y, z [rad], then shift [m].
+    max_depth : float
+        [m]
+
+    Returns
+    -------
+    mae, wrong : float
+        Metres, and percent of pixels that differ by more than 5 %, over those that have both. What
+        the maps hide, and a camera elsewhere would see, is not counted.
+    """
+    total, wrong, count = 0.0, 0, 0
+    for depth in maps:
+        right = changed(depth, camera, change)
+        both = np.isfinite(depth) & np.isfinite(right) & (right <= max_depth)
+        off = np.abs(depth[both] - right[both]).astype(np.float64)
+        total += off.sum()
+        wrong += int((off > RELATIVE_ERROR * right[both]).sum())
+        count += len(off)
+    return (total / count, 100 * wrong / count) if count else (math.nan, math.nan)
+
+
+def changed(
+    depth: NDArray[np.float32], camera: Camera, change: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """A depth map whose points are moved, each drawn into one pixel; the nearest one shows."""
+    v, u = np.nonzero(np.isfinite(depth))
+    points = depth[v, u] * (np.linalg.inv(camera.K) @ np.array([u, v, np.ones(len(u))]))
+    moved = rotation_exp(change[:3]) @ points + change[3:, None]
+    moved = moved[:, moved[2] > 0]
+    pixels = np.rint((camera.K @ moved)[:2] / moved[2]).astype(np.int64)
+    inside = (pixels >= 0).all(axis=0) & (pixels < [[camera.width], [camera.height]]).all(axis=0)
+    (u, v), z = pixels[:, inside], moved[2, inside]
+    result = np.full(depth.shape, np.inf, np.float32)
+    np.minimum.at(result, (v, u), z.astype(np.float32))
+    return np.where(np.isinf(result), np.float32(np.nan), result)
