@@ -156,6 +156,8 @@ constexpr float kPartShare = 0.8f, kPartSpeed = 3;
 /// No vehicle is wider [m]: 2.55 by law, its mirrors, and noise. So many directions are tried.
 constexpr float kMaxVehicleWidth = 3.2f;
 constexpr int kWidthDirections = 18;
+/// What is told apart is remembered if this share of the track lies on what is kept.
+constexpr float kMinKeptShare = 0.5f;
 /// What touches a track but is none of it is kept as at most this many samples.
 constexpr std::size_t kMaxNeighborSamples = 300;
 /// Two parts belong together if their shares that are passing differ by less than this factor.

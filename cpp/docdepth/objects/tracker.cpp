@@ -400,6 +400,8 @@ class Tracker {
       match.box.add(seen[k].box);
       match.largest = match.largest.cwiseMax(seen[k].box.size());
     }
+    // Where most of the track is not what was kept, what was dropped may be the track itself.
+    if (matched_share(samples, match.shift, match.samples) < kMinKeptShare) match.neighbors.clear();
     // Together larger than one object: a pedestrian and what he walks away from.
     if (!could_match(match.box, match.largest)) return {};
     // Half of a track may be hidden, so twice its matched share counts. Of two equal matches the
