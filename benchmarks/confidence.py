@@ -98,18 +98,23 @@ def plot(cells: dict[str, Columns], path: Path) -> None:
         from matplotlib import pyplot
     except ImportError:
         raise MissingExtraError('plots need matplotlib: pip install "docdepth[viz]"') from None
-    figure, axes = pyplot.subplots(1, 2, figsize=(11, 4.5))
-    for name, columns in {**cells, "all": joined(cells)}.items():
+    figure, axes = pyplot.subplots(1, 2, figsize=(9, 3.6))
+    sensors = list(dict.fromkeys(name.rsplit("_", 1)[1] for name in cells))
+    least = 1.0
+    for name, columns in {**cells, "all drives": joined(cells)}.items():
         _, promised, right, error = np.array(reliability(columns)).T
-        style: dict[str, Any] = {"lw": 1, "alpha": 0.5}
-        if name == "all":
-            style = {"color": "black", "lw": 2.5, "zorder": 5}
-        axes[0].plot(promised, 100 * (1 - right), "o-", ms=3, label=name, **style)
+        least = min(least, promised.min())
+        style: dict[str, Any] = {"color": "black", "lw": 2.5, "zorder": 5, "label": name}
+        if name in cells:
+            sensor = name.rsplit("_", 1)[1]
+            style = {"color": f"C{sensors.index(sensor)}", "lw": 1, "alpha": 0.6, "label": sensor}
+        axes[0].plot(promised, 100 * (1 - right), "o-", ms=3, **style)
         axes[1].plot(promised, error, "o-", ms=3, **style)
-    axes[0].plot([0, 1], [100, 0], "k:", lw=1, label="as promised")
-    axes[0].set(xlabel="confidence", ylabel="pixels more than 5 % off [%]", ylim=(0, 100))
+    axes[0].plot([least, 1], [100 * (1 - least), 0], "k:", lw=1.5, label="as promised")
+    axes[0].set(xlabel="confidence", ylabel="pixels more than 5 % off [%]", ylim=(0, None))
     axes[1].set(xlabel="confidence", ylabel="median absolute error [m]", yscale="log")
-    axes[0].legend(fontsize=6, ncol=2)
+    named = dict(zip(*axes[0].get_legend_handles_labels()[::-1], strict=True))
+    axes[0].legend(named.values(), named.keys(), fontsize=8)
     figure.tight_layout()
     figure.savefig(path, dpi=120)
 
