@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -90,6 +91,26 @@ def test_on_the_command_line(finished):
     assert printed["sweeps"] == 1
     assert printed["all"]["shifts"] is None
     assert printed["all"]["too_near"] == evaluate_held_out(finished, every=7).all.too_near
+
+
+def test_what_a_wrong_camera_adds_is_said(finished, monkeypatch):
+    """The check of this short drive cannot tell; here it says half a degree."""
+    from docdepth.evaluation import camera_error as module
+
+    class Check:
+        agrees, verdict = False, "the calibration is off"
+        fit = SimpleNamespace(change=np.array([0, np.radians(0.5), 0, 0, 0, 0]))
+
+    assert module.camera_error(RunFolder.open(finished)) is None
+    monkeypatch.setattr(module, "check_calibration", lambda *_: Check)
+    found = module.camera_error(RunFolder.open(finished))
+    assert found.mae > 0.05
+    assert 1 < found.wrong < 50
+    arguments = ["evaluate", "held-out", str(finished), "--every", "7"]
+    printed = CliRunner().invoke(app, [*arguments, "--json"])
+    camera = json.loads(printed.stdout)["camera"]
+    assert camera == pytest.approx({"mae": found.mae, "wrong": found.wrong})
+    assert f"{found.wrong:.1f} % of the pixels" in CliRunner().invoke(app, arguments).output
 
 
 def test_mistakes(finished, run):

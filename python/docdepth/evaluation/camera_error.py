@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import CalibrationError, DatasetError
+from docdepth.errors import CalibrationError, DatasetError, RunError
 from docdepth.evaluation.depth_metrics import RELATIVE_ERROR
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
@@ -46,8 +46,8 @@ class CameraError:
     @property
     def line(self) -> str:
         return (
-            f"{self.verdict}; where the images have them, {self.wrong:.1f} % of the pixels show a "
-            f"depth that is more than 5 % off, and the mean error is {self.mae:.2f} m larger"
+            f"{self.verdict}; that alone puts {self.wrong:.1f} % of the pixels more than 5 % off, "
+            f"{self.mae:.2f} m in the mean of all pixels"
         )
 
 
@@ -73,17 +73,12 @@ def camera_error(
     Returns
     -------
     CameraError or None
-        None where the camera agrees with the images, or they cannot tell: the run has no images,
-        draws splats, or stands.
-
-    Raises
-    ------
-    RunError
-        The run has no depth maps, or they are out of date.
+        None where the camera agrees with the images, or they cannot tell: the run has no images or
+        no depth maps, draws splats, or stands.
     """
     try:
         check = check_calibration(run, camera, progress)
-    except (CalibrationError, DatasetError):
+    except (CalibrationError, DatasetError, RunError):
         return None
     name = run.depth_folder(camera)
     stream = recorded_camera(run, name)
