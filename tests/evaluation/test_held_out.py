@@ -92,6 +92,14 @@ def test_on_the_command_line(finished):
     assert printed["all"]["too_near"] == evaluate_held_out(finished, every=7).all.too_near
 
 
+def test_a_lost_map_is_no_reason_to_lose_the_errors(run):
+    """Returns judge without the maps; the camera alone needs them."""
+    next(iter((run / "depth").glob("*.png"))).unlink()
+    result = CliRunner().invoke(app, ["evaluate", "held-out", str(run), "--every", "7", "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["camera"]["mae"] is None
+
+
 def test_mistakes(finished, run):
     with pytest.raises(InputError, match="each 0-th"):
         evaluate_held_out(finished, every=0)
