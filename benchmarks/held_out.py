@@ -123,7 +123,9 @@ def measure(drive: Path, out: Path, preset: str, name: str, every: int) -> dict[
     exact, held = evaluate_depth(folder, drive), evaluate_held_out(folder, every)
     camera = camera_error(RunFolder.open(folder))
     found = {
-        "camera": {"mae": camera.mae, "wrong": camera.wrong} if camera else {"mae": 0, "wrong": 0},
+        "camera": {"mae": camera.mae, "wrong": camera.wrong}
+        if camera and np.isfinite(camera.mae)
+        else {"mae": 0, "wrong": 0},  # images that fit by chance only give no figure
         "exact": exact.all.as_dict() | {"interior_rmse": exact.interior.rmse},
         "held": held.as_dict(),
         "said": said(folder),

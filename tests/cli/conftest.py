@@ -28,6 +28,8 @@ def docdepth(monkeypatch):
         handlers, level = logging.getLogger().handlers[:], logging.getLogger().level
         with monkeypatch.context() as patch:
             patch.setattr(sys, "argv", ["docdepth", *map(os.fsdecode, map(_text, arguments))])
+            # As in a script: `python -m pytest` has a package, by whose name help would call us.
+            patch.setattr(sys.modules["__main__"], "__package__", None, raising=False)
             patch.setattr(sys, "stdout", streams[0])
             patch.setattr(sys, "stderr", streams[1])
             with pytest.raises(SystemExit) as ended:

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
 
-from docdepth.evaluation.camera_error import changed, difference
+from docdepth.datasets import CameraStream
+from docdepth.evaluation import camera_error as module
+from docdepth.evaluation.camera_error import camera_error, changed, difference
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.calibration_check import RunEdges
+from docdepth.pipeline.map_edges import edges_of_map
 
 K = np.array([[400.0, 0, 310], [0, 420, 120], [0, 0, 1]])
 CAMERA = Camera(K, 620, 240)
@@ -86,3 +95,24 @@ def test_what_is_nearer_shows_and_what_leaves_the_image_goes():
     assert nearer[120, 363] == pytest.approx(35 / 18)
     nothing = np.full((240, 620), np.nan, np.float32)
     assert np.isnan(difference([nothing], CAMERA, np.zeros(6))).all()
+
+
+def test_images_that_fit_by_chance_only_are_named(monkeypatch, tmp_path):
+    """The worst camera of all must not pass in silence."""
+    rng = np.random.default_rng(0)
+    names = [f"{k:06d}" for k in range(6)]
+    stream = CameraStream("front", CAMERA, np.eye(4), np.arange(6), names)
+    edges = [edges_of_map(map_of(seed, np.zeros(6))) for seed in range(6)]
+    images = [
+        cv2.GaussianBlur(rng.integers(0, 255, (240, 620, 3), np.uint8), (0, 0), 3) for _ in names
+    ]
+    given = RunEdges(Path("run"), stream, names, images, edges)
+    assert given.enough
+    monkeypatch.setattr(module, "edges_of_run", lambda *_: given)
+    found = camera_error(RunFolder(tmp_path))
+    assert math.isnan(found.mae)
+    assert "by chance only" in found.line
+    assert "not known" in found.line
+    few = RunEdges(given.path, stream, names[:3], images[:3], edges[:3])
+    monkeypatch.setattr(module, "edges_of_run", lambda *_: few)
+    assert camera_error(RunFolder(tmp_path)) is None, "a drive that stands tells nothing"

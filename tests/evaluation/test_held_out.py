@@ -15,6 +15,7 @@ from docdepth.cli import app
 from docdepth.errors import InputError, RunError
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.run_inputs import recorded_camera
 
 pytest.importorskip("embreex")
 
@@ -102,7 +103,10 @@ def test_what_a_wrong_camera_adds_is_said(finished, monkeypatch):
         fit = SimpleNamespace(change=np.array([0, np.radians(0.5), 0, 0, 0, 0]))
 
     assert module.camera_error(RunFolder.open(finished)) is None
-    monkeypatch.setattr(module, "check_calibration", lambda *_: Check)
+    stream = recorded_camera(RunFolder.open(finished), "")
+    edges = SimpleNamespace(enough=True, stream=stream)
+    monkeypatch.setattr(module, "edges_of_run", lambda *_: edges)
+    monkeypatch.setattr(module, "compare", lambda _: Check)
     found = module.camera_error(RunFolder.open(finished))
     assert found.mae > 0.05
     assert 1 < found.wrong < 50
@@ -111,6 +115,14 @@ def test_what_a_wrong_camera_adds_is_said(finished, monkeypatch):
     camera = json.loads(printed.stdout)["camera"]
     assert camera == pytest.approx({"mae": found.mae, "wrong": found.wrong})
     assert f"{found.wrong:.1f} % of the pixels" in CliRunner().invoke(app, arguments).output
+
+
+def test_a_lost_map_is_no_reason_to_lose_the_errors(run):
+    """Returns judge without the maps; the camera alone needs them."""
+    next(iter((run / "depth").glob("*.png"))).unlink()
+    result = CliRunner().invoke(app, ["evaluate", "held-out", str(run), "--every", "7", "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["camera"]["mae"] is None
 
 
 def test_mistakes(finished, run):

@@ -12,8 +12,10 @@ from docdepth.datasets.base import CameraStream, LidarStream, Sweep
 from docdepth.datasets.format import Format
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.geometry.points import DYNAMIC
+from docdepth.io.depth import DESCRIPTION
 from docdepth.io.frames import read_frame_name, read_trajectory
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.trees import parse_json
 
 _MOVING, _STATIC = 251, 9  # SemanticKITTI's labels of both
 
@@ -54,9 +56,24 @@ class RunDataset:
                 camera,
                 T_camera_lidar,
                 shutter.times,
-                [f"{i:010d}" for i in indices],
+                self._image_names(name, shutter.times, indices),
                 distortion=np.array(distortion) if any(distortion) else None,
             )
+
+    def _image_names(
+        self, folder: str, times: NDArray[np.int64], indices: NDArray[np.int64]
+    ) -> list[str]:
+        """As the maps of the run are named; their numbers where these are not all there."""
+        path = self.path / "depth" / folder / DESCRIPTION
+        try:
+            maps = parse_json(path.read_bytes())["maps"]
+            names = {int(one["time_ns"]): name for name, one in maps.items()}
+            found = [names[time] for time in times.tolist()]
+            if len(set(found)) < len(found) or any(Path(name).name != name for name in found):
+                raise ValueError("names are not those of files of one folder")
+            return found
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return [f"{i:010d}" for i in indices]
 
     def __reduce__(self) -> tuple[type[RunDataset], tuple[Path]]:
         return RunDataset, (self.path,)  # the run keeps locks, which other processes cannot have

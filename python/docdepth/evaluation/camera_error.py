@@ -20,8 +20,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.calibration_check import IMAGES, check_calibration
-from docdepth.pipeline.run_inputs import recorded_camera
+from docdepth.pipeline.calibration_check import IMAGES, compare, edges_of_run
 from docdepth.pipeline.sanity import sampled
 
 
@@ -34,9 +33,9 @@ class CameraError:
     verdict : str
         What is wrong with the camera, in words.
     mae : float
-        Mean absolute difference [m].
+        Mean absolute difference [m]. NaN where no change of the camera fits the images.
     wrong : float
-        Pixels that differ by more than 5 % [%].
+        Pixels that differ by more than 5 % [%], or NaN.
     """
 
     verdict: str
@@ -45,6 +44,9 @@ class CameraError:
 
     @property
     def line(self) -> str:
+        """The verdict, and what it means for depth if that is known."""
+        if math.isnan(self.mae):
+            return f"{self.verdict}; what it adds to the error of depth is not known"
         return (
             f"{self.verdict}; that alone puts {self.wrong:.1f} % of the pixels more than 5 % off, "
             f"{self.mae:.2f} m in the mean of all pixels"
@@ -68,25 +70,30 @@ def camera_error(
     max_depth : float
         Pixels with a larger depth are not compared [m].
     progress : callable, optional
-        As for :func:`.check_calibration`.
+        Called with the number of compared images and the number of all.
 
     Returns
     -------
     CameraError or None
-        None where the camera agrees with the images, or they cannot tell: the run has no images or
-        no depth maps, draws splats, or stands.
+        None where the camera agrees with the images, or they cannot tell: the run has no images,
+        draws splats, or stands, or its maps are missing or out of date.
     """
     try:
-        check = check_calibration(run, camera, progress)
+        found = edges_of_run(run, camera, progress)
     except (CalibrationError, DatasetError, RunError):
         return None
-    name = run.depth_folder(camera)
-    stream = recorded_camera(run, name)
-    if check.agrees or stream is None:
+    if not found.enough:
         return None
+    try:
+        check = compare(found)
+    except CalibrationError as error:
+        return CameraError(str(error), math.nan, math.nan)
+    if check.agrees:
+        return None
+    name = run.depth_folder(camera)
     files = list(maps_in(run.path / "depth" / name).values())
     maps = (read_depth(files[k]) for k in sampled(len(files), IMAGES))
-    mae, wrong = difference(maps, stream.camera, check.fit.change, max_depth)
+    mae, wrong = difference(maps, found.stream.camera, check.fit.change, max_depth)
     return CameraError(check.verdict, mae, wrong)
 
 

@@ -1,0 +1,56 @@
+"""A run folder as a recording: its maps keep their names."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from docdepth import run
+from docdepth.datasets import open_dataset
+from small_drive import write_small_drive
+
+NAMES = ["000001", "000002", "000003"]
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of the second to fourth sweep."""
+    root = tmp_path_factory.mktemp("part")
+    drive, poses = write_small_drive(root / "00"), root / "poses.txt"
+    poses.write_text("".join(f"1 0 0 {0.5 * k} 0 1 0 0 0 0 1 0\n" for k in range(4)))
+    return run(drive, root / "run", poses=poses, frames="1:4").path
+
+
+def test_maps_of_a_run_of_a_run_are_named_as_those_of_the_run(part: Path, tmp_path: Path) -> None:
+    again = run(part, tmp_path / "again").path
+    given, found = ({f.name: f.read_bytes() for f in (p / "depth").glob("*.png")}
+                    for p in (part, again))  # fmt: skip
+    assert sorted(given) == [f"{name}.png" for name in NAMES]
+    assert found == given
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda maps: maps.pop("000002"),
+        lambda maps: maps.update({"../../000002": maps.pop("000002")}),
+        lambda maps: maps["000002"].pop("time_ns"),
+    ],
+)
+def test_names_that_are_not_all_there_or_lead_elsewhere_are_numbers(part: Path, spoil: Any) -> None:
+    file = part / "depth" / "depth.json"
+    text = file.read_text()
+    described = json.loads(text)
+    assert open_dataset(part).cameras["camera"].names == NAMES
+    spoil(described["maps"])
+    try:
+        file.write_text(json.dumps(described))
+        names = open_dataset(part).cameras["camera"].names
+        assert [len(name) for name in names] == [10] * 3
+        file.write_text("{")
+        assert open_dataset(part).cameras["camera"].names == names
+    finally:
+        file.write_text(text)
