@@ -32,6 +32,11 @@ constexpr float kMinBorderDepth = 0.5f, kBorderSpacing = 0.1f;
 constexpr std::size_t kMaxBorderSamples = 30;
 /// Spacing of the samples of objects wider than kMaxObjectWidth [m].
 constexpr float kWideSampleSpacing = 0.25f;
+/// Ground is kept as cells of this edge, so far around the LiDAR; an object stands on what lies
+/// within kGroundReach of it [m].
+constexpr float kGroundCell = 1.0f, kGroundRange = 100.0f, kGroundReach = 5.0f;
+/// How exactly a cell tells the height at its place [m], and how steep ground may be [m/m].
+constexpr double kGroundDeviation = 0.1, kGroundSlope = 0.1;
 
 // --- Tracking ---
 
@@ -85,6 +90,9 @@ constexpr double kRigidQuantile = 0.75;
 /// How exactly a shift from sweep to sweep, and the height of the lowest point, tell the position
 /// [m].
 constexpr double kShiftDeviation = 0.08, kHeightDeviation = 0.15;
+/// How far above the ground an object seems to end where no ground was seen around it [m]: feet and
+/// wheels are often hidden.
+constexpr double kHiddenDeviation = 0.5;
 /// Errors of shifts add up: after n sweeps to the root of n times this [m].
 constexpr double kShiftDrift = 0.03;
 /// How much a road user changes its acceleration in a second [m/s^2]: firm braking is 4. Roads

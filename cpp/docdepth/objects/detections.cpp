@@ -101,7 +101,10 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
     if (borders[i] & 2) object.hidden.add(p, time);
     members[number[first]].add(p, rotation * normals[i], time);
   }
+  const GroundHeights heights(points, ground, T);
   for (std::size_t k = 0; k < detections.size(); ++k) {
+    if (detections[k].box.width() <= kMaxObjectWidth)
+      detections[k].ground = heights.under(detections[k].box);
     detections[k].time_offset /= float(detections[k].points);
     detections[k].middle /= float(detections[k].points);
     if (float(porous[k]) > kMaxIsolatedShare * float(detections[k].points))

@@ -10,6 +10,7 @@
 #include "docdepth/geometry/types.hpp"
 #include "docdepth/mesh/scan_mesh.hpp"
 #include "docdepth/objects/constants.hpp"
+#include "docdepth/objects/ground_heights.hpp"
 
 namespace docdepth {
 
@@ -30,6 +31,7 @@ struct Detection {
   float time_offset = 0;            ///< mean time of its points [s after the sweep's stamp]
   Eigen::Vector3f middle = Eigen::Vector3f::Zero();  ///< mean of its points in the LiDAR frame
   Extent box{};                                      ///< in the world
+  Height ground;                                     ///< under it, in the world
   TimedSurface surface;  ///< in the world; times after the sweep's stamp
   TimedPoints edges;     ///< beside which the background shows: there it ends
   TimedPoints hidden;    ///< beside which something nearer hides how it goes on

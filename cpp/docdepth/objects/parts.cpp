@@ -75,6 +75,7 @@ void add(const TrackObservation& part, TrackObservation& seen) {
     return 2 * (of_part * part.points + of_seen * seen.points) >= part.points + seen.points;
   };
   seen.dynamic = most(part.dynamic, seen.dynamic), seen.voted = most(part.voted, seen.voted);
+  if (part.points > seen.points) seen.ground = part.ground;
   const double points = double(seen.points) + part.points;
   seen.time_offset = (seen.points * seen.time_offset + part.points * part.time_offset) / points;
   seen.objects.insert(seen.objects.end(), part.objects.begin(), part.objects.end());

@@ -56,6 +56,13 @@ void MotionFilter::update(const MeasuredPosition& seen) {
   covariance_ = left * covariance_ * left.transpose() + gain * seen.covariance * gain.transpose();
 }
 
+void MotionFilter::update_height(double height, double deviation) {
+  const Vector9 column = covariance_.col(2);
+  const double variance = column(2) + deviation * deviation;
+  mean_ += column * ((height - mean_(2)) / variance);
+  covariance_ -= column * column.transpose() / variance;
+}
+
 bool MotionFilter::expects(const MeasuredPosition& seen) const {
   const Eigen::Vector3d off = seen.position - position();
   return off.dot((covariance() + seen.covariance).ldlt().solve(off)) <= kGate * kGate;

@@ -32,6 +32,8 @@ class MotionFilter {
   void predict(double time, const Eigen::Vector3d& change);
   /// Take a measurement at the current time.
   void update(const MeasuredPosition& seen);
+  /// Take a height, which is known within `deviation` [m].
+  void update_height(double height, double deviation);
   /// Whether a measurement at the current time is one that can be expected.
   bool expects(const MeasuredPosition& seen) const;
 

@@ -20,6 +20,7 @@ struct TrackObservation {
   float area, passing_area, free_area;
   std::uint32_t points;  ///< of its objects
   double time_offset;    ///< mean time of these points [s after the sweep's stamp]
+  Height ground;         ///< under the object of most points
 
   bool is_passing() const { return passing_area >= kMinFreeShare * area; }
 };

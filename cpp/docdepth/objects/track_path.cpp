@@ -63,6 +63,20 @@ bool lies_on(const SampledPoints& points, const SurfaceModel& model, const Pose&
   return 2 * inside >= points.size();
 }
 
+bool is_known(const Height& height) {
+  return std::isfinite(height.deviation);
+}
+
+/// A measured position of what stands on the ground.
+MeasuredPosition grounded(MeasuredPosition seen, const Height& ground) {
+  if (!is_known(ground)) return seen;
+  const Position column = seen.covariance.col(2);
+  const double variance = column.z() + double(ground.deviation) * ground.deviation;
+  seen.position += column * ((ground.value - seen.position.z()) / variance);
+  seen.covariance -= column * column.transpose() / variance;
+  return seen;
+}
+
 Extent extent_in(const SampledPoints& points, const Pose& T_world_object) {
   const Eigen::Isometry3f T = T_world_object.inverse().cast<float>();
   Extent box{T * points.front(), T * points.front()};
@@ -86,21 +100,26 @@ TrackPath::TrackPath(const Track& track, const SeenSurface* seen, const std::vec
   seen_ = nullptr;
 }
 
-/// Sum the shifts from sweep to sweep. Heights are those of the lowest points, since shifts are
-/// horizontal.
+/// Sum the shifts from sweep to sweep, which are horizontal. Heights are those of the ground, or of
+/// the lowest points where no ground was seen.
 void TrackPath::measure_shifts() {
   std::vector<MeasuredPosition> measured;
   Position at = Position::Zero();
-  const Eigen::Vector3d variance(kShiftDeviation * kShiftDeviation,
-                                 kShiftDeviation * kShiftDeviation,
-                                 kHeightDeviation * kHeightDeviation);
-  for (const TrackObservation& seen : track_.observations) {
+  const auto& all = track_.observations;
+  const bool any_ground = std::any_of(
+      all.begin(), all.end(), [](const TrackObservation& seen) { return is_known(seen.ground); });
+  const float unsure = float(any_ground ? kHiddenDeviation : kHeightDeviation);
+  for (const TrackObservation& seen : all) {
+    const Height height = is_known(seen.ground) ? seen.ground : Height{seen.box.low.z(), unsure};
+    const Eigen::Vector3d deviation(kShiftDeviation, kShiftDeviation, height.deviation);
     if (measured.empty())
       at = (0.5f * (seen.box.low + seen.box.high)).cast<double>();
     else
       at += seen.shift.cast<double>();
     const double time = times_[seen.sweep] + seen.time_offset;
-    measured.push_back({time, {at.x(), at.y(), seen.box.low.z()}, variance.asDiagonal()});
+    measured.push_back({time,
+                        {at.x(), at.y(), height.value},
+                        Eigen::Vector3d(deviation.cwiseAbs2()).asDiagonal()});
   }
   const auto motions = smooth_positions(measured, {measured.size(), kChange});
   const double middle = 0.5 * double(measured.size() - 1);
@@ -191,6 +210,8 @@ std::size_t TrackPath::register_from(std::size_t first, int step, SurfaceModel& 
     const double time = states_[k].time;
     const SeenSurface seen = surface(k);
     motion.predict(time, kChange), turn.predict(time, turn_change(k));
+    if (const Height& ground = track_.observations[k].ground; is_known(ground))
+      motion.update_height(ground.value, ground.deviation);
     Pose guess = standing_pose(motion.position(), turn.position().x(), states_[k].slope);
     ++misses;
     if (lies_on(seen.points, model, guess)) {
@@ -245,9 +266,13 @@ void TrackPath::Measurements::set(std::size_t k, const Registration& found, cons
                  Eigen::Vector3d(factor * found.heading_variance, 1, 1).asDiagonal()};
 }
 
-/// The motion through measured positions and headings.
+/// The motion through measured positions and headings. Vertical sides tell nothing of the height,
+/// the ground does.
 void TrackPath::smooth(const Measurements& measured) {
-  const auto& [positions, headings] = measured;
+  std::vector<MeasuredPosition> positions;
+  for (std::size_t k = 0; k < states_.size(); ++k)
+    positions.push_back(grounded(measured.positions[k], track_.observations[k].ground));
+  const auto& headings = measured.headings;
   std::vector<Position> turn_changes;
   for (std::size_t k = 0; k < states_.size(); ++k) turn_changes.push_back(turn_change(k));
   const auto motions = smooth_positions(positions, {positions.size(), kChange});

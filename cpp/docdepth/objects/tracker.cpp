@@ -90,6 +90,12 @@ double mean_time_offset(const Detections& seen, const std::vector<std::uint32_t>
   return offset / points;
 }
 
+/// Under the object of most points.
+Height ground_under(const Detections& seen, const std::vector<std::uint32_t>& objects) {
+  const auto fewer = [&](auto a, auto b) { return seen[a].points < seen[b].points; };
+  return seen[*std::max_element(objects.begin(), objects.end(), fewer)].ground;
+}
+
 /// Share of the shifted samples that have one of `others` beside them. Rings leave gaps above and
 /// below, so that only the horizontal distance tells exactly.
 float level_share(const SampledPoints& samples, const Vector& shift, const SampledPoints& others) {
@@ -154,7 +160,8 @@ class Tracker {
                            seen[k].passing_area(),
                            seen[k].free_area,
                            seen[k].points,
-                           mean_time_offset(seen, {k})}},
+                           mean_time_offset(seen, {k}),
+                           seen[k].ground}},
                          1});
       last_speeds_.emplace_back();
       const SampledPoints& samples = seen[k].samples();
@@ -239,7 +246,8 @@ class Tracker {
                            0,
                            0,
                            0,
-                           mean_time_offset(seen, match.objects)};
+                           mean_time_offset(seen, match.objects),
+                           ground_under(seen, match.objects)};
     std::uint32_t points = 0, of_dynamic = 0, voted = 0;
     for (const auto k : match.objects) {
       owners_[sweep][k] = track;
