@@ -161,6 +161,9 @@ constexpr float kFragmentShare = 0.25f;
 /// A track is a part of a vehicle if it lies in it in this share of the sweeps that saw both, and
 /// goes as fast but for this [m/s]: what few returns of a piece say of its speed.
 constexpr float kPartShare = 0.8f, kPartSpeed = 3;
+/// Nothing else stays in the outline of a vehicle, or so near to its side, while it goes so far
+/// [m].
+constexpr float kPartGap = 0.25f, kPartPath = 3;
 /// No vehicle is wider [m]: 2.55 by law, its mirrors, and noise. So many directions are tried.
 constexpr float kMaxVehicleWidth = 3.2f;
 constexpr int kWidthDirections = 18;

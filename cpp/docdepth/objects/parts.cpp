@@ -16,29 +16,47 @@ double time_of(const TrackObservation& seen, const std::vector<double>& times) {
   return times[seen.sweep] + seen.time_offset;
 }
 
-/// Whether two boxes overlap, as seen from above.
-bool overlap(const TrackPath& whole, const TrackPath& part, double time) {
+/// Where a track is relative to a vehicle at one time, as seen from above.
+struct Place {
+  bool touches;  ///< their boxes overlap
+  bool inside;   ///< its middle lies in the box of the vehicle
+  bool beside;   ///< it lies along a side, and both together are no wider than a vehicle
+};
+
+Place place_of(const TrackPath& part, const TrackPath& whole, double time) {
   const Eigen::Isometry3f T = (whole.pose(time).inverse() * part.pose(time)).cast<float>();
   const auto middle = [](const Extent& box) { return Vector(0.5f * (box.low + box.high)); };
-  const Vector off = T * middle(part.extent()) - middle(whole.extent());
-  const Vector reach =
-      0.5f * (whole.extent().size() + T.linear().cwiseAbs() * part.extent().size());
-  return (off.head<2>().cwiseAbs().array() < reach.head<2>().array()).all();
+  const Vector off = (T * middle(part.extent()) - middle(whole.extent())).cwiseAbs();
+  const Vector half = 0.5f * whole.extent().size(),
+               its = 0.5f * (T.linear().cwiseAbs() * part.extent().size());
+  const float width = std::max(half.y(), off.y() + its.y()) + std::max(half.y(), its.y() - off.y());
+  const bool along = off.x() < half.x();
+  return {off.x() < half.x() + its.x() && off.y() < half.y() + its.y(), along && off.y() < half.y(),
+          along && off.y() < half.y() + its.y() + kPartGap && width <= kMaxVehicleWidth};
 }
 
-/// Whether a track is a part of a vehicle: it lies in it, and goes as fast, while both are known.
+/// Whether a track is a part of a vehicle, while both are known: it touches it and goes as fast, or
+/// it stays where the vehicle is while that goes on. Few returns of a piece do not say how fast it
+/// is.
 bool is_part(const TrackPath& whole, const TrackAndPath& part, const std::vector<double>& times,
              const TrackParameters& p) {
   std::vector<float> speeds;
-  int common = 0, inside = 0;
+  std::vector<Eigen::Vector3d> ways;
+  int touching = 0, inside = 0, beside = 0;
   for (const TrackObservation& seen : part.track.observations) {
     const double time = time_of(seen, times);
     if (!whole.covers(time)) continue;
-    ++common, inside += overlap(whole, part.path, time);
+    const Place place = place_of(part.path, whole, time);
+    touching += place.touches, inside += place.inside, beside += place.beside;
     speeds.push_back(float((whole.velocity(time) - part.path.velocity(time)).norm()));
+    ways.push_back(whole.pose(time).translation());
   }
-  return common >= p.min_detections && float(inside) >= kPartShare * float(common) &&
-         quantile(speeds, 0.5) < kPartSpeed;
+  if (int(speeds.size()) < p.min_detections) return false;
+  const auto most = [&](int count) { return float(count) >= kPartShare * float(speeds.size()); };
+  const bool is_as_fast = quantile(speeds, 0.5) < kPartSpeed;
+  if (most(touching) && is_as_fast) return true;
+  if ((ways.back() - ways.front()).norm() < kPartPath) return false;
+  return most(inside) || (most(beside) && is_as_fast);
 }
 
 float total_area(const Track& track) {
@@ -59,7 +77,8 @@ std::vector<std::size_t> find_wholes(const Paths& followed, const std::vector<do
     for (std::size_t other = 0; other < followed.size(); ++other) {
       const auto& [track, path] = *followed[other];
       const bool larger = areas[other] > areas[k] || (areas[other] == areas[k] && other < k);
-      if (!larger || areas[other] <= areas[wholes[k]] || !is_vehicle(path) ||
+      if (!larger || areas[other] <= areas[wholes[k]] ||
+          !(is_vehicle(path) || is_side_of_vehicle(*followed[other])) ||
           times[track.observations.front().sweep] > times[mine.back().sweep] + p.max_gap_standing ||
           times[mine.front().sweep] > times[track.observations.back().sweep] + p.max_gap_standing)
         continue;
