@@ -39,6 +39,27 @@ def test_a_wheel_of_a_lorry_is_the_lorry(offset):
     assert len(tracks_of([Thing(WHEEL, ahead(at, offset, 0.5), range(COUNT))])[0]) == 1
 
 
+def test_a_piece_that_stays_in_a_lorry_is_the_lorry_however_fast_it_seems():
+    """What is seen of its tailboard slides along it by 4 m/s."""
+    at = passes(5, speed=12.0, start=10.0)
+    lorry = Thing(LORRY, ahead(at, 0.0, 1.7), range(COUNT))
+    slides = Thing(WHEEL, lambda i: (at(i)[0] - 3 + 0.4 * (i % 12), at(i)[1], 0.5), range(COUNT))
+    tracks, owners = tracks_of([lorry, slides])
+    assert len(tracks) == 1
+    assert owners[0] == {1}
+
+
+def test_the_other_half_of_a_car_is_the_car_but_a_trailer_is_none():
+    half = (CAR[0], CAR[1] / 2 - 0.1, CAR[2])
+    at = passes(4, speed=9.0, start=12.0)
+    left = Thing(half, lambda i: (at(i)[0], at(i)[1] + CAR[1] / 4, 0.8), range(COUNT))
+    right = Thing(half, lambda i: (at(i)[0], at(i)[1] - CAR[1] / 4, 0.8), range(COUNT))
+    assert len(tracks_of([left, right])[0]) == 1
+    trailer = Thing((2.0, 1.7, 1.2), ahead(at, -CAR[0] / 2 - 1.2, 0.7), range(COUNT))
+    car = Thing(CAR, ahead(at, 0.0, 0.8), range(COUNT))
+    assert len(tracks_of([car, trailer])[0]) == 2
+
+
 def test_cars_of_a_queue_stay_apart():
     """They go as fast, with a metre between them."""
     at = passes(4, speed=6.0, start=4.0)

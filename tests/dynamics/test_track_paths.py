@@ -20,6 +20,52 @@ def test_a_pedestrian_whose_legs_vanish_behind_a_hedge_stays_upright():
     np.testing.assert_array_equal(track.poses[:, :3, 2], [[0, 0, 1]] * len(track))
 
 
+def track_on_ground(size, place, count, slope=0.0, hidden=lambda i: 0.0):
+    """The track of a box that stands on a slope 1.73 m below a standing LiDAR.
+
+    Of its lowest ``hidden(i)`` metres sweep ``i`` sees nothing. Also the heights where it stands.
+    """
+    rng, detections, heights = np.random.default_rng(0), [], []
+    with np.errstate(divide="ignore"):
+        down = 1.73 / (slope * RAYS[:, 0] - RAYS[:, 2])
+    down[(down < 0) | (down > 60)] = np.inf
+    for i in range(count):
+        x, y = place(i)
+        heights.append(slope * x - 1.73)
+        ranges = ranges_of(size, (x, y, heights[-1] + size[2] / 2))
+        low = RAYS[:, 2] * np.where(np.isfinite(ranges), ranges, 0) < heights[-1] + hidden(i)
+        box, ground = np.isfinite(ranges) & ~low, np.isfinite(down) & (down < ranges)
+        cloud = np.vstack([measured(ranges, box, rng), measured(down, ground, rng)])
+        of_box = np.arange(len(cloud)) < np.count_nonzero(box)
+        objects = np.where(of_box, 0, np.arange(len(cloud))).astype(np.uint32)
+        here = np.full(len(cloud), i, np.int32)
+        stays, mesh = PointStays(of_box, here, here), ScanMesh(cloud)
+        detections.append(Detections(cloud, ~of_box, objects, of_box, stays, mesh, np.eye(4)))
+    poses = np.repeat(np.eye(4)[None], count, 0)
+    trajectory = Trajectory(np.arange(count) * 100_000_000, poses)
+    (track,) = track_objects(detections, trajectory).tracks
+    return track, np.array(heights)[track.times // 100_000_000]
+
+
+def test_a_pedestrian_whose_legs_are_hidden_stands_on_the_ground():
+    """What is seen of him rises by 0.6 m and comes down again."""
+    track, heights = track_on_ground(
+        PERSON, lambda i: (6 + 0.15 * i, 3), 40, hidden=lambda i: 0.6 * np.sin(i / 40 * np.pi)
+    )
+    np.testing.assert_allclose(track.poses[:, 2, 3], heights, atol=0.1)
+    np.testing.assert_allclose(track.size[2], PERSON[2], atol=0.15)
+
+
+def test_a_lorry_uphill_stays_on_the_road():
+    """A hedge hides its lower half later on, and its vertical side tells nothing of its height."""
+    track, heights = track_on_ground(
+        (9.0, 2.5, 3.6), lambda i: (-14 + 1.2 * i, 6), 30, 0.06, lambda i: min(0.08 * i, 1.8)
+    )
+    np.testing.assert_allclose(track.poses[:, 2, 3], heights, atol=0.2)
+    climbs = 12 * 0.06
+    np.testing.assert_allclose(track.velocities[3:-3, 2], climbs, atol=0.3)
+
+
 def path_of(place, count, lost=()):
     """The track of a car that a standing LiDAR sees, but for some sweeps, and all it says."""
     rng, detections = np.random.default_rng(0), []

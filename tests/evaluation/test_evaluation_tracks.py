@@ -160,11 +160,12 @@ def track(number, kind, shift=(0.0, 0.0), yaw=0.0, speed=4.0):
     return Track(number, kind, times, poses, velocities, size, np.zeros(5, np.int64), np.zeros(5))
 
 
-def test_errors_of_boxes_are_along_and_across_their_heading():
+def test_errors_of_boxes_are_along_and_across_their_heading_and_upward():
     true = track(1, "vehicle")
     made = track(2, "vehicle", (0.2, -0.5), np.radians(-10), 4.5)
+    made.poses[:, 2, 3] = -0.3
     found = box_errors(true, made, 200_000_000, np.eye(4), np.eye(4))
-    assert found == pytest.approx((0.5, 0.2, 10.0, 0.5))
+    assert found == pytest.approx((0.5, 0.2, 0.3, 10.0, 0.5))
     # Poses of the run that are shifted and turned move its boxes with them: no error.
     moved = np.eye(4)
     moved[:2, :2], moved[:2, 3] = [(0.6, -0.8), (0.8, 0.6)], (7.0, -3.0)

@@ -106,9 +106,9 @@ void TrackPath::measure_shifts() {
   std::vector<MeasuredPosition> measured;
   Position at = Position::Zero();
   const auto& all = track_.observations;
-  const bool any_ground = std::any_of(
-      all.begin(), all.end(), [](const TrackObservation& seen) { return is_known(seen.ground); });
-  const float unsure = float(any_ground ? kHiddenDeviation : kHeightDeviation);
+  has_ground_ = std::any_of(all.begin(), all.end(),
+                            [](const TrackObservation& seen) { return is_known(seen.ground); });
+  const float unsure = float(has_ground_ ? kHiddenDeviation : kHeightDeviation);
   for (const TrackObservation& seen : all) {
     const Height height = is_known(seen.ground) ? seen.ground : Height{seen.box.low.z(), unsure};
     const Eigen::Vector3d deviation(kShiftDeviation, kShiftDeviation, height.deviation);

@@ -46,6 +46,8 @@ class TrackPath {
   bool is_one_object() const { return begin_ == 0 && end_ == states_.size(); }
 
   bool is_rigid() const { return rigid_; }
+  /// Whether ground was seen around it; then its heights are those over the ground.
+  bool has_ground() const { return has_ground_; }
   /// Around all that was seen of it, in its own frame.
   const Extent& extent() const { return extent_; }
 
@@ -83,7 +85,7 @@ class TrackPath {
   const Track& track_;
   const std::vector<double>& times_;
   const TrackParameters& p_;
-  bool rigid_ = false;
+  bool rigid_ = false, has_ground_ = false;
   std::size_t begin_ = 0, end_ = 0;
   const SeenSurface* seen_;  ///< of each observation, in the world
   std::vector<State> states_;

@@ -13,8 +13,9 @@ from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
 
 Floats: TypeAlias = NDArray[np.float64]
-ERRORS = ("along", "across", "heading_deg", "velocity")
-"""Of the box's centre along and across its heading [m], of heading [deg] and velocity [m/s]."""
+ERRORS = ("along", "across", "up", "heading_deg", "velocity")
+"""Of the middle of the box's bottom along its heading, across it and upward [m], of the heading
+[deg] and of the velocity [m/s]."""
 
 
 def box_errors(
@@ -36,8 +37,8 @@ def box_errors(
     heading = abs(float(np.degrees(np.arctan2(apart[1, 0], apart[0, 0]))))
     there, here = T_true_lidar[:3, :3].T, T_made_lidar[:3, :3].T
     velocity = here @ made.velocity_at(time) - there @ true.velocity_at(time)
-    along, across = np.abs(apart[:2, 3]).tolist()
-    return along, across, heading, float(np.linalg.norm(velocity))
+    along, across, up = np.abs(apart[:3, 3]).tolist()
+    return along, across, up, heading, float(np.linalg.norm(velocity))
 
 
 def _apart(

@@ -59,7 +59,8 @@ class KindResult:
     kind_right : float
         Share of these boxes whose track has the right kind [%].
     errors : dict
-        Median and 95 % quantile along, across, of the heading [deg] and of the velocity [m/s].
+        Median and 95 % quantile along, across, upward [m], of the heading [deg] and of the velocity
+        [m/s].
     normalised_error : float
         Error of the path divided by the deviation that the track states, root mean square: 1 where
         tracks state how wrong they are, 2 where they are twice as wrong.
@@ -276,7 +277,7 @@ def _counts(overlaps: Overlaps, counted: set[int]) -> NDArray[np.bool_]:
 HEADER = (
     *("number", "found %", "right instance %"),
     *("HOTA", "DetA", "AssA", "MOTA", "S_assoc", "id switches", "purity %"),
-    *("along m", "across m", "heading deg", "velocity m/s"),
+    *("along m", "across m", "up m", "heading deg", "velocity m/s"),
     *("error / deviation", "kind right %"),
 )
 NOTE = (
