@@ -70,10 +70,10 @@ bool is_known(const Height& height) {
 /// A measured position of what stands on the ground.
 MeasuredPosition grounded(MeasuredPosition seen, const Height& ground) {
   if (!is_known(ground)) return seen;
-  const Position column = seen.covariance.col(2);
-  const double variance = column.z() + double(ground.deviation) * ground.deviation;
-  seen.position += column * ((ground.value - seen.position.z()) / variance);
-  seen.covariance -= column * column.transpose() / variance;
+  double& variance = seen.covariance(2, 2);
+  const double share = variance / (variance + double(ground.deviation) * ground.deviation);
+  seen.position.z() += share * (ground.value - seen.position.z());
+  variance *= 1 - share;
   return seen;
 }
 
@@ -261,6 +261,9 @@ void TrackPath::Measurements::set(std::size_t k, const Registration& found, cons
   const double factor = found.share >= kMinRegisteredShare ? 1 : kOutlierFactor;
   const double heading = state.heading + wrapped(found.heading - state.heading);
   positions[k] = {state.time, found.position, factor * found.covariance};
+  // A few normals that lean a little seem to tell the place by the height, which the ground tells.
+  positions[k].covariance.block<2, 1>(0, 2).setZero();
+  positions[k].covariance.block<1, 2>(2, 0).setZero();
   headings[k] = {state.time,
                  {heading, 0, 0},
                  Eigen::Vector3d(factor * found.heading_variance, 1, 1).asDiagonal()};
