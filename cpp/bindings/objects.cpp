@@ -291,27 +291,28 @@ py::tuple sweep_of(const TrackedSweep& sweep) {
 
 py::tuple object_of(const TrackedObject& object) {
   std::vector<std::int64_t> sweeps, points;
-  std::vector<double> poses, velocities, deviations;
+  std::vector<double> poses, velocities, deviations, surface_deviations;
   for (const auto& place : object.places) {
     sweeps.push_back(place.sweep), points.push_back(place.points);
     const Eigen::Matrix<double, 4, 4, Eigen::RowMajor> T = place.T_world_object.matrix();
     poses.insert(poses.end(), T.data(), T.data() + T.size());
     velocities.insert(velocities.end(), place.velocity.data(), place.velocity.data() + 3);
     deviations.push_back(place.deviation);
+    surface_deviations.push_back(place.surface_deviation);
   }
   const auto count = static_cast<py::ssize_t>(object.places.size());
   const std::vector<double> size{object.size.x(), object.size.y(), object.size.z()};
-  return py::make_tuple(to_numpy(std::move(sweeps), {count}), to_numpy(std::move(points), {count}),
-                        to_numpy(std::move(poses), {count, 4, 4}),
-                        to_numpy(std::move(velocities), {count, 3}),
-                        to_numpy(std::move(deviations), {count}),
-                        to_numpy(std::vector<double>(size), {3}), object.rigid);
+  return py::make_tuple(
+      to_numpy(std::move(sweeps), {count}), to_numpy(std::move(points), {count}),
+      to_numpy(std::move(poses), {count, 4, 4}), to_numpy(std::move(velocities), {count, 3}),
+      to_numpy(std::move(deviations), {count}), to_numpy(std::move(surface_deviations), {count}),
+      to_numpy(std::vector<double>(size), {3}), object.rigid);
 }
 
 /// Calls `take` with a tuple for each sweep in order: members (first row, track, whether it becomes
 /// dynamic), tracks of boxes and whether they move, boxes, dynamic voxels. Returns a tuple a track:
-/// sweeps, points, poses, velocities, size, whether it is rigid. `read` gives the detections of a
-/// sweep, and is asked for each several times; `held` sweeps are in memory at once.
+/// sweeps, points, poses, velocities, two deviations, size, whether it is rigid. `read` gives the
+/// detections of a sweep, and is asked for each several times; `held` sweeps are in memory at once.
 py::list track(const py::function& read, const Array<double>& times,
                const TrackParameters& parameters, int threads, const py::function& take,
                py::ssize_t held) {

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from things import (
     CAR,
+    LORRY,
     PERSON,
     POLE,
     WALL,
@@ -11,6 +12,7 @@ from things import (
     detections_of,
     parked_at,
     passes,
+    rosette,
     straight,
     tracked,
     waits,
@@ -192,15 +194,21 @@ def test_a_waiting_car_whose_parts_are_seen_in_turn_is_dynamic_as_a_whole():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_car_is_tracked_though_each_sweep_of_a_rosette_sees_other_parts(seed):
-    """Half of its cells of 60 cm, drawn anew in each sweep."""
-    at = waits((15, 3), 30)
-
-    def cells(i, points):
-        drawn = np.random.default_rng([seed, i]).random((8, 4, 4)) < 0.5
-        return drawn[tuple(np.floor((points + np.array(CAR) / 2) / 0.6).astype(int).T)]
-
-    car = Thing(CAR, at, range(35, 60), seen=cells)
+    car = Thing(CAR, waits((15, 3), 30), range(35, 60), seen=rosette(seed, CAR, 0.5))
     assert tracked([car], 60) == [list(range(35))]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_of_a_lorry_a_rosette_is_enough_to_know_its_side(seed):
+    """Its samples are as dense as those of a car, or those of two sweeps would miss each other."""
+    lorry = Thing(LORRY, lambda i: (1.6 * i - 25, 5, 1.9), range(40), rosette(seed, LORRY, 0.5))
+    detections, _ = detections_of([lorry], 40, seed)
+    (track,) = track_objects(detections, straight(40)).tracks
+    assert len(track) >= 38
+    assert np.ptp(track.poses[:, 1, 3]) < 0.03
+    # It leaves; how far it is along its side is known worse and worse, but not where its side is.
+    assert track.deviations[-1] > 0.1
+    assert track.surface_deviations.max() < 0.04
 
 
 def test_what_the_lidar_sees_of_its_own_vehicle_is_not_tracked():
@@ -263,7 +271,15 @@ def same_tracking(one, other):
             np.testing.assert_array_equal(of_left, of_right)
     for left, right in zip(one.tracks, other.tracks, strict=True):
         assert (left.id, left.kind) == (right.id, right.kind)
-        for name in ("times", "poses", "velocities", "size", "points", "deviations"):
+        for name in (
+            "times",
+            "poses",
+            "velocities",
+            "size",
+            "points",
+            "deviations",
+            "surface_deviations",
+        ):
             np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
 
 

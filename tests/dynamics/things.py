@@ -8,6 +8,7 @@ from docdepth.geometry.trajectory import Trajectory
 
 MEMORY = 30  # sweeps: for so long key frames remember a place
 CAR, PERSON, POLE, WALL = (4.2, 1.8, 1.5), (0.6, 0.6, 1.7), (0.3, 0.3, 2.0), (12.0, 0.3, 2.5)
+LORRY = (18.0, 2.5, 3.2)
 
 
 def rays():
@@ -135,3 +136,14 @@ def passes(y, speed=8.0, start=-10.0):
 
 def parked_at(x, y):
     return lambda i: (x, y)
+
+
+def rosette(seed, size, share):
+    """``seen`` of a thing: this share of its cells of 60 cm, drawn anew in each sweep."""
+
+    def cells(i, points):
+        count = np.ceil(np.array(size) / 0.6).astype(int) + 1
+        drawn = np.random.default_rng([seed, i]).random(count) < share
+        return drawn[tuple(np.floor((points + np.array(size) / 2) / 0.6).astype(int).T)]
+
+    return cells

@@ -27,7 +27,8 @@ def circling(kind="vehicle", number=7):
     poses[:, :3, :3] = turn @ rotation_exp((0.0, -0.05, 0.0))
     velocities = 8 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
     size, points = np.array([4.2, 1.8, 1.5]), np.array([9, 8, 7, 6])
-    return Track(number, kind, times, poses, velocities, size, points, 0.01 * points)
+    known = (0.01 * points, 0.002 * points)
+    return Track(number, kind, times, poses, velocities, size, points, *known)
 
 
 def test_a_track_is_interpolated_and_goes_on():
@@ -54,14 +55,25 @@ def test_tracks_are_read_as_they_were_written(tmp_path: Path):
         assert (read.id, read.kind) == (track.id, track.kind)
         np.testing.assert_array_equal(read.times, track.times)
         np.testing.assert_array_equal(read.points, track.points)
-        for name in ("poses", "velocities", "size", "deviations"):
+        for name in ("poses", "velocities", "size", "deviations", "surface_deviations"):
             np.testing.assert_allclose(getattr(read, name), getattr(track, name), atol=1e-3)
+
+
+def test_a_file_of_an_earlier_version_tells_one_deviation(tmp_path: Path):
+    path = tmp_path / "tracks.csv"
+    write_tracks(path, [circling()], TIMES)
+    column = COLUMNS.index("surface_deviation")
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    path.write_text("".join(",".join(row[:column] + row[column + 1 :]) + "\n" for row in rows))
+    (read,) = read_tracks(path)
+    np.testing.assert_array_equal(read.surface_deviations, read.deviations)
+    np.testing.assert_allclose(read.deviations, circling().deviations, atol=1e-3)
 
 
 @pytest.mark.parametrize(
     "content",
-    ["", "frame,id\n0,1\n", "\xff", ",".join(COLUMNS) + "\n0,0,1,lorry" + ",1" * 13 + "\n",
-     ",".join(COLUMNS) + "\n0,0,1,vehicle" + ",nan" * 12 + ",1\n"],
+    ["", "frame,id\n0,1\n", "\xff", ",".join(COLUMNS) + "\n0,0,1,lorry" + ",1" * 14 + "\n",
+     ",".join(COLUMNS) + "\n0,0,1,vehicle" + ",nan" * 13 + ",1\n"],
 )  # fmt: skip
 def test_files_that_are_no_tracks_are_refused(tmp_path: Path, content):
     path = tmp_path / "tracks.csv"
@@ -77,7 +89,8 @@ def test_wrong_tracks_are_refused():
     track = circling()
     for changed in ({"id": 0}, {"id": 1 << 16}, {"kind": "lorry"}, {"size": np.zeros(3)},
                     {"times": track.times[::-1]}, {"points": track.points[1:]},
-                    {"deviations": track.deviations[1:]}):  # fmt: skip
+                    {"deviations": track.deviations[1:]},
+                    {"surface_deviations": track.surface_deviations[1:]}):  # fmt: skip
         fields = {name: getattr(track, name) for name in track.__dataclass_fields__} | changed
         with pytest.raises(InputError):
             Track(**fields)

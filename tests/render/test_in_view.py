@@ -104,6 +104,7 @@ def test_nothing_that_an_image_draws_is_left_out() -> None:
             velocities=moving.velocities[rows],
             points=moving.points[rows],
             deviations=moving.deviations[rows],
+            surface_deviations=moving.surface_deviations[rows],
         )
         shown = in_view_of({number: track}, trajectory)
         reach = 500_000_000  # images up to five sweeps away may draw it

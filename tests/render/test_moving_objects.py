@@ -180,7 +180,7 @@ def test_what_later_sweeps_saw_of_a_car_is_drawn_where_no_ray_looked():
     upper = (np.abs(y) < 0.7) & (z > -0.1) & (z < 0.3)
     assert upper.sum() > 100
     assert (np.abs(depth[upper] - here) < 0.1).mean() > 0.95
-    vague = replace(track, deviations=np.full(len(track), 0.3))
+    vague = replace(track, surface_deviations=np.full(len(track), 0.3))
     for other in (replace(track, kind="person"), vague):
         alone = compose_depth(*asked, tracks={1: other})
         assert (np.abs(alone[upper] - here) < 0.1).mean() < 0.2

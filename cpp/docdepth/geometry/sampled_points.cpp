@@ -1,5 +1,6 @@
 #include "docdepth/geometry/sampled_points.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
@@ -96,9 +97,12 @@ SampledPoints downsample(const SampledPoints& points, float size) {
   return voxel_means<Vector>(points, points, size, Vector::Zero());
 }
 
-SampledPoints downsample(const SampledPoints& points, float size, std::size_t most) {
+SampledPoints downsample(const SampledPoints& points, float size, std::size_t most, float largest) {
   SampledPoints samples = downsample(points, size);
-  while (samples.size() > most) samples = downsample(points, size *= kSampleSpacingGrowth);
+  while (samples.size() > most && size < largest) {
+    size = std::min(size * kSampleSpacingGrowth, largest);
+    samples = downsample(points, size);
+  }
   return samples;
 }
 

@@ -4,6 +4,7 @@
 #include <Eigen/Core>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "docdepth/geometry/constants.hpp"
@@ -41,8 +42,9 @@ std::uint64_t voxel_key(std::int64_t x, std::int64_t y, std::int64_t z = 0);
 /// Mean of the points in each voxel of edge `size`, in the order of the first point of each.
 SampledPoints downsample(const SampledPoints& points, float size);
 
-/// The same with voxels that grow until there are at most `most` means.
-SampledPoints downsample(const SampledPoints& points, float size, std::size_t most);
+/// The same with voxels that grow, up to the edge `largest`, until there are at most `most` means.
+SampledPoints downsample(const SampledPoints& points, float size, std::size_t most,
+                         float largest = std::numeric_limits<float>::infinity());
 
 /// Points of a surface with its normals, of any length; zero where the normal is unknown.
 struct SampledSurface {

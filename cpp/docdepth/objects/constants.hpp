@@ -24,8 +24,11 @@ constexpr float kMinFreeShare = 0.5f;
 constexpr float kFreeEdges = 0.15f;
 /// With a larger share of isolated returns it is porous: rays pass through twigs and fences.
 constexpr float kMaxIsolatedShare = 0.1f;
-/// An object is kept as at most this many samples.
+/// An object is kept as at most this many samples, or as more that are so far apart [m]: farther
+/// apart, those of a surface in one sweep miss those in the next by more than kMatchDistance where
+/// each sweep sees other parts of it. A lorry with its trailer gets 500.
 constexpr std::size_t kMaxSamples = 100;
+constexpr float kMaxSampleSpacing = 0.33f;
 /// An object borders on what is this much nearer or farther [m]; that much apart are the samples of
 /// its borders [m], and so many are kept.
 constexpr float kMinBorderDepth = 0.5f, kBorderSpacing = 0.1f;

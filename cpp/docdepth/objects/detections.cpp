@@ -17,8 +17,10 @@ TimedSurface sample(const TimedSurface& surface, const Extent& box) {
   if (box.width() > kMaxObjectWidth) return downsample(surface, kWideSampleSpacing);
   float size = kSampleSpacing;
   TimedSurface samples = downsample(surface, size);
-  while (samples.points.size() > kMaxSamples)
-    samples = downsample(samples, size *= kSampleSpacingGrowth);
+  while (samples.points.size() > kMaxSamples && size < kMaxSampleSpacing) {
+    size = std::min(size * kSampleSpacingGrowth, kMaxSampleSpacing);
+    samples = downsample(samples, size);
+  }
   return samples;
 }
 

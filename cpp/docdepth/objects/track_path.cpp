@@ -126,8 +126,8 @@ void TrackPath::measure_shifts() {
   for (std::size_t k = 0; k < measured.size(); ++k) {
     const double drift = kShiftDrift * kShiftDrift * std::fabs(double(k) - middle);
     const double spread = motions[k].covariance.topLeftCorner<2, 2>().trace() + drift;
-    states_.push_back(
-        {measured[k].time, motions[k].position, motions[k].velocity, 0, 0, std::sqrt(spread)});
+    states_.push_back({measured[k].time, motions[k].position, motions[k].velocity, 0, 0,
+                       std::sqrt(spread), std::sqrt(spread)});
   }
 }
 
@@ -194,6 +194,7 @@ void TrackPath::register_surfaces() {
     measured.set(k, register_surface(surface(k), model, expected), states_[k]);
   }
   smooth(measured);
+  measure_surfaces(model, near);
   find_extent(model);
 }
 
@@ -287,6 +288,29 @@ void TrackPath::smooth(const Measurements& measured) {
     const double of_position = motions[k].covariance.topLeftCorner<2, 2>().trace();
     const double of_ends = kHalfLength * kHalfLength * turns[k].covariance(0, 0);
     states_[k].deviation = std::sqrt(of_position + of_ends);
+  }
+}
+
+/// How far each surface lies beside the model, where the path says that it is. What is not known
+/// along a flat side, or of a heading where little was seen, does not count.
+void TrackPath::measure_surfaces(const SurfaceModel& model, const ExpectedPose& near) {
+  for (std::size_t k = 0; k < states_.size(); ++k) {
+    states_[k].surface_deviation = states_[k].deviation;
+    const SeenSurface seen = surface(k);
+    const Pose T = pose_of(k);
+    const Registration found =
+        register_surface(seen, model, {T, near.covariance, near.heading_variance});
+    if (found.share < kMinRegisteredShare) continue;
+    const Eigen::Isometry3f moved = (found.T_world_object * T.inverse()).cast<float>();
+    double sum = 0, count = 0;
+    for (std::size_t i = 0; i < seen.points.size(); ++i) {
+      if (seen.normals[i].isZero(0)) continue;
+      const double off = seen.normals[i].dot(moved * seen.points[i] - seen.points[i]);
+      sum += off * off, ++count;
+    }
+    if (count > 0)
+      states_[k].surface_deviation =
+          std::sqrt((sum + kResidualDeviation * kResidualDeviation) / count);
   }
 }
 

@@ -34,8 +34,13 @@ class TrackPath {
   bool covers(double t) const;
   /// Around what was seen of it near a time.
   OrientedBox box(double t) const;
-  /// How well the place of its surface is known at an observation [m].
+  /// How well its place is known at an observation [m].
   double deviation(std::size_t observation) const { return states_[observation].deviation; }
+  /// The same of what is seen of its surface, across itself [m]: a lorry may be known badly along
+  /// its side, and the side well.
+  double surface_deviation(std::size_t observation) const {
+    return states_[observation].surface_deviation;
+  }
   /// How far it surely goes from its first place, level, in all observations or in dynamic ones
   /// [m]. What is seen of a bush goes up and down, and a fence shows no shift along it.
   float distance(bool dynamic) const;
@@ -55,8 +60,9 @@ class TrackPath {
   struct State {
     double time;
     Eigen::Vector3d position, velocity;
-    double heading, slope;  ///< of its x axis [rad]
-    double deviation = 0;   ///< of the surface [m]
+    double heading, slope;         ///< of its x axis [rad]
+    double deviation = 0;          ///< of the place [m]
+    double surface_deviation = 0;  ///< of the surface, across itself [m]
   };
 
   /// Of each observation: the position, and the heading as the first coordinate.
@@ -75,6 +81,7 @@ class TrackPath {
   std::size_t register_from(std::size_t first, int step, SurfaceModel& model,
                             Measurements& measured);
   void smooth(const Measurements& measured);
+  void measure_surfaces(const SurfaceModel& model, const ExpectedPose& near);
   void find_extent(const SurfaceModel& model);
   void find_headings();
   void find_extents();

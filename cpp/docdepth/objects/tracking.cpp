@@ -94,7 +94,8 @@ TrackedObject object_of(const Track& track, const TrackPath& path,
     Pose T = path.pose(times[seen.sweep]);
     T.translate(Vector(middle.x(), middle.y(), extent.low.z()).cast<double>());
     object.places.push_back({std::uint32_t(seen.sweep), seen.points, T,
-                             path.velocity(times[seen.sweep]), path.deviation(n)});
+                             path.velocity(times[seen.sweep]), path.deviation(n),
+                             path.surface_deviation(n)});
   }
   return object;
 }

@@ -44,7 +44,8 @@ struct TrackedObject {
     Pose T_world_object;  ///< at the sweep's stamp; x forward, z up, origin in the middle of the
                           ///< bottom of the box
     Eigen::Vector3d velocity;
-    double deviation;  ///< of the position [m]
+    double deviation;          ///< of the position [m]
+    double surface_deviation;  ///< of what was seen of its surface, across itself [m]
   };
   std::vector<Place> places;
   Eigen::Vector3f size;  ///< length, width and height [m]

@@ -290,6 +290,7 @@ def _track(
     poses: NDArray[np.float64],
     velocities: NDArray[np.float64],
     deviations: NDArray[np.float64],
+    surface_deviations: NDArray[np.float64],
     size: NDArray[np.float64],
     rigid: bool,
 ) -> Track:
@@ -297,7 +298,8 @@ def _track(
     size = np.maximum(size, MIN_SIZE)
     speed = float(np.linalg.norm(velocities, axis=1).max())
     kind = _kind(size, speed, rigid)
-    return Track(number, kind, times[sweeps], poses, velocities, size, points, deviations)
+    known = (deviations, surface_deviations)
+    return Track(number, kind, times[sweeps], poses, velocities, size, points, *known)
 
 
 def _kind(size: NDArray[np.float64], speed: float, rigid: bool) -> Kind:

@@ -45,7 +45,10 @@ class Track:
     points : ndarray of int64, shape (n,)
         Returns of each sweep; 0 where the sweep did not see it.
     deviations : ndarray of float64, shape (n,)
-        How well the place of its surface is known: the standard deviation [m].
+        How well its place is known: the standard deviation [m].
+    surface_deviations : ndarray of float64, shape (n,), optional
+        The same of what each sweep saw of its surface, across itself [m]: the place of a lorry may
+        be known badly along its side, and that of its side well. ``deviations`` if absent.
 
     Raises
     ------
@@ -61,9 +64,12 @@ class Track:
     size: NDArray[np.float64]
     points: NDArray[np.int64]
     deviations: NDArray[np.float64]
+    surface_deviations: NDArray[np.float64] = None  # type: ignore[assignment]  # deviations
 
     def __post_init__(self) -> None:
         count = len(self.times)
+        if self.surface_deviations is None:
+            object.__setattr__(self, "surface_deviations", self.deviations)
         if not 1 <= self.id <= MAX_TRACKS or self.kind not in KINDS:
             raise InputError(
                 f"track {self.id}, {self.kind!r}: ids go from 1 to {MAX_TRACKS}, kinds are "
@@ -74,7 +80,8 @@ class Track:
                 f"track {self.id}: {count} times need velocities ({count}, 3), got "
                 f"{self.velocities.shape}"
             )
-        for name, of in (("points", self.points), ("deviations", self.deviations)):
+        for name in ("points", "deviations", "surface_deviations"):
+            of = getattr(self, name)
             if of.shape != (count,):
                 raise InputError(
                     f"track {self.id}: {count} times need {name} ({count},), got {of.shape}"
@@ -138,6 +145,11 @@ class Track:
         """How well the place is known at ``time`` [ns]: standard deviation [m]."""
         row = self._rows.get(int(time))
         return self._between(time, self.deviations) if row is None else float(self.deviations[row])
+
+    def surface_deviation_at(self, time: int) -> float:
+        """How well the place of its surface is known at ``time`` [ns], across itself [m]."""
+        row, known = self._rows.get(int(time)), self.surface_deviations
+        return self._between(time, known) if row is None else float(known[row])
 
     @cached_property
     def _elapsed(self) -> NDArray[np.float64]:

@@ -33,6 +33,7 @@ _NUMBERS = (
     "vy",
     "vz",
     "deviation",
+    "surface_deviation",
 )
 _ROWS = 1000  # that are written at once
 COLUMNS = ("frame", "time_ns", "id", "kind", *_NUMBERS, "points")
@@ -81,7 +82,8 @@ def _row(track: Track, k: int, frame: int) -> list[object]:
     x, y, z = track.poses[k, :3, 0]
     heading = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
     values = (*track.poses[k, :3, 3], *heading, *track.size, *track.velocities[k])
-    numbers = [f"{value:.4f}" for value in (*values, track.deviations[k])]
+    known = track.deviations[k], track.surface_deviations[k]
+    numbers = [f"{value:.4f}" for value in (*values, *known)]
     return [frame, int(track.times[k]), track.id, track.kind, *numbers, int(track.points[k])]
 
 
@@ -141,6 +143,8 @@ class _Rows:
         self.kind, self.values, self.whole = kind, array("d"), array("q")
 
     def add(self, row: dict[str, str]) -> None:
+        # Files of earlier versions tell one deviation.
+        row.setdefault("surface_deviation", row["deviation"])
         self.values.extend([float(row[name]) for name in _NUMBERS])
         self.whole.extend([int(row["time_ns"]), int(row["points"])])
 
@@ -159,7 +163,7 @@ def _track(number: int, rows: _Rows) -> Track:
     times, points = np.array(rows.whole, np.int64).reshape(-1, 2).T.copy()
     try:
         return Track(
-            number, kind, times, poses, values[:, 8:11], values[0, 5:8], points, values[:, 11]
+            number, kind, times, poses, values[:, 8:11], values[0, 5:8], points, *values[:, 11:].T
         )
     except InputError as error:
         raise ValueError(str(error)) from None

@@ -14,7 +14,7 @@ from docdepth.geometry.track import KINDS, Track
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.array_files import Offsets, array_offsets, read_arrays, write_array
 
-_OF_SWEEP, _OF_TRACK = len(TrackedSweep._fields), 7  # arrays
+_OF_SWEEP, _OF_TRACK = len(TrackedSweep._fields), 8  # arrays
 
 
 class TrackedSweeps(Sequence[TrackedSweep]):
@@ -56,7 +56,8 @@ def keep_tracking(
 
         for t in find(take):
             about = np.array([t.id, KINDS.index(t.kind)])
-            for array in (about, t.times, t.poses, t.velocities, t.size, t.points, t.deviations):
+            known = (t.deviations, t.surface_deviations)
+            for array in (about, t.times, t.poses, t.velocities, t.size, t.points, *known):
                 write_array(stream, array)
 
     run.write(path, write, key, sync=False)

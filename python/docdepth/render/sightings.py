@@ -30,7 +30,7 @@ MOST_SIGHTINGS = 24
 with rings elsewhere on the object, leave gaps of a pixel."""
 
 MAX_DEVIATION = 0.06
-"""Where an object is known worse than this, other sweeps would blur it [m]."""
+"""Where the surface of an object is known worse than this, other sweeps would blur it [m]."""
 
 FAR = 30.0
 """Vehicles farther than this are drawn from the sweeps around the image alone [m]."""
@@ -178,10 +178,10 @@ def _chosen(
     if track.kind != "vehicle":
         return [view for view in around if view.away <= SOFT_SECONDS * 1e9], []
     away = lidar_range(track, trajectory, time)
-    if track.deviation_at(time) > MAX_DEVIATION or away > FAR:
+    if track.surface_deviation_at(time) > MAX_DEVIATION or away > FAR:
         return around, []
     stamp = {view.sweep: int(trajectory.times[view.sweep]) for view in seen}
-    known = [v for v in seen if track.deviation_at(stamp[v.sweep]) <= MAX_DEVIATION]
+    known = [v for v in seen if track.surface_deviation_at(stamp[v.sweep]) <= MAX_DEVIATION]
     others = sorted((view for view in known if view.sweep not in drawn.dynamic), key=_away)
     own = set(sweeps_of_track(track, trajectory, time))
     further = [view for view in others if view.sweep in own]
