@@ -130,12 +130,10 @@ constexpr double kResidualDeviation = 0.2;
 constexpr double kHalfLength = 2;
 /// An object ends where its outermost edge is, if it is no farther inside than this [m].
 constexpr float kEndMargin = 0.1f;
-/// The ends of a flat side of an object are known this exactly [m]. It is one if this share of the
-/// samples faces there, and so many times more than face its ends: where both are seen, each tells
-/// the place across itself, and a bush has no sides.
+/// Seen from the side, the ends of an object are known this exactly [m]: its side is seen if this
+/// share of its samples faces there.
 constexpr double kEndDeviation = 0.1;
 constexpr float kMinSideShare = 0.3f;
-constexpr std::size_t kSideRatio = 3;
 /// Ends that are farther apart or closer than they should by more than this are those of a piece
 /// [m].
 constexpr float kMaxLengthError = 0.5f;

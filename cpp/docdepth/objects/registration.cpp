@@ -26,23 +26,20 @@ struct Equations {
   }
 };
 
-/// The ends of a surface along x, where it is seen from the side, or along y, from ahead or behind.
-Ends ends_of(const SeenSurface& seen, const Eigen::Isometry3f& T_object_world, int axis) {
-  const Eigen::RowVector3f along = T_object_world.linear().row(axis),
-                           across = T_object_world.linear().row(1 - axis);
-  std::size_t sides = 0, fronts = 0;
-  for (const Vector& normal : seen.normals) {
-    const float facing_side = std::fabs(across * normal), facing_end = std::fabs(along * normal);
-    sides += facing_side > 2 * facing_end, fronts += facing_end > 2 * facing_side;
-  }
-  if (float(sides) < kMinSideShare * float(seen.points.size()) || sides < kSideRatio * fronts)
-    return {};
+/// The ends of a surface along x, where they are seen from the side.
+Ends ends_of(const SeenSurface& seen, const Eigen::Isometry3f& T_object_world) {
+  const Eigen::RowVector3f along = T_object_world.linear().row(0),
+                           across = T_object_world.linear().row(1);
+  std::size_t sideways = 0;
+  for (const Vector& normal : seen.normals)
+    sideways += std::fabs(across * normal) > 2 * std::fabs(along * normal);
+  if (float(sideways) < kMinSideShare * float(seen.points.size())) return {};
   float most[3][2];  // of the surface, its edges, its hidden borders; at the low and the high end
   const SampledPoints* groups[3] = {&seen.points, &seen.edges.points, &seen.hidden.points};
   for (int g = 0; g < 3; ++g) {
     most[g][0] = most[g][1] = -INFINITY;
     for (const Vector& p : *groups[g]) {
-      const float x = along * p + T_object_world.translation()[axis];
+      const float x = along * p + T_object_world.translation().x();
       most[g][0] = std::max(most[g][0], -x), most[g][1] = std::max(most[g][1], x);
     }
   }
@@ -99,15 +96,15 @@ bool have_one_length(const Ends& a, const Ends& b) {
 
 /// The ends of a flat side tell where it is along itself. What looks like an end far from it is
 /// that of a piece: another object hides the rest.
-void add_ends(const SeenSurface& seen, const Ends& expected, int axis,
+void add_ends(const SeenSurface& seen, const Ends& expected,
               const Eigen::Isometry3f& T_object_world, Equations& sum) {
-  const Ends found = ends_of(seen, T_object_world, axis);
+  const Ends found = ends_of(seen, T_object_world);
   if (!have_one_length(found, expected)) return;
   const double weight = (kResidualDeviation * kResidualDeviation) / (kEndDeviation * kEndDeviation);
   for (const auto& [end, known] :
        {std::pair(found.low, expected.low), std::pair(found.high, expected.high)})
     if (end && known && std::fabs(*end - *known) <= kMaxLengthError)
-      sum.add(Vector4::Unit(axis), *end - *known, weight);
+      sum.add({1, 0, 0, 0}, *end - *known, weight);
 }
 
 }  // namespace
@@ -126,11 +123,9 @@ SeenSurface SeenSurface::held(const Vector& velocity) const {
 void SurfaceModel::add(const SeenSurface& seen, const Pose& T_world_object) {
   const Eigen::Isometry3f T = T_world_object.inverse().cast<float>();
   ++added_;
-  for (int axis : {0, 1}) {
-    const Ends ends = ends_of(seen, T, axis);
-    for (int side : {0, 1})
-      if (const auto& end = side ? ends.high : ends.low) ends_[axis][side].push_back(*end);
-  }
+  const Ends ends = ends_of(seen, T);
+  for (int side : {0, 1})
+    if (const auto& end = side ? ends.high : ends.low) ends_[side].push_back(*end);
   for (std::size_t i = 0; i < seen.points.size(); ++i) {
     const Vector p = T * seen.points[i];
     const auto key = voxel_key(voxel_coordinate(p.x(), voxel_), voxel_coordinate(p.y(), voxel_),
@@ -148,11 +143,10 @@ void SurfaceModel::add(const SeenSurface& seen, const Pose& T_world_object) {
   }
 }
 
-Ends SurfaceModel::ends(int axis) const {
-  const auto& [lows, highs] = ends_[axis];
+Ends SurfaceModel::ends() const {
   Ends ends;
-  if (!lows.empty()) ends.low = quantile(lows, 0.5);
-  if (!highs.empty()) ends.high = quantile(highs, 0.5);
+  if (!ends_[0].empty()) ends.low = quantile(ends_[0], 0.5);
+  if (!ends_[1].empty()) ends.high = quantile(ends_[1], 0.5);
   return ends;
 }
 
@@ -171,11 +165,10 @@ Registration register_surface(const SeenSurface& seen, const SurfaceModel& model
   const double information = 1 / (kResidualDeviation * kResidualDeviation);
   Vector4 moved = Vector4::Zero();
   Equations last;
-  const Ends model_ends[] = {model.ends(0), model.ends(1)};
+  const Ends model_ends = model.ends();
   for (const float radius : kRegistrationRadii) {
     last = equations_of(seen, model.surface(), T_object_world.cast<float>(), radius);
-    for (int axis : {0, 1})
-      add_ends(seen, model_ends[axis], axis, T_object_world.cast<float>(), last);
+    add_ends(seen, model_ends, T_object_world.cast<float>(), last);
     const Vector4 gradient = information * last.gradient + prior * moved;
     const Vector4 step = -(information * last.hessian + prior).ldlt().solve(gradient);
     moved += step;

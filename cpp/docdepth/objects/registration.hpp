@@ -21,7 +21,7 @@ struct SeenSurface : TimedSurface {
   SeenSurface held(const Eigen::Vector3f& velocity) const;
 };
 
-/// Where the ends of an object are along one of its axes, if they are seen.
+/// Where the ends of an object are along its x axis, if they are seen.
 struct Ends {
   std::optional<float> low, high;
 };
@@ -37,8 +37,8 @@ class SurfaceModel {
   const SampledSurface& surface() const { return surface_; }
   /// How many surfaces met the voxel of each sample.
   const std::vector<int>& hits() const { return hits_; }
-  /// The median of the ends along axis x or y (0 or 1) of all surfaces that showed them.
-  Ends ends(int axis) const;
+  /// The median of the ends of all surfaces that showed them.
+  Ends ends() const;
 
  private:
   float voxel_;
@@ -46,7 +46,7 @@ class SurfaceModel {
   std::vector<int> hits_, last_;  // of each sample: surfaces, and the number of the last
   std::unordered_map<std::uint64_t, std::size_t> numbers_;
   int added_ = 0;
-  std::vector<float> ends_[2][2];  ///< by axis: low and high, of each surface that showed them
+  std::vector<float> ends_[2];  ///< low and high, of each surface that showed them
 };
 
 /// Where an object may be before its surface is looked at.
