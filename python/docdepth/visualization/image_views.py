@@ -157,8 +157,12 @@ def write_text(
     picture: Picture, text: str, place: tuple[int, int], color: tuple[int, int, int]
 ) -> None:
     """Write text with a dark rim, so that it can be read on any ground."""
-    for shade, thick in (((0, 0, 0), 4), (color, 1)):
-        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, shade, thick, cv2.LINE_AA)
+    # The rim is the text itself, moved: thicker letters of OpenCV 5 are wider as well.
+    rim = [(x, y) for y in (-2, 0, 2) for x in (-2, 0, 2) if (x, y) != (0, 0)]
+    for x, y in (*rim, (0, 0)):
+        shade = color if (x, y) == (0, 0) else (0, 0, 0)
+        at = (place[0] + x, place[1] + y)
+        cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.55, shade, 1, cv2.LINE_AA)
 
 
 def _class_colors(classid: NDArray[Any]) -> Picture:
