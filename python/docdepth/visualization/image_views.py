@@ -158,11 +158,12 @@ def write_text(
 ) -> None:
     """Write text with a dark rim, so that it can be read on any ground."""
     # The rim is the text itself, moved: thicker letters of OpenCV 5 are wider as well.
-    rim = [(x, y) for y in (-2, 0, 2) for x in (-2, 0, 2) if (x, y) != (0, 0)]
-    for x, y in (*rim, (0, 0)):
-        shade = color if (x, y) == (0, 0) else (0, 0, 0)
-        at = (place[0] + x, place[1] + y)
-        cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.55, shade, 1, cv2.LINE_AA)
+    font, black = cv2.FONT_HERSHEY_SIMPLEX, (0, 0, 0)
+    for x in (-1, 0, 1):
+        for y in (-1, 0, 1):
+            beside = (place[0] + x, place[1] + y)
+            cv2.putText(picture, text, beside, font, 0.55, black, 2, cv2.LINE_AA)
+    cv2.putText(picture, text, place, font, 0.55, color, 2, cv2.LINE_AA)
 
 
 def _class_colors(classid: NDArray[Any]) -> Picture:
