@@ -60,6 +60,7 @@ napoleon_use_rtype = False
 
 html_theme = "furo"
 html_title = f"docdepth {version}"
+html_static_path = html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_copy_source = False
 html_theme_options = {

@@ -12,6 +12,7 @@ import numpy as np
 import docdepth
 from docdepth.synthetic import write_drive
 from docdepth.visualization import pictures
+from docdepth.visualization.geometries import class_colors, vote_colors
 
 FRAMES, SHOWN = 20, 5
 WIDTH, LENGTH = 26.0, 34.0  # of the street from above [m]
@@ -27,12 +28,10 @@ def draw(folder: Path, file: Path) -> None:
     depth = docdepth.render_depth(docdepth.Scene(sweeps, trajectory, labels), stream, index=k)
 
     points, classid, votes = sweeps[k].points, labels[k].classid, labels[k].votes
-    total = votes.dynamic + votes.static
-    share = np.where(total > 0, votes.dynamic / np.maximum(total, 1), 0)
     shown = {
-        "Ground, IV-A": np.where(classid < 50, "olive", "silver"),
-        "Votes, IV-C: share that looked through": plt.colormaps["viridis"](share),
-        "Classes, IV-C: what moves": np.where(classid >= 100, "tab:red", "silver"),
+        "Ground (blue), IV-A": class_colors(np.where(classid < 50, 0, 50).astype(np.uint16)),
+        "Votes, IV-C: orange looked through": vote_colors(votes.static, votes.dynamic),
+        "Classes, IV-C: orange moves": class_colors(np.where(classid < 100, 50, classid)),
     }
     size = np.where(classid >= 100, 3.0, 0.6)
     figure = plt.figure(figsize=(11, 8.2), layout="constrained")
@@ -43,9 +42,8 @@ def draw(folder: Path, file: Path) -> None:
         axes.set(xlim=(-WIDTH / 2, WIDTH / 2), ylim=(-LENGTH / 2, LENGTH / 2), xticks=[], yticks=[])
         axes.set(title=title, aspect="equal")
     axes = figure.add_subplot(grid[1, :])
-    picture = pictures.draw_bar(pictures.overlay(depth, stream.rectified_image(k)))
-    axes.imshow(picture[..., ::-1])
-    axes.set_title("Composite depth map, V-B")
+    axes.imshow(pictures.overlay(depth, stream.rectified_image(k))[..., ::-1])
+    axes.set_title("Composite depth map, V-B: near is yellow, far is violet")
     axes.axis("off")
     figure.canvas.draw()
     image = np.asarray(figure.canvas.buffer_rgba())[..., 2::-1]

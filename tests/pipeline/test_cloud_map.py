@@ -14,7 +14,8 @@ from docdepth.io.ply import read_vertices
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import read_tracks
 from docdepth.pipeline import cloud_map
-from docdepth.pipeline.cloud_map import VoxelCloud
+from docdepth.pipeline.cloud_map import VoxelCloud, _shade
+from docdepth.visualization.image_views import track_color
 
 
 def test_a_voxel_has_the_mean_of_its_points(monkeypatch):
@@ -44,6 +45,14 @@ def test_no_points_are_no_cloud():
     points, is_ground, counts = VoxelCloud(0.1, np.zeros(3)).cloud()
     assert points.shape == (0, 3)
     assert len(is_ground) == len(counts) == 0
+
+
+def test_points_get_lighter_upwards_from_the_foot_of_their_column():
+    heights = np.array([7.0, 5.0, 9.0, 14.0, 5.0])
+    points = np.column_stack([[0.2, 0.9, 0.5, 0.5, 1.5], np.full(5, -3.5), heights])
+    light = _shade(points)[:, 0]
+    np.testing.assert_allclose(light, [0.7, 0.4, 1, 1, 0.4])
+    assert _shade(np.empty((0, 3))).shape == (0, 1)
 
 
 def test_the_map_of_a_run(finished, tmp_path):
@@ -76,6 +85,9 @@ def test_the_map_of_a_run(finished, tmp_path):
     for number, path in clouds.items():
         cloud, _ = read_vertices(path)
         assert path.stem.endswith(tracks[number].kind)
+        high = np.argmax(cloud["z"])
+        shade = np.array([cloud[c][high] for c in ("blue", "green", "red")]) / track_color(number)
+        assert np.ptp(shade[np.array(track_color(number)) > 60]) < 0.02, "the colour of its track"
         assert cloud["points"].sum() >= objects[number]
         # In the frame of its box, most of it lies in the box.
         outside = np.abs(np.column_stack([cloud["x"], cloud["y"]])) - tracks[number].size[:2] / 2

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from command_line import cli
-from docdepth.datasets import open_dataset
+from docdepth.datasets import FrameRange, open_dataset
 from docdepth.errors import DatasetError, OdometryError
 from docdepth.geometry.se3 import inverse
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.given_poses import poses_entry
+from docdepth.pipeline.given_poses import poses_entry, read_given_poses
 from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.pipeline.run_state import states
 from small_drive import SWEEPS, write_small_drive
@@ -56,6 +56,25 @@ def test_those_of_the_recording_are_taken(drive, tmp_path):
     assert cli("run", "--config", run / "run.yaml", "-o", run).exit_code == 0
     assert cli("run", run).exit_code == 0
     assert cli("run", drive, "-o", run, "--poses", drive.parent / "lidar.txt").exit_code == 2
+
+
+def test_poses_of_a_part_are_those_of_its_run(drive, tmp_path):
+    """A run of a part writes poses of that part, and the same part takes them again."""
+    write_kitti(tmp_path / "part.txt", POSES[1:4])
+    np.testing.assert_allclose(poses_of(drive, tmp_path / "part.txt", frames="1:4"), POSES[1:4])
+    whole = drive.parent / "lidar.txt"
+    np.testing.assert_allclose(poses_of(drive, whole, frames="1:4"), POSES[1:4])
+    for frames in ("1:3", ":"):
+        with pytest.raises(OdometryError, match=f"3 poses for {SWEEPS} sweeps"):
+            poses_of(drive, tmp_path / "part.txt", frames=frames)
+
+
+def test_poses_of_a_part_with_a_gap_are_refused(drive, tmp_path):
+    """Nothing tells which sweep was left out when the poses were written."""
+    write_kitti(tmp_path / "some.txt", POSES[[0, 1, 3]])
+    some = FrameRange(open_dataset(drive), without={2})
+    with pytest.raises(OdometryError, match=f"3 poses for {SWEEPS} sweeps"):
+        read_given_poses(str(tmp_path / "some.txt"), some)
 
 
 def test_a_recording_without_poses_is_refused(tmp_path):

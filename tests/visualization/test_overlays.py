@@ -3,6 +3,7 @@
 import numpy as np
 
 from docdepth.geometry.camera import Camera
+from docdepth.visualization.image_views import write_text
 from docdepth.visualization.overlays import COLORS, clouds_in_plane, points_on_image
 
 
@@ -37,3 +38,14 @@ def test_the_nearest_point_of_a_pixel_is_drawn_and_none_behind_the_camera() -> N
     assert not np.array_equal(alone[40, 50], alone[5, 5])
     nothing = points_on_image(behind, camera, np.eye(4), image)
     assert np.array_equal(nothing[40, 50], nothing[5, 5])
+
+
+def test_the_rim_of_text_goes_with_it() -> None:
+    """OpenCV 5 draws thick letters wider, so a thick copy below the text runs out of it."""
+    picture = np.full((40, 500, 3), 128, np.uint8)
+    write_text(picture, "depth map in the colours of its image", (8, 25), (255, 255, 255))
+    bright, dark = (
+        np.flatnonzero(found.any(axis=(0, 2))) for found in (picture > 200, picture < 40)
+    )
+    assert 0 <= dark.max() - bright.max() < 6
+    assert 0 <= bright.min() - dark.min() < 6

@@ -92,6 +92,7 @@ def test_pictures_show_the_image_and_its_depth(drive, finished, page):
             assert np.abs(decoded(page.images[str(k), view]).astype(int) - whole).mean() < 5
         assert (str(k), "class") in page.images
         assert (str(k), "confidence") not in page.images
+    assert "No photos" not in page.text
 
 
 def test_layers_of_the_run_are_shown_and_parameters_that_differ(finished, tmp_path):
@@ -223,7 +224,9 @@ def test_a_report_without_the_recording_has_no_images(tmp_path):
     assert cli("run", drive, "-o", run).exit_code == 0
     shutil.move(drive, tmp_path / "elsewhere")
     assert cli("report", run).exit_code == 0
-    assert {view for _, view in Page(run / "report" / "index.html").images} == {"depth", "class"}
+    page = Page(run / "report" / "index.html")
+    assert {view for _, view in page.images} == {"depth", "class"}
+    assert "No photos" in page.text
     (run / "frames" / "frame_000001.ply").unlink()
     assert "frame_000001" in str(cli("report", run).exception)
 

@@ -2,8 +2,10 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,7 +16,18 @@ from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import read_tracks
 from docdepth.visualization.geometries import instance_colors
-from docdepth.visualization.rerun_recording import write_rerun
+from docdepth.visualization.rerun_recording import _layout, _Log, write_rerun
+
+
+def test_no_pane_stays_empty_where_a_recording_has_no_images(rerun, finished, drive) -> None:
+    run = RunFolder.open(finished[0])
+    stream = open_dataset(drive).cameras["image_2"]
+    log = _Log(rerun, None, run.trajectory(), np.zeros(3))
+    panes = []
+    for shown in (stream, None, replace(stream, images=[])):
+        root = _layout(log, run, shown).root_container.contents[1]
+        panes.append([view.name for view in root.contents])
+    assert panes == [["image", "depth"], ["depth"], ["depth"]]
 
 
 @pytest.fixture
@@ -74,6 +87,12 @@ def test_the_recording_holds_sweeps_tracks_and_depth(
     shown = told["world/camera/depth"][0]
     depth = array(shown.buffer).view(np.uint16) / array(shown.meter)[0]
     np.testing.assert_allclose(depth, np.nan_to_num(read_depth(maps[0])).ravel(), atol=0.002)
+    # The picture of depth has the colours of all others: dark where there is none.
+    assert len(told["depth"]) == len(maps)
+    picture = cv2.imdecode(array(told["depth"][0].blob).view(np.uint8), cv2.IMREAD_COLOR)
+    none = np.isnan(read_depth(maps[0]))
+    none[-40:] = False  # the bar
+    assert picture[cv2.erode(none.astype(np.uint8), np.ones((15, 15))) > 0].max() < 60
     verified = [sys.executable, "-m", "rerun", "rrd", "verify", str(path)]
     assert subprocess.run(verified, capture_output=True, timeout=60).returncode == 0
     assert not list(tmp_path.glob(".*"))

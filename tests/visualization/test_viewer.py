@@ -151,16 +151,24 @@ def test_keys_step_through_the_drive_and_change_the_colours(
 ):
     shown = []
 
-    def show(geometries, pose, image, keys):
+    def show(geometries, pose, image, keys, legend):
         shown.append((geometries, pose))
-        for key in (262, 262, 263, ord("C"), 267, 266):
+        for key in (262, 262, 263, ord("C"), 267, 266, ord("D")):
             shown.append(keys[key]())
 
     monkeypatch.setattr(viewer, "show", show)
-    viewer.view_run(finished[0], frame=1, depth=False)
+    told: list[str] = []
+    viewer.view_run(finished[0], frame=1, depth=False, tell=told.append)
     poses = RunFolder.open(finished[0]).trajectory().poses
     frames = [int(np.flatnonzero((poses == pose).all(axis=(1, 2)))[0]) for _, pose in shown]
-    assert frames == [1, 2, 3, 2, 2, 4, 0]
+    assert frames == [1, 2, 3, 2, 2, 4, 0, 0]
+    # Open3D writes no text into its window, so each change is told.
+    assert [text.split(",")[0] for text in told] == [f"sweep {k} of 0 to 4" for k in frames]
+    assert "by class: blue ground" in told[3]
+    assert "by votes: light grey static" in told[4]
+    assert "depth 0" in shown[-1][0]
+    assert "depth map" in told[-1]
+    assert "depth map" not in told[-2]
     before, after = (np.asarray(shown[k][0]["points"].colors) for k in (3, 4))
     assert before.shape == after.shape
     assert not np.allclose(before, after)
@@ -207,6 +215,7 @@ def test_an_image_needs_no_display(open3d, finished: tuple[Path, str], tmp_path:
         pytest.skip(str(error))
     picture = cv2.imread(str(tmp_path / "view.png"))
     assert picture.std() > 5
+    assert (picture[:80, :400] == 255).sum() > 300  # the legend, in the empty sky
 
 
 def test_without_a_display_the_error_says_so(open3d, monkeypatch) -> None:

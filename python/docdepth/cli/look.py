@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ import typer
 from docdepth.cli.names import COLORINGS, one_of
 from docdepth.cli.options import OneCamera, RunPath
 from docdepth.cli.progress import progress_bars
-from docdepth.cli.terminal import app, out, verb
+from docdepth.cli.terminal import app, out, verb, volume
 
 
 @verb(app)
@@ -130,7 +131,7 @@ def view(
     """Look at a sweep, tracks, the trajectory, an image and its depth in 3-D (Open3D).
 
     Keys: right and left go to the next sweep and back, page down and page up by ten, C colours by
-    class, votes or instance; H lists those of Open3D.
+    class, votes or instance, D hides the depth map; H lists those of Open3D.
     """
     from docdepth.errors import ConfigError
     from docdepth.io.run_folder import RunFolder
@@ -149,4 +150,8 @@ def view(
         with progress_bars() as progress:
             write_rerun(folder, rerun, camera, color, stream, progress)  # type: ignore[arg-type]
         return out.print(f"{rerun}", soft_wrap=True, markup=False)
-    view_run(folder, frame, camera, around, True, image, color, stream)  # type: ignore[arg-type]
+    tell = None
+    if image is None and not volume.quiet:
+        out.print("keys: right, left, page down, page up: sweep; C: colours; D: depth map; Q: end")
+        tell = partial(out.print, soft_wrap=True, markup=False)
+    view_run(folder, frame, camera, around, True, image, color, stream, tell)  # type: ignore[arg-type]

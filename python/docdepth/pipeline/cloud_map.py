@@ -15,6 +15,7 @@ from docdepth.pipeline.render_plan import tracks_of
 from docdepth.pipeline.run_state import require
 from docdepth.pipeline.stage import Progress, progress_callback
 from docdepth.render.moving_objects import objects_of
+from docdepth.visualization.image_views import track_color
 from docdepth.visualization.pictures import GROUND_COLOR, STATIC_COLOR
 
 VOXEL = 0.1
@@ -23,12 +24,14 @@ _OF_OBJECTS = 0.5  # side of a voxel of an object, as a share of the map's
 
 _BITS = 21  # of a voxel's number along an axis
 _ROW = np.dtype([("key", "i8"), ("points", "u4"), ("ground", "u4"), ("sum", "f4", 3)])
+_RGB = [(name, "u1") for name in ("red", "green", "blue")]
 _CLOUD = np.dtype(
-    [(name, "<f8") for name in "xyz"]
-    + [("classid", "<u2"), ("points", "<u4")]
-    + [(name, "u1") for name in ("red", "green", "blue")]
+    [(name, "<f8") for name in "xyz"] + [("classid", "<u2"), ("points", "<u4")] + _RGB
 )
-_OBJECT = np.dtype([(name, "<f4") for name in "xyz"] + [("points", "<u4")])
+_OBJECT = np.dtype([(name, "<f4") for name in "xyz"] + [("points", "<u4")] + _RGB)
+# Points get lighter from the lowest of their column upwards: one grey for all would show no shape.
+_COLUMN, _LIGHT = 1.0, 4.0  # side of a column, and height of full light [m]
+_DARKEST = 0.4
 _LEAST_MERGED = 1_000_000  # voxels; sorting the map for fewer takes too long
 
 
@@ -152,27 +155,50 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress | None = 
             cloud = objects.setdefault(of, VoxelCloud(voxel * _OF_OBJECTS, np.zeros(3)))
             cloud.add(points @ T[:3, :3].T + T[:3, 3], np.zeros(len(points), bool))
         tell(k + 1, len(trajectory))
-    return _write(run, world, {f"{n:05d}_{tracks[n].kind}.ply": c for n, c in objects.items()})
+    named = {
+        f"{n:05d}_{tracks[n].kind}.ply": (cloud, track_color(n)) for n, cloud in objects.items()
+    }
+    return _write(run, world, named)
 
 
-def _write(run: RunFolder, world: VoxelCloud, objects: dict[str, VoxelCloud]) -> Path:
+def _shade(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How light each point is, by its height above the lowest of its column; (n, 1)."""
+    columns = np.floor(points[:, :2] / _COLUMN)
+    order = np.lexsort(columns.T)
+    first = np.flatnonzero(np.diff(columns[order], axis=0, prepend=np.nan).any(axis=1))
+    lowest = np.minimum.reduceat(points[order, 2], first) if len(first) else np.empty(0)
+    height = np.empty(len(points))
+    height[order] = points[order, 2] - np.repeat(lowest, np.diff(first, append=len(points)))
+    return (_DARKEST + (1 - _DARKEST) * np.clip(height / _LIGHT, 0, 1))[:, None]
+
+
+def _paint(rows: NDArray[np.void], colors: NDArray[np.float64]) -> None:
+    """Set the colours of rows, BGR."""
+    rows["blue"], rows["green"], rows["red"] = np.rint(colors).astype(np.uint8).T
+
+
+def _write(
+    run: RunFolder,
+    world: VoxelCloud,
+    objects: dict[str, tuple[VoxelCloud, tuple[int, int, int]]],
+) -> Path:
     """Write the clouds, and remove objects of an earlier map."""
     write = run.writer({"classify": run.stage("classify").get("key", "")})
     path, folder = run.path / "map" / "map.ply", run.path / "map" / "objects"
     with run.lock("map"):
         for name in set(run.records(folder).names()) - set(objects):
             run.remove(folder / name)
-        for name, cloud in sorted(objects.items()):
+        for name, (cloud, color) in sorted(objects.items()):
             points, _, counts = cloud.cloud()
             rows = np.empty(len(points), _OBJECT)
             rows["x"], rows["y"], rows["z"] = points.T
             rows["points"] = counts
+            _paint(rows, _shade(points) * color)
             write_vertices(folder / name, rows, ["frame of the box: x forward, z up"], write)
         points, is_ground, counts = world.cloud()
         rows = np.empty(len(points), _CLOUD)
         rows["x"], rows["y"], rows["z"] = points.T
         rows["classid"], rows["points"] = np.where(is_ground, GROUND, STATIC), counts
-        colors = np.where(is_ground[:, None], GROUND_COLOR, STATIC_COLOR)
-        rows["blue"], rows["green"], rows["red"] = colors.T
+        _paint(rows, np.where(is_ground[:, None], GROUND_COLOR, _shade(points) * STATIC_COLOR))
         write_vertices(path, rows, ["world [m]"], write)
     return path

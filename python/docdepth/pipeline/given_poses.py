@@ -59,14 +59,26 @@ def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
         return recording.poses
     whole = recording.whole if isinstance(recording, FrameRange) else recording
     camera, file = _divided(entry)
-    poses = read_poses(Path(file), len(whole))
+    poses = read_poses(Path(file), None if _are_of_part(Path(file), recording) else len(whole))
     if camera:
         poses = _of_lidar(poses, camera, whole)
     elif isinstance(whole, Mounted):
         poses = poses @ inverse(whole.T_level_lidar)
-    if isinstance(recording, FrameRange):
+    if isinstance(recording, FrameRange) and len(poses) == len(whole):
         return poses[recording.indices]
     return poses
+
+
+def _are_of_part(file: Path, recording: Dataset) -> bool:
+    """Whether a file has the poses of a range of sweeps alone, as a run of it writes them.
+
+    Where sweeps amid the range are left out, only the whole recording tells which pose is whose.
+    """
+    if not isinstance(recording, FrameRange):
+        return False
+    indices = recording.indices
+    gapless = indices[-1] - indices[0] + 1 == len(indices)
+    return gapless and len(read_poses(file)) == len(indices)
 
 
 def refuse_poses_of_a_camera(

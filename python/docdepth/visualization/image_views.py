@@ -157,8 +157,13 @@ def write_text(
     picture: Picture, text: str, place: tuple[int, int], color: tuple[int, int, int]
 ) -> None:
     """Write text with a dark rim, so that it can be read on any ground."""
-    for shade, thick in (((0, 0, 0), 4), (color, 1)):
-        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, shade, thick, cv2.LINE_AA)
+    # The rim is the text itself, moved: thicker letters of OpenCV 5 are wider as well.
+    font, black = cv2.FONT_HERSHEY_SIMPLEX, (0, 0, 0)
+    for x in (-1, 0, 1):
+        for y in (-1, 0, 1):
+            beside = (place[0] + x, place[1] + y)
+            cv2.putText(picture, text, beside, font, 0.55, black, 2, cv2.LINE_AA)
+    cv2.putText(picture, text, place, font, 0.55, color, 2, cv2.LINE_AA)
 
 
 def _class_colors(classid: NDArray[Any]) -> Picture:

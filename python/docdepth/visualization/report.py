@@ -208,8 +208,12 @@ def _camera(run: RunFolder, page: CameraPage, trajectory: Trajectory) -> str:
         seconds = (moment.time - start) * 1e-9
         leaves.append(Leaf(f"image {moment.name} at {seconds:.1f} s", moment.views, seconds))
     note = f"({len(leaves)} of {len(page.density)} images; keys: arrows and 1, 2, 3 ...)"
+    bare = not any("image" in moment.views for moment in page.moments)
+    no_images = (
+        "<p class=note>No photos of this camera are at hand, so classes are drawn on black.</p>"
+    )
     return "\n".join([
-        f"<section class=camera><h2>Camera {escape(page.name)}</h2>",
+        f"<section class=camera><h2>Camera {escape(page.name)}</h2>{no_images if bare else ''}",
         flip_book(leaves, _VIEWS, {view: _legend(view) for view in _VIEWS}, note),
         _density(page.density, start),
         _calibration(run, page.name),
@@ -225,12 +229,13 @@ def _calibration(run: RunFolder, camera: str) -> str:
 
 
 def _legend(view: str) -> str:
+    no_depth = swatches([([(BACKGROUND,) * 3], "no depth")])
     if view == "depth":
         colors = colorize(np.geomspace(NEAR, FAR, 24)[None], bar=False)[0]
         span = np.log(FAR / NEAR)
         ends = {NEAR: "\u2264 ", FAR: "\u2265 "}  # what is nearer or farther has the same colour
         ticks = [(np.log(t / NEAR) / span, f"{ends.get(t, '')}{t} m") for t in _TICKS]
-        return scale(colors, ticks) + swatches([([(BACKGROUND,) * 3], "no depth")])
+        return scale(colors, ticks) + no_depth
     if view == "class":
         return swatches([
             ([GROUND_COLOR], "ground"),
@@ -241,7 +246,7 @@ def _legend(view: str) -> str:
     if view == "confidence":
         middle = (1 + DOUBTFUL) / 2
         marks = [(0.0, f"{DOUBTFUL:g} or less"), (0.5, f"{middle:g}"), (1.0, "1: depth is right")]
-        return scale(CONFIDENCE_COLORS[::16], marks)
+        return scale(CONFIDENCE_COLORS[::16], marks) + no_depth
     if view == "seen":
         meanings = ("no ray near this time", "a ray agrees", "a ray contradicts the depth")
         return swatches(([color], text) for color, text in zip(SEEN_COLORS, meanings, strict=True))

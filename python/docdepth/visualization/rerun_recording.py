@@ -21,9 +21,15 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import TRACKS, read_tracks
 from docdepth.visualization.geometries import Coloring, point_colors
 from docdepth.visualization.image_views import track_color
+from docdepth.visualization.pictures import colorize
 
 _DEPTH_STEPS = 65535  # of a depth image
 _PLANE = 2.0  # where in its frustum an image stands [m]
+_PATH_COLOR = (255, 191, 0)
+_FAR = 50.0  # where the colours of depth in the scene end [m]
+_POINT = 1.0  # radius of a point on the screen; rerun's own hides what is behind the points
+# Where the viewer starts and what it looks at, in the frame of the first sweep [m].
+_VIEWER, _TARGET = (-16.0, 0.0, 9.0), (8.0, 0.0, 0.0)
 
 
 class _Log(NamedTuple):
@@ -86,11 +92,14 @@ def write_rerun(
     part = path.with_name(f".{path.stem}.part{path.suffix}")
     log = _Log(rerun, rerun.RecordingStream("docdepth"), trajectory, trajectory.poses[0, :3, 3])
     tracks = read_tracks(run.path / TRACKS) if (run.path / TRACKS).is_file() else []
+    log.stream.send_recording_name(run.path.resolve().name)
     try:
         part.write_bytes(b"")  # rerun itself does not say why it cannot write
-        log.stream.save(part)
+        log.stream.save(part, default_blueprint=_layout(log, run, stream))
         log.stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        path_driven = rerun.LineStrips3D([trajectory.poses[:, :3, 3] - log.origin])
+        path_driven = rerun.LineStrips3D(
+            [trajectory.poses[:, :3, 3] - log.origin], colors=[_PATH_COLOR]
+        )
         log.stream.log("world/path", path_driven, static=True)
         for k in range(len(trajectory)):
             _log_sweep(log, run, k, color, tracks)
@@ -106,15 +115,39 @@ def write_rerun(
         part.unlink(missing_ok=True)
 
 
+def _layout(log: _Log, run: RunFolder, stream: CameraStream | None) -> Any:
+    """What the viewer shows first: the drive from behind the vehicle, beside it the camera."""
+    views = log.rerun.blueprint
+    start = log.trajectory.poses[0, :3, :3]
+    eye = views.EyeControls3D(
+        position=start @ _VIEWER,
+        look_target=start @ _TARGET,
+        eye_up=(0, 0, 1),
+        tracking_entity="world/lidar",
+    )
+    drive = views.Spatial3DView(origin="world", name="drive", eye_controls=eye)
+    panels = {"collapse_panels": True}
+    if not run.cameras:
+        return views.Blueprint(drive, **panels)
+    image = "world/camera/image"
+    pictures = [views.Spatial2DView(origin="depth", name="depth")]
+    if stream is not None and stream.images:
+        pictures.insert(0, views.Spatial2DView(origin="world/camera", contents=image, name="image"))
+    return views.Blueprint(views.Horizontal(drive, views.Vertical(*pictures)), **panels)
+
+
 def _log_sweep(
     log: _Log, run: RunFolder, index: int, color: Coloring, tracks: Sequence[Track]
 ) -> None:
     time = int(log.trajectory.times[index])
     record, classid = run.classified_frame(index)
     colors = np.rint(255 * point_colors(record, classid, color)).astype(np.uint8)
+    dots = log.rerun.Radius.ui_points(_POINT)
     log.at(time)
     log.pose("world/lidar", log.trajectory.poses[index])
-    log.stream.log("world/lidar/points", log.rerun.Points3D(record.points, colors=colors))
+    log.stream.log(
+        "world/lidar/points", log.rerun.Points3D(record.points, colors=colors, radii=dots)
+    )
     there = [(track, track.pose_at(time)) for track in tracks if track.covers(time)]
     centres = [T[:3, 3] - log.origin + T[:3, 2] * track.size[2] / 2 for track, T in there]
     turns = [matrix_to_quaternion(T[:3, :3]) for _, T in there]
@@ -147,9 +180,16 @@ def _log_images(log: _Log, run: RunFolder, camera: str | None, stream: CameraStr
         time = int(maps[name]["time_ns"])
         log.at(time)
         log.pose("world/camera", log.trajectory.interpolate([time])[0] @ inverse(T_camera_lidar))
-        depth = np.rint(np.nan_to_num(read_depth(file)) * steps).clip(0, _DEPTH_STEPS)
-        shown = rerun.DepthImage(depth.astype(np.uint16), meter=steps)
+        metres = read_depth(file)
+        depth = np.rint(np.nan_to_num(metres) * steps).clip(0, _DEPTH_STEPS)
+        # Near is yellow as in all pictures: so the range is given backwards, in steps.
+        far = (_FAR * steps, 0)
+        shown = rerun.DepthImage(
+            depth.astype(np.uint16), meter=steps, colormap="viridis", depth_range=far
+        )
         log.stream.log("world/camera/depth", shown)
+        picture = np.ascontiguousarray(colorize(metres)[:, :, ::-1])
+        log.stream.log("depth", rerun.Image(picture).compress(jpeg_quality=85))
         if stream is not None and name in stream.names:
             image = stream.rectified_image(stream.names.index(name))
             if image is not None:

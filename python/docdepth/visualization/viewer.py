@@ -5,20 +5,23 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias, get_args
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import BackendError, InputError, RunError
 from docdepth.geometry.se3 import inverse
+from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.visualization.geometries import Coloring, open3d_module, run_geometries
+from docdepth.visualization.image_views import write_text
 
 Scene: TypeAlias = tuple[dict[str, Any], NDArray[np.float64]]
 """Geometries, and the pose of the LiDAR that they belong to."""
@@ -26,7 +29,14 @@ Scene: TypeAlias = tuple[dict[str, Any], NDArray[np.float64]]
 _STEPS = {262: 1, 263: -1, 266: -10, 267: 10}  # GLFW: right, left, page up, page down
 _BACKGROUND = (0.09, 0.09, 0.09)
 _POINT_SIZE = 2.0  # pixels
-_WINDOW = {"window_name": "docdepth", "width": 1600, "height": 900}
+_WINDOW = {"window_name": "docdepth", "width": 1200, "height": 700}  # fits on a small screen
+_IMAGE = {"window_name": "docdepth", "width": 1600, "height": 900}
+_LINE = 24  # between two lines of text [pixels]
+_POINTS = {
+    "class": "blue ground, light grey static, orange moving",
+    "votes": "light grey static to orange moving, dark without votes",
+    "instance": "coloured as their boxes, dark without an instance",
+}
 # Position of the viewer in the LiDAR frame [m], and how far it looks down [rad].
 _VIEWER, _PITCH = (-14.0, 0.0, 7.0), 0.3
 
@@ -40,6 +50,7 @@ def view_run(
     image: Path | None = None,
     color: Coloring = "class",
     stream: CameraStream | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> None:
     """Show a sweep of a run in a window, with tracks, trajectory, cameras and a depth map.
 
@@ -47,7 +58,7 @@ def view_run(
     their tracks, with a line ahead. The depth map nearest in time to the sweep is back-projected,
     in the colours of its image or else of depth. The image stands in its frustum. Keys: right and
     left go to the next sweep and back, page down and page up by ten, C colours by class, votes or
-    instance.
+    instance, D hides the depth map.
 
     Parameters
     ----------
@@ -67,6 +78,8 @@ def view_run(
         What the colours of points say. Votes go from grey, static, to orange, dynamic.
     stream : CameraStream, optional
         The camera; its images are shown.
+    tell : callable, optional
+        Called with what the window shows, whenever that changes: Open3D writes no text into it.
 
     Raises
     ------
@@ -80,12 +93,15 @@ def view_run(
         The sweep is not classified.
     """
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
-    poses = folder.trajectory().poses
-    frame = len(poses) // 2 if frame is None else frame
-    shown = _Shown(folder, poses, frame, color, (camera, around, depth), stream)
+    trajectory = folder.trajectory()
+    frame = len(trajectory) // 2 if frame is None else frame
+    shown = _Shown(folder, trajectory, frame, color, camera, around, depth, stream, tell)
     geometries, pose = shown.go(0)
-    keys = {key: partial(shown.go, by) for key, by in _STEPS.items()} | {ord("C"): shown.recolor}
-    show(geometries, pose, image, keys)
+    keys: dict[int, Callable[[], Scene]] = {
+        key: partial(shown.go, by) for key, by in _STEPS.items()
+    }
+    keys |= {ord("C"): shown.recolor, ord("D"): shown.hide_depth}
+    show(geometries, pose, image, keys, shown.legend(geometries))
 
 
 @dataclass
@@ -93,18 +109,26 @@ class _Shown:
     """What a window shows of a run."""
 
     run: RunFolder
-    poses: NDArray[np.float64]
+    trajectory: Trajectory
     frame: int
     color: Coloring
-    chosen: tuple[str | None, int, bool]
+    camera: str | None
+    around: int
+    depth: bool
     stream: CameraStream | None
+    tell: Callable[[str], None] | None
 
     def go(self, by: int) -> Scene:
         """Go on by some sweeps, not beyond the ends."""
+        poses = self.trajectory.poses
         if by:
-            self.frame = min(max(self.frame + by, 0), len(self.poses) - 1)
-        geometries = run_geometries(self.run, self.frame, *self.chosen, self.color, self.stream)
-        return geometries, self.poses[self.frame]
+            self.frame = min(max(self.frame + by, 0), len(poses) - 1)
+        geometries = run_geometries(
+            self.run, self.frame, self.camera, self.around, self.depth, self.color, self.stream
+        )
+        if self.tell:
+            self.tell("; ".join(self.legend(geometries)))
+        return geometries, poses[self.frame]
 
     def recolor(self) -> Scene:
         """Colour points by the next of class, votes and instance that the run has."""
@@ -115,12 +139,34 @@ class _Shown:
                 return self.go(0)
         return self.go(0)
 
+    def hide_depth(self) -> Scene:
+        """Hide the depth map and its camera, or show them again."""
+        self.depth = not self.depth
+        return self.go(0)
+
+    def legend(self, geometries: Mapping[str, Any]) -> list[str]:
+        """What is shown and what its colours say, line by line."""
+        times = self.trajectory.times
+        seconds = (times[self.frame] - times[0]) * 1e-9
+        lines = [
+            f"sweep {self.frame} of 0 to {len(times) - 1}, {seconds:.1f} s",
+            f"points by {self.color}: {_POINTS[self.color]}",
+        ]
+        if "tracks" in geometries:
+            lines.append("boxes: tracks, each with a line ahead; yellow: path of the LiDAR")
+        if "image 0" in geometries:
+            lines.append("depth map of the camera in the colours of its image")
+        elif "depth 0" in geometries:
+            lines.append("depth map of the camera: yellow is near, violet far")
+        return lines
+
 
 def show(
     geometries: Mapping[str, Any],
     T_world_lidar: NDArray[np.float64] | None = None,
     image: Path | None = None,
     keys: Mapping[int, Callable[[], Scene]] | None = None,
+    legend: Sequence[str] = (),
 ) -> None:
     """Show Open3D geometries in a window, or write a PNG of them.
 
@@ -135,6 +181,8 @@ def show(
     keys : mapping of int to callable, optional
         Give other geometries and their pose when a key (GLFW's number) is pressed. The view follows
         the pose.
+    legend : sequence of str
+        Lines of text for the PNG.
 
     Raises
     ------
@@ -148,8 +196,11 @@ def show(
         raise BackendError(
             "no display to open a window on (DISPLAY is not set); write an image instead"
         )
+    if image is not None:  # without a display Open3D warns of it, and then draws all the same
+        o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
     window = o3d.visualization.VisualizerWithKeyCallback()
-    if not window.create_window(visible=image is None, **_WINDOW):
+    size = _WINDOW if image is None else _IMAGE
+    if not window.create_window(visible=image is None, **size):
         raise BackendError("Open3D cannot render here: neither a display nor EGL is available")
     try:
         for geometry in geometries.values():
@@ -167,7 +218,7 @@ def show(
         else:
             window.poll_events()
             window.update_renderer()
-            _capture(window, image)
+            _capture(window, image, legend)
     finally:
         window.destroy_window()
 
@@ -202,11 +253,16 @@ def _look_from(window: Any, T_world_viewer: NDArray[np.float64]) -> None:
     window.get_view_control().convert_from_pinhole_camera_parameters(view, allow_arbitrary=True)
 
 
-def _capture(window: Any, image: Path) -> None:
-    """Write what a window shows; Open3D itself reports no failure."""
+def _capture(window: Any, image: Path, legend: Sequence[str]) -> None:
+    """Write what a window shows and a legend; Open3D itself reports no failure."""
     part = image.with_name(f".{image.stem}.part{image.suffix}")
     try:
         window.capture_screen_image(str(part), do_render=True)
+        picture = cv2.imread(str(part))
+        if picture is not None:
+            for k, line in enumerate(legend, start=1):
+                write_text(picture, line, (12, k * _LINE), (255, 255, 255))
+            cv2.imwrite(str(part), picture)
         os.replace(part, image)
     except OSError:
         raise RunError(
