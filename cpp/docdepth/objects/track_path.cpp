@@ -67,9 +67,16 @@ bool is_known(const Height& height) {
   return std::isfinite(height.deviation);
 }
 
+/// A few normals that lean a little seem to tell the place by the height, which the ground tells.
+void separate_height(Eigen::Matrix3d& covariance) {
+  covariance.block<2, 1>(0, 2).setZero();
+  covariance.block<1, 2>(2, 0).setZero();
+}
+
 /// A measured position of what stands on the ground.
 MeasuredPosition grounded(MeasuredPosition seen, const Height& ground) {
   if (!is_known(ground)) return seen;
+  separate_height(seen.covariance);
   double& variance = seen.covariance(2, 2);
   const double share = variance / (variance + double(ground.deviation) * ground.deviation);
   seen.position.z() += share * (ground.value - seen.position.z());
@@ -247,6 +254,7 @@ std::size_t TrackPath::register_from(std::size_t first, int step, SurfaceModel& 
     }
     measured.set(k, found, {time, {}, {}, turn.position().x(), 0});
     MeasuredPosition& position = measured.positions[k];
+    if (is_known(track_.observations[k].ground)) separate_height(position.covariance);
     if (!motion.expects(position)) position.covariance *= kOutlierFactor;
     motion.update(position), turn.update(measured.headings[k]);
     if (misses > 0) continue;
@@ -262,9 +270,6 @@ void TrackPath::Measurements::set(std::size_t k, const Registration& found, cons
   const double factor = found.share >= kMinRegisteredShare ? 1 : kOutlierFactor;
   const double heading = state.heading + wrapped(found.heading - state.heading);
   positions[k] = {state.time, found.position, factor * found.covariance};
-  // A few normals that lean a little seem to tell the place by the height, which the ground tells.
-  positions[k].covariance.block<2, 1>(0, 2).setZero();
-  positions[k].covariance.block<1, 2>(2, 0).setZero();
   headings[k] = {state.time,
                  {heading, 0, 0},
                  Eigen::Vector3d(factor * found.heading_variance, 1, 1).asDiagonal()};
