@@ -17,8 +17,9 @@ TimedSurface sample(const TimedSurface& surface, const Extent& box) {
   if (box.width() > kMaxObjectWidth) return downsample(surface, kWideSampleSpacing);
   float size = kSampleSpacing;
   TimedSurface samples = downsample(surface, size);
-  while (samples.points.size() > kMaxSamples && size < kMaxSampleSpacing) {
-    size = std::min(size * kSampleSpacingGrowth, kMaxSampleSpacing);
+  const float largest = largest_spacing(box);
+  while (samples.points.size() > kMaxSamples && size < largest) {
+    size = std::min(size * kSampleSpacingGrowth, largest);
     samples = downsample(samples, size);
   }
   return samples;

@@ -50,6 +50,11 @@ struct Detection {
 
 using Detections = std::vector<Detection>;
 
+/// How far apart the samples of an object may be, however many they are [m].
+inline float largest_spacing(const Extent& box) {
+  return box.size().z() > kMaxCarHeight ? kMaxSampleSpacing : INFINITY;
+}
+
 /// What is known about each point of a sweep.
 struct PointEvidence {
   const bool* ground;

@@ -80,7 +80,7 @@ void append(SampledPoints& samples, const SampledPoints& more) {
 SampledPoints together(SampledPoints older, const Vector& shift, const SampledPoints& newer) {
   for (Vector& p : older) p += shift;
   append(older, newer);
-  return downsample(older, kSampleSpacing, kMaxSamples, kMaxSampleSpacing);
+  return downsample(older, kSampleSpacing, kMaxSamples, largest_spacing(extent_of(older)));
 }
 
 double mean_time_offset(const Detections& seen, const std::vector<std::uint32_t>& objects) {
