@@ -204,7 +204,7 @@ def test_of_a_lorry_a_rosette_is_enough_to_know_its_side(seed):
     lorry = Thing(LORRY, lambda i: (1.6 * i - 25, 5, 1.9), range(40), rosette(seed, LORRY, 0.5))
     detections, _ = detections_of([lorry], 40, seed)
     (track,) = track_objects(detections, straight(40)).tracks
-    assert len(track) >= 38
+    assert len(track) >= 37  # 30, 36 and 32 with samples 0.8 m apart
     assert np.ptp(track.poses[:, 1, 3]) < 0.03
     # It leaves; how far it is along its side is known worse and worse, but not where its side is.
     assert track.deviations[-1] > 0.1
