@@ -119,6 +119,15 @@ def test_a_pole_and_a_wall_beside_a_pedestrian_who_disappears_stay_static():
     assert tracked([walker, pole, wall], 40) == [[], [], []]
 
 
+@pytest.mark.parametrize("size", [(0.6, 0.6, 1.2), (0.5, 0.5, 1.5)])
+def test_a_bin_that_is_first_seen_where_a_pedestrian_was_last_seen_stays_static(size):
+    """A narrow view sees its place only from then on, so votes do not tell that it was there."""
+    walker = Thing(PERSON, lambda i: (2 + 0.12 * i, 3) if i < 22 else None, range(22))
+    bin = Thing(size, lambda i: (4.7, 3.1, size[2] / 2) if i >= 22 else None)
+    bin.stay = lambda i, count: (False, 22, 39)
+    assert tracked([walker, bin], 40) == [[], []]
+
+
 def test_a_pedestrian_beside_a_wall_is_tracked_past_it():
     walker = Thing(PERSON, lambda i: (2 + 0.12 * i, 3), [*range(10), *range(20, 30)])
     wall = Thing(WALL, parked_at(4, 3.5))
