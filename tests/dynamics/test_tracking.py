@@ -245,13 +245,19 @@ def test_a_bin_that_a_pedestrian_leaves_is_not_part_of_him():
     assert tracked([walker, bin_], 60, joined={(0, 1): range(8)})[1] == []
 
 
-def test_a_thin_post_that_a_track_includes_stays_static_if_it_was_not_seen_before():
-    """While the pedestrian was elsewhere, the post was too far to be an object."""
+@pytest.mark.parametrize(
+    ("width", "free", "claimed"),
+    [(0.1, False, []), (0.5, False, []), (0.5, True, list(range(28)))],
+    ids=["a thin post", "a bin", "his trolley, whose place was free before"],
+)
+def test_what_is_beside_a_pedestrian_who_waits(width, free, claimed):
+    """While he was elsewhere it was too far to be an object."""
     at = waits((6, 3), 25)
     walker = Thing((1.0, 0.6, 1.7), at, range(28, 45))
-    for size, expected in (((0.1, 0.1, 1.6), []), ((0.5, 0.5, 1.6), list(range(28)))):
-        beside = Thing(size, lambda i: (at(i)[0] + 0.3, 2.6) if i < 28 else None)
-        assert tracked([walker, beside], 45)[1] == expected
+    size = (width, width, 1.6)
+    beside = Thing(size, lambda i: (at(i)[0] + 0.3, 2.6) if i < 28 else None)
+    beside.stay = lambda i, count: (free, *Thing.stay(beside, i, count)[1:])
+    assert tracked([walker, beside], 45)[1] == claimed
 
 
 def test_a_car_that_moves_less_than_its_length_was_observed_to_leave():
