@@ -52,7 +52,7 @@ using Detections = std::vector<Detection>;
 
 /// How far apart the samples of an object may be, however many they are [m].
 inline float largest_spacing(const Extent& box) {
-  return box.size().z() > kMaxCarHeight ? kMaxSampleSpacing : INFINITY;
+  return box.size().z() > kMaxVanHeight ? kMaxSampleSpacing : INFINITY;
 }
 
 /// What is known about each point of a sweep.
