@@ -56,6 +56,13 @@ def test_a_pedestrian_whose_legs_are_hidden_stands_on_the_ground():
     np.testing.assert_allclose(track.size[2], PERSON[2], atol=0.15)
 
 
+def test_the_box_of_a_head_above_a_wall_does_not_reach_down_to_the_ground():
+    """Of it alone nobody knows whether a person stands below."""
+    track, heights = track_on_ground(PERSON, lambda i: (6 + 0.15 * i, 3), 40, hidden=lambda i: 1.2)
+    assert (track.poses[:, 2, 3] > heights + 1).all()
+    assert track.size[2] < 0.6
+
+
 def test_a_lorry_uphill_stays_on_the_road():
     """A hedge hides its lower half later on, and its vertical side tells nothing of its height."""
     track, heights = track_on_ground(

@@ -82,11 +82,13 @@ Members members_of(TrackEvidence& evidence, const Track& track, std::uint32_t nu
   return members;
 }
 
-/// Boxes reach down to the ground, since feet and wheels are often hidden.
+/// Boxes reach down to the ground, since feet and wheels are often hidden: if more of the object
+/// was seen than is missing below.
 TrackedObject object_of(const Track& track, const TrackPath& path,
                         const std::vector<double>& times) {
   Extent extent = path.extent();
-  if (path.has_ground()) extent.low.z() = std::min(extent.low.z(), 0.0f);
+  if (path.has_ground() && extent.low.z() < extent.size().z())
+    extent.low.z() = std::min(extent.low.z(), 0.0f);
   const Vector middle = 0.5f * (extent.low + extent.high);
   TrackedObject object{{}, extent.size(), path.is_rigid()};
   for (std::size_t n = 0; n < track.observations.size(); ++n) {
