@@ -57,6 +57,14 @@ std::vector<std::uint8_t> borders_of(const Points& points, const PointEvidence& 
   return borders;
 }
 
+/// How high the ground is under each object.
+void find_ground(const Points& points, const bool* ground, const RigidTransform& T_world_lidar,
+                 Detections& detections) {
+  const GroundHeights heights(points, ground, T_world_lidar);
+  for (Detection& object : detections)
+    if (object.box.width() <= kMaxObjectWidth) object.ground = heights.under(object.box);
+}
+
 }  // namespace
 
 Detections detect_objects(const Points& points, const PointEvidence& evidence, const ScanMesh& mesh,
@@ -104,10 +112,7 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
     if (borders[i] & 2) object.hidden.add(p, time);
     members[number[first]].add(p, rotation * normals[i], time);
   }
-  const GroundHeights heights(points, ground, T);
   for (std::size_t k = 0; k < detections.size(); ++k) {
-    if (detections[k].box.width() <= kMaxObjectWidth)
-      detections[k].ground = heights.under(detections[k].box);
     detections[k].time_offset /= float(detections[k].points);
     detections[k].middle /= float(detections[k].points);
     if (float(porous[k]) > kMaxIsolatedShare * float(detections[k].points))
@@ -120,6 +125,7 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
     for (Vector& normal : detections[k].surface.normals)
       if (!normal.isZero(0)) normal.normalize();
   }
+  find_ground(points, ground, T, detections);
   return detections;
 }
 
