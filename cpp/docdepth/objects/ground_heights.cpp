@@ -13,7 +13,7 @@ using Vector = Eigen::Vector3f;
 
 constexpr int kSide = int(2 * kGroundRange / kGroundCell);  // cells along each axis
 
-/// How far a coordinate lies outside of an interval.
+/// How far a coordinate lies outside of an interval; 0 inside.
 float outside(float value, float low, float high) {
   return std::max(std::max(low - value, value - high), 0.0f);
 }

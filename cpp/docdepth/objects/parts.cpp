@@ -41,7 +41,7 @@ Place place_of(const TrackPath& part, const TrackPath& whole, double time) {
 bool is_part(const TrackPath& whole, const TrackAndPath& part, const std::vector<double>& times,
              const TrackParameters& p) {
   std::vector<float> speeds;
-  std::vector<Eigen::Vector3d> ways;
+  std::vector<Eigen::Vector3d> path;  // of the vehicle
   int touching = 0, inside = 0, beside = 0;
   for (const TrackObservation& seen : part.track.observations) {
     const double time = time_of(seen, times);
@@ -49,13 +49,13 @@ bool is_part(const TrackPath& whole, const TrackAndPath& part, const std::vector
     const Place place = place_of(part.path, whole, time);
     touching += place.touches, inside += place.inside, beside += place.beside;
     speeds.push_back(float((whole.velocity(time) - part.path.velocity(time)).norm()));
-    ways.push_back(whole.pose(time).translation());
+    path.push_back(whole.pose(time).translation());
   }
   if (int(speeds.size()) < p.min_detections) return false;
   const auto most = [&](int count) { return float(count) >= kPartShare * float(speeds.size()); };
   const bool is_as_fast = quantile(speeds, 0.5) < kPartSpeed;
   if (most(touching) && is_as_fast) return true;
-  if ((ways.back() - ways.front()).norm() < kPartPath) return false;
+  if ((path.back() - path.front()).norm() < kPartPath) return false;
   return most(inside) || (most(beside) && is_as_fast);
 }
 

@@ -111,7 +111,8 @@ class TrackEvidence {
   /// stood there before or after.
   bool was_free(const Detection& object, double time) {
     if (object.was_free()) return true;
-    // Where a person stops, some of his place was free before. What he touches was always there.
+    // Where a person stops, some of his place was seen free before. A bin beside him was not,
+    // though a narrow view may see it only from then on.
     if (!is_vehicle_ && object.free_area < kFreeEdges * object.area) return false;
     const Stay& stay = stay_at(path_.pose(time).translation());
     const bool free = stay.free_share >= kFreeEdges &&

@@ -17,7 +17,8 @@ namespace docdepth {
 /// Of a vehicle, the surface that each sweep saw is registered onto those of all others, in a frame
 /// that moves with it: x along its motion. So it stands still when it stands, however much more of
 /// it is seen as the ego comes nearer. A person is not rigid: the shifts from sweep to sweep are
-/// summed. Positions are smoothed by how well each is known.
+/// summed. Both stand on the ground, where it is seen. Positions are smoothed by how well each is
+/// known.
 class TrackPath {
  public:
   /// The arguments must outlive the path, but for the surfaces.

@@ -203,7 +203,8 @@ def track_objects(
 
     A track is cut where the surfaces say that it went on with another object. Where a rigid object
     is at a time follows from its surfaces, registered onto each other; so a car that has stopped
-    stands. Tracks that lie in a vehicle and go as fast are parts of it, and joined with it.
+    stands. How high it is follows from the ground around it. Tracks that touch a vehicle and go as
+    fast, or stay within it while it goes on, are parts of it, and joined with it.
 
     Where a track adds an object, the place must have been observed free before or after, or been
     occupied only while the tracked object stood there; otherwise it is another one: a parked car
