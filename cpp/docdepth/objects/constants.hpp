@@ -146,6 +146,9 @@ constexpr double kGuessDeviation = 0.3, kGuessHeadingDeviation = 0.05;
 constexpr double kUnknownPosition = 10, kUnknownHeading = 1;
 /// Surfaces are known this exactly at best [m].
 constexpr double kSurfaceDeviation = 0.02;
+/// So many sweeps in a row err alike, as they see the same parts from nearly the same side:
+/// together they tell the place no better than one of them.
+constexpr double kSweepsAlike = 9;
 /// Where a registration is farther than this from where the shifts lead, that place is tried,
 /// too [m].
 constexpr double kMaxDrift = 1;

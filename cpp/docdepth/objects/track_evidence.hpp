@@ -36,22 +36,22 @@ class TrackEvidence {
       total += seen.passing_area;
       supported_ = std::max({supported_, seen.passing_area, total / kTotalSupportDivisor});
     }
-    std::size_t first = 0, last = track_.observations.size() - 1;
-    while (first < last && path_.deviation(first) > kSamePlace) ++first;
-    while (first < last && path_.deviation(last) > kSamePlace) --last;
-    first_known_ = times[track_.observations[first].sweep];
-    last_known_ = times[track_.observations[last].sweep];
-    first_place_ = place_at(first_known_), last_place_ = place_at(last_known_);
+    const auto is_unsure = [&](std::size_t k) { return path_.deviation(k) > kSamePlace; };
+    std::size_t first = 0, end = track_.observations.size();
+    while (first < end && is_unsure(first)) ++first;
+    while (first < end && is_unsure(end - 1)) --end;
+    is_known_ = first < end;
+    if (is_known_) first_ = place_of(first), last_ = place_of(end - 1);
   }
 
   /// Whether it stands when it is first or last seen, so that it was or stays there.
-  bool stands_before() const { return path_.speed(first_known_) < kStanding; }
-  bool stands_after() const { return path_.speed(last_known_) < kStanding; }
+  bool stands_before() const { return is_known_ && path_.speed(first_.time) < kStanding; }
+  bool stands_after() const { return is_known_ && path_.speed(last_.time) < kStanding; }
 
   /// Whether it is known where the object is: it stays where it stands when it is last seen.
   bool covers(double time) const {
-    return path_.covers(time) || (time < first_known_ && stands_before()) ||
-           (time > last_known_ && stands_after());
+    return path_.covers(time) || (time < first_.time && stands_before()) ||
+           (time > last_.time && stands_after());
   }
 
   /// Whether it moved while the votes called it dynamic.
@@ -73,11 +73,12 @@ class TrackEvidence {
     if (is_rail_) return false;
     if (object.dynamic == object.points || object.box.width() < kMinTrackedWidth) return false;
     if (object.area - object.dynamic_area > supported_) return false;
+    if (!is_known_) return is_member && object.was_free();
     // What has come to stand is asked about each sweep of the rest of the drive.
-    if (!is_member && ((times_[sweep] < first_known_ && !object.box.overlaps(first_place_, 0)) ||
-                       (times_[sweep] > last_known_ && !object.box.overlaps(last_place_, 0))))
+    if (!is_member && ((times_[sweep] < first_.time && !object.box.overlaps(first_.extent, 0)) ||
+                       (times_[sweep] > last_.time && !object.box.overlaps(last_.extent, 0))))
       return false;
-    const double time = std::clamp(times_[sweep], first_known_, last_known_);
+    const double time = std::clamp(times_[sweep], first_.time, last_.time);
     if (is_member) return was_free(object, time);
     if (!lies_there(object, time, kSearchMargin) || !was_free(object, time)) return false;
     if (object.free_area >= kFreeEdges * object.area) return true;
@@ -88,13 +89,19 @@ class TrackEvidence {
   }
 
  private:
-  /// Around all that lies in its box at a time, and a little more.
-  Extent place_at(double time) const {
+  /// Where it is when its place is known for the first or last time.
+  struct Place {
+    double time = 0, deviation = 0;  ///< [s], [m]
+    Extent extent;                   ///< around all that lies in its box, and a little more
+  };
+
+  Place place_of(std::size_t observation) const {
+    const double time = times_[track_.observations[observation].sweep];
     const OrientedBox box = path_.box(time);
     const Eigen::Isometry3f T = box.T_box_world.inverse();
     const Vector half = box.half.array() + (kSearchMargin + kRoundingMargin);
     const Vector reach = T.linear().cwiseAbs() * half;
-    return {T.translation() - reach, T.translation() + reach};
+    return {time, path_.deviation(observation), {T.translation() - reach, T.translation() + reach}};
   }
 
   bool lies_there(const Detection& object, double time, float margin) const {
@@ -168,11 +175,12 @@ class TrackEvidence {
       stay.first = std::min(stay.first, int(at.sweep));
       stay.last = std::max(stay.last, int(at.sweep));
     }
-    const auto distance_at = [&](double time) {
-      return (path_.pose(time).translation() - place).norm();
+    const auto is_there = [&](const Place& known) {
+      const double off = (path_.pose(known.time).translation() - place).norm();
+      return off <= kSamePlace + kSureDeviations * known.deviation;
     };
-    if (distance_at(first_known_) <= kSamePlace) stay.first = 0;
-    if (distance_at(last_known_) <= kSamePlace) stay.last = int(times_.size());
+    if (is_there(first_)) stay.first = 0;
+    if (is_there(last_)) stay.last = int(times_.size());
     stay.free_share /= float(std::max(count, 1));
     stays_.push_back(stay);
     return stays_.back();
@@ -187,9 +195,8 @@ class TrackEvidence {
   const bool is_rail_, is_vehicle_;  ///< or only the side of one is seen
   std::deque<Stay> stays_;
   float supported_ = 0;  ///< area of static points that the track can make dynamic
-  double first_known_ = 0,
-         last_known_ = 0;            ///< when its place is known for the first and last time
-  Extent first_place_, last_place_;  ///< where it is then
+  bool is_known_ = false;
+  Place first_, last_;  ///< if its place is known at all
 };
 
 }  // namespace docdepth

@@ -290,7 +290,7 @@ void TrackPath::smooth(const Measurements& measured) {
     states_[k].position = motions[k].position;
     states_[k].velocity = motions[k].velocity;
     states_[k].heading = turns[k].position.x();
-    const double of_position = motions[k].covariance.topLeftCorner<2, 2>().trace();
+    const double of_position = kSweepsAlike * motions[k].covariance.topLeftCorner<2, 2>().trace();
     const double of_ends = kHalfLength * kHalfLength * turns[k].covariance(0, 0);
     states_[k].deviation = std::sqrt(of_position + of_ends);
   }
