@@ -1,6 +1,7 @@
 """Paths and boxes of tracks against exact ones."""
 
 import numpy as np
+import pytest
 from things import CAR, PERSON, RAYS, Thing, detections_of, measured, ranges_of, straight, waits
 
 from docdepth.dynamics.tracking import TRACK_PARAMETERS, Detections, PointStays, track_objects
@@ -113,6 +114,24 @@ def test_the_box_of_a_standing_object_does_not_move():
     assert not any(moves for sweep in found[:18] for _, moves in sweep.box_tracks)
     assert all(moves for sweep in found[28:] for _, moves in sweep.box_tracks)
     assert all(len(sweep.boxes) for sweep in found)
+
+
+@pytest.mark.parametrize(
+    ("place", "count"),
+    [(lambda i: (60 - 0.8 * i, 3.5), 60), (lambda i: waits((40, 3), 20)(79 - i), 80)],
+    ids=["oncoming", "comes to stand"],
+)
+def test_a_path_is_as_exact_as_it_states(place, count):
+    """Sweeps in a row err alike; counted as independent they claim a third of their deviation."""
+    (track,) = track_objects(
+        detections_of([Thing(CAR, place, range(30))], count)[0], straight(count)
+    ).tracks
+    sweeps = track.times // 100_000_000
+    off = track.poses[:, :2, 3] - [place(i) for i in sweeps.tolist()]
+    weight = track.deviations[:, None] ** -2
+    off -= (off * weight).sum(0) / weight.sum()  # where the middle of the object is
+    error = np.sqrt(((off / track.deviations[:, None]) ** 2).sum(1).mean())
+    assert 0.4 < error < 2.5
 
 
 def turning(i):

@@ -54,7 +54,8 @@ bool moves(const TrackAndPath& followed, const std::vector<double>& times,
   if (path.distance(false) >= p.min_distance &&
       path.distance(true) >= kMinVotedDistanceShare * p.min_distance)
     return true;
-  return is_vehicle(path) && appears(track.observations, times, p);
+  return (is_vehicle(path) || is_side_of_vehicle(followed)) &&
+         appears(track.observations, times, p);
 }
 
 }  // namespace docdepth
