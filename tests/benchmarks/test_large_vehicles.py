@@ -31,7 +31,7 @@ def test_what_was_seen_and_what_lies_outside():
     exact, points = np.zeros(2), np.zeros(2, np.int64)
     times, size = np.array([0, 100_000_000]), np.array((8.0, 2.0, 3.0))
     velocity = np.tile((10.0, 0, 0), (2, 1))
-    lorry = Vehicle(Track(1, "vehicle", times, poses, velocity, size, points, exact))
+    lorry = Vehicle(Track(1, "vehicle", times, poses, velocity, size, points, exact, exact))
     lorry.add(np.array([(-4.0, 0, 1)]), 0)
     later = np.array([(-3.0, 0.15, 1), (-3.0, 0.3, 1), (-3.0, 0, 0.9), (-3.0, 0, 1.1)])
     front = np.array([(4.0, 0, 1)])

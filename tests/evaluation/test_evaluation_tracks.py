@@ -157,7 +157,8 @@ def track(number, kind, shift=(0.0, 0.0), yaw=0.0, speed=4.0):
     poses[:, 1, 3] = shift[1] + 4.0 * times * 1e-9
     velocities = np.tile([0.0, speed, 0.0], (5, 1))
     size = np.array([4.0, 1.8, 1.5])
-    return Track(number, kind, times, poses, velocities, size, np.zeros(5, np.int64), np.zeros(5))
+    none = np.zeros(5)
+    return Track(number, kind, times, poses, velocities, size, none.astype(np.int64), none, none)
 
 
 def test_errors_of_boxes_are_along_and_across_their_heading_and_upward():
@@ -171,7 +172,7 @@ def test_errors_of_boxes_are_along_and_across_their_heading_and_upward():
     moved[:2, :2], moved[:2, 3] = [(0.6, -0.8), (0.8, 0.6)], (7.0, -3.0)
     turned = Track(
         *(2, "vehicle", made.times, moved @ made.poses, made.velocities @ moved[:3, :3].T),
-        *(made.size, made.points, made.deviations),
+        *(made.size, made.points, made.deviations, made.surface_deviations),
     )
     again = box_errors(true, turned, 200_000_000, np.eye(4), moved)
     assert again == pytest.approx(found)

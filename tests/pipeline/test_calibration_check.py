@@ -171,7 +171,7 @@ def test_boxes_of_moving_objects_are_left_out() -> None:
     times = np.array([0, 10])
     track = Track(
         1, "vehicle", times, np.stack([T, T]), np.zeros((2, 3)), np.array([4.0, 2, 1.5]),
-        np.array([9, 9]), np.full(2, 0.1),
+        np.array([9, 9]), np.full(2, 0.1), np.full(2, 0.1),
     )  # fmt: skip
     mask = pixels_of_tracks([track], 5, np.eye(4), CAMERA)
     v, u = np.nonzero(mask)

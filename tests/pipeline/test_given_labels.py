@@ -293,7 +293,7 @@ def test_rows_of_tracks_are_cut_to_the_letter(tmp_path):
     times = np.arange(4) * 10**8
     poses = np.repeat(np.eye(4)[None], 4, axis=0)
     one = np.ones(4)
-    track = Track(3, "person", times, poses, np.zeros((4, 3)), one[:3], one.astype(int), one)
+    track = Track(3, "person", times, poses, np.zeros((4, 3)), one[:3], one.astype(int), one, one)
     write_tracks(tmp_path / "all.csv", [track], times)
     rows = (tmp_path / "all.csv").read_text().splitlines()
     assert cut_tracks(tmp_path / "all.csv", times) == (tmp_path / "all.csv").read_bytes()

@@ -62,7 +62,9 @@ def test_tracks_are_read_as_they_were_kept(run):
     ]
     times, poses = np.arange(3) * 100, np.repeat(np.eye(4)[None], 3, 0)
     points = np.array([4, 0, 2])
-    track = Track(7, "person", times, poses, poses[:, 0, :3], np.ones(3), points, 0.1 * points)
+    track = Track(
+        7, "person", times, poses, poses[:, 0, :3], np.ones(3), points, 0.1 * points, 0.2 * points
+    )
 
     def find(take):
         for sweep in sweeps:

@@ -37,7 +37,8 @@ def moving_track(trajectory, position, velocity, size, of=1, kind="vehicle"):
     velocities = np.repeat(np.asarray(velocity, float)[None], len(seconds), axis=0)
     points = np.zeros(len(seconds), np.int64)
     size = np.asarray(size, float)
-    return Track(of, kind, trajectory.times, poses, velocities, size, points, 0.0 * points)
+    exact = 0.0 * points
+    return Track(of, kind, trajectory.times, poses, velocities, size, points, exact, exact)
 
 
 def followed(points, classid, index, trajectory, track, parameters=None, time_offset=None):

@@ -46,7 +46,7 @@ def turning_track(count=5):
     poses = np.array([pose(t * 1e-9) for t in times])
     velocities = 12 * poses[:, :3, 0]
     size, points = np.array((4, 1.8, 1.5)), np.zeros(count, np.int64)
-    return Track(3, "vehicle", times, poses, velocities, size, points, np.zeros(count)), pose
+    return Track(3, "vehicle", times, poses, velocities, size, points, *np.zeros((2, count))), pose
 
 
 def test_a_box_that_moves_and_turns_is_held_to_a_millimetre():

@@ -190,6 +190,7 @@ def test_the_map_of_a_long_drive_stays_small():
         Track(
             k + 1, "vehicle", times[k * 4 : k * 4 + 60 + k % 2], poses[k * 4 : k * 4 + 60 + k % 2],
             np.ones((60 + k % 2, 3)), np.ones(3), np.ones(60 + k % 2, int), np.ones(60 + k % 2),
+            np.ones(60 + k % 2),
         )
         for k in range(9000)
     ]  # fmt: skip

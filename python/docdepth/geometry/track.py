@@ -46,9 +46,9 @@ class Track:
         Returns of each sweep; 0 where the sweep did not see it.
     deviations : ndarray of float64, shape (n,)
         How well its place is known: the standard deviation [m].
-    surface_deviations : ndarray of float64, shape (n,), optional
+    surface_deviations : ndarray of float64, shape (n,)
         The same of what each sweep saw of its surface, across itself [m]: the place of a lorry may
-        be known badly along its side, and that of its side well. ``deviations`` if absent.
+        be known badly along its side, and that of its side well.
 
     Raises
     ------
@@ -64,12 +64,10 @@ class Track:
     size: NDArray[np.float64]
     points: NDArray[np.int64]
     deviations: NDArray[np.float64]
-    surface_deviations: NDArray[np.float64] = None  # type: ignore[assignment]  # deviations
+    surface_deviations: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         count = len(self.times)
-        if self.surface_deviations is None:
-            object.__setattr__(self, "surface_deviations", self.deviations)
         if not 1 <= self.id <= MAX_TRACKS or self.kind not in KINDS:
             raise InputError(
                 f"track {self.id}, {self.kind!r}: ids go from 1 to {MAX_TRACKS}, kinds are "

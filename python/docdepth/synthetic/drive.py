@@ -233,7 +233,7 @@ class Drive:
             velocities = (ends[1] - ends[0])[:, :3, 3] / (2 * step)
             points, exact = np.zeros(count, np.int64), np.zeros(count)
             about = (number, actor.kind, self.times, poses, velocities, high - low)
-            found.append(Track(*about, points, exact))
+            found.append(Track(*about, points, exact, exact))
         return found
 
     def image(self, index: int) -> View:
