@@ -75,6 +75,19 @@ def test_a_long_thin_thing_that_goes_along_itself(height, dynamic, claimed):
     assert tracked([side], 20) == [claimed]
 
 
+@pytest.mark.parametrize(("height", "claimed"), [(6.0, []), (3.2, [17, 18, 19])])
+def test_a_tree_that_sways_does_not_move(monkeypatch, height, claimed):
+    azimuth, elevation = np.meshgrid(np.radians(np.arange(0, 60, 0.3)), np.radians(range(-8, 20)))
+    level = np.cos(elevation)
+    directions = (level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation))
+    monkeypatch.setattr("things.RAYS", np.stack(directions, -1).reshape(-1, 3))
+
+    def place(i):
+        return 20 + 0.8 * np.sin(0.3 * i), 8.0, height / 2
+
+    assert tracked([Thing((2.3, 2.0, height), place, range(17))], 20) == [claimed]
+
+
 def test_hidden_for_a_while():
     moving = passes(4)
     hidden = Thing(CAR, lambda i: None if 6 <= i < 9 else moving(i), [*range(6), *range(11, 20)])

@@ -188,6 +188,9 @@ constexpr double kFreeWindow = 2;
 constexpr float kMeanFreeShare = 0.4f;
 /// A vehicle is at least this wide from any side, and this high [m].
 constexpr float kMinVehicleWidth = 0.5f, kMinVehicleHeight = 0.6f;
+/// Nothing that drives is higher [m], trams included. What is higher sways in the wind, unless it
+/// goes farther than it is long.
+constexpr float kMaxVehicleHeight = 5;
 /// Longer than a motorcycle with its rider [m].
 constexpr float kMinRailLength = 2.5f;
 /// Crash barriers are no higher [m].

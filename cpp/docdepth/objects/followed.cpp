@@ -24,6 +24,12 @@ bool appears(const std::vector<TrackObservation>& seen, const std::vector<double
   return false;
 }
 
+/// Whether it is higher than anything that drives, and does not go anywhere: a tree.
+bool sways(const TrackPath& path) {
+  const Eigen::Vector3f size = path.extent().size();
+  return size.z() > kMaxVehicleHeight && path.distance(false) < size.head<2>().maxCoeff();
+}
+
 bool is_thin(const TrackPath& path) {
   const Eigen::Vector3f size = path.extent().size();
   return path.is_rigid() && size.x() >= kMinRailLength && size.y() < kMinVehicleWidth;
@@ -50,12 +56,11 @@ bool is_vehicle(const TrackPath& path) {
 bool moves(const TrackAndPath& followed, const std::vector<double>& times,
            const TrackParameters& p) {
   const auto& [track, path] = followed;
-  if (track.dynamic < p.min_detections) return false;
+  if (track.dynamic < p.min_detections || sways(path)) return false;
   if (path.distance(false) >= p.min_distance &&
       path.distance(true) >= kMinVotedDistanceShare * p.min_distance)
     return true;
-  return (is_vehicle(path) || is_side_of_vehicle(followed)) &&
-         appears(track.observations, times, p);
+  return is_vehicle(path) && appears(track.observations, times, p);
 }
 
 }  // namespace docdepth
