@@ -21,11 +21,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.concurrency import thread_count
-from docdepth.config import OdometryParameters, Parameters
+from docdepth.config import OdometryParameters, Parameters, given
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.mounts import LEVEL_DEG, ground_of
+from docdepth.errors import InputError
 from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.geometry.values import ShortRepr
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.loop_closure import close_loops
 from docdepth.odometry.places import KEPT_SWEEPS
@@ -46,8 +48,8 @@ PASSES = 2
 drive truer."""
 
 
-@dataclass(frozen=True)
-class Odometry:
+@dataclass(frozen=True, eq=False, repr=False)
+class Odometry(ShortRepr):
     """Where each sweep was taken, and the sweeps deskewed to that instant.
 
     Attributes
@@ -98,8 +100,15 @@ def register_drive(
     ------
     OdometryError
         A sweep cannot be registered, or ``poses`` are not rigid or not one for each sweep.
+    InputError
+        ``dataset`` or ``parameters`` are of another type.
     """
-    settings = (parameters or Parameters()).odometry
+    settings = given(parameters).odometry
+    if not hasattr(dataset, "sweep") or not hasattr(dataset, "times"):
+        raise InputError(
+            "dataset must be one from docdepth.open_dataset, or have the members of "
+            f"docdepth.Dataset; it is {type(dataset).__name__}"
+        )
     if poses is not None:
         known = level_world(dataset, check_given_poses(dataset, poses, settings))
     else:
