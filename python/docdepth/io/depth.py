@@ -86,13 +86,13 @@ def encode_depth(
 
 
 def write_depth(
-    path: Path, depth: NDArray[np.float32], format: str | None = None, scale: float = PNG_SCALE
+    path: Path | str, depth: NDArray[np.float32], format: str | None = None, scale: float = PNG_SCALE
 ) -> None:
     """Write a depth map.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
     depth : ndarray of float32, shape (h, w)
         Metres, NaN = none.
     format : str, optional
@@ -148,12 +148,12 @@ def check_format(format: str, scale: float, max_depth: float) -> None:
         import_exr()
 
 
-def read_depth(path: Path, scale: float | None = None) -> NDArray[np.float32]:
+def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float32]:
     """Read a depth map of docdepth or of other software.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         A PNG of uint16 (0 = none), or NPY, NPZ, TIFF or EXR of float metres (NaN or 0 = none).
     scale : float, optional
         Steps of a PNG a metre; by default as :data:`DESCRIPTION` beside it says, else 256.

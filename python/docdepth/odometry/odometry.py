@@ -40,8 +40,8 @@ from docdepth.odometry.sweeps import DeskewedSweeps, ThinnedSweeps
 
 log = logging.getLogger(__name__)
 
-Progress = Callable[[int, int, str], None]
-"""Called with the sweeps done, their number, and a description."""
+Progress = Callable[[str, int, int], None]
+"""Called with the step, the sweeps done and their number."""
 
 PASSES = 2
 """Registrations of the whole drive: one finds the poses, the other refines them. A third makes no
@@ -83,7 +83,8 @@ def register_drive(
     poses : array_like of float64, shape (n, 4, 4), optional
         ``T_world_lidar`` of each sweep from another SLAM; nothing is registered then.
     progress : callable, optional
-        ``progress(done, total, what)`` after each sweep.
+        Called with the step (``register``, ``loop closure``), the sweeps or places done and their
+        number.
     checkpoint : Path, optional
         Folder in which each pass keeps what it found. An estimation that was interrupted goes on
         behind it, with the same poses.
@@ -169,7 +170,7 @@ def estimate_poses(
         for k in range(count):
             poses = stream(k)
             if progress is not None:
-                progress(k + 1, count, "odometry")
+                progress("register", k + 1, count)
     finally:
         for log_of_pass in logs:
             log_of_pass.close()
