@@ -86,7 +86,10 @@ def encode_depth(
 
 
 def write_depth(
-    path: Path | str, depth: NDArray[np.float32], format: str | None = None, scale: float = PNG_SCALE
+    path: Path | str,
+    depth: NDArray[np.float32],
+    format: str | None = None,
+    scale: float = PNG_SCALE,
 ) -> None:
     """Write a depth map.
 
