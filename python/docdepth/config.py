@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from docdepth._old_names import REMOVED, is_constant, translate
 from docdepth._parameter_text import check_key_frames, explain
 from docdepth._parameter_text import parse_settings as parse_settings
-from docdepth.errors import ConfigError
+from docdepth.errors import ConfigError, InputError
 
 Layer = Literal[
     "class", "instance", "time", "range", "support", "std", "normal", "confidence", "seen"
@@ -347,6 +347,11 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
     if preset not in ("default", "paper"):
         raise ConfigError(f"unknown preset {preset!r}; there are 'default' and 'paper'")
     tree: dict[str, Any] = {"preset": preset}
+    if settings is not None and not isinstance(settings, dict):
+        raise ConfigError(
+            f"settings must be a dict by dotted name, not {type(settings).__name__}: "
+            '{"dynamics.tolerance": 0.3}'
+        )
     if preset == "paper":
         tree |= {stage: dict(values) for stage, values in _PAPER.items()}
     for name, value in (settings or {}).items():
@@ -359,6 +364,22 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
             )
         tree.setdefault(stage, {})[key] = value
     return stored_parameters(tree)
+
+
+def given(values: Parameters | None) -> Parameters:
+    """The parameters that a function was given; the defaults for None.
+
+    Raises
+    ------
+    InputError
+        They are no :class:`Parameters`.
+    """
+    if values is not None and not isinstance(values, Parameters):
+        raise InputError(
+            'parameters must be docdepth.parameters(...), such as docdepth.parameters("paper"), '
+            f"not {type(values).__name__}"
+        )
+    return values or Parameters()
 
 
 def replaced(values: Parameters, settings: dict[str, Any]) -> Parameters:

@@ -223,8 +223,10 @@ def test_a_car_is_tracked_though_each_sweep_of_a_rosette_sees_other_parts(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_of_a_lorry_a_rosette_is_enough_to_know_its_side(seed):
     """Its samples are as dense as those of a car, or those of two sweeps would miss each other."""
-    drive = straight(40)
-    drive.poses[:, 2, 3] = 3  # so high that its beams meet all of the lorry
+    level = straight(40)
+    poses = level.poses.copy()
+    poses[:, 2, 3] = 3  # so high that its beams meet all of the lorry
+    drive = Trajectory(level.times, poses)
     lorry = Thing(LORRY, lambda i: (1.6 * i - 25, 10, 1.9), range(40), rosette(seed, LORRY, 0.5))
     detections, _ = detections_of([lorry], 40, seed, drive=drive)
     (track,) = track_objects(detections, drive).tracks

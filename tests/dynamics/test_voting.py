@@ -207,7 +207,7 @@ def test_wrong_arrays_are_refused():
         vote(points, ground, np.eye(4), [key], np.zeros((2, 4, 4)))
     with pytest.raises(InputError, match="not a rotation"):
         vote(points, ground, 2 * np.eye(4), [key], np.eye(4)[None])
-    with pytest.raises(InputError, match="same drive"):
+    with pytest.raises(InputError, match="as many poses"):
         classify_drive([points], straight(2, 1.0), ground=[ground])
     with pytest.raises(ValueError, match="odd"):
         _core.RangeImage(points, ground, 0.01, 4, 0.2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -163,8 +164,10 @@ def track(number, kind, shift=(0.0, 0.0), yaw=0.0, speed=4.0):
 
 def test_errors_of_boxes_are_along_and_across_their_heading_and_upward():
     true = track(1, "vehicle")
-    made = track(2, "vehicle", (0.2, -0.5), np.radians(-10), 4.5)
-    made.poses[:, 2, 3] = -0.3
+    level = track(2, "vehicle", (0.2, -0.5), np.radians(-10), 4.5)
+    poses = level.poses.copy()
+    poses[:, 2, 3] = -0.3
+    made = replace(level, poses=poses)
     found = box_errors(true, made, 200_000_000, np.eye(4), np.eye(4))
     assert found == pytest.approx((0.5, 0.2, 0.3, 10.0, 0.5))
     # Poses of the run that are shifted and turned move its boxes with them: no error.

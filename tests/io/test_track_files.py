@@ -1,5 +1,6 @@
 """Tracks, and the files that hold them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -133,8 +134,10 @@ def test_boxes_are_labels_of_kittis_tracking_benchmark(tmp_path: Path):
     away = T_world_camera.copy()
     away[:3, :3] = T_world_camera[:3, :3] @ np.diag([-1.0, 1, -1])  # looks back
     tracks = [circling("person", 9), circling()]
-    for track in tracks:
-        track.poses[:, :3, :3] = rotation_exp((0.3 * np.arange(4))[:, None] * (0.0, 0.0, 1.0))
+    for k, track in enumerate(tracks):
+        poses = track.poses.copy()
+        poses[:, :3, :3] = rotation_exp((0.3 * np.arange(4))[:, None] * (0.0, 0.0, 1.0))
+        tracks[k] = replace(track, poses=poses)
     stamps = np.array([0, 50, 150, 420]) * 1_000_000
     poses = Trajectory(stamps, np.array([T_world_camera, T_world_camera, away, T_world_camera]))
     path = tmp_path / "tracks.txt"

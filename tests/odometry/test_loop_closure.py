@@ -132,10 +132,10 @@ def test_another_town_at_the_same_place_is_refused() -> None:
     """Poses stay what they are, to the last bit."""
     ring = Ring(later_town=5)
     poses = ring.drifted
-    looked: list[tuple[int, int, str]] = []
+    looked: list[tuple[str, int, int]] = []
     result = close_loops(sweeps_of(ring), poses, SHARE, lambda *call: looked.append(call))
     assert len(looked) > 3
-    assert looked[-1] == (len(looked), len(looked), "loop closure")
+    assert looked[-1] == ("loop closure", len(looked), len(looked))
     assert result is poses
 
 
@@ -157,7 +157,7 @@ def test_an_interrupted_search_goes_on(ring, closed, tmp_path, monkeypatch) -> N
         located.append(arguments)
         return locate_again(*arguments)
 
-    def stop(done: int, total: int, what: str) -> None:
+    def stop(step: str, done: int, total: int) -> None:
         if done == 3:
             raise Stopped
 

@@ -166,11 +166,11 @@ def test_the_first_motion_is_found_at_any_speed(speed: float) -> None:
 
 def test_compensated_sweeps_are_left_alone() -> None:
     drive = Drive(8, raw=False)
-    calls: list[tuple[int, int, str]] = []
+    calls: list[tuple[str, int, int]] = []
     result = register_drive(drive, progress=lambda *call: calls.append(call))
     assert pose_errors(result.trajectory.poses, drive.exact).max() < 0.01
     np.testing.assert_array_equal(result.sweeps[3].points, drive.sweep(3).points)
-    assert calls == [(k + 1, 8, "odometry") for k in range(8)]
+    assert calls == [("register", k + 1, 8) for k in range(8)]
 
 
 def test_the_same_poses_bit_for_bit_whatever_threads_and_environment(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ class Stopped(BaseException):
 def until(stop: int):
     """A progress that stops when so many poses are known."""
 
-    def progress(done: int, total: int, what: str) -> None:
+    def progress(step: str, done: int, total: int) -> None:
         if done == stop:
             raise Stopped
 

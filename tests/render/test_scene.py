@@ -161,7 +161,7 @@ def test_plain_arrays_are_a_scene():
 
 def test_what_a_scene_refuses():
     points, classes = np.zeros((3, 3), np.float32), np.zeros(3, np.uint16)
-    with pytest.raises(InputError, match="2 sweeps, 3 poses and 2 labels"):
+    with pytest.raises(InputError, match="2 sweeps need as many poses; the trajectory has 3"):
         Scene([points] * 2, straight(3), [classes] * 2)
     scene, camera = Scene([points] * 2, straight(2), [classes] * 2), camera_of([0, 10**9])
     with pytest.raises(InputError, match="camera front has 2 images; there is no image 2"):

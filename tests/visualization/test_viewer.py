@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from command_line import cli
 from docdepth.datasets import open_dataset
 from docdepth.errors import BackendError, InputError, MissingExtraError
 from docdepth.geometry.camera import Camera
@@ -216,6 +217,18 @@ def test_an_image_needs_no_display(open3d, finished: tuple[Path, str], tmp_path:
     picture = cv2.imread(str(tmp_path / "view.png"))
     assert picture.std() > 5
     assert (picture[:80, :400] == 255).sum() > 300  # the legend, in the empty sky
+
+
+def test_the_verb_names_the_image_and_prints_no_error(
+    open3d, finished: tuple[Path, str], tmp_path: Path, monkeypatch, capfd
+) -> None:
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    image = tmp_path / "view.png"
+    made = cli("view", finished[0], "--image", image)
+    if made.exit_code and "Open3D" in made.output:
+        pytest.skip(made.output)
+    assert made.output.replace("\n", "") == str(image)
+    assert "error" not in "".join(capfd.readouterr())
 
 
 def test_without_a_display_the_error_says_so(open3d, monkeypatch) -> None:

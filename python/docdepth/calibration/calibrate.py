@@ -201,27 +201,37 @@ def find(
             "say K of this size, or have it estimated (--lens)"
         )
     known = lens or estimate_lens(board, [corners for _, corners in in_image], size, model)[0]
-    seen = []
-    for pair, corners in in_image:
-        pose, error = board_pose(corners, board, known)
-        if error > _MOST_PIXELS:
-            not_used[pair.name] = (
-                f"its corners miss the checkerboard by {error:.1f} px (RMS): another board, or the "
-                "wrong K"
-            )
-            continue
-        seen.append(SeenBoard(pair.name, corners, pose, pair.sweep))
-    if len(seen) < FEWEST_BOARDS:
-        raise CalibrationError(
-            f"the corners of {len(in_image) - len(seen)} of {len(in_image)} images do not fit a "
-            f"checkerboard seen through this lens (more than {_MOST_PIXELS:.0f} px): K, the lens "
-            "model or the number of corners is wrong"
-        )
+    seen, misfits = _seen_boards(board, in_image, known)
+    not_used |= misfits
     check_varied(np.stack([s.T_camera_board[:3, 2] for s in seen]), "in the images")
     observations, T_lidar_camera, missing = find_boards(board, seen, progress)
     check_size(board, observations, T_lidar_camera)
     poses = np.stack([o.T_camera_board for o in observations])
     return observations, Solution(inverse(T_lidar_camera), poses, known), not_used | missing
+
+
+def _seen_boards(
+    board: Board, in_image: Sequence[tuple[BoardPair, Floats]], lens: Lens
+) -> tuple[list[SeenBoard], dict[str, str]]:
+    """The boards whose corners fit the lens, and why others are left out, by name."""
+    seen: list[SeenBoard] = []
+    misfits: dict[str, str] = {}
+    for pair, corners in in_image:
+        pose, error = board_pose(corners, board, lens)
+        if error > _MOST_PIXELS:
+            misfits[pair.name] = (
+                f"its corners miss the checkerboard by {error:.1f} px (RMS): another board, or the "
+                "wrong K"
+            )
+        else:
+            seen.append(SeenBoard(pair.name, corners, pose, pair.sweep))
+    if len(seen) < FEWEST_BOARDS:
+        raise CalibrationError(
+            f"the corners of {len(misfits)} of {len(in_image)} images do not fit a "
+            f"checkerboard seen through this lens (more than {_MOST_PIXELS:.0f} px): K, the lens "
+            "model or the number of corners is wrong"
+        )
+    return seen, misfits
 
 
 def _that_disagree(boards: Sequence[LeftOutBoard]) -> dict[str, str]:

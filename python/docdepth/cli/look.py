@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from functools import partial
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Annotated
 
 import typer
@@ -151,7 +153,11 @@ def view(
             write_rerun(folder, rerun, camera, color, stream, progress)  # type: ignore[arg-type]
         return out.print(f"{rerun}", soft_wrap=True, markup=False)
     tell = None
-    if image is None and not volume.quiet:
+    if image is not None:  # libwayland prints an "error" without it, and draws all the same
+        os.environ.setdefault("XDG_RUNTIME_DIR", gettempdir())
+    elif not volume.quiet:
         out.print("keys: right, left, page down, page up: sweep; C: colours; D: depth map; Q: end")
         tell = partial(out.print, soft_wrap=True, markup=False)
     view_run(folder, frame, camera, around, True, image, color, stream, tell)  # type: ignore[arg-type]
+    if image is not None:
+        out.print(f"{image}", soft_wrap=True, markup=False)

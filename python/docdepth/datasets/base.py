@@ -9,28 +9,31 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from docdepth.datasets.images import ImageSource, read_image_of
-from docdepth.errors import CalibrationError, DatasetError
+from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.points import check_points
+from docdepth.geometry.se3 import check_rigid
 from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.values import ShortRepr, float_array, nanoseconds
 
 LensModel = Literal["pinhole", "fisheye"]
 
 
-@dataclass(frozen=True)
-class Sweep:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep(ShortRepr):
     """One sweep of the LiDAR: a revolution, or the frame of a sensor that does not turn.
 
     Attributes
     ----------
     points : ndarray of float32, shape (N, 3)
-        LiDAR frame (x forward, y left, z up), metres, every row of the input.
+        LiDAR frame (x forward, y left, z up), metres, every row of the input. Not copied.
     name : str
         Stem of the input file; labels are written under it.
     time : int
@@ -47,6 +50,11 @@ class Sweep:
         its own time. Moving objects are where they were when they were measured either way.
     ring : ndarray of uint16, shape (N,), optional
         The laser of each point, as the recording numbers it.
+
+    Raises
+    ------
+    InputError
+        Points are not float32 of shape (N, 3), or another array is not of N points.
     """
 
     points: NDArray[np.float32]
@@ -58,9 +66,25 @@ class Sweep:
     motion_compensated: bool = False
     ring: NDArray[np.uint16] | None = None
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", check_points(self.points))
+        rig = self.sensor_rig
+        if rig is not None and not isinstance(rig, SensorRig):
+            raise InputError(f"sensor_rig must be a SensorRig, not {type(rig).__name__}")
+        of_points = {"sensor_rig.index": None if rig is None else rig.index}
+        for name in ("intensity", "relative_time", "ring"):
+            of_points[name] = getattr(self, name)
+        for name, values in of_points.items():
+            if values is not None and np.shape(values) != self.points.shape[:1]:
+                raise InputError(
+                    f"{name} {np.shape(values)} must have shape ({len(self.points)},), one a point"
+                )
+        if self.relative_time is not None:
+            object.__setattr__(self, "relative_time", np.asarray(self.relative_time, np.float32))
 
-@dataclass(frozen=True)
-class LidarStream:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LidarStream(ShortRepr):
     """One LiDAR of the vehicle: when it measured, and where it sits.
 
     Attributes
@@ -78,6 +102,32 @@ class LidarStream:
     times: NDArray[np.int64]
     names: list[str]
     T_lidar_sensor: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+
+    def __post_init__(self) -> None:
+        times = _times_of(f"LiDAR {self.name}", self.times, self.names)
+        object.__setattr__(self, "times", times)
+        T = _rigid(f"LiDAR {self.name}: T_lidar_sensor", self.T_lidar_sensor)
+        object.__setattr__(self, "T_lidar_sensor", T)
+
+
+def _times_of(whose: str, times: ArrayLike, names: Sequence[str]) -> NDArray[np.int64]:
+    stamps = nanoseconds(f"{whose}: times", times)
+    if stamps.shape != (len(names),):
+        raise InputError(f"{whose}: {len(names)} names need as many times, got {stamps.shape}")
+    return stamps
+
+
+def _rigid(name: str, T: ArrayLike) -> NDArray[np.float64]:
+    matrix = float_array(name, T)
+    try:
+        if matrix.shape != (4, 4):
+            raise InputError(f"its shape is {matrix.shape}")
+        check_rigid(matrix[None])
+    except InputError:
+        raise CalibrationError(
+            f"{name} must be a 4x4 rotation and translation, got {matrix.tolist()}"
+        ) from None
+    return matrix
 
 
 def check_distortion(name: str, d: NDArray[np.float64] | None, model: LensModel) -> None:
@@ -98,8 +148,8 @@ def check_distortion(name: str, d: NDArray[np.float64] | None, model: LensModel)
         )
 
 
-@dataclass(frozen=True)
-class CameraStream:
+@dataclass(frozen=True, eq=False, repr=False)
+class CameraStream(ShortRepr):
     """One camera of the vehicle: calibration, time of each image, and the images if available.
 
     Attributes
@@ -113,13 +163,20 @@ class CameraStream:
         Time of each image in nanoseconds, on the clock of the sweeps.
     names : list of str
         File names of the images without suffix; depth maps get the same names.
-    images : sequence of Path or StoredImage, optional
+    images : sequence of Path, str or StoredImage, optional
         Files, or images within files. Empty when the images are not on disk.
     distortion : ndarray of float64, shape (4,), (5,), (8,), (12,) or (14,), optional
         Lens distortion of the images in OpenCV's order: k1 k2 p1 p2 [k3 ...], of a fisheye
         k1 k2 k3 k4. Depth maps belong to the rectified camera with the same K.
     model : {"pinhole", "fisheye"}
         Model of the lens distortion: Brown's as in ``cv2.undistort``, or that of ``cv2.fisheye``.
+
+    Raises
+    ------
+    CalibrationError
+        ``camera`` is no Camera, ``T_camera_lidar`` is not rigid, or no lens has the distortion.
+    InputError
+        Times, names and images differ in number, or times are no integers.
     """
 
     name: str
@@ -132,6 +189,20 @@ class CameraStream:
     model: LensModel = "pinhole"
 
     def __post_init__(self) -> None:
+        whose = f"camera {self.name}"
+        if not isinstance(self.camera, Camera):
+            raise CalibrationError(
+                f"{whose}: camera must be a docdepth.Camera(K, width, height), "
+                f"not {type(self.camera).__name__}"
+            )
+        T = _rigid(f"{whose}: T_camera_lidar", self.T_camera_lidar)
+        object.__setattr__(self, "T_camera_lidar", T)
+        object.__setattr__(self, "times", _times_of(whose, self.times, self.names))
+        if len(self.images) not in (0, len(self.names)):
+            raise InputError(f"{whose}: {len(self.names)} names and {len(self.images)} images")
+        if self.distortion is not None:
+            distortion = float_array(f"{whose}: distortion", self.distortion)
+            object.__setattr__(self, "distortion", distortion)
         check_distortion(self.name, self.distortion, self.model)
 
     @property
@@ -216,6 +287,14 @@ class ImageStream:
     def __post_init__(self) -> None:
         if self.camera is not None:
             check_distortion(self.name, self.distortion, self.model)
+
+
+class DatasetRepr:
+    """A dataset in one line."""
+
+    def __repr__(self: Any) -> str:
+        cameras = ", ".join(self.cameras) or "none"
+        return f"<{type(self).__name__} {self.path}: {len(self)} sweeps, cameras: {cameras}>"
 
 
 @runtime_checkable

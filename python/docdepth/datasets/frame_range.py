@@ -12,13 +12,20 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import CameraStream, Dataset, ImageStream, LidarStream, Sweep
+from docdepth.datasets.base import (
+    CameraStream,
+    Dataset,
+    DatasetRepr,
+    ImageStream,
+    LidarStream,
+    Sweep,
+)
 from docdepth.errors import DatasetError
 
 _Stream = TypeVar("_Stream", CameraStream, ImageStream)
 
 
-class FrameRange:
+class FrameRange(DatasetRepr):
     """Sweeps A to B - 1 of a recording, and the images that were taken meanwhile.
 
     Files keep their names. A sweep that is left out is as if it had not been recorded, and so are

@@ -63,7 +63,7 @@ def read_image_of(image: ImageSource) -> NDArray[np.uint8]:
     DatasetError
         It cannot be read.
     """
-    return image.read() if isinstance(image, StoredImage) else read_image(image)
+    return image.read() if isinstance(image, StoredImage) else read_image(Path(image))
 
 
 def file_of(image: ImageSource) -> Path:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from docdepth.datasets import kitti_files, kitti_lidar
-from docdepth.datasets.base import Sweep
+from docdepth.datasets.base import DatasetRepr, Sweep
 from docdepth.datasets.ego import without_ego
 from docdepth.datasets.files import is_there, read_bytes, read_lines, settings_file
 from docdepth.datasets.format import Format
@@ -28,7 +28,7 @@ from docdepth.io.trees import parse_yaml
 _MOST_METRES = 100  # of a LiDAR from the origin of its points; more is a mistake of units
 
 
-class KittiOdometry:
+class KittiOdometry(DatasetRepr):
     """A sequence ``sequences/NN`` of KITTI odometry or SemanticKITTI.
 
     Needed are ``velodyne/*.bin``, ``calib.txt`` (P0 to P3, Tr) and ``times.txt``. Optional are

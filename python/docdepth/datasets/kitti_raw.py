@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_files, kitti_lidar
-from docdepth.datasets.base import CameraStream, Sweep
+from docdepth.datasets.base import CameraStream, DatasetRepr, Sweep
 from docdepth.datasets.ego import without_ego
 from docdepth.datasets.files import is_there, read_lines, settings_file
 from docdepth.datasets.format import Format
@@ -25,7 +25,7 @@ _EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' o
 _CALIBRATION = "unpack the 'calibration' archive of that date beside its drives"
 
 
-class KittiRaw:
+class KittiRaw(DatasetRepr):
     """A drive ``DATE/DATE_drive_NNNN_sync`` with the calibration in ``DATE``.
 
     A sweep is one revolution of the LiDAR, clockwise seen from above. It starts backwards and faces

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_lidar
-from docdepth.datasets.base import CameraStream, ImageStream, LidarStream, Sweep
+from docdepth.datasets.base import CameraStream, DatasetRepr, ImageStream, LidarStream, Sweep
 from docdepth.datasets.cloud import Cloud, LidarReader
 from docdepth.datasets.ego import without_ego
 from docdepth.datasets.files import settings_file
@@ -80,7 +80,7 @@ class _Part(NamedTuple):
     late: int
 
 
-class Recording:
+class Recording(DatasetRepr):
     """A dataset of one or more LiDARs.
 
     The first LiDAR gives the stamps and the frame of the sweeps. The others' points are added to

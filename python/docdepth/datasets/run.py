@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import CameraStream, LidarStream, Sweep
+from docdepth.datasets.base import CameraStream, DatasetRepr, LidarStream, Sweep
 from docdepth.datasets.format import Format
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.geometry.points import DYNAMIC
@@ -20,7 +20,7 @@ from docdepth.io.trees import parse_json
 _MOVING, _STATIC = 251, 9  # SemanticKITTI's labels of both
 
 
-class RunDataset:
+class RunDataset(DatasetRepr):
     """Deskewed sweeps and poses of a run folder, of docdepth or of the official release.
 
     Parameters

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +14,12 @@ from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.geometry.points import DYNAMIC, GROUND, STATIC, check_sweep
 from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.track import Track
+from docdepth.geometry.values import ShortRepr
 
 
-@dataclass(frozen=True)
-class Labels:
+@dataclass(frozen=True, eq=False, repr=False)
+class Labels(ShortRepr):
     """Class and votes of every point of one sweep.
 
     Attributes
@@ -31,6 +34,12 @@ class Labels:
     classid: NDArray[np.uint16]
     votes: Votes
     instance: NDArray[np.uint16] | None = None
+
+
+class DriveLabels(list[Labels]):
+    """The labels of each sweep of a drive, and ``tracks``, the objects that move."""
+
+    tracks: Sequence[Track] = ()
 
 
 def classify(

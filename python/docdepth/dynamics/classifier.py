@@ -8,13 +8,23 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.config import Parameters
-from docdepth.dynamics.classes import Labels
+from docdepth.config import Parameters, given
+from docdepth.datasets.point_times import sweep_seconds
+from docdepth.dynamics.classes import DriveLabels, Labels
 from docdepth.dynamics.scheduling import classify_sweeps
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep
 from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep, Tracking
+from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
-from docdepth.geometry.points import DeskewedSweep, points_of, rig_of
+from docdepth.geometry.points import (
+    STATIC,
+    DeskewedSweep,
+    check_sweep,
+    points_of,
+    rig_of,
+    spread,
+    usable_points,
+)
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import grow_ground
@@ -27,13 +37,15 @@ def classify_drive(
     ground: Sequence[NDArray[np.bool_]] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
     threads: int = 0,
-) -> list[Labels]:
+) -> DriveLabels:
     """Classify the points of a drive: ground, static or dynamic.
 
     Parameters
     ----------
     sweeps : sequence of Sweep, or of ndarray of float32, shape (N_i, 3)
-        Deskewed, LiDAR frame, metres. Items are taken from several threads, and several times.
+        Deskewed, LiDAR frame, metres. Items are taken from several threads, and several times. A
+        :class:`~docdepth.Sweep` also says when and from where each point was measured, as a run
+        knows it.
     trajectory : Trajectory
         One pose a sweep.
     parameters : Parameters, optional
@@ -48,25 +60,28 @@ def classify_drive(
     Returns
     -------
     list of Labels
-        One for each sweep.
+        One for each sweep, one entry for each row; rows without a usable return, NaN or at the
+        origin, are static without votes. Its attribute ``tracks`` holds the objects that move;
+        :class:`~docdepth.Scene` uses them.
 
     Raises
     ------
     InputError
         The numbers of sweeps, poses and ground labels differ, or an array is wrong.
     """
-    p = parameters or Parameters()
+    p = given(parameters)
+    Trajectory.check(trajectory, sweeps)
     if ground is None:
         ground = grow_ground(sweeps, trajectory, p, threads, progress)
-    if not len(sweeps) == len(trajectory) == len(ground):
-        raise InputError(
-            f"{len(sweeps)} sweeps, {len(trajectory)} poses and {len(ground)} ground labels do not "
-            "belong to the same drive; give one of each a sweep"
-        )
-    store = _Memory(sweeps, ground)
+    if len(ground) != len(sweeps):
+        raise InputError(f"{len(sweeps)} sweeps need as many ground labels, got {len(ground)}")
+    store = _Memory(sweeps, ground, sweep_seconds(trajectory.times))
     told = None if progress is None else partial(progress, "classify")
     classify_sweeps(store, trajectory, p.dynamics, told, threads)
-    return [store.labels[i] for i in range(len(sweeps))]
+    labels = DriveLabels(store.labels[i] for i in range(len(sweeps)))
+    found = store.tracks()
+    labels.tracks = () if found is None else found.tracks
+    return labels
 
 
 class _Memory:
@@ -76,8 +91,9 @@ class _Memory:
         self,
         sweeps: Sequence[DeskewedSweep | NDArray[np.float32]],
         ground: Sequence[NDArray[np.bool_]],
+        period: np.float32,
     ) -> None:
-        self._sweeps, self._ground = sweeps, ground
+        self._sweeps, self._ground, self._period = sweeps, ground, period
         self._kept: dict[int, tuple[Evidence, Detections]] = {}
         self._tracks: Tracking | None = None
         self.labels: dict[int, Labels] = {}
@@ -98,7 +114,13 @@ class _Memory:
 
     def read(self, index: int) -> InputSweep:
         sweep = self._sweeps[index]
-        return InputSweep(points_of(sweep), self._ground[index], rig_of(sweep))
+        points, ground = check_sweep(points_of(sweep), self._ground[index])
+        usable, rig, time_offset = usable_points(points), rig_of(sweep), None
+        shares = getattr(sweep, "relative_time", None)
+        if shares is not None:
+            time_offset = (self._period * shares)[usable]
+        rig = None if rig is None else rig.select(usable)
+        return InputSweep(points[usable], ground[usable], rig, time_offset, usable)
 
     def keep(self, index: int, evidence: Evidence, detections: Detections) -> None:
         self._kept[index] = evidence, detections
@@ -110,4 +132,9 @@ class _Memory:
         return self._kept[index][1]
 
     def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
-        self.labels[index] = labels
+        usable, votes, instance = sweep.record, labels.votes, labels.instance
+        self.labels[index] = Labels(
+            spread(labels.classid, usable, STATIC),
+            Votes(spread(votes.static, usable), spread(votes.dynamic, usable)),
+            None if instance is None else spread(instance, usable),
+        )

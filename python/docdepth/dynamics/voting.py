@@ -15,13 +15,14 @@ from docdepth.geometry.points import check_sweep
 from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
 from docdepth.geometry.se3 import check_rigid
 from docdepth.geometry.sensor_rig import SensorRig, lidar_views
+from docdepth.geometry.values import ShortRepr
 
 NEVER = 65535
 """Stands for a key frame where there was none."""
 
 
-@dataclass(frozen=True)
-class Stays:
+@dataclass(frozen=True, eq=False, repr=False)
+class Stays(ShortRepr):
     """What the votes on the points of a sweep say in order of time.
 
     Attributes
@@ -40,8 +41,8 @@ class Stays:
     last: NDArray[np.uint16]
 
 
-@dataclass(frozen=True)
-class Votes:
+@dataclass(frozen=True, eq=False, repr=False)
+class Votes(ShortRepr):
     """Votes of the key frames on the points of one sweep.
 
     Attributes

@@ -265,11 +265,7 @@ class DepthEvaluation:
         predicted, truth = _depth("predicted", predicted), _depth("true", truth)
         other = None if other is None else _depth("other", other)
         _check_sizes(predicted, truth, dynamic, other, regions or {})
-        surface, has_depth = ~np.isnan(truth), ~np.isnan(predicted)
-        self._pixels += truth.size
-        self._with_depth += int(np.count_nonzero(has_depth))
-        self._surfaces += int(np.count_nonzero(surface))
-        self._on_surfaces += int(np.count_nonzero(has_depth & surface))
+        self._count(predicted, truth)
         if self._mode == "kitti":
             predicted = fill_background(predicted)
             other = None if other is None else fill_background(other)
@@ -306,6 +302,14 @@ class DepthEvaluation:
         errors = DepthErrors.of(d[known], p[known])
         self._images.append(errors)
         return errors
+
+    def _count(self, predicted: Depth, truth: Depth) -> None:
+        """Count pixels for the densities."""
+        surface, has_depth = ~np.isnan(truth), ~np.isnan(predicted)
+        self._pixels += truth.size
+        self._with_depth += int(np.count_nonzero(has_depth))
+        self._surfaces += int(np.count_nonzero(surface))
+        self._on_surfaces += int(np.count_nonzero(has_depth & surface))
 
     def _add_equal(self, error: Values, pixels: tuple[Any, ...]) -> None:
         """Add the pixels that both methods fill; ``error`` is that of the other one."""

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import index
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import CalibrationError
+from docdepth.errors import CalibrationError, InputError
+from docdepth.geometry.values import ShortRepr, float_array
 
 
-@dataclass(frozen=True)
-class Camera:
+@dataclass(frozen=True, eq=False, repr=False)
+class Camera(ShortRepr):
     """A rectified pinhole camera (OpenCV: x right, y down, z forward).
 
     Attributes
@@ -34,21 +36,30 @@ class Camera:
     height: int
 
     def __post_init__(self) -> None:
-        K = np.ascontiguousarray(self.K, dtype=np.float64)
+        try:
+            K, width, height = float_array("K", self.K), index(self.width), index(self.height)
+        except InputError as error:
+            raise CalibrationError(f"{error}, 3x3") from None
+        except TypeError:
+            raise CalibrationError(
+                f"width and height must be integers, got {self.width!r} and {self.height!r}"
+            ) from None
         if K.shape != (3, 3) or not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
             raise CalibrationError(f"K must be a 3x3 pinhole matrix, got {K.tolist()}")
         if K[0, 1] or K[1, 0] or (K[2] != (0, 0, 1)).any():
             raise CalibrationError(
                 f"K must be fx 0 cx / 0 fy cy / 0 0 1, got {K.tolist()}; rectify images with skew"
             )
-        if self.width < 1 or self.height < 1:
-            raise CalibrationError(f"image size {self.width} x {self.height} is empty")
-        if not (0 <= K[0, 2] < self.width and 0 <= K[1, 2] < self.height):
+        if width < 1 or height < 1:
+            raise CalibrationError(f"image size {width} x {height} is empty")
+        if not (0 <= K[0, 2] < width and 0 <= K[1, 2] < height):
             raise CalibrationError(
                 f"the principal point ({K[0, 2]:.1f}, {K[1, 2]:.1f}) lies outside the "
-                f"{self.width} x {self.height} image: the size does not fit K"
+                f"{width} x {height} image: the size does not fit K"
             )
         object.__setattr__(self, "K", K)
+        object.__setattr__(self, "width", width)
+        object.__setattr__(self, "height", height)
 
 
 def below_horizon(camera: Camera, T_camera_lidar: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -33,8 +33,20 @@ class DeskewedSweep(Protocol):
 
 
 def points_of(sweep: DeskewedSweep | NDArray[np.float32]) -> NDArray[np.float32]:
-    """The points of a sweep that may be given as its array of points alone."""
-    return sweep if isinstance(sweep, np.ndarray) else sweep.points
+    """The points of a sweep that may be given as its array of points alone.
+
+    Raises
+    ------
+    InputError
+        It is neither, or points are not float32 of shape (N, 3).
+    """
+    points = sweep if isinstance(sweep, np.ndarray) else getattr(sweep, "points", None)
+    if points is None:
+        raise InputError(
+            "a sweep is a docdepth.Sweep or a float32 array of shape (N, 3), "
+            f"not {type(sweep).__name__}"
+        )
+    return check_points(points)
 
 
 def rig_of(sweep: DeskewedSweep | NDArray[np.float32]) -> SensorRig | None:
@@ -63,6 +75,15 @@ def usable_points(points: NDArray[np.float32], min_range: float = 0.5) -> NDArra
     return usable
 
 
+def spread(values: NDArray[Any], usable: NDArray[np.bool_], fill: Any = 0) -> NDArray[Any]:
+    """Values of the usable rows as values of all rows; ``fill`` in the others."""
+    if len(values) == len(usable):
+        return values
+    every = np.full(usable.shape, fill, values.dtype)
+    every[usable] = values
+    return every
+
+
 def check_points(points: NDArray[Any]) -> NDArray[np.float32]:
     """Points as a contiguous array.
 
@@ -75,7 +96,7 @@ def check_points(points: NDArray[Any]) -> NDArray[np.float32]:
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
         raise InputError(
             f"points must be float32 of shape (N, 3), got {points.dtype} {points.shape}; "
-            "convert them once where they are read"
+            "convert them once where they are read: np.asarray(points, np.float32)[:, :3]"
         )
     return np.ascontiguousarray(points)
 

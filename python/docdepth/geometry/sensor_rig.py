@@ -11,12 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import InputError
 from docdepth.geometry.se3 import check_rigid, inverse
+from docdepth.geometry.values import ShortRepr, float_array
 
+_MOST_SENSORS = 256  # index is uint8
 _AXIS_RANGE = 1e-3  # metres from the axis; nearer points have no direction
 
 
-@dataclass(frozen=True)
-class SensorRig:
+@dataclass(frozen=True, eq=False, repr=False)
+class SensorRig(ShortRepr):
     """The LiDARs of a sweep, or the lasers of one, and which of them measured each point.
 
     The points of a sweep are given in one frame, whose origin need not be where the rays begin.
@@ -43,7 +45,7 @@ class SensorRig:
     Raises
     ------
     InputError
-        A shape is wrong, a pose is not rigid, or an index has no pose.
+        A shape or dtype is wrong, a pose is not rigid, or an index has no pose.
     """
 
     index: NDArray[np.uint8]
@@ -53,16 +55,20 @@ class SensorRig:
     ego_displacement: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
-        index, T = np.asarray(self.index), np.asarray(self.T_lidar_sensor, np.float64)
+        index, T = np.asarray(self.index), float_array("T_lidar_sensor", self.T_lidar_sensor)
         if index.ndim != 1 or T.ndim != 3 or T.shape[1:] != (4, 4):
             raise InputError(
                 f"index {index.shape} and T_lidar_sensor {T.shape} must have shapes (N,) and "
                 "(k, 4, 4)"
             )
-        if index.max(initial=0) >= len(T):
-            raise InputError(
-                f"a point is of sensor {index.max()}, but there are poses of {len(T)} sensors"
-            )
+        if index.size and index.dtype.kind not in "iu":
+            raise InputError(f"index must be integers, one a point; got {index.dtype}")
+        for number in (index.min(initial=0), index.max(initial=0)):
+            if not 0 <= number < min(len(T), _MOST_SENSORS):
+                raise InputError(
+                    f"a point is of sensor {number}, but there are poses of {len(T)} sensors "
+                    f"(at most {_MOST_SENSORS})"
+                )
         check_rigid(T)
         lateral_offset, lidar_id = (
             np.asarray(self.lateral_offset, np.float64),
@@ -75,11 +81,14 @@ class SensorRig:
                 f"lateral_offset {lateral_offset.shape} and lidar_id {lidar_id.shape} must have "
                 f"shape ({len(T)},), a value a pose"
             )
-        if self.ego_displacement is not None and self.ego_displacement.shape != (len(index), 3):
-            raise InputError(
-                f"ego_displacement {self.ego_displacement.shape} must have shape "
-                f"({len(index)}, 3), one a point"
-            )
+        if self.ego_displacement is not None:
+            displacement = np.asarray(self.ego_displacement, np.float32)
+            if displacement.shape != (len(index), 3):
+                raise InputError(
+                    f"ego_displacement {displacement.shape} must have shape ({len(index)}, 3), "
+                    "one a point"
+                )
+            object.__setattr__(self, "ego_displacement", displacement)
         object.__setattr__(self, "index", index.astype(np.uint8, copy=False))
         object.__setattr__(self, "T_lidar_sensor", T)
         object.__setattr__(self, "lateral_offset", lateral_offset)
@@ -89,7 +98,7 @@ class SensorRig:
     def single(cls, place: ArrayLike, points: int) -> SensorRig:
         """One LiDAR at ``place``, (3,) in metres in the frame of its points."""
         T_lidar_sensor = np.eye(4)
-        T_lidar_sensor[:3, 3] = place
+        T_lidar_sensor[:3, 3] = float_array("place", place)
         return cls(np.zeros(points, np.uint8), T_lidar_sensor[None])
 
     def with_ego_motion(self, velocity: ArrayLike, time_offset: NDArray[np.float32]) -> SensorRig:

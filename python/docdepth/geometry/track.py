@@ -86,7 +86,8 @@ class Track:
                 )
         if self.size.shape != (3,) or not (self.size > 0).all():
             raise InputError(f"track {self.id}: its size is {self.size}; give three lengths")
-        self._path  # noqa: B018 - checks times and poses
+        object.__setattr__(self, "times", self._path.times)  # checked, and read-only
+        object.__setattr__(self, "poses", self._path.poses)
 
     def __len__(self) -> int:
         return len(self.times)

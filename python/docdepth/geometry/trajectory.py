@@ -10,15 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import InputError
 from docdepth.geometry.se3 import check_rigid, rotation_exp, rotation_log
+from docdepth.geometry.values import ShortRepr, float_array, nanoseconds
 
 _JITTER = 0.05  # metres; poses of a standing sensor differ by less
 _KEPT_POSES = 64  # of single times; those of an image and of the sweeps around it
 _EARLY = 0.95  # share of a duration that counts as all of it, since stamps jitter
 
 
-@dataclass(frozen=True)
-class Trajectory:
-    """Poses of a sensor, sorted by time. Do not change its arrays: lengths are computed once.
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(ShortRepr):
+    """Poses of a sensor, sorted by time.
+
+    Its arrays are copies and read-only, since lengths are computed once.
 
     Attributes
     ----------
@@ -30,15 +33,14 @@ class Trajectory:
     Raises
     ------
     InputError
-        Shapes do not fit, times do not increase, or a pose is not rigid.
+        Shapes do not fit, times are no integers or do not increase, or a pose is not rigid.
     """
 
     times: NDArray[np.int64]
     poses: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        times = np.ascontiguousarray(self.times, dtype=np.int64)
-        poses = np.ascontiguousarray(self.poses, dtype=np.float64)
+        times, poses = nanoseconds("times", self.times), float_array("poses", self.poses)
         if times.ndim != 1 or poses.shape != (len(times), 4, 4) or not len(times):
             raise InputError(
                 f"a trajectory needs n times and (n, 4, 4) poses, n > 0; "
@@ -51,11 +53,34 @@ class Trajectory:
                 "sort the sweeps by time and drop repeated ones"
             )
         check_rigid(poses)
+        for array in (times, poses):
+            array.setflags(write=False)
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "poses", poses)
 
     def __len__(self) -> int:
         return len(self.times)
+
+    @staticmethod
+    def check(trajectory: object, sweeps: object) -> None:
+        """Refuse arguments that were swapped, or that are no drive.
+
+        Raises
+        ------
+        InputError
+            ``trajectory`` is no Trajectory, ``sweeps`` no sequence, or their lengths differ.
+        """
+        if not isinstance(trajectory, Trajectory):
+            raise InputError(
+                "trajectory must be docdepth.Trajectory(times, poses), "
+                f"not {type(trajectory).__name__}"
+            )
+        if not hasattr(sweeps, "__len__") or not hasattr(sweeps, "__getitem__"):
+            raise InputError(f"sweeps must be a list or sequence, not {type(sweeps).__name__}")
+        if len(sweeps) != len(trajectory):
+            raise InputError(
+                f"{len(sweeps)} sweeps need as many poses; the trajectory has {len(trajectory)}"
+            )
 
     @cached_property
     def arc_length(self) -> NDArray[np.float64]:
@@ -133,7 +158,7 @@ class Trajectory:
         Parameters
         ----------
         times : array_like of int64, shape (m,)
-            Nanoseconds.
+            Nanoseconds. A single time counts as an array of one.
 
         Returns
         -------
@@ -151,7 +176,7 @@ class Trajectory:
                     self._kept.clear()
                 self._kept[times] = self._interpolated(np.array([times]))
             return self._kept[times].copy()
-        return self._interpolated(np.atleast_1d(np.asarray(times, dtype=np.int64)))
+        return self._interpolated(np.atleast_1d(nanoseconds("times", times)))
 
     @cached_property
     def _kept(self) -> dict[int, NDArray[np.float64]]:
@@ -159,6 +184,8 @@ class Trajectory:
         return {}
 
     def _interpolated(self, times: NDArray[np.int64]) -> NDArray[np.float64]:
+        if times.ndim != 1:
+            raise InputError(f"times must have shape (m,), got {times.shape}")
         outside = np.flatnonzero(~self.covers(times))
         if len(outside):
             raise InputError(

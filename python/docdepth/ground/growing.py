@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.concurrency import Watch, prefetch, thread_count, unwatched
-from docdepth.config import GroundParameters, Parameters
-from docdepth.errors import InputError
-from docdepth.geometry.points import DeskewedSweep, points_of
+from docdepth.config import GroundParameters, Parameters, given
+from docdepth.geometry.points import DeskewedSweep, points_of, spread, usable_points
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.ground_map import GroundMap
 
@@ -130,26 +129,29 @@ def grow_ground(
     Returns
     -------
     list of ndarray of bool, shape (N_i,)
-        True for ground.
+        True for ground. Rows without a usable return, NaN or at the origin, are none.
 
     Raises
     ------
     InputError
-        There are not as many poses as sweeps, or as for :meth:`GroundMap.insert`.
+        There are not as many poses as sweeps, or an array has a wrong shape or dtype.
     """
-    p = (parameters or Parameters()).ground
-    if len(sweeps) != len(trajectory):
-        raise InputError(
-            f"{len(sweeps)} sweeps need as many poses; the trajectory has {len(trajectory)}"
-        )
+    p = given(parameters).ground
+    Trajectory.check(trajectory, sweeps)
+    usable: dict[int, NDArray[np.bool_]] = {}
 
     def read(index: int) -> NDArray[np.float32]:
-        return points_of(sweeps[index])
+        points = points_of(sweeps[index])
+        usable[index] = usable_points(points)
+        return points[usable[index]]
 
     labels: list[NDArray[np.bool_]] = []
     for chunk in chunks(trajectory, p):
         done = partial(chunk_progress, progress, chunk, len(trajectory))
-        labels += label_chunk(chunk, read, trajectory, p, threads, done)
+        found = label_chunk(chunk, read, trajectory, p, threads, done)
+        for index, of_usable in zip(chunk.frames, found, strict=True):
+            labels.append(spread(of_usable, usable.pop(index)))
+        usable.clear()
     if progress:
         progress("ground", len(trajectory), len(trajectory))
     return labels

@@ -68,6 +68,7 @@ def encode_depth(
         The format needs a package that is not installed.
     """
     depth = _checked(depth)
+    _check_scale(scale)
     if format == "png":
         return _encode_png(depth, scale)
     if format in ("exr", "exr-half"):
@@ -85,13 +86,16 @@ def encode_depth(
 
 
 def write_depth(
-    path: Path, depth: NDArray[np.float32], format: str | None = None, scale: float = PNG_SCALE
+    path: Path | str,
+    depth: NDArray[np.float32],
+    format: str | None = None,
+    scale: float = PNG_SCALE,
 ) -> None:
     """Write a depth map.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
     depth : ndarray of float32, shape (h, w)
         Metres, NaN = none.
     format : str, optional
@@ -147,12 +151,12 @@ def check_format(format: str, scale: float, max_depth: float) -> None:
         import_exr()
 
 
-def read_depth(path: Path, scale: float | None = None) -> NDArray[np.float32]:
+def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float32]:
     """Read a depth map of docdepth or of other software.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         A PNG of uint16 (0 = none), or NPY, NPZ, TIFF or EXR of float metres (NaN or 0 = none).
     scale : float, optional
         Steps of a PNG a metre; by default as :data:`DESCRIPTION` beside it says, else 256.
@@ -171,7 +175,9 @@ def read_depth(path: Path, scale: float | None = None) -> NDArray[np.float32]:
     """
     path = Path(path)
     if not path.is_file():
-        raise DatasetError(f"{path} is missing")
+        raise DatasetError(f"{path} is a folder" if path.is_dir() else f"{path} is missing")
+    if scale is not None:
+        _check_scale(scale)
     suffix = path.suffix.lower()
     if suffix == ".png":
         return _read_png(path, scale or _scale_beside(path))
@@ -204,6 +210,11 @@ def maps_in(folder: Path) -> dict[str, Path]:
     for suffix in _READ:
         found |= {path.stem: path for path in folder.glob(f"*{suffix}")}
     return dict(sorted(found.items()))
+
+
+def _check_scale(scale: float) -> None:
+    if not isinstance(scale, int | float | np.number) or not 0 < scale < np.inf:
+        raise InputError(f"scale must be a positive number of steps a metre, got {scale!r}")
 
 
 def _scale_beside(path: Path) -> float:
@@ -265,7 +276,7 @@ def _load(path: Path) -> NDArray[Any]:
 
 def _checked(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     depth = np.asarray(depth)
-    if depth.ndim != 2 or depth.dtype != np.float32:
+    if depth.ndim != 2 or depth.dtype != np.float32 or not depth.size:
         raise InputError(
             f"a depth map is float32 metres of shape (h, w); got {depth.dtype} {depth.shape}"
         )

@@ -67,6 +67,9 @@ class RecordedFolder:
         self._records: dict[Path, FileRecords] = {}
         self._lock_depth, self._writing = 0, RLock()
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self.path)!r})"
+
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "path": self.path.absolute(), "_records": {}, "_writing": None}
 

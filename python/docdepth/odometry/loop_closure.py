@@ -48,7 +48,7 @@ _STEP_DRIFT = 0.01
 _COMPANIONS = 2  # finds around one that tell its drift
 _MISFIT = 3.0  # standard deviations that a closure may be off in the end, or times the median
 
-Progress = Callable[[int, int, str], None]
+Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def close_loops(
     drift : float
         How far off a pose may be, as a share of the path since the earlier visit.
     progress : callable, optional
-        ``progress(done, total, what)`` after each place.
+        Called with ``"loop closure"``, the places done and their number.
     kept : RegistrationLog, optional
         What an interrupted search found is taken from there, and what is found is added.
 
@@ -116,7 +116,7 @@ def close_loops(
         if found.usable:
             edges.append(Edge(visit.earlier, visit.later, found.pose))
         if progress is not None:
-            progress(number + 1, len(visits), "loop closure")
+            progress("loop closure", number + 1, len(visits))
     closures = consistent(edges, at_nodes, arc)
     if not closures:
         return poses

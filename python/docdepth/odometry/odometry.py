@@ -21,11 +21,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.concurrency import thread_count
-from docdepth.config import OdometryParameters, Parameters
+from docdepth.config import OdometryParameters, Parameters, given
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.mounts import LEVEL_DEG, ground_of
+from docdepth.errors import InputError
 from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.geometry.values import ShortRepr
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.loop_closure import close_loops
 from docdepth.odometry.places import KEPT_SWEEPS
@@ -38,16 +40,16 @@ from docdepth.odometry.sweeps import DeskewedSweeps, ThinnedSweeps
 
 log = logging.getLogger(__name__)
 
-Progress = Callable[[int, int, str], None]
-"""Called with the sweeps done, their number, and a description."""
+Progress = Callable[[str, int, int], None]
+"""Called with the step, the sweeps done and their number."""
 
 PASSES = 2
 """Registrations of the whole drive: one finds the poses, the other refines them. A third makes no
 drive truer."""
 
 
-@dataclass(frozen=True)
-class Odometry:
+@dataclass(frozen=True, eq=False, repr=False)
+class Odometry(ShortRepr):
     """Where each sweep was taken, and the sweeps deskewed to that instant.
 
     Attributes
@@ -81,7 +83,8 @@ def register_drive(
     poses : array_like of float64, shape (n, 4, 4), optional
         ``T_world_lidar`` of each sweep from another SLAM; nothing is registered then.
     progress : callable, optional
-        ``progress(done, total, what)`` after each sweep.
+        Called with the step (``register``, ``loop closure``), the sweeps or places done and their
+        number.
     checkpoint : Path, optional
         Folder in which each pass keeps what it found. An estimation that was interrupted goes on
         behind it, with the same poses.
@@ -98,8 +101,15 @@ def register_drive(
     ------
     OdometryError
         A sweep cannot be registered, or ``poses`` are not rigid or not one for each sweep.
+    InputError
+        ``dataset`` or ``parameters`` are of another type.
     """
-    settings = (parameters or Parameters()).odometry
+    settings = given(parameters).odometry
+    if not hasattr(dataset, "sweep") or not hasattr(dataset, "times"):
+        raise InputError(
+            "dataset must be one from docdepth.open_dataset, or have the members of "
+            f"docdepth.Dataset; it is {type(dataset).__name__}"
+        )
     if poses is not None:
         known = level_world(dataset, check_given_poses(dataset, poses, settings))
     else:
@@ -160,7 +170,7 @@ def estimate_poses(
         for k in range(count):
             poses = stream(k)
             if progress is not None:
-                progress(k + 1, count, "odometry")
+                progress("register", k + 1, count)
     finally:
         for log_of_pass in logs:
             log_of_pass.close()

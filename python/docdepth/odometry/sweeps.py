@@ -16,7 +16,7 @@ from docdepth.errors import InputError, OdometryError
 from docdepth.odometry.deskewing import deskew
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DeskewedSweeps(Sequence[Sweep]):
     """Sweeps of a dataset; item ``i`` reads sweep ``i`` once and deskews it to its stamp.
 
@@ -35,6 +35,9 @@ class DeskewedSweeps(Sequence[Sweep]):
 
     def __len__(self) -> int:
         return len(self.dataset)
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} sweeps of {self.dataset!r}, deskewed when read>"
 
     @overload
     def __getitem__(self, index: int) -> Sweep: ...

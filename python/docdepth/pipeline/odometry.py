@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +71,7 @@ def run_odometry(
                     dataset,
                     run.parameters,
                     poses,
-                    _registration_progress(progress),
+                    progress,
                     checkpoint,
                     threads,
                 )
@@ -115,15 +114,6 @@ def _remove_old_checkpoints(checkpoint: Path) -> None:
     for folder in checkpoint.parent.glob("*"):
         if folder != checkpoint:
             shutil.rmtree(folder, ignore_errors=True)
-
-
-def _registration_progress(progress: Progress | None) -> Callable[[int, int, str], None]:
-    def report(done: int, total: int, what: str) -> None:
-        log.debug("%s", what)
-        if progress:
-            progress("register" if what == "odometry" else what, done, total)
-
-    return report
 
 
 def _write_frames(

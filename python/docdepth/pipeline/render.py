@@ -149,12 +149,7 @@ def _render_cameras(
 ) -> list[str]:
     plan = plan_render(run, cameras)
     images = [image for image in plan.images if not image.files.find_done(image.index)]
-    several = len(run.cameras) > 1
-    left_out = [
-        f"{name}/{image}" if several else image
-        for name, images_left in plan.left_out.items()
-        for image in images_left
-    ]
+    left_out = _names_left_out(plan, several=len(run.cameras) > 1)
     if not images and all(files.is_complete() for files in plan.files):
         return left_out
     with ExitStack() as stages:
@@ -163,10 +158,8 @@ def _render_cameras(
             name = files.stream.name
             count = sum(image.files is files for image in plan.images)
             profile = stages.enter_context(stage(run, f"render {name}", plan.parts[name], count))
-            profile.more |= {
-                "left_out": plan.left_out[name],
-                "renderer": f"{renderer.name}: {renderer.description}",
-            }
+            profile.more["left_out"] = plan.left_out[name]
+            profile.more["renderer"] = f"{renderer.name}: {renderer.description}"
             profile.frames = sum(image.files is files for image in images)
             profile.watch = profiles[0].watch if profiles else profile.watch
             profile.share = count / len(plan.images)
@@ -188,6 +181,15 @@ def _render_cameras(
             profile.more["density"] = float(np.mean(files.shares()))
             profile.more["calibration"] = _judge_maps(plan, files)
     return left_out
+
+
+def _names_left_out(plan: RenderPlan, several: bool) -> list[str]:
+    """Images outside the sweeps, with their camera if there are several."""
+    return [
+        f"{name}/{image}" if several else image
+        for name, images in plan.left_out.items()
+        for image in images
+    ]
 
 
 def _judge_maps(plan: RenderPlan, files: DepthFiles) -> str | None:

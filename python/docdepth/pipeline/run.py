@@ -258,18 +258,7 @@ def render_again(
         open_labels(folder)
     source, changes = folder.manifest["source"], changes or {}
     recording = open_recording(source) if source else RunDataset(folder.path)
-    named: list[str] = []
-    if virtual:
-        check_name(folder, virtual[0])
-        entry = {"folder": virtual[0], "virtual": virtual[1], "settings": {}}
-        folder.cameras[virtual[0]] = entry
-        named = [virtual[0]]
-    elif camera is not None:
-        streams = open_cameras(source, recording, camera)
-        register(folder, streams)
-        named = [stream.name for stream in streams]
-    elif not folder.cameras:
-        register(folder, list(recording.cameras.values()))
+    named = _named_cameras(folder, recording, camera, virtual)
     new = [name for name in named if not folder.stage(f"render {name}")]
     if named:
         for name in named:
@@ -287,6 +276,27 @@ def render_again(
         forget_cameras(folder.path, new)
         raise
     return folder
+
+
+def _named_cameras(
+    folder: RunFolder,
+    recording: Dataset,
+    camera: str | Sequence[str] | None,
+    virtual: tuple[str, dict[str, Any]] | None,
+) -> list[str]:
+    """Names of the cameras that were asked for, which the run knows from now on."""
+    if virtual:
+        name, description = virtual
+        check_name(folder, name)
+        folder.cameras[name] = {"folder": name, "virtual": description, "settings": {}}
+        return [name]
+    if camera is not None:
+        streams = open_cameras(folder.manifest["source"], recording, camera)
+        register(folder, streams)
+        return [stream.name for stream in streams]
+    if not folder.cameras:
+        register(folder, list(recording.cameras.values()))
+    return []
 
 
 @contextmanager

@@ -55,12 +55,17 @@ class Renderer:
     """
 
     def __init__(self, name: str = "cpu") -> None:
+        if not isinstance(name, str):
+            raise BackendError(f"the name of a renderer is a str, not {type(name).__name__}")
         self.name = name
         self._library = None if name == "cpu" else _library(name)
         self._threads = threading.local()
         core = self.core
         self.description: str = core.renderer if self._library else _CPU
         self.software: bool = core.software if self._library else True
+
+    def __repr__(self) -> str:
+        return f"<Renderer {self.name}: {self.description}>"
 
     def __reduce__(self) -> tuple[type[Renderer], tuple[str]]:
         return Renderer, (self.name,)

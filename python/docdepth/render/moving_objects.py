@@ -106,9 +106,8 @@ def objects_of(
     if tracks:
         world = world @ pose[:3, :3].T + pose[:3, 3]
         if instance is not None:
-            ids = np.where(np.isin(instance[rows], list(tracks)), instance[rows], 0).astype(
-                np.int64
-            )
+            known = np.isin(instance[rows], list(tracks))
+            ids[known] = instance[rows][known]
         _carry_strays(ids, world, time, tracks)
     instances, number = np.unique(ids, return_inverse=True)
     owner = np.zeros(len(points), np.uint16)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.concurrency import thread_count
-from docdepth.config import Parameters
+from docdepth.config import Parameters, given
 from docdepth.datasets.base import CameraStream, Sweep
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import InputError
@@ -47,7 +47,7 @@ class Scene:
 
     Sweeps are read and prepared when an image needs them and forgotten when the next image does
     not, so memory stays bounded. Render images in order of time: consecutive images share most of
-    their sweeps. Safe to use from several threads.
+    their sweeps. Safe to use from several threads. A copy or a pickle holds no prepared sweeps.
 
     Parameters
     ----------
@@ -62,14 +62,14 @@ class Scene:
         hold the instance of each point: the id of its track.
     parameters : Parameters, optional
         ``render`` is used.
-    tracks : sequence of Track
-        Objects that move. Dynamic points without a track are drawn where the nearest sweep saw
-        them.
+    tracks : sequence of Track, optional
+        Objects that move; those of ``labels`` from :func:`classify_drive` if absent. Dynamic points
+        without a track are drawn where the nearest sweep saw them.
 
     Raises
     ------
     InputError
-        The lengths of ``sweeps``, ``trajectory`` and ``labels`` differ.
+        The lengths of ``sweeps``, ``trajectory`` and ``labels`` differ, or one is of a wrong type.
     """
 
     def __init__(
@@ -78,22 +78,34 @@ class Scene:
         trajectory: Trajectory,
         labels: Sequence[Classes],
         parameters: Parameters | None = None,
-        tracks: Sequence[Track] = (),
+        tracks: Sequence[Track] | None = None,
     ) -> None:
-        if not len(sweeps) == len(trajectory) == len(labels):
-            raise InputError(
-                f"{len(sweeps)} sweeps, {len(trajectory)} poses and {len(labels)} labels; a scene "
-                "needs one pose and one entry of labels for each sweep"
-            )
+        Trajectory.check(trajectory, sweeps)
+        if not hasattr(labels, "__len__") or len(labels) != len(sweeps):
+            count = len(labels) if hasattr(labels, "__len__") else type(labels).__name__
+            raise InputError(f"{len(sweeps)} sweeps need a list of as many labels, got {count}")
         self.sweeps, self.trajectory, self.labels = sweeps, trajectory, labels
-        self.parameters = parameters or Parameters()
-        self.tracks = by_id(tracks)
+        self.parameters = given(parameters)
+        self.tracks = by_id(getattr(labels, "tracks", ()) if tracks is None else tracks)
         self._period = sweep_seconds(trajectory.times)
+        self._start()
+
+    def _start(self) -> None:
         self._cache = FrameCache(self._prepare)
         self._reading = Lock()
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in self.__dict__.items() if k not in ("_cache", "_reading")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._start()
+
     def __len__(self) -> int:
         return len(self.trajectory)
+
+    def __repr__(self) -> str:
+        return f"<Scene: {len(self)} sweeps, {len(self.tracks)} tracks>"
 
     def frames_at(self, time: int, threads: int = 0) -> dict[int, Frame]:
         """Prepare all frames that the image taken at ``time`` [ns] needs.
@@ -187,6 +199,8 @@ def render_depth(
     BackendError
         The renderer failed.
     """
+    if renderer is not None and not isinstance(renderer, Renderer):
+        raise InputError(f"renderer must be docdepth.Renderer(name), not {type(renderer).__name__}")
     image = _image(scene, camera, index, time, threads)
     return compose_depth(*image, scene.parameters.render, threads, renderer, scene.tracks)
 
@@ -221,6 +235,7 @@ def render_layers(
     InputError
         As :func:`render_depth`; a name is unknown, or ``depth`` has another size.
     """
+    _check(scene, camera)
     p = scene.parameters.render
     check_layers(names, p)
     image = _image(scene, camera, index, time, threads)
@@ -233,16 +248,29 @@ def _image(
     scene: Scene, camera: CameraStream, index: int | None, time: int | None, threads: int
 ) -> _Image:
     """The arguments of :func:`compose_depth` up to its frames."""
+    _check(scene, camera)
     stamp = _stamp(camera, index, time)
     frames = scene.frames_at(stamp, threads)
     return camera.camera, camera.T_camera_lidar, scene.trajectory, stamp, frames.__getitem__
 
 
+def _check(scene: Scene, camera: CameraStream) -> None:
+    for name, value, kind in (("scene", scene, Scene), ("camera", camera, CameraStream)):
+        if not isinstance(value, kind):
+            raise InputError(
+                f"{name} must be a docdepth.{kind.__name__}, not {type(value).__name__}"
+            )
+
+
 def _stamp(camera: CameraStream, index: int | None, time: int | None) -> int:
     if time is not None and index is None:
+        if not hasattr(time, "__index__"):
+            raise InputError(f"the time of an image is an integer, nanoseconds; got {time!r}")
         return int(time)
     if index is None or time is not None:
         raise InputError("give either the index of an image or a time [ns]")
+    if not hasattr(index, "__index__"):
+        raise InputError(f"the index of an image is an integer, not {index!r}")
     count = len(camera.times)
     if not -count <= index < count:
         raise InputError(f"camera {camera.name} has {count} images; there is no image {index}")

@@ -1,0 +1,248 @@
+"""What a user passes from Python works, or ends in an error of docdepth that says what is wrong."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import docdepth
+
+TIMES = np.arange(4) * 10**8
+K = [[500, 0, 320], [0, 500, 180], [0, 0, 1]]
+CAMERA = docdepth.Camera(K, 640, 360)
+T_CAMERA_LIDAR = [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
+STREAM = docdepth.CameraStream("front", CAMERA, T_CAMERA_LIDAR, TIMES, ["a", "b", "c", "d"])
+RIGS = np.repeat(np.eye(4)[None], 301, axis=0)
+
+
+def _poses() -> np.ndarray:
+    poses = np.repeat(np.eye(4)[None], 4, axis=0)
+    poses[:, 0, 3] = 0.5 * np.arange(4)
+    return poses
+
+
+POSES = _poses()
+TRAJECTORY = docdepth.Trajectory(TIMES, POSES)
+
+
+@pytest.fixture(scope="module")
+def sweeps() -> list[np.ndarray]:
+    """Level ground and a wall on the left."""
+    x, y = np.meshgrid(np.linspace(-20, 20, 81), np.linspace(-20, 20, 81))
+    ground = np.stack([x, y, np.full_like(x, -1.7)], -1).reshape(-1, 3)
+    x, z = np.meshgrid(np.linspace(-20, 20, 161), np.linspace(-1.7, 3, 20))
+    wall = np.stack([x, np.full_like(x, 10), z], -1).reshape(-1, 3)
+    points = np.concatenate([ground, wall]).astype(np.float32)
+    return [points - np.float32([0.5 * k, 0, 0]) for k in range(4)]
+
+
+@pytest.fixture(scope="module")
+def labels(sweeps) -> Any:
+    return docdepth.classify_drive(sweeps, TRAJECTORY)
+
+
+WRONG: dict[str, tuple[Callable[[list[np.ndarray]], Any], str]] = {
+    "times in seconds": (lambda s: docdepth.Trajectory([0.0, 1.5, 2.2, 3.9], POSES), "nanosec"),
+    "times are NaN": (lambda s: docdepth.Trajectory([0, np.nan, 2, 3], POSES), "integers"),
+    "times too large": (
+        lambda s: docdepth.Trajectory(np.uint64(2**63) + np.arange(4, dtype=np.uint64), POSES),
+        "too large",
+    ),
+    "times are words": (lambda s: docdepth.Trajectory(list("abcd"), POSES), "integers"),
+    "no poses": (lambda s: docdepth.Trajectory(TIMES, None), "poses"),
+    "poses of two lengths": (lambda s: docdepth.Trajectory(TIMES, [[1, 2], [3]]), "numbers"),
+    "times of two dimensions": (lambda s: TRAJECTORY.interpolate([[5, 6], [7, 8]]), "shape"),
+    "a time in seconds": (lambda s: TRAJECTORY.interpolate(0.1), "nanoseconds"),
+    "width of a camera": (lambda s: docdepth.Camera(K, 640.5, 360), "integers"),
+    "no width": (lambda s: docdepth.Camera(K, None, 360), "integers"),
+    "K of two lengths": (lambda s: docdepth.Camera([[1, 2], [3]], 640, 360), "3x3"),
+    "K for the camera": (
+        lambda s: docdepth.CameraStream("c", K, T_CAMERA_LIDAR, TIMES, "abcd"),
+        "Camera",
+    ),
+    "3x4 extrinsic": (
+        lambda s: docdepth.CameraStream("c", CAMERA, T_CAMERA_LIDAR[:3], TIMES, "abcd"),
+        "4x4",
+    ),
+    "no extrinsic": (lambda s: docdepth.CameraStream("c", CAMERA, None, TIMES, "abcd"), "4x4"),
+    "too few names": (
+        lambda s: docdepth.CameraStream("c", CAMERA, T_CAMERA_LIDAR, TIMES, ["a"]),
+        "names",
+    ),
+    "too few images": (
+        lambda s: docdepth.CameraStream("c", CAMERA, T_CAMERA_LIDAR, TIMES, "abcd", [Path("a")]),
+        "images",
+    ),
+    "names of a LiDAR": (lambda s: docdepth.LidarStream("l", TIMES, ["a"]), "names"),
+    "sweep of four columns": (lambda s: docdepth.Sweep(np.c_[s[0], s[0]], "0", 0), "float32"),
+    "sweep of doubles": (lambda s: docdepth.Sweep(s[0].astype(float), "0", 0), "float32"),
+    "times of other points": (
+        lambda s: docdepth.Sweep(s[0], "0", 0, relative_time=np.zeros(3)),
+        "one a point",
+    ),
+    "negative sensor": (lambda s: docdepth.SensorRig([-1, 0], RIGS[:1]), "sensor -1"),
+    "half a sensor": (lambda s: docdepth.SensorRig([0.5, 0.7], RIGS[:1]), "integers"),
+    "300 sensors": (lambda s: docdepth.SensorRig(np.full(5, 300), RIGS), "at most 256"),
+    "arguments in the wrong order": (
+        lambda s: docdepth.classify_drive(TRAJECTORY, s),
+        "trajectory must be",
+    ),
+    "poses for a trajectory": (lambda s: docdepth.grow_ground(s, POSES), "trajectory must be"),
+    "a generator": (lambda s: docdepth.grow_ground(iter(s), TRAJECTORY), "list or sequence"),
+    "sweeps of lists": (
+        lambda s: docdepth.grow_ground([x.tolist() for x in s], TRAJECTORY),
+        "Sweep or a float32",
+    ),
+    "sweeps of integers": (
+        lambda s: docdepth.grow_ground([x.astype(int) for x in s], TRAJECTORY),
+        "float32",
+    ),
+    "no sweeps": (lambda s: docdepth.classify_drive([None] * 4, TRAJECTORY), "Sweep or a float32"),
+    "a preset's name": (
+        lambda s: docdepth.classify_drive(s, TRAJECTORY, "paper"),
+        "docdepth.parameters",
+    ),
+    "settings in a list": (lambda s: docdepth.parameters("default", ["dynamics.window=3"]), "dict"),
+    "a path for a dataset": (lambda s: docdepth.register_drive("drive"), "open_dataset"),
+    "labels for the trajectory": (
+        lambda s: docdepth.Scene(s, [None] * 4, TRAJECTORY),
+        "trajectory must be",
+    ),
+    "no labels": (lambda s: docdepth.Scene(s, TRAJECTORY, None), "labels"),
+    "no renderer": (lambda s: docdepth.Renderer(None), "str"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_argument_is_named(name: str, sweeps: list[np.ndarray]) -> None:
+    call, said = WRONG[name]
+    with pytest.raises(docdepth.DocDepthError, match=said):
+        call(sweeps)
+
+
+def test_wrong_arguments_of_rendering_are_named(sweeps, labels) -> None:
+    scene = docdepth.Scene(sweeps, TRAJECTORY, labels)
+    for arguments, said in [
+        ((scene, CAMERA, 0), "CameraStream"),
+        ((scene, "image_02", 0), "CameraStream"),
+        ((STREAM, scene, 0), "Scene"),
+        ((scene, STREAM, 1.0), "integer"),
+        ((scene, STREAM, None, 0.1), "nanoseconds"),
+        ((scene, STREAM, 0, None, 0, "cpu"), "Renderer"),
+    ]:
+        with pytest.raises(docdepth.DocDepthError, match=said):
+            docdepth.render_depth(*arguments)  # type: ignore[arg-type]
+
+
+def test_a_wrong_scale_is_refused(tmp_path: Path) -> None:
+    depth = np.full((3, 3), 5, np.float32)
+    file = tmp_path / "a.png"
+    for scale in (0, -1, np.nan, "256"):
+        with pytest.raises(docdepth.DocDepthError, match="scale"):
+            docdepth.write_depth(file, depth, scale=scale)  # type: ignore[arg-type]
+    docdepth.write_depth(file, depth)
+    with pytest.raises(docdepth.DocDepthError, match="scale"):
+        docdepth.read_depth(file, scale=0)
+    with pytest.raises(docdepth.DocDepthError, match="float32"):
+        docdepth.write_depth(file, depth[:0])
+
+
+def test_other_forms_of_the_same_values_are_understood(sweeps, labels) -> None:
+    stamps = TIMES.astype("datetime64[ns]").astype("datetime64[ms]")
+    same = docdepth.Trajectory(stamps, np.asfortranarray(POSES.astype(np.float32)))
+    assert (same.times == TIMES).all()
+    assert (same.poses == POSES).all()
+    strided = [np.repeat(points, 2, axis=0)[::2] for points in sweeps]
+    found = docdepth.classify_drive(strided, same)
+    for one, other in zip(found, labels, strict=True):
+        assert (one.classid == other.classid).all()
+
+
+def test_the_callers_arrays_are_neither_kept_nor_changed(sweeps, labels) -> None:
+    times, poses, matrix = TIMES.copy(), POSES.copy(), np.array(K, float)
+    trajectory, camera = docdepth.Trajectory(times, poses), docdepth.Camera(matrix, 640, 360)
+    poses[0, 0, 3], times[0], matrix[0, 0] = 99, -5, 1
+    assert trajectory.poses[0, 0, 3] == trajectory.times[0] == 0
+    assert camera.K[0, 0] == 500
+    with pytest.raises(ValueError, match="read-only"):
+        trajectory.poses[0, 0, 3] = 1
+    for points in sweeps:
+        points.setflags(write=False)
+    docdepth.render_depth(docdepth.Scene(sweeps, TRAJECTORY, labels), STREAM, 1)
+
+
+def test_rows_without_a_usable_return_are_static_and_change_nothing(sweeps, labels) -> None:
+    gap = np.full((7, 3), np.nan, np.float32)
+    gap[3:] = 0
+    gaps = [np.insert(points, [100] * len(gap), gap, axis=0) for points in sweeps]
+    kept = np.insert(np.ones(len(sweeps[0]), bool), [100] * len(gap), False)
+    ground = docdepth.grow_ground(gaps, TRAJECTORY)
+    found = docdepth.classify_drive(gaps, TRAJECTORY)
+    for of_gaps, one, other in zip(ground, found, labels, strict=True):
+        assert not of_gaps[~kept].any()
+        assert (one.classid[kept] == other.classid).all()
+        assert (one.votes.static[kept] == other.votes.static).all()
+        assert (one.classid[~kept] == 50).all()
+        assert not one.votes.static[~kept].any()
+        assert one.instance is not None
+        assert one.instance.shape == one.classid.shape
+
+
+def test_every_object_says_in_a_line_what_it_is(sweeps, labels, drive: Path) -> None:
+    dataset = docdepth.open_dataset(drive)
+    objects = [
+        TRAJECTORY,
+        CAMERA,
+        STREAM,
+        docdepth.Sweep(sweeps[0], "0", 0),
+        docdepth.SensorRig.single([0, 0, 1], len(sweeps[0])),
+        labels[0],
+        docdepth.Scene(sweeps, TRAJECTORY, labels),
+        docdepth.Renderer(),
+        docdepth.RunFolder(drive / "none"),
+        dataset,
+        dataset.sweep(0),
+        *dataset.lidars.values(),
+        *dataset.cameras.values(),
+        docdepth.register_drive(dataset, poses=dataset.poses),
+    ]
+    for shown in map(repr, objects):
+        assert "\n" not in shown
+        assert len(shown) < 600
+        assert " at 0x" not in shown
+    assert repr(docdepth.LidarStream("top", TIMES[:2], ["a", "b"])) == (
+        "LidarStream(name='top', times=[0, 100000000], names=['a', 'b'], "
+        "T_lidar_sensor=float64 (4, 4))"
+    )
+
+
+def test_objects_of_arrays_can_be_compared_and_are_keys(sweeps, labels) -> None:
+    for value in (TRAJECTORY, CAMERA, STREAM, labels[0], docdepth.Sweep(sweeps[0], "0", 0)):
+        assert value != copy.deepcopy(value)
+        assert {value: 1}[value] == 1
+
+
+def test_loaders_may_take_scenes_and_datasets_to_workers(sweeps, labels, drive: Path) -> None:
+    scene = docdepth.Scene(sweeps, TRAJECTORY, labels)
+    depth = docdepth.render_depth(scene, STREAM, 1)
+    for other in (pickle.loads(pickle.dumps(scene)), copy.deepcopy(scene)):
+        assert np.array_equal(docdepth.render_depth(other, STREAM, 1), depth, equal_nan=True)
+    dataset = docdepth.open_dataset(drive)
+    sent = pickle.loads(pickle.dumps(docdepth.register_drive(dataset, poses=dataset.poses)))
+    assert (sent.sweeps[1].points == dataset.sweep(1).points).all()
+
+
+def test_a_scene_draws_the_same_in_many_threads(sweeps, labels) -> None:
+    scene = docdepth.Scene(sweeps, TRAJECTORY, labels)
+    alone = [docdepth.render_depth(scene, STREAM, k) for k in range(4)]
+    with ThreadPoolExecutor(8) as pool:
+        many = pool.map(lambda k: docdepth.render_depth(scene, STREAM, k % 4), range(24))
+        for k, depth in enumerate(many):
+            assert np.array_equal(depth, alone[k % 4], equal_nan=True)
