@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from docdepth.config import parameters
+from docdepth.datasets import open_dataset
 from docdepth.errors import CalibrationError, DatasetError, SeveralProblems
 from docdepth.pipeline import check_resources
 from docdepth.pipeline.check import Problem, check_inputs, raise_problems, report_inputs
@@ -334,3 +335,24 @@ def test_a_sweep_that_lacks_in_a_drive_of_four(copy: Path) -> None:
         (copy / "velodyne" / f"00000{k}.bin").unlink()
     text = texts(problems(copy), "warning")
     assert "0.20 s lie between frames 1 and 2, usually 0.10 s; are sweeps missing?" in text
+
+
+def test_a_clock_that_jumps_back_or_sweeps_of_two_lidars(copy: Path) -> None:
+    lines = (copy / "times.txt").read_text().split()
+    lines[3] = f"{float(lines[2]) + 0.001:.6f}"
+    (copy / "times.txt").write_text("\n".join(lines))
+    text = texts(problems(copy), "warning")
+    assert "0.001 s lie between frames 2 and 3, usually 0.10 s; did the clock" in text
+
+
+def test_poses_that_do_not_fit_the_sweeps(
+    copy: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Poses in millimetres lead out of all that sweeps overlap."""
+    poses = open_dataset(copy).poses
+    assert poses is not None
+    for factor in (1, 1000):
+        poses[:, :3, 3] *= factor
+        np.save(tmp_path / "poses.npy", poses)
+        assert texts(problems(copy, poses=str(tmp_path / "poses.npy")), "error") == ""
+        assert ("the poses do not fit the sweeps" in caplog.text) == (factor > 1)

@@ -17,7 +17,7 @@ from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings
 from docdepth.errors import DatasetError, MissingExtraError
-from docdepth.io.poses import read_poses
+from docdepth.io.poses import read_poses_at
 
 log = logging.getLogger(__name__)
 
@@ -114,7 +114,7 @@ def recording_of(capture: PacketCapture, settings: RecordingSettings, file: Path
     """A capture with the poses and facts that its ``docdepth.yaml``, ``file``, tells."""
     stream, poses = capture.stream, None
     if settings.poses:
-        poses = read_poses(file.parent / settings.poses, len(stream.times))
+        poses = read_poses_at(file.parent / settings.poses, stream.times)
     return Recording(stream.name, capture.path, [capture], {}, poses, settings.facts())
 
 

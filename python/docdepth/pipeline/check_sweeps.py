@@ -22,6 +22,7 @@ _ONE_PLACE = 1.0  # metres within which no sweep has all its points
 _FARTHEST = 250.0  # metres; half of the points of no sweep lie farther away
 _GAP = 0.2  # share of rows in one piece that are not finite
 _PAUSE = 1.8  # of the usual time between sweeps: one is missing
+_CLOSE = 0.3  # and this share is too little; stamps of arrival stay above 0.5
 _USABLE = 0.7  # of the share of usable points that sweeps of the drive usually have
 _SMALL = 0.2  # share of the usual size below which a sweep is partial
 _LATE = 1.5  # durations of a sweep after its stamp; no point is measured later
@@ -80,6 +81,13 @@ def _check_period(recording: Dataset, found: Findings) -> None:
             f"{recording.path}: {pauses[longest]:.2f} s lie between frames {longest} and "
             f"{longest + 1}, usually {period:.2f} s; are sweeps missing? Depth near the gap rests "
             "on fewer sweeps"
+        )
+    shortest = int(np.argmin(pauses))
+    if pauses[shortest] < _CLOSE * period:
+        found.warn(
+            f"{recording.path}: {pauses[shortest]:.2g} s lie between frames {shortest} and "
+            f"{shortest + 1}, usually {period:.2f} s; did the clock of the LiDAR jump back, or are "
+            "there sweeps of two LiDARs?"
         )
     if not _PERIODS[0] < period < _PERIODS[1]:
         found.warn(
