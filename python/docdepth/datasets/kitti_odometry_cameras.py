@@ -18,7 +18,10 @@ from docdepth.geometry.camera import Camera
 
 log = logging.getLogger(__name__)
 
-REMEDY = "unpack the 'calibration files' of the odometry benchmark over the sequence"
+REMEDY = (
+    "unpack the 'calibration files' of the odometry benchmark over the sequence; a recording of "
+    "your own is described in docdepth.yaml, with sweeps: velodyne"
+)
 """What to do where ``calib.txt`` or ``times.txt`` is missing or incomplete."""
 
 
