@@ -131,6 +131,19 @@ def test_what_is_said_of_an_ouster_counts(tmp_path: Path, monkeypatch: pytest.Mo
     assert len(open_dataset(tmp_path / "drive.pcap")) < DRIVE.count
 
 
+def test_a_capture_that_ends_within_a_packet(tmp_path: Path, caplog) -> None:
+    file = tmp_path / "drive.pcap"
+    write_capture(file, velodyne_drive())
+    open_dataset(file)
+    assert "truncated" not in caplog.text
+    content = file.read_bytes()
+    for cut in (5, 1250):  # within the last packet, and within the header before it
+        caplog.clear()
+        file.write_bytes(content[:-cut])
+        open_dataset(file)
+        assert "drive.pcap ends within a packet: it is truncated" in caplog.text, cut
+
+
 # ---- Velodyne
 
 

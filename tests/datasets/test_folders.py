@@ -322,6 +322,10 @@ def test_where_the_lidar_looks_from(folder: Path) -> None:
         ({"cameras": {"a": {"K": [1, 2]}}}, "a: K must be 4 numbers fx fy cx cy, or 9"),
         ({"cameras": {"a": {"K": [9, 9, 5, 5]}}}, r"a has neither images nor size"),
         (
+            {"cameras": {"a": {"K": [9, float("nan"), 5, 5], "size": [10, 10]}}},
+            "docdepth.yaml, a: K must be a 3x3 pinhole matrix",
+        ),
+        (
             {"cameras": {"a": {"K": [9, 9, 5, 5], "size": [10, 10]}}},
             "T_camera_lidar must be 16 numbers",
         ),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import LensModel
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import camera_of as camera_at
 from docdepth.io.images import decode_image as decode_content
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
@@ -164,7 +165,7 @@ def _camera(info: Any, K: NDArray[np.float64], size: tuple[int, int] | None, whe
     """
     whole = (info.width, info.height) if info.width and info.height else size
     if whole is None or size is None or size == whole:
-        return Camera(K, *(whole or (0, 0)))
+        return camera_at(K, whole or (0, 0), where)
     roi, steps = info.roi, (max(info.binning_x, 1), max(info.binning_y, 1))
     part = (roi.width or whole[0], roi.height or whole[1])
     if any(abs(s - p / step) >= 1 for s, p, step in zip(size, part, steps, strict=True)):
@@ -175,4 +176,4 @@ def _camera(info: Any, K: NDArray[np.float64], size: tuple[int, int] | None, whe
     K = K.copy()
     K[:2, 2] -= (roi.x_offset, roi.y_offset)
     K[:2] /= np.array(steps)[:, None]
-    return Camera(K, *size)
+    return camera_at(K, size, where)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import CalibrationError
 
@@ -49,6 +49,20 @@ class Camera:
                 f"{self.width} x {self.height} image: the size does not fit K"
             )
         object.__setattr__(self, "K", K)
+
+
+def camera_of(K: ArrayLike, size: tuple[int, int], where: str) -> Camera:
+    """The camera that ``where`` tells of, which errors name.
+
+    Raises
+    ------
+    CalibrationError
+        As for :class:`Camera`.
+    """
+    try:
+        return Camera(np.asarray(K, np.float64), *size)
+    except CalibrationError as error:
+        raise CalibrationError(f"{where}: {error}") from None
 
 
 def below_horizon(camera: Camera, T_camera_lidar: NDArray[np.float64]) -> NDArray[np.bool_]:
