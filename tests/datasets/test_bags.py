@@ -175,6 +175,122 @@ def test_encodings_of_images(tmp_path: Path, encoding: str, code: int, channels:
     np.testing.assert_array_equal(read, expected)
 
 
+@pytest.mark.parametrize("big_endian", [False, True])
+def test_photos_of_sixteen_bits(tmp_path: Path, big_endian: bool) -> None:
+    """Of 12 bits, as machine vision cameras and thermal ones send them; depth is no photo."""
+    deep = cv2.cvtColor(DRIVE.image(0), cv2.COLOR_BGR2GRAY).astype(">u2" if big_endian else "<u2")
+    deep[0, 0] = 255
+    with BagWriter(tmp_path / "drive", "db3") as bag:
+        bag.write("/points", bag.cloud(padded_rows(0), int(DRIVE.times[0])), 1)
+        bag.write("/points", bag.cloud(padded_rows(1), int(DRIVE.times[1])), 2)
+        for topic, encoding in (("/cam/image_raw", "mono16"), ("/depth/image_raw", "16UC1")):
+            time = int(DRIVE.image_times[0])
+            image = bag.image(
+                (deep * 16).astype(deep.dtype).view(np.uint8).reshape(SIZE[1], -1), time
+            )
+            image.encoding, image.width, image.is_bigendian = encoding, SIZE[0], int(big_endian)
+            bag.write(topic, image, time)
+            info = bag.camera_info(K, np.zeros(5), SIZE, time)
+            bag.write(topic.replace("image_raw", "camera_info"), info, time)
+        bag.write("/tf_static", bag.transform("lidar", "camera", DRIVE.T_camera_lidar), 5)
+    cameras = open_dataset(tmp_path / "drive").cameras
+    assert list(cameras) == ["cam"]
+    np.testing.assert_array_equal(cameras["cam"].rectified_image(0)[:, :, 0], deep)
+
+
+def one_camera(path: Path, change_image, change_info, transforms="/tf_static") -> Path:
+    """A bag whose images and CameraInfo are changed before they are written."""
+    with BagWriter(path, "mcap") as bag:
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/points", bag.cloud(padded_rows(k), time), time)
+        for k, time in enumerate(DRIVE.image_times.tolist()):
+            bag.write("/cam/image_raw", bag.image(change_image(DRIVE.image(k)), time), time)
+            info = bag.camera_info(K, np.zeros(5), SIZE, time)
+            change_info(info)
+            bag.write("/cam/camera_info", info, time)
+            bag.write(transforms, bag.transform("lidar", "camera", DRIVE.T_camera_lidar), time)
+    return path
+
+
+def test_images_that_are_binned_or_a_part_of_the_sensor(tmp_path: Path) -> None:
+    def tell(info) -> None:
+        info.binning_x, info.binning_y = 2, 2
+        info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = 10, 6, 40, 30
+
+    path = one_camera(tmp_path / "a", lambda image: image[6:36:2, 10:50:2], tell)
+    camera = open_dataset(path).cameras["cam"].camera
+    assert (camera.width, camera.height) == (20, 15)
+    np.testing.assert_allclose(camera.K[:2, 2], (K[:2, 2] - (10, 6)) / 2)
+    np.testing.assert_allclose(np.diag(camera.K)[:2], np.diag(K)[:2] / 2)
+
+
+def test_a_camera_info_without_size_or_of_another_one(tmp_path: Path, caplog) -> None:
+    def without(info) -> None:
+        info.width = info.height = 0
+
+    camera = open_dataset(one_camera(tmp_path / "a", lambda image: image, without)).cameras["cam"]
+    assert (camera.camera.width, camera.camera.height) == SIZE
+    small = one_camera(tmp_path / "b", lambda image: image[::2, ::2], lambda info: None)
+    assert open_dataset(small).cameras == {}
+    assert f"its CameraInfo is of {SIZE[0]} x {SIZE[1]} pixels, its images have" in caplog.text
+
+
+def test_a_model_of_realsense_without_distortion(tmp_path: Path) -> None:
+    def tell(info) -> None:
+        info.distortion_model = "inverse_brown_conrady"
+
+    path = one_camera(tmp_path / "a", lambda image: image, tell)
+    assert open_dataset(path).cameras["cam"].distortion is None
+
+
+def test_extrinsics_that_are_sent_over_and_over(tmp_path: Path) -> None:
+    """Drivers of ROS 1 send them by /tf."""
+    path = one_camera(tmp_path / "a", lambda image: image, lambda info: None, "/tf")
+    T = open_dataset(path).cameras["cam"].T_camera_lidar
+    np.testing.assert_allclose(T, DRIVE.T_camera_lidar, atol=1e-12)
+
+
+def test_frames_that_move_are_no_extrinsics(tmp_path: Path) -> None:
+    path = one_camera(tmp_path / "a", lambda image: image, lambda info: None, "/other")
+    with BagWriter(tmp_path / "b", "mcap") as bag:
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/points", bag.cloud(padded_rows(k), time), time)
+            bag.write("/cam/image_raw", bag.image(DRIVE.image(k), time), time)
+            bag.write("/cam/camera_info", bag.camera_info(K, np.zeros(5), SIZE, time), time)
+            bag.write("/tf", bag.transform("lidar", "camera", DRIVE.poses[k], time), time)
+    assert "cam" in open_dataset(path).cameras  # any topic of transforms
+    assert open_dataset(tmp_path / "b").cameras == {}
+
+
+@pytest.mark.parametrize("wrong", ["rotation", "translation"])
+def test_a_static_transform_that_is_none_is_named(tmp_path: Path, wrong: str, caplog) -> None:
+    with BagWriter(tmp_path / "drive", "db3") as bag:
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/points", bag.cloud(padded_rows(k), time), time)
+        message = bag.transform("wheel", "lidar", np.eye(4))
+        transform = message.transforms[0].transform
+        transform.rotation.w = 0.0 if wrong == "rotation" else 1.0
+        transform.translation.x = 0.0 if wrong == "rotation" else float("nan")
+        bag.write("/tf_static", message, 1)
+    open_dataset(tmp_path / "drive")
+    assert "the static transform of 'wheel' in 'lidar' is left out: " in caplog.text
+
+
+def test_a_sweep_without_points_and_a_video_tell_what_to_do(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive", "db3") as bag:
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/points", bag.cloud(padded_rows(k)[: 0 if k == 1 else None], time), time)
+            film = bag.compressed(bytes(99), time, format="h264")
+            bag.write("/cam/image_raw/compressed", film, time)
+            bag.write("/cam/camera_info", bag.camera_info(K, np.zeros(5), SIZE, time), time)
+        bag.write("/tf_static", bag.transform("lidar", "camera", DRIVE.T_camera_lidar), 5)
+    dataset = open_dataset(tmp_path / "drive")
+    with pytest.raises(DatasetError, match=r"\(frame 1\) holds no points; .* --on-error skip"):
+        dataset.sweep(1)
+    with pytest.raises(DatasetError, match=r"h264.*; record JPEG, PNG or raw images"):
+        dataset.cameras["cam"].rectified_image(0)
+
+
 def test_compressed_images_and_a_fisheye(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive", "mcap") as bag:
         for k, time in enumerate(DRIVE.times.tolist()):

@@ -12,9 +12,11 @@ from made_up import DRIVE, START
 from writers import WRITERS, folder_rows, settings, write_beside, write_pcd
 
 from docdepth.datasets import open_dataset
-from docdepth.datasets.stamps import time_of_name
+from docdepth.datasets.folder import cloud_files
+from docdepth.datasets.stamps import time_of_name, times_of_files
 from docdepth.errors import DatasetError, DocDepthError
 from docdepth.geometry.se3 import poses_from, rotation_exp
+from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.pcd import PcdError, read_pcd
 from docdepth.io.poses import write_tum
 
@@ -129,6 +131,36 @@ def test_times_in_names(name: str, time: int | None) -> None:
     assert time_of_name(name) == time
 
 
+def test_numbers_in_names_count_as_numbers(tmp_path: Path) -> None:
+    """scan_10 comes after scan_9, though not in the alphabet; fractions are no counts."""
+    names = [*(f"scan_{k}.ply" for k in range(12)), "scan_12.18.ply", "scan_12.9.ply"]
+    for name in names[::-1]:
+        (tmp_path / name).write_text("")
+    assert [file.name for file in cloud_files(tmp_path)] == names
+
+
+@pytest.mark.parametrize("digits", [3, 6])
+def test_fractions_of_equal_length_are_milli_or_microseconds(digits: int) -> None:
+    stamps = [1583836591_950_000_000, 1583836592_050_000_000]
+    parts = [(stamp // 10**9, stamp % 10**9 // 10 ** (9 - digits)) for stamp in stamps]
+    files = [Path(f"cloud_{second}_{rest:0{digits}d}.pcd") for second, rest in parts]
+    assert times_of_files(files, "names", Path(), "").tolist() == stamps
+
+
+@pytest.mark.parametrize("rate", [0, -10])
+def test_a_rate_is_positive(folder: Path, rate: float) -> None:
+    change(folder, times=None, rate=rate)
+    with pytest.raises(DatasetError, match=r"docdepth.yaml: rate: .*greater than 0"):
+        open_dataset(folder)
+
+
+def test_two_sweeps_of_one_number_have_no_times_by_the_rate(folder: Path) -> None:
+    (folder / "1.ply").write_bytes((folder / "000001.ply").read_bytes())
+    change(folder, times=None, rate=10, poses=None)
+    with pytest.raises(DatasetError, match=r"time of frame 2 \(1.ply\) is not after"):
+        open_dataset(folder)
+
+
 def test_times_of_names_rates_and_tables(folder: Path) -> None:
     change(folder, times=None, poses=None)
     with pytest.raises(DatasetError, match=r"nothing tells the time of 000000.ply; say times"):
@@ -172,11 +204,19 @@ def test_a_jump_of_the_points_clock_is_told(folder: Path, caplog) -> None:
 
 
 def test_poses_of_the_user(folder: Path) -> None:
-    from docdepth.geometry.trajectory import Trajectory
-
     write_tum(folder / "poses.tum", Trajectory(DRIVE.times, DRIVE.poses))
     change(folder, poses="poses.tum")
     np.testing.assert_allclose(open_dataset(folder).poses, DRIVE.poses, atol=1e-8)
+
+
+def test_poses_of_other_times_are_told(folder: Path, caplog) -> None:
+    """Poses count by their order; times that contradict it are named, unless of another clock."""
+    step = int(DRIVE.times[1] - DRIVE.times[0])
+    for late, told in ((0, False), (step // 2, False), (2 * step, True), (10**18, False)):
+        caplog.clear()
+        write_tum(folder / "poses.txt", Trajectory(DRIVE.times + late, DRIVE.poses))
+        open_dataset(folder)
+        assert ("poses are taken in the order of the sweeps" in caplog.text) == told, late
 
 
 def test_points_of_the_world_come_to_the_lidar(folder: Path) -> None:
@@ -281,6 +321,10 @@ def test_where_the_lidar_looks_from(folder: Path) -> None:
         ({"poses": "gone.txt"}, "gone.txt is missing; give the file of the poses"),
         ({"cameras": {"a": {"K": [1, 2]}}}, "a: K must be 4 numbers fx fy cx cy, or 9"),
         ({"cameras": {"a": {"K": [9, 9, 5, 5]}}}, r"a has neither images nor size"),
+        (
+            {"cameras": {"a": {"K": [9, float("nan"), 5, 5], "size": [10, 10]}}},
+            "docdepth.yaml, a: K must be a 3x3 pinhole matrix",
+        ),
         (
             {"cameras": {"a": {"K": [9, 9, 5, 5], "size": [10, 10]}}},
             "T_camera_lidar must be 16 numbers",

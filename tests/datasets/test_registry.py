@@ -6,6 +6,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+import yaml
 from writers import WRITERS
 
 from docdepth.datasets import Format, format_names, open_dataset, registry
@@ -57,3 +58,42 @@ def test_no_package_takes_a_name_of_ours(tmp_path: Path, bring) -> None:
     bring("kitti_raw", "nowhere:FORMAT")
     assert open_dataset(written.path).name == "kitti_raw"
     assert len(format_names()) == len(set(format_names()))
+
+
+def test_what_is_packed_is_to_be_unpacked(tmp_path: Path) -> None:
+    (tmp_path / "drive.mcap.zstd").touch()
+    for path in (tmp_path, tmp_path / "drive.mcap.zstd"):
+        with pytest.raises(DatasetError, match=r"drive.mcap.zstd is packed; unpack it"):
+            open_dataset(path)
+
+
+def test_clouds_without_a_description_are_named(tmp_path: Path) -> None:
+    (tmp_path / "images").mkdir()
+    (tmp_path / "lidar").mkdir()
+    (tmp_path / "lidar" / "000000.pcd").touch()
+    with pytest.raises(DatasetError, match=r"lidar holds point clouds.*with sweeps: lidar$"):
+        open_dataset(tmp_path)
+
+
+def test_a_folder_named_velodyne_may_be_described(tmp_path: Path) -> None:
+    """Many recordings have one that are no sequence of KITTI."""
+    written = WRITERS["folder of ply"][1](tmp_path).path
+    sweeps = written / "velodyne"
+    sweeps.mkdir()
+    for file in written.glob("*.ply"):
+        file.rename(sweeps / file.name)
+    assert open_dataset_fails(written).endswith("with sweeps: velodyne")
+    about = yaml.safe_load((written / "docdepth.yaml").read_text())
+    (written / "docdepth.yaml").write_text(yaml.safe_dump(about | {"sweeps": "velodyne"}))
+    assert open_dataset(written).name == "folder"
+
+
+def open_dataset_fails(path: Path) -> str:
+    with pytest.raises(DatasetError) as caught:
+        open_dataset(path)
+    return str(caught.value)
+
+
+def test_a_capture_in_capitals(tmp_path: Path) -> None:
+    (tmp_path / "DRIVE.PCAP").touch()
+    assert "is no recording that docdepth reads" not in open_dataset_fails(tmp_path / "DRIVE.PCAP")

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from docdepth.config import parameters
+from docdepth.datasets import open_dataset
 from docdepth.errors import CalibrationError, DatasetError, SeveralProblems
 from docdepth.pipeline import check_resources
 from docdepth.pipeline.check import Problem, check_inputs, raise_problems, report_inputs
@@ -59,8 +60,10 @@ def test_a_good_drive_has_no_problem(drive: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
-def test_a_real_drive_has_no_problem(drive_9001: Path, drive_0005: Path) -> None:
-    assert problems(drive_9001) == []
+def test_a_real_drive_has_no_problem_but_its_own(drive_9001: Path, drive_0005: Path) -> None:
+    """The last sweep of drive 9001 lacks its lower lasers: the file was cut off."""
+    (found,) = problems(drive_9001)
+    assert "0000000077.bin (frame 77) has 1115504 bytes, the sweeps around it 17" in found.text
     assert problems(drive_0005) == []
 
 
@@ -133,12 +136,14 @@ def test_rows_without_returns_here_and_there_are_no_problem(copy: Path) -> None:
     assert problems(copy) == []
 
 
+@pytest.mark.parametrize("share", [0.1, 0.6])
 def test_a_partial_sweep_is_told_though_it_is_not_opened(
-    copy: Path, monkeypatch: pytest.MonkeyPatch
+    copy: Path, share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The last one often, where a copy was interrupted."""
     monkeypatch.setattr("docdepth.pipeline.check_sweeps.sample", lambda count, most=0: [0])
-    rewrite(copy / "velodyne" / "000003.bin", lambda rows: rows[: len(rows) // 10])
-    assert "000003.bin (frame 3) has" in texts(problems(copy), "warning")
+    rewrite(copy / "velodyne" / "000004.bin", lambda rows: rows[: int(share * len(rows))])
+    assert "000004.bin (frame 4) has" in texts(problems(copy), "warning")
 
 
 def test_parameters_that_leave_no_point(drive: Path) -> None:
@@ -334,3 +339,24 @@ def test_a_sweep_that_lacks_in_a_drive_of_four(copy: Path) -> None:
         (copy / "velodyne" / f"00000{k}.bin").unlink()
     text = texts(problems(copy), "warning")
     assert "0.20 s lie between frames 1 and 2, usually 0.10 s; are sweeps missing?" in text
+
+
+def test_a_clock_that_jumps_back_or_sweeps_of_two_lidars(copy: Path) -> None:
+    lines = (copy / "times.txt").read_text().split()
+    lines[3] = f"{float(lines[2]) + 0.001:.6f}"
+    (copy / "times.txt").write_text("\n".join(lines))
+    text = texts(problems(copy), "warning")
+    assert "0.001 s lie between frames 2 and 3, usually 0.10 s; did the clock" in text
+
+
+def test_poses_that_do_not_fit_the_sweeps(
+    copy: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Poses in millimetres lead out of all that sweeps overlap."""
+    poses = open_dataset(copy).poses
+    assert poses is not None
+    for factor in (1, 1000):
+        poses[:, :3, 3] *= factor
+        np.save(tmp_path / "poses.npy", poses)
+        assert texts(problems(copy, poses=str(tmp_path / "poses.npy")), "error") == ""
+        assert ("the poses do not fit the sweeps" in caplog.text) == (factor > 1)

@@ -6,6 +6,7 @@ import logging
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +17,7 @@ from pydantic import Field
 from docdepth.datasets.bag_camera import BagRig, camera_name
 from docdepth.datasets.bag_file import SUFFIXES, BagFile, Message, bag_files
 from docdepth.datasets.bag_odometry import Body, read_bag_poses
+from docdepth.datasets.bag_transforms import still_transforms
 from docdepth.datasets.base import CameraStream, ImageStream, LidarStream
 from docdepth.datasets.cloud import Cloud
 from docdepth.datasets.format import Format
@@ -33,7 +35,7 @@ from docdepth.datasets.settings import (
     transform,
 )
 from docdepth.errors import CalibrationError, DatasetError
-from docdepth.io.poses import read_poses
+from docdepth.io.poses import read_poses_at
 
 log = logging.getLogger(__name__)
 
@@ -135,7 +137,8 @@ class BagRecording(Recording):
         images = [topic for topic, kind in bag.topics.items() if kind in IMAGES]
         index = bag.index([*topics, *images])
         static = [t for t, k in bag.topics.items() if k == TRANSFORMS and t.endswith("tf_static")]
-        frames = StaticFrames(message for topic in static for message in bag.read_all(topic))
+        messages = (message for topic in static for message in bag.read_all(topic))
+        frames = StaticFrames(messages, partial(still_transforms, bag))
         lidars = _lidars(bag, topics, index, settings, frames, file)
         lidars[0], poses = _with_poses(lidars[0], settings, frames, file)
         where = BagRig(bag, frames, lidars[0].messages[0].frame, file)
@@ -191,7 +194,7 @@ def _with_poses(
     if not wanted:
         return lidar, None
     if (file.parent / wanted).is_file() or not wanted.startswith("/"):
-        return lidar, read_poses(file.parent / wanted, len(lidar.messages))
+        return lidar, read_poses_at(file.parent / wanted, lidar.stream.times)
     T = settings.T_odometry_lidar
     body = Body(
         frames,

@@ -15,7 +15,14 @@ from docdepth.datasets.bag_file import BagFile, Message
 from docdepth.datasets.base import CameraStream, ImageStream
 from docdepth.datasets.images import StoredImage
 from docdepth.datasets.ros_frames import StaticFrames
-from docdepth.datasets.ros_images import CAMERA_INFO, camera_of, decode_image, is_photo
+from docdepth.datasets.ros_images import (
+    CAMERA_INFO,
+    camera_of,
+    decode_image,
+    is_photo,
+    measures,
+    size_of,
+)
 from docdepth.datasets.settings import CameraSettings
 from docdepth.errors import CalibrationError
 
@@ -99,7 +106,13 @@ class BagRig:
         where = f"{bag.path}, {topic}"
         first = bag.read(topic, messages[0], where)
         if settings is None and not is_photo(first):
-            log.info("%s holds no photos and is left out", where)
+            if measures(first):
+                log.info("%s holds no photos and is left out", where)
+            else:
+                log.warning(
+                    "%s has the encoding %r, which docdepth does not read, and is left out",
+                    where, first.encoding,
+                )  # fmt: skip
             return None
         names = [str(time) for time in times.tolist()]
         images = [
@@ -115,7 +128,8 @@ class BagRig:
                 distortion, model = given.lens(), given.model
             elif info is not None:
                 rectified = any("rect" in part for part in topic.split("/"))
-                camera, distortion, model = camera_of(info, rectified, where)
+                size = size_of(first, where)
+                camera, distortion, model = camera_of(info, rectified, size, where)
             else:
                 raise CalibrationError(f"{where}: there is no CameraInfo")
             known = ImageStream(name, times, names, images, camera, distortion, model)

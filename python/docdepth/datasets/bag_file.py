@@ -198,8 +198,8 @@ def _open_reader(path: Path, files: list[Path]) -> Any:
     folder = path.is_dir() and (path / "metadata.yaml").is_file()
     for parts in ([path], files) if folder else (files,):
         # Without metadata.yaml, or with a wrong one, the files open by themselves.
-        reader = AnyReader(parts, default_typestore=types)
         try:
+            reader = AnyReader(parts, default_typestore=types)
             reader.open()
             return reader
         except Exception as error:

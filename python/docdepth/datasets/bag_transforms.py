@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from array import array
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.bag_file import BagFile
-from docdepth.datasets.ros_frames import StaticFrames
+from docdepth.datasets.ros_frames import TRANSFORMS, Link, StaticFrames
 from docdepth.errors import DatasetError, InputError
 from docdepth.geometry.se3 import poses_from, quaternion_to_matrix
 from docdepth.geometry.trajectory import Trajectory
@@ -84,6 +85,20 @@ def read_transforms(
             f"{', '.join(sorted(edges)) or 'none'}; say odometry_frame, or leave poses out"
         )
     return links
+
+
+def still_transforms(bag: BagFile) -> list[Link]:
+    """Those of all topics of transforms that are the same in each message."""
+    found: list[Link] = []
+    for topic, kind in bag.topics.items():
+        if kind != TRANSFORMS or topic.endswith("tf_static"):
+            continue
+        for child, edge in _read_edges(bag, topic, by_record=True).items():
+            with suppress(DatasetError):  # one that is no transform connects nothing
+                link = edge.link(f"{bag.path}, {topic}, {child!r}")
+                if len(edge.parents) == 1 and not isinstance(link, Trajectory):
+                    found.append((next(iter(edge.parents)), child, link))
+    return found
 
 
 def _read_edges(bag: BagFile, topic: str, by_record: bool) -> dict[str, _Edge]:

@@ -23,7 +23,7 @@ from docdepth.datasets.cloud_files import (
 from docdepth.datasets.described_cameras import DescribedCamera, described_cameras
 from docdepth.datasets.files import FILE, is_there, read_bytes
 from docdepth.datasets.format import Format
-from docdepth.datasets.kitti_files import in_order
+from docdepth.datasets.kitti_files import check_increasing, in_order
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.rejoined import RejoinedLidar
 from docdepth.datasets.settings import (
@@ -35,7 +35,7 @@ from docdepth.datasets.settings import (
 )
 from docdepth.datasets.stamps import times_of_files
 from docdepth.errors import Collector, DatasetError
-from docdepth.io.poses import read_poses
+from docdepth.io.poses import read_poses_at
 
 log = logging.getLogger(__name__)
 
@@ -89,7 +89,7 @@ class FolderSettings(RecordingSettings):
 
     sweeps: str | None = None
     times: str | None = None
-    rate: float | None = None
+    rate: float | None = Field(None, gt=0)
     columns: tuple[str, ...] = KITTI_COLUMNS
     dtype: Literal["float32", "float64"] = "float32"
     frame: Literal["lidar", "world"] = "lidar"
@@ -158,7 +158,7 @@ class CloudFolder(Recording):
         )
         poses = None
         with problems.collected():
-            poses = _poses(path, settings.poses, lidars[0].sweeps, file)
+            poses = _poses(path, settings.poses, lidars[0], file)
         problems.raise_errors()
         self._label_folder = path / settings.labels
         facts = settings.facts(settings.frame == "world")
@@ -214,6 +214,7 @@ def _lidar(
         numbered = all(sweep.stem.isascii() and sweep.stem.isdigit() for sweep in sweeps)
         numbers = [int(sweep.stem) if numbered else k for k, sweep in enumerate(sweeps)]
         times = np.round(np.array(numbers) * 1e9 / rate).astype(np.int64)
+        check_increasing(times, [sweep.name for sweep in sweeps], sweeps[0].parent)
     else:
         remedy = f"say times: FILE or rate: 10 (sweeps a second) in {file}"
         times = times_of_files(sweeps, settings.times, folder, remedy)
@@ -224,11 +225,12 @@ def _lidar(
 
 
 def _poses(
-    folder: Path, wanted: str | None, sweeps: list[Path], file: Path
+    folder: Path, wanted: str | None, lidar: FileLidar, file: Path
 ) -> NDArray[np.float64] | None:
     """Poses of a file, or of the sweeps' own headers; None without any."""
+    sweeps = lidar.sweeps
     if wanted not in (None, VIEWPOINT):
-        return read_poses(folder / str(wanted), len(sweeps))
+        return read_poses_at(folder / str(wanted), lidar.stream.times)
     if sweeps[0].suffix.lower() != ".pcd":
         if wanted == VIEWPOINT:
             raise DatasetError(f"{file}: {sweeps[0]} is no PCD file and has no VIEWPOINT")

@@ -191,7 +191,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
 
 
 def _recognises(path: Path) -> bool:
-    if path.suffix != ".pcap" or not path.is_file():
+    if path.suffix.lower() != ".pcap" or not path.is_file():
         return False
     with path.open("rb") as stream:
         head = stream.read(_HEAD)

@@ -41,6 +41,9 @@ def pose_of(
     """
     try:
         w, x, y, z = (float(value) for value in quaternion)
-        return poses_from([quaternion_to_matrix([x, y, z, w])], [list(translation)])[0]
+        position = [float(value) for value in translation]
+        if not np.isfinite(position).all():
+            raise ValueError(f"its translation is {position}")
+        return poses_from([quaternion_to_matrix([x, y, z, w])], [position])[0]
     except (InputError, ValueError, TypeError) as error:
         raise DatasetError(f"{where} is no pose ({error}); restore the file") from None

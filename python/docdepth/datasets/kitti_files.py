@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import stat
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
+from decimal import Decimal
 from functools import partial
 from pathlib import Path
 
@@ -20,6 +22,7 @@ from docdepth.errors import CalibrationError, Collector, DatasetError
 from docdepth.geometry.se3 import are_rotations, nearest_rotation, poses_from
 
 _POINT_BYTES = 16  # x y z reflectance, float32
+_NUMBER = re.compile(r"([0-9]+(?:\.[0-9]+)?)")
 _LEVER_ARM = 10.0  # metres between LiDAR and camera; on a lorry it is five
 
 
@@ -67,13 +70,18 @@ def lidars(
 
 
 def in_order(files: Iterable[Path]) -> list[Path]:
-    """Files in order of their numbers, or of their names where one of them is no number.
+    """Files in order of their names, whose numbers count as such: ``img_2`` before ``img_10``.
 
     Hidden files are left out: other systems put ``._000000.bin`` beside each file that they copy.
     """
     shown = [file for file in files if not file.name.startswith(".")]
-    numbered = all(_is_number(file.stem) for file in shown)
-    return sorted(shown, key=lambda file: (int(file.stem) if numbered else 0, file))
+    return sorted(shown, key=lambda file: (_words_and_numbers(file.stem), file))
+
+
+def _words_and_numbers(name: str) -> list[str | Decimal]:
+    """Words and numbers in turn, so that those of two names can be compared."""
+    parts = _NUMBER.split(name)
+    return [Decimal(part) if k % 2 else part for k, part in enumerate(parts)]
 
 
 def _is_number(text: str) -> bool:

@@ -59,9 +59,9 @@ def is_kitti_lidar(sweeps: Iterable[NDArray[np.float32]]) -> bool:
     sweeps : iterable of ndarray of float32, shape (N, 3)
     """
     for points in sweeps:
-        ahead = points[
-            (points[:, 0] > _LEAST_AHEAD) & (np.abs(points[:, 1]) < _AHEAD * points[:, 0])
-        ]
+        with np.errstate(all="ignore"):  # what is not finite lies nowhere
+            beside = np.abs(points[:, 1]) < _AHEAD * points[:, 0]
+        ahead = points[(points[:, 0] > _LEAST_AHEAD) & beside]
         if len(ahead) >= _FEWEST_POINTS:
             laser, slope = _lasers(ahead)
             return float((np.abs(slope - SLOPES[laser]) < _TOLERANCE).mean()) > _SHARE

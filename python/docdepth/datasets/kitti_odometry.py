@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from docdepth.datasets import kitti_files, kitti_lidar
 from docdepth.datasets.base import DatasetRepr, Sweep
 from docdepth.datasets.ego import without_ego
-from docdepth.datasets.files import is_there, read_bytes, read_lines, settings_file
+from docdepth.datasets.files import FILE, is_there, read_bytes, read_lines, settings_file
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.kitti_odometry_cameras import REMEDY, read_cameras
@@ -25,6 +25,8 @@ from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.io.poses import read_kitti
 from docdepth.io.trees import parse_yaml
 
+_SYNTHETIC = {"scene", "sensor", "seed", "frames", "blooming_deg"}
+"""Entries that say how a synthetic drive was made."""
 _MOST_METRES = 100  # of a LiDAR from the origin of its points; more is a mistake of units
 
 
@@ -247,9 +249,13 @@ def _settings(file: Path) -> dict[str, Any]:
         given: Any = parse_yaml("\n".join(read_lines(file, "write it again or remove it")))
     except ValueError as error:
         raise DatasetError(f"{file} is not YAML: {error}") from None
-    known |= given if isinstance(given, dict) else {"motion_compensated": None}
-    if "sweep_duration" in known:
-        raise DatasetError(f"{file}: sweeps of this layout are not joined; remove sweep_duration")
+    given = given if isinstance(given, dict) else {"motion_compensated": None}
+    unknown = sorted(str(entry) for entry in given.keys() - known.keys() - _SYNTHETIC)
+    if unknown:
+        raise DatasetError(
+            f"{file}: {', '.join(unknown)} is unknown in this layout; there are {', '.join(known)}"
+        )
+    known |= given
     if not isinstance(known["motion_compensated"], bool):
         raise DatasetError(f"{file}: motion_compensated must be true or false")
     place = known["looks_from"]
@@ -271,7 +277,14 @@ def _settings(file: Path) -> dict[str, Any]:
 
 
 def _recognises(path: Path) -> bool:
-    return (path / "velodyne").is_dir()
+    """A folder ``velodyne``, unless docdepth.yaml describes a recording of another layout."""
+    if not (path / "velodyne").is_dir():
+        return False
+    try:
+        given = parse_yaml("\n".join(read_lines(path / FILE, "")))
+    except (DatasetError, ValueError):  # told when it is opened
+        return True
+    return not (isinstance(given, dict) and given.keys() & {"sweeps", "lidars"})
 
 
 KITTI_ODOMETRY = Format(

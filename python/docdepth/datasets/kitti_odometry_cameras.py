@@ -14,11 +14,14 @@ from docdepth.datasets.files import is_there, read_lines
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.times import read_times_of
 from docdepth.errors import CalibrationError, Collector, DatasetError
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import camera_of
 
 log = logging.getLogger(__name__)
 
-REMEDY = "unpack the 'calibration files' of the odometry benchmark over the sequence"
+REMEDY = (
+    "unpack the 'calibration files' of the odometry benchmark over the sequence; a recording of "
+    "your own is described in docdepth.yaml, with sweeps: velodyne"
+)
 """What to do where ``calib.txt`` or ``times.txt`` is missing or incomplete."""
 
 
@@ -74,7 +77,7 @@ def read_cameras(
                 times, names = _image_times(folder, images[n])
             streams[folder.name] = CameraStream(
                 name=folder.name,
-                camera=Camera(P[:, :3], *size),
+                camera=camera_of(P[:, :3], size, f"{calibration.file}: P{n}"),
                 T_camera_lidar=kitti_files.camera_offset(P) @ T_camera0_lidar,
                 times=times,
                 names=names,

@@ -19,7 +19,7 @@ from docdepth.datasets.pose_tables import whole_poses
 from docdepth.datasets.settings import EgoSettings, read_settings
 from docdepth.datasets.times import read_times_of
 from docdepth.errors import CalibrationError, Collector
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import camera_of
 
 _EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' of the drive again"
 _CALIBRATION = "unpack the 'calibration' archive of that date beside its drives"
@@ -145,7 +145,7 @@ def _cameras(
             times, names = image_times(folder, images, sweeps, sweep_times)
             streams[folder.name] = CameraStream(
                 name=folder.name,
-                camera=Camera(P[:, :3], width, height),
+                camera=camera_of(P[:, :3], (width, height), f"{camera_file.file}: P_rect_{number}"),
                 T_camera_lidar=kitti_files.camera_offset(P) @ T_rectified_camera0 @ T_camera0_lidar,
                 times=times,
                 names=names,

@@ -24,7 +24,7 @@ from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import CalibrationError, DatasetError
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import camera_of
 from docdepth.geometry.se3 import inverse
 
 _UNPACK = "unpack the metadata of nuScenes again"
@@ -208,7 +208,11 @@ def _camera(
     names = [image.stem for image in images]
     return CameraStream(
         name,
-        Camera(K, int(rows[0]["width"]), int(rows[0]["height"])),
+        camera_of(
+            K,
+            (int(rows[0]["width"]), int(rows[0]["height"])),
+            f"{tables.folder / 'calibrated_sensor.json'}, {name}",
+        ),
         inverse(_pose(place, tables, "calibrated_sensor")) @ T_ego_lidar,
         _times(rows, names, tables),
         names,

@@ -6,6 +6,7 @@ import os
 import threading
 import warnings
 import weakref
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,10 @@ from docdepth.datasets.base import LidarStream
 from docdepth.datasets.cloud import Cloud
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
-from docdepth.datasets.recording import Recording, RecordingFacts
+from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import DatasetError, MissingExtraError
-from docdepth.io.poses import read_poses
+from docdepth.io.poses import read_poses_at
 
 _MICROSECOND = 1000  # ns
 _MILLIMETRE = 1e-3
@@ -170,15 +171,8 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
     place = facts.looks_from or (0.0, 0.0, capture.height)
     poses = None
     if settings.poses:
-        poses = read_poses(file.parent / settings.poses, len(capture.stream.times))
-    return Recording(
-        "ouster",
-        path,
-        [capture],
-        {},
-        poses,
-        RecordingFacts(facts.motion_compensated, place, facts.unit, facts.instant),
-    )
+        poses = read_poses_at(file.parent / settings.poses, capture.stream.times)
+    return Recording("ouster", path, [capture], {}, poses, replace(facts, looks_from=place))
 
 
 def _metadata_of(path: Path, file: Path) -> Path:
@@ -196,7 +190,7 @@ def _metadata_of(path: Path, file: Path) -> Path:
 
 def _recognises(path: Path) -> bool:
     """A capture with JSON beside it; others are Velodyne's."""
-    return path.suffix == ".pcap" and path.is_file() and any(path.parent.glob("*.json"))
+    return path.suffix.lower() == ".pcap" and path.is_file() and any(path.parent.glob("*.json"))
 
 
 FORMAT = Format("ouster", "an Ouster capture .pcap with its metadata .json", _recognises, _open)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -17,10 +18,12 @@ from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings
 from docdepth.errors import DatasetError, MissingExtraError
-from docdepth.io.poses import read_poses
+from docdepth.io.poses import read_poses_at
 
 log = logging.getLogger(__name__)
 
+_LITTLE_ENDIAN = (b"\xd4\xc3\xb2\xa1", b"\x4d\x3c\xb2\xa1")  # begin of a capture
+_HEADER = 16  # bytes before each packet: seconds, fraction, bytes that are kept, bytes sent
 _TURN = 36000  # hundredths of a degree
 _WHOLE = 0.5  # of the usual number of packets; shorter sweeps at the ends were cut off
 
@@ -114,7 +117,7 @@ def recording_of(capture: PacketCapture, settings: RecordingSettings, file: Path
     """A capture with the poses and facts that its ``docdepth.yaml``, ``file``, tells."""
     stream, poses = capture.stream, None
     if settings.poses:
-        poses = read_poses(file.parent / settings.poses, len(stream.times))
+        poses = read_poses_at(file.parent / settings.poses, stream.times)
     return Recording(stream.name, capture.path, [capture], {}, poses, settings.facts())
 
 
@@ -154,11 +157,14 @@ def _packets(path: Path, kind: Packets) -> Iterator[tuple[int, int, int, bytes]]
                 f"{path} is no pcap capture ({error}); copy it again, or convert pcapng by editcap "
                 "-F pcap IN OUT"
             ) from None
+        begin = stream.tell()
         while True:
             try:
+                begin, before = stream.tell(), begin
                 time, frame = next(reader)
                 sender, packet = _payload(frame, reader.datalink())
             except StopIteration:
+                _warn_of_end(path, before)
                 return
             except dpkt.dpkt.Error:
                 continue
@@ -166,6 +172,20 @@ def _packets(path: Path, kind: Packets) -> Iterator[tuple[int, int, int, bytes]]
                 azimuth = int.from_bytes(packet[kind.azimuth : kind.azimuth + 2], "little")
                 place = stream.tell() - len(frame) + frame.rfind(packet)
                 yield round(float(time) * 1e9), place, azimuth, sender
+
+
+def _warn_of_end(path: Path, begin: int) -> None:
+    """Log a warning if the packet that begins there, the last, is longer than the capture."""
+    with path.open("rb") as stream:
+        order = "<" if stream.read(4) in _LITTLE_ENDIAN else ">"
+        stream.seek(begin)
+        rest = stream.read()
+    if rest and (
+        len(rest) < _HEADER or struct.unpack_from(f"{order}I", rest, 8)[0] > len(rest) - _HEADER
+    ):
+        log.warning(
+            "%s ends within a packet: it is truncated; copy it again if there is more of it", path
+        )
 
 
 def _payload(frame: bytes, datalink: int) -> tuple[bytes, bytes]:

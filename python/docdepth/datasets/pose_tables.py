@@ -235,6 +235,9 @@ def whole_poses(partial: NDArray[np.float64] | None, path: Path) -> NDArray[np.f
     known = np.asarray(np.isfinite(partial).all(axis=(1, 2)))
     if known.all():
         return partial
+    if not known.any():
+        log.warning("%s: no sweep has a pose", path)
+        return None
     ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]])))
     begin, end = max(ends.reshape(-1, 2).tolist(), key=lambda run: run[1] - run[0])
     log.warning(

@@ -29,6 +29,8 @@ from docdepth.datasets import (
     waymo,
 )
 from docdepth.datasets.base import Dataset
+from docdepth.datasets.cloud_files import READERS
+from docdepth.datasets.files import FILE
 from docdepth.datasets.format import ENTRY_POINTS, Format
 from docdepth.datasets.frame_range import FrameRange
 from docdepth.errors import DatasetError
@@ -36,6 +38,7 @@ from docdepth.errors import DatasetError
 log = logging.getLogger(__name__)
 
 _DEEPEST = 3  # levels below a folder that are searched: KITTI's ROOT/DATE/DRIVE, OUT/sequences/00
+_PACKED = (".zip", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".zst", ".zstd", ".lz4", ".7z", ".rar")
 _MOST_NAMED = 8  # recordings in an error
 
 # The first that recognises a path has it.
@@ -196,11 +199,35 @@ def _find_recording(path: Path, wanted: Format | None) -> tuple[Path, Format]:
         raise DatasetError(f"{path} holds {len(below)} recordings; name one of {names}{more}")
     if wanted is not None:
         raise DatasetError(f"{path} is no recording of {wanted.name} ({wanted.expected})")
+    packed = _packed(path)
+    if packed:
+        raise DatasetError(f"{packed} is packed; unpack it and name what comes out")
+    clouds = _clouds_below(path)
+    if clouds:
+        raise DatasetError(
+            f"{clouds} holds point clouds, but nothing tells of which recording; describe it in "
+            f"{path / FILE}, with sweeps: {clouds.relative_to(path)}"
+        )
     names = ", ".join(known.name for known in formats)
     raise DatasetError(
         f"{path} is no recording that docdepth reads ({names}); name the format that it should be, "
         "to be told what is missing"
     )
+
+
+def _packed(path: Path) -> Path | None:
+    """An archive or a compressed file: the path itself, or the first one in it."""
+    inside = sorted(path.iterdir()) if path.is_dir() else [path]
+    return next((file for file in inside if file.suffix.lower() in _PACKED), None)
+
+
+def _clouds_below(path: Path) -> Path | None:
+    """The first folder of point clouds: the path itself, or one in it."""
+    places = [path, *sorted(path.iterdir())] if path.is_dir() else []
+    for place in places:
+        if place.is_dir() and any(file.suffix.lower() in READERS for file in place.iterdir()):
+            return place
+    return None
 
 
 def _recordings_below(path: Path, levels: int, formats: list[Format]) -> list[tuple[Path, Format]]:

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 from collections import deque
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.errors import InputError
 from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix
 
+log = logging.getLogger(__name__)
+
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+Link: TypeAlias = tuple[str, str, NDArray[np.float64]]
 
 
 class StaticFrames:
@@ -21,9 +27,16 @@ class StaticFrames:
     ----------
     messages : iterable of tf2_msgs/TFMessage
         Each transform takes points of ``child_frame_id`` to ``header.frame_id``.
+    others : callable, optional
+        Parent, child and ``T_parent_child`` (4, 4) of frames that stay still though they might
+        move. Asked for where the static transforms do not connect two frames: drivers of ROS 1
+        send those of the sensors over and over.
     """
 
-    def __init__(self, messages: Iterable[Any]) -> None:
+    def __init__(
+        self, messages: Iterable[Any], others: Callable[[], Iterable[Link]] | None = None
+    ) -> None:
+        self._others = others
         self._edges: dict[str, dict[str, NDArray[np.float64]]] = {}
         self._parents: dict[str, str] = {}
         for message in messages:
@@ -31,11 +44,17 @@ class StaticFrames:
                 parent, child = (
                     name.lstrip("/") for name in (one.header.frame_id, one.child_frame_id)
                 )
-                t, q = one.transform.translation, one.transform.rotation
-                T = poses_from([quaternion_to_matrix([q.x, q.y, q.z, q.w])], [[t.x, t.y, t.z]])[0]
-                self._edges.setdefault(parent, {})[child] = T
-                self._edges.setdefault(child, {})[parent] = inverse(T)
-                self._parents[child] = parent
+                try:
+                    self._connect(parent, child, _rigid(one.transform))
+                    self._parents[child] = parent
+                except InputError as error:
+                    log.warning(
+                        "the static transform of %r in %r is left out: %s", child, parent, error
+                    )
+
+    def _connect(self, parent: str, child: str, T: NDArray[np.float64]) -> None:
+        self._edges.setdefault(parent, {})[child] = T
+        self._edges.setdefault(child, {})[parent] = inverse(T)
 
     @property
     def names(self) -> list[str]:
@@ -49,6 +68,16 @@ class StaticFrames:
 
     def between(self, target: str, source: str) -> NDArray[np.float64] | None:
         """``T_target_source`` (4, 4) along the shortest way; None where nothing connects them."""
+        found = self._way(target, source)
+        if found is None and self._others is not None:
+            others, self._others = self._others, None
+            for parent, child, T in others():
+                if child not in self._parents:
+                    self._connect(parent, child, T)
+            found = self._way(target, source)
+        return found
+
+    def _way(self, target: str, source: str) -> NDArray[np.float64] | None:
         found = {target: np.eye(4)}
         waiting = deque([target])
         while waiting:
@@ -60,3 +89,17 @@ class StaticFrames:
                     found[other] = found[at] @ T
                     waiting.append(other)
         return None
+
+
+def _rigid(transform: Any) -> NDArray[np.float64]:
+    """A transform as (4, 4).
+
+    Raises
+    ------
+    InputError
+        It is none.
+    """
+    t, q = transform.translation, transform.rotation
+    if not np.isfinite([t.x, t.y, t.z]).all():
+        raise InputError(f"its translation is ({t.x}, {t.y}, {t.z})")
+    return poses_from([quaternion_to_matrix([q.x, q.y, q.z, q.w])], [[t.x, t.y, t.z]])[0]

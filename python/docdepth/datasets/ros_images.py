@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import LensModel
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import camera_of as camera_at
 from docdepth.io.images import decode_image as decode_content
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
@@ -49,7 +50,18 @@ def is_photo(message: Any) -> bool:
     """Whether a message holds an image for people, not depth, labels or the like."""
     if message.__msgtype__ == IMAGES[1]:
         return "compressedDepth" not in message.format
-    return message.encoding in _ENCODINGS
+    return _of_eight_bits(message.encoding) in _ENCODINGS
+
+
+def measures(message: Any) -> bool:
+    """Whether a message holds an image of numbers: depth, disparity, labels."""
+    return message.__msgtype__ == IMAGES[1] or message.encoding[:2] in ("16", "32", "64")
+
+
+def _of_eight_bits(encoding: str) -> str:
+    """What the encoding of photos of 16 bits is called with 8 bits; others stay as they are."""
+    eight = encoding.removesuffix("16") + "8"
+    return eight if encoding.endswith("16") and eight in _ENCODINGS else encoding
 
 
 def decode_image(message: Any, where: str) -> NDArray[np.uint8]:
@@ -64,26 +76,50 @@ def decode_image(message: Any, where: str) -> NDArray[np.uint8]:
         data = np.asarray(message.data, np.uint8)
         image = decode_content(data, cv2.IMREAD_COLOR)
         if image is None:
-            raise DatasetError(f"{where} is not a readable image ({message.format})")
+            raise DatasetError(
+                f"{where} is not a readable image ({message.format}); record JPEG, PNG or raw "
+                "images, not a video"
+            )
         return np.asarray(image, np.uint8)
-    if message.encoding not in _ENCODINGS:
+    name = _of_eight_bits(message.encoding)
+    if name not in _ENCODINGS:
         raise DatasetError(
             f"{where} has the encoding {message.encoding!r}; docdepth reads {', '.join(_ENCODINGS)}"
         )
-    channels, conversion = _ENCODINGS[message.encoding]
+    channels, conversion = _ENCODINGS[name]
+    line = channels if name == message.encoding else 2 * channels
     width, height, step = message.width, message.height, message.step
     if not width or not height:
         raise DatasetError(f"{where} is an image of {width} x {height} pixels")
     data = np.asarray(message.data, np.uint8)
-    if step < width * channels or len(data) < height * step:
+    if step < width * line or len(data) < height * step:
         raise DatasetError(f"{where} has {len(data)} bytes for {width} x {height} pixels")
-    lines = data[: height * step].reshape(height, step)[:, : width * channels]
-    image = np.ascontiguousarray(lines).reshape(height, width, channels)
+    lines = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, : width * line])
+    if name != message.encoding:
+        lines = _upper_bits(lines.view(">u2" if message.is_bigendian else "<u2"))
+    image = lines.reshape(height, width, channels)
     return image if conversion is None else np.asarray(cv2.cvtColor(image, conversion), np.uint8)
 
 
+def _upper_bits(values: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """The upper 8 of the bits that an image uses: many cameras fill 10, 12 or 14 of 16."""
+    unused = max(int(values.max()).bit_length() - 8, 0)
+    return (values >> unused).astype(np.uint8)
+
+
+def size_of(message: Any, where: str) -> tuple[int, int] | None:
+    """Width and height of the image of a message; None where it cannot be read."""
+    if message.__msgtype__ == IMAGES[0]:
+        return message.width, message.height
+    try:
+        height, width = decode_image(message, where).shape[:2]
+    except DatasetError:
+        return None
+    return width, height
+
+
 def camera_of(
-    info: Any, rectified: bool, where: str
+    info: Any, rectified: bool, size: tuple[int, int] | None, where: str
 ) -> tuple[Camera, NDArray[np.float64] | None, LensModel]:
     """Camera, distortion and model of a CameraInfo.
 
@@ -92,12 +128,14 @@ def camera_of(
     info : sensor_msgs/CameraInfo
     rectified : bool
         The images are rectified: P holds their intrinsics.
+    size : (int, int), optional
+        Width and height of the images, if they are known.
     where : str
 
     Raises
     ------
     CalibrationError
-        The camera is not calibrated, or its model is unknown.
+        The camera is not calibrated, its model is unknown, or images are of another size.
     """
     K = np.asarray(info.K if hasattr(info, "K") else info.k, np.float64).reshape(3, 3)
     P = np.asarray(info.P if hasattr(info, "P") else info.p, np.float64).reshape(3, 4)
@@ -105,13 +143,37 @@ def camera_of(
     if not K.any():
         raise CalibrationError(f"{where}: K is 0, so the camera was not calibrated")
     if rectified:
-        return Camera(P[:, :3] if P.any() else K, info.width, info.height), None, "pinhole"
+        return _camera(info, P[:, :3] if P.any() else K, size, where), None, "pinhole"
     name = info.distortion_model
+    if name.endswith("brown_conrady") and not D.any():  # RealSense: images without distortion
+        name = ""
     if name not in _MODELS:
         raise CalibrationError(
             f"{where}: distortion model {name!r} is unknown; there are {', '.join(_MODELS)}"
         )
-    camera, model = Camera(K, info.width, info.height), _MODELS[name]
+    camera, model = _camera(info, K, size, where), _MODELS[name]
     if not D.any():
         return camera, np.zeros(4) if model == "fisheye" else None, model
     return camera, D, model
+
+
+def _camera(info: Any, K: NDArray[np.float64], size: tuple[int, int] | None, where: str) -> Camera:
+    """The camera of images that may be a part of the sensor's, or binned.
+
+    K, width and height of a CameraInfo are those of all pixels of the sensor. Some drivers leave
+    out the size.
+    """
+    whole = (info.width, info.height) if info.width and info.height else size
+    if whole is None or size is None or size == whole:
+        return camera_at(K, whole or (0, 0), where)
+    roi, steps = info.roi, (max(info.binning_x, 1), max(info.binning_y, 1))
+    part = (roi.width or whole[0], roi.height or whole[1])
+    if any(abs(s - p / step) >= 1 for s, p, step in zip(size, part, steps, strict=True)):
+        raise CalibrationError(
+            f"{where}: its CameraInfo is of {whole[0]} x {whole[1]} pixels, its images have "
+            f"{size[0]} x {size[1]}"
+        )
+    K = K.copy()
+    K[:2, 2] -= (roi.x_offset, roi.y_offset)
+    K[:2] /= np.array(steps)[:, None]
+    return camera_at(K, size, where)

@@ -17,7 +17,7 @@ from docdepth.datasets.files import is_there, read_lines, settings_file
 from docdepth.datasets.point_times import Instant, Unit
 from docdepth.datasets.recording import RecordingFacts
 from docdepth.errors import CalibrationError, DatasetError, InputError
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, camera_of
 from docdepth.geometry.se3 import check_rigid, nearest_rigid
 from docdepth.io.trees import parse_yaml
 
@@ -84,8 +84,8 @@ class CameraSettings(Strict):
             raise CalibrationError(f"{where} has neither images nor size: [width, height]")
         if len(self.K) == 4:
             fx, fy, cx, cy = self.K
-            return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), *size)
-        return Camera(np.array(self.K).reshape(3, 3), *size)
+            return camera_of(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), size, where)
+        return camera_of(np.reshape(self.K, (3, 3)), size, where)
 
     def lens(self) -> NDArray[np.float64] | None:
         """The distortion; None without one. Zeros are none for a pinhole, not for a fisheye."""

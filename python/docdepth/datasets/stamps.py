@@ -16,6 +16,7 @@ from docdepth.errors import DatasetError
 
 _UNITS = {19: 1, 16: 10**3, 13: 10**6, 10: 10**9}
 """Nanoseconds of one count, by the digits of a time since 1970."""
+_SECONDS = re.compile(r"(?<!\d)([1-9]\d{9})[._](\d{1,9})$")
 _TABLES = ("times.txt", "timestamps.txt")
 
 
@@ -49,7 +50,8 @@ def times_of_files(
         for place in places:
             if is_there(place):
                 return read_times_of(files, place, "times", remedy)
-    stamps = [time_of_name(file.stem) for file in files]
+    digits = _digits_of_fractions(files)
+    stamps = [time_of_name(file.stem, digits) for file in files]
     times = np.array([stamp for stamp in stamps if stamp is not None], np.int64)
     if len(times) < len(files):
         name = next(file.name for file, stamp in zip(files, stamps, strict=True) if stamp is None)
@@ -75,15 +77,29 @@ def times_of_names(files: Sequence[Path], unit: int, remedy: str) -> NDArray[np.
     return times
 
 
-def time_of_name(stem: str) -> int | None:
+def _digits_of_fractions(files: Sequence[Path]) -> int:
+    """Digits behind the ``_`` of names: 3 or 6 if all have so many, else 9."""
+    parts = [_SECONDS.search(file.stem) for file in files]
+    digits = {len(found[2]) if found and "_" in found[0] else 0 for found in parts}
+    return digits.pop() if len(files) > 1 and digits in ({3}, {6}) else 9
+
+
+def time_of_name(stem: str, digits: int = 9) -> int | None:
     """Nanoseconds since 1970 in a name: a whole number, or seconds and a fraction.
 
     ``1673400678101968885``, ``1547131046260961``, ``1583836591.18`` and
     ``cloud_1583836591_182590976`` are understood. A number that begins with 0 only counts.
+
+    Parameters
+    ----------
+    stem : str
+    digits : int
+        9: what follows ``_`` are nanoseconds, as ROS writes them without leading zeros; 6:
+        microseconds; 3: milliseconds.
     """
-    parts = re.search(r"(?<!\d)([1-9]\d{9})[._](\d{1,9})$", stem)
+    parts = _SECONDS.search(stem)
     if parts:
-        fraction = parts[2].ljust(9, "0") if "." in parts[0] else parts[2]
+        fraction = parts[2].ljust(9, "0") if "." in parts[0] else parts[2] + "0" * (9 - digits)
         return int(parts[1]) * 10**9 + int(fraction)
     whole = re.search(r"(?<!\d)([1-9]\d+)$", stem)
     unit = _UNITS.get(len(whole[1])) if whole else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -76,7 +77,9 @@ def _nanoseconds(text: str, line: int, path: Path) -> int:
     text = text.strip()
     try:
         if ":" in text:
-            stamp = np.datetime64(text, "ns")
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # of time zones, which are heeded
+                stamp = np.datetime64(text, "ns")
             if np.isnat(stamp):
                 raise ValueError
             return int(stamp.astype(np.int64))

@@ -101,7 +101,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
 
 
 def _recognises(path: Path) -> bool:
-    return path.suffix == ".pcap" and path.is_file()
+    return path.suffix.lower() == ".pcap" and path.is_file()
 
 
 FORMAT = Format("velodyne", "a Velodyne capture .pcap", _recognises, _open)

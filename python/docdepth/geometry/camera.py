@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from operator import index
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import CalibrationError, InputError
 from docdepth.geometry.values import ShortRepr, float_array
@@ -60,6 +60,20 @@ class Camera(ShortRepr):
         object.__setattr__(self, "K", K)
         object.__setattr__(self, "width", width)
         object.__setattr__(self, "height", height)
+
+
+def camera_of(K: ArrayLike, size: tuple[int, int], where: str) -> Camera:
+    """The camera that ``where`` tells of, which errors name.
+
+    Raises
+    ------
+    CalibrationError
+        As for :class:`Camera`.
+    """
+    try:
+        return Camera(np.asarray(K, np.float64), *size)
+    except CalibrationError as error:
+        raise CalibrationError(f"{where}: {error}") from None
 
 
 def below_horizon(camera: Camera, T_camera_lidar: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -7,6 +7,7 @@ pose files of KITTI itself, which are of the camera.
 
 from __future__ import annotations
 
+import logging
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
@@ -25,6 +26,9 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.arrays import ArrayError, read_array
 from docdepth.io.frames import read_trajectory
 
+log = logging.getLogger(__name__)
+
+_LATE = 0.75  # of the time between sweeps; poses may be of the middle or the end of a sweep
 _MOST_DIGITS = 12  # of seconds, before the point; int64 holds 292 years of nanoseconds
 
 POSE_FORMATS = ("tum", "kitti", "ply", "npy")
@@ -37,7 +41,7 @@ def read_poses(path: Path | str, count: int | None = None) -> NDArray[np.float64
     ----------
     path : Path
         ``.ply`` and ``.npy`` are told by their suffix, else lines of 8 numbers are TUM, of 12
-        KITTI. Pose k is that of sweep k; times are ignored.
+        KITTI. Pose k is that of sweep k, whatever its time.
     count : int, optional
         Number of sweeps; any if left out.
 
@@ -65,6 +69,49 @@ def read_poses(path: Path | str, count: int | None = None) -> NDArray[np.float64
         )
     _check_count(rows, count, path)
     return _from_tum(rows, path) if rows.shape[1] == 8 else _from_kitti(rows, path)
+
+
+def read_poses_at(path: Path | str, times: NDArray[np.int64]) -> NDArray[np.float64]:
+    """The poses of sweeps at these times [ns].
+
+    They are taken in the order of the sweeps. A warning tells where the file has other times.
+
+    Raises
+    ------
+    OdometryError
+        As for :func:`read_poses`.
+    """
+    poses = read_poses(path, len(times))
+    _warn_of_other_times(Path(path), times)
+    return poses
+
+
+def _warn_of_other_times(path: Path, times: NDArray[np.int64]) -> None:
+    """Log a warning if poses are of other times than the sweeps.
+
+    Times on another clock, or that only count, tell nothing.
+    """
+    if path.suffix.lower() == ".npy" or len(times) < 2:
+        return
+    if path.suffix.lower() == ".ply":
+        own = read_trajectory(path)[0].times
+    elif len(_lines(path)[0].split()) == 8:
+        try:
+            own = np.array([_nanoseconds(line) for line in _lines(path)], np.int64)
+        except OverflowError:
+            return
+    else:
+        return
+    if len(own) != len(times) or own.max() < times[0] or own.min() > times[-1]:
+        return
+    off = np.abs(own - times)
+    worst = int(off.argmax())
+    if off[worst] > _LATE * float(np.median(np.diff(times))):
+        log.warning(
+            "%s: pose %d is of %.3f s, sweep %d of %.3f s; poses are taken in the order of the "
+            "sweeps: bring one for each sweep, in this order",
+            path, worst, own[worst] * 1e-9, worst, times[worst] * 1e-9,
+        )  # fmt: skip
 
 
 def _check_count(rows: NDArray[np.float64], count: int | None, path: Path) -> None:

@@ -151,6 +151,8 @@ def _shift_to_those_before(
     target, tree = small_gicp.preprocess_points(np.concatenate(before), _SAMPLING, num_threads=1)
     source, _ = small_gicp.preprocess_points(clouds[-1], _SAMPLING, num_threads=1)
     found = small_gicp.align(target, source, tree, registration_type="GICP", num_threads=1)
+    if not found.num_inliers:  # nothing overlaps, so nothing moves either
+        return float(np.linalg.norm((inverse(poses[frame - 1]) @ poses[frame])[:3, 3]))
     shift = float(np.linalg.norm(found.T_target_source[:3, 3]))
     return shift if np.isfinite(shift) else None
 

@@ -166,6 +166,8 @@ class _Pairs:
 
     def no_fit(self) -> bool:
         """Whether the given calibration is no better than any other."""
+        if not self.chance.all():  # nothing of a sweep falls into the image, which is told
+            return False
         share = self.given / self.chance
         error = share.std(ddof=1) / np.sqrt(len(share))
         return bool(share.mean() < _CHANCE and share.mean() - 1 < _CHANCE_ERRORS * error)

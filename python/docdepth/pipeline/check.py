@@ -22,10 +22,15 @@ from docdepth.errors import Collector, DatasetError
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.depth import check_format
 from docdepth.io.poses import read_poses
+from docdepth.odometry.pose_checks import warn_of_misfit
 from docdepth.pipeline.check_cameras import check_camera
 from docdepth.pipeline.check_resources import check_resources, estimate, gigabytes
 from docdepth.pipeline.check_sweeps import check_sweeps
-from docdepth.pipeline.given_poses import file_of_poses, refuse_poses_of_a_camera
+from docdepth.pipeline.given_poses import (
+    file_of_poses,
+    read_given_poses,
+    refuse_poses_of_a_camera,
+)
 from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.problems import Findings, Problem, raise_problems
 from docdepth.pipeline.run_inputs import known_poses, open_inputs, open_upright
@@ -82,7 +87,12 @@ def report_inputs(
     if opened is not None:
         with suppress(DatasetError):  # sweeps that cannot be read are named below
             opened = open_upright(dict(source))
-        return check_opened(source, *opened, parameters, output)
+        report = check_opened(source, *opened, parameters, output)
+        if source.get("poses") and all(p.severity != "error" for p in report.problems):
+            recording = opened[0]
+            poses = read_given_poses(str(source["poses"]), recording)
+            warn_of_misfit(lambda k: recording.sweep(k).points, poses, parameters.odometry)
+        return report
     _check_files_of_options(source, found)
     _check_parameters(parameters, found)
     if output is not None:

@@ -22,8 +22,10 @@ _ONE_PLACE = 1.0  # metres within which no sweep has all its points
 _FARTHEST = 250.0  # metres; half of the points of no sweep lie farther away
 _GAP = 0.2  # share of rows in one piece that are not finite
 _PAUSE = 1.8  # of the usual time between sweeps: one is missing
+_CLOSE = 0.3  # and this share is too little; stamps of arrival stay above 0.5
 _USABLE = 0.7  # of the share of usable points that sweeps of the drive usually have
-_SMALL = 0.2  # share of the usual size below which a sweep is partial
+_SMALL = 0.7  # share of the size of those around below which a sweep is partial
+_AROUND = 5  # sweeps before and after
 _LATE = 1.5  # durations of a sweep after its stamp; no point is measured later
 _PERIODS = (0.005, 5.0)  # seconds between sweeps
 _REGISTERED = 0.05  # share of the points within the ranges that odometry takes
@@ -43,7 +45,7 @@ def check_sweeps(
 ) -> dict[int, Sweep]:
     """Check times, sizes and sampled sweeps; returns those that could be read."""
     _check_period(recording, found)
-    _check_sizes(recording, files, sizes, found)
+    _check_sizes(files, sizes, found)
     _check_repeats(files, sizes, found)
     opened: dict[int, Sweep] = {}
     for index in sample(len(recording)):
@@ -81,6 +83,13 @@ def _check_period(recording: Dataset, found: Findings) -> None:
             f"{longest + 1}, usually {period:.2f} s; are sweeps missing? Depth near the gap rests "
             "on fewer sweeps"
         )
+    shortest = int(np.argmin(pauses))
+    if pauses[shortest] < _CLOSE * period:
+        found.warn(
+            f"{recording.path}: {pauses[shortest]:.2g} s lie between frames {shortest} and "
+            f"{shortest + 1}, usually {period:.2f} s; did the clock of the LiDAR jump back, or are "
+            "there sweeps of two LiDARs?"
+        )
     if not _PERIODS[0] < period < _PERIODS[1]:
         found.warn(
             f"{recording.path}: sweeps are {period:.3g} s apart; a LiDAR takes 0.05 to 0.2 s. "
@@ -88,17 +97,17 @@ def _check_period(recording: Dataset, found: Findings) -> None:
         )
 
 
-def _check_sizes(
-    recording: Dataset, files: list[list[Path]], sizes: NDArray[np.int64], found: Findings
-) -> None:
-    usual = float(np.median(sizes)) if len(sizes) else 0.0
+def _check_sizes(files: list[list[Path]], sizes: NDArray[np.int64], found: Findings) -> None:
+    if len(sizes) < 2:
+        return
+    around = np.pad(sizes, _AROUND, mode="reflect")
+    usual = np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * _AROUND + 1), axis=1)
     small = np.flatnonzero(sizes < _SMALL * usual)
     if len(small):
         first = int(small[0])
         found.warn(
-            f"{files[first][0]} (frame {first}) has {sizes[first]} bytes, sweeps of "
-            f"{recording.path} usually {usual:.0f}{_more(len(small) - 1)}; copy partial sweeps "
-            "again or remove them"
+            f"{files[first][0]} (frame {first}) has {sizes[first]} bytes, the sweeps around it "
+            f"{usual[first]:.0f}{_more(len(small) - 1)}; copy partial sweeps again or remove them"
         )
 
 

@@ -12,7 +12,7 @@ from docdepth.datasets import Dataset, FrameRange
 from docdepth.datasets.mounts import Mounted
 from docdepth.errors import DatasetError, OdometryError
 from docdepth.geometry.se3 import inverse
-from docdepth.io.poses import read_poses
+from docdepth.io.poses import read_poses, read_poses_at
 from docdepth.odometry.pose_checks import misfit, move_upwards
 
 OWN = "dataset"
@@ -59,7 +59,8 @@ def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
         return recording.poses
     whole = recording.whole if isinstance(recording, FrameRange) else recording
     camera, file = _divided(entry)
-    poses = read_poses(Path(file), None if _are_of_part(Path(file), recording) else len(whole))
+    of_part = _are_of_part(Path(file), recording)
+    poses = read_poses_at(Path(file), recording.times if of_part else whole.times)
     if camera:
         poses = _of_lidar(poses, camera, whole)
     elif isinstance(whole, Mounted):
