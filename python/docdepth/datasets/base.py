@@ -80,6 +80,20 @@ class LidarStream:
     T_lidar_sensor: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
 
 
+def check_name(name: str) -> None:
+    """Refuse a name of a camera that cannot be that of a folder, or leads out of it.
+
+    Raises
+    ------
+    CalibrationError
+    """
+    if not name or set(name) & set("/\\\0") or name in (".", "..", "all", "none"):
+        raise CalibrationError(
+            f"a camera cannot be called {name!r}: results lie in folders of this name; use letters "
+            "and digits"
+        )
+
+
 def check_distortion(name: str, d: NDArray[np.float64] | None, model: LensModel) -> None:
     """Refuse the distortion of a camera ``name`` that no lens has.
 
@@ -132,6 +146,7 @@ class CameraStream:
     model: LensModel = "pinhole"
 
     def __post_init__(self) -> None:
+        check_name(self.name)
         check_distortion(self.name, self.distortion, self.model)
 
     @property
@@ -214,6 +229,7 @@ class ImageStream:
     model: LensModel = "pinhole"
 
     def __post_init__(self) -> None:
+        check_name(self.name)
         if self.camera is not None:
             check_distortion(self.name, self.distortion, self.model)
 
