@@ -127,7 +127,7 @@ def test_files_that_may_not_be_read(copy: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_an_image_whose_path_is_no_text(copy: Path, drive: Path) -> None:
-    name = bytes(copy / "image_2") + b"/00000\xff.png"
+    name = bytes(copy / "image_2") + b"/000003\xff.png"
     (copy / "image_2" / "000003.png").rename(os.fsdecode(name))
     image = open_dataset(copy).cameras["image_2"].rectified_image(3)
     assert image is not None
@@ -223,7 +223,7 @@ def test_sweeps_are_in_the_order_of_their_numbers(copy: Path) -> None:
 
 def test_a_copy_among_numbered_sweeps_is_named(copy: Path) -> None:
     shutil.copy(copy / "velodyne" / "000001.bin", copy / "velodyne" / "000001 (1).bin")
-    with pytest.raises(SeveralProblems, match=r"none for 000001 \(1\)\.bin \(frame 1\)"):
+    with pytest.raises(SeveralProblems, match=r"none for 000001 \(1\)\.bin \(frame 2\)"):
         open_dataset(copy)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import numpy.lib.recfunctions as rfn
 import pytest
 import yaml
 from conformance import check
@@ -18,6 +19,7 @@ from docdepth.errors import DatasetError, DocDepthError
 from docdepth.geometry.se3 import poses_from, rotation_exp
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.pcd import PcdError, read_pcd
+from docdepth.io.ply import write_vertices
 from docdepth.io.poses import write_tum
 
 T_OTHER = poses_from([rotation_exp([0.1, -0.05, 0.5])], [[0.3, 1.2, -0.4]])[0]
@@ -203,6 +205,15 @@ def test_a_jump_of_the_points_clock_is_told(folder: Path, caplog) -> None:
 # ---- poses, world, LiDARs
 
 
+@pytest.mark.parametrize("name", ["time_us", "PointTimestamp", "time_offset"])
+def test_times_of_points_of_other_names(folder: Path, name: str) -> None:
+    expected = open_dataset(folder).sweep(1).relative_time
+    for k in range(DRIVE.count):
+        rows = rfn.rename_fields(folder_rows(k), {"time": name})
+        write_vertices(folder / f"{k:06d}.ply", rows, [])
+    np.testing.assert_array_equal(open_dataset(folder).sweep(1).relative_time, expected)
+
+
 def test_poses_of_the_user(folder: Path) -> None:
     write_tum(folder / "poses.tum", Trajectory(DRIVE.times, DRIVE.poses))
     change(folder, poses="poses.tum")
@@ -334,6 +345,16 @@ def test_where_the_lidar_looks_from(folder: Path) -> None:
             "T_camera_lidar must be a rotation and a translation in metres",
         ),
         ({"cameras": {"a": {"images": "gone"}}}, "a: .*gone holds no images"),
+        ({"labels": "gone"}, "docdepth.yaml: there is no folder .*gone of labels"),
+        ({"lidars": {"a": {"sweeps": "."}}}, "docdepth.yaml: sweeps and times are of one LiDAR"),
+        (
+            {
+                "times": None,
+                "lidars": {n: {"sweeps": ".", "times": "stamps.txt"} for n in "ab"},
+                "looks_from": [0, 0, 1],
+            },
+            "looks_from is of one LiDAR, but there are 2.*docdepth.yaml",
+        ),
     ],
 )
 def test_wrong_entries_are_named(folder: Path, entries: dict, message: str) -> None:
@@ -341,6 +362,13 @@ def test_wrong_entries_are_named(folder: Path, entries: dict, message: str) -> N
     with pytest.raises(DocDepthError, match=message) as caught:
         open_dataset(folder)
     assert "docdepth.yaml" in str(caught.value) or "gone" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["../../out", "a/b", "..", "", "all", "none"])
+def test_names_of_cameras_stay_in_the_run(folder: Path, name: str) -> None:
+    change(folder, cameras={name: settings()["cameras"]["front"]})
+    with pytest.raises(DocDepthError, match="a camera cannot be called"):
+        open_dataset(folder)
 
 
 def test_a_file_that_is_not_yaml(folder: Path) -> None:

@@ -175,6 +175,26 @@ def test_images_of_another_size_are_found_before_they_are_needed(copy: Path) -> 
     assert "000001.png is empty" in texts(problems(copy), "error")
 
 
+@pytest.mark.parametrize("what", ["half a png", "half a jpg", "small"])
+def test_every_image_that_is_odd_is_opened(
+    copy: Path, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("docdepth.pipeline.check_cameras.sample", lambda count, most=0: [0])
+    suffix = "jpg" if what == "half a jpg" else "png"
+    image = np.random.default_rng(0).integers(0, 255, (375, 1242, 3), np.uint8)
+    for file in (copy / "image_2").glob("*.png"):
+        file.unlink()
+    for k in range(4):
+        cv2.imwrite(str(copy / "image_2" / f"{k:06d}.{suffix}"), image)
+    assert texts(problems(copy), "error") == ""
+    file = copy / "image_2" / f"000002.{suffix}"
+    if what == "small":
+        cv2.imwrite(str(file), image[::2])
+    else:
+        file.write_bytes(file.read_bytes()[:-5000])
+    assert f"000002.{suffix} is" in texts(problems(copy), "error")
+
+
 def test_images_of_another_time(copy: Path) -> None:
     table = copy / "image_2" / "times.txt"
     times = [float(time) for time in table.read_text().split()]

@@ -130,6 +130,20 @@ def _rigid(name: str, T: ArrayLike) -> NDArray[np.float64]:
     return matrix
 
 
+def check_name(name: str) -> None:
+    """Refuse a name of a camera that cannot be that of a folder, or leads out of it.
+
+    Raises
+    ------
+    CalibrationError
+    """
+    if not name or set(name) & set("/\\\0") or name in (".", "..", "all", "none"):
+        raise CalibrationError(
+            f"a camera cannot be called {name!r}: results lie in folders of this name; use letters "
+            "and digits"
+        )
+
+
 def check_distortion(name: str, d: NDArray[np.float64] | None, model: LensModel) -> None:
     """Refuse the distortion of a camera ``name`` that no lens has.
 
@@ -189,6 +203,7 @@ class CameraStream(ShortRepr):
     model: LensModel = "pinhole"
 
     def __post_init__(self) -> None:
+        check_name(self.name)
         whose = f"camera {self.name}"
         if not isinstance(self.camera, Camera):
             raise CalibrationError(
@@ -285,6 +300,7 @@ class ImageStream:
     model: LensModel = "pinhole"
 
     def __post_init__(self) -> None:
+        check_name(self.name)
         if self.camera is not None:
             check_distortion(self.name, self.distortion, self.model)
 

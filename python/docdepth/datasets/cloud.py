@@ -85,13 +85,15 @@ def cloud_from_fields(rows: NDArray[Any], where: str) -> Cloud:
         )
     doubles = any(column.dtype.itemsize > 4 for column in xyz)
     points = np.stack([np.asarray(c, np.float64 if doubles else np.float32) for c in xyz], axis=-1)
+    # Drivers find ever new names; values that are no times of a sweep are refused later.
+    alike = [name for name in names if "time" in name or "stamp" in name]
     intensity = _first(rows, names, INTENSITY_NAMES)
     ring = _first(rows, names, RING_NAMES)
     return Cloud(
         np.ascontiguousarray(points),
         None if intensity is None else np.ascontiguousarray(intensity, np.float32),
         None if ring is None else _rings(ring),
-        _first(rows, names, TIME_NAMES),
+        _first(rows, names, (*TIME_NAMES, *alike)),
     )
 
 

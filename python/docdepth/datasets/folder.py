@@ -145,6 +145,8 @@ class CloudFolder(Recording):
         usual: dict[str, Any] | None = None,
     ) -> None:
         settings, file = read_settings(path, FolderSettings, usual)
+        if settings.lidars and (settings.sweeps or settings.times):
+            raise DatasetError(f"{file}: sweeps and times are of one LiDAR, lidars of several")
         wanted = settings.lidars or {
             "lidar": FolderLidar(sweeps=settings.sweeps or ".", times=settings.times)
         }
@@ -161,6 +163,8 @@ class CloudFolder(Recording):
             poses = _poses(path, settings.poses, lidars[0], file)
         problems.raise_errors()
         self._label_folder = path / settings.labels
+        if "labels" in settings.model_fields_set and not self._label_folder.is_dir():
+            raise DatasetError(f"{file}: there is no folder {self._label_folder} of labels")
         facts = settings.facts(settings.frame == "world")
         super().__init__(name, path, lidars, cameras, poses, facts, uncalibrated=uncalibrated)
 

@@ -250,6 +250,8 @@ def _settings(file: Path) -> dict[str, Any]:
     except ValueError as error:
         raise DatasetError(f"{file} is not YAML: {error}") from None
     given = given if isinstance(given, dict) else {"motion_compensated": None}
+    if "sweep_duration" in given:
+        raise DatasetError(f"{file}: sweeps of this layout are not joined; remove sweep_duration")
     unknown = sorted(str(entry) for entry in given.keys() - known.keys() - _SYNTHETIC)
     if unknown:
         raise DatasetError(

@@ -123,6 +123,11 @@ class Recording(DatasetRepr):
         self.uncalibrated = uncalibrated or {}
         self._labels = labels
         self._facts = facts or RecordingFacts()
+        if len(lidars) > 1 and self._facts.looks_from is not None:
+            raise DatasetError(
+                f"{path}: looks_from is of one LiDAR, but there are {len(lidars)}, whose places "
+                "are known; leave it out of docdepth.yaml"
+            )
         self.up = self._facts.up
         self._take(lidars, poses)
         if self._facts.sweep_duration is not None:

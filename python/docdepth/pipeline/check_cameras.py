@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import struct
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import CameraStream, Dataset, Sweep, usable_points
 from docdepth.datasets.files import unreadable
-from docdepth.datasets.images import file_of
+from docdepth.datasets.images import ImageSource, file_of
 from docdepth.errors import DatasetError
 from docdepth.pipeline.alignment import find_misalignment
 from docdepth.pipeline.check_sweeps import sample
 from docdepth.pipeline.problems import Findings
 
 _IMAGES = 6  # that are opened
+_TAIL = 64  # bytes at the end of an image that hold its mark
 _OUTSIDE = 0.2  # share of the images outside the sweeps that is worth a word
 _FIELDS_DEG = (10.0, 170.0)  # of view of pinhole cameras
 _FOCAL_RATIO = 2.0  # of fx and fy
@@ -58,9 +62,25 @@ def _check_images(stream: CameraStream, found: Findings) -> None:
                     raise DatasetError(f"{image} is empty; copy the image again or remove it")
                 raise unreadable(file_of(image), "put the image back")
             return
-    for index in sample(len(stream.images), _IMAGES) if stream.images else []:
+    sampled = sample(len(stream.images), _IMAGES) if stream.images else []
+    size = stream.camera.width, stream.camera.height
+    odd = [k for k, image in enumerate(stream.images) if _is_odd(image, size)]
+    for index in sorted({*sampled, *odd[:_IMAGES]}):
         with found.collected():
             stream.rectified_image(index)
+
+
+def _is_odd(image: ImageSource, size: tuple[int, int]) -> bool:
+    """Whether a PNG or JPEG lacks its end, or a PNG is of another size: worth opening."""
+    if not isinstance(image, Path):
+        return False
+    with image.open("rb") as stream:
+        head = stream.read(24)
+        stream.seek(max(image.stat().st_size - _TAIL, 0))
+        tail = stream.read()
+    if head.startswith(b"\x89PNG"):
+        return b"IEND" not in tail or head[16:] != struct.pack(">II", *size)
+    return head.startswith(b"\xff\xd8") and b"\xff\xd9" not in tail
 
 
 def _check_times(recording: Dataset, stream: CameraStream, found: Findings) -> None:
