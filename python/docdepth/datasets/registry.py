@@ -202,8 +202,8 @@ def _find_recording(path: Path, wanted: Format | None) -> tuple[Path, Format]:
     if nameless:
         raise DatasetError(
             f"{path} holds {nameless} files that may be sweeps; a docdepth.yaml beside them makes "
-            "it a recording, such as 'rate: 10', sweeps a second, and 'columns: [x, y, z]'; if they "
-            "belong to a drive, name its folder"
+            "it a recording, such as 'rate: 10', sweeps a second, and 'columns: [x, y, z]'; "
+            "if they belong to a drive, name its folder"
         )
     names = ", ".join(known.name for known in formats)
     raise DatasetError(
