@@ -57,12 +57,3 @@ def test_no_package_takes_a_name_of_ours(tmp_path: Path, bring) -> None:
     bring("kitti_raw", "nowhere:FORMAT")
     assert open_dataset(written.path).name == "kitti_raw"
     assert len(format_names()) == len(set(format_names()))
-
-
-@pytest.mark.parametrize("suffix", [".npy", ".bin"])
-def test_of_sweeps_without_names_of_columns_it_is_said_what_is_missing(
-    tmp_path: Path, suffix: str
-) -> None:
-    (tmp_path / f"000000{suffix}").write_bytes(bytes(48))
-    with pytest.raises(DatasetError, match=rf"holds \{suffix} files .* 'rate: 10'"):
-        open_dataset(tmp_path)

@@ -196,15 +196,6 @@ def _find_recording(path: Path, wanted: Format | None) -> tuple[Path, Format]:
         raise DatasetError(f"{path} holds {len(below)} recordings; name one of {names}{more}")
     if wanted is not None:
         raise DatasetError(f"{path} is no recording of {wanted.name} ({wanted.expected})")
-    nameless = next(
-        (s for s in (".npy", ".bin") if path.is_dir() and any(path.glob(f"*{s}"))), None
-    )
-    if nameless:
-        raise DatasetError(
-            f"{path} holds {nameless} files that may be sweeps; a docdepth.yaml beside them makes "
-            "it a recording, such as 'rate: 10', sweeps a second, and 'columns: [x, y, z]'; "
-            "if they belong to a drive, name its folder"
-        )
     names = ", ".join(known.name for known in formats)
     raise DatasetError(
         f"{path} is no recording that docdepth reads ({names}); name the format that it should be, "
