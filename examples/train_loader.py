@@ -3,9 +3,9 @@
     docdepth run DRIVE -o RUN
     python examples/train_loader.py DRIVE RUN
 
-Samples are NumPy arrays. :class:`Samples` has a length and is indexed, as the data loader of PyTorch
-wants it; it may be read by several threads or worker processes. Pixels without depth are NaN: compute
-the loss where the mask is true.
+Samples are NumPy arrays. :class:`Samples` has a length and is indexed, as PyTorch's data loader
+wants it. Several threads or worker processes may read it. Pixels without depth are NaN: compute the
+loss where the mask is true.
 """
 
 from __future__ import annotations
