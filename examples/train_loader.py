@@ -10,7 +10,7 @@ loss where the mask is true.
 
 from __future__ import annotations
 
-import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -50,15 +50,11 @@ class Samples(Sequence[Sample]):
         return Sample(name, image, depth, np.isfinite(depth))
 
 
-def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("drive", type=Path)
-    parser.add_argument("run", type=Path)
-    args = parser.parse_args(arguments)
-    for sample in Samples(args.drive, args.run):
+def main(arguments: list[str]) -> None:
+    for sample in Samples(*map(Path, arguments)):
         median = np.median(sample.depth[sample.mask])
         print(f"{sample.name}: {sample.mask.mean():.0%} with depth, median {median:.1f} m")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])
