@@ -3,9 +3,8 @@
     docdepth run DRIVE -o RUN
     python examples/train_loader.py DRIVE RUN
 
-Samples are NumPy arrays. :class:`Samples` has a length and is indexed, as PyTorch's data loader
-wants it. Several threads or worker processes may read it. Pixels without depth are NaN: compute the
-loss where the mask is true.
+:class:`Samples` has a length and is indexed, as PyTorch's data loader wants it, by several workers if
+you like. Pixels without depth are NaN: compute the loss where the mask is true.
 """
 
 from __future__ import annotations
