@@ -3,8 +3,8 @@
     docdepth run DRIVE -o RUN
     python examples/train_loader.py DRIVE RUN
 
-:class:`Samples` has a length and is indexed, as PyTorch's data loader wants it, by several workers if
-you like. Pixels without depth are NaN: compute the loss where the mask is true.
+PyTorch's data loader takes :class:`Samples`, with any number of workers. Pixels without depth are
+NaN: compute the loss where the mask is true.
 """
 
 from __future__ import annotations
