@@ -1,16 +1,16 @@
-"""Iterate over images and depth maps of a finished run, for training a depth network.
+"""Images and depth maps of a finished run, for training a depth network.
 
     docdepth run DRIVE -o RUN
     python examples/train_loader.py DRIVE RUN
 
-Yields NumPy arrays; wrap :func:`samples` in the loader of your framework. Pixels without depth are
+PyTorch's data loader takes :class:`Samples`, with any number of workers. Pixels without depth are
 NaN: compute the loss where the mask is true.
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,27 +29,31 @@ class Sample(NamedTuple):
     mask: NDArray[np.bool_]  # (h, w), where there is depth
 
 
-def samples(drive: Path, run: Path) -> Iterator[Sample]:
+class Samples(Sequence[Sample]):
     """Images of a drive that have a depth map of the first camera of a run."""
-    camera = docdepth.RunFolder.open(run).camera_in("")
-    stream = docdepth.open_dataset(drive).cameras[camera]
-    for index, name in enumerate(stream.names):
-        file = run / "depth" / f"{name}.png"
-        image = stream.rectified_image(index)
-        if file.is_file() and image is not None:
-            depth = docdepth.read_depth(file)
-            yield Sample(name, image, depth, np.isfinite(depth))
+
+    def __init__(self, drive: Path, run: Path) -> None:
+        camera = docdepth.RunFolder.open(run).camera_in("")
+        self.stream, self.depth = docdepth.open_dataset(drive).cameras[camera], run / "depth"
+        names = enumerate(self.stream.names) if self.stream.images else ()
+        self.indices = [k for k, name in names if (self.depth / f"{name}.png").is_file()]
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def __getitem__(self, item: int) -> Sample:  # type: ignore[override]  # no slices
+        index = self.indices[item]
+        name, image = self.stream.names[index], self.stream.rectified_image(index)
+        assert image is not None
+        depth = docdepth.read_depth(self.depth / f"{name}.png")
+        return Sample(name, image, depth, np.isfinite(depth))
 
 
-def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("drive", type=Path)
-    parser.add_argument("run", type=Path)
-    args = parser.parse_args(arguments)
-    for sample in samples(args.drive, args.run):
+def main(arguments: list[str]) -> None:
+    for sample in Samples(*map(Path, arguments)):
         median = np.median(sample.depth[sample.mask])
         print(f"{sample.name}: {sample.mask.mean():.0%} with depth, median {median:.1f} m")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import docdepth
+from docdepth.io.tracks import read_tracks
 
 TIMES = np.arange(4) * 10**8
 K = [[500, 0, 320], [0, 500, 180], [0, 0, 1]]
@@ -246,3 +247,25 @@ def test_a_scene_draws_the_same_in_many_threads(sweeps, labels) -> None:
         many = pool.map(lambda k: docdepth.render_depth(scene, STREAM, k % 4), range(24))
         for k, depth in enumerate(many):
             assert np.array_equal(depth, alone[k % 4], equal_nan=True)
+
+
+def test_labels_and_depth_are_those_of_a_run(drive: Path, finished: tuple[Path, str]) -> None:
+    """To the last bit with the tracks of the run, which its table rounds."""
+    run = docdepth.RunFolder.open(finished[0])
+    dataset = docdepth.open_dataset(drive)
+    odometry = docdepth.register_drive(dataset)
+    labels = docdepth.classify_drive(odometry.sweeps, odometry.trajectory)
+    for k, of_sweep in enumerate(labels):
+        frame = run.frame(k)
+        assert (of_sweep.classid[frame.index] == frame.classid).all()
+        assert (of_sweep.instance[frame.index] == frame.instance).all()
+    tracks = read_tracks(run.path / "tracks.csv")
+    assert len(labels.tracks) == len(tracks) > 0
+    scene = docdepth.Scene(odometry.sweeps, run.trajectory(), labels, tracks=tracks)
+    camera = dataset.cameras["image_2"]
+    for k in (1, 2):
+        written = docdepth.read_depth(run.path / "depth" / f"{camera.names[k]}.png")
+        made = docdepth.render_depth(scene, camera, k)
+        assert (np.isnan(made) == np.isnan(written)).all()
+        known = ~np.isnan(made)
+        assert (np.rint(made[known] * 256) == np.rint(written[known] * 256)).all()
