@@ -255,7 +255,7 @@ def test_labels_without_anything_dynamic_are_named(root, tmp_path, caplog):
 
 def test_tracks_of_other_poses_are_not_used(root, tmp_path, caplog):
     shutil.copytree(root / "own", tmp_path / "theirs")
-    poses = straight(SWEEPS, 0.5).poses
+    poses = straight(SWEEPS, 0.5).poses.copy()
     poses[:, 0, 3] += 0.1
     write_kitti(tmp_path / "moved.txt", poses)
     moved = cli("run", root / "drive", "-o", tmp_path / "run", "--poses", tmp_path / "moved.txt",
