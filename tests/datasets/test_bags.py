@@ -175,6 +175,26 @@ def test_encodings_of_images(tmp_path: Path, encoding: str, code: int, channels:
     np.testing.assert_array_equal(read, expected)
 
 
+@pytest.mark.parametrize("topic", ["/cam/image_rect", "/cam/image_raw"])
+def test_rectified_images_of_a_stereo_pair_look_another_way(tmp_path: Path, topic: str) -> None:
+    turn = rotation_exp(np.array([0.01, -0.02, 0.005]))
+    with BagWriter(tmp_path / "drive", "db3") as bag:
+        bag.write("/points", bag.cloud(padded_rows(0), int(DRIVE.times[0])), 1)
+        bag.write("/points", bag.cloud(padded_rows(1), int(DRIVE.times[1])), 2)
+        time = int(DRIVE.image_times[0])
+        info = bag.camera_info(K, np.zeros(5), SIZE, time)
+        info.r = turn.ravel()
+        bag.write("/cam/camera_info", info, 3)
+        bag.write(topic, bag.image(DRIVE.image(0), time), 4)
+        message = bag.transform("camera", "lidar", np.linalg.inv(DRIVE.T_camera_lidar))
+        bag.write("/tf_static", message, 5)
+    (camera,) = open_dataset(tmp_path / "drive").cameras.values()
+    expected = DRIVE.T_camera_lidar.copy()
+    if topic.endswith("rect"):
+        expected[:3] = turn @ expected[:3]
+    np.testing.assert_allclose(camera.T_camera_lidar, expected, atol=1e-9)
+
+
 @pytest.mark.parametrize("big_endian", [False, True])
 def test_photos_of_sixteen_bits(tmp_path: Path, big_endian: bool) -> None:
     """Of 12 bits, as machine vision cameras and thermal ones send them; depth is no photo."""

@@ -21,6 +21,7 @@ from docdepth.datasets.ros_images import (
     decode_image,
     is_photo,
     measures,
+    rectification_of,
     size_of,
 )
 from docdepth.datasets.settings import CameraSettings
@@ -122,18 +123,20 @@ class BagRig:
         known = ImageStream(name, times, names, images)
         try:
             info = self._info(topic)
+            rectified = any("rect" in part for part in topic.split("/"))
             if given.K is not None:
                 height, width = decode_image(first, where).shape[:2]
                 camera = given.camera((width, height), f"{self.file}, {topic}")
                 distortion, model = given.lens(), given.model
             elif info is not None:
-                rectified = any("rect" in part for part in topic.split("/"))
                 size = size_of(first, where)
                 camera, distortion, model = camera_of(info, rectified, size, where)
             else:
                 raise CalibrationError(f"{where}: there is no CameraInfo")
             known = ImageStream(name, times, names, images, camera, distortion, model)
             T = self._extrinsic(given, messages[0].frame or _frame_of(info), topic)
+            if rectified and info is not None and given.T_camera_lidar is None:
+                T = rectification_of(info) @ T
         except CalibrationError as error:
             if (given.K and known.camera is None) or given.T_camera_lidar:
                 raise

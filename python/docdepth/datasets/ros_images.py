@@ -12,6 +12,7 @@ from docdepth.datasets.base import LensModel
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.camera import camera_of as camera_at
+from docdepth.geometry.se3 import are_rotations
 from docdepth.io.images import decode_image as decode_content
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
@@ -155,6 +156,18 @@ def camera_of(
     if not D.any():
         return camera, np.zeros(4) if model == "fisheye" else None, model
     return camera, D, model
+
+
+def rectification_of(info: Any) -> NDArray[np.float64]:
+    """``T_rectified_camera`` (4, 4): rectified images of a stereo pair look another way.
+
+    That is R of a CameraInfo; cameras that are not rectified onto another one have none.
+    """
+    T = np.eye(4)
+    R = np.asarray(info.R if hasattr(info, "R") else info.r, np.float64).reshape(3, 3)
+    if are_rotations(R[None])[0]:
+        T[:3, :3] = R
+    return T
 
 
 def _camera(info: Any, K: NDArray[np.float64], size: tuple[int, int] | None, where: str) -> Camera:
