@@ -195,6 +195,23 @@ def test_rectified_images_of_a_stereo_pair_look_another_way(tmp_path: Path, topi
     np.testing.assert_allclose(camera.T_camera_lidar, expected, atol=1e-9)
 
 
+def test_intrinsics_of_other_images_are_refused(tmp_path: Path, caplog) -> None:
+    """As kitti2bag writes them: rectified images, with K and D of those before."""
+    with BagWriter(tmp_path / "drive", "db3") as bag:
+        bag.write("/points", bag.cloud(padded_rows(0), int(DRIVE.times[0])), 1)
+        bag.write("/points", bag.cloud(padded_rows(1), int(DRIVE.times[1])), 2)
+        time, larger = int(DRIVE.image_times[0]), K.copy()
+        larger[:2] *= 1.33
+        larger[:2, 2] = 0.56 * SIZE[0], 0.6 * SIZE[1]
+        info = bag.camera_info(larger, DISTORTION, SIZE, time)
+        info.p = np.hstack([K, np.zeros((3, 1))]).ravel()
+        bag.write("/cam/camera_info", info, 3)
+        bag.write("/cam/image_raw", bag.image(DRIVE.image(0), time), 4)
+        bag.write("/tf_static", bag.transform("lidar", "camera", DRIVE.T_camera_lidar), 5)
+    assert not open_dataset(tmp_path / "drive").cameras
+    assert "they may be rectified already; then say K as P has it" in caplog.text
+
+
 @pytest.mark.parametrize("big_endian", [False, True])
 def test_photos_of_sixteen_bits(tmp_path: Path, big_endian: bool) -> None:
     """Of 12 bits, as machine vision cameras and thermal ones send them; depth is no photo."""

@@ -45,6 +45,7 @@ _MODELS: dict[str, LensModel] = {
     "equidistant": "fisheye",
     "fisheye": "fisheye",
 }
+_OFF_CENTRE = 0.05  # of width and height; both that far off the middle, a principal point is wrong
 
 
 def is_photo(message: Any) -> bool:
@@ -153,6 +154,15 @@ def camera_of(
             f"{where}: distortion model {name!r} is unknown; there are {', '.join(_MODELS)}"
         )
     camera, model = _camera(info, K, size, where), _MODELS[name]
+    whole = np.array((info.width, info.height) if info.width and info.height else size)
+    off, off_rectified = (np.abs(matrix[:2, 2] / whole - 0.5) for matrix in (K, P))
+    if (off > _OFF_CENTRE).all() and (off_rectified < _OFF_CENTRE).all():
+        # As kitti2bag writes them: images of KITTI are rectified, K and D are those before.
+        raise CalibrationError(
+            f"{where}: K of its CameraInfo is not of these images of {whole[0]} x {whole[1]} "
+            f"pixels: its principal point is {K[0, 2]:.0f}, {K[1, 2]:.0f}. P fits them, so they "
+            "may be rectified already; then say K as P has it"
+        )
     if not D.any():
         return camera, np.zeros(4) if model == "fisheye" else None, model
     return camera, D, model
