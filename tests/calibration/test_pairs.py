@@ -54,13 +54,9 @@ def pair_up(recording, monkeypatch, corners=None, counts=None):
 
 
 def test_numbers_in_names_tell(tmp_path, monkeypatch):
-    """In order of their names pose1_full comes after pose11_full, but pose1 before pose11."""
-    images, sweeps = ["pose1", "pose11", "pose2", "pose3"], [
-        "pose11_full", "pose1_full", "pose2_full", "pose3_full"
-    ]  # fmt: skip
-    recording = write(tmp_path, images, sorted(sweeps))
-    assert pair_up(recording, monkeypatch) == [("pose1", 1), ("pose11", 0), ("pose2", 2),
-                                               ("pose3", 3)]  # fmt: skip
+    """In order of their names a2 comes before b1."""
+    recording = write(tmp_path, ["b1", "a2", "c3", "d4"], ["s1", "s2", "s3", "s4"])
+    assert pair_up(recording, monkeypatch) == [("a2", 1), ("b1", 0), ("c3", 2), ("d4", 3)]
 
 
 def test_numbers_without_a_partner(tmp_path, monkeypatch):

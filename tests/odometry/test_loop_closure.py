@@ -169,7 +169,7 @@ def test_an_interrupted_search_goes_on(ring, closed, tmp_path, monkeypatch) -> N
     kept = RegistrationLog(tmp_path / "loops.log")
     found: list[int] = []
     again = close_loops(
-        sweeps_of(ring), ring.drifted, SHARE, lambda done, total, what: found.append(total), kept
+        sweeps_of(ring), ring.drifted, SHARE, lambda step, done, total: found.append(total), kept
     )
     kept.close()
     np.testing.assert_array_equal(again, closed)
