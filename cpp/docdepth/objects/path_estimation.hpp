@@ -10,6 +10,7 @@
 
 namespace docdepth {
 
+/// T_world_object of what does not lean sideways.
 /// @param heading, slope  of the x axis [rad]
 Pose upright_pose(const Eigen::Vector3d& position, double heading, double slope);
 

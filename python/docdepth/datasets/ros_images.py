@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import LensModel
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.camera import camera_of as camera_at
+from docdepth.geometry.camera import camera_of as named_camera
 from docdepth.geometry.se3 import are_rotations
 from docdepth.io.images import decode_image as decode_content
 
@@ -188,7 +188,7 @@ def _camera(info: Any, K: NDArray[np.float64], size: tuple[int, int] | None, whe
     """
     whole = (info.width, info.height) if info.width and info.height else size
     if whole is None or size is None or size == whole:
-        return camera_at(K, whole or (0, 0), where)
+        return named_camera(K, whole or (0, 0), where)
     roi, steps = info.roi, (max(info.binning_x, 1), max(info.binning_y, 1))
     part = (roi.width or whole[0], roi.height or whole[1])
     if any(abs(s - p / step) >= 1 for s, p, step in zip(size, part, steps, strict=True)):
@@ -199,4 +199,4 @@ def _camera(info: Any, K: NDArray[np.float64], size: tuple[int, int] | None, whe
     K = K.copy()
     K[:2, 2] -= (roi.x_offset, roi.y_offset)
     K[:2] /= np.array(steps)[:, None]
-    return camera_at(K, size, where)
+    return named_camera(K, size, where)
