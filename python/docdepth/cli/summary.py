@@ -83,7 +83,8 @@ def show_summary(folder: RunFolder, as_json: bool = False) -> None:
                 f"density of {name}: {100 * camera['density']:.1f} % of the pixels have depth"
             )
         if left := camera["left_out"]:
-            lines.append(f"{len(left)} images outside the sweeps left out: {', '.join(left)}")
+            images = "image" if len(left) == 1 else "images"
+            lines.append(f"{len(left)} {images} outside the sweeps left out: {', '.join(left)}")
     lines.append(f"peak memory {summary['peak_memory_mb']} MB; results in {folder.path}")
     lines += changes_since_start(folder)
     if left := [name for name, state in summary["stages"].items() if state["state"] != "done"]:
