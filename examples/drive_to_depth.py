@@ -2,7 +2,7 @@
 
     python examples/drive_to_depth.py DRIVE --camera image_02 --image 50 -o depth.npy
 
-DRIVE is a recording in a layout that docdepth reads (KITTI raw, KITTI odometry, a run folder).
+DRIVE is a recording in a format that docdepth reads (KITTI raw, KITTI odometry, a run folder).
 """
 
 from __future__ import annotations

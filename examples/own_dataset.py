@@ -1,4 +1,4 @@
-"""Read a recording in a layout of your own: a class with the members of ``docdepth.Dataset``.
+"""Read a recording in a format of your own: a class with the members of ``docdepth.Dataset``.
 
     python examples/own_dataset.py FOLDER
 

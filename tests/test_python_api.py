@@ -224,6 +224,27 @@ def test_every_object_says_in_a_line_what_it_is(sweeps, labels, drive: Path) -> 
     )
 
 
+def test_parameters_show_what_differs_from_their_preset() -> None:
+    changed = docdepth.parameters("paper", {"render.ahead": 50, "output.format": "png,exr"})
+    assert repr(docdepth.Parameters()) == "parameters('default')"
+    assert str(docdepth.parameters("paper")) == "parameters('paper')"
+    assert repr(changed) == (
+        "parameters('paper', {'render.ahead': 50.0, 'output.format': ('png', 'exr')})"
+    )
+    assert eval(repr(changed), {"parameters": docdepth.parameters}) == changed
+
+
+def test_the_format_of_a_recording_has_one_name(drive: Path, tmp_path: Path) -> None:
+    """``dataset``, as ``--dataset``; Python itself says what is unknown."""
+    assert docdepth.open_dataset(drive, dataset="semantic_kitti").name == "semantic_kitti"
+    with pytest.raises(docdepth.DocDepthError, match="no recording of kitti_raw"):
+        docdepth.run(drive, tmp_path / "run", dataset="kitti_raw")
+    with pytest.raises(TypeError, match="unexpected keyword argument 'format'"):
+        docdepth.open_dataset(drive, format="folder")  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="unexpected keyword argument 'layout'"):
+        docdepth.run(drive, tmp_path / "run", layout="folder")  # type: ignore[call-arg]
+
+
 def test_objects_of_arrays_can_be_compared_and_are_keys(sweeps, labels) -> None:
     for value in (TRAJECTORY, CAMERA, STREAM, labels[0], docdepth.Sweep(sweeps[0], "0", 0)):
         assert value != copy.deepcopy(value)

@@ -294,6 +294,12 @@ class Parameters(_Stage):
     def _of_earlier_versions(cls, tree: Any) -> Any:
         return translate(tree, _default) if isinstance(tree, dict) else tree
 
+    def __repr__(self) -> str:
+        changes = departures(self)
+        return f"parameters({self.preset!r}{f', {changes}' if changes else ''})"
+
+    __str__ = __repr__
+
 
 STAGES: dict[str, type[BaseModel]] = {
     "odometry": OdometryParameters,
@@ -405,6 +411,18 @@ def replaced(values: Parameters, settings: dict[str, Any]) -> Parameters:
         for name, value in of_stage.items()
     }
     return parameters(values.preset, {**known, **settings})
+
+
+def departures(values: Parameters) -> dict[str, Any]:
+    """The values that differ from those of their preset, by dotted name."""
+    preset = parameters(values.preset).model_dump()
+    return {
+        f"{stage}.{name}": value
+        for stage, of_stage in values.model_dump().items()
+        if stage != "preset"
+        for name, value in of_stage.items()
+        if value != preset[stage][name]
+    }
 
 
 def stored_parameters(tree: Any, file: Path | None = None) -> Parameters:

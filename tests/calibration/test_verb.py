@@ -49,7 +49,7 @@ def test_from_files_to_a_calibration(images, tmp_path):
     text = " ".join(ended.output.split())
     assert "not used: pose2: no whole checkerboard of 4x6 inner corners" in text
     assert "pinhole, K given: fx 420.0" in text
-    assert "docdepth run DATASET --calibration" in text
+    assert "docdepth run RECORDING --calibration" in text
     found = read_camera_calibration(tmp_path / "out" / "calib.json")
     degrees, centimetres = difference(found.T_camera_lidar, T_CAMERA_LIDAR)
     assert degrees < 0.1

@@ -15,7 +15,7 @@ import yaml
 from command_line import cli
 from docdepth.cli import app
 from docdepth.cli.config_file import read_config
-from docdepth.cli.names import FORMATS, LAYERS, LAYOUTS, PRESETS, RENDERERS, SCENE_NAMES
+from docdepth.cli.names import DATASETS, FORMATS, LAYERS, PRESETS, RENDERERS, SCENE_NAMES
 from docdepth.config import Parameters, parameters
 from docdepth.io.run_folder import RunFolder
 
@@ -55,7 +55,7 @@ def test_what_a_reader_needs_first_is_listed_first(docdepth):
 @pytest.mark.parametrize(
     ("verb", "names"),
     [
-        ("run", [*LAYOUTS, *FORMATS, *LAYERS, *PRESETS, *RENDERERS]),
+        ("run", [*DATASETS, *FORMATS, *LAYERS, *PRESETS, *RENDERERS]),
         ("synth", [*SCENE_NAMES, "HDL-64", "VLP-16"]),
         ("evaluate depth", ["valid", "kitti"]),
     ],

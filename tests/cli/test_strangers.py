@@ -46,7 +46,7 @@ def test_a_recording_that_was_moved_is_asked_for_and_remembered(docdepth, copies
     moved = above.rename(above.with_name("elsewhere"))
     ended = docdepth(verb, run)
     assert ended.code == 2
-    assert f"if it was moved, say where it is now: docdepth run DATASET -o {run}" in ended.err
+    assert f"if it was moved, say where it is now: docdepth run RECORDING -o {run}" in ended.err
     assert docdepth("run", moved, "-o", run).code == 0
     ended = docdepth(verb, run)
     assert ended.code == 0, ended.err

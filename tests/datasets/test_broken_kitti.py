@@ -142,7 +142,7 @@ def test_folders_without_a_recording(raw: Path, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="not there"):
         open_dataset(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(DatasetError, match=r"that docdepth reads \(kitti_raw, .*name the format"):
+    with pytest.raises(DatasetError, match=r"that docdepth reads \(kitti_raw, .*say by --dataset"):
         open_dataset(tmp_path / "empty")
     with pytest.raises(DatasetError, match="unknown dataset 'lyft'; there are kitti_raw"):
         open_dataset(raw, "lyft")

@@ -234,4 +234,4 @@ def test_an_extrinsic_of_null_is_no_pose(tmp_path: Path) -> None:
     rows[0]["translation"][0] = None
     file.write_text(json.dumps(rows))
     with pytest.raises(DatasetError, match=r"calibrated_sensor.json, .* is no pose"):
-        open_dataset(written, format="nuscenes")
+        open_dataset(written, dataset="nuscenes")

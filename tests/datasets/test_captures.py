@@ -74,12 +74,12 @@ def test_metadata_that_is_missing_or_of_another_sensor(tmp_path: Path) -> None:
     write_ouster(tmp_path / "drive.pcap")
     (tmp_path / "drive.json").rename(tmp_path / "sensor.json")
     with pytest.raises(DatasetError, match=r"no metadata of its name.*files there: sensor.js"):
-        open_dataset(tmp_path / "drive.pcap", format="ouster")
+        open_dataset(tmp_path / "drive.pcap", dataset="ouster")
     (tmp_path / "docdepth.yaml").write_text(yaml.safe_dump({"metadata": "sensor.json"}))
-    assert len(open_dataset(tmp_path / "drive.pcap", format="ouster")) == DRIVE.count
+    assert len(open_dataset(tmp_path / "drive.pcap", dataset="ouster")) == DRIVE.count
     (tmp_path / "sensor.json").write_text("{}")
     with pytest.raises(DatasetError, match=r"drive.pcap with .*sensor.json is no capture"):
-        open_dataset(tmp_path / "drive.pcap", format="ouster")
+        open_dataset(tmp_path / "drive.pcap", dataset="ouster")
 
 
 def test_an_empty_capture(recordings: Path) -> None:

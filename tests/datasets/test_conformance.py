@@ -26,7 +26,7 @@ def test_loader(what: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> 
     written = write(tmp_path)
     dataset = open_dataset(written.path)
     check(dataset, name)
-    assert open_dataset(written.path, format=name).times.tolist() == dataset.times.tolist()
+    assert open_dataset(written.path, dataset=name).times.tolist() == dataset.times.tolist()
     assert [r for r in caplog.records if r.name.startswith("docdepth.datasets")] == []
     _check_content(dataset, written)
 

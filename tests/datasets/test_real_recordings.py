@@ -41,7 +41,7 @@ def test_velodyne_packets_are_the_decoded_cloud(recordings: Path) -> None:
     sweep = packets.sweep(3)
     assert sweep.relative_time.min() > -1e-3, "the stamp is of the first packet"
     assert 0.98 < sweep.relative_time.max() < 1
-    cloud = open_dataset(recordings / "nebula" / "vlp16", format="folder").sweep(0)
+    cloud = open_dataset(recordings / "nebula" / "vlp16", dataset="folder").sweep(0)
     for ring in (1, 4, 9, 15):
         ours = sweep.points[(sweep.ring == ring) & usable_points(sweep.points)]
         theirs = cloud.points[(cloud.ring == ring) & usable_points(cloud.points)]
@@ -138,7 +138,7 @@ def test_packets_that_are_not_decoded_are_named(recordings: Path, path: str, wha
 
 
 def test_times_that_wrap_are_ignored_with_a_warning(recordings: Path, caplog) -> None:
-    dataset = open_dataset(recordings / "nebula" / "vlp16", format="folder")
+    dataset = open_dataset(recordings / "nebula" / "vlp16", dataset="folder")
     assert dataset.times.tolist() == [1673400472138016708], "of the file's name"
     assert dataset.sweep(0).relative_time is None
     assert "they are ignored" in caplog.text

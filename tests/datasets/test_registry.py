@@ -40,7 +40,7 @@ def test_a_loader_of_another_package(tmp_path: Path, bring) -> None:
     bring("other", "test_registry:OTHER")
     assert format_names()[-1] == "other"
     assert open_dataset(written.path).name == "other", "it comes before docdepth's own"
-    assert open_dataset(written.path.parent.parent, format="other").path == written.path
+    assert open_dataset(written.path.parent.parent, dataset="other").path == written.path
 
 
 @pytest.mark.parametrize("value", ["nowhere:FORMAT", "test_registry:WRONG", "test_registry:Path"])
@@ -50,7 +50,7 @@ def test_a_loader_that_is_none(tmp_path: Path, bring, caplog, value: str) -> Non
     assert open_dataset(written.path).name == "kitti_raw"
     assert "the loader other" in caplog.text
     with pytest.raises(DatasetError, match="the loader other"):
-        open_dataset(written.path, format="other")
+        open_dataset(written.path, dataset="other")
 
 
 def test_no_package_takes_a_name_of_ours(tmp_path: Path, bring) -> None:

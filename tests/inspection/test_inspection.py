@@ -318,7 +318,7 @@ def test_real_packets_of_a_velodyne_in_a_room(recordings: Path) -> None:
 def test_two_returns_of_a_real_lidar(recordings: Path) -> None:
     """Rows that follow each other lie on one ray, half a metre to 13 m apart."""
     path = recordings / "nebula" / "hesai_xt32"
-    result = inspect_recording(open_dataset(path, format="folder"))
+    result = inspect_recording(open_dataset(path, dataset="folder"))
     assert ["records two returns" in text for text in warnings_of(result)] == [True]
 
 

@@ -9,7 +9,7 @@ import typer
 from rich.table import Table
 
 from docdepth.cli.names import one_of
-from docdepth.cli.options import Frames, Json, Layout
+from docdepth.cli.options import DatasetName, Frames, Json
 from docdepth.cli.progress import progress_bars
 from docdepth.cli.summary import show_json
 from docdepth.cli.terminal import app, out, verb
@@ -97,14 +97,14 @@ Time = Annotated[
 
 @verb(app)
 def calibrate(
-    dataset: BoardRecording,
+    recording: BoardRecording,
     corners: Corners = None,
     square: Square = None,
     board: Outline = None,
     output: ResultFolder = None,
     check: Check = False,
     time: Time = False,
-    layout: Layout = None,
+    dataset: DatasetName = None,
     camera: OneOfSeveral = None,
     frames: Frames = None,
     lens: LensName = None,
@@ -123,13 +123,13 @@ def calibrate(
     from docdepth.errors import ConfigError
 
     if check or time:
-        of_boards = (corners, square, board, layout, frames, lens, box)
+        of_boards = (corners, square, board, dataset, frames, lens, box)
         if (check and time) or any(one is not None for one in of_boards):
             raise ConfigError(
                 "--check and --time take a run, --camera, -o and --json; leave the others out"
             )
         of_run = _check_run if check else _compare_clocks
-        return of_run(dataset, camera, output, as_json)
+        return of_run(recording, camera, output, as_json)
     if corners is None or square is None or board is None or output is None:
         raise ConfigError(
             "a checkerboard needs --corners, --square, --board and -o; to check a run say --check"
@@ -141,13 +141,13 @@ def calibrate(
     from docdepth.datasets import open_dataset
 
     target, boxes = parse_board(corners, square, board), _boxes(box)
-    recording = open_dataset(dataset, layout, frames=frames)
-    stream = _stream(recording, camera)
+    drive = open_dataset(recording, dataset, frames=frames)
+    stream = _stream(drive, camera)
     _check_output(output, stream)
     known = None if lens else _lens_of(stream)
     model = lens or stream.model
     with progress_bars() as progress:
-        pairs, size = board_pairs(recording, stream, target, boxes, progress)
+        pairs, size = board_pairs(drive, stream, target, boxes, progress)
         found = calibrate_pairs(target, pairs, size, known, model, progress)
         write_result(output, stream.name, target, pairs, found, progress)
     if as_json:
@@ -179,7 +179,7 @@ def _compare_clocks(run: Path, camera: str | None, output: Path | None, as_json:
     if output is not None:
         times = found.corrected(image_times(run, camera))
         path = _write(output / "camera_times.txt", times.encode())
-        lines.append(f"with them: docdepth run DATASET --camera-times {path} -o RUN")
+        lines.append(f"with them: docdepth run RECORDING --camera-times {path} -o RUN")
     _print(lines, found.figures, as_json)
 
 
@@ -295,7 +295,7 @@ def _show(found: Calibration, estimated: bool, output: Path) -> None:
             f"{centimetres['median']:.1f} cm in the median, by at most {degrees['most']:.2f} and "
             f"{centimetres['most']:.1f}"
         )
-    lines.append(f"look at the pictures in {output}, then: docdepth run DATASET --calibration "
+    lines.append(f"look at the pictures in {output}, then: docdepth run RECORDING --calibration "
                  f"{output / 'calib.json'} -o RUN")  # fmt: skip
     for line in lines:
         out.print(line, soft_wrap=True, markup=False)

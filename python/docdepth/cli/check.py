@@ -11,12 +11,12 @@ from docdepth.cli.options import (
     CalibrationFile,
     CameraNames,
     CameraTimes,
+    DatasetName,
     Formats,
     Frames,
     GivenLabels,
     ImageSize,
     LayerNames,
-    Layout,
     PosesFile,
     PresetName,
     Scale,
@@ -30,10 +30,10 @@ from docdepth.cli.terminal import app, err, out, verb
 
 @verb(app)
 def check(
-    dataset: Annotated[
+    recording: Annotated[
         Path,
         typer.Argument(
-            metavar="DATASET", help="A recording (its folder, or a bag), or the folder of a run."
+            metavar="RECORDING", help="A recording (its folder, or a bag), or the folder of a run."
         ),
     ],
     output: Annotated[
@@ -42,7 +42,7 @@ def check(
             "-o", "--output", metavar="RUN", help="Run folder: is there room, may you write there?"
         ),
     ] = None,
-    layout: Layout = None,
+    dataset: DatasetName = None,
     camera: CameraNames = None,
     frames: Frames = None,
     poses: PosesFile = None,
@@ -66,8 +66,8 @@ def check(
 
     changes = changes_of(settings) | output_of(format, scale, layers)
     source = {
-        "dataset": str(dataset),
-        "name": layout,
+        "dataset": str(recording),
+        "name": dataset,
         "camera": listed(camera),
         "poses": poses_entry(poses),
         "camera_times": None if camera_times is None else str(camera_times),

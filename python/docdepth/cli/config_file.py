@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import yaml
 
 from docdepth._parameter_text import read_yaml
-from docdepth.config import Parameters, Preset, parameters
+from docdepth.config import Parameters, Preset, departures, parameters
 from docdepth.errors import ConfigError
 
 _INPUTS = ("dataset", "name", "camera", "poses", "camera_times", "image_size", "frames",
@@ -38,8 +38,8 @@ class Given:
 
     def inputs(
         self,
-        dataset: Path | None,
-        layout: str | None,
+        recording: Path | None,
+        dataset: str | None,
         camera: str | list[str] | None,
         poses: str | None,
         camera_times: Path | None,
@@ -55,12 +55,14 @@ class Given:
         ConfigError
             Neither names a recording.
         """
-        recording = dataset or self.source.get("dataset")
-        if recording is None:
-            raise ConfigError("no recording: docdepth run DATASET -o RUN, or --config RUN/run.yaml")
+        place = recording or self.source.get("dataset")
+        if place is None:
+            raise ConfigError(
+                "no recording: docdepth run RECORDING -o RUN, or --config RUN/run.yaml"
+            )
         return {
-            "dataset": recording,
-            "layout": layout or (None if dataset else self.source.get("name")),
+            "recording": place,
+            "dataset": dataset or (None if recording else self.source.get("name")),
             "camera": camera or self.source.get("camera"),
             "poses": poses or self.source.get("poses"),
             "camera_times": camera_times or self.source.get("camera_times"),
@@ -100,8 +102,8 @@ def read_config(path: Path) -> Given:
     preset = values.get("preset", "default")
     try:
         settings = _by_name(values)
-        departures = _departures(preset, settings)
-        return Given(source, preset, departures if is_run else settings)
+        differ = departures(parameters(preset, settings))  # all are checked
+        return Given(source, preset, differ if is_run else settings)
     except ConfigError as error:
         raise ConfigError(f"--config {path}: {error}") from None
 
@@ -125,15 +127,3 @@ def _by_name(values: dict[Any, Any]) -> dict[str, Any]:
             raise ConfigError(f"{name} is {value!r}; write {name}: {{NAME: VALUE}}")
         found |= {f"{name}.{k}": v for k, v in value.items()} if name in _STAGES else {name: value}
     return {str(name): value for name, value in found.items()}
-
-
-def _departures(preset: Preset, settings: dict[str, Any]) -> dict[str, Any]:
-    """The settings that differ from a preset's values; all are checked."""
-    wanted = parameters(preset, settings).model_dump()
-    plain = parameters(preset).model_dump()
-    return {
-        f"{stage}.{name}": value
-        for stage in _STAGES
-        for name, value in cast("dict[str, Any]", wanted[stage]).items()
-        if value != plain[stage][name]
-    }

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from docdepth.cli.names import one_of
-from docdepth.cli.options import Layout
+from docdepth.cli.options import DatasetName
 from docdepth.cli.progress import progress_bars
 from docdepth.cli.terminal import app, out, verb, volume
 from docdepth.io.labels import LABEL_FORMATS
@@ -40,7 +40,7 @@ def convert(
             **one_of((*POSE_FORMATS, *LABEL_FORMATS, *DEPTH_FORMATS)),
         ),
     ],
-    layout: Layout = None,
+    dataset: DatasetName = None,
     camera: Annotated[
         str | None,
         typer.Option(
@@ -59,7 +59,7 @@ def convert(
     from docdepth.pipeline.convert import convert as write
 
     with progress_bars() as progress:
-        count = write(source, output, to, layout, camera, progress)
+        count = write(source, output, to, dataset, camera, progress)
     if not volume.quiet:
         what = "poses" if to in POSE_FORMATS else "depth maps" if to in DEPTH_FORMATS else "sweeps"
         out.print(f"{count} {what} in {output}", soft_wrap=True, markup=False)

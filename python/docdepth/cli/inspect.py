@@ -9,9 +9,9 @@ import typer
 
 from docdepth.cli.options import (
     CalibrationFile,
+    DatasetName,
     Frames,
     Json,
-    Layout,
     PosesFile,
 )
 from docdepth.cli.summary import show_json
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 @verb(app)
 def inspect(
-    dataset: Annotated[
-        Path, typer.Argument(metavar="DATASET", help="A recording: its folder, or a bag.")
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="A recording: its folder, or a bag.")
     ],
     output: Annotated[
         Path,
         typer.Option("-o", "--output", metavar="PAGE", help="Page to write, with pictures."),
     ] = Path("inspect.html"),
-    layout: Layout = None,
+    dataset: DatasetName = None,
     frames: Frames = None,
     poses: PosesFile = None,
     calibration: CalibrationFile = None,
@@ -53,17 +53,17 @@ def inspect(
 
     check_page(output)
     source: dict[str, Any] = {
-        "dataset": str(dataset),
-        "name": layout,
+        "dataset": str(recording),
+        "name": dataset,
         "poses": poses_entry(poses),
         "calibration": None if calibration is None else str(calibration),
         "frames": frames,
     }
     with recorded_warnings() as logged:  # these are printed when they are found
-        recording = open_recording(source)
-        given = known_poses(source, recording)
-        result = inspect_recording(recording, given, opening=list(logged))
-        pictures = list(pictures_of(recording, result))
+        drive = open_recording(source)
+        given = known_poses(source, drive)
+        result = inspect_recording(drive, given, opening=list(logged))
+        pictures = list(pictures_of(drive, result))
     findings: list[tuple[str, str]] = [(p.severity, p.text) for p in result.problems]
     findings += [("note", text) for text in result.notes]
     write_inspection(output, result.figures, findings, pictures)

@@ -14,7 +14,7 @@ from docdepth.datasets import format_names
 from docdepth.evaluation.depth import Mode
 from docdepth.synthetic import SCENES, sensors
 
-LAYOUTS = format_names()
+DATASETS = format_names()
 RENDERERS = ("auto", "cpu", "egl", "egl:N", "surfaceless", "osmesa")
 PRESETS: tuple[str, ...] = get_args(Preset)
 FORMATS: tuple[str, ...] = get_args(DepthFormat)

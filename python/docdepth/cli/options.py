@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from docdepth.cli.names import (
+    DATASETS,
     FORMATS,
     LAYERS,
-    LAYOUTS,
     ON_ERROR,
     PRESETS,
     RENDERERS,
@@ -30,12 +30,12 @@ Output = Annotated[
         "-o", "--output", metavar="RUN", help="Run folder: created, or continued if it is there."
     ),
 ]
-Layout = Annotated[
+DatasetName = Annotated[
     str | None,
     typer.Option(
         "--dataset",
-        help=f"Layout of the recording: {', '.join(LAYOUTS)}; guessed if absent.",
-        **one_of(LAYOUTS),
+        help=f"Format of the recording: {', '.join(DATASETS)}; guessed if absent.",
+        **one_of(DATASETS),
     ),
 ]
 PresetName = Annotated[

@@ -14,6 +14,7 @@ from docdepth.cli.options import (
     CameraTimes,
     ChosenPreset,
     ConfigFile,
+    DatasetName,
     DryRun,
     Force,
     Formats,
@@ -24,7 +25,6 @@ from docdepth.cli.options import (
     Jobs,
     Json,
     LayerNames,
-    Layout,
     Memory,
     OnError,
     Output,
@@ -57,10 +57,10 @@ if TYPE_CHECKING:
 
 @verb(app)
 def run(
-    dataset: Annotated[
+    recording: Annotated[
         Path | None,
         typer.Argument(
-            metavar="DATASET",
+            metavar="RECORDING",
             help="A recording (its folder, or a bag), or the folder of a run; that of --config if "
             "absent. A run alone, without -o, is brought up to date.",
             show_default=False,
@@ -69,7 +69,7 @@ def run(
     output: Output = None,
     every: AllBelow = None,
     config: ConfigFile = None,
-    layout: Layout = None,
+    dataset: DatasetName = None,
     camera: CameraNames = None,
     frames: Frames = None,
     poses: PosesFile = None,
@@ -110,20 +110,20 @@ def run(
     how: dict[str, Any] = {"dry_run": dry_run, "threads": threads, "renderer": choose(renderer)}
     how |= {"jobs": jobs, "scheduler": scheduler}
     if output is None:
-        chosen = (every, config, layout, camera, frames, poses, camera_times, calibration, labels,
+        chosen = (every, config, dataset, camera, frames, poses, camera_times, calibration, labels,
                   image_size, preset, settings, format, scale, layers, memory,
                   on_error, hash_inputs or None, force or None)  # fmt: skip
-        return _show(_continue(dataset, chosen, how), dry_run, as_json)
+        return _show(_continue(recording, chosen, how), dry_run, as_json)
     given = read_config(config) if config else Given()
     inputs = given.inputs(
-        dataset or every, layout, listed(camera), poses, camera_times, image_size, frames,
+        recording or every, dataset, listed(camera), poses, camera_times, image_size, frames,
         calibration, labels,
     )  # fmt: skip
     changes = given.settings | changes_of(settings) | output_of(format, scale, layers)
     how["parameters"] = parameters(preset or given.preset, changes)  # type: ignore[arg-type]
     how |= {"memory": memory, "on_error": on_error, "hash_inputs": hash_inputs, "force": force}
     if every is not None:
-        return _run_all(dataset, output, inputs | how, as_json)
+        return _run_all(recording, output, inputs | how, as_json)
     return _show(_run_one(output, inputs | how), dry_run, as_json)
 
 
@@ -136,19 +136,19 @@ def _run_one(output: Path, options: dict[str, Any]) -> RunFolder:
     from docdepth.pipeline.run import run
 
     with progress_bars() as progress:
-        return run(options.pop("dataset"), output, **options, progress=progress)
+        return run(options.pop("recording"), output, **options, progress=progress)
 
 
-def _run_all(dataset: Path | None, output: Path, options: dict[str, Any], as_json: bool) -> None:
+def _run_all(recording: Path | None, output: Path, options: dict[str, Any], as_json: bool) -> None:
     """Run every recording of a data set, and list what failed."""
     from docdepth.cli.failures import BUG, MISTAKE, explain
     from docdepth.errors import ConfigError
     from docdepth.pipeline.run_all import run_all
 
-    if dataset is not None:
-        raise ConfigError("--all names the recordings: leave out DATASET")
+    if recording is not None:
+        raise ConfigError("--all names the recordings: leave out RECORDING")
     with progress_bars() as progress:
-        ended = run_all(options.pop("dataset"), output, **options, progress=progress)
+        ended = run_all(options.pop("recording"), output, **options, progress=progress)
     failed = {one.recording: one.error for one in ended if one.error is not None}
     told = {place: explain(error) for place, error in failed.items()}
     said = {place: str(known.sentence if known else failed[place]) for place, known in told.items()}
@@ -169,10 +169,10 @@ def _continue(run: Path | None, chosen: tuple[object, ...], how: dict[str, Any])
     from docdepth.pipeline.run import continue_run
 
     if run is None or not (run / "run.yaml").is_file():
-        raise ConfigError("no run folder: docdepth run DATASET -o RUN, or docdepth run RUN")
+        raise ConfigError("no run folder: docdepth run RECORDING -o RUN, or docdepth run RUN")
     if any(option is not None for option in chosen):
         raise ConfigError(
-            "a run alone goes on with what run.yaml holds: give no other option, or DATASET and "
+            "a run alone goes on with what run.yaml holds: give no other option, or RECORDING and "
             "-o RUN"
         )
     with progress_bars() as progress:

@@ -251,11 +251,11 @@ def _settings(file: Path) -> dict[str, Any]:
         raise DatasetError(f"{file} is not YAML: {error}") from None
     given = given if isinstance(given, dict) else {"motion_compensated": None}
     if "sweep_duration" in given:
-        raise DatasetError(f"{file}: sweeps of this layout are not joined; remove sweep_duration")
+        raise DatasetError(f"{file}: sweeps of this format are not joined; remove sweep_duration")
     unknown = sorted(str(entry) for entry in given.keys() - known.keys() - _SYNTHETIC)
     if unknown:
         raise DatasetError(
-            f"{file}: {', '.join(unknown)} is unknown in this layout; there are {', '.join(known)}"
+            f"{file}: {', '.join(unknown)} is unknown in this format; there are {', '.join(known)}"
         )
     known |= given
     if not isinstance(known["motion_compensated"], bool):
@@ -279,7 +279,7 @@ def _settings(file: Path) -> dict[str, Any]:
 
 
 def _recognises(path: Path) -> bool:
-    """A folder ``velodyne``, unless docdepth.yaml describes a recording of another layout."""
+    """A folder ``velodyne``, unless docdepth.yaml describes a recording of another format."""
     if not (path / "velodyne").is_dir():
         return False
     try:

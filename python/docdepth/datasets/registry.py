@@ -74,7 +74,7 @@ def format_names() -> tuple[str, ...]:
 
 def open_dataset(
     path: Path | str,
-    format: str | None = None,
+    dataset: str | None = None,
     image_size: tuple[int, int] | None = None,
     frames: str | None = None,
 ) -> Dataset:
@@ -84,8 +84,9 @@ def open_dataset(
     ----------
     path : Path
         The folder or file of one recording, or a folder that holds a single one.
-    format : str, optional
-        Name of its format; found by its files if left out.
+    dataset : str, optional
+        Name of its format, as ``--dataset``: ``kitti_raw``, ``bag``, ``folder``; found by its files
+        if left out.
     image_size : (int, int), optional
         Width and height of the images in pixels, if no file tells them.
     frames : str, optional
@@ -100,7 +101,7 @@ def open_dataset(
         The calibration is missing or contradicts the images.
     """
     path = Path(path)
-    wanted = None if format is None else _named(format.replace("-", "_"))
+    wanted = None if dataset is None else _named(dataset.replace("-", "_"))
     try:
         place, found = _find_recording(path, wanted)
         recording = found.open(place, image_size)
@@ -112,21 +113,21 @@ def open_dataset(
     return FrameRange(recording, frames) if frames else recording
 
 
-def find_recordings(root: Path, format: str | None = None) -> list[Path]:
+def find_recordings(root: Path, dataset: str | None = None) -> list[Path]:
     """Every recording below a folder, or the one that it is.
 
     Parameters
     ----------
     root : Path
-    format : str, optional
-        Of this format alone.
+    dataset : str, optional
+        Of this format alone, by name.
 
     Raises
     ------
     DatasetError
         There is no such folder or format.
     """
-    formats = _all() if format is None else [_named(format.replace("-", "_"))]
+    formats = _all() if dataset is None else [_named(dataset.replace("-", "_"))]
     if not root.is_dir():
         raise DatasetError(f"{root} is no folder; name one with recordings below it")
     if any(known.recognises(root) for known in formats):
@@ -210,8 +211,8 @@ def _find_recording(path: Path, wanted: Format | None) -> tuple[Path, Format]:
         )
     names = ", ".join(known.name for known in formats)
     raise DatasetError(
-        f"{path} is no recording that docdepth reads ({names}); name the format that it should be, "
-        "to be told what is missing"
+        f"{path} is no recording that docdepth reads ({names}); say by --dataset "
+        "which it should be, to be told what is missing"
     )
 
 

@@ -160,11 +160,11 @@ class RunFolder(RecordedFolder):
             if run._manifest_path.exists() or run._records_file(run.path).is_file():
                 raise RunError(
                     f"{run._manifest_path} is missing or damaged; give the first command again: "
-                    f"docdepth run DATASET -o {path}"
+                    f"docdepth run RECORDING -o {path}"
                 )
             if not run.trajectory_path.is_file():
                 raise RunError(
-                    f"{path} holds no run; start one with: docdepth run DATASET -o {path}"
+                    f"{path} holds no run; start one with: docdepth run RECORDING -o {path}"
                 )
             defaults = Parameters().model_dump(mode="json")
             run.manifest = {"source": {}, "parameters": defaults, "cameras": {}, "stages": {}}
@@ -366,7 +366,7 @@ class RunFolder(RecordedFolder):
         if not folders and self.manifest.get("source"):
             raise RunError(
                 f"{self.path} has no depth maps, since its run has no camera; name one: "
-                f"docdepth run DATASET -o {self.path} --camera NAME"
+                f"docdepth run RECORDING -o {self.path} --camera NAME"
             )
         if not folders:  # of the official release, or of arrays
             apart = (p.name for p in (self.path / "depth").glob("*") if p.is_dir())

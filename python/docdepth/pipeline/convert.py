@@ -32,7 +32,7 @@ def convert(
     source: Path,
     output: Path,
     to: str,
-    layout: str | None = None,
+    dataset: str | None = None,
     camera: str | None = None,
     progress: Progress | None = None,
 ) -> int:
@@ -47,7 +47,7 @@ def convert(
         which the drive must not be.
     to : str
         One of :data:`POSE_FORMATS`, :data:`LABEL_FORMATS` or :data:`DEPTH_FORMATS`.
-    layout : str, optional
+    dataset : str, optional
         Format of the recording; guessed if absent.
     camera : str, optional
         Poses of this camera, as KITTI has them, in place of those of the LiDAR.
@@ -75,13 +75,13 @@ def convert(
     ):
         raise ConfigError(f"{output} is there; name another, or remove it")
     if to in POSE_FORMATS:
-        times, poses = _poses(source, layout, camera)
+        times, poses = _poses(source, dataset, camera)
         return _write_poses(source, output, to, times, poses)
     if camera is not None:
         raise ConfigError(f"--camera is for poses; {to} are labels of the LiDAR's points")
     if _is_pose_file(source):
         raise ConfigError(f"{source} is a file; labels are those of a run or a recording")
-    sweeps, trajectory, count = _sweeps(source, layout, to)
+    sweeps, trajectory, count = _sweeps(source, dataset, to)
     for k, sweep in enumerate(sweeps):
         _write_labels(output, to, sweep, trajectory, k)
         if progress:
@@ -94,7 +94,7 @@ def _is_pose_file(source: Path) -> bool:
 
 
 def _poses(
-    source: Path, layout: str | None, camera: str | None
+    source: Path, dataset: str | None, camera: str | None
 ) -> tuple[NDArray[np.int64] | None, NDArray[np.float64]]:
     """Times, where they are known, and poses of the LiDAR or a camera."""
     if _is_pose_file(source):
@@ -103,7 +103,7 @@ def _poses(
                 f"{source} does not tell where {camera} sits; convert the run or the recording"
             )
         return read_timed_poses(source)
-    recording = open_dataset(source, layout)
+    recording = open_dataset(source, dataset)
     if recording.poses is None:
         raise DatasetError(
             f"{source} has no poses of its own; estimate them by docdepth run {source} -o RUN, and "
@@ -164,10 +164,10 @@ def _write_poses(
 
 
 def _sweeps(
-    source: Path, layout: str | None, to: str
+    source: Path, dataset: str | None, to: str
 ) -> tuple[Iterator[FrameRecord], NDArray[np.float64] | None, int]:
     """Sweeps with classes, the poses of the LiDAR, and their number."""
-    recording = open_dataset(source, layout)
+    recording = open_dataset(source, dataset)
     if to == "pcd" and recording.poses is None:
         raise DatasetError(
             f"{source} has no poses of its own, which PCD files keep as VIEWPOINT; convert a run"

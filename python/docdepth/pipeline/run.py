@@ -54,11 +54,11 @@ _MOST_REPAIRS = 100
 
 
 def run(
-    dataset: Path | str,
+    recording: Path | str,
     output: Path | str,
     parameters: Parameters | None = None,
     *,
-    layout: str | None = None,
+    dataset: str | None = None,
     camera: str | Sequence[str] | None = None,
     poses: Path | str | None = None,
     camera_times: Path | str | None = None,
@@ -84,14 +84,15 @@ def run(
 
     Parameters
     ----------
-    dataset : Path
-        Folder of the recording.
+    recording : Path
+        A recording: its folder, or its file.
     output : Path
         Run folder; it is created, or continued if it holds the same run.
     parameters : Parameters, optional
         Of all stages, from :func:`docdepth.parameters`.
-    layout : str, optional
-        Layout of the recording; guessed if absent.
+    dataset : str, optional
+        Format of the recording, as ``--dataset``: ``kitti_raw``, ``bag``, ``folder``; guessed if
+        absent.
     camera : str or sequence of str, optional
         Cameras to render, ``all``, or ``none`` for poses and labels alone; the left colour camera
         if absent. Cameras that the run has already stay.
@@ -146,8 +147,8 @@ def run(
         An input is missing or damaged, or the folder holds another run.
     """
     inputs: dict[str, Any] = {
-        "dataset": _absolute(dataset),
-        "name": layout,
+        "dataset": _absolute(recording),
+        "name": dataset,
         "camera": camera if camera is None or isinstance(camera, str) else list(camera),
         "poses": poses_entry(poses),
         "camera_times": _absolute(camera_times),
@@ -163,19 +164,19 @@ def run(
     if on_error == "skip" or (on_error is None and SKIPPED in (begun or {})):
         inputs[SKIPPED] = {}
     with _all_problems(inputs, values, place):
-        recording, streams = open_upright(inputs, begun)
+        opened, streams = open_upright(inputs, begun)
         if memory is not None:
-            values = within_memory(memory, recording, streams, values, jobs)
+            values = within_memory(memory, opened, streams, values, jobs)
     folder = RunFolder(place)  # another command may have begun the run meanwhile
-    inputs["dataset"] = _absolute(recording.path)  # a folder that holds one recording may be given
+    inputs["dataset"] = _absolute(opened.path)  # a folder that holds one recording may be given
     if hash_inputs or folder.manifest.get("source", {}).get("hash_inputs"):
         inputs["hash_inputs"] = True  # for good: a run compares as it began
-    _follow_recording(folder, recording)
+    _follow_recording(folder, opened)
     folder.start(inputs, values, force)
     register(folder, streams)
     if labels is not None:
         open_labels(folder)
-    _make(folder, recording, Workers(threads, jobs, scheduler), dry_run, renderer, progress)
+    _make(folder, opened, Workers(threads, jobs, scheduler), dry_run, renderer, progress)
     return folder
 
 
@@ -315,7 +316,7 @@ def _check_place(folder: RunFolder) -> None:
     if place and not Path(place).exists():
         raise RunError(
             f"{place}, the recording of {folder.path}, is not there; if it was moved, say where "
-            f"it is now: docdepth run DATASET -o {folder.path}"
+            f"it is now: docdepth run RECORDING -o {folder.path}"
         )
 
 

@@ -99,7 +99,7 @@ def _longest_first(root: Path, output: Path, options: dict[str, Any]) -> list[Pa
     made = output.resolve()
     found = [
         place
-        for place in find_recordings(root, options.get("layout"))
+        for place in find_recordings(root, options.get("dataset"))
         if made not in (place.resolve(), *place.resolve().parents)
     ]
     if not found:
@@ -114,7 +114,7 @@ def _length(place: Path, options: dict[str, Any]) -> int:
     """Sweeps of a recording; 0 if it does not open, which its run explains."""
     size = parse_size(options.get("image_size"))
     try:
-        return len(open_dataset(place, options.get("layout"), size, options.get("frames")))
+        return len(open_dataset(place, options.get("dataset"), size, options.get("frames")))
     except DocDepthError:
         return 0
 
