@@ -15,15 +15,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from docdepth.config import parameters
+from docdepth.config import GroundParameters, Parameters, parameters
 from docdepth.datasets import open_dataset
 from docdepth.dynamics.key_frames import KeyFrames
 from docdepth.errors import ConfigError
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.ground.growing import Chunk, chunks
 from docdepth.io.file_records import FileRecords
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline import classify
 from docdepth.pipeline.memory import bytes_of, memory_of_run, within_memory
 from docdepth.pipeline.run import run
+from docdepth.pipeline.run_state import states
 from docdepth.pipeline.stage import Stopwatch
 
 
@@ -96,6 +99,36 @@ def test_a_run_that_would_need_more_does_not_begin(drive: Path, tmp_path: Path) 
     with pytest.raises(ConfigError, match="--memory 100M: the run needs 0"):
         run(drive, tmp_path / "run", memory="100M")
     assert not (tmp_path / "run").exists()
+
+
+def test_a_budget_makes_no_other_run(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Chunks of ground change no label: with and without ``--memory`` it is the same run."""
+    grown: list[float] = []
+
+    def spy(trajectory: Trajectory, ground: GroundParameters) -> list[Chunk]:
+        grown.append(ground.chunk_length)
+        return chunks(trajectory, ground)
+
+    def short(*arguments: Any) -> Parameters:
+        return parameters("default", {"ground.chunk_length": 50})
+
+    monkeypatch.setattr(classify, "chunks", spy)
+    monkeypatch.setattr("docdepth.pipeline.run.within_memory", short)
+    folder = run(drive, tmp_path / "run", memory="1G")
+    assert set(grown) == {50}
+    assert folder.parameters == parameters()
+    before = sorted((file, file.stat().st_mtime_ns) for file in folder.path.rglob("*.ply"))
+    for again in (run(drive, folder.path), run(drive, folder.path, memory="2G")):
+        assert {state.state for state in states(again)} == {"done"}
+    assert before == sorted((file, file.stat().st_mtime_ns) for file in folder.path.rglob("*.ply"))
+    other = run(drive, tmp_path / "other")  # began without a budget
+    grown.clear()
+    assert {state.state for state in states(run(drive, other.path, memory="1G"))} == {"done"}
+    assert not grown
+    for file in (folder.path / "labels").iterdir():
+        assert file.read_bytes() == (other.path / "labels" / file.name).read_bytes()
 
 
 def test_what_the_caller_held_does_not_count() -> None:

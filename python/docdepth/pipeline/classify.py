@@ -38,6 +38,7 @@ from docdepth.pipeline.given_labels import take_labels
 from docdepth.pipeline.graph import classify_parts, label_files
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.kept_tracks import keep_tracking, kept_tracking
+from docdepth.pipeline.memory import parameters_within_budget
 from docdepth.pipeline.sanity import count_classes, warn_of_classes
 from docdepth.pipeline.stage import Progress, Stopwatch, progress_callback, stage
 from docdepth.pipeline.workers import Worker, Workers
@@ -82,7 +83,8 @@ def run_classify(
     with run.lock("classify"):
         trajectory = run.trajectory()
         parts = classify_parts(run, run.stage("odometry").get("key"), InputFiles(run))
-        made_of = parts["version"], parts["odometry"], p.ground.model_dump()
+        of_ground = parameters_within_budget(run).ground.model_dump()
+        made_of = parts["version"], parts["odometry"], of_ground
         key = {"classify": stage_key(parts)}
         store = _FrameStore(run, key, trajectory)
         if all(store.is_done(i) for i in range(len(trajectory))) and store.has_tracks():
@@ -112,7 +114,7 @@ class _GroundLabels:
     """Ground labels of all frames, in a file for each chunk of the drive."""
 
     def __init__(self, run: RunFolder, trajectory: Trajectory) -> None:
-        found = chunks(trajectory, run.parameters.ground)
+        found = chunks(trajectory, parameters_within_budget(run).ground)
         self._first = [chunk.frames[0] for chunk in found]
         self._files = [_ground_file(run, chunk) for chunk in found]
         self._offsets: dict[Path, Offsets] = {}
@@ -140,7 +142,7 @@ def _grow_ground(
 ) -> None:
     """Ground labels of every frame; those of each chunk are kept in a file."""
     tell, total = progress_callback(progress, "ground"), len(trajectory)
-    found = chunks(trajectory, run.parameters.ground)
+    found = chunks(trajectory, parameters_within_budget(run).ground)
     left = [chunk for chunk in found if run.key(_ground_file(run, chunk)) != key]
     kept = total - sum(map(_frames, left))
 
@@ -163,7 +165,7 @@ def _label_ground(key: dict[str, str], worker: Worker, chunk: Chunk) -> None:
     def done(share: float) -> None:
         worker.told(int(share * _frames(chunk)))
 
-    trajectory, p = run.trajectory(), run.parameters.ground
+    trajectory, p = run.trajectory(), parameters_within_budget(run).ground
     labels = label_chunk(chunk, read, trajectory, p, worker.threads, done, watch)
     write_arrays(run, _ground_file(run, chunk), key, map(np.packbits, labels))
 

@@ -18,6 +18,7 @@ from docdepth.datasets.base import CameraStream, Dataset
 from docdepth.errors import ConfigError
 from docdepth.geometry.points import usable_points
 from docdepth.ground.growing import CHUNK_OVERLAP
+from docdepth.io.run_folder import RunFolder
 
 BASE = 100e6
 """Of the program [bytes]."""
@@ -46,6 +47,9 @@ PER_PIXEL = 45
 
 _LEAST_CHUNK = 50.0
 """Shorter chunks of ground save little, since each overlaps its neighbours by 100 m [m]."""
+
+_CHUNK = "chunk_length"
+"""Entry of run.yaml: length of chunks of ground that keep to a budget [m]."""
 
 _SAMPLES = 5
 """Sweeps that are read to know how many points there are."""
@@ -125,6 +129,23 @@ def within_memory(
             f"of ground of {length:g} m; give more memory" + ", or fewer --jobs" * (jobs > 1)
         )
     return parameters
+
+
+def keep_budget(run: RunFolder, within: Parameters) -> None:
+    """Note the chunks of ground of :func:`within_memory`. They are no parameter of the run: with
+    another budget it is still the same run."""
+    length = within.ground.chunk_length
+    run.manifest.pop(_CHUNK, None)
+    if length < run.parameters.ground.chunk_length:
+        run.manifest[_CHUNK] = length
+
+
+def parameters_within_budget(run: RunFolder) -> Parameters:
+    """The parameters of a run, with the chunks of ground that its budget of memory allows."""
+    values = run.parameters
+    if run.manifest.get(_CHUNK, math.inf) < values.ground.chunk_length:
+        return replaced(values, {"ground.chunk_length": run.manifest[_CHUNK]})
+    return values
 
 
 def bytes_of(size: str) -> int:

@@ -27,7 +27,7 @@ from docdepth.pipeline.given_labels import open_labels, take_labels
 from docdepth.pipeline.given_poses import poses_entry
 from docdepth.pipeline.graph import outdated
 from docdepth.pipeline.input_files import InputFiles
-from docdepth.pipeline.memory import within_memory
+from docdepth.pipeline.memory import keep_budget, parameters_within_budget, within_memory
 from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.problems import raise_problems
 from docdepth.pipeline.render import run_render
@@ -131,7 +131,7 @@ def run(
         line ``if __name__ == "__main__":``.
     memory : str, optional
         ``4G``: the most that all processes together may take, by
-        :func:`docdepth.pipeline.memory.within_memory`.
+        :func:`docdepth.pipeline.memory.within_memory`. As before if absent. The result is the same.
     renderer : Renderer, optional
         Draws the depth maps; the CPU if absent. All draw the same.
     progress : callable, optional
@@ -166,13 +166,15 @@ def run(
     with _all_problems(inputs, values, place):
         opened, streams = open_upright(inputs, begun)
         if memory is not None:
-            values = within_memory(memory, opened, streams, values, jobs)
+            within = within_memory(memory, opened, streams, values, jobs)
     folder = RunFolder(place)  # another command may have begun the run meanwhile
     inputs["dataset"] = _absolute(opened.path)  # a folder that holds one recording may be given
     if hash_inputs or folder.manifest.get("source", {}).get("hash_inputs"):
         inputs["hash_inputs"] = True  # for good: a run compares as it began
     _follow_recording(folder, opened)
     folder.start(inputs, values, force)
+    if memory is not None:
+        keep_budget(folder, within)
     register(folder, streams)
     if labels is not None:
         open_labels(folder)
@@ -333,7 +335,8 @@ def _check(folder: RunFolder, recording: Dataset, jobs: int) -> None:
     """Check all inputs of a run that has something to do; what is found is kept in run.yaml."""
     source, cameras = folder.manifest["source"], run_cameras(folder, recording)
     streams = [camera.stream for camera in cameras]
-    report = check_opened(source, recording, streams, folder.parameters, folder.path, jobs)
+    values = parameters_within_budget(folder)
+    report = check_opened(source, recording, streams, values, folder.path, jobs)
     raise_problems(report.problems)
     folder.manifest["warnings"] = [problem.text for problem in report.problems]
     folder.manifest["estimate"] = report.summary
