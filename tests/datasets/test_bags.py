@@ -322,7 +322,7 @@ def test_a_sweep_without_points_and_a_video_tell_what_to_do(tmp_path: Path) -> N
             bag.write("/cam/camera_info", bag.camera_info(K, np.zeros(5), SIZE, time), time)
         bag.write("/tf_static", bag.transform("lidar", "camera", DRIVE.T_camera_lidar), 5)
     dataset = open_dataset(tmp_path / "drive")
-    with pytest.raises(DatasetError, match=r"\(frame 1\) holds no points; .* --on-error skip"):
+    with pytest.raises(DatasetError, match=r"\(frame 1\) holds no points"):
         dataset.sweep(1)
     with pytest.raises(DatasetError, match=r"h264.*; record JPEG, PNG or raw images"):
         dataset.cameras["cam"].rectified_image(0)

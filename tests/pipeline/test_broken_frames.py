@@ -133,6 +133,33 @@ def test_a_frame_that_breaks_meanwhile_is_left_out(drive: Path, tmp_path: Path) 
     assert make(drive, tmp_path / "run", "--on-error", "stop").exit_code == 2
 
 
+def test_what_stops_a_run_names_the_option_that_leaves_it_out(drive: Path, tmp_path: Path) -> None:
+    image, sweep = drive / "image_2" / "000002.png", drive / "velodyne" / "000004.bin"
+    content = bytearray(image.read_bytes())
+    content[len(content) // 2] ^= 255  # begin and end are whole, so nothing says so before
+
+    def broken_image(stage: str, done: int, total: int) -> None:
+        if stage == "render":
+            image.write_bytes(content)
+
+    def broken_sweep(stage: str, done: int, total: int) -> None:
+        if stage == "register":
+            sweep.write_bytes(b"")
+
+    for broken, file in ((broken_sweep, sweep), (broken_image, image)):
+        whole, out = file.read_bytes(), tmp_path / file.stem
+        with pytest.raises(
+            DatasetError, match=rf"{file.name}.*; or leave it out by --on-error skip"
+        ):
+            run(drive, out, camera="image_2", progress=broken, threads=1)
+        with pytest.raises(
+            DatasetError, match=rf"{file.name}.*; or leave it out by --on-error skip"
+        ):
+            run(drive, out, camera="image_2")
+        run(drive, out, camera="image_2", on_error="skip")
+        file.write_bytes(whole)
+
+
 def test_a_recording_that_is_broken_is_refused(drive: Path, tmp_path: Path) -> None:
     for k in range(0, COUNT, 2):
         (drive / "velodyne" / f"{k:06d}.bin").write_bytes(b"12345")

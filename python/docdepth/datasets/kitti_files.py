@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import stat
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from decimal import Decimal
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,12 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import LidarStream
 from docdepth.datasets.files import is_there, read_bytes, read_image, read_lines, unreadable
 from docdepth.datasets.point_format import foreign_format
-from docdepth.datasets.tolerance import are_broken_frames_tolerated, first_readable, readable
+from docdepth.datasets.tolerance import (
+    are_broken_frames_tolerated,
+    first_readable,
+    readable,
+    reading_a_frame,
+)
 from docdepth.errors import CalibrationError, Collector, DatasetError
 from docdepth.geometry.se3 import are_rotations, nearest_rotation, poses_from
 
@@ -44,7 +49,8 @@ def find_sweeps(folder: Path, problems: Collector) -> list[Path]:
     sizes = np.array([_file_size(file) for file in files], np.int64)
     kinds = (sizes < 0, sizes == 0, (sizes > 0) & (sizes % _POINT_BYTES > 0))
     for frames in (np.flatnonzero(kind).tolist() for kind in kinds):
-        with problems.collected():
+        few = reading_a_frame if 2 * len(frames) <= len(files) else nullcontext
+        with problems.collected(), few():
             if frames:
                 first = frames[0]
                 error = _bad_size(files[first], first, int(sizes[first]))

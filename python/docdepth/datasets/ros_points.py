@@ -86,7 +86,7 @@ def _read_point_cloud(message: Any, where: str) -> Cloud:
         ) from None
     width, height = message.width, message.height
     if not width or not height or not message.point_step:
-        raise DatasetError(f"{where} holds no points; leave the sweep out by --on-error skip")
+        raise DatasetError(f"{where} holds no points; record it again")
     step = message.row_step if height > 1 else width * message.point_step
     data = np.asarray(message.data, np.uint8)
     if step < width * message.point_step or len(data) < height * step:

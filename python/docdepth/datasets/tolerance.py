@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TypeVar
 
-from docdepth.errors import DocDepthError
+from docdepth.errors import DatasetError, DocDepthError
 
 _File = TypeVar("_File")
 _Read = TypeVar("_Read")
@@ -28,6 +28,15 @@ def broken_frames_tolerated() -> Iterator[None]:
 def are_broken_frames_tolerated() -> bool:
     """Whether a recording opens though sweeps or images are broken."""
     return _tolerant.get()
+
+
+@contextmanager
+def reading_a_frame() -> Iterator[None]:
+    """If a sweep or an image is broken, name the option that leaves it out."""
+    try:
+        yield
+    except DatasetError as error:
+        raise DatasetError(f"{error}; or leave it out by --on-error skip") from None
 
 
 def first_readable(read: Callable[[_File], _Read], files: Sequence[_File]) -> _Read:

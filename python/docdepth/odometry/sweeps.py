@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from docdepth import _core
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset, Sweep
+from docdepth.datasets.tolerance import reading_a_frame
 from docdepth.errors import InputError, OdometryError
 from docdepth.odometry.deskewing import deskew
 
@@ -86,7 +87,9 @@ class ThinnedSweeps:
         if index not in self._recent:
             if len(self._recent) == self._kept:
                 del self._recent[next(iter(self._recent))]
-            self._recent[index] = self._thinned(self._dataset.sweep(index))
+            with reading_a_frame():
+                sweep = self._dataset.sweep(index)
+            self._recent[index] = self._thinned(sweep)
         return self._recent[index]
 
     def _thinned(self, sweep: Sweep) -> Sweep:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import CameraStream, Dataset, Sweep, usable_points
 from docdepth.datasets.files import unreadable
 from docdepth.datasets.images import ImageSource, file_of
+from docdepth.datasets.tolerance import reading_a_frame
 from docdepth.errors import DatasetError
 from docdepth.pipeline.alignment import find_misalignment
 from docdepth.pipeline.check_sweeps import sample
@@ -57,7 +58,7 @@ def _check_images(stream: CameraStream, found: Findings) -> None:
         except OSError:
             empty = True
         if empty:
-            with found.collected():
+            with found.collected(), reading_a_frame():
                 if image.is_file():
                     raise DatasetError(f"{image} is empty; copy the image again or remove it")
                 raise unreadable(file_of(image), "put the image back")
@@ -66,7 +67,7 @@ def _check_images(stream: CameraStream, found: Findings) -> None:
     size = stream.camera.width, stream.camera.height
     odd = [k for k, image in enumerate(stream.images) if _is_odd(image, size)]
     for index in sorted({*sampled, *odd[:_IMAGES]}):
-        with found.collected():
+        with found.collected(), reading_a_frame():
             stream.rectified_image(index)
 
 

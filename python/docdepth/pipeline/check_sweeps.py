@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from docdepth.config import Parameters
 from docdepth.datasets import Dataset, Sweep, usable_points
+from docdepth.datasets.tolerance import reading_a_frame
 from docdepth.errors import DatasetError
 from docdepth.pipeline.problems import Findings
 
@@ -50,9 +51,10 @@ def check_sweeps(
     opened: dict[int, Sweep] = {}
     for index in sample(len(recording)):
         with found.collected():
-            sweep = recording.sweep(index)
-            place = f"{files[index][0] if files[index] else sweep.name} (frame {index})"
-            check_sweep(sweep, place, found)
+            with reading_a_frame():
+                sweep = recording.sweep(index)
+                place = f"{files[index][0] if files[index] else sweep.name} (frame {index})"
+                check_sweep(sweep, place, found)
             _check_parameters(sweep, place, parameters)
             opened[index] = sweep
     _check_usable_shares(opened, recording, found)
@@ -140,8 +142,7 @@ def _check_points(sweep: Sweep, place: str, found: Findings) -> None:
     points = sweep.points[usable]
     if len(points) < _FEWEST_POINTS:
         raise DatasetError(
-            f"{place} has {len(points)} usable points of {len(usable)}; "
-            "copy the sweep again, or leave it out of the recording"
+            f"{place} has {len(points)} usable points of {len(usable)}; copy the sweep again"
         )
     if np.ptp(points, axis=0).max() < _ONE_PLACE:
         x, y, z = np.median(points, axis=0)
@@ -192,7 +193,7 @@ def _check_times(sweep: Sweep, place: str) -> None:
     if late is None or not np.isfinite(late).any():
         return
     if not sweep.motion_compensated and not np.isfinite(late[usable_points(sweep.points)]).all():
-        raise DatasetError(f"{place}: a usable point has no finite time; leave the sweep out")
+        raise DatasetError(f"{place}: a usable point has no finite time; mend its times")
     first, last = float(np.nanmin(late)), float(np.nanmax(late))
     if first < -_LATE or last > _LATE:
         raise DatasetError(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from docdepth import __version__
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
+from docdepth.datasets.tolerance import reading_a_frame
 from docdepth.errors import DatasetError
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
@@ -156,7 +157,9 @@ class DepthFiles:
             if self.run.key(path) != key:
                 self.run.write(path, lambda out: out.write(content), key)
 
-        picture = encode_image(overlay(depth, self.stream.rectified_image(index)), ".jpg")
+        with reading_a_frame():
+            image = self.stream.rectified_image(index)
+        picture = encode_image(overlay(depth, image), ".jpg")
         write(self._picture(index), picture)
         if layers:
             packed = npz_bytes(compressed=True, **layers)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import Dataset, Sweep
 from docdepth.datasets.point_times import sweep_seconds
+from docdepth.datasets.tolerance import reading_a_frame
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.points import usable_points
 from docdepth.io.frames import FrameRecord, write_trajectory
@@ -133,7 +134,8 @@ def _write_frames(
     for index in left:
         report(total - len(left) + profile.frames, total)
         with watch("deskew"):
-            measured = dataset.sweep(index)
+            with reading_a_frame():
+                measured = dataset.sweep(index)
             deskewed = odometry.sweeps.deskewed(index, measured)
             usable = usable_points(deskewed.points)
             if blooming_deg:
@@ -141,7 +143,7 @@ def _write_frames(
             if not usable.any():
                 raise DatasetError(
                     f"{dataset.path}: sweep {measured.name} (frame {index}) holds no usable "
-                    "point; leave this frame out of the recording"
+                    "point; leave it out by --on-error skip"
                 )
             record = _frame(deskewed, usable, period)
         with watch("write"):
