@@ -10,6 +10,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from docdepth._yaml_text import UniqueLoader
 from docdepth.errors import ConfigError
 
 MOST_KEY_FRAMES = 400
@@ -62,15 +63,8 @@ def explain(error: ValidationError, stages: Mapping[str, type[BaseModel]]) -> st
     return "; ".join(sentences.values())
 
 
-class _Settings(yaml.SafeLoader):
-    """YAML in which every name stands once, and ``010`` and ``1:20`` are not octal and minutes."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        twice = [name for k, name in enumerate(names) if name in names[:k]]
-        if twice:
-            raise yaml.YAMLError(f"{twice[0]!r} stands twice; keep one of the two")
-        return super().construct_mapping(node, deep)
+class _Settings(UniqueLoader):
+    """In which ``010`` and ``1:20`` are not octal and minutes, either."""
 
 
 def _integer(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> Any:

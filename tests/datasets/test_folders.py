@@ -152,7 +152,7 @@ def test_fractions_of_equal_length_are_milli_or_microseconds(digits: int) -> Non
 @pytest.mark.parametrize("rate", [0, -10])
 def test_a_rate_is_positive(folder: Path, rate: float) -> None:
     change(folder, times=None, rate=rate)
-    with pytest.raises(DatasetError, match=r"docdepth.yaml: rate: .*greater than 0"):
+    with pytest.raises(DatasetError, match=r"docdepth.yaml: rate is .*: it must be greater than 0"):
         open_dataset(folder)
 
 
@@ -326,7 +326,9 @@ def test_where_the_lidar_looks_from(folder: Path) -> None:
             "motion_compansated is unknown; there are ego_boxes, moti",
         ),
         ({"cameras": {"a": {"k": [1]}}}, "cameras.a.k is unknown"),
-        ({"stamp": "begin"}, "stamp: Input should be 'start', 'middle' or 'end'"),
+        ({"scene": "city", "seed": 3}, "scene, seed are unknown; there are ego_boxes, [^;]*$"),
+        ({"motion_compensated": "maybe"}, "_compensated is 'maybe': it must be true or false$"),
+        ({"stamp": "begin"}, "stamp is 'begin': it must be 'start', 'middle' or 'end'"),
         ({"times": "gone.txt"}, r"gone.txt is missing; say times: FILE or rate: 10"),
         ({"sweeps": "gone"}, r"gone holds no point clouds \(.bin, .las, .laz, .npy, .pcd, .ply\)"),
         ({"poses": "gone.txt"}, "gone.txt is missing; give the file of the poses"),
@@ -371,10 +373,25 @@ def test_names_of_cameras_stay_in_the_run(folder: Path, name: str) -> None:
         open_dataset(folder)
 
 
-def test_a_file_that_is_not_yaml(folder: Path) -> None:
-    (folder / "docdepth.yaml").write_text("times: [")
-    with pytest.raises(DatasetError, match=r"docdepth.yaml is not YAML"):
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("times: [", r"line 1: a bracket is not closed"),
+        ("rate: 10\ncameras:\n  a:\n    K: [1, 2\n  b: 3", r"line 4: a bracket is not closed"),
+        ("rate: 10\n\tup: [0, 0, 1]", r"line 2: a tab .*; indent by spaces"),
+        ("times: a: b", r"line 1: .* quote a text"),
+        ("cameras:\n    a: 1\n  b: 2", r"line 3: the line is indented otherwise than those"),
+        ("times: 'a", r"line 1: a quote is not closed"),
+        ("times: *a", r"line 1: found undefined alias 'a'; write NAME: VALUE"),
+        ("times: a\nrate: 10\ntimes: b", r"line 3: 'times' stands twice; keep one of the two"),
+    ],
+)
+def test_a_file_that_is_not_yaml(folder: Path, text: str, message: str) -> None:
+    (folder / "docdepth.yaml").write_text(text)
+    with pytest.raises(DatasetError, match=rf"docdepth.yaml is not YAML: {message}") as caught:
         open_dataset(folder)
+    assert "\n" not in str(caught.value)
+    assert "<" not in str(caught.value)
 
 
 def test_columns_that_do_not_fit(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from docdepth._parameter_text import read_yaml
+from docdepth._yaml_text import explain_yaml
 from docdepth.config import Parameters, Preset, departures, parameters
 from docdepth.errors import ConfigError
 
@@ -84,7 +85,8 @@ def read_config(path: Path) -> Given:
     try:
         tree = read_yaml(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, yaml.YAMLError) as error:
-        why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
+        of_yaml = explain_yaml(error) if isinstance(error, yaml.YAMLError) else str(error)
+        why = error.strerror if isinstance(error, OSError) else of_yaml
         raise ConfigError(f"--config {path} cannot be read as YAML: {why}") from None
     if not isinstance(tree, dict):
         raise ConfigError(

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import typer
 import yaml
 
+from docdepth._yaml_text import explain_yaml
 from docdepth.cli.terminal import err, volume
 from docdepth.errors import DocDepthError
 
@@ -79,7 +80,7 @@ def explain(error: BaseException) -> Failure | None:
             "number of sweeps, or use a machine with more memory; the same command continues"
         )
     if isinstance(error, yaml.YAMLError):
-        return Failure(f"this is not YAML: {' '.join(str(error).split())}")
+        return Failure(f"this is not YAML: {explain_yaml(error)}")
     if isinstance(error, UnicodeEncodeError):
         return Failure(f"a path cannot be written as text ({error}); rename it, in letters")
     if isinstance(error, UnicodeError):

@@ -22,6 +22,7 @@ from docdepth.geometry.se3 import check_rigid, nearest_rigid
 from docdepth.io.trees import parse_yaml
 
 _WHOLE = 1e-9  # of a rotation's numbers; larger errors come of missing digits
+_WORDS = {"Input should be": "it must be", "a valid boolean": "true or false", "a valid": "a"}
 _MOST_METRES = 100.0  # of a sensor from the origin of its frame; more is a mistake of units
 
 
@@ -264,13 +265,21 @@ def transform(numbers: list[float] | None, where: str) -> NDArray[np.float64]:
 
 
 def _reasons(error: ValidationError, model: type[EgoSettings]) -> str:
-    reasons = []
+    unknown, reasons = [], []
     for one in error.errors():
         entry = ".".join(str(part) for part in one["loc"])
         if one["type"] == "extra_forbidden" and len(one["loc"]) == 1:
-            reasons.append(f"{entry} is unknown; there are {', '.join(model.model_fields)}")
+            unknown.append(entry)
         elif one["type"] == "extra_forbidden":
             reasons.append(f"{entry} is unknown")
+        elif entry:
+            wanted = one["msg"].removesuffix(", unable to interpret input")
+            for theirs, ours in _WORDS.items():
+                wanted = wanted.replace(theirs, ours)
+            reasons.append(f"{entry} is {one['input']!r}: {wanted}")
         else:
-            reasons.append(f"{entry or 'the file'}: {one['msg']}")
+            reasons.append("write NAME: VALUE")
+    if unknown:
+        names = ", ".join(unknown) + (" is" if len(unknown) == 1 else " are")
+        reasons.append(f"{names} unknown; there are {', '.join(model.model_fields)}")
     return "; ".join(reasons)

@@ -7,6 +7,8 @@ from typing import Any
 
 import yaml
 
+from docdepth._yaml_text import UniqueLoader, explain_yaml
+
 _MOST_VALUES = 10_000_000
 """Of a tree in which YAML's aliases stand for what they repeat: nine lines can be a milliard."""
 
@@ -17,15 +19,15 @@ def parse_yaml(text: str) -> Any:
     Raises
     ------
     ValueError
-        It is no YAML, too deep, or its aliases repeat too much.
+        It is no YAML, a name stands twice, it is too deep, or its aliases repeat too much.
     """
     try:
-        tree = yaml.safe_load(text)
+        tree = yaml.load(text, UniqueLoader)
         if _count(tree, {}) > _MOST_VALUES:
             raise ValueError(f"its aliases repeat more than {_MOST_VALUES} values")
         return tree
     except yaml.YAMLError as error:
-        raise ValueError(" ".join(str(error).split())) from None
+        raise ValueError(explain_yaml(error)) from None
     except RecursionError:
         raise ValueError("it is too deep") from None
 

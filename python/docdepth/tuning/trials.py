@@ -12,6 +12,7 @@ import yaml
 
 from docdepth._old_names import RENAMED
 from docdepth._parameter_text import read_yaml
+from docdepth._yaml_text import explain_yaml
 from docdepth.config import Parameters, parameters, replaced
 from docdepth.errors import ConfigError
 
@@ -94,7 +95,8 @@ def read_trials(path: Path) -> list[Trial]:
     try:
         tree = read_yaml(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path} cannot be read: {error}") from None
+        why = explain_yaml(error) if isinstance(error, yaml.YAMLError) else error
+        raise ConfigError(f"{path} cannot be read: {why}") from None
     if not isinstance(tree, dict) or not tree or not all(map(_is_set, tree.values())):
         raise ConfigError(f"{path}: write one line per trial, NAME: {{stage.parameter: value}}")
     return [
