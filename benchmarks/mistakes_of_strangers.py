@@ -87,7 +87,7 @@ STRANGERS = [
     ("every sweep is the same file", NEW, _same_sweep, WARNED),
     ("points in the axes of the camera", NEW, points(_camera_axes, every=True), WARNED),
     ("times in milliseconds", NEW,
-     lines("d/times.txt", lambda x: [f"{1000 * float(t):.3f}" for t in x]), WARNED),
+     lines("d/times.txt", lambda x: [f"{1000 * float(t):.3f}" for t in x]), REFUSED),
     ("P2 of an image of width 1", NEW,
      text("d/calib.txt", lambda t: t.replace("7.215377000000e+02", "0.9")), WARNED),
     ("Tr with its fourth row", NEW,

@@ -13,7 +13,8 @@ import pytest
 
 from docdepth.config import parameters
 from docdepth.datasets import open_dataset
-from docdepth.errors import CalibrationError, DatasetError, SeveralProblems
+from docdepth.errors import CalibrationError, DatasetError, OdometryError, SeveralProblems
+from docdepth.odometry.odometry import register_drive
 from docdepth.pipeline import check_resources
 from docdepth.pipeline.check import Problem, check_inputs, raise_problems, report_inputs
 from docdepth.pipeline.check_resources import check_image_size
@@ -164,7 +165,11 @@ def test_times_in_milliseconds_are_told(copy: Path) -> None:
     for table in (copy / "times.txt", copy / "image_2" / "times.txt"):
         times = [1000 * float(time) for time in table.read_text().split()]
         table.write_text("".join(f"{time:.6f}\n" for time in times))
-    assert "sweeps are 100 s apart" in texts(problems(copy), "warning")
+    found = problems(copy)
+    assert "sweeps are 100 s apart" in texts(found, "error")
+    assert len(found) == 1
+    with pytest.raises(OdometryError, match="Are the times in seconds"):
+        register_drive(open_dataset(copy))
 
 
 def test_images_of_another_size_are_found_before_they_are_needed(copy: Path) -> None:

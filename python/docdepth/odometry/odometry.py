@@ -31,7 +31,7 @@ from docdepth.geometry.values import ShortRepr
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.loop_closure import close_loops
 from docdepth.odometry.places import KEPT_SWEEPS
-from docdepth.odometry.pose_checks import check_given_poses, warn_of_jumps
+from docdepth.odometry.pose_checks import check_given_poses, check_period, warn_of_jumps
 from docdepth.odometry.pose_graph import check_solver
 from docdepth.odometry.registration import FINE_SAMPLING, FIRST_SWEEPS, register
 from docdepth.odometry.registration_log import RegistrationLog
@@ -154,6 +154,8 @@ def estimate_poses(
     The arguments are those of :func:`register_drive`, and the number of passes.
     """
     parameters, count = parameters or OdometryParameters(), len(dataset)
+    if count > 1:
+        check_period(dataset)
     if parameters.loop_closure:
         check_solver()
     poses: NDArray[np.float64] = np.repeat(np.eye(4)[None], count, axis=0)

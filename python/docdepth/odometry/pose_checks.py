@@ -27,6 +27,7 @@ _SAMPLING = 0.5  # metres, edge of a voxel in which a cloud keeps one point
 # Metres by which sweeps move when they are aligned with those before. Median of right poses: 0.003
 # to 0.08, the most of a rosette; without motion, inverse, at half the scale or shuffled: 0.36 to 4.
 _MISFIT = 0.25
+_PERIODS = (0.005, 5.0)  # seconds between sweeps
 _JUMP = 1.0  # metres by which the step from sweep to sweep changes; a vehicle cannot do that
 
 
@@ -66,6 +67,24 @@ def check_given_poses(
             "a camera, say which: --poses CAMERA:FILE"
         )
     return given
+
+
+def check_period(dataset: Dataset) -> float:
+    """The usual time between sweeps in seconds, of which the odometry makes velocities.
+
+    Raises
+    ------
+    OdometryError
+        No LiDAR takes so long, or so short: the times are in another unit.
+    """
+    # Of 0.1 and 0.2 s: 0.1.
+    period = float(np.quantile(np.diff(dataset.times), 0.5, method="lower")) * 1e-9
+    if not _PERIODS[0] < period < _PERIODS[1]:
+        raise OdometryError(
+            f"{dataset.path}: sweeps are {period:.3g} s apart; a LiDAR takes 0.05 to 0.2 s. Are "
+            "the times in seconds?"
+        )
+    return period
 
 
 def move_upwards(poses: NDArray[np.float64]) -> bool:

@@ -13,6 +13,7 @@ from docdepth.config import Parameters
 from docdepth.datasets import Dataset, Sweep, usable_points
 from docdepth.datasets.tolerance import reading_a_frame
 from docdepth.errors import DatasetError
+from docdepth.odometry.pose_checks import check_period
 from docdepth.pipeline.problems import Findings
 
 SAMPLES = 10
@@ -28,7 +29,6 @@ _USABLE = 0.7  # of the share of usable points that sweeps of the drive usually 
 _SMALL = 0.7  # share of the size of those around below which a sweep is partial
 _AROUND = 5  # sweeps before and after
 _LATE = 1.5  # durations of a sweep after its stamp; no point is measured later
-_PERIODS = (0.005, 5.0)  # seconds between sweeps
 _REGISTERED = 0.05  # share of the points within the ranges that odometry takes
 
 
@@ -76,8 +76,14 @@ def check_sweep(sweep: Sweep, place: str, found: Findings) -> None:
 def _check_period(recording: Dataset, found: Findings) -> None:
     if len(recording) < 2:
         return
-    pauses = np.diff(recording.times) * 1e-9
-    period = float(np.quantile(pauses, 0.5, method="lower"))  # of 0.1 and 0.2 s: 0.1
+    with found.collected():
+        period = check_period(recording)
+        _check_pauses(recording, np.diff(recording.times) * 1e-9, period, found)
+
+
+def _check_pauses(
+    recording: Dataset, pauses: NDArray[np.float64], period: float, found: Findings
+) -> None:
     longest = int(np.argmax(pauses))
     if pauses[longest] > _PAUSE * period:
         found.warn(
@@ -91,11 +97,6 @@ def _check_period(recording: Dataset, found: Findings) -> None:
             f"{recording.path}: {pauses[shortest]:.2g} s lie between frames {shortest} and "
             f"{shortest + 1}, usually {period:.2f} s; did the clock of the LiDAR jump back, or are "
             "there sweeps of two LiDARs?"
-        )
-    if not _PERIODS[0] < period < _PERIODS[1]:
-        found.warn(
-            f"{recording.path}: sweeps are {period:.3g} s apart; a LiDAR takes 0.05 to 0.2 s. "
-            "Are the times in seconds?"
         )
 
 
