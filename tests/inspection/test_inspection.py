@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -244,6 +244,26 @@ def test_a_gap_and_a_wrong_unit_of_stamps() -> None:
     assert "Are the times in seconds?" in "\n".join(
         warnings_of(inspect_recording(Recorded(poses=None, times=times)))
     )
+
+
+@pytest.mark.parametrize("broken", [range(COUNT), [COUNT - 1]])
+def test_garbage_is_told_without_more(broken: Sequence[int]) -> None:
+    """Warnings of numpy are errors in these tests."""
+    bits = np.random.default_rng(0).integers(0, 2**32, (5000, 3), dtype=np.uint32).view("f4")
+
+    def change(sweep: Sweep, index: int) -> Sweep:
+        return Sweep(bits, sweep.name, sweep.time) if index in broken else sweep
+
+    recording = Recorded(change=change, cameras=camera())
+    result = inspect_recording(recording)
+    list(pictures_of(recording, result))
+    errors = [problem.text for problem in result.problems if problem.severity == "error"]
+    assert errors
+    assert all("points lie" in text for text in errors)
+    hints = ["--on-error skip" in text for text in errors]
+    assert all(hints) if len(broken) == 1 else not any(hints)
+    if len(broken) > 1:
+        assert len(result.problems) == len(errors)
 
 
 # ---- whole recordings

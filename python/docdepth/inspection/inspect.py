@@ -136,7 +136,8 @@ def _look_at_sweeps(recording: Dataset, result: Inspection) -> None:
 def _register(recording: Dataset, result: Inspection) -> list[Window]:
     """Poses of a few pieces of the drive by registration alone."""
     poses, ground, windows = result.poses, result.ground, []
-    for frames in windows_of(poses, len(recording), _WINDOW) if len(recording) > 1 else []:
+    registered = result.sweeps and len(recording) > 1  # not where every sweep is broken
+    for frames in windows_of(poses, len(recording), _WINDOW) if registered else []:
         part = FrameRange(recording, f"{frames.start}:{frames.stop}")
         try:
             measured = estimate_poses(part, threads=1, passes=1)
@@ -164,7 +165,8 @@ def _look_at_poses(recording: Dataset, result: Inspection, source: str, found: F
     if poses is not None:
         figures["poses"] = {"source": source, **pose_figures(poses, recording.times)}
         warn_of_jumps(Trajectory(recording.times, poses))
-        if not findings.judge_poses(recording, result, found) and np.ptp(poses, axis=0).any():
+        wrong = not result.sweeps or findings.judge_poses(recording, result, found)
+        if not wrong and np.ptp(poses, axis=0).any():
             with found.collected():
                 warn_of_misfit(lambda k: recording.sweep(k).points, poses, _PARAMETERS)
     figures["ego"] = None

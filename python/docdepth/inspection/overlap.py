@@ -43,7 +43,7 @@ def share_on(
 def _sampled(points: NDArray[np.float32], ground: GroundPlane | None) -> NDArray[np.float64]:
     import small_gicp
 
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         distance = np.linalg.norm(points, axis=1)
         kept = (distance > _REACH[0]) & (distance < _REACH[1])
         if ground is not None:

@@ -34,6 +34,8 @@ def pictures_of(recording: Dataset, result: Inspection) -> Iterator[tuple[Pictur
     recording : Dataset
     result : Inspection
     """
+    if not result.sweeps:  # all are broken
+        return
     try:
         yield from _sweeps_over_each_other(recording, result)
     except DocDepthError as error:
@@ -75,8 +77,6 @@ def _sweeps_over_each_other(
 
 
 def _from_the_side(result: Inspection) -> Iterator[tuple[Picture, str]]:
-    if not result.sweeps:
-        return
     frame = list(result.sweeps)[len(result.sweeps) // 2]
     points = result.sweeps[frame].points
     points = points[usable_points(points)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from filecmp import cmp
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from docdepth.config import Parameters
 from docdepth.datasets import Dataset, Sweep, usable_points
 from docdepth.datasets.tolerance import reading_a_frame
-from docdepth.errors import DatasetError
+from docdepth.errors import Collector, DatasetError
 from docdepth.odometry.pose_checks import check_period
 from docdepth.pipeline.problems import Findings
 
@@ -49,14 +50,19 @@ def check_sweeps(
     _check_sizes(files, sizes, found)
     _check_repeats(files, sizes, found)
     opened: dict[int, Sweep] = {}
-    for index in sample(len(recording)):
-        with found.collected():
-            with reading_a_frame():
-                sweep = recording.sweep(index)
-                place = f"{files[index][0] if files[index] else sweep.name} (frame {index})"
-                check_sweep(sweep, place, found)
-            _check_parameters(sweep, place, parameters)
-            opened[index] = sweep
+    broken, sampled = Collector(), sample(len(recording))
+    for index in sampled:
+        with broken.collected():
+            sweep = recording.sweep(index)
+            place = f"{files[index][0] if files[index] else sweep.name} (frame {index})"
+            check_sweep(sweep, place, found)
+            with found.collected():
+                _check_parameters(sweep, place, parameters)
+                opened[index] = sweep
+    few = reading_a_frame if 2 * len(broken.errors) <= len(sampled) else nullcontext
+    for error in broken.errors:
+        with found.collected(), few():
+            raise error
     _check_usable_shares(opened, recording, found)
     return opened
 

@@ -56,11 +56,11 @@ def clouds_in_plane(
     height, width = (max(round(float(s)), 60) for s in (high - low) * scale)
     picture = np.zeros((height, width, 3), np.int32)
     for cloud, color in zip(clouds, COLORS, strict=False):
-        row = np.floor((high[0] - cloud[:, up]) * scale).astype(np.int64)
-        column = np.floor((high[1] - cloud[:, left]) * scale).astype(np.int64)
+        row = np.floor((high[0] - cloud[:, up]) * scale)
+        column = np.floor((high[1] - cloud[:, left]) * scale)
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         mask = np.zeros((height, width), np.bool_)
-        mask[row[inside], column[inside]] = True
+        mask[row[inside].astype(int), column[inside].astype(int)] = True
         picture[mask] += np.array(color)
     result = np.clip(picture, 0, 255).astype(np.uint8)
     result[(picture == 0).all(axis=2)] = _BACKGROUND
