@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from docdepth.datasets import CameraStream, Dataset, open_dataset
-from docdepth.geometry.se3 import rotation_exp
+from docdepth.geometry.se3 import matrix_to_quaternion, quaternion_to_matrix, rotation_exp
 from docdepth.pipeline.alignment import find_misalignment
 
 BETTER = "depth edges of the sweeps fit the images better when"
@@ -126,6 +126,16 @@ def test_another_cars_calibration_fits_by_chance_only(city: Dataset) -> None:
     found = find_misalignment(city, other)
     assert found is not None
     assert "by chance only" in found or BETTER in found
+
+
+@pytest.mark.parametrize("by", [-1, 1])
+def test_a_quaternion_in_the_other_order_is_seen(recording: Dataset, by: int) -> None:
+    stream = recording.cameras["image_2"]
+    T = stream.T_camera_lidar.copy()
+    T[:3, :3] = quaternion_to_matrix(np.roll(matrix_to_quaternion(T[:3, :3]), by))
+    found = find_misalignment(recording, replace(stream, T_camera_lidar=T))
+    assert found is not None
+    assert "quaternion of the extrinsics is read in the other order" in found
 
 
 def test_a_turn_is_seen_without_poses(crossing: Path) -> None:

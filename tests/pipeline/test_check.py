@@ -218,6 +218,8 @@ def test_images_of_another_time(copy: Path) -> None:
         (lambda P: P * np.array([[0.01], [0.01], [1]]) + 0, "is the image size right?"),
         (lambda P: P * np.array([[3.0, 1, 1, 1], [1] * 4, [1] * 4]), "focal lengths"),
         (lambda P: P - np.array([[0, 0, 500.0, 0], [0] * 4, [0] * 4]), "far from the centre"),
+        (lambda P: P * [[1.3], [1.3], [1]], "1585 x 449 pixels, but images have 1242 x 375"),
+        (lambda P: P / [[1.3], [1.3], [1]], "were they resized? Then scale K, too"),
     ],
 )
 def test_intrinsics_that_no_camera_has(copy: Path, change: Any, text: str) -> None:
@@ -236,7 +238,7 @@ def inverted(Tr: np.ndarray) -> np.ndarray:
     ("change", "text"),
     [
         (lambda Tr: Tr + np.array([0, 0, 0, 4.0]), "m apart; is Tr in"),
-        (inverted, "or is it the inverse?"),
+        (inverted, "is it the inverse, or was a quaternion read"),
         (lambda Tr: Tr[[1, 2, 0]], "are its axes in this order"),
         (lambda Tr: np.diag([-1.0, -1, 1]) @ Tr, "180 degrees away from down"),
     ],

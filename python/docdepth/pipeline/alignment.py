@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, Dataset
-from docdepth.geometry.se3 import rotation_exp
+from docdepth.geometry.se3 import matrix_to_quaternion, quaternion_to_matrix, rotation_exp
 from docdepth.pipeline.alignment_views import View, edge_strength, scores_of, views_of
 
 Scores = NDArray[np.float64]
@@ -67,6 +67,11 @@ def find_misalignment(recording: Dataset, stream: CameraStream) -> str | None:
     if len(views) < _FEWEST_PAIRS:
         return None
     pairs = _Pairs(views, stream)
+    if not pairs.fit(_NO_FIT) and _fits_in_another_order(recording, stream):
+        return (
+            "depth edges of the sweeps fit the images if the quaternion of the extrinsics is read "
+            "in the other order, x y z w or w x y z"
+        )
     moved = _moved_meanwhile(recording, stream, views)
     better = "depth edges of the sweeps fit the images better when "
     found = pairs.best(pairs.turns, _MOVED_GAIN if moved else _GAIN)
@@ -83,12 +88,25 @@ def find_misalignment(recording: Dataset, stream: CameraStream) -> str | None:
     if late:
         when = "later" if late > 0 else "earlier"
         return f"{better}they are taken about {abs(late)} frames {when}"
-    if pairs.given.mean() > _NO_FIT * pairs.chance.mean():
+    if pairs.fit(_NO_FIT):
         return None
     found = pairs.best(_turns(_WIDE_STEP_DEG, _WIDEST_DEG), _GAIN)
     if found:
         return better + in_words(found[0])
     return "depth edges of the sweeps fit the images by chance only" if pairs.no_fit() else None
+
+
+def _fits_in_another_order(recording: Dataset, stream: CameraStream) -> bool:
+    """Whether the quaternion of a camera that does not fit has its w at the wrong end."""
+    quaternion = matrix_to_quaternion(stream.T_camera_lidar[:3, :3])
+    for by in (-1, 1):
+        T = stream.T_camera_lidar.copy()
+        T[:3, :3] = quaternion_to_matrix(np.roll(quaternion, by))
+        other = replace(stream, T_camera_lidar=T)
+        views = views_of(recording, other)
+        if len(views) >= _FEWEST_PAIRS and _Pairs(views, other).fit(_SHARP):
+            return True
+    return False
 
 
 def _moved_meanwhile(recording: Dataset, stream: CameraStream, views: Sequence[View]) -> bool:
@@ -120,6 +138,10 @@ class _Pairs:
         self.given = self._after((0, 0, 0, 0, 0, 0))
         self._turned = np.array([self._after(turn) for turn in self.turns])
         self.chance: Scores = self._turned.mean(axis=0)
+
+    def fit(self, least: float) -> bool:
+        """Whether the given calibration is so many times better than all turns."""
+        return bool(self.given.mean() > least * self.chance.mean())
 
     def best(
         self, changes: Sequence[Change], gain: float, sharp: float = _SHARP

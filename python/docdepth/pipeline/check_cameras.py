@@ -23,6 +23,9 @@ _OUTSIDE = 0.2  # share of the images outside the sweeps that is worth a word
 _FIELDS_DEG = (10.0, 170.0)  # of view of pinhole cameras
 _FOCAL_RATIO = 2.0  # of fx and fy
 _CENTRE = (0.2, 0.8)  # where the principal point lies, as a share of the image
+# Where both of its coordinates lie if K is of images of another size. A crop moves one of them:
+# from 0.46 (KITTI) to 0.63 (KITTI-360).
+_RESIZED, _SAME_SCALE = (0.42, 0.58), 1.15
 _LEVER_ARM = 3.0  # metres between camera and LiDAR of a car
 _DOWN_DEG = 60.0  # between the image's y axis and the direction down in the frame of the LiDAR
 _FEWEST_SEEN = 0.005  # share of the points that a camera of 20 degrees sees
@@ -38,8 +41,10 @@ def check_camera(
     _check_images(stream, found)
     with found.collected():
         _check_times(recording, stream, found)
+    warned = len(found.warnings)
     _check_intrinsics(stream, found)
-    sound = _check_extrinsics(recording, stream, sweeps, found)
+    _check_extrinsics(recording, stream, sweeps, found)
+    sound = len(found.warnings) == warned  # else edges would tell the same in other words
     if sound and stream.images and len(found.errors) == before:
         with found.collected():
             misfit = find_misalignment(recording, stream)
@@ -126,7 +131,15 @@ def _check_intrinsics(stream: CameraStream, found: Findings) -> None:
             f"{stream.name}: focal lengths {fx:.1f} and {fy:.1f} pixels differ more than pixels of "
             "a camera do; check K"
         )
-    if not all(_CENTRE[0] < c < _CENTRE[1] for c in (cx / camera.width, cy / camera.height)):
+    across, down = cx / camera.width, cy / camera.height
+    resized = max(across, down) < _RESIZED[0] or min(across, down) > _RESIZED[1]
+    if resized and 1 / _SAME_SCALE < across / down < _SAME_SCALE:
+        found.warn(
+            f"{stream.name}: the principal point ({cx:.1f}, {cy:.1f}) is the centre of an image of "
+            f"{2 * cx:.0f} x {2 * cy:.0f} pixels, but images have {size}; were they resized? Then "
+            "scale K, too"
+        )
+    elif not all(_CENTRE[0] < c < _CENTRE[1] for c in (across, down)):
         found.warn(
             f"{stream.name}: the principal point ({cx:.1f}, {cy:.1f}) lies far from the centre of "
             f"the {size} image; is the image size right?"
@@ -135,9 +148,8 @@ def _check_intrinsics(stream: CameraStream, found: Findings) -> None:
 
 def _check_extrinsics(
     recording: Dataset, stream: CameraStream, sweeps: dict[int, Sweep], found: Findings
-) -> bool:
-    """Warn of an implausible place or direction; True if there is nothing to warn of."""
-    warned = len(found.warnings)
+) -> None:
+    """Warn of an implausible place or direction."""
     where = _extrinsics_of(recording)
     distance = float(np.linalg.norm(stream.T_camera_lidar[:3, 3]))
     if distance > _LEVER_ARM:
@@ -149,8 +161,8 @@ def _check_extrinsics(
         found.warn(
             f"{stream.name}: the y axis of the image points {down_deg:.0f} degrees away from down "
             f"in the frame of the LiDAR; {where} takes points of the LiDAR (x forward, y left, z "
-            "up) to the camera (x right, y down, z forward): are its axes in this order, or is it "
-            "the inverse?"
+            "up) to the camera (x right, y down, z forward): are its axes in this order, is it the "
+            "inverse, or was a quaternion read as x y z w that is w x y z?"
         )
     seen, columns = _seen(stream, sweeps)
     if sweeps and seen < _FEWEST_SEEN:
@@ -163,7 +175,6 @@ def _check_extrinsics(
             f"{stream.name}: sweeps reach {100 * columns:.0f} % of the width of the image; "
             f"check {where}"
         )
-    return len(found.warnings) == warned
 
 
 def _seen(stream: CameraStream, sweeps: dict[int, Sweep]) -> tuple[float, float]:
