@@ -330,7 +330,7 @@ def test_where_the_lidar_looks_from(folder: Path) -> None:
         ({"motion_compensated": "maybe"}, "_compensated is 'maybe': it must be true or false$"),
         ({"stamp": "begin"}, "stamp is 'begin': it must be 'start', 'middle' or 'end'"),
         ({"times": "gone.txt"}, r"gone.txt is missing; say times: FILE or rate: 10"),
-        ({"sweeps": "gone"}, r"gone holds no point clouds \(.bin, .las, .laz, .npy, .pcd, .ply\)"),
+        ({"sweeps": "gone"}, "gone, the folder of the sweeps, is not there"),
         ({"poses": "gone.txt"}, "gone.txt is missing; give the file of the poses"),
         ({"cameras": {"a": {"K": [1, 2]}}}, "a: K must be 4 numbers fx fy cx cy, or 9"),
         ({"cameras": {"a": {"K": [9, 9, 5, 5]}}}, r"a has neither images nor size"),
@@ -364,6 +364,13 @@ def test_wrong_entries_are_named(folder: Path, entries: dict, message: str) -> N
     with pytest.raises(DocDepthError, match=message) as caught:
         open_dataset(folder)
     assert "docdepth.yaml" in str(caught.value) or "gone" in str(caught.value)
+
+
+def test_a_folder_of_other_files(folder: Path) -> None:
+    (folder / "other").mkdir()
+    change(folder, sweeps="other")
+    with pytest.raises(DatasetError, match=r"other holds no point clouds \(.bin, .las, .laz,"):
+        open_dataset(folder)
 
 
 @pytest.mark.parametrize("name", ["../../out", "a/b", "..", "", "all", "none"])

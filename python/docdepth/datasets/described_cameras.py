@@ -169,13 +169,13 @@ def _image_times(
         if images and len(images) != len(lidar.times):
             raise DatasetError(
                 f"{where}: times are those of the sweeps, but there are {len(images)} images for "
-                f"{len(lidar.times)} sweeps"
+                f"{len(lidar.times)} sweeps; give times: FILE, with a line an image"
             )
         return lidar.times, [image.stem for image in images] or lidar.names
     files = list(images)
     if not files:
         count = len(read_times(folder / str(settings.times)))
         files = [Path(f"{k:06d}") for k in range(count)]
-    remedy = f"say times of {where}: a FILE with a line an image, or sweeps"
+    remedy = f"say times: FILE, with a line an image, or times: sweeps in {where}"
     times = times_of_files(files, settings.times, folder, remedy)
     return times, [image.stem for image in files]

@@ -196,6 +196,8 @@ def cloud_files(folder: Path) -> list[Path]:
     """
     files = [file for file in folder.glob("*") if file.suffix.lower() in READERS]
     kinds = sorted({file.suffix.lower() for file in files})
+    if not folder.is_dir():
+        raise DatasetError(f"{folder}, the folder of the sweeps, is not there")
     if not files:
         raise DatasetError(f"{folder} holds no point clouds ({', '.join(sorted(READERS))})")
     if len(kinds) > 1:

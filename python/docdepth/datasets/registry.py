@@ -206,8 +206,8 @@ def _find_recording(path: Path, wanted: Format | None) -> tuple[Path, Format]:
     clouds = _clouds_below(path)
     if clouds:
         raise DatasetError(
-            f"{clouds} holds point clouds, but nothing tells of which recording; describe it in "
-            f"{path / FILE}, with sweeps: {clouds.relative_to(path)}"
+            f"{clouds} holds point clouds, but no file describes the recording; write "
+            f"{path / FILE} with sweeps: {clouds.relative_to(path)}"
         )
     names = ", ".join(known.name for known in formats)
     raise DatasetError(

@@ -111,8 +111,8 @@ class HeldOutResult:
 _REGIONS = ("all", "static", "dynamic", "clear")
 _NOTE = (
     "; point to point: from each return to the nearest point of the depth map, and back; clear: "
-    "not beside a depth edge of its own sweep, where a pixel shows either side, and where a LiDAR "
-    "was left out, seen by another one at that time"
+    "without returns beside a depth edge of their sweep, whose pixel may show either side, and, if "
+    "a LiDAR was left out, without those that no other LiDAR saw at that time"
 )
 
 

@@ -127,7 +127,7 @@ def check_opened(
     points = np.array([len(sweep.points) for sweep in sweeps.values()] or [0])
     needed = estimate(points, len(files), cameras, parameters, jobs)
     check_resources(needed, cameras, output, found)
-    seen = ", ".join(f"{s.name} ({len(s.names)} images)" for s in cameras)
+    seen = ", ".join(f"{s.name} ({len(s.names)} images)" for s in cameras) or "none"
     summary = (
         f"{len(recording)} sweeps of {np.median(points):.0f} points, cameras {seen}; by estimate "
         f"{gigabytes(needed.memory)} of memory and {gigabytes(needed.disk)} on disk"

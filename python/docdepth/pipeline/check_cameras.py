@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import CameraStream, Dataset, Sweep, usable_points
-from docdepth.datasets.files import unreadable
+from docdepth.datasets.files import is_there, settings_file, unreadable
 from docdepth.datasets.images import ImageSource, file_of
 from docdepth.datasets.tolerance import reading_a_frame
 from docdepth.errors import DatasetError
@@ -198,4 +198,8 @@ def _extrinsics_of(recording: Dataset) -> str:
     if (recording.path / "calib.txt").is_file():
         return f"Tr in {recording.path / 'calib.txt'}"
     raw = recording.path.parent / "calib_velo_to_cam.txt"
-    return f"R and T in {raw}" if raw.is_file() else f"the extrinsics of {recording.path}"
+    if raw.is_file():
+        return f"R and T in {raw}"
+    described = settings_file(recording.path)
+    given = is_there(described) and "T_camera_lidar" in described.read_text(encoding="utf-8")
+    return f"T_camera_lidar in {described}" if given else f"the calibration of {recording.path}"

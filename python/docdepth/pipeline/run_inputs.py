@@ -361,8 +361,9 @@ def _camera_names(wanted: str | Sequence[str] | None, recording: Dataset) -> lis
     if not cameras:
         images = ", ".join(image_streams(recording))
         raise CalibrationError(
-            f"{recording.path} has no calibrated camera; add its calibration"
-            + (f", or find that of {images} by docdepth calibrate" if images else "")
+            f"{recording.path} has no camera with K and T_camera_lidar; docdepth.yaml can add "
+            "them"
+            + (f", and docdepth calibrate finds those of {images}" if images else "")
             + "; --camera none makes poses and labels alone"
         )
     if wanted is None:
