@@ -123,7 +123,7 @@ def test_poses_of_another_time_are_refused() -> None:
         compare_trajectories(truth, later)
 
 
-def test_a_run_against_exact_poses(finished, drive: Path, tmp_path: Path) -> None:
+def test_a_run_against_exact_poses(finished, drive: Path, tmp_path: Path, caplog) -> None:
     run, _ = finished
     result = evaluate_trajectories(run, "dataset")
     assert (result.poses, result.source) == (5, "small_gicp")
@@ -137,5 +137,10 @@ def test_a_run_against_exact_poses(finished, drive: Path, tmp_path: Path) -> Non
     times = np.arange(trajectory.times[0], trajectory.times[-1] + 1, 20_000_000)
     write_tum(tmp_path / "dense.tum", Trajectory(times, trajectory.interpolate(times)))
     assert evaluate_trajectories(run, tmp_path / "dense.tum").rpe.max < 1e-6
+    assert not caplog.records
+    cameras = drive / "poses.txt"  # as KITTI's are
+    assert evaluate_trajectories(run, cameras).rpe.rmse > 0.5
+    assert "say which: --poses CAMERA:FILE" in caplog.text
+    assert evaluate_trajectories(run, f"image_0:{cameras}").rpe.rmse < 0.1
     with pytest.raises(OdometryError, match=r"nowhere\.txt is missing"):
         evaluate_trajectories(run, tmp_path / "nowhere.txt")

@@ -19,6 +19,7 @@ from docdepth.geometry.se3 import inverse, nearest_rotation
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.poses import read_timed_poses
 from docdepth.io.run_folder import RunFolder
+from docdepth.odometry.pose_checks import move_upwards, warn_of_camera
 from docdepth.pipeline.given_poses import file_of_poses, poses_entry, read_given_poses
 from docdepth.pipeline.run_inputs import open_recording
 from docdepth.pipeline.run_state import require
@@ -186,6 +187,8 @@ def evaluate_trajectories(run: Path | RunFolder, poses: Path | str) -> Trajector
     recording = open_recording(source)
     timed = None if file is None else _of_other_rate(file, recording)
     truth = timed or Trajectory(made.times, read_given_poses(entry, recording))
+    if not move_upwards(made.poses):
+        warn_of_camera(truth.poses)
     return compare_trajectories(truth, made, str(source.get("poses") or "small_gicp"))
 
 

@@ -61,12 +61,17 @@ def check_given_poses(
         raise OdometryError(str(error)) from None
     if len(given) > 1 and np.ptp(given, axis=0).max() < _SAME_POSE:
         _warn_of_motion(dataset, parameters)
-    if move_upwards(given):
+    warn_of_camera(given)
+    return given
+
+
+def warn_of_camera(poses: NDArray[np.float64]) -> None:
+    """Log a warning if poses look like those of a camera."""
+    if move_upwards(poses):
         log.warning(
             "along the poses the LiDAR moves upwards (z), not forwards (x): if they are poses of "
             "a camera, say which: --poses CAMERA:FILE"
         )
-    return given
 
 
 def check_period(dataset: Dataset) -> float:
