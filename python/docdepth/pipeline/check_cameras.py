@@ -12,9 +12,9 @@ from docdepth.datasets import CameraStream, Dataset, Sweep, usable_points
 from docdepth.datasets.files import is_there, settings_file, unreadable
 from docdepth.datasets.images import ImageSource, file_of
 from docdepth.datasets.tolerance import reading_a_frame
-from docdepth.errors import DatasetError
+from docdepth.errors import Collector, DatasetError
 from docdepth.pipeline.alignment import find_misalignment
-from docdepth.pipeline.check_sweeps import sample
+from docdepth.pipeline.check_sweeps import sample, tell_broken
 from docdepth.pipeline.problems import Findings
 
 _IMAGES = 6  # that are opened
@@ -71,9 +71,11 @@ def _check_images(stream: CameraStream, found: Findings) -> None:
     sampled = sample(len(stream.images), _IMAGES) if stream.images else []
     size = stream.camera.width, stream.camera.height
     odd = [k for k, image in enumerate(stream.images) if _is_odd(image, size)]
-    for index in sorted({*sampled, *odd[:_IMAGES]}):
-        with found.collected(), reading_a_frame():
+    broken, opened = Collector(), sorted({*sampled, *odd[:_IMAGES]})
+    for index in opened:
+        with broken.collected():
             stream.rectified_image(index)
+    tell_broken(broken, len(opened), found)
 
 
 def _is_odd(image: ImageSource, size: tuple[int, int]) -> bool:

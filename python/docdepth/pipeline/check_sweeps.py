@@ -59,12 +59,17 @@ def check_sweeps(
             with found.collected():
                 _check_parameters(sweep, place, parameters)
                 opened[index] = sweep
-    few = reading_a_frame if 2 * len(broken.errors) <= len(sampled) else nullcontext
+    tell_broken(broken, len(sampled), found)
+    _check_usable_shares(opened, recording, found)
+    return opened
+
+
+def tell_broken(broken: Collector, count: int, found: Findings) -> None:
+    """Tell which of so many frames are broken; if most are, none can be left out."""
+    few = reading_a_frame if 2 * len(broken.errors) <= count else nullcontext
     for error in broken.errors:
         with found.collected(), few():
             raise error
-    _check_usable_shares(opened, recording, found)
-    return opened
 
 
 def check_sweep(sweep: Sweep, place: str, found: Findings) -> None:
