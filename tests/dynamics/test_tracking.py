@@ -125,6 +125,28 @@ def test_a_parked_car_where_another_one_stopped_stays_static():
     assert tracked([mover, parked], 40) == [[], []]
 
 
+def test_a_parked_car_that_was_one_object_with_a_car_that_arrives_stays_static(monkeypatch):
+    """Far away both are one object, and votes tell of neither that it was there before."""
+    monkeypatch.setattr("things.MEMORY", 60)
+    stop = waits((15, 3), 20)
+    mover = Thing(CAR, lambda i: stop(49 - i), range(22))
+    parked = Thing(CAR, parked_at(15.5, 5.6))
+    parked.stay = lambda i, count: (False, 22, count - 1)
+    arrived, neighbor = tracked([mover, parked], 60, joined={(0, 1): range(22, 40)})
+    assert arrived == list(range(22, 60))
+    assert [i for i in neighbor if i >= 22] == []
+
+
+def test_a_parked_car_beside_a_place_that_was_free_is_static_before_another_car_stands_there():
+    """When that one is first seen, both are one object."""
+    arrived = Thing(CAR, lambda i: (60, 5) if i >= 30 else None, range(30, 34))
+    arrived.stay = lambda i, count: (True, 30, count - 1)
+    parked = Thing(CAR, lambda i: (60.5, 7.2) if i < 10 or i >= 30 else None)
+    parked.stay = lambda i, count: (False, 30, count - 1)
+    found = tracked([arrived, parked], 80, joined={(0, 1): range(30, 50)})
+    assert found == [list(range(30, 80)), []]
+
+
 def test_a_pole_and_a_wall_beside_a_pedestrian_who_disappears_stay_static():
     walker = Thing(PERSON, lambda i: (2 + 0.12 * i, 3) if i < 25 else None, range(25))
     pole = Thing(POLE, parked_at(5.1, 3.1))

@@ -29,13 +29,17 @@ bool are_too_wide(const SampledPoints& one, const SampledPoints& other) {
 /// larger, and the votes tell that it was there before or stayed after.
 bool was_there_before(const Detection& object, const Detection& other) {
   return object.area > kFragmentShare * other.area &&
-         other.passing_share() * float(object.points) >= kMinExpectedPoints &&
-         object.passing_share() < kTogetherShare * other.passing_share() &&
+         was_less_free(object, other.passing_share()) &&
          (other.is_passing() || object.first_occupied < other.first_occupied ||
           object.last_occupied > other.last_occupied);
 }
 
 }  // namespace
+
+bool was_less_free(const Detection& object, float share) {
+  return share * float(object.points) >= kMinExpectedPoints &&
+         object.passing_share() < kTogetherShare * share;
+}
 
 SampledPoints drop_neighbors(const Detections& seen, std::vector<std::uint32_t>& objects) {
   SampledPoints neighbors;

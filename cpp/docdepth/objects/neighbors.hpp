@@ -8,6 +8,9 @@
 
 namespace docdepth {
 
+/// Whether clearly less of the place of a detection was free before or after than this share of it.
+bool was_less_free(const Detection& object, float share);
+
 /// Detections that continue a track, without those that do not belong together.
 ///
 /// What belongs together comes together. So a detection is a neighbor if its place was less free

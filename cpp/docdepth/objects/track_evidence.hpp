@@ -10,6 +10,7 @@
 
 #include "docdepth/objects/constants.hpp"
 #include "docdepth/objects/followed.hpp"
+#include "docdepth/objects/neighbors.hpp"
 #include "docdepth/objects/tracking.hpp"
 
 namespace docdepth {
@@ -81,11 +82,28 @@ class TrackEvidence {
     const double time = std::clamp(times_[sweep], first_.time, last_.time);
     if (is_member) return was_free(object, time);
     if (!lies_there(object, time, kSearchMargin) || !was_free(object, time)) return false;
+    // Before it is first seen, and after it is last seen, something else may stand there.
+    if (time != times_[sweep] &&
+        was_less_free(object, stay_at(path_.pose(time).translation()).free_share))
+      return false;
     if (object.free_area >= kFreeEdges * object.area) return true;
     // Beside where it only passes, and where it is not seen any more, something else may stand.
     if (!path_.covers(times_[sweep])) return false;
     return path_.speed(time) < kSlow ||
            (path_.is_rigid() && lies_there(object, time, kObjectMargin));
+  }
+
+  /// Whether a detection of a sweep is none of the object of which another one shows most: less of
+  /// its place was free before or after, and both together are wider than any vehicle. So a parked
+  /// car beside one that arrives stays static, though both looked like one object far away.
+  bool are_apart(std::size_t sweep, const Detection& object, const Detection& best) const {
+    if (!was_less_free(object, best.passing_share())) return false;
+    const Vector across = path_.pose(times_[sweep]).linear().col(1).cast<float>();
+    float low = INFINITY, high = -INFINITY;
+    for (const Detection* of : {&object, &best})
+      for (const Vector& p : of->samples())
+        low = std::min(low, across.dot(p)), high = std::max(high, across.dot(p));
+    return high - low > kMaxVehicleWidth;
   }
 
  private:

@@ -9,6 +9,7 @@
 #include "docdepth/objects/constants.hpp"
 #include "docdepth/objects/dynamic_voxels.hpp"
 #include "docdepth/objects/followed.hpp"
+#include "docdepth/objects/neighbors.hpp"
 #include "docdepth/objects/parts.hpp"
 #include "docdepth/objects/track_evidence.hpp"
 #include "docdepth/objects/tracker.hpp"
@@ -72,12 +73,19 @@ Members members_of(TrackEvidence& evidence, const Track& track, std::uint32_t nu
     const bool is_seen = seen != track.observations.end() && seen->sweep == i;
     if (!is_seen && !evidence.covers(times[i])) continue;
     const Detections& objects = sweeps[i];
+    std::vector<std::pair<const Detection*, bool>> found;
+    const Detection* best = nullptr;  // of whose place most was free before or after
     for (std::uint32_t k = 0; k < objects.size(); ++k) {
       const bool is_member = is_seen && std::find(seen->objects.begin(), seen->objects.end(), k) !=
                                             seen->objects.end();
       const bool claimed = evidence.claims(i, objects[k], is_member);
-      if (is_member || claimed) members.push_back({i, {objects[k].first, number, claimed}});
+      if (!is_member && !claimed) continue;
+      found.push_back({&objects[k], claimed});
+      if (!best || objects[k].passing_area() > best->passing_area()) best = &objects[k];
     }
+    for (const auto& [object, claimed] : found)
+      members.push_back(
+          {i, {object->first, number, claimed && !evidence.are_apart(i, *object, *best)}});
   }
   return members;
 }
