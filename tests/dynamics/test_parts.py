@@ -49,6 +49,15 @@ def test_a_piece_that_stays_in_a_lorry_is_the_lorry_however_fast_it_seems():
     assert owners[0] == {1}
 
 
+def test_pieces_of_a_van_of_which_only_the_rear_is_seen_are_one_track():
+    at = passes(0.5, speed=9.5, start=12.0)
+    doors = Thing((0.2, 2.0, 1.4), ahead(at, 0.0, 1.6), range(COUNT))
+    bumper = Thing((0.2, 1.7, 0.5), ahead(at, 0.0, 0.5), range(COUNT))
+    tracks, owners = tracks_of([doors, bumper])
+    assert len(tracks) == 1
+    assert owners == [{1}, {1}]
+
+
 def test_the_other_half_of_a_car_is_the_car_but_a_trailer_is_none():
     half = (CAR[0], CAR[1] / 2 - 0.1, CAR[2])
     at = passes(4, speed=9.0, start=12.0)

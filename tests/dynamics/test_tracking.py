@@ -259,6 +259,23 @@ def test_of_a_lorry_a_rosette_is_enough_to_know_its_side(seed):
     assert track.surface_deviations.max() < 0.04
 
 
+def test_a_lorry_is_tracked_though_every_other_sweep_sees_its_lower_part_only():
+    """That is as high as a van, and cars of this height have few samples."""
+    level = straight(40)
+    poses = level.poses.copy()
+    poses[:, 2, 3] = 3
+    drive = Trajectory(level.times, poses)
+    lorry = Thing(
+        LORRY,
+        lambda i: (1.6 * i - 10, 10, 1.9),
+        range(20, 40),
+        seen=lambda i, points: points[:, 2] < (1.7 if i % 2 else 0.9),
+    )
+    detections, _ = detections_of([lorry], 40, drive=drive)
+    (track,) = track_objects(detections, drive).tracks
+    assert len(track) == 40
+
+
 def test_what_the_lidar_sees_of_its_own_vehicle_is_not_tracked():
     """It moves with the vehicle, as a cyclist does who rides beside it for half of the drive."""
     rack = Thing((0.4, 0.4, 0.4), lambda i: (0.8 * i - 1, 1.2, 1.1), range(40))

@@ -24,12 +24,14 @@ constexpr float kMinFreeShare = 0.5f;
 constexpr float kFreeEdges = 0.15f;
 /// With a larger share of isolated returns it is porous: rays pass through twigs and fences.
 constexpr float kMaxIsolatedShare = 0.1f;
-/// An object is kept as at most this many samples. What is higher than a van [m] has more that are
-/// so far apart [m], up to 500: farther apart, those of a lorry miss those of the next sweep by
-/// more than kMatchDistance where each sweep sees other parts of it. A row of parked cars needs no
-/// more, and with them the car that arrives takes its neighbors along.
+/// An object is kept as at most this many samples. What is higher than a van, or higher than a car
+/// and longer than a van [m], has more that are so far apart [m], up to 500: farther apart, those
+/// of a lorry miss those of the next sweep by more than kMatchDistance where each sweep sees other
+/// parts of it. A row of parked cars needs no more, and with them the car that arrives takes its
+/// neighbors along; a van and the car beside it are 8 m long.
 constexpr std::size_t kMaxSamples = 100;
-constexpr float kMaxVanHeight = 2.8f, kMaxSampleSpacing = 0.33f;
+constexpr float kMaxCarHeight = 2.2f, kMaxVanHeight = 2.8f, kMaxVanLength = 10.0f;
+constexpr float kMaxSampleSpacing = 0.33f;
 /// An object borders on what is this much nearer or farther [m]; that much apart are the samples of
 /// its borders [m], and so many are kept.
 constexpr float kMinBorderDepth = 0.5f, kBorderSpacing = 0.1f;

@@ -50,9 +50,16 @@ struct Detection {
 
 using Detections = std::vector<Detection>;
 
+/// Whether an object is as large as a lorry or a bus.
+inline bool is_large(const Extent& box) {
+  const Eigen::Vector3f size = box.size();
+  return size.z() > kMaxVanHeight ||
+         (size.z() > kMaxCarHeight && size.head<2>().maxCoeff() > kMaxVanLength);
+}
+
 /// How far apart the samples of an object may be, however many they are [m].
 inline float largest_spacing(const Extent& box) {
-  return box.size().z() > kMaxVanHeight ? kMaxSampleSpacing : INFINITY;
+  return is_large(box) ? kMaxSampleSpacing : INFINITY;
 }
 
 /// What is known about each point of a sweep.

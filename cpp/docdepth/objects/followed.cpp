@@ -43,6 +43,12 @@ bool is_side_of_vehicle(const TrackAndPath& followed) {
          2 * track.dynamic >= int(track.observations.size());
 }
 
+bool is_rear_of_vehicle(const TrackPath& path) {
+  const Eigen::Vector3f size = path.extent().size();
+  return path.is_rigid() && size.x() < kMinVehicleWidth && size.y() >= kMinRigidWidth &&
+         size.z() >= kMinVehicleHeight;
+}
+
 bool is_rail(const TrackAndPath& followed) {
   return is_thin(followed.path) && !is_side_of_vehicle(followed);
 }

@@ -31,6 +31,10 @@ bool is_vehicle(const TrackPath& path);
 /// than any crash barrier, and in most sweeps its place was free before or after.
 bool is_side_of_vehicle(const TrackAndPath& followed);
 
+/// Whether it is the rear or the front of a vehicle, which is all that is seen of it: as wide as no
+/// person is, and flat along its way.
+bool is_rear_of_vehicle(const TrackPath& path);
+
 /// Whether it is another long, thin thing that seems to go along itself. What is seen of a guard
 /// rail goes along with us, or with a car that hides the rest; or it is the side of a car.
 bool is_rail(const TrackAndPath& followed);

@@ -78,7 +78,7 @@ std::vector<std::size_t> find_wholes(const Paths& followed, const std::vector<do
       const auto& [track, path] = *followed[other];
       const bool larger = areas[other] > areas[k] || (areas[other] == areas[k] && other < k);
       if (!larger || areas[other] <= areas[wholes[k]] ||
-          !(is_vehicle(path) || is_side_of_vehicle(*followed[other])) ||
+          !(is_vehicle(path) || is_rear_of_vehicle(path) || is_side_of_vehicle(*followed[other])) ||
           times[track.observations.front().sweep] > times[mine.back().sweep] + p.max_gap_standing ||
           times[mine.front().sweep] > times[track.observations.back().sweep] + p.max_gap_standing)
         continue;
