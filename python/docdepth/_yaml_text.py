@@ -11,12 +11,12 @@ class UniqueLoader(yaml.SafeLoader):
     """YAML in which every name stands once in its table."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        names: list[str] = []
+        names: set[str] = set()
         for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
             if key.value in names:
                 what = f"{key.value!r} stands twice; keep one of the two"
                 raise yaml.MarkedYAMLError(problem=what, problem_mark=key.start_mark)
-            names.append(key.value)
+            names.add(key.value)
         return super().construct_mapping(node, deep)
 
 

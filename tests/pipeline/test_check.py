@@ -172,6 +172,17 @@ def test_times_in_milliseconds_are_told(copy: Path) -> None:
         register_drive(open_dataset(copy))
 
 
+def test_sweeps_that_are_taken_seldom_need_poses(copy: Path) -> None:
+    """A scanner that is carried from place to place: odometry cannot follow, given poses can."""
+    for table in (copy / "times.txt", copy / "image_2" / "times.txt"):
+        times = [100 * float(time) for time in table.read_text().split()]
+        table.write_text("".join(f"{time:.6f}\n" for time in times))
+    assert "sweeps are 10 s apart" in texts(problems(copy), "error")
+    found = problems(copy, poses="dataset")
+    assert "sweeps are 10 s apart" in texts(found, "warning")
+    assert texts(found, "error") == ""
+
+
 def test_images_of_another_size_are_found_before_they_are_needed(copy: Path) -> None:
     cv2.imwrite(str(copy / "image_2" / "000002.png"), np.zeros((40, 60, 3), np.uint8))
     errors = texts(problems(copy), "error")

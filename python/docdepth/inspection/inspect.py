@@ -70,7 +70,9 @@ def inspect_recording(
     with recorded_warnings() as logged:
         files = [recording.sweep_files(k) for k in range(len(recording))]
         sizes = np.array([_size(of_sweep) for of_sweep in files], np.int64)
-        result.sweeps = check_sweeps(recording, files, sizes, parameters or Parameters(), found)
+        result.sweeps = check_sweeps(
+            recording, files, sizes, parameters or Parameters(), found, given is not None
+        )
         _look_at_sweeps(recording, result)
         if given is not None:
             with found.collected():

@@ -111,12 +111,13 @@ def check_opened(
     """The same for inputs that are open already; so many processes will share the work."""
     found = Findings()
     _check_parameters(parameters, found)
+    has_poses = bool(source.get("poses"))
     with found.collected():
         poses = known_poses(source, recording)
-        if poses is not None and source.get("poses"):
+        if poses is not None and has_poses:
             refuse_poses_of_a_camera(str(source["poses"]), recording, poses, parameters.odometry)
     files = [recording.sweep_files(k) for k in range(len(recording))]
-    sweeps = check_sweeps(recording, files, _sizes(files), parameters, found)
+    sweeps = check_sweeps(recording, files, _sizes(files), parameters, found, has_poses)
     if source.get("labels"):
         _check_labels(Path(source["labels"]), recording, sweeps, found)
     for stream in cameras:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from docdepth.config import Parameters
 from docdepth.datasets import Dataset, Sweep, usable_points
 from docdepth.datasets.tolerance import reading_a_frame
-from docdepth.errors import Collector, DatasetError
+from docdepth.errors import Collector, DatasetError, OdometryError
 from docdepth.odometry.pose_checks import check_period
 from docdepth.pipeline.problems import Findings
 
@@ -44,9 +44,14 @@ def check_sweeps(
     sizes: NDArray[np.int64],
     parameters: Parameters,
     found: Findings,
+    has_poses: bool = False,
 ) -> dict[int, Sweep]:
-    """Check times, sizes and sampled sweeps; returns those that could be read."""
-    _check_period(recording, found)
+    """Check times, sizes and sampled sweeps; returns those that could be read.
+
+    Given poses need no odometry, so sweeps may be taken seldom: by a scanner that is carried from
+    place to place.
+    """
+    _check_period(recording, found, has_poses)
     _check_sizes(files, sizes, found)
     _check_repeats(files, sizes, found)
     opened: dict[int, Sweep] = {}
@@ -84,11 +89,15 @@ def check_sweep(sweep: Sweep, place: str, found: Findings) -> None:
     _check_times(sweep, place)
 
 
-def _check_period(recording: Dataset, found: Findings) -> None:
+def _check_period(recording: Dataset, found: Findings, has_poses: bool) -> None:
     if len(recording) < 2:
         return
-    with found.collected():
+    try:
         period = check_period(recording)
+    except OdometryError as error:
+        tell = found.warn if has_poses else found.error
+        tell(str(error))
+    else:
         _check_pauses(recording, np.diff(recording.times) * 1e-9, period, found)
 
 
