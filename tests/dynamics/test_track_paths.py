@@ -2,7 +2,18 @@
 
 import numpy as np
 import pytest
-from things import CAR, PERSON, RAYS, Thing, detections_of, measured, ranges_of, straight, waits
+from things import (
+    CAR,
+    PERSON,
+    RAYS,
+    Thing,
+    detections_of,
+    measured,
+    parked_at,
+    ranges_of,
+    straight,
+    waits,
+)
 
 from docdepth.dynamics.tracking import TRACK_PARAMETERS, Detections, PointStays, track_objects
 from docdepth.geometry.scan_mesh import ScanMesh
@@ -180,3 +191,18 @@ def test_a_lorry_that_overtakes_is_measured_at_different_times():
     off = track.poses[:, 0, 3] - truth[:, 0]
     assert np.abs(off - np.median(off)).max() < 0.08  # 0.2 m as if all were measured at once
     np.testing.assert_allclose(track.size[0], 10, atol=0.3)
+
+
+def test_what_stands_beside_a_van_makes_it_no_larger():
+    """For 2.5 s it is one object with a bush, and both together are wider than any vehicle."""
+    count, poses = 60, np.repeat(np.eye(4)[None], 60, 0)
+    poses[:, 2, 3] = 1.7
+    stands = Trajectory(np.arange(count) * 100_000_000, poses)
+    van = Thing((2.2, 5.0, 2.0), lambda i: (14.0, 0.3 * i - 9), range(count))
+    bush = Thing((1.2, 3.0, 3.0), parked_at(17.2, 0))
+    beside = [i for i in range(count) if abs(van.at(i)[1]) < 3.8]
+    detections, _ = detections_of([van, bush], count, joined={(0, 1): beside}, drive=stands)
+    (track,) = track_objects(detections, stands).tracks
+    np.testing.assert_allclose(track.size[:2], (5, 2.2), atol=0.2)  # else 7.4 and 3.8
+    truth = [van.at(i) for i in (track.times // 100_000_000).tolist()]
+    np.testing.assert_allclose(track.poses[:, :2, 3], truth, atol=0.2)

@@ -137,6 +137,23 @@ def test_a_parked_car_that_was_one_object_with_a_car_that_arrives_stays_static(m
     assert [i for i in neighbor if i >= 22] == []
 
 
+def test_shrubs_along_which_a_lost_track_goes_on_are_static():
+    """In each sweep another one is met; the place of the car is not known any more."""
+    off = np.random.default_rng(1).uniform(-0.6, 0.6, (60, 2))
+    at = passes(20, speed=4.0, start=12.0)
+    car = Thing(CAR, lambda i: at(i) if i < 20 else None, range(20))
+    shrub = Thing((2.5, 1.5, 1.5), lambda i: tuple(at(i) + off[i]) if i > 20 else None)
+    shrub.stay = lambda i, count: (False, 20, count - 1)
+    detections, rows = detections_of([car, shrub], 60)
+    found = track_objects(detections, straight(60))
+    (track,) = found.tracks
+    sweeps = track.times // 100_000_000
+    known = sweeps[track.deviations <= 0.5][-1]
+    lost = [i for i in sweeps.tolist() if at(i)[0] > at(known)[0] + 3.9]
+    assert len(lost) > 1
+    assert not any(rows[i][1] in found.sweeps[i].dynamic for i in lost)
+
+
 def test_a_parked_car_beside_a_place_that_was_free_is_static_before_another_car_stands_there():
     """When that one is first seen, both are one object."""
     arrived = Thing(CAR, lambda i: (60, 5) if i >= 30 else None, range(30, 34))

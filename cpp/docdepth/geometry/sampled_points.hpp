@@ -24,6 +24,11 @@ struct Extent {
     low = low.cwiseMin(other.low);
     high = high.cwiseMax(other.high);
   }
+  /// What of it lies within another one; flat on its border if nothing does.
+  Extent clipped(const Extent& other) const {
+    return {low.cwiseMax(other.low).cwiseMin(other.high),
+            high.cwiseMin(other.high).cwiseMax(other.low)};
+  }
   bool overlaps(const Extent& other, float margin) const {
     return ((low.array() <= other.high.array() + margin) &&
             (other.low.array() <= high.array() + margin))

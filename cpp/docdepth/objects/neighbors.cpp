@@ -9,22 +9,6 @@
 namespace docdepth {
 namespace {
 
-/// Whether two things together are wider than any vehicle, whichever way it is turned.
-bool are_too_wide(const SampledPoints& one, const SampledPoints& other) {
-  for (int i = 0; i < kWidthDirections; ++i) {
-    const double angle = M_PI * i / kWidthDirections;
-    const Eigen::Vector2f across(float(std::cos(angle)), float(std::sin(angle)));
-    float low = std::numeric_limits<float>::infinity(), high = -low;
-    for (const SampledPoints* samples : {&one, &other})
-      for (const Eigen::Vector3f& p : *samples) {
-        const float x = across.dot(p.head<2>());
-        low = std::min(low, x), high = std::max(high, x);
-      }
-    if (high - low <= kMaxVehicleWidth) return false;
-  }
-  return true;
-}
-
 /// Whether the place of a detection was less free than that of another one which is not much
 /// larger, and the votes tell that it was there before or stayed after.
 bool was_there_before(const Detection& object, const Detection& other) {
@@ -35,6 +19,21 @@ bool was_there_before(const Detection& object, const Detection& other) {
 }
 
 }  // namespace
+
+bool are_too_wide(std::initializer_list<const SampledPoints*> things) {
+  for (int i = 0; i < kWidthDirections; ++i) {
+    const double angle = M_PI * i / kWidthDirections;
+    const Eigen::Vector2f across(float(std::cos(angle)), float(std::sin(angle)));
+    float low = std::numeric_limits<float>::infinity(), high = -low;
+    for (const SampledPoints* samples : things)
+      for (const Eigen::Vector3f& p : *samples) {
+        const float x = across.dot(p.head<2>());
+        low = std::min(low, x), high = std::max(high, x);
+      }
+    if (high - low <= kMaxVehicleWidth) return false;
+  }
+  return true;
+}
 
 bool was_less_free(const Detection& object, float share) {
   return share * float(object.points) >= kMinExpectedPoints &&
@@ -50,7 +49,7 @@ SampledPoints drop_neighbors(const Detections& seen, std::vector<std::uint32_t>&
   const auto is_neighbor = [&](std::uint32_t k) {
     const SampledPoints& samples = seen[k].samples();
     if (k == best ||
-        !(was_there_before(seen[k], seen[best]) || are_too_wide(samples, seen[best].samples())))
+        !(was_there_before(seen[k], seen[best]) || are_too_wide({&samples, &seen[best].samples()})))
       return false;
     neighbors.insert(neighbors.end(), samples.begin(), samples.end());
     return true;

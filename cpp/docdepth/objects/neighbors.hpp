@@ -2,11 +2,15 @@
 #pragma once
 
 #include <cstdint>
+#include <initializer_list>
 #include <vector>
 
 #include "docdepth/objects/detections.hpp"
 
 namespace docdepth {
+
+/// Whether things together are wider than any vehicle, whichever way it is turned.
+bool are_too_wide(std::initializer_list<const SampledPoints*> things);
 
 /// Whether clearly less of the place of a detection was free before or after than this share of it.
 bool was_less_free(const Detection& object, float share);

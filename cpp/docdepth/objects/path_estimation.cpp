@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "docdepth/objects/constants.hpp"
+#include "docdepth/objects/neighbors.hpp"
 #include "docdepth/objects/quantile.hpp"
 #include "docdepth/objects/smoothing.hpp"
 
@@ -105,6 +106,7 @@ class PathEstimation {
   }
   void measure_shifts();
   void find_headings();
+  void find_alone();
   void register_surfaces();
   std::size_t register_from(std::size_t first, int step, SurfaceModel& model,
                             Measurements& measured);
@@ -117,6 +119,7 @@ class PathEstimation {
   const Track& track_;
   const SeenSurface* seen_;  ///< of each observation, in the world
   const std::vector<double>& times_;
+  std::vector<std::uint8_t> alone_;  ///< whether an observation shows nothing but the object
   PathEstimate path_;
 };
 
@@ -195,16 +198,27 @@ void PathEstimation::find_headings() {
                               wrapped(path_.states[k].heading - path_.states[k - 1].heading);
 }
 
+/// An observation that is wider than any vehicle shows what stands beside the object, too. Where
+/// all are, they are taken as they are.
+void PathEstimation::find_alone() {
+  for (std::size_t k = 0; k < path_.states.size(); ++k)
+    alone_.push_back(!are_too_wide({&seen_[k].points}));
+  if (std::count(alone_.begin(), alone_.end(), 1) == 0) alone_.assign(alone_.size(), 1);
+}
+
 /// Register the surfaces of all observations, from the one that shows most of the object outward:
 /// each where the motion so far leads. Then all once more onto the whole model.
 void PathEstimation::register_surfaces() {
   const auto& seen = track_.observations;
-  const auto smaller = [](const auto& a, const auto& b) { return a.area < b.area; };
-  const auto first =
-      std::size_t(std::max_element(seen.begin(), seen.end(), smaller) - seen.begin());
-  if (!has_normals(seen_[first])) return;  // the shifts have to do
+  find_alone();
+  std::size_t first = 0;
   float width = 0;
-  for (const TrackObservation& of : seen) width = std::max(width, of.box.width());
+  for (std::size_t k = 0; k < seen.size(); ++k) {
+    if (!alone_[k]) continue;
+    if (!alone_[first] || seen[k].area > seen[first].area) first = k;
+    width = std::max(width, seen[k].box.width());
+  }
+  if (!has_normals(seen_[first])) return;  // the shifts have to do
   SurfaceModel model(std::max(kSampleSpacing, width / kModelVoxels));
   Measurements measured{std::vector<MeasuredPosition>(path_.states.size()),
                         std::vector<MeasuredPosition>(path_.states.size())};
@@ -285,7 +299,7 @@ std::size_t PathEstimation::register_from(std::size_t first, int step, SurfaceMo
     motion.update(position), turn.update(measured.headings[k]);
     if (misses > 0) continue;
     last = k, T_last = found.T_world_object;
-    if (found.share >= kMinRegisteredShare) model.add(seen, found.T_world_object);
+    if (found.share >= kMinRegisteredShare && alone_[k]) model.add(seen, found.T_world_object);
   }
   return step > 0 ? path_.states.size() : std::size_t(-1);
 }
@@ -361,15 +375,17 @@ void PathEstimation::find_extent(const SurfaceModel& model) {
 
 /// As measured, not held: what a sweep shows of the object is looked for in these boxes.
 void PathEstimation::find_extents() {
+  const bool is_known = path_.rigid && path_.extent.size().minCoeff() > 0;
   std::vector<float> sides[6];
   for (std::size_t k = 0; k < path_.states.size(); ++k) {
     path_.extents.push_back(extent_in(seen_[k].points, path_.states[k].pose()));
+    if (is_known && !alone_[k]) path_.extents[k] = path_.extents[k].clipped(path_.extent);
     for (int axis = 0; axis < 3; ++axis) {
       sides[axis].push_back(path_.extents[k].low[axis]);
       sides[3 + axis].push_back(path_.extents[k].high[axis]);
     }
   }
-  if (!path_.rigid || !(path_.extent.size().minCoeff() > 0))
+  if (!is_known)
     for (int axis = 0; axis < 3; ++axis) {
       path_.extent.low[axis] = quantile(sides[axis], 1 - kRigidQuantile);
       path_.extent.high[axis] = quantile(sides[3 + axis], kRigidQuantile);

@@ -75,10 +75,12 @@ class TrackEvidence {
     if (object.dynamic == object.points || object.box.width() < kMinTrackedWidth) return false;
     if (object.area - object.dynamic_area > supported_) return false;
     if (!is_known_) return is_member && object.was_free();
-    // What has come to stand is asked about each sweep of the rest of the drive.
-    if (!is_member && ((times_[sweep] < first_.time && !object.box.overlaps(first_.extent, 0)) ||
-                       (times_[sweep] > last_.time && !object.box.overlaps(last_.extent, 0))))
-      return false;
+    // What has come to stand is asked about each sweep of the rest of the drive. And where the
+    // track is lost it may go on with something else.
+    const bool is_elsewhere =
+        (times_[sweep] < first_.time && !object.box.overlaps(first_.extent, 0)) ||
+        (times_[sweep] > last_.time && !object.box.overlaps(last_.extent, 0));
+    if (is_elsewhere) return is_member && object.was_free();
     const double time = std::clamp(times_[sweep], first_.time, last_.time);
     if (is_member) return was_free(object, time);
     if (!lies_there(object, time, kSearchMargin) || !was_free(object, time)) return false;
