@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from command_line import cli
-from docdepth import run
-from docdepth.errors import DatasetError, RunError
+from docdepth import open_dataset, run
+from docdepth.errors import ConfigError, DatasetError, RunError
 from docdepth.io.run_folder import RunFolder
 from small_drive import SWEEPS, write_small_drive
 
@@ -69,3 +69,9 @@ def test_a_camera_can_be_added_later(drive, tmp_path) -> None:
     again = cli("run", drive, "-o", made.path, "--camera", "none")
     assert again.exit_code == 0, "the camera stays"
     assert list(RunFolder(made.path).cameras) == ["image_2"]
+
+
+def test_an_opened_recording_is_not_taken_for_its_path(drive, tmp_path) -> None:
+    with pytest.raises(ConfigError, match="give that of its folder or file"):
+        run(open_dataset(drive), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
