@@ -26,7 +26,7 @@ from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import read_tracks, tracks_in
 from docdepth.pipeline.run_state import require
 
 log = logging.getLogger(__name__)
@@ -157,14 +157,12 @@ def evaluate_tracks(
     require(folder, "classify")
     track_packages()  # tells what to install before all sweeps are read
     labels = _truth_folder(labels, "labels", folder)
-    made = folder.path / TRACKS
-    if tracks is None and (labels.parent / TRACKS).is_file():
-        tracks = labels.parent / TRACKS
-    true_tracks = read_tracks(tracks) if isinstance(tracks, Path) else tracks or ()
-    made_tracks = read_tracks(made) if made.is_file() else ()
+    if tracks is None:
+        tracks = tracks_in(labels.parent)
+    true_tracks = read_tracks(tracks) if isinstance(tracks, Path) else tracks
     trajectory = folder.trajectory()
     truth = _true_trajectory(labels.parent) or trajectory
-    evaluation = TrackEvaluation(true_tracks, made_tracks, _poses(folder))
+    evaluation = TrackEvaluation(true_tracks, tracks_in(folder.path), _poses(folder))
     for index, time in enumerate(trajectory.times.tolist()):
         record = folder.frame(index)
         name, points = f"{record.name}.label", record.input_points

@@ -23,7 +23,7 @@ from docdepth.geometry.se3 import inverse, rotation_exp, rotation_log
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.map_edges import pixels_of_tracks
 from docdepth.pipeline.run_inputs import open_cameras, open_recording, recorded_camera
 from docdepth.pipeline.run_state import require
@@ -158,8 +158,8 @@ def _windows(
     progress: Callable[[int, int], None] | None,
 ) -> list[Window]:
     """Points followed from some images, none of which are followed at the same time."""
-    path, trajectory, times = folder.path, folder.trajectory(), stream.times
-    tracks = read_tracks(path / TRACKS) if (path / TRACKS).is_file() else []
+    trajectory, times = folder.trajectory(), stream.times
+    tracks = tracks_in(folder.path)
     margin = round(1e9 * (_FARTHEST + 0.05))
     starts: list[tuple[int, int]] = []
     for first in range(len(times)):

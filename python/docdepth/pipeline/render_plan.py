@@ -15,7 +15,7 @@ from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import check_format
 from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.graph import Parts, render_parts
 from docdepth.pipeline.input_files import InputFiles
@@ -106,8 +106,7 @@ def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
 
 def tracks_of(run: RunFolder) -> dict[int, Track]:
     """The tracks of a run by their ids; none if it was classified without."""
-    path = run.path / TRACKS
-    return by_id(read_tracks(path)) if path.is_file() else {}
+    return by_id(tracks_in(run.path))
 
 
 def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:

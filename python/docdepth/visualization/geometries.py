@@ -20,7 +20,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
 from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import tracks_in
 from docdepth.visualization.image_views import BOX_EDGES, box_corners, track_color
 from docdepth.visualization.pictures import (
     DYNAMIC_COLOR,
@@ -240,9 +240,7 @@ def run_geometries(
 
 
 def _tracks_at(run: RunFolder, time: int) -> list[tuple[Track, NDArray[np.float64]]]:
-    path = run.path / TRACKS
-    tracks = read_tracks(path) if path.is_file() else []
-    return [(track, track.pose_at(time)) for track in tracks if track.covers(time)]
+    return [(track, track.pose_at(time)) for track in tracks_in(run.path) if track.covers(time)]
 
 
 def _camera_view(

@@ -18,7 +18,7 @@ from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import tracks_in
 from docdepth.visualization.geometries import Coloring, point_colors
 from docdepth.visualization.image_views import track_color
 from docdepth.visualization.pictures import colorize
@@ -91,7 +91,7 @@ def write_rerun(
     rerun, trajectory = _rerun_module(), run.trajectory()
     part = path.with_name(f".{path.stem}.part{path.suffix}")
     log = _Log(rerun, rerun.RecordingStream("docdepth"), trajectory, trajectory.poses[0, :3, 3])
-    tracks = read_tracks(run.path / TRACKS) if (run.path / TRACKS).is_file() else []
+    tracks = tracks_in(run.path)
     log.stream.send_recording_name(run.path.resolve().name)
     try:
         part.write_bytes(b"")  # rerun itself does not say why it cannot write

@@ -17,7 +17,7 @@ from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import tracks_in
 from docdepth.visualization.image_views import box_corners, track_color, write_text
 from docdepth.visualization.pictures import BACKGROUND, Picture, colorize, draw_classes
 
@@ -113,7 +113,7 @@ def write_video_from_above(
     trajectory = run.trajectory()
     if fps is None:
         fps = float(1e9 / np.median(np.diff(trajectory.times))) if len(trajectory) > 1 else 1.0
-    tracks = read_tracks(run.path / TRACKS) if (run.path / TRACKS).is_file() else []
+    tracks = tracks_in(run.path)
     frames = (sweep_from_above(run, trajectory, tracks, k) for k in range(len(trajectory)))
     key = {"classify": run.stage("classify").get("key", "")}
     path = run.path / "report" / "above.webm"
