@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,12 +74,14 @@ class Causes:
 _AS_IS = "as they are"
 
 
-def causes(run: RunFolder, progress: Callable[[int, int], None] | None = None) -> Causes:
+def causes(
+    run: Path | str | RunFolder, progress: Callable[[int, int], None] | None = None
+) -> Causes:
     """Look for errors of poses and of motion compensation in the sweeps of a run.
 
     Parameters
     ----------
-    run : RunFolder
+    run : Path, str or RunFolder
         With classified sweeps.
     progress : callable, optional
         Called with the number of finished sweeps and the number of all.
@@ -88,8 +91,9 @@ def causes(run: RunFolder, progress: Callable[[int, int], None] | None = None) -
     RunError
         A sweep is not classified.
     """
-    trajectory = run.trajectory()
-    sweeps = _Sweeps(run, trajectory)
+    folder = RunFolder.open(run)
+    trajectory = folder.trajectory()
+    sweeps = _Sweeps(folder, trajectory)
     last = len(trajectory) - 1
     chosen = np.unique(np.linspace(0, last, SWEEPS + 2).round().astype(int)[1:-1]).tolist()
     shifts: list[Floats] = []

@@ -73,7 +73,7 @@ class JudgedImage:
 
 
 def evaluate_labels(
-    run: Path | RunFolder,
+    run: Path | str | RunFolder,
     labels: Path,
     progress: Callable[[int, int], None] | None = None,
     look: Callable[[JudgedSweep], None] | None = None,
@@ -84,7 +84,7 @@ def evaluate_labels(
 
     Parameters
     ----------
-    run : Path or RunFolder
+    run : Path, str or RunFolder
         Run folder with classified frames.
     labels : Path
         Folder of ``NAME.label`` files, or its parent with a folder ``labels``. A folder ``speeds``
@@ -101,7 +101,7 @@ def evaluate_labels(
     RunError
         A sweep is not classified.
     """
-    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    folder = RunFolder.open(run)
     require(folder, "classify")
     labels = _truth_folder(labels, "labels", folder)
     evaluation = LabelEvaluation(poses=_poses(folder))
@@ -124,7 +124,7 @@ def evaluate_labels(
 
 
 def evaluate_tracks(
-    run: Path | RunFolder,
+    run: Path | str | RunFolder,
     labels: Path,
     tracks: Path | Sequence[Track] | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -133,7 +133,7 @@ def evaluate_tracks(
 
     Parameters
     ----------
-    run : Path or RunFolder
+    run : Path, str or RunFolder
         Run folder with classified frames.
     labels : Path
         Folder of ``NAME.label`` files with instances, or its parent with a folder ``labels``. A
@@ -153,7 +153,7 @@ def evaluate_tracks(
     MissingExtraError
         motrics or scipy is not installed.
     """
-    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    folder = RunFolder.open(run)
     require(folder, "classify")
     track_packages()  # tells what to install before all sweeps are read
     labels = _truth_folder(labels, "labels", folder)
@@ -198,7 +198,7 @@ def _seconds(times: NDArray[np.int64]) -> float:
 
 
 def evaluate_depth(
-    run: Path,
+    run: Path | str | RunFolder,
     depth: Path,
     mode: Mode = "valid",
     max_range: float = 80.0,
@@ -211,7 +211,7 @@ def evaluate_depth(
 
     Parameters
     ----------
-    run : Path
+    run : Path, str or RunFolder
         Run folder with depth maps.
     depth : Path
         Folder of depth maps in any format, or its parent with a folder ``depth_2``. A folder

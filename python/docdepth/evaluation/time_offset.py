@@ -109,7 +109,7 @@ class TimeOffset:
 
 
 def time_offset(
-    run: Path | RunFolder,
+    run: Path | str | RunFolder,
     camera: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> TimeOffset:
@@ -117,7 +117,7 @@ def time_offset(
 
     Parameters
     ----------
-    run : Path or RunFolder
+    run : Path, str or RunFolder
         With depth maps, and images in its recording.
     camera : str, optional
         Its name; needed if the run has several.
@@ -133,7 +133,7 @@ def time_offset(
     CalibrationError
         The drive does not tell the offset to ten milliseconds, or it is larger than 0.2 s.
     """
-    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    folder = RunFolder.open(run)
     name = folder.depth_folder(camera)
     require(folder, f"render {folder.camera_in(name)}")
     stream = recorded_camera(folder, name)

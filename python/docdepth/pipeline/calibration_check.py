@@ -124,7 +124,7 @@ class CalibrationCheck:
 
 
 def check_calibration(
-    run: Path | RunFolder,
+    run: Path | str | RunFolder,
     camera: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> CalibrationCheck:
@@ -134,7 +134,7 @@ def check_calibration(
 
     Parameters
     ----------
-    run : Path or RunFolder
+    run : Path, str or RunFolder
         With depth maps, and images in its recording.
     camera : str, optional
         Its name; needed if the run has several.
@@ -232,12 +232,12 @@ class RunEdges:
 
 
 def edges_of_run(
-    run: Path | RunFolder,
+    run: Path | str | RunFolder,
     camera: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunEdges:
     """Read what :func:`check_calibration` compares; its parameters and errors."""
-    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    folder = RunFolder.open(run)
     name = folder.depth_folder(camera)
     if folder.parameters.render.primitive == "splats":
         raise CalibrationError(
