@@ -7,7 +7,6 @@ sweeps takes seconds. What a run checks when it starts is checked by the same fu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -69,9 +68,8 @@ def inspect_recording(
     given = recording.poses if poses is None else poses
     with recorded_warnings() as logged:
         files = [recording.sweep_files(k) for k in range(len(recording))]
-        sizes = np.array([_size(of_sweep) for of_sweep in files], np.int64)
         result.sweeps = check_sweeps(
-            recording, files, sizes, parameters or Parameters(), found, given is not None
+            recording, files, parameters or Parameters(), found, given is not None
         )
         _look_at_sweeps(recording, result)
         if given is not None:
@@ -87,13 +85,6 @@ def inspect_recording(
     findings.judge(recording, result, found)
     result.problems = found.all()
     return result
-
-
-def _size(files: list[Path]) -> int:
-    try:
-        return files[0].stat().st_size if files else 0
-    except OSError:
-        return 0
 
 
 def _look_at_sweeps(recording: Dataset, result: Inspection) -> None:

@@ -32,11 +32,9 @@ from docdepth.pipeline.given_poses import (
     refuse_poses_of_a_camera,
 )
 from docdepth.pipeline.label_folder import LabelFolder
-from docdepth.pipeline.problems import Findings, Problem, raise_problems
+from docdepth.pipeline.problems import Findings, Problem
 from docdepth.pipeline.run_inputs import known_poses, open_inputs, open_upright
 from docdepth.render.layers import check_layers
-
-__all__ = ["Problem", "Report", "check_inputs", "check_opened", "raise_problems", "report_inputs"]
 
 
 @dataclass(frozen=True)
@@ -117,7 +115,7 @@ def check_opened(
         if poses is not None and has_poses:
             refuse_poses_of_a_camera(str(source["poses"]), recording, poses, parameters.odometry)
     files = [recording.sweep_files(k) for k in range(len(recording))]
-    sweeps = check_sweeps(recording, files, _sizes(files), parameters, found, has_poses)
+    sweeps = check_sweeps(recording, files, parameters, found, has_poses)
     if source.get("labels"):
         _check_labels(Path(source["labels"]), recording, sweeps, found)
     for stream in cameras:
@@ -134,18 +132,6 @@ def check_opened(
         f"{gigabytes(needed.memory)} of memory and {gigabytes(needed.disk)} on disk"
     )
     return Report(found.all(), summary)
-
-
-def _sizes(files: list[list[Path]]) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Bytes of the first file of each sweep; 0 where it cannot be read."""
-    return np.array([_size(of_sweep[0]) if of_sweep else 0 for of_sweep in files], np.int64)
-
-
-def _size(file: Path) -> int:
-    try:
-        return file.stat().st_size
-    except OSError:
-        return 0
 
 
 def _check_labels(
