@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import DatasetError
 from docdepth.geometry.track import Track
@@ -50,8 +49,6 @@ class RenderPlan:
     trajectory : Trajectory
     tracks : mapping of int to Track
         By their ids.
-    parameters : Parameters
-        How frames are drawn; the same for all cameras.
     """
 
     files: list[DepthFiles]
@@ -60,7 +57,6 @@ class RenderPlan:
     parts: dict[str, Parts]
     trajectory: Trajectory
     tracks: Tracks
-    parameters: Parameters
 
 
 def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
@@ -100,8 +96,7 @@ def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
         files.append(of_camera)
     inputs.save()
     images.sort(key=lambda image: image.time)
-    parameters = cameras[0].parameters
-    return RenderPlan(files, images, left_out, parts, trajectory, tracks_of(run), parameters)
+    return RenderPlan(files, images, left_out, parts, trajectory, tracks_of(run))
 
 
 def tracks_of(run: RunFolder) -> dict[int, Track]:
