@@ -25,10 +25,7 @@ SWEEPS = 12
 _AROUND = 3  # sweeps before and after, with which one is aligned
 _SAMPLING = 0.5  # metres, edge of a voxel in which a cloud keeps one point
 _JITTER = 0.02  # metres; right poses reach 1 cm, and 4 cm along a motorway
-_APART = (
-    5.0,
-    15.0,
-)  # metres between sweeps compared for motion compensation; nearer ones are alike
+_APART = (5.0, 15.0)  # metres between sweeps compared for compensation; nearer ones are alike
 _NEAR = 1.0  # metres; farther points have no neighbour in the other sweep
 _FASTER = 1.0  # metres a second; slower, sweeps need no compensation
 _CLEARLY = 0.9  # of the distance as it is: another compensation has to lie this much closer

@@ -235,7 +235,12 @@ def evaluate_depth(
     Raises
     ------
     DatasetError
-        The folder or all true depth maps are missing, or the run has no depth maps.
+        The folder or all true depth maps are missing, the run has no depth maps, or the other
+        method lacks one.
+    InputError
+        Maps of one image differ in size.
+    RunError
+        The run has several cameras and none is named, or its depth maps are damaged or out of date.
     """
     folder = RunFolder.open(run)
     depth = _truth_folder(depth, "depth_2", folder)

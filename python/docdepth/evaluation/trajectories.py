@@ -176,6 +176,8 @@ def evaluate_trajectories(run: Path | str | RunFolder, poses: Path | str) -> Tra
         The recording or the file has no such poses.
     InputError
         Fewer than three poses lie within the time of the truth.
+    RunError
+        The poses of the run are missing, damaged or out of date.
     """
     folder = RunFolder.open(run)
     require(folder, "odometry")
