@@ -77,7 +77,7 @@ def check_inputs(
 def report_inputs(
     source: dict[str, Any], parameters: Parameters, output: Path | None = None
 ) -> Report:
-    """The same with a summary."""
+    """:func:`check_inputs` with a summary of the inputs."""
     found = Findings()
     opened = None
     with found.collected():
@@ -94,7 +94,7 @@ def report_inputs(
     _check_files_of_options(source, found)
     _check_parameters(parameters, found)
     if output is not None:
-        check_output(output, [], Path(source["dataset"]), found)
+        _check_output(output, [], Path(source["dataset"]), found)
     return Report(found.all(), "")
 
 
@@ -106,7 +106,18 @@ def check_opened(
     output: Path | None = None,
     jobs: int = 1,
 ) -> Report:
-    """The same for inputs that are open already; so many processes will share the work."""
+    """:func:`report_inputs` for inputs that are open already.
+
+    Parameters
+    ----------
+    source, parameters, output
+        As for :func:`check_inputs`.
+    recording : Dataset
+    cameras : list of CameraStream
+        Whose depth maps are wanted.
+    jobs : int
+        Processes that will share the work.
+    """
     found = Findings()
     _check_parameters(parameters, found)
     has_poses = bool(source.get("poses"))
@@ -122,7 +133,7 @@ def check_opened(
         check_camera(recording, stream, sweeps, found)
     if output is not None:
         folders = sorted({file.parent for file in files[0]}) if files else []
-        check_output(output, folders, recording.path, found)
+        _check_output(output, folders, recording.path, found)
     points = np.array([len(sweep.points) for sweep in sweeps.values()] or [0])
     needed = estimate(points, len(files), cameras, parameters, jobs)
     check_resources(needed, cameras, output, found)
@@ -173,7 +184,8 @@ def _check_parameters(parameters: Parameters, found: Collector) -> None:
         check_layers(parameters.output.layers, parameters.render)
 
 
-def check_output(output: Path, sweeps: list[Path], recording: Path, found: Collector) -> None:
+def _check_output(output: Path, sweeps: list[Path], recording: Path, found: Collector) -> None:
+    """Refuse a run folder that cannot be written to, or that lies in the recording."""
     with found.collected():
         if output.is_symlink() and not output.exists():
             raise DatasetError(
