@@ -206,6 +206,11 @@ class DepthEvaluation:
         Source of the poses; printed with the metrics.
     range_bins : sequence of float
         Borders of the depth ranges that are reported apart [m].
+
+    Raises
+    ------
+    InputError
+        The mode is unknown.
     """
 
     def __init__(

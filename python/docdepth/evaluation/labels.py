@@ -156,6 +156,11 @@ class LabelEvaluation:
         Faster objects are moving at that moment [m/s].
     range_bins : sequence of float
         Borders of the ranges that are reported apart [m].
+
+    Raises
+    ------
+    InputError
+        The borders do not increase.
     """
 
     def __init__(

@@ -84,6 +84,8 @@ def overlay(
         BGR. Without it the picture shows depth alone.
     opacity : float
         Weight of the colours, 0..1.
+    near, far : float
+        As for :func:`colorize`.
     """
     colors = colorize(depth, near, far, bar=False)
     if image is not None:
