@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 import docdepth
 from docdepth.datasets import CameraStream
 from docdepth.evaluation import moving
-from docdepth.evaluation.pixels import near_edges, project
+from docdepth.evaluation.pixels import EDGE_MARGIN, edge_distance, project
 from docdepth.geometry.se3 import inverse
 from docdepth.synthetic import Drive, scene, sensor, sensors, write_drive
 
@@ -124,7 +124,7 @@ def _judged(drive: Drive, k: int) -> Judged:
     parts = {
         "all": known,
         "above the highest beam": known & above,
-        "near edges": known & near_edges(truth),
+        "near edges": known & (edge_distance(truth) <= EDGE_MARGIN),
         "moving": known & moving(view.labels.ravel()).reshape(truth.shape),
     }
     return Judged(np.ascontiguousarray(view.colour[..., ::-1]), truth, parts)

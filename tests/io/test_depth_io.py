@@ -9,6 +9,7 @@ import pytest
 from docdepth.errors import DatasetError, InputError, RunError
 from docdepth.io.depth import (
     check_format,
+    described_maps,
     encode_depth,
     maps_in,
     png_range,
@@ -137,3 +138,11 @@ def test_the_most_exact_of_several_formats_is_taken(tmp_path: Path) -> None:
     for name in ("b.png", "b.npy", "a.tiff", "a.png", "c.png", "depth.json"):
         (tmp_path / name).touch()
     assert [p.name for p in maps_in(tmp_path).values()] == ["a.tiff", "b.npy", "c.png"]
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"maps": []}', '{"maps": {"a": {"time_ns": 1}}}'])
+def test_a_damaged_description_is_named(tmp_path: Path, text: str) -> None:
+    assert described_maps(tmp_path) == {}
+    (tmp_path / "depth.json").write_text(text)
+    with pytest.raises(RunError, match=r"depth\.json is damaged"):
+        described_maps(tmp_path)

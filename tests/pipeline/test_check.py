@@ -16,8 +16,9 @@ from docdepth.datasets import open_dataset
 from docdepth.errors import CalibrationError, DatasetError, OdometryError, SeveralProblems
 from docdepth.odometry.odometry import register_drive
 from docdepth.pipeline import check_resources
-from docdepth.pipeline.check import Problem, check_inputs, raise_problems, report_inputs
+from docdepth.pipeline.check import check_inputs, report_inputs
 from docdepth.pipeline.check_resources import check_image_size
+from docdepth.pipeline.problems import Problem, raise_problems
 
 
 def source(dataset: Path, **values: Any) -> dict[str, Any]:

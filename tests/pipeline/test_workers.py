@@ -249,6 +249,14 @@ def test_all_recordings_of_a_folder(drive: Path, whole: Path, tmp_path: Path, jo
     assert [one.error is None for one in again] == [True, True, False]
 
 
+def test_a_dry_run_of_all_recordings_makes_nothing(tmp_path: Path) -> None:
+    write_small_drive(tmp_path / "set" / "a", 4)
+    runs = tmp_path / "runs"
+    ended = cli("run", "--all", tmp_path / "set", "-o", runs, "--dry-run", "-q")
+    assert "1 of 1 recordings pass all checks" in " ".join(ended.output.split())
+    assert not runs.exists()
+
+
 @pytest.mark.slow
 def test_workers_of_a_dask_cluster_make_what_one_makes(
     drive: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

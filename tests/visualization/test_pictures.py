@@ -88,17 +88,6 @@ def test_range_image_has_forward_in_the_middle() -> None:
     assert left[0].max() < rows.min()
 
 
-def test_a_grid_is_filled_row_by_row() -> None:
-    pictures = [np.full((40, 50, 3), k, np.uint8) for k in (10, 20, 30)]
-    grid = visualize.picture_grid(pictures, ["a", "b", "c"])
-    assert grid.shape == (2 * 66, 100, 3)
-    assert (grid[26:66, 50:] == 20).all()
-    with pytest.raises(InputError, match="captions"):
-        visualize.picture_grid(pictures, ["a"])
-    with pytest.raises(InputError, match="captions"):
-        visualize.picture_grid([], [])
-
-
 # What red-blind, green-blind and blue-blind readers see of linear RGB: Machado, Oliveira and
 # Fernandes (2009), severity 1.
 BLINDNESS = {

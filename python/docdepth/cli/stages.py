@@ -156,7 +156,8 @@ def _run_all(recording: Path | None, output: Path, options: dict[str, Any], as_j
         show_json([{"recording": str(one.recording), "run": str(one.folder),
                     "error": said.get(one.recording)} for one in ended])  # fmt: skip
     else:
-        out.print(f"{len(ended) - len(failed)} of {len(ended)} recordings are done; see {output}")
+        state = "pass all checks" if options["dry_run"] else f"are done; see {output}"
+        out.print(f"{len(ended) - len(failed)} of {len(ended)} recordings {state}")
         for recording, sentence in said.items():
             out.print(f"failed: {recording}: {sentence}", soft_wrap=True, markup=False)
     if failed:

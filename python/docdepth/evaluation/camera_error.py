@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,7 @@ class CameraError:
 
 
 def camera_error(
-    run: RunFolder,
+    run: Path | str | RunFolder,
     camera: str | None = None,
     max_depth: float = 80.0,
     progress: Callable[[int, int], None] | None = None,
@@ -63,7 +64,7 @@ def camera_error(
 
     Parameters
     ----------
-    run : RunFolder
+    run : Path, str or RunFolder
         With depth maps.
     camera : str, optional
         Its name; needed if the run has several.
@@ -78,8 +79,9 @@ def camera_error(
         None where the camera agrees with the images, or they cannot tell: the run has no images,
         draws splats, or stands, or its maps are missing or out of date.
     """
+    folder = RunFolder.open(run)
     try:
-        found = edges_of_run(run, camera, progress)
+        found = edges_of_run(folder, camera, progress)
     except (CalibrationError, DatasetError, RunError):
         return None
     if not found.enough:
@@ -90,8 +92,8 @@ def camera_error(
         return CameraError(str(error), math.nan, math.nan)
     if check.agrees:
         return None
-    name = run.depth_folder(camera)
-    files = list(maps_in(run.path / "depth" / name).values())
+    name = folder.depth_folder(camera)
+    files = list(maps_in(folder.path / "depth" / name).values())
     maps = (read_depth(files[k]) for k in sampled(len(files), IMAGES))
     mae, wrong = difference(maps, found.stream.camera, check.fit.change, max_depth)
     return CameraError(check.verdict, mae, wrong)

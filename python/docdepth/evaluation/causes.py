@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +25,7 @@ SWEEPS = 12
 _AROUND = 3  # sweeps before and after, with which one is aligned
 _SAMPLING = 0.5  # metres, edge of a voxel in which a cloud keeps one point
 _JITTER = 0.02  # metres; right poses reach 1 cm, and 4 cm along a motorway
-_APART = (
-    5.0,
-    15.0,
-)  # metres between sweeps compared for motion compensation; nearer ones are alike
+_APART = (5.0, 15.0)  # metres between sweeps compared for compensation; nearer ones are alike
 _NEAR = 1.0  # metres; farther points have no neighbour in the other sweep
 _FASTER = 1.0  # metres a second; slower, sweeps need no compensation
 _CLEARLY = 0.9  # of the distance as it is: another compensation has to lie this much closer
@@ -73,12 +71,14 @@ class Causes:
 _AS_IS = "as they are"
 
 
-def causes(run: RunFolder, progress: Callable[[int, int], None] | None = None) -> Causes:
+def causes(
+    run: Path | str | RunFolder, progress: Callable[[int, int], None] | None = None
+) -> Causes:
     """Look for errors of poses and of motion compensation in the sweeps of a run.
 
     Parameters
     ----------
-    run : RunFolder
+    run : Path, str or RunFolder
         With classified sweeps.
     progress : callable, optional
         Called with the number of finished sweeps and the number of all.
@@ -88,8 +88,9 @@ def causes(run: RunFolder, progress: Callable[[int, int], None] | None = None) -
     RunError
         A sweep is not classified.
     """
-    trajectory = run.trajectory()
-    sweeps = _Sweeps(run, trajectory)
+    folder = RunFolder.open(run)
+    trajectory = folder.trajectory()
+    sweeps = _Sweeps(folder, trajectory)
     last = len(trajectory) - 1
     chosen = np.unique(np.linspace(0, last, SWEEPS + 2).round().astype(int)[1:-1]).tolist()
     shifts: list[Floats] = []

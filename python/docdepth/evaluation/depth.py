@@ -19,11 +19,11 @@ from docdepth.errors import InputError
 from docdepth.evaluation.depth_metrics import DepthErrors, PixelSums, RegionErrors, Values
 from docdepth.evaluation.nearest import cloud_distance
 from docdepth.evaluation.pixels import (
+    EDGE_MARGIN,
     Depth,
     Mask,
     edge_distance,
     fill_background,
-    near_edges,
     points_of,
     shifted,
 )
@@ -206,6 +206,11 @@ class DepthEvaluation:
         Source of the poses; printed with the metrics.
     range_bins : sequence of float
         Borders of the depth ranges that are reported apart [m].
+
+    Raises
+    ------
+    InputError
+        The mode is unknown.
     """
 
     def __init__(
@@ -276,15 +281,15 @@ class DepthEvaluation:
         error = p - d
         self._with_dynamic |= dynamic is not None
         moving = np.zeros(truth.shape, bool) if dynamic is None else np.asarray(dynamic, bool)
+        to_edge = edge_distance(truth).ravel()[selected]
         pixels = (
             error,
             d,
             np.abs(shifted(truth).ravel()[selected] - d),
-            ~near_edges(truth).ravel()[selected],
+            to_edge > EDGE_MARGIN,
             moving.ravel()[selected],
         )
         self._sums.add(*pixels)
-        to_edge = edge_distance(truth).ravel()[selected]
         for (near, far), sums in zip(pairwise(EDGE_BINS), self._edges, strict=True):
             _add(sums, (to_edge > near) & (to_edge <= far), pixels)
         for name, region in (regions or {}).items():

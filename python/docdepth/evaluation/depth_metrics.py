@@ -137,7 +137,7 @@ class RegionErrors:
         """The row of a table."""
         return [
             f"{self.pixels:,}",
-            *(number(x, 1) for x in (self.density,)),
+            number(self.density, 1),
             *(number(x, 3) for x in (self.mae, self.rmse)),
             *(number(x, 2) for x in (self.shifts, self.too_near, self.too_far)),
         ]

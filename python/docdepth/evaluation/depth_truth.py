@@ -13,11 +13,9 @@ from docdepth.errors import DatasetError
 from docdepth.io.arrays import ArrayError, read_array
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.release import INSIDE
 
 log = logging.getLogger(__name__)
-
-_COMPLETION = Path("proj_depth") / "groundtruth"
-"""Where a drive of KITTI's depth completion keeps its true depth maps, a folder a camera."""
 
 _SELECTION = "groundtruth_depth"
 """Folder of ``val_selection_cropped`` with maps of all drives and cameras."""
@@ -81,8 +79,8 @@ class DepthTruth:
             found = maps_in(folder / _SELECTION)
             chosen = [n for n in found if n.startswith(start) and n.endswith(end)]
             self._truths = {n[len(start) : -len(end)]: found[n] for n in chosen}
-        elif (folder / _COMPLETION).is_dir():
-            self.folder = folder / _COMPLETION / camera
+        elif (folder / INSIDE).is_dir():
+            self.folder = folder / INSIDE / camera
             self._truths = maps_in(self.folder)
         else:
             self._truths = maps_in(folder)

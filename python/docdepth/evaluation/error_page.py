@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
+from docdepth.evaluation.depth_metrics import RELATIVE_ERROR
 from docdepth.evaluation.held_out import JudgedView
 from docdepth.evaluation.runs import JudgedImage, JudgedSweep
 from docdepth.evaluation.tables import Table
@@ -40,7 +41,6 @@ WORST = 12
 """Images on a page."""
 
 _LIMIT = 0.1  # relative error whose colour is full
-_WRONG = 0.05  # relative error that counts as wrong
 _NO_DEPTH = (110, 110, 110)
 _BYTES = 160_000  # of a picture
 _TICKS = (3, 5, 10, 20, 40, 80)
@@ -194,9 +194,13 @@ class HeldOutPage(ErrorPage):
             f"as the LiDAR would see it. Each return up to {max_range:g} m is compared with its "
             "pixel."
         )
-        titles = {"error": "errors at the returns", "depth": "depth map", "truth": "returns"}
+        titles = {
+            "error": "errors at the returns",
+            "depth": "depth map",
+            "truth": "returns",
+            "image": "photo of that time",
+        }
         legends = {**_depth_legends(_CLEAR), "image": _BESIDE}
-        titles["image"] = "photo of that time"
         super().__init__(title, what, titles, legends, _SHARE_WRONG, "views")
         self._max_range, self._stream, self._times = max_range, stream, times
 
@@ -206,12 +210,12 @@ class HeldOutPage(ErrorPage):
         score, caption = _wrong(view.depth, truth)
 
         def pictures() -> dict[str, Picture]:
-            errors, known = _errors(_at(truth, view.depth), _thick(truth)), ~np.isnan(_thick(truth))
-            ground = colorize(view.depth, bar=False) // 4
+            thick, depth = _thick(truth), colorize(view.depth, bar=False)
+            errors, known = _errors(_at(truth, view.depth), thick), ~np.isnan(thick)
             views = {
-                "error": np.where(known[..., None], errors, ground).astype(np.uint8),
-                "depth": colorize(view.depth, bar=False),
-                "truth": colorize(_thick(truth), bar=False),
+                "error": np.where(known[..., None], errors, depth // 4).astype(np.uint8),
+                "depth": depth,
+                "truth": colorize(thick, bar=False),
             }
             photo = self._photo(int(self._times[view.index]))
             return views if photo is None else {**views, "image": photo}
@@ -319,7 +323,7 @@ def _wrong(depth: Depth, truth: Depth) -> tuple[float, str]:
     """Share of the compared pixels more than 5 % off [%], and that in words."""
     both = ~np.isnan(depth) & ~np.isnan(truth)
     error = depth[both].astype(np.float64) - truth[both]
-    off = np.abs(error) > _WRONG * truth[both]
+    off = np.abs(error) > RELATIVE_ERROR * truth[both]
     share = 100 * float(off.mean()) if both.any() else 0.0
     mean = float(np.abs(error).mean()) if both.any() else 0.0
     return share, (

@@ -148,7 +148,7 @@ class JudgedView:
 
 
 def evaluate_held_out(
-    run: Path,
+    run: Path | str | RunFolder,
     every: int = 10,
     max_range: float = 80.0,
     camera: str | None = None,
@@ -166,7 +166,7 @@ def evaluate_held_out(
 
     Parameters
     ----------
-    run : Path
+    run : Path, str or RunFolder
         Run folder with classified sweeps and the calibration of a camera.
     every : int
         Judge by every n-th sweep, one at a time.

@@ -156,6 +156,11 @@ class LabelEvaluation:
         Faster objects are moving at that moment [m/s].
     range_bins : sequence of float
         Borders of the ranges that are reported apart [m].
+
+    Raises
+    ------
+    InputError
+        The borders do not increase.
     """
 
     def __init__(
@@ -198,7 +203,7 @@ class LabelEvaluation:
         speeds : ndarray of float, shape (N,), optional
             Speed of each point's object over ground at that moment [m/s]; for all sweeps or none.
         seconds : float
-            Time from sweep to sweep [s]; an object travels that long at its speed.
+            Time from sweep to sweep [s]; until the next one an object keeps its speed.
 
         Raises
         ------
@@ -207,12 +212,12 @@ class LabelEvaluation:
         """
         truth, counted = moving(labels), ~ignored(labels)
         dynamic = _flags(dynamic, len(truth))
-        standing = np.zeros_like(truth)
+        numbers, standing = instances(labels), np.zeros_like(truth)
         if speeds is not None:
             speeds = _values("speeds", speeds, len(truth))
             standing = truth & counted & ~(speeds > self._min_speed)
             self._standing += LabelCounts.of(truth[standing], dynamic[standing])
-            for key, rows in each_object(instances(labels), truth & counted):
+            for key, rows in each_object(numbers, truth & counted):
                 stands = rows[standing[rows]]
                 counts = LabelCounts.of(truth[stands], dynamic[stands])
                 found = self._objects.setdefault(key, SeenObject())
@@ -224,7 +229,6 @@ class LabelEvaluation:
             inside = now & (classes == key)
             before = self._by_class.get(key, LabelCounts())
             self._by_class[key] = before + LabelCounts.of(truth[inside], dynamic[inside])
-        numbers = instances(labels)
         for key, rows in each_object(numbers, now & truth & (numbers > 0)):
             self._moving[key] += len(rows)
             self._found[key] += int(np.count_nonzero(dynamic[rows]))

@@ -66,7 +66,13 @@ class LeftOut:
         return self.lidar is None and self.beams is None and self.sectors is None
 
     def view(self, record: FrameRecord, rig: SensorRig | None) -> LidarView:
-        """The returns that judge, as the LiDAR saw them that measured them; other rows are NaN."""
+        """The returns that judge, as the LiDAR that measured them saw them; other rows are NaN.
+
+        Raises
+        ------
+        InputError
+            The sweep has no returns of the LiDAR that is left out, or of no other one.
+        """
         views = {number: view for number, view in _by_number(record, rig)}
         number = min(views) if self.lidar is None else self.lidar
         if number not in views or (self.lidar is not None and len(views) < 2):
@@ -84,8 +90,8 @@ class LeftOut:
     def rows(self, record: FrameRecord, rig: SensorRig | None) -> NDArray[np.bool_]:
         """Rows of a sweep that are not drawn, (N,)."""
         if self.lidar is not None:
-            assert rig is not None
-            return np.asarray(rig.lidar_id[rig.index] == self.lidar)
+            number = np.zeros(len(record.points)) if rig is None else rig.lidar_id[rig.index]
+            return np.asarray(number == self.lidar)
         if self.whole_sweep:
             return np.ones(len(record.points), np.bool_)
         _, view = next(_by_number(record, rig))

@@ -96,7 +96,7 @@ def voxel_protocol(
     kept: NDArray[np.bool_],
     voxel_size: float = 0.2,
 ) -> PreservationRejection:
-    """Preservation and rejection rates on voxels of 0.2 m (ERASOR).
+    """Preservation and rejection rates on voxels (ERASOR).
 
     The labelled points and the kept points are both reduced to one centroid per voxel. A centroid
     has the label of the point nearest to it. Each true centroid is matched with the nearest kept

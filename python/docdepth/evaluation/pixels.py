@@ -1,4 +1,4 @@
-"""Operations on depth maps: projection, hole filling, depth edges, shift, ray lengths."""
+"""Operations on depth maps: projection, hole filling, depth edges, shift, points."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Points = NDArray[np.float64]
 # share of its inverse depth.
 _EDGE_BEND = 0.05
 # Interior pixels are farther than this from an edge [pixels].
-_EDGE_MARGIN = 3
+EDGE_MARGIN = 3.0
 
 
 def project(
@@ -112,13 +112,6 @@ def depth_edges(depth: Depth) -> Mask:
     vertical = np.abs(inverse[:-2] - 2 * inverse[1:-1] + inverse[2:])
     bend[1:-1] = np.maximum(bend[1:-1], vertical)
     return np.asarray(bend > _EDGE_BEND * inverse)
-
-
-def near_edges(depth: Depth) -> Mask:
-    """Pixels at most 3 pixels from a depth edge, bool (h, w)."""
-    size = 2 * _EDGE_MARGIN + 1
-    edges = depth_edges(depth).astype(np.uint8)
-    return np.asarray(cv2.dilate(edges, np.ones((size, size), np.uint8)) > 0)
 
 
 def edge_distance(depth: Depth) -> NDArray[np.float32]:

@@ -26,7 +26,7 @@ from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import read_tracks, tracks_in
 from docdepth.pipeline.run_state import require
 
 log = logging.getLogger(__name__)
@@ -73,7 +73,7 @@ class JudgedImage:
 
 
 def evaluate_labels(
-    run: Path | RunFolder,
+    run: Path | str | RunFolder,
     labels: Path,
     progress: Callable[[int, int], None] | None = None,
     look: Callable[[JudgedSweep], None] | None = None,
@@ -84,7 +84,7 @@ def evaluate_labels(
 
     Parameters
     ----------
-    run : Path or RunFolder
+    run : Path, str or RunFolder
         Run folder with classified frames.
     labels : Path
         Folder of ``NAME.label`` files, or its parent with a folder ``labels``. A folder ``speeds``
@@ -101,7 +101,7 @@ def evaluate_labels(
     RunError
         A sweep is not classified.
     """
-    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    folder = RunFolder.open(run)
     require(folder, "classify")
     labels = _truth_folder(labels, "labels", folder)
     evaluation = LabelEvaluation(poses=_poses(folder))
@@ -124,7 +124,7 @@ def evaluate_labels(
 
 
 def evaluate_tracks(
-    run: Path | RunFolder,
+    run: Path | str | RunFolder,
     labels: Path,
     tracks: Path | Sequence[Track] | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -133,7 +133,7 @@ def evaluate_tracks(
 
     Parameters
     ----------
-    run : Path or RunFolder
+    run : Path, str or RunFolder
         Run folder with classified frames.
     labels : Path
         Folder of ``NAME.label`` files with instances, or its parent with a folder ``labels``. A
@@ -153,18 +153,16 @@ def evaluate_tracks(
     MissingExtraError
         motrics or scipy is not installed.
     """
-    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    folder = RunFolder.open(run)
     require(folder, "classify")
     track_packages()  # tells what to install before all sweeps are read
     labels = _truth_folder(labels, "labels", folder)
-    made = folder.path / TRACKS
-    if tracks is None and (labels.parent / TRACKS).is_file():
-        tracks = labels.parent / TRACKS
-    true_tracks = read_tracks(tracks) if isinstance(tracks, Path) else tracks or ()
-    made_tracks = read_tracks(made) if made.is_file() else ()
+    if tracks is None:
+        tracks = tracks_in(labels.parent)
+    true_tracks = read_tracks(tracks) if isinstance(tracks, Path) else tracks
     trajectory = folder.trajectory()
     truth = _true_trajectory(labels.parent) or trajectory
-    evaluation = TrackEvaluation(true_tracks, made_tracks, _poses(folder))
+    evaluation = TrackEvaluation(true_tracks, tracks_in(folder.path), _poses(folder))
     for index, time in enumerate(trajectory.times.tolist()):
         record = folder.frame(index)
         name, points = f"{record.name}.label", record.input_points
@@ -200,7 +198,7 @@ def _seconds(times: NDArray[np.int64]) -> float:
 
 
 def evaluate_depth(
-    run: Path,
+    run: Path | str | RunFolder,
     depth: Path,
     mode: Mode = "valid",
     max_range: float = 80.0,
@@ -213,7 +211,7 @@ def evaluate_depth(
 
     Parameters
     ----------
-    run : Path
+    run : Path, str or RunFolder
         Run folder with depth maps.
     depth : Path
         Folder of depth maps in any format, or its parent with a folder ``depth_2``. A folder
@@ -237,7 +235,12 @@ def evaluate_depth(
     Raises
     ------
     DatasetError
-        The folder or all true depth maps are missing, or the run has no depth maps.
+        The folder or all true depth maps are missing, the run has no depth maps, or the other
+        method lacks one.
+    InputError
+        Maps of one image differ in size.
+    RunError
+        The run has several cameras and none is named, or its depth maps are damaged or out of date.
     """
     folder = RunFolder.open(run)
     depth = _truth_folder(depth, "depth_2", folder)

@@ -23,7 +23,7 @@ from docdepth.geometry.se3 import inverse, rotation_exp, rotation_log
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.map_edges import pixels_of_tracks
 from docdepth.pipeline.run_inputs import open_cameras, open_recording, recorded_camera
 from docdepth.pipeline.run_state import require
@@ -109,7 +109,7 @@ class TimeOffset:
 
 
 def time_offset(
-    run: Path | RunFolder,
+    run: Path | str | RunFolder,
     camera: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> TimeOffset:
@@ -117,7 +117,7 @@ def time_offset(
 
     Parameters
     ----------
-    run : Path or RunFolder
+    run : Path, str or RunFolder
         With depth maps, and images in its recording.
     camera : str, optional
         Its name; needed if the run has several.
@@ -133,7 +133,7 @@ def time_offset(
     CalibrationError
         The drive does not tell the offset to ten milliseconds, or it is larger than 0.2 s.
     """
-    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    folder = RunFolder.open(run)
     name = folder.depth_folder(camera)
     require(folder, f"render {folder.camera_in(name)}")
     stream = recorded_camera(folder, name)
@@ -158,8 +158,8 @@ def _windows(
     progress: Callable[[int, int], None] | None,
 ) -> list[Window]:
     """Points followed from some images, none of which are followed at the same time."""
-    path, trajectory, times = folder.path, folder.trajectory(), stream.times
-    tracks = read_tracks(path / TRACKS) if (path / TRACKS).is_file() else []
+    trajectory, times = folder.trajectory(), stream.times
+    tracks = tracks_in(folder.path)
     margin = round(1e9 * (_FARTHEST + 0.05))
     starts: list[tuple[int, int]] = []
     for first in range(len(times)):

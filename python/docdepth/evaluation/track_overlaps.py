@@ -50,19 +50,19 @@ class Overlaps:
         true_points, made_points = table.sum(axis=1)[rows > 0], table.sum(axis=0)[columns > 0]
         return cls(rows[rows > 0], columns[columns > 0], inner, true_points, made_points)
 
-    def without(self, true: NDArray[np.bool_], min_points: int) -> Overlaps:
-        """The same without the points of some true objects (n,).
+    def without(self, left_out: NDArray[np.bool_], min_points: int) -> Overlaps:
+        """The same without the points of some true objects, flags of shape (n,).
 
         Instances with fewer than ``min_points`` that touch none of the others are left out, too.
         """
-        shared = self.shared[~true]
-        made_points = self.made_points - self.shared[true].sum(axis=0)
+        shared = self.shared[~left_out]
+        made_points = self.made_points - self.shared[left_out].sum(axis=0)
         kept = (made_points >= min_points) | (shared.sum(axis=0) > 0)
         return Overlaps(
-            self.true[~true],
+            self.true[~left_out],
             self.made[kept],
             shared[:, kept],
-            self.true_points[~true],
+            self.true_points[~left_out],
             made_points[kept],
         )
 

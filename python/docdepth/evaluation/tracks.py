@@ -48,8 +48,8 @@ class KindResult:
     Attributes
     ----------
     objects, found : int
-        Objects that count, and those that are found: in at least half of their sweeps an instance
-        has more than half of the union with them.
+        Objects that count, and those that are found: matched by an instance, with an intersection
+        over union above 0.5, in at least half of the sweeps that count.
     points : int
         Returns of these objects in the sweeps that count.
     right : float

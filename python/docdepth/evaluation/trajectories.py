@@ -159,12 +159,12 @@ def compare_trajectories(
     )
 
 
-def evaluate_trajectories(run: Path | RunFolder, poses: Path | str) -> TrajectoryResult:
+def evaluate_trajectories(run: Path | str | RunFolder, poses: Path | str) -> TrajectoryResult:
     """Compare the poses of a run with true ones.
 
     Parameters
     ----------
-    run : Path or RunFolder
+    run : Path, str or RunFolder
     poses : Path or str
         As of ``docdepth run --poses``: a file of poses of the LiDAR, ``CAMERA:FILE``, or
         ``dataset`` for those of the recording. A file has a pose for each sweep of the recording;
@@ -176,8 +176,10 @@ def evaluate_trajectories(run: Path | RunFolder, poses: Path | str) -> Trajector
         The recording or the file has no such poses.
     InputError
         Fewer than three poses lie within the time of the truth.
+    RunError
+        The poses of the run are missing, damaged or out of date.
     """
-    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    folder = RunFolder.open(run)
     require(folder, "odometry")
     made = folder.trajectory()
     source = folder.manifest["source"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets import Dataset, image_streams, usable_points
 from docdepth.inspection.inspection import Inspection
-from docdepth.inspection.pose_figures import explain_misfit, rotations_are_missing
+from docdepth.inspection.pose_figures import Window, explain_misfit, rotations_are_missing
 from docdepth.pipeline.problems import Findings
 
 MOVING = 0.05
@@ -177,12 +178,11 @@ def _judge_world(where: str, result: Inspection, found: Findings) -> None:
     """Warn if the points are in the world, where the LiDAR moves and its points do not."""
     if not result.windows:
         return
-    steps = [np.linalg.norm(w.measured[-1, :3, 3]) / (len(w.measured) - 1) for w in result.windows]
     middles = np.array(
         [np.median(s.points[usable_points(s.points)], axis=0) for s in result.sweeps.values()]
     )
     wandered = float(np.linalg.norm(middles[-1] - middles[0]))
-    if max(steps) < MOVING and wandered > _WANDERS:
+    if max(window.step for window in result.windows) < MOVING and wandered > _WANDERS:
         found.warn(
             f"{where}: points stay in their place from sweep to sweep, yet their middle moves by "
             f"{wandered:.0f} m: they are in the world, not in the LiDAR's frame. Say frame: world "
@@ -190,10 +190,10 @@ def _judge_world(where: str, result: Inspection, found: Findings) -> None:
         )
 
 
-def judge_poses(recording: Dataset, result: Inspection, found: Findings) -> bool:
+def judge_poses(
+    recording: Dataset, poses: NDArray[np.float64], windows: Sequence[Window], found: Findings
+) -> bool:
     """Warn of poses that are something else; True if there is something to warn of."""
-    poses = result.poses
-    assert poses is not None
     before = len(found.warnings)
     if rotations_are_missing(poses):
         found.warn(
@@ -201,7 +201,7 @@ def judge_poses(recording: Dataset, result: Inspection, found: Findings) -> bool
             "rotations as well as positions"
         )
     cameras = {name: stream.T_camera_lidar for name, stream in recording.cameras.items()}
-    text = explain_misfit(result.windows, cameras)
+    text = explain_misfit(windows, cameras)
     if text is not None:
         found.warn(f"{recording.path}: {text}")
     return len(found.warnings) > before

@@ -7,13 +7,12 @@ sweeps takes seconds. What a run checks when it starts is checked by the same fu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.config import OdometryParameters, Parameters
+from docdepth.config import Parameters
 from docdepth.datasets import Dataset, FrameRange, Sweep, usable_points
 from docdepth.datasets.recording import Recording
 from docdepth.errors import DocDepthError
@@ -38,13 +37,12 @@ from docdepth.pipeline.stage import recorded_warnings
 _WINDOW = 6  # sweeps that are registered with each other
 _LEAST_TRAVEL = 5.0  # metres; on a shorter drive the traffic beside the vehicle stays with it, too
 _BETTER = 1.1  # times the share of points on each other, by registration against given poses
-_PARAMETERS = OdometryParameters()
+_PARAMETERS = Parameters()
 
 
 def inspect_recording(
     recording: Dataset,
     poses: NDArray[np.float64] | None = None,
-    parameters: Parameters | None = None,
     opening: Sequence[str] = (),
 ) -> Inspection:
     """Look at a recording.
@@ -54,8 +52,6 @@ def inspect_recording(
     recording : Dataset
     poses : ndarray of float64, shape (n, 4, 4), optional
         ``T_world_lidar`` of another SLAM; those of the recording if left out.
-    parameters : Parameters, optional
-        Ranges that odometry takes.
     opening : sequence of str
         Warnings of opening the recording.
 
@@ -69,14 +65,11 @@ def inspect_recording(
     given = recording.poses if poses is None else poses
     with recorded_warnings() as logged:
         files = [recording.sweep_files(k) for k in range(len(recording))]
-        sizes = np.array([_size(of_sweep) for of_sweep in files], np.int64)
-        result.sweeps = check_sweeps(
-            recording, files, sizes, parameters or Parameters(), found, given is not None
-        )
+        result.sweeps = check_sweeps(recording, files, _PARAMETERS, found, given is not None)
         _look_at_sweeps(recording, result)
         if given is not None:
             with found.collected():
-                result.poses = check_given_poses(recording, given, _PARAMETERS)
+                result.poses = check_given_poses(recording, given, _PARAMETERS.odometry)
         result.windows = _register(recording, result)
         _look_at_poses(recording, result, "file" if poses is not None else "recording", found)
         for stream in recording.cameras.values():
@@ -87,13 +80,6 @@ def inspect_recording(
     findings.judge(recording, result, found)
     result.problems = found.all()
     return result
-
-
-def _size(files: list[Path]) -> int:
-    try:
-        return files[0].stat().st_size if files else 0
-    except OSError:
-        return 0
 
 
 def _look_at_sweeps(recording: Dataset, result: Inspection) -> None:
@@ -159,20 +145,19 @@ def _look_at_poses(recording: Dataset, result: Inspection, source: str, found: F
     """Figures of the poses, checks that a run makes of them, and the body of the vehicle."""
     poses, figures = result.poses, result.figures
     figures["poses"] = None
-    steps = [np.linalg.norm(w.measured[-1, :3, 3]) / (len(w.measured) - 1) for w in result.windows]
     figures["registered"] = [
-        {"frames": [w.first, w.first + len(w.measured) - 1], "metres_a_sweep": round(float(s), 3)}
-        for w, s in zip(result.windows, steps, strict=True)
+        {"frames": [w.first, w.first + len(w.measured) - 1], "metres_a_sweep": round(w.step, 3)}
+        for w in result.windows
     ]
     if poses is not None:
         figures["poses"] = {"source": source, **pose_figures(poses, recording.times)}
         warn_of_jumps(Trajectory(recording.times, poses))
-        wrong = not result.sweeps or findings.judge_poses(recording, result, found)
+        wrong = not result.sweeps or findings.judge_poses(recording, poses, result.windows, found)
         if not wrong and np.ptp(poses, axis=0).any():
             with found.collected():
-                warn_of_misfit(lambda k: recording.sweep(k).points, poses, _PARAMETERS)
+                warn_of_misfit(lambda k: recording.sweep(k).points, poses, _PARAMETERS.odometry)
     figures["ego"] = None
-    fastest = max(steps, default=0.0)
+    fastest = max((window.step for window in result.windows), default=0.0)
     travelled = fastest * len(recording) > _LEAST_TRAVEL
     if fastest > findings.MOVING and travelled and result.sweeps:
         figures["ego"] = ego_body([s.points for s in result.sweeps.values()], result.ground)

@@ -50,6 +50,11 @@ class Window(NamedTuple):
     measured: Poses
     better: bool = True
 
+    @property
+    def step(self) -> float:
+        """Metres from sweep to sweep on average, by registration."""
+        return float(np.linalg.norm(self.measured[-1, :3, 3]) / (len(self.measured) - 1))
+
 
 def pose_figures(poses: Poses, times: NDArray[np.int64]) -> dict[str, Any]:
     """Length, speeds, turns of a trajectory, ready for JSON."""

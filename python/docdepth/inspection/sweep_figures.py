@@ -68,9 +68,9 @@ def ego_body(
     Returns
     -------
     dict or None
-        ``boxes_m`` (each the least and greatest x, y, z): of the vehicle, and of its mirror images
-        below the ground; ``mirrored``: whether there are any; and ``points``, a sweep. None if
-        there are none.
+        ``boxes_m``: least and greatest x, y and z of the vehicle, and of its mirror image below the
+        ground; ``mirrored``: whether there is one; ``points``: how many of a sweep these are, on
+        average. None if there are none.
     """
     if ground is None or len(sweeps) < _FEWEST_SWEEPS:
         return None

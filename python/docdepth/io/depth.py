@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import DatasetError, InputError
+from docdepth.errors import DamagedFileError, DatasetError, InputError
 from docdepth.io.arrays import ArrayError, read_array, read_arrays
 from docdepth.io.atomic import write_atomically
 from docdepth.io.exr import encode_exr, import_exr, read_exr
@@ -210,6 +210,28 @@ def maps_in(folder: Path) -> dict[str, Path]:
     for suffix in _READ:
         found |= {path.stem: path for path in folder.glob(f"*{suffix}")}
     return dict(sorted(found.items()))
+
+
+def described_maps(folder: Path) -> dict[str, tuple[int, float]]:
+    """Time [ns] and coverage of each depth map of a folder of a run, by name.
+
+    Parameters
+    ----------
+    folder : Path
+        With :data:`DESCRIPTION`; without it no map is described.
+
+    Raises
+    ------
+    DamagedFileError
+    """
+    path = folder / DESCRIPTION
+    try:
+        maps = parse_json(path.read_text())["maps"]
+        return {name: (int(m["time_ns"]), float(m["coverage"])) for name, m in maps.items()}
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise DamagedFileError(path, repr(error)) from None
 
 
 def _check_scale(scale: float) -> None:

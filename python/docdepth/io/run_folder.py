@@ -147,15 +147,17 @@ class RunFolder(RecordedFolder):
         return any(file.name != NOTES for file in self.path.iterdir())
 
     @classmethod
-    def open(cls, path: Path) -> RunFolder:
-        """An existing run, or an official DOC-Depth folder without run.yaml.
+    def open(cls, path: Path | str | RunFolder) -> RunFolder:
+        """An existing run, or an official DOC-Depth folder without run.yaml; an open one as it is.
 
         Raises
         ------
         RunError
             The folder holds neither, or run.yaml is damaged.
         """
-        run = cls(path)
+        if isinstance(path, RunFolder):
+            return path
+        run = cls(Path(path))
         if not run.manifest:
             if run._manifest_path.exists() or run._records_file(run.path).is_file():
                 raise RunError(

@@ -114,6 +114,18 @@ def cut_tracks(path: Path, times: NDArray[np.int64]) -> bytes:
     return text.getvalue().encode()
 
 
+def tracks_in(folder: Path) -> list[Track]:
+    """The tracks of a run folder or a synthetic drive, ordered by id; none where it has no file.
+
+    Raises
+    ------
+    RunError
+        As for :func:`read_tracks`.
+    """
+    path = folder / TRACKS
+    return read_tracks(path) if path.is_file() else []
+
+
 def read_tracks(path: Path) -> list[Track]:
     """Read the tracks of a file that :func:`write_tracks` wrote, ordered by id.
 

@@ -27,9 +27,7 @@ _STEP_DEG, _FARTHEST_DEG = 0.5, 4.0  # turns that are compared
 _WIDE_STEP_DEG, _WIDEST_DEG = 1.0, 12.0  # those where none of them fits
 _ROLLS_DEG = (-6.0, -4.0, -3.0, 3.0, 4.0, 6.0)
 _SHIFTS = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)  # metres along each axis
-_LIKE_TRAVEL = (
-    0.6  # metres; shifts nearer to the way from sweep to image are told by what drives along
-)
+_LIKE_TRAVEL = 0.6  # metres; shifts nearer to the LiDAR's way are told by what drives along
 _LEAST_TRAVEL = 0.25  # metres; shorter ways are like no shift that is compared
 _IMAGES_OFF = (-3, 3)  # images before and after; neighbours may fit as well
 _LEAST_DEG = 1.0  # a smaller turn is no error worth a warning

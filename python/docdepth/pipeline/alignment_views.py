@@ -19,6 +19,7 @@ from docdepth.geometry.se3 import inverse
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.deskewing import centred_motion, deskew
+from docdepth.pipeline.check_sweeps import sample
 
 PAIRS = 8
 """Pairs of a sweep and an image that are compared."""
@@ -66,12 +67,12 @@ def views_of(recording: Dataset, stream: CameraStream) -> list[View]:
     """Pairs of sweep and image, spread over the drive."""
     times = recording.times
     inside = np.flatnonzero((stream.times >= times[0]) & (stream.times <= times[-1]))
-    chosen = inside[np.unique(np.linspace(0, len(inside) - 1, PAIRS).round().astype(int))]
+    chosen = inside[sample(len(inside), PAIRS)]
     trajectory = None
     if recording.poses is not None and len(times) > 1:
         trajectory = Trajectory(times, recording.poses)
     views = []
-    for image in chosen.tolist() if len(inside) else []:
+    for image in chosen.tolist():
         index = int(np.abs(times - stream.times[image]).argmin())
         ends, late, weight = _depth_edges(recording, index, stream)
         travel = np.zeros(3)

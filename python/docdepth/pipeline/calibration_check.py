@@ -19,7 +19,7 @@ from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.alignment import Change, in_words
 from docdepth.pipeline.edge_fit import EdgeFit, Edges, displaced, fit_edges, profiles
 from docdepth.pipeline.map_edges import edges_of_map, pixels_of_tracks
@@ -124,7 +124,7 @@ class CalibrationCheck:
 
 
 def check_calibration(
-    run: Path | RunFolder,
+    run: Path | str | RunFolder,
     camera: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> CalibrationCheck:
@@ -134,7 +134,7 @@ def check_calibration(
 
     Parameters
     ----------
-    run : Path or RunFolder
+    run : Path, str or RunFolder
         With depth maps, and images in its recording.
     camera : str, optional
         Its name; needed if the run has several.
@@ -232,12 +232,12 @@ class RunEdges:
 
 
 def edges_of_run(
-    run: Path | RunFolder,
+    run: Path | str | RunFolder,
     camera: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunEdges:
     """Read what :func:`check_calibration` compares; its parameters and errors."""
-    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    folder = RunFolder.open(run)
     name = folder.depth_folder(camera)
     if folder.parameters.render.primitive == "splats":
         raise CalibrationError(
@@ -250,7 +250,7 @@ def edges_of_run(
         raise DatasetError(f"{folder.path}: its recording has no images to compare depth with")
     maps = maps_in(folder.path / "depth" / name)
     indices = [k for k, image in enumerate(stream.names) if image in maps]
-    tracks = read_tracks(folder.path / TRACKS) if (folder.path / TRACKS).is_file() else []
+    tracks = tracks_in(folder.path)
     depth = {k: maps[stream.names[k]] for k in indices}
     return edges_of_images(
         folder.path, stream, indices, lambda k: read_depth(depth[k]), folder.trajectory(), tracks,

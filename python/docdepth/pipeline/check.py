@@ -32,11 +32,9 @@ from docdepth.pipeline.given_poses import (
     refuse_poses_of_a_camera,
 )
 from docdepth.pipeline.label_folder import LabelFolder
-from docdepth.pipeline.problems import Findings, Problem, raise_problems
+from docdepth.pipeline.problems import Findings, Problem
 from docdepth.pipeline.run_inputs import known_poses, open_inputs, open_upright
 from docdepth.render.layers import check_layers
-
-__all__ = ["Problem", "Report", "check_inputs", "check_opened", "raise_problems", "report_inputs"]
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,7 @@ def check_inputs(
 def report_inputs(
     source: dict[str, Any], parameters: Parameters, output: Path | None = None
 ) -> Report:
-    """The same with a summary."""
+    """:func:`check_inputs` with a summary of the inputs."""
     found = Findings()
     opened = None
     with found.collected():
@@ -96,7 +94,7 @@ def report_inputs(
     _check_files_of_options(source, found)
     _check_parameters(parameters, found)
     if output is not None:
-        check_output(output, [], Path(source["dataset"]), found)
+        _check_output(output, [], Path(source["dataset"]), found)
     return Report(found.all(), "")
 
 
@@ -108,7 +106,18 @@ def check_opened(
     output: Path | None = None,
     jobs: int = 1,
 ) -> Report:
-    """The same for inputs that are open already; so many processes will share the work."""
+    """:func:`report_inputs` for inputs that are open already.
+
+    Parameters
+    ----------
+    source, parameters, output
+        As for :func:`check_inputs`.
+    recording : Dataset
+    cameras : list of CameraStream
+        Whose depth maps are wanted.
+    jobs : int
+        Processes that will share the work.
+    """
     found = Findings()
     _check_parameters(parameters, found)
     has_poses = bool(source.get("poses"))
@@ -117,14 +126,14 @@ def check_opened(
         if poses is not None and has_poses:
             refuse_poses_of_a_camera(str(source["poses"]), recording, poses, parameters.odometry)
     files = [recording.sweep_files(k) for k in range(len(recording))]
-    sweeps = check_sweeps(recording, files, _sizes(files), parameters, found, has_poses)
+    sweeps = check_sweeps(recording, files, parameters, found, has_poses)
     if source.get("labels"):
         _check_labels(Path(source["labels"]), recording, sweeps, found)
     for stream in cameras:
         check_camera(recording, stream, sweeps, found)
     if output is not None:
         folders = sorted({file.parent for file in files[0]}) if files else []
-        check_output(output, folders, recording.path, found)
+        _check_output(output, folders, recording.path, found)
     points = np.array([len(sweep.points) for sweep in sweeps.values()] or [0])
     needed = estimate(points, len(files), cameras, parameters, jobs)
     check_resources(needed, cameras, output, found)
@@ -134,18 +143,6 @@ def check_opened(
         f"{gigabytes(needed.memory)} of memory and {gigabytes(needed.disk)} on disk"
     )
     return Report(found.all(), summary)
-
-
-def _sizes(files: list[list[Path]]) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Bytes of the first file of each sweep; 0 where it cannot be read."""
-    return np.array([_size(of_sweep[0]) if of_sweep else 0 for of_sweep in files], np.int64)
-
-
-def _size(file: Path) -> int:
-    try:
-        return file.stat().st_size
-    except OSError:
-        return 0
 
 
 def _check_labels(
@@ -187,7 +184,8 @@ def _check_parameters(parameters: Parameters, found: Collector) -> None:
         check_layers(parameters.output.layers, parameters.render)
 
 
-def check_output(output: Path, sweeps: list[Path], recording: Path, found: Collector) -> None:
+def _check_output(output: Path, sweeps: list[Path], recording: Path, found: Collector) -> None:
+    """Refuse a run folder that cannot be written to, or that lies in the recording."""
     with found.collected():
         if output.is_symlink() and not output.exists():
             raise DatasetError(

@@ -41,17 +41,17 @@ def sample(count: int, most: int = SAMPLES) -> list[int]:
 def check_sweeps(
     recording: Dataset,
     files: list[list[Path]],
-    sizes: NDArray[np.int64],
     parameters: Parameters,
     found: Findings,
     has_poses: bool = False,
 ) -> dict[int, Sweep]:
-    """Check times, sizes and sampled sweeps; returns those that could be read.
+    """Check times, sizes and sampled sweeps; returns those that could be read, by index.
 
-    Given poses need no odometry, so sweeps may be taken seldom: by a scanner that is carried from
-    place to place.
+    ``files`` are those of each sweep. Given poses need no odometry, so sweeps may be taken seldom:
+    by a scanner that is carried from place to place.
     """
     _check_period(recording, found, has_poses)
+    sizes = np.array([_size(of_sweep[0]) if of_sweep else 0 for of_sweep in files], np.int64)
     _check_sizes(files, sizes, found)
     _check_repeats(files, sizes, found)
     opened: dict[int, Sweep] = {}
@@ -118,6 +118,14 @@ def _check_pauses(
             f"{shortest + 1}, usually {period:.2f} s; did the clock of the LiDAR jump back, or are "
             "there sweeps of two LiDARs?"
         )
+
+
+def _size(file: Path) -> int:
+    """Bytes of a file; 0 where it cannot be read."""
+    try:
+        return file.stat().st_size
+    except OSError:
+        return 0
 
 
 def _check_sizes(files: list[list[Path]], sizes: NDArray[np.int64], found: Findings) -> None:

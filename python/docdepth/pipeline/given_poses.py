@@ -28,8 +28,10 @@ def poses_entry(poses: Path | str | None) -> str | None:
 
     A text ``CAMERA:FILE``, where no file has this name, means poses of that camera.
     """
-    if poses is None or poses == OWN:
-        return None if poses is None else OWN
+    if poses is None:
+        return None
+    if poses == OWN:
+        return OWN
     camera, file = _divided(str(poses))
     path = str(Path(file).resolve())
     return f"{camera}:{path}" if camera else path

@@ -9,7 +9,7 @@ records of its folder, so the state of a stage follows from its files.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -211,7 +211,8 @@ class RunGraph:
             if old:
                 name = camera.stream.images[int(old[0])].name
                 why = f"{len(old)} images have changed, {name} first"
-                return _with(state, "out of date", why, len(images) - len(old))
+                whole = len(images) - len(old)
+                return replace(state, state="out of date", why=why, frames=whole)
         return state
 
     def _state(
@@ -241,15 +242,17 @@ class RunGraph:
         if files and complete and whole == len(files):
             return known
         if not entry:
-            return _with(known, "missing", "it was not made yet", 0)
+            return replace(known, state="missing", why="it was not made yet", frames=0)
         if entry.get("key") != stage_key(parts):
-            return _with(known, "out of date", self._why(run.made_of(stage), parts), whole)
+            why = self._why(run.made_of(stage), parts)
+            return replace(known, state="out of date", why=why)
         if bad.damaged:
-            return _with(known, "damaged", f"{bad.damaged[0]} differs from what was written", whole)
+            why = f"{bad.damaged[0]} differs from what was written"
+            return replace(known, state="damaged", why=why)
         if entry.get("state") == "running":
-            return _with(known, "incomplete", "it was interrupted", whole)
+            return replace(known, state="incomplete", why="it was interrupted")
         first = bad.missing[0] if bad.missing else "a file"
-        return _with(known, "incomplete", f"{first} is missing", whole)
+        return replace(known, state="incomplete", why=f"{first} is missing")
 
     def _why(self, before: Parts, now: Parts) -> str:
         """Which part of what a product is made of has changed."""
@@ -261,9 +264,7 @@ class RunGraph:
         if name in ("odometry", "classify") and not isinstance(was, dict):
             upstream = self._odometry if name == "odometry" else self._classify
             made_of = self._run.made_of(name)
-            if made_of == before:  # notes that someone has changed
-                return f"{name} was made again"
-            if made_of == upstream:
+            if made_of in (upstream, before):  # before: notes that someone has changed
                 return f"{name} was made again"
             return f"{name} is out of date: {self._why(made_of, upstream)}"
         if name == "sweeps":
@@ -325,10 +326,6 @@ def _all_frames(run: RunFolder, recording: Dataset | None) -> int:
 
 def _size(run: RunFolder, file: Path) -> int:
     return run.records(file.parent).size(file.name)
-
-
-def _with(known: StageState, state: State, why: str, frames: int) -> StageState:
-    return StageState(known.name, state, why, frames, known.all_frames, known.size, known.seconds)
 
 
 def _first_difference(before: Parts, now: Parts, path: str = "") -> tuple[str, Any, Any]:

@@ -52,9 +52,9 @@ class InputFiles:
         """Hash of the identity of files of given labels."""
         return self._identify("labels", files, folder)
 
-    def changed(self, what: str = "sweeps") -> list[str]:
-        """Names of files that differ from those that were saved."""
-        before, now = self._before.get(what, {}), self._now.get(what, {})
+    def changed(self) -> list[str]:
+        """Names of files of sweeps that differ from those that were saved."""
+        before, now = self._before.get("sweeps", {}), self._now.get("sweeps", {})
         return sorted(
             name
             for name in before.keys() | now.keys()

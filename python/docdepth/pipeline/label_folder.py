@@ -69,7 +69,15 @@ class LabelFolder:
     def check_count(
         self, name: str, frame: int, points: int | None, returns: Callable[[], NDArray[Any]]
     ) -> None:
-        """Refuse labels that are missing, damaged or of another number of points."""
+        """Refuse labels that are missing, damaged or of another number of points.
+
+        ``points`` are the rows of the sweep; nothing is refused where they are not known.
+        ``returns`` gives the rows that are usable, where labels are of these alone.
+
+        Raises
+        ------
+        DatasetError
+        """
         file = label_file(self.folder, name, frame)
         if points is not None:
             read_classes(file, points, frame, returns)

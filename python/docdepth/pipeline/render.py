@@ -196,7 +196,7 @@ def _judge_maps(plan: RenderPlan, files: DepthFiles) -> str | None:
     """Warn of depth maps that cannot be right; what images say about the calibration."""
     stream, done = files.stream, sorted(files.coverage)
     warn_of_density(files.shares(), stream.name)
-    if not stream.images or plan.parameters.render.primitive == "splats":
+    if not stream.images or files.parameters.render.primitive == "splats":
         return None  # splats reach over edges
     path, tracks = files.run.path, plan.tracks.values()
     return judge(edges_of_images(path, stream, done, files.depth, plan.trajectory, tracks))

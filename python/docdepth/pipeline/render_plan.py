@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import DatasetError
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import check_format
 from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.graph import Parts, render_parts
 from docdepth.pipeline.input_files import InputFiles
@@ -50,8 +49,6 @@ class RenderPlan:
     trajectory : Trajectory
     tracks : mapping of int to Track
         By their ids.
-    parameters : Parameters
-        How frames are drawn; the same for all cameras.
     """
 
     files: list[DepthFiles]
@@ -60,7 +57,6 @@ class RenderPlan:
     parts: dict[str, Parts]
     trajectory: Trajectory
     tracks: Tracks
-    parameters: Parameters
 
 
 def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
@@ -100,14 +96,12 @@ def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
         files.append(of_camera)
     inputs.save()
     images.sort(key=lambda image: image.time)
-    parameters = cameras[0].parameters
-    return RenderPlan(files, images, left_out, parts, trajectory, tracks_of(run), parameters)
+    return RenderPlan(files, images, left_out, parts, trajectory, tracks_of(run))
 
 
 def tracks_of(run: RunFolder) -> dict[int, Track]:
     """The tracks of a run by their ids; none if it was classified without."""
-    path = run.path / TRACKS
-    return by_id(read_tracks(path)) if path.is_file() else {}
+    return by_id(tracks_in(run.path))
 
 
 def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:

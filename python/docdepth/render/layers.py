@@ -94,8 +94,7 @@ def compose_layers(
     Raises
     ------
     InputError
-        A name is unknown, the depth map has another size than the image, or normals of splats are
-        asked for.
+        A name is unknown, the depth map has another size than the image, or splats lack a layer.
     """
     p = parameters or RenderParameters()
     check_layers(names, p)

@@ -40,8 +40,8 @@ COARSER = 1.25
 image."""
 
 GONE = 500_000_000
-"""Before it is seen for the first time, and after the last, it is known for so long where an object
-is [ns]: braking hard it is a metre off then."""
+"""For so long before it is first seen, and after it is last seen, the place of an object is known
+[ns]. An object that brakes hard is a metre off by then."""
 
 REACH = 1.0
 """An object may reach this far beyond the box of its track [m]."""

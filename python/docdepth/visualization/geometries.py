@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
@@ -17,10 +16,10 @@ from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
+from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import tracks_in
 from docdepth.visualization.image_views import BOX_EDGES, box_corners, track_color
 from docdepth.visualization.pictures import (
     DYNAMIC_COLOR,
@@ -240,9 +239,7 @@ def run_geometries(
 
 
 def _tracks_at(run: RunFolder, time: int) -> list[tuple[Track, NDArray[np.float64]]]:
-    path = run.path / TRACKS
-    tracks = read_tracks(path) if path.is_file() else []
-    return [(track, track.pose_at(time)) for track in tracks if track.covers(time)]
+    return [(track, track.pose_at(time)) for track in tracks_in(run.path) if track.covers(time)]
 
 
 def _camera_view(
@@ -257,9 +254,9 @@ def _camera_view(
         return []
     folder = run.depth_folder(camera)
     pinhole, T_camera_lidar, _ = run.calibration(folder)
-    files = maps_in(run.path / "depth" / folder)
-    maps = json.loads((run.path / "depth" / folder / DESCRIPTION).read_text())["maps"]
-    times = {name: int(known["time_ns"]) for name, known in maps.items() if name in files}
+    depths = run.path / "depth" / folder
+    files, maps = maps_in(depths), described_maps(depths)
+    times = {name: time for name, (time, _) in maps.items() if name in files}
     if not times:
         return []
     nearest = min(times, key=lambda name: abs(times[name] - int(trajectory.times[frame])))

@@ -7,7 +7,6 @@ tracks have colours that they tell apart, too (blue and orange, and those of Oka
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -85,6 +84,8 @@ def overlay(
         BGR. Without it the picture shows depth alone.
     opacity : float
         Weight of the colours, 0..1.
+    near, far : float
+        As for :func:`colorize`.
     """
     colors = colorize(depth, near, far, bar=False)
     if image is not None:
@@ -187,29 +188,6 @@ def labels_in_range_image(
     return np.repeat(picture, row_height, axis=0)
 
 
-def picture_grid(pictures: Sequence[Picture], captions: Sequence[str], columns: int = 2) -> Picture:
-    """Arrange pictures of one size in a grid, each with its caption above.
-
-    Parameters
-    ----------
-    pictures : sequence of ndarray of uint8, shape (h, w, 3)
-    captions : sequence of str
-        One for each picture.
-    columns : int
-        Pictures in a row.
-    """
-    if not pictures or len(pictures) != len(captions) or len({p.shape for p in pictures}) != 1:
-        raise InputError(
-            f"{len(pictures)} pictures of one size need as many captions, got {len(captions)} "
-            f"and sizes {sorted({p.shape[:2] for p in pictures})}"
-        )
-    panels = [_captioned(p, text) for p, text in zip(pictures, captions, strict=True)]
-    empty = np.full_like(panels[0], BACKGROUND)
-    panels += [empty] * (-len(panels) % columns)
-    rows = [np.hstack(panels[k : k + columns]) for k in range(0, len(panels), columns)]
-    return np.vstack(rows)
-
-
 def draw_bar(picture: Picture, near: float = NEAR, far: float = FAR) -> Picture:
     """Draw the colour bar of depth into the lower left corner of a copy, if there is room."""
     height, width = picture.shape[:2]
@@ -261,12 +239,6 @@ def draw_classes(
     for chosen, color in layers:
         chosen = chosen & inside
         picture[rows[chosen].astype(np.int64), columns[chosen].astype(np.int64)] = color
-
-
-def _captioned(picture: Picture, caption: str) -> Picture:
-    strip = np.full((26, picture.shape[1], 3), BACKGROUND, np.uint8)
-    _text(strip, caption, (8, 18), 0.5)
-    return np.vstack([strip, picture])
 
 
 def _text(picture: Picture, text: str, place: tuple[int, int], size: float) -> None:

@@ -19,7 +19,7 @@ from docdepth.geometry.track import KINDS, Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.manifest import SKIPPED, skipped_frames
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import tracks_in
 from docdepth.parameter_table import parameter_table
 from docdepth.visualization import flip_book as flips
 from docdepth.visualization import report_map
@@ -101,7 +101,7 @@ def write_report(run: RunFolder, streams: Mapping[str, CameraStream]) -> Path:
         A file of the run, or an image, is missing or damaged.
     """
     trajectory = run.trajectory()
-    tracks = read_tracks(run.path / TRACKS) if (run.path / TRACKS).is_file() else []
+    tracks = tracks_in(run.path)
     cameras = [page for page in camera_pages(run, streams, tracks) if page.moments]
     parts = [
         head(f"docdepth: {run.path.resolve().name}", _STYLE),

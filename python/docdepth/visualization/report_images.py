@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,7 +19,7 @@ from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.arrays import ArrayError, read_arrays
-from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
+from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.visualization.image_views import draw_tracks, view_of_layer, view_of_points
 from docdepth.visualization.page import embedded
@@ -95,8 +94,8 @@ def camera_pages(
     count, most = budget(len(run.cameras))
     pages = []
     for name, entry in run.cameras.items():
-        maps = _maps(run.path / "depth" / str(entry["folder"]))
-        files = maps_in(run.path / "depth" / str(entry["folder"]))
+        depths = run.path / "depth" / str(entry["folder"])
+        maps, files = described_maps(depths), maps_in(depths)
         names = sorted(maps.keys() & files.keys(), key=lambda image: maps[image][0])
         reader = _Reader(run, str(entry["folder"]), streams.get(name), trajectory, tracks)
         even = np.linspace(0, len(names) - 1, min(count, len(names)))
@@ -175,17 +174,6 @@ class _Reader:
         record, classid = self.run.classified_frame(k)
         T = T_camera_world @ self.trajectory.poses[k]
         return view_of_points(record.points @ T[:3, :3].T + T[:3, 3], classid, camera, image)
-
-
-def _maps(folder: Path) -> dict[str, tuple[int, float]]:
-    """Time and coverage of each map, by name."""
-    try:
-        maps = json.loads((folder / DESCRIPTION).read_text())["maps"]
-        return {name: (int(m["time_ns"]), float(m["coverage"])) for name, m in maps.items()}
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DamagedFileError(folder / DESCRIPTION, repr(error)) from None
 
 
 def _layers(path: Path) -> dict[str, NDArray[Any]]:

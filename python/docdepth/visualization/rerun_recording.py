@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,9 +15,9 @@ from docdepth.errors import MissingExtraError, RunError
 from docdepth.geometry.se3 import inverse, matrix_to_quaternion
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
+from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import tracks_in
 from docdepth.visualization.geometries import Coloring, point_colors
 from docdepth.visualization.image_views import track_color
 from docdepth.visualization.pictures import colorize
@@ -91,7 +90,7 @@ def write_rerun(
     rerun, trajectory = _rerun_module(), run.trajectory()
     part = path.with_name(f".{path.stem}.part{path.suffix}")
     log = _Log(rerun, rerun.RecordingStream("docdepth"), trajectory, trajectory.poses[0, :3, 3])
-    tracks = read_tracks(run.path / TRACKS) if (run.path / TRACKS).is_file() else []
+    tracks = tracks_in(run.path)
     log.stream.send_recording_name(run.path.resolve().name)
     try:
         part.write_bytes(b"")  # rerun itself does not say why it cannot write
@@ -167,17 +166,18 @@ def _log_images(log: _Log, run: RunFolder, camera: str | None, stream: CameraStr
         return
     rerun, folder = log.rerun, run.depth_folder(camera)
     pinhole, T_camera_lidar, _ = run.calibration(folder)
-    maps = json.loads((run.path / "depth" / folder / DESCRIPTION).read_text())["maps"]
+    depths = run.path / "depth" / folder
+    maps = described_maps(depths)
     steps = _DEPTH_STEPS / run.parameters.render.max_depth
     view = rerun.Pinhole(
         image_from_camera=pinhole.K, width=pinhole.width, height=pinhole.height,
         camera_xyz=rerun.ViewCoordinates.RDF, image_plane_distance=_PLANE,
     )  # fmt: skip
     log.stream.log("world/camera", view, static=True)
-    for name, file in maps_in(run.path / "depth" / folder).items():
+    for name, file in maps_in(depths).items():
         if name not in maps:
             continue
-        time = int(maps[name]["time_ns"])
+        time = maps[name][0]
         log.at(time)
         log.pose("world/camera", log.trajectory.interpolate([time])[0] @ inverse(T_camera_lidar))
         metres = read_depth(file)

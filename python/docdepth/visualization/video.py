@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -15,9 +14,9 @@ from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.depth import DESCRIPTION, maps_in, read_depth
+from docdepth.io.depth import DESCRIPTION, described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, read_tracks
+from docdepth.io.tracks import tracks_in
 from docdepth.visualization.image_views import box_corners, track_color, write_text
 from docdepth.visualization.pictures import BACKGROUND, Picture, colorize, draw_classes
 
@@ -62,7 +61,8 @@ def write_video(
         A depth map or an image is damaged.
     """
     depths = run.path / "depth" / folder
-    maps, times = maps_in(depths), _times(depths / DESCRIPTION)
+    maps = maps_in(depths)
+    times = {name: time for name, (time, _) in described_maps(depths).items()}
     names = sorted(times, key=times.__getitem__)
     missing = [name for name in names if name not in maps]
     if missing or not names:
@@ -113,7 +113,7 @@ def write_video_from_above(
     trajectory = run.trajectory()
     if fps is None:
         fps = float(1e9 / np.median(np.diff(trajectory.times))) if len(trajectory) > 1 else 1.0
-    tracks = read_tracks(run.path / TRACKS) if (run.path / TRACKS).is_file() else []
+    tracks = tracks_in(run.path)
     frames = (sweep_from_above(run, trajectory, tracks, k) for k in range(len(trajectory)))
     key = {"classify": run.stage("classify").get("key", "")}
     path = run.path / "report" / "above.webm"
@@ -207,15 +207,6 @@ def _writer(path: Path, fps: float, frame: NDArray[np.uint8]) -> cv2.VideoWriter
         os.dup2(stderr, 2)
         os.close(stderr)
         os.close(null)
-
-
-def _times(path: Path) -> dict[str, int]:
-    """Time of each depth map [ns]."""
-    try:
-        maps = json.loads(path.read_text())["maps"]
-        return {name: int(known["time_ns"]) for name, known in maps.items()}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RunError(f"{path} cannot be read ({error!r}); render again") from None
 
 
 def _frame(depth: NDArray[np.float32], image: NDArray[np.uint8] | None) -> NDArray[np.uint8]:

@@ -42,7 +42,7 @@ _VIEWER, _PITCH = (-14.0, 0.0, 7.0), 0.3
 
 
 def view_run(
-    run: Path | RunFolder,
+    run: Path | str | RunFolder,
     frame: int | None = None,
     camera: str | None = None,
     around: int = 0,
@@ -62,7 +62,7 @@ def view_run(
 
     Parameters
     ----------
-    run : Path or RunFolder
+    run : Path, str or RunFolder
         Run folder with classified sweeps.
     frame : int, optional
         Index of the sweep; the middle of the drive by default.
@@ -92,7 +92,7 @@ def view_run(
     RunError
         The sweep is not classified.
     """
-    folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
+    folder = RunFolder.open(run)
     trajectory = folder.trajectory()
     frame = len(trajectory) // 2 if frame is None else frame
     shown = _Shown(folder, trajectory, frame, color, camera, around, depth, stream, tell)
