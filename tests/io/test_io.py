@@ -131,6 +131,12 @@ def test_another_run_is_not_overwritten(tmp_path):
     RunFolder.create(tmp_path / "run", source, parameters())  # the same one goes on
     with pytest.raises(RunError, match=r"another run: its dataset is 'a', not 'b'"):
         RunFolder.create(tmp_path / "run", {**source, "dataset": "b"}, parameters())
+    with_poses = {**source, "poses": "dataset"}
+    with pytest.raises(RunError, match="its poses is not given, not 'dataset'"):
+        RunFolder.create(tmp_path / "run", with_poses, parameters())
+    RunFolder.create(tmp_path / "posed", with_poses, parameters()).save()
+    with pytest.raises(RunError, match="its poses is 'dataset', and now it is not given"):
+        RunFolder.create(tmp_path / "posed", source, parameters())
     with pytest.raises(RunError, match=r"its dynamics\.tolerance is 0\.2, not 0\.3"):
         RunFolder.create(
             tmp_path / "run", source, parameters("default", {"dynamics.tolerance": 0.3})

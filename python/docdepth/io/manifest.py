@@ -22,11 +22,9 @@ def first_difference(have: Any, want: Any, path: str = "") -> str:
                 return first_difference(
                     have.get(key), want.get(key), f"{path}.{key}" if path else key
                 )
-    return f"{path} is {_shown(have)}, not {_shown(want)}"
-
-
-def _shown(value: Any) -> str:
-    return "not given" if value is None else repr(value)
+    if want is None:
+        return f"{path} is {have!r}, and now it is not given"
+    return f"{path} is {'not given' if have is None else repr(have)}, not {want!r}"
 
 
 def read_manifest(path: Path) -> dict[str, Any] | None:
