@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Literal, TypeAlias, get_args
@@ -18,13 +17,15 @@ Kind: TypeAlias = Literal["vehicle", "person", "other"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 """What an object is, by size and motion; a cyclist is a person."""
 
-_KEPT_POSES = 16  # each step of an image asks for the poses at the same few times
+# Each step of an image asks for the same few times. What is kept is bounded for all tracks
+# together: small things that stay lie between large ones, and the heap of a long drive would grow.
+_KEPT = 1024
 
 MAX_TRACKS = 0xFFFF
 """Largest id: an instance is the upper half of a SemanticKITTI label."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Track:
     """One object over the time in which it is known.
 
@@ -106,24 +107,12 @@ class Track:
         Interpolated between stamps. Before the first and after the last one it goes on as it moves
         there. Read-only.
         """
-        return self._pose_at(int(time))
+        return _pose_of(self, int(time))
 
-    @cached_property
-    def _pose_at(self) -> Callable[[int], NDArray[np.float64]]:
-        return lru_cache(maxsize=_KEPT_POSES)(self._compute_pose)
-
-    @cached_property
-    def _rows(self) -> dict[int, int]:
-        """The row of each stamp. Nearly all times that are asked for are stamps of sweeps."""
-        return {stamp: row for row, stamp in enumerate(self.times.tolist())}
-
-    def _compute_pose(self, time: int) -> NDArray[np.float64]:
-        if time in self._rows:
-            pose = self._path.poses[self._rows[time]]
-        else:
-            pose = self._path.interpolate(time)[0] if self.covers(time) else self._beyond(time)
-        pose.setflags(write=False)
-        return pose
+    def _row(self, time: int) -> int | None:
+        """The row of a stamp. Nearly all times that are asked for are stamps of sweeps."""
+        row = int(np.searchsorted(self.times, np.int64(time)))
+        return row if row < len(self) and self.times[row] == time else None
 
     def _beyond(self, time: int) -> NDArray[np.float64]:
         end = 0 if time < self.times[0] else -1
@@ -135,40 +124,48 @@ class Track:
 
     def velocity_at(self, time: int) -> NDArray[np.float64]:
         """Velocity (3,) at ``time`` [ns] in the world frame [m/s], linear between stamps."""
-        row = self._rows.get(int(time))
+        row = self._row(int(time))
         if row is not None:
             return self.velocities[row].astype(np.float64)
         return np.array([self._between(time, of_axis) for of_axis in self.velocities.T])
 
     def deviation_at(self, time: int) -> float:
         """How well the place is known at ``time`` [ns]: standard deviation [m]."""
-        row = self._rows.get(int(time))
+        row = self._row(int(time))
         return self._between(time, self.deviations) if row is None else float(self.deviations[row])
 
     def surface_deviation_at(self, time: int) -> float:
         """How well the place of its surface is known at ``time`` [ns], across itself [m]."""
-        row, known = self._rows.get(int(time)), self.surface_deviations
+        row, known = self._row(int(time)), self.surface_deviations
         return self._between(time, known) if row is None else float(known[row])
 
-    @cached_property
-    def _elapsed(self) -> NDArray[np.float64]:
-        return (self.times - self.times[0]).astype(np.float64)
-
     def _between(self, time: int, values: NDArray[np.float64]) -> float:
-        return float(np.interp(float(int(time) - int(self.times[0])), self._elapsed, values))
+        elapsed = (self.times - self.times[0]).astype(np.float64)
+        return float(np.interp(float(int(time) - int(self.times[0])), elapsed, values))
 
     def turn_rate_at(self, time: int) -> NDArray[np.float64]:
         """Rotation vector a second (3,) at ``time`` [ns], world frame [rad/s]."""
         if len(self) < 2:
             return np.zeros(3)
         after = min(max(int(np.searchsorted(self.times, np.int64(time))), 1), len(self) - 1)
-        if after not in self._turn_rates:
-            turn = self.poses[after, :3, :3] @ self.poses[after - 1, :3, :3].T
-            seconds = int(self.times[after] - self.times[after - 1]) * 1e-9
-            self._turn_rates[after] = rotation_log(turn) / seconds
-        return self._turn_rates[after].copy()
+        return _turn_rate(self, after).copy()
 
-    @cached_property
-    def _turn_rates(self) -> dict[int, NDArray[np.float64]]:
-        """What :meth:`turn_rate_at` has computed, by the later of two rows."""
-        return {}
+
+@lru_cache(maxsize=_KEPT)
+def _pose_of(track: Track, time: int) -> NDArray[np.float64]:
+    row = track._row(time)
+    if row is not None:
+        pose = track._path.poses[row]
+    else:
+        pose = track._path.interpolate(time)[0] if track.covers(time) else track._beyond(time)
+    pose.setflags(write=False)
+    return pose
+
+
+@lru_cache(maxsize=_KEPT)
+def _turn_rate(track: Track, after: int) -> NDArray[np.float64]:
+    """What :meth:`Track.turn_rate_at` tells between a row and the one before."""
+    turn = track.poses[after, :3, :3] @ track.poses[after - 1, :3, :3].T
+    seconds = int(track.times[after] - track.times[after - 1]) * 1e-9
+    rate: NDArray[np.float64] = rotation_log(turn) / seconds
+    return rate

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +13,7 @@ from docdepth.geometry.se3 import check_rigid, rotation_exp, rotation_log
 from docdepth.geometry.values import ShortRepr, float_array, nanoseconds
 
 _JITTER = 0.05  # metres; poses of a standing sensor differ by less
-_KEPT_POSES = 64  # of single times; those of an image and of the sweeps around it
+_KEPT = 256  # an image asks for the same few times again and again; bounded as in track.py
 _EARLY = 0.95  # share of a duration that counts as all of it, since stamps jitter
 
 
@@ -105,11 +105,6 @@ class Trajectory(ShortRepr):
         """Nanoseconds since the first pose, shape (n,); exact for drives of up to 104 days."""
         return (self.times - self.times[0]).astype(np.float64)
 
-    @cached_property
-    def _turns(self) -> dict[int, NDArray[np.float64]]:
-        """What :meth:`_turn` has computed: images ask for the same poses many times."""
-        return {}
-
     def subsample(self, spacing: float, duration: float = np.inf) -> NDArray[np.int64]:
         """Indices of poses spaced along the path, chosen greedily from the first.
 
@@ -170,18 +165,9 @@ class Trajectory(ShortRepr):
         InputError
             A time lies outside the trajectory: poses are not extrapolated.
         """
-        if isinstance(times, int):  # an image asks for the same few times again and again
-            if times not in self._kept:
-                if len(self._kept) >= _KEPT_POSES:
-                    self._kept.clear()
-                self._kept[times] = self._interpolated(np.array([times]))
-            return self._kept[times].copy()
+        if isinstance(times, int):
+            return _at(self, times).copy()
         return self._interpolated(np.atleast_1d(nanoseconds("times", times)))
-
-    @cached_property
-    def _kept(self) -> dict[int, NDArray[np.float64]]:
-        """What :meth:`interpolate` found at single times."""
-        return {}
 
     def _interpolated(self, times: NDArray[np.int64]) -> NDArray[np.float64]:
         if times.ndim != 1:
@@ -204,16 +190,9 @@ class Trajectory(ShortRepr):
             if s in (0.0, 1.0):
                 result[k] = start if s == 0.0 else end
                 continue
-            result[k, :3, :3] = start[:3, :3] @ rotation_exp(s * self._turn(int(a)))
+            result[k, :3, :3] = start[:3, :3] @ rotation_exp(s * _turn(self, int(a)))
             result[k, :3, 3] = (1.0 - s) * start[:3, 3] + s * end[:3, 3]
         return result
-
-    def _turn(self, index: int) -> NDArray[np.float64]:
-        """Rotation vector from pose ``index`` to the next, in the frame of the first."""
-        if index not in self._turns:
-            start, end = self.poses[index, :3, :3], self.poses[index + 1, :3, :3]
-            self._turns[index] = rotation_log(start.T @ end)
-        return self._turns[index]
 
     def velocity(self, index: int) -> NDArray[np.float64]:
         """Velocity at pose ``index`` in the sensor's frame, shape (3,), metres a second.
@@ -231,3 +210,16 @@ class Trajectory(ShortRepr):
         elapsed = (times - self.times[0]).astype(np.float64)
         arc: NDArray[np.float64] = np.interp(elapsed, self._elapsed, self.arc_length)
         return arc
+
+
+@lru_cache(maxsize=_KEPT)
+def _at(trajectory: Trajectory, time: int) -> NDArray[np.float64]:
+    """What :meth:`Trajectory.interpolate` finds at a single time."""
+    return trajectory._interpolated(np.array([time]))
+
+
+@lru_cache(maxsize=_KEPT)
+def _turn(trajectory: Trajectory, index: int) -> NDArray[np.float64]:
+    """Rotation vector from pose ``index`` to the next, in the frame of the first."""
+    start, end = trajectory.poses[index, :3, :3], trajectory.poses[index + 1, :3, :3]
+    return rotation_log(start.T @ end)
