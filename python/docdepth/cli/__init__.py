@@ -58,8 +58,8 @@ def options(
         raise typer.Exit
 
 
-_WORK_BETWEEN = 1000.0
-"""Free memory is given back when this many times as much processor time has passed as that took."""
+_GIVEN_BACK_EVERY = 10.0
+"""Some twenty sweeps by an HDL-64 take as much processor time [s]."""
 
 
 @cache
@@ -69,9 +69,8 @@ def keep_memory() -> None:
     Every sweep needs the same megabytes. The system clears them page by page when they were given
     back in between, which takes a tenth of the time of ``classify``. But small things that stay lie
     between, so the heap of a long drive grows though nothing more is in use. So what is free goes
-    back after all: the more it is, the longer that takes, and the more seldom it is done. Memory is
-    then that of so much work, however long the drive. The clock is processor time, since on a busy
-    machine hardly a sweep is done in a second.
+    back after all, once in a while: memory is that of so much work, however long the drive. The
+    clock is processor time, since on a busy machine hardly a sweep is done in a second.
     """
     library = ctypes.CDLL(None)
     if sys.platform != "linux" or not hasattr(library, "mallopt"):
@@ -86,14 +85,12 @@ def keep_memory() -> None:
         library.mallopt(parameter, value)
 
     def give_back() -> None:
-        due = 0.0
+        due = _GIVEN_BACK_EVERY
         while True:
             time.sleep(1.0)
-            if time.process_time() < due:
-                continue
-            before = time.thread_time()
-            library.malloc_trim(0)
-            due = time.process_time() + _WORK_BETWEEN * (time.thread_time() - before)
+            if time.process_time() >= due:
+                library.malloc_trim(0)
+                due = time.process_time() + _GIVEN_BACK_EVERY
 
     threading.Thread(target=give_back, name="give back memory", daemon=True).start()
 
