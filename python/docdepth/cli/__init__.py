@@ -79,7 +79,7 @@ def keep_memory() -> None:
     for parameter, value in (
         (trim_threshold, 1 << 30),
         (top_pad, 1 << 26),
-        (mmap_threshold, 1 << 25),
+        (mmap_threshold, 1 << 23),
         (arena_max, 1),
     ):
         library.mallopt(parameter, value)
