@@ -75,8 +75,8 @@ class TrackEvidence {
     if (object.dynamic == object.points || object.box.width() < kMinTrackedWidth) return false;
     if (object.area - object.dynamic_area > supported_) return false;
     if (!is_known_) return is_member && object.was_free();
-    // What has come to stand is asked about each sweep of the rest of the drive. And where the
-    // track is lost it may go on with something else.
+    // Before and after the places that are known the object stands at the first or the last of
+    // them. A track that is lost may go on with something else, elsewhere.
     const bool is_elsewhere =
         (times_[sweep] < first_.time && !object.box.overlaps(first_.extent, 0)) ||
         (times_[sweep] > last_.time && !object.box.overlaps(last_.extent, 0));

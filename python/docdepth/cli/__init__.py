@@ -70,7 +70,8 @@ def keep_memory() -> None:
     back in between, which takes a tenth of the time of ``classify``. But small things that stay lie
     between, so the heap of a long drive grows though nothing more is in use. So what is free goes
     back after all, once in a while: memory is that of so much work, however long the drive. The
-    clock is processor time, since on a busy machine hardly a sweep is done in a second.
+    clock is processor time, since on a busy machine hardly a sweep is done in a second. Arrays
+    above 8 MB go back at once: voxel maps grow by doubling, and each would leave a hole.
     """
     library = ctypes.CDLL(None)
     if sys.platform != "linux" or not hasattr(library, "mallopt"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -405,6 +406,6 @@ def _without_newly_broken(folder: RunFolder) -> Dataset | None:
 
 
 def _absolute(path: Path | str | None) -> str | None:
-    if not isinstance(path, str | Path | None):
+    if not isinstance(path, str | os.PathLike | None):
         raise ConfigError(f"a {type(path).__name__} is not a path; give that of its folder or file")
     return None if path is None else str(Path(path).resolve())
