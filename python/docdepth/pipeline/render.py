@@ -18,6 +18,7 @@ from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.calibration_check import edges_of_images, judge
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render, tracks_of
@@ -198,17 +199,18 @@ def _judge_maps(plan: RenderPlan, files: DepthFiles) -> str | None:
     warn_of_density(files.shares(), stream.name)
     if not stream.images or files.parameters.render.primitive == "splats":
         return None  # splats reach over edges
-    path, tracks = files.run.path, plan.tracks.values()
-    return judge(edges_of_images(path, stream, done, files.depth, plan.trajectory, tracks))
+    path = files.run.path
+    return judge(edges_of_images(path, stream, done, files.depth, plan.trajectory, tracks_in(path)))
 
 
 def _write_cameras(plan: RenderPlan) -> None:
     """Write calibration, interpolated poses (paper V-A) and tracks of each camera."""
     for files in plan.files:
+        tracks = tracks_in(files.run.path)
         indices = np.array([image.index for image in plan.images if image.files is files])
         times = files.stream.times[indices]
         poses = Trajectory(times, plan.trajectory.interpolate(times))
-        files.write_camera(poses, indices, plan.tracks.values())
+        files.write_camera(poses, indices, tracks)
 
 
 class _Job(NamedTuple):

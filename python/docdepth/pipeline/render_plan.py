@@ -20,7 +20,7 @@ from docdepth.pipeline.graph import Parts, render_parts
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.run_inputs import RunCamera
 from docdepth.render.layers import check_layers
-from docdepth.render.moving_objects import Tracks, by_id
+from docdepth.render.moving_objects import by_id
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,6 @@ class RenderPlan:
     parts : dict of str to dict
         By camera: what its depth maps are made of.
     trajectory : Trajectory
-    tracks : mapping of int to Track
-        By their ids.
     """
 
     files: list[DepthFiles]
@@ -56,7 +54,6 @@ class RenderPlan:
     left_out: dict[str, list[str]]
     parts: dict[str, Parts]
     trajectory: Trajectory
-    tracks: Tracks
 
 
 def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
@@ -96,7 +93,7 @@ def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
         files.append(of_camera)
     inputs.save()
     images.sort(key=lambda image: image.time)
-    return RenderPlan(files, images, left_out, parts, trajectory, tracks_of(run))
+    return RenderPlan(files, images, left_out, parts, trajectory)
 
 
 def tracks_of(run: RunFolder) -> dict[int, Track]:
