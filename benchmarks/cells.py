@@ -41,6 +41,8 @@ class Cell:
     frames: int
     seed: int
     drives: Path
+    beam_width: float = 0.0
+    """Full angle of a beam [deg]."""
 
     @property
     def name(self) -> str:
@@ -55,8 +57,10 @@ class Cell:
         about = self.folder / "sequences" / "00" / "docdepth.yaml"
         wanted = {"scene": self.scene, "sensor": self.sensor, "seed": self.seed}
         wanted |= {"frames": self.frames, "motion_compensated": True}
+        wanted |= {"beam_width_deg": self.beam_width} if self.beam_width else {}
         if not about.is_file():
-            write_drive(self.folder, self.scene, self.sensor, self.frames, self.seed, images=False)
+            made_of = self.folder, self.scene, self.sensor, self.frames, self.seed
+            write_drive(*made_of, images=False, beam_width_deg=self.beam_width)
         elif yaml.safe_load(about.read_text()) != wanted:
             raise RunError(f"{about.parent} holds another drive than {wanted}; delete it")
         _write_point_times(about.parent)
@@ -158,6 +162,7 @@ def add_cell_arguments(parser: argparse.ArgumentParser, images: int) -> None:
     parser.add_argument("--sensors", nargs="+", choices=list(sensors()))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--frames", type=int, help="sweeps per drive instead of the usual number")
+    parser.add_argument("--beam-width", type=float, default=0.0, help="of the LiDAR [deg]")
     parser.add_argument("--images", type=int, default=images, help="images per drive")
     parser.add_argument("--preset", default="default", choices=["default", "paper"])
     parser.add_argument("--threads", type=int, default=0, help="0 uses all cores")
@@ -167,4 +172,5 @@ def cells_of(args: argparse.Namespace) -> Iterator[Cell]:
     """Chosen cells, sensor by sensor."""
     for name in args.sensors:
         for street in args.scenes:
-            yield Cell(street, name, args.frames or FRAMES[street], args.seed, args.drives)
+            frames = args.frames or FRAMES[street]
+            yield Cell(street, name, frames, args.seed, args.drives, args.beam_width)

@@ -70,6 +70,12 @@ def synth(
     skew: Annotated[
         bool, typer.Option(help="Write raw sweeps, without motion compensation.")
     ] = False,
+    beam_width: Annotated[
+        float,
+        typer.Option(
+            min=0, max=5, metavar="DEG", help="Width of a beam; real LiDARs have 0.1 to 0.35."
+        ),
+    ] = 0.0,
     bloom: Annotated[
         float,
         typer.Option(
@@ -86,7 +92,7 @@ def synth(
     with progress_bars() as progress:
         write_drive(
             output, scene=scene, sensor=sensor, frames=frames, seed=seed, skew=skew,
-            blooming_deg=bloom, force=force,
+            beam_width_deg=beam_width, blooming_deg=bloom, force=force,
             progress=lambda done, total: progress("synth", done, total),
         )  # fmt: skip
     if not volume.quiet:

@@ -25,7 +25,7 @@ from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.io.poses import read_kitti
 from docdepth.io.trees import parse_yaml
 
-_SYNTHETIC = {"scene", "sensor", "seed", "frames", "blooming_deg"}
+_SYNTHETIC = {"scene", "sensor", "seed", "frames", "beam_width_deg", "blooming_deg"}
 """Entries that say how a synthetic drive was made."""
 _MOST_METRES = 100  # of a LiDAR from the origin of its points; more is a mistake of units
 

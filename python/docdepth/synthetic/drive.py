@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,8 @@ from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import Track
-from docdepth.synthetic.casting import Hits, Rays, World
+from docdepth.synthetic.beams import cast_beams, with_blooming
+from docdepth.synthetic.casting import Rays, World
 from docdepth.synthetic.photo import View, photograph
 from docdepth.synthetic.sensors import Sensor
 from docdepth.synthetic.street import Scene
@@ -188,12 +189,13 @@ class Drive:
             ray_origins = np.zeros_like(directions)
         origins = poses[which, :3, 3] + np.einsum("nij,nj->ni", rotation, ray_origins)
         rays = Rays(origins, directions, seconds, which)
-        hits = world.cast(rays, sensor.max_range)
+        if sensor.beam_width:
+            hits = cast_beams(world, rays, sensor.beam_width, sensor.max_range)
+        else:
+            hits = world.cast(rays, sensor.max_range)
         reflectivity = world.reflectivity[hits.face]
         if sensor.blooming:
-            hits, reflectivity = _with_blooming(
-                hits, reflectivity, directions, sensor.blooming, rng
-            )
+            hits, reflectivity = with_blooming(hits, reflectivity, directions, sensor.blooming, rng)
         kept = np.flatnonzero(sensor.returned(hits.range, reflectivity, hits.cosine, rng))
         measured = hits.range[kept] + sensor.noise * rng.normal(size=len(kept))
         measured += self._bias[pattern.rings[kept]]
@@ -247,37 +249,6 @@ class Drive:
         """Exact depth (h, w) of any camera at any time [ns]; NaN = no surface."""
         pose = self.T_scene_world @ T_world_camera
         return photograph(self.world_at(time / _NS), camera, pose, time / _NS).depth
-
-
-def _with_blooming(
-    hits: Hits,
-    reflectivity: NDArray[np.float32],
-    directions: Floats,
-    blooming: float,
-    rng: np.random.Generator,
-) -> tuple[Hits, NDArray[np.float32]]:
-    """Add ghost returns around retro-reflectors, up to ``blooming`` radians from them.
-
-    A ray that passes close to a retro-reflector returns weakly from its range; the closer, the more
-    likely. Ghost returns have class 1 (outlier) and no speed.
-    """
-    bright = np.flatnonzero((reflectivity > 1) & np.isfinite(hits.range))
-    if not len(bright):
-        return hits, reflectivity
-    source, cosine = np.empty(len(directions), np.int64), np.empty(len(directions))
-    for rows in np.array_split(np.arange(len(directions)), len(directions) // 8192 + 1):
-        cosines = directions[rows] @ directions[bright].T
-        source[rows], cosine[rows] = bright[cosines.argmax(axis=1)], cosines.max(axis=1)
-    ghost = rng.random(len(cosine)) < 1 - np.arccos(np.clip(cosine, -1, 1)) / blooming
-    ghost &= (reflectivity <= 1) & (hits.range > hits.range[source] + 0.3)
-    values = replace(
-        hits,
-        range=np.where(ghost, hits.range[source], hits.range),
-        cosine=np.where(ghost, 1, hits.cosine),
-        labels=np.where(ghost, 1, hits.labels).astype(hits.labels.dtype),
-        speed=np.where(ghost, 0, hits.speed).astype(hits.speed.dtype),
-    )
-    return values, np.where(ghost, 0.3, reflectivity).astype(np.float32)
 
 
 def sweeps_of(drive: Drive, indices: Sequence[int] | None = None) -> list[TrueSweep]:

@@ -63,6 +63,8 @@ class Sensor:
         Height above the ground [m].
     spins : bool
         The azimuth of a return tells its time.
+    beam_width : float
+        Full angle of a beam [rad]; 0 = each beam is a line.
     blooming : float
         Ghost returns appear around retro-reflectors, up to this angle from them [rad].
     """
@@ -77,6 +79,7 @@ class Sensor:
     period: float = 0.1
     height: float = 1.73
     spins: bool = True
+    beam_width: float = 0.0
     blooming: float = 0.0
 
     def returned(

@@ -42,6 +42,7 @@ def write_drive(
     seed: int = 0,
     skew: bool = False,
     images: bool = True,
+    beam_width_deg: float = 0.0,
     blooming_deg: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
     force: bool = False,
@@ -65,6 +66,8 @@ def write_drive(
         spin.
     images : bool
         Write camera images and exact depth maps.
+    beam_width_deg : float
+        Full angle of a LiDAR's beam [deg]; 0 = a line. Real LiDARs have 0.1 to 0.35.
     blooming_deg : float
         Ghost returns appear around retro-reflectors, up to this angle from them [deg]. They have
         class 1, outlier.
@@ -90,11 +93,12 @@ def write_drive(
         "frames": frames,
         "motion_compensated": not skew,
     }
-    if blooming_deg:
-        about["blooming_deg"] = blooming_deg
+    about |= {"beam_width_deg": beam_width_deg} if beam_width_deg else {}
+    about |= {"blooming_deg": blooming_deg} if blooming_deg else {}
     folder = sequence_folder(out)
     _make_room(Path(out), folder, about, force)
-    lidar = replace(make_sensor(sensor), blooming=float(np.radians(blooming_deg)))
+    width, blooming = np.radians((beam_width_deg, blooming_deg)).tolist()
+    lidar = replace(make_sensor(sensor), beam_width=width, blooming=blooming)
     drive = Drive(make_scene(scene, seed), lidar, frames, seed, skew)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / _UNFINISHED).write_text(yaml.safe_dump(about, sort_keys=False))
