@@ -56,6 +56,29 @@ def test_progress_in_a_log_file_is_lines(finished):
     assert lines[-1].split()[-1].split("/")[0] == lines[-1].split("/")[-1]
 
 
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda content: content + b"ab", "bytes; labels are one uint32"),
+        (lambda content: content[:-8], "labels for a sweep of"),
+        (None, "cannot be read: No such file"),
+    ],
+)
+@pytest.mark.parametrize("verb", ["labels", "tracks"])
+def test_true_labels_that_are_damaged_are_named(finished, drive, tmp_path, verb, spoil, message):
+    shutil.copytree(drive / "labels", tmp_path / "labels")
+    file = sorted((tmp_path / "labels").glob("*.label"))[2]
+    content = file.read_bytes()
+    file.unlink()
+    if spoil:
+        file.write_bytes(spoil(content))
+    tracks = ["--tracks", drive / "tracks.csv"] if verb == "tracks" else []
+    result = cli("evaluate", verb, finished[0], "--labels", tmp_path / "labels", *tracks)
+    assert result.exit_code == 2
+    assert f"{file} (frame 2)" in str(result.exception)
+    assert message in str(result.exception)
+
+
 @pytest.mark.parametrize("what", ["labels", "depth"])
 def test_a_folder_of_truth_that_is_not_there_is_named(finished, tmp_path, what):
     folder = tmp_path / "nowhere"

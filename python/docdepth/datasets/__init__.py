@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from docdepth.datasets.base import CameraStream, Dataset, ImageStream, LidarStream, Sweep
 from docdepth.datasets.format import Format
-from docdepth.datasets.frame_range import FrameRange
+from docdepth.datasets.frame_range import FrameRange, whole_of
 from docdepth.datasets.image_streams import image_streams
 from docdepth.datasets.registry import find_recordings, format_names, open_dataset
 from docdepth.geometry.points import usable_points
@@ -22,4 +22,5 @@ __all__ = [
     "image_streams",
     "open_dataset",
     "usable_points",
+    "whole_of",
 ]

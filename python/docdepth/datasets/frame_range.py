@@ -147,3 +147,8 @@ def _parse(frames: str, count: int, path: Path) -> range:
             f"--frames {frames} holds no sweep: {path} has {count} sweeps, 0 to {count - 1}"
         )
     return chosen
+
+
+def whole_of(recording: Dataset) -> Dataset:
+    """The recording that this is a part of, or itself."""
+    return recording.whole if isinstance(recording, FrameRange) else recording

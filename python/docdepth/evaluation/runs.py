@@ -25,6 +25,7 @@ from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import maps_in, read_depth
+from docdepth.io.labels import read_labels
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import read_tracks, tracks_in
 from docdepth.pipeline.run_state import require
@@ -108,7 +109,7 @@ def evaluate_labels(
     times = folder.trajectory().times
     for index in range(len(times)):
         record, classid = folder.classified_frame(index)
-        truth = _read(labels / f"{record.name}.label", record.input_points)
+        truth = read_labels(labels / f"{record.name}.label", record.input_points, index)
         dynamic = np.zeros(record.input_points, dtype=bool)
         dynamic[record.index] = classid >= DYNAMIC
         ranges = np.full(record.input_points, np.nan)
@@ -166,7 +167,8 @@ def evaluate_tracks(
     for index, time in enumerate(trajectory.times.tolist()):
         record = folder.frame(index)
         name, points = f"{record.name}.label", record.input_points
-        true, found = (_read(at / name, points) for at in (labels, folder.path / "labels"))
+        both = labels, folder.path / "labels"
+        true, found = (read_labels(at / name, points, index) for at in both)
         pose = truth.interpolate(int(np.clip(time, truth.times[0], truth.times[-1])))[0]
         evaluation.add(
             *(true, instances(found), _speeds(labels, record.name), _seconds(trajectory.times)),
@@ -304,15 +306,6 @@ def _truth_folder(path: Path, inside: str, run: RunFolder) -> Path:
     if not path.is_dir():
         raise DatasetError(f"{path} is {'not a folder' if path.exists() else 'not there'}")
     return path / inside if (path / inside).is_dir() else path
-
-
-def _read(path: Path, points: int) -> NDArray[np.uint32]:
-    if not path.is_file():
-        raise DatasetError(f"{path} is missing; label files have the names of the sweeps")
-    truth = np.fromfile(path, np.uint32)
-    if len(truth) != points:
-        raise DatasetError(f"{path} has {len(truth)} labels, the sweep has {points} points")
-    return truth
 
 
 def _poses(folder: RunFolder) -> str:

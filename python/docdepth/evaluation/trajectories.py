@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets import Dataset, FrameRange
+from docdepth.datasets import Dataset, whole_of
 from docdepth.datasets.mounts import Mounted
 from docdepth.errors import InputError, OdometryError
 from docdepth.evaluation.tables import Table, number, plain
@@ -196,7 +196,7 @@ def evaluate_trajectories(run: Path | str | RunFolder, poses: Path | str) -> Tra
 
 def _of_other_rate(file: Path, recording: Dataset) -> Trajectory | None:
     """The poses of a file with times that has no pose for each sweep; None of any other file."""
-    whole = recording.whole if isinstance(recording, FrameRange) else recording
+    whole = whole_of(recording)
     times, poses = read_timed_poses(file)
     if times is None or len(poses) == len(whole):
         return None

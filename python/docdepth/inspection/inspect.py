@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.config import Parameters
-from docdepth.datasets import Dataset, FrameRange, Sweep, usable_points
+from docdepth.datasets import Dataset, FrameRange, Sweep, usable_points, whole_of
 from docdepth.datasets.recording import Recording
 from docdepth.errors import DocDepthError
 from docdepth.geometry.ground_plane import find_ground
@@ -102,7 +102,7 @@ def _look_at_sweeps(recording: Dataset, result: Inspection) -> None:
     shares = [row_shares(sweep.points) for sweep in sweeps]
     figures["rows"] = {name: max(s[name] for s in shares) for name in shares[0]}
     figures["point_times"] = time_figures(middle, period)
-    whole = recording.whole if isinstance(recording, FrameRange) else recording
+    whole = whole_of(recording)
     if figures["point_times"] is not None and isinstance(whole, Recording):
         counts = [c for c in whole.point_times if c is not None]
         figures["point_times"]["counted"] = [

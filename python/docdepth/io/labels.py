@@ -99,6 +99,17 @@ def read_classes(
         labels = _whole(_read_pcd(file, frame), file, points, frame, returns)
         classid, instance = classes_of_labels(labels)
         return classid, instance if instance.any() else None
+    return classes_of_labels(read_labels(file, points, frame))
+
+
+def read_labels(file: Path, points: int, frame: int) -> NDArray[np.uint32]:
+    """SemanticKITTI's label of every row of a sweep, shape (points,), from a ``.label`` file.
+
+    Raises
+    ------
+    DatasetError
+        The file is missing or damaged, or has another number of labels.
+    """
     try:
         content = file.read_bytes()
     except OSError as error:
@@ -108,9 +119,9 @@ def read_classes(
             f"{file} (frame {frame}) has {len(content)} bytes; labels are one uint32 for each "
             "point; copy it again"
         )
-    labels = np.frombuffer(content, "<u4")
+    labels: NDArray[np.uint32] = np.frombuffer(content, "<u4")
     _check_count(len(labels), file, points, frame)
-    return classes_of_labels(labels)
+    return labels
 
 
 def classes_of_labels(labels: NDArray[np.uint32]) -> tuple[_Classes, _Classes]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters
-from docdepth.datasets import Dataset, FrameRange
+from docdepth.datasets import Dataset, FrameRange, whole_of
 from docdepth.datasets.mounts import Mounted
 from docdepth.errors import DatasetError, OdometryError
 from docdepth.geometry.se3 import inverse
@@ -59,7 +59,7 @@ def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
                 "--poses out to have them estimated"
             )
         return recording.poses
-    whole = recording.whole if isinstance(recording, FrameRange) else recording
+    whole = whole_of(recording)
     camera, file = _divided(entry)
     of_part = _are_of_part(Path(file), recording)
     poses = read_poses_at(Path(file), recording.times if of_part else whole.times)

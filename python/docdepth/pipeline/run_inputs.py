@@ -27,6 +27,7 @@ from docdepth.datasets import (
     ImageStream,
     image_streams,
     open_dataset,
+    whole_of,
 )
 from docdepth.datasets.images import read_image_of
 from docdepth.datasets.mounts import LEVEL_DEG, Mounted, ground_of
@@ -186,7 +187,7 @@ def find_up(recording: Dataset, begun: dict[str, Any] | None = None) -> list[flo
     list of float, or None
         Unit vector for ``source``; None if z is up, or if it is not known.
     """
-    whole = recording.whole if isinstance(recording, FrameRange) else recording
+    whole = whole_of(recording)
     told = getattr(whole, "up", None)
     if told is not None:
         up = np.array(told, np.float64) / np.linalg.norm(told)
@@ -266,7 +267,7 @@ def open_cameras(
         There is no such camera, or its times are broken.
     """
     size = parse_size(source.get("image_size"))
-    whole = recording.whole if isinstance(recording, FrameRange) else recording
+    whole = whole_of(recording)
     streams = [whole.cameras[name] for name in _camera_names(wanted, whole)]
     if size:
         streams = [

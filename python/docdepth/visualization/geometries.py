@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import InputError, MissingExtraError
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.points import DYNAMIC, STATIC
+from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
@@ -23,11 +23,11 @@ from docdepth.io.tracks import tracks_in
 from docdepth.visualization.image_views import BOX_EDGES, box_corners, track_color
 from docdepth.visualization.pictures import (
     DYNAMIC_COLOR,
-    GROUND_COLOR,
     STATIC_COLOR,
     TRACK_COLORS,
     Picture,
     colorize,
+    colors_of_classes,
 )
 
 Coloring: TypeAlias = Literal["class", "votes", "instance"]
@@ -86,8 +86,7 @@ def back_project(camera: Camera, depth: NDArray[np.float32]) -> NDArray[np.float
 
 def class_colors(classid: NDArray[np.uint16]) -> NDArray[np.float64]:
     """RGB colour of each point by its class, float64 (N, 3), 0..1."""
-    palette = np.array([GROUND_COLOR, STATIC_COLOR, DYNAMIC_COLOR], np.float64)[:, ::-1] / 255
-    return palette[(classid >= STATIC).astype(int) + (classid >= DYNAMIC)]
+    return colors_of_classes(classid)[:, ::-1] / 255
 
 
 def vote_colors(

@@ -10,15 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.geometry.track import Track
 from docdepth.visualization.pictures import (
     BACKGROUND,
-    DYNAMIC_COLOR,
-    GROUND_COLOR,
-    STATIC_COLOR,
     TRACK_COLORS,
     Picture,
+    colors_of_classes,
 )
 
 SEEN_COLORS = ((110, 110, 110), (178, 114, 0), (0, 120, 255))
@@ -55,7 +52,7 @@ def view_of_layer(name: str, values: NDArray[Any], image: Picture | None) -> Pic
         colors = CONFIDENCE_COLORS[steps]
     elif name == "class":
         known = values != _NO_DEPTH
-        colors = _class_colors(values)
+        colors = colors_of_classes(values)
     elif name == "seen":
         known = values != _NO_DEPTH
         colors = np.array(SEEN_COLORS, np.uint8)[np.where(known, values, 0)]
@@ -85,7 +82,7 @@ def view_of_points(
     inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     order = np.argsort(-points[ahead[inside], 2], kind="stable")
     rows, columns = (of[inside][order].astype(int) for of in (v, u))
-    colors = _class_colors(classid[ahead[inside][order]])
+    colors = colors_of_classes(classid[ahead[inside][order]])
     side = max(camera.width // 600, 1)  # pixels to either side
     # A point covers several pixels; all of a farther point are drawn before those of a nearer one.
     square = [(down, right) for down in range(-side, side) for right in range(-side, side)]
@@ -164,11 +161,6 @@ def write_text(
             beside = (place[0] + x, place[1] + y)
             cv2.putText(picture, text, beside, font, 0.55, black, 2, cv2.LINE_AA)
     cv2.putText(picture, text, place, font, 0.55, color, 2, cv2.LINE_AA)
-
-
-def _class_colors(classid: NDArray[Any]) -> Picture:
-    palette = np.array([GROUND_COLOR, STATIC_COLOR, DYNAMIC_COLOR], np.uint8)
-    return palette[(classid >= STATIC).astype(int) + (classid >= DYNAMIC)]
 
 
 def _over(colors: Picture, known: NDArray[np.bool_], image: Picture | None) -> Picture:

@@ -41,6 +41,12 @@ BACKGROUND = 24
 _TICKS = (3, 5, 10, 20, 40, 80, 160, 320)
 
 
+def colors_of_classes(classid: NDArray[np.integer[Any]]) -> Picture:
+    """Colour of each point or pixel by its class, uint8 (..., 3)."""
+    palette = np.array([GROUND_COLOR, STATIC_COLOR, DYNAMIC_COLOR], np.uint8)
+    return palette[(classid >= STATIC).astype(int) + (classid >= DYNAMIC)]
+
+
 def colorize(
     depth: NDArray[np.floating[Any]], near: float = NEAR, far: float = FAR, bar: bool = True
 ) -> Picture:
