@@ -171,6 +171,15 @@ def test_a_pole_and_a_wall_beside_a_pedestrian_who_disappears_stay_static():
     assert tracked([walker, pole, wall], 40) == [[], [], []]
 
 
+def test_a_parked_car_that_a_pedestrian_brushed_stays_static():
+    """Both were one object, and the track goes on with the rear of the car."""
+    walker = Thing(PERSON, lambda i: (2 + 0.1 * i, 3) if i < 35 else None, range(35))
+    car = Thing(CAR, lambda i: (7.6, 4.2) if i >= 27 else None, seen=lambda i, p: p[:, 0] < 0.1)
+    car.stay = lambda i, count: (False, 27, count - 1)
+    found = tracked([walker, car], 60, joined={(0, 1): range(27, 35)})
+    assert found[1] == []
+
+
 @pytest.mark.parametrize("size", [(0.6, 0.6, 1.2), (0.5, 0.5, 1.5)])
 def test_a_bin_that_is_first_seen_where_a_pedestrian_was_last_seen_stays_static(size):
     """A narrow view sees its place only from then on, so votes do not tell that it was there."""

@@ -124,10 +124,15 @@ class PathEstimation {
 };
 
 PathEstimate PathEstimation::run() {
-  std::vector<float> widths;
-  for (const TrackObservation& of : track_.observations) widths.push_back(of.box.width());
-  path_.rigid = quantile(widths, kRigidQuantile) >= kMinRigidWidth && widths.size() > 2;
-  path_.end = widths.size();
+  // A person who brushes a parked car is one object with it for a while: little of that passes.
+  std::vector<float> widths, passing;
+  for (const TrackObservation& of : track_.observations) {
+    widths.push_back(of.box.width());
+    if (of.is_passing()) passing.push_back(of.box.width());
+  }
+  if (2 * passing.size() >= widths.size()) widths = std::move(passing);
+  path_.rigid = widths.size() > 2 && quantile(widths, kRigidQuantile) >= kMinRigidWidth;
+  path_.end = track_.observations.size();
   measure_shifts();
   find_headings();
   if (path_.rigid) register_surfaces();

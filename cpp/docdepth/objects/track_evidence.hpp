@@ -35,8 +35,10 @@ class TrackEvidence {
     float total = 0;
     for (const TrackObservation& seen : track_.observations) {
       total += seen.passing_area;
-      supported_ = std::max({supported_, seen.passing_area, total / kTotalSupportDivisor});
+      supported_ = std::max(supported_, seen.passing_area);
     }
+    // Of a vehicle each sweep may show another part, of a person each shows about half.
+    if (is_vehicle_) supported_ = std::max(supported_, total / kTotalSupportDivisor);
     const auto is_unsure = [&](std::size_t k) { return path_.deviation(k) > kSamePlace; };
     std::size_t first = 0, end = track_.observations.size();
     while (first < end && is_unsure(first)) ++first;

@@ -209,7 +209,8 @@ def track_objects(
     Where a track adds an object, the place must have been observed free before or after, or been
     occupied only while the tracked object stood there; otherwise it is another one: a parked car
     that was passed, a pole, a wall. It may also not show more of its surface than was seen to move
-    at once, or an eighth of all that was.
+    at once; of a vehicle, an eighth of all that was. What is as wide as a vehicle only while little
+    of it passes is none: a person who brushes a parked car.
 
     Between its detections a tracked object is where its motion predicts it, even where its points
     are too few to be an object. The voxels of a result hold such points, too.
