@@ -99,6 +99,8 @@ def test_depth_maps(raw, tmp_path: Path, write) -> None:
     for one, two in zip(maps, again, strict=True):
         a, b = read_depth(one), read_depth(two)
         both = np.isfinite(a) & np.isfinite(b)
-        # Times are rounded to floats of seconds, so that odometry moves by less than a micrometre.
-        assert (np.isfinite(a) != np.isfinite(b)).mean() < 1e-4
+        # Times are rounded to floats of seconds, so odometry moves by less than a micrometre. Of
+        # returns on a lattice four lie on one circle, and rounding tells which are joined: at edges
+        # pixels have depth in one map alone, more or less of them on other processors.
+        assert (np.isfinite(a) != np.isfinite(b)).mean() < 1e-3
         assert (np.abs(a - b)[both] <= 1 / 256).mean() > 0.9995
