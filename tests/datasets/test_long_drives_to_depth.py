@@ -100,7 +100,9 @@ def test_depth_maps(raw, tmp_path: Path, write) -> None:
         a, b = read_depth(one), read_depth(two)
         both = np.isfinite(a) & np.isfinite(b)
         # Times are rounded to floats of seconds, so odometry moves by less than a micrometre. Of
-        # returns on a lattice four lie on one circle, and rounding tells which are joined: at edges
-        # pixels have depth in one map alone, more or less of them on other processors.
+        # returns on a lattice four lie on one circle, and rounding tells which are joined. How many
+        # triangles that turns depends on the processor; near ones cover a hundred pixels each.
+        off = np.abs(a - b)[both]
+        assert (off <= 1 / 256).mean() > 0.99
+        assert (off <= 0.05).mean() > 0.998
         assert (np.isfinite(a) != np.isfinite(b)).mean() < 1e-3
-        assert (np.abs(a - b)[both] <= 1 / 256).mean() > 0.9995
