@@ -236,7 +236,7 @@ class Scene:
         return "of fewer points", {
             "ScanMesh": lambda: _core.ScanMesh(fewer, _core.MeshParameters()),
             "Detections": lambda: _core.Detections.of(
-                np.zeros((0, 8), np.uint32),
+                np.zeros((0, 10), np.uint32),
                 np.zeros((0, 4), np.float32),
                 np.zeros((0, 6), np.float32),
                 *np.zeros((3, 0, 3), np.float32),

@@ -179,10 +179,11 @@ std::shared_ptr<Detections> make_detections(const Array<float>& points, const Ar
 
 /// Detections as arrays: per object its first row, its points, how many of them are dynamic, how
 /// many samples it has, when its place was occupied first and last, how many edges and hidden
-/// borders it has, (K, 8); its area, that of its dynamic points and that of free places, its time
-/// offset, its middle, the height of the ground and its deviation, (K, 9); its box, (K, 6); all
-/// samples, (M, 3); their normals, (M, 3); the edges and hidden borders of each object, (B, 3);
-/// when each sample, and then each border, was measured, (M + B,).
+/// borders it has, and since and until when it stands there, (K, 10); its area, that of its dynamic
+/// points and that of free places, its time offset, its middle, the height of the ground and its
+/// deviation, (K, 9); its box, (K, 6); all samples, (M, 3); their normals, (M, 3); the edges and
+/// hidden borders of each object, (B, 3); when each sample, and then each border, was measured, (M
+/// + B,).
 py::tuple arrays_of(const Detections& detections) {
   const auto count = static_cast<py::ssize_t>(detections.size());
   std::vector<std::uint32_t> numbers;
@@ -193,7 +194,9 @@ py::tuple arrays_of(const Detections& detections) {
                                    static_cast<std::uint32_t>(object.first_occupied),
                                    static_cast<std::uint32_t>(object.last_occupied),
                                    static_cast<std::uint32_t>(object.edges.points.size()),
-                                   static_cast<std::uint32_t>(object.hidden.points.size())});
+                                   static_cast<std::uint32_t>(object.hidden.points.size()),
+                                   static_cast<std::uint32_t>(object.stands_since),
+                                   static_cast<std::uint32_t>(object.stands_until)});
     areas.insert(areas.end(),
                  {object.area, object.dynamic_area, object.free_area, object.time_offset});
     append(object.middle, areas);
@@ -211,7 +214,7 @@ py::tuple arrays_of(const Detections& detections) {
   const auto all = static_cast<py::ssize_t>(samples.size() / 3),
              at_borders = static_cast<py::ssize_t>(borders.size() / 3);
   return py::make_tuple(
-      to_numpy(std::move(numbers), {count, 8}), to_numpy(std::move(areas), {count, 9}),
+      to_numpy(std::move(numbers), {count, 10}), to_numpy(std::move(areas), {count, 9}),
       to_numpy(std::move(boxes), {count, 6}), to_numpy(std::move(samples), {all, 3}),
       to_numpy(std::move(normals), {all, 3}), to_numpy(std::move(borders), {at_borders, 3}),
       to_numpy(std::move(times), {all + at_borders}));
@@ -241,20 +244,21 @@ std::shared_ptr<Detections> detections_of(const Array<std::uint32_t>& numbers,
   const auto is_table = [&](const auto& array, py::ssize_t columns) {
     return array.ndim() == 2 && array.shape(0) == count && array.shape(1) == columns;
   };
-  if (!is_table(numbers, 8) || !is_table(areas, 9) || directions.rows() != all.rows())
+  if (!is_table(numbers, 10) || !is_table(areas, 9) || directions.rows() != all.rows())
     throw std::invalid_argument(
-        "detections are numbers (K, 8), areas (K, 9), boxes (K, 6), samples and normals (M, 3)");
+        "detections are numbers (K, 10), areas (K, 9), boxes (K, 6), samples and normals (M, 3)");
   const float* times = as_column(sample_times, all.rows() + around.rows(), "sample_times");
   const float* border_times = times + all.rows();
   auto detections = std::make_shared<Detections>(extents.size());
   Eigen::Index row = 0, border = 0;
   for (std::size_t k = 0; k < extents.size(); ++k) {
     Detection& object = (*detections)[k];
-    const std::uint32_t* n = numbers.data() + 8 * k;
+    const std::uint32_t* n = numbers.data() + 10 * k;
     const float* a = areas.data() + 9 * k;
     object.first = n[0], object.points = n[1], object.dynamic = n[2];
     object.area = a[0], object.dynamic_area = a[1], object.free_area = a[2];
     object.first_occupied = std::int32_t(n[4]), object.last_occupied = std::int32_t(n[5]);
+    object.stands_since = std::int32_t(n[8]), object.stands_until = std::int32_t(n[9]);
     object.time_offset = a[3], object.middle = {a[4], a[5], a[6]};
     object.ground = {a[7], a[8]};
     object.box = extents[k];

@@ -42,7 +42,7 @@ def test_detections_are_the_objects_of_their_sweep():
         np.testing.assert_allclose(area[2], freed, rtol=1e-5)
         assert earliest == np.sort(np.flatnonzero(members))[count // 2]
     assert numbers[:, 3].sum() == len(places) == len(normals)
-    assert numbers[:, 6:].sum() == len(borders)
+    assert numbers[:, 6:8].sum() == len(borders)
     assert len(times) == len(places) + len(borders)
     assert ((np.abs(np.linalg.norm(normals, axis=1) - 1) < 1e-5) | ~normals.any(1)).all()
     assert numbers[:, 3].max() <= 100
@@ -58,7 +58,7 @@ def test_borders_tell_where_an_object_ends_and_where_it_is_hidden():
     detections, rows = detections_of(things, 1)
     numbers, *_, borders, _ = detections[0].arrays
     (k,) = np.flatnonzero(numbers[:, 0] == rows[0][0])
-    ends = np.cumsum(numbers[:, 6:].ravel().astype(int))  # edges and hidden of each in turn
+    ends = np.cumsum(numbers[:, 6:8].ravel().astype(int))  # edges and hidden of each in turn
     edges, hidden = (
         borders[ends[2 * k] - numbers[k, 6] : ends[2 * k]],
         borders[ends[2 * k] : ends[2 * k + 1]],

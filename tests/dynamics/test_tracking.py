@@ -137,6 +137,33 @@ def test_a_parked_car_that_was_one_object_with_a_car_that_arrives_stays_static(m
     assert [i for i in neighbor if i >= 22] == []
 
 
+def test_a_parked_car_of_which_a_part_was_known_before_stays_static(monkeypatch):
+    """It hides a car that parks beside it, the track of which goes on with it."""
+    monkeypatch.setattr("things.MEMORY", 60)
+    stop = waits((15, 3), 20)
+    mover = Thing(CAR, lambda i: stop(49 - i) if i < 26 else None, range(22))
+    shown = [*range(18, 22), *range(26, 60)]
+    lower = Thing((4.2, 1.8, 0.5), lambda i: (16.4, 4.6, 0.3) if i in shown else None)
+    upper = Thing((4.2, 1.8, 1.0), lambda i: (16.4, 4.6, 1.05) if i in shown else None)
+    lower.stay = lambda i, count: (False, 0, count - 1)
+    upper.stay = lambda i, count: (False, 26, count - 1)
+    together = {(0, 1): range(18, 22), (1, 2): range(60)}
+    assert tracked([mover, lower, upper], 60, joined=together)[1] == []
+
+
+def test_a_car_that_arrives_stays_dynamic_though_a_part_of_its_place_seems_occupied_before():
+    """Far away few rays tell that; others tell that a part of it was free."""
+    stop = waits((15, 3), 20)
+    parts = [
+        Thing((4.2, 1.8, height), lambda i, z=z: (*stop(49 - i), z), range(22))
+        for height, z in ((0.5, 0.3), (0.5, 0.8), (0.5, 1.3))
+    ]
+    for part, free, first in zip(parts, (False, False, True), (0, 22, 22), strict=True):
+        part.stay = lambda i, count, free=free, first=first: (free, min(first, i), count - 1)
+    together = {(0, 1): range(50), (1, 2): range(50)}
+    assert tracked(parts, 50, joined=together)[0] == list(range(22, 50))
+
+
 def test_shrubs_along_which_a_lost_track_goes_on_are_static():
     """In each sweep another one is met; the place of the car is not known any more."""
     off = np.random.default_rng(1).uniform(-0.6, 0.6, (60, 2))

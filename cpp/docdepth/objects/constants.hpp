@@ -20,6 +20,8 @@ constexpr float kMaxObjectWidth = 25.0f;
 constexpr float kObjectMargin = 0.2f;
 /// The place of an object was free if that of this share of its area was.
 constexpr float kMinFreeShare = 0.5f;
+/// What was always there may have been hidden, but for this share of its points.
+constexpr double kStandingShare = 0.25;
 /// Of an object that was always there edges seem free, at most this share of its area.
 constexpr float kFreeEdges = 0.15f;
 /// With a larger share of isolated returns it is porous: rays pass through twigs and fences.

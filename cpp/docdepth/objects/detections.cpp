@@ -119,6 +119,8 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
       detections[k].free_area = 0;
     detections[k].first_occupied = quantile(firsts[k], 0.5);
     detections[k].last_occupied = quantile(lasts[k], 0.5);
+    detections[k].stands_since = quantile(firsts[k], kStandingShare);
+    detections[k].stands_until = quantile(lasts[k], 1 - kStandingShare);
     for (TimedPoints* border : {&detections[k].edges, &detections[k].hidden})
       *border = downsample(*border, kBorderSpacing, kMaxBorderSamples);
     detections[k].surface = sample(members[k], detections[k].box);

@@ -28,7 +28,9 @@ struct Detection {
   float free_area = 0;        ///< of those whose place was free before or after; 0 of porous things
   std::int32_t first_occupied = 0;  ///< median of the first sweeps that found a place occupied
   std::int32_t last_occupied = 0;   ///< the same of the last ones
-  float time_offset = 0;            ///< mean time of its points [s after the sweep's stamp]
+  /// The sweeps before and after which kStandingShare of its places were found occupied.
+  std::int32_t stands_since = 0, stands_until = 0;
+  float time_offset = 0;  ///< mean time of its points [s after the sweep's stamp]
   Eigen::Vector3f middle = Eigen::Vector3f::Zero();  ///< mean of its points in the LiDAR frame
   Extent box{};                                      ///< in the world
   Height ground;                                     ///< under it, in the world

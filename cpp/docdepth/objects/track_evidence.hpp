@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <deque>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "docdepth/objects/constants.hpp"
@@ -148,9 +149,17 @@ class TrackEvidence {
                       (seen_to_move() ? stay.free : stay.half_free) >= p_.min_detections;
     const bool came = is_vehicle_ && seen_to_move();
     if (!free && !came) return false;
-    return (object.first_occupied >= stay.first ||
+    // Something may have hidden most of what was always there, so it is enough if a quarter of it
+    // was known before the object came. Far away few rays tell that, and some are wrong: where more
+    // than edges was seen free, half is needed.
+    const bool was_partly_free = object.free_area >= kFreeEdges * object.area;
+    const auto [since, until] = was_partly_free
+                                    ? std::pair(object.first_occupied, object.last_occupied)
+                                    : std::pair(object.stands_since, object.stands_until);
+    const double share = was_partly_free ? 0.5 : kStandingShare;
+    return (since >= first_over(object, stay, share) ||
             (came && is_of_vehicle(object, object.first_occupied))) &&
-           (object.last_occupied <= stay.last ||
+           (until <= last_over(object, stay, share) ||
             (came && is_of_vehicle(object, object.last_occupied)));
   }
 
@@ -169,11 +178,10 @@ class TrackEvidence {
     });
   }
 
-  /// The sweeps while the object covered half of a place, to the ends of the drive if it is there
-  /// at these.
+  /// What the votes tell of the object while it is at a place.
   struct Stay {
     Eigen::Vector3d place;
-    int first, last;
+    bool from_begin, to_end;  ///< of the drive: there it is when it is first or last seen
     int half_free = 0,
         free = 0;          ///< observations that show that the place was free before or after
     float free_share = 0;  ///< in the mean
@@ -182,30 +190,54 @@ class TrackEvidence {
   const Stay& stay_at(const Eigen::Vector3d& place) {
     for (const Stay& stay : stays_)
       if ((stay.place - place).norm() <= kSamePlace / 2) return stay;
-    Stay stay{place, int(times_.size()), -1};
-    int count = 0;
-    const float half = path_.extent().size().head<2>().norm() / 2;
-    const auto& seen = track_.observations;
-    const auto distance = [&](const TrackObservation& at) {
-      return (path_.pose(times_[at.sweep]).translation() - place).norm();
-    };
-    for (const TrackObservation& at : seen) {
-      if (distance(at) > std::max(half, kSamePlace)) continue;
-      const float share = at.free_area / at.area;
-      stay.half_free += at.is_passing();
-      stay.free += share >= kFreeEdges, stay.free_share += share, ++count;
-      stay.first = std::min(stay.first, int(at.sweep));
-      stay.last = std::max(stay.last, int(at.sweep));
-    }
     const auto is_there = [&](const Place& known) {
       const double off = (path_.pose(known.time).translation() - place).norm();
       return off <= kSamePlace + kSureDeviations * known.deviation;
     };
-    if (is_there(first_)) stay.first = 0;
-    if (is_there(last_)) stay.last = int(times_.size());
+    Stay stay{place, is_there(first_), is_there(last_)};
+    int count = 0;
+    const float half = path_.extent().size().head<2>().norm() / 2;
+    for (const TrackObservation& at : track_.observations) {
+      const double away = (path_.pose(times_[at.sweep]).translation() - place).norm();
+      if (away > std::max(half, kSamePlace)) continue;
+      const float share = at.free_area / at.area;
+      stay.half_free += at.is_passing();
+      stay.free += share >= kFreeEdges, stay.free_share += share, ++count;
+    }
     stay.free_share /= float(std::max(count, 1));
     stays_.push_back(stay);
     return stays_.back();
+  }
+
+  /// The first and the last sweep in which it covers a share of the place of a detection.
+  int first_over(const Detection& object, const Stay& stay, double share) const {
+    const auto& seen = track_.observations;
+    if (stay.from_begin) return 0;
+    const auto it = std::find_if(seen.begin(), seen.end(),
+                                 [&](const auto& at) { return lies_over(at, object, share); });
+    return it == seen.end() ? int(times_.size()) : int(it->sweep);
+  }
+  int last_over(const Detection& object, const Stay& stay, double share) const {
+    const auto& seen = track_.observations;
+    if (stay.to_end) return int(times_.size());
+    const auto it = std::find_if(seen.rbegin(), seen.rend(),
+                                 [&](const auto& at) { return lies_over(at, object, share); });
+    return it == seen.rend() ? -1 : int(it->sweep);
+  }
+  /// Far away few rays meet it, so all counts that was ever seen of it. But if that is wider than a
+  /// vehicle, something stood beside it, and only what was seen at that time counts.
+  /// Points crowd where an object is near, samples do not: half of the share is asked of them.
+  bool lies_over(const TrackObservation& at, const Detection& object, double share) const {
+    const double time = times_[at.sweep];
+    const bool is_one = path_.extent().size().y() <= kMaxVehicleWidth;
+    const OrientedBox box = is_one ? path_.whole_box(time) : path_.box(time);
+    const auto& samples = object.samples();
+    if ((box.middle() - samples.front()).norm() >
+        box.half.norm() + object.box.size().norm() + kSearchMargin)
+      return false;
+    const auto inside = [&](const Vector& p) { return box.holds(p, kSearchMargin); };
+    return std::count_if(samples.begin(), samples.end(), inside) >=
+           share / 2 * double(samples.size());
   }
 
   const Track& track_;
