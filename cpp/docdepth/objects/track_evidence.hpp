@@ -212,29 +212,31 @@ class TrackEvidence {
   /// The first and the last sweep in which it covers a share of the place of a detection.
   int first_over(const Detection& object, const Stay& stay, double share) const {
     const auto& seen = track_.observations;
+    const auto lies_there = [&](const auto& at) { return lies_over(at, object, stay, share); };
     if (stay.from_begin) return 0;
-    const auto it = std::find_if(seen.begin(), seen.end(),
-                                 [&](const auto& at) { return lies_over(at, object, share); });
+    const auto it = std::find_if(seen.begin(), seen.end(), lies_there);
     return it == seen.end() ? int(times_.size()) : int(it->sweep);
   }
   int last_over(const Detection& object, const Stay& stay, double share) const {
     const auto& seen = track_.observations;
+    const auto lies_there = [&](const auto& at) { return lies_over(at, object, stay, share); };
     if (stay.to_end) return int(times_.size());
-    const auto it = std::find_if(seen.rbegin(), seen.rend(),
-                                 [&](const auto& at) { return lies_over(at, object, share); });
+    const auto it = std::find_if(seen.rbegin(), seen.rend(), lies_there);
     return it == seen.rend() ? -1 : int(it->sweep);
   }
-  /// Far away few rays meet it, so all counts that was ever seen of it. But if that is wider than a
-  /// vehicle, something stood beside it, and only what was seen at that time counts.
-  /// Points crowd where an object is near, samples do not: half of the share is asked of them.
-  bool lies_over(const TrackObservation& at, const Detection& object, double share) const {
+  /// By how far it is from there. But what is wider than a vehicle was seen together with something
+  /// that stood beside it, and only its box at that time tells what it covers. Points crowd where
+  /// an object is near, samples do not: half of the share is asked of them.
+  bool lies_over(const TrackObservation& at, const Detection& object, const Stay& stay,
+                 double share) const {
     const double time = times_[at.sweep];
-    const bool is_one = path_.extent().size().y() <= kMaxVehicleWidth;
-    const OrientedBox box = is_one ? path_.whole_box(time) : path_.box(time);
+    const Vector size = path_.extent().size();
+    if (size.y() <= kMaxVehicleWidth) {
+      const double away = (path_.pose(time).translation() - stay.place).norm();
+      return away <= std::max((1 - share) * size.head<2>().norm(), double(kSamePlace));
+    }
+    const OrientedBox box = path_.box(time);
     const auto& samples = object.samples();
-    if ((box.middle() - samples.front()).norm() >
-        box.half.norm() + object.box.size().norm() + kSearchMargin)
-      return false;
     const auto inside = [&](const Vector& p) { return box.holds(p, kSearchMargin); };
     return std::count_if(samples.begin(), samples.end(), inside) >=
            share / 2 * double(samples.size());
