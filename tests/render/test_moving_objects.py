@@ -181,7 +181,8 @@ def test_what_later_sweeps_saw_of_a_car_is_drawn_where_no_ray_looked():
     assert upper.sum() > 100
     assert (np.abs(depth[upper] - here) < 0.1).mean() > 0.95
     vague = replace(track, surface_deviations=np.full(len(track), 0.3))
-    for other in (replace(track, kind="person"), vague):
+    shifted = replace(track, deviations=np.full(len(track), 0.3))  # along itself
+    for other in (replace(track, kind="person"), vague, shifted):
         alone = compose_depth(*asked, tracks={1: other})
         assert (np.abs(alone[upper] - here) < 0.1).mean() < 0.2
 

@@ -29,8 +29,13 @@ MOST_SIGHTINGS = 24
 """Sweeps that an object is drawn from. Rings of one sweep lie up to a degree apart; two dozen, each
 with rings elsewhere on the object, leave gaps of a pixel."""
 
-MAX_DEVIATION = 0.06
-"""Where the surface of an object is known worse than this, other sweeps would blur it [m]."""
+MAX_DEVIATION = 0.1
+"""Where the surface of an object is known worse than this across itself, other sweeps would blur it
+[m]."""
+
+MAX_SHIFT = 0.1
+"""Where its place is known worse than this share of its length, other sweeps would draw too much
+beside it."""
 
 FAR = 30.0
 """Vehicles farther than this are drawn from the sweeps around the image alone [m]."""
@@ -170,6 +175,12 @@ def within_image(camera: Camera, places: Floats, radius: float) -> NDArray[np.bo
     return np.asarray(shown)
 
 
+def _is_known(track: Track, time: int) -> bool:
+    """Whether the place of an object is known so well that other sweeps can draw it."""
+    across, anyhow = track.surface_deviation_at(time), track.deviation_at(time)
+    return across <= MAX_DEVIATION and anyhow <= MAX_SHIFT * float(track.size[:2].max())
+
+
 def _chosen(
     seen: list[_Seen], drawn: DrawnFrames, trajectory: Trajectory, track: Track, time: int
 ) -> tuple[list[_Seen], list[_Seen]]:
@@ -178,10 +189,10 @@ def _chosen(
     if track.kind != "vehicle":
         return [view for view in around if view.away <= SOFT_SECONDS * 1e9], []
     away = lidar_range(track, trajectory, time)
-    if track.surface_deviation_at(time) > MAX_DEVIATION or away > FAR:
+    if not _is_known(track, time) or away > FAR:
         return around, []
     stamp = {view.sweep: int(trajectory.times[view.sweep]) for view in seen}
-    known = [v for v in seen if track.surface_deviation_at(stamp[v.sweep]) <= MAX_DEVIATION]
+    known = [view for view in seen if _is_known(track, stamp[view.sweep])]
     others = sorted((view for view in known if view.sweep not in drawn.dynamic), key=_away)
     own = set(sweeps_of_track(track, trajectory, time))
     further = [view for view in others if view.sweep in own]
