@@ -16,11 +16,12 @@ from docdepth.config import Parameters
 from docdepth.datasets import CameraStream, open_dataset
 from docdepth.datasets.kitti_lidar import azimuth_relative_time
 from docdepth.errors import RunError
-from docdepth.geometry.points import DYNAMIC
+from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
 from docdepth.io.labels import classes_of_labels
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.tracks import TRACKS, read_tracks
 from docdepth.pipeline import run_odometry
 from docdepth.render.scene import Scene
 from docdepth.synthetic import Drive, scene, sensor, sensors, write_drive
@@ -140,6 +141,22 @@ class ExactDrive:
         count = len(self.dataset)
         sweeps, labels = Lazy(count, self.dataset.sweep), Lazy(count, self._labels)
         return Scene(sweeps, self.trajectory, labels, parameters, self.drive.tracks())
+
+    def own_scene(self, run: RunFolder, parameters: Parameters) -> Scene:
+        """The drive with exact poses and the classes and tracks of a run."""
+
+        def labels(index: int) -> ExactLabels:
+            record, of_record = run.classified_frame(index)
+            classid, instance = np.full((2, record.input_points), (STATIC,), np.uint16)
+            instance[:] = 0
+            classid[record.index] = of_record
+            if record.instance is not None:
+                instance[record.index] = record.instance
+            return ExactLabels(classid, instance)
+
+        count, tracks = len(self.dataset), read_tracks(run.path / TRACKS)
+        sweeps = Lazy(count, self.dataset.sweep)
+        return Scene(sweeps, self.trajectory, Lazy(count, labels), parameters, tracks)
 
     def images(self, count: int, ends: bool = True) -> list[int]:
         """Indices of ``count`` images spread evenly over the drive, with or without its ends."""

@@ -19,7 +19,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from cells import Cell, ExactDrive, ExactLabels, Lazy, add_cell_arguments, cells_of
+from cells import Cell, ExactDrive, add_cell_arguments, cells_of
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
@@ -28,13 +28,10 @@ from docdepth.config import Parameters, parameters
 from docdepth.errors import DocDepthError
 from docdepth.evaluation import Table
 from docdepth.evaluation.tables import number
-from docdepth.geometry.points import STATIC
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
-from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, read_tracks
 from docdepth.pipeline import run_classify
-from docdepth.render.scene import Scene, render_depth
+from docdepth.render.scene import render_depth
 from docdepth.synthetic import sensors
 
 MIN_HEIGHT = 2.5
@@ -104,7 +101,7 @@ def counts(cell: Cell, out: Path, p: Parameters, images: int, threads: int) -> C
     """Pixels of the large vehicles of a drive."""
     exact, run = ExactDrive(cell), cell.run(out / cell.name, p)
     run_classify(run, threads)
-    scene = _own_scene(run, exact, p)
+    scene = exact.own_scene(run, p)
     found = np.zeros((2, 3), np.int64)
     vehicles = {
         track.id: Vehicle(track)
@@ -119,23 +116,6 @@ def counts(cell: Cell, out: Path, p: Parameters, images: int, threads: int) -> C
             seen += 1
         found += _count(vehicles, exact, k, render_depth(scene, exact.camera, k, threads=threads))
     return found
-
-
-def _own_scene(run: RunFolder, exact: ExactDrive, p: Parameters) -> Scene:
-    """The drive with exact poses and the classes and tracks of the run."""
-
-    def labels(index: int) -> ExactLabels:
-        record, of_record = run.classified_frame(index)
-        classid, instance = np.full((2, record.input_points), (STATIC,), np.uint16)
-        instance[:] = 0
-        classid[record.index] = of_record
-        if record.instance is not None:
-            instance[record.index] = record.instance
-        return ExactLabels(classid, instance)
-
-    sweeps, count = exact.scene(p).sweeps, len(exact.dataset)
-    tracks = read_tracks(run.path / TRACKS)
-    return Scene(sweeps, exact.trajectory, Lazy(count, labels), p, tracks)
 
 
 def _look(vehicles: dict[int, Vehicle], exact: ExactDrive, sweep: int) -> None:

@@ -2,6 +2,7 @@
 
     python benchmarks/suite.py drives -o suite            # classes, 25 cells
     python benchmarks/suite.py drives -o suite --depth    # depth, with exact poses and classes
+    python benchmarks/suite.py drives -o suite --own      # depth, with own classes and tracks
 
 A cell is a scene seen by a sensor. Its drive is made below ``drives`` if it is missing; tables and
 metrics of each cell are written below ``suite``. Poses are exact and sweeps are motion compensated:
@@ -44,8 +45,9 @@ from docdepth.evaluation.pixels import project
 from docdepth.evaluation.tables import number
 from docdepth.geometry.se3 import inverse
 from docdepth.io.atomic import write_atomically
-from docdepth.io.run_folder import stage_key
-from docdepth.render.scene import render_depth
+from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.pipeline import run_classify
+from docdepth.render.scene import Scene, render_depth
 from docdepth.tuning import LabelJudge, Trial, read_trials, tune
 
 
@@ -57,7 +59,7 @@ def _splats(share: float) -> dict[str, Any]:
 
 
 _SIZES = ("static_size", "dynamic_size")
-LABEL_TRIALS = [Trial("default", {})]
+DEFAULT_ALONE = [Trial("default", {})]
 DEPTH_TRIALS = [
     Trial("default", {}),
     Trial("paper", {"preset": "paper"}),
@@ -89,18 +91,26 @@ def label_rows(
 
 
 def depth_rows(
-    cell: Cell, trials: list[Trial], out: Path, images: int, threads: int
+    cell: Cell, trials: list[Trial], out: Path, images: int, threads: int, own: bool = False
 ) -> dict[str, Row]:
-    """Metrics of the depth maps of each trial and of IP-Basic, with exact poses and classes."""
+    """Metrics of the depth maps of each trial, with exact poses. Classes and tracks are exact, too,
+    and IP-Basic is one more row; or they are the own ones of each trial."""
     chosen = {trial.name: _parameters(trial) for trial in trials}
-    settings = {name: p.model_dump() for name, p in chosen.items()} | {IP_BASIC: None}
+    settings: dict[str, Any] = {name: p.model_dump() for name, p in chosen.items()}
+    settings |= {} if own else {IP_BASIC: None}
     paths = {name: out / cell.name / f"{name}.json" for name in settings}
     keys = {name: stage_key(__version__, cell.frames, images, s) for name, s in settings.items()}
     rows = {name: row for name in settings if (row := _stored(paths[name], keys[name]))}
     if len(rows) < len(settings):
         exact = ExactDrive(cell)
-        methods = {name: _completion(exact) for name in (IP_BASIC,) if name not in rows}
-        methods |= {n: _renderer(exact, p, threads) for n, p in chosen.items() if n not in rows}
+        methods: dict[str, Draw] = {}
+        for name in (name for name in settings if name not in rows):
+            if name == IP_BASIC:
+                methods[name] = _completion(exact)
+                continue
+            p, run = chosen[name], paths[name].with_suffix("")
+            scene = exact.own_scene(_classified(cell, run, p, threads), p) if own else None
+            methods[name] = _renderer(exact, scene or exact.scene(p), threads)
         for name, metrics in _compare(exact, methods, images).items():
             content = json.dumps({"key": keys[name], "metrics": metrics}, indent=1).encode()
             write_atomically(paths[name], lambda stream, c=content: stream.write(c))
@@ -119,8 +129,13 @@ def _compare(exact: ExactDrive, methods: dict[str, Draw], images: int) -> dict[s
     return {name: evaluation.result().as_dict() for name, evaluation in evaluations.items()}
 
 
-def _renderer(exact: ExactDrive, p: Parameters, threads: int) -> Draw:
-    scene = exact.scene(p)
+def _classified(cell: Cell, path: Path, p: Parameters, threads: int) -> RunFolder:
+    run = cell.run(path, p)
+    run_classify(run, threads)
+    return run
+
+
+def _renderer(exact: ExactDrive, scene: Scene, threads: int) -> Draw:
     return lambda index: render_depth(scene, exact.camera, index, threads=threads)
 
 
@@ -226,10 +241,12 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
     add_cell_arguments(parser, images=20)
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--depth", action="store_true", help="depth instead of classes")
+    parser.add_argument("--own", action="store_true", help="depth, by own classes and tracks")
     parser.add_argument("--set", action="append", default=[], metavar="STAGE.NAME=VALUE")
     parser.add_argument("--trials", type=Path, help="YAML, NAME: {stage.parameter: value}")
     parser.add_argument("--jobs", type=int, default=1, help="trials of a cell at a time")
     args = parser.parse_args(arguments)
+    args.depth |= args.own
     if not args.sensors:
         args.sensors = ["HDL-64", "OS1-128", "XT-32"] + ["VLP-16", "Avia"] * (not args.depth)
     return args
@@ -237,18 +254,18 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
 
 def main(arguments: list[str] | None = None) -> dict[str, dict[str, Row]]:
     args = _arguments(arguments)
-    trials = DEPTH_TRIALS if args.depth else LABEL_TRIALS
+    trials = DEPTH_TRIALS if args.depth and not args.own else DEFAULT_ALONE
     trials = read_trials(args.trials) if args.trials else trials
     common = {"preset": args.preset, **parse_settings(args.set)}
     trials = [Trial(trial.name, {**common, **trial.settings}) for trial in trials]
-    kind = "depth" if args.depth else "labels"
+    kind = ("depth-own" if args.own else "depth") if args.depth else "labels"
     out = args.out / kind / f"seed{args.seed}"
     columns = DEPTH_COLUMNS if args.depth else LABEL_COLUMNS
     note = depth_evaluation.NOTE if args.depth else label_counts.NOTE
     cells: dict[str, dict[str, Row]] = {}
     for cell in cells_of(args):
         if args.depth:
-            cells[cell.name] = depth_rows(cell, trials, out, args.images, args.threads)
+            cells[cell.name] = depth_rows(cell, trials, out, args.images, args.threads, args.own)
         else:
             cells[cell.name] = label_rows(cell, trials, out, args.jobs, args.threads)
         whole = table(f"{kind}, seed {args.seed}, exact poses", columns, cells, note)

@@ -94,10 +94,17 @@ def test_suite_of_two_tiny_cells(tmp_path, monkeypatch) -> None:
     for rows in depth.values():
         assert set(rows) == {t.name for t in suite.DEPTH_TRIALS} | {suite.IP_BASIC}
         assert rows["default"]["shifts"] < rows[suite.IP_BASIC]["shifts"]
+    own = suite.main([*tiny, "--own", "--images", "1"])
+    for cell, rows in own.items():
+        assert set(rows) == {"default"}
+        # What stands is drawn from the same points, whatever else the classes say.
+        assert rows["default"]["shifts"] == pytest.approx(depth[cell]["default"]["shifts"], abs=0.2)
+        assert rows["default"] != depth[cell]["default"]
     # Nothing is computed again: not even the scene is built.
     monkeypatch.setattr(cells, "Drive", None)
     monkeypatch.setattr(cells, "write_drive", None)
     assert suite.main([*tiny, "--depth", "--images", "1"]) == depth
+    assert suite.main([*tiny, "--own", "--images", "1"]) == own
     stored = tmp_path / "out/depth/seed0/city_VLP-16/paper.json"
     assert json.loads(stored.read_text())["metrics"]["poses"] == "exact"
     with pytest.raises(cells.RunError, match="another drive"):
