@@ -57,6 +57,14 @@ std::vector<std::uint8_t> borders_of(const Points& points, const PointEvidence& 
   return borders;
 }
 
+/// When the places of an object were occupied, by the first and last sweeps of its points.
+void find_stay(const std::vector<std::int32_t>& firsts, const std::vector<std::int32_t>& lasts,
+               Detection& object) {
+  object.first_occupied = quantile(firsts, 0.5), object.last_occupied = quantile(lasts, 0.5);
+  object.stands_since = quantile(firsts, kStandingShare);
+  object.stands_until = quantile(lasts, 1 - kStandingShare);
+}
+
 /// How high the ground is under each object.
 void find_ground(const Points& points, const bool* ground, const RigidTransform& T_world_lidar,
                  Detections& detections) {
@@ -117,10 +125,7 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
     detections[k].middle /= float(detections[k].points);
     if (float(porous[k]) > kMaxIsolatedShare * float(detections[k].points))
       detections[k].free_area = 0;
-    detections[k].first_occupied = quantile(firsts[k], 0.5);
-    detections[k].last_occupied = quantile(lasts[k], 0.5);
-    detections[k].stands_since = quantile(firsts[k], kStandingShare);
-    detections[k].stands_until = quantile(lasts[k], 1 - kStandingShare);
+    find_stay(firsts[k], lasts[k], detections[k]);
     for (TimedPoints* border : {&detections[k].edges, &detections[k].hidden})
       *border = downsample(*border, kBorderSpacing, kMaxBorderSamples);
     detections[k].surface = sample(members[k], detections[k].box);

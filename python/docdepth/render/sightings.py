@@ -33,7 +33,7 @@ MAX_DEVIATION = 0.1
 """Where the surface of an object is known worse than this across itself, other sweeps would blur it
 [m]."""
 
-MAX_SHIFT = 0.1
+MAX_SHIFT = 0.15
 """Where its place is known worse than this share of its length, other sweeps would draw too much
 beside it."""
 
