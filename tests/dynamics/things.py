@@ -7,6 +7,7 @@ from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.trajectory import Trajectory
 
 MEMORY = 30  # sweeps: for so long key frames remember a place
+NOISE = 0.1  # metres: a return so far outside a thing may be its own
 CAR, PERSON, POLE, WALL = (4.2, 1.8, 1.5), (0.6, 0.6, 1.7), (0.3, 0.3, 2.0), (12.0, 0.3, 2.5)
 LORRY = (18.0, 2.5, 3.2)
 
@@ -34,20 +35,39 @@ class Thing:
         self.box, self.size, self.remembered = size, float(np.hypot(*size[:2])), remembered
 
     def stay(self, i, count):
-        """Whether its place was free within 3 s, and the sweeps that found it occupied then."""
-        here, half = np.array(self.at(i)[:2]), 0.5 * max(self.box[:2])
+        """Whether its place was free within 3 s, and the sweeps that found it occupied then.
+
+        None: of each point the first and the last one in which the thing was there.
+        """
+        here = np.array(self.at(i)[:2])
+        off = [np.linalg.norm(self.at(j)[:2] - here) for j in self.near(i, count)]
+        return self.remembered and max(off) > self.size, None, None
+
+    def near(self, i, count):
+        """The sweeps around one that saw the thing."""
         near = range(max(i - MEMORY, 0), min(i + MEMORY + 1, count))
-        off = {j: np.linalg.norm(self.at(j)[:2] - here) for j in near if self.at(j) is not None}
-        there = [j for j, distance in off.items() if distance < half]
-        left = self.remembered and max(off.values()) > self.size
-        return left, there[0], there[-1]
+        return [j for j in near if self.at(j) is not None]
+
+    def stays(self, i, count, places):
+        """What :meth:`stay` says of each of its points in a sweep, (n, 3)."""
+        left, first, last = self.stay(i, count)
+        if first is None:
+            middles = np.array([self.middle(j) for j in self.near(i, count)])
+            off = np.abs(places[None] - middles[:, None])
+            there = (off <= 0.5 * np.array(self.box) + NOISE).all(2)
+            first, last = there.argmax(0), len(there) - 1 - there[::-1].argmax(0)
+            first, last = np.array(self.near(i, count))[[first, last]]
+        return np.stack(np.broadcast_arrays(left, first, last, places[:, 0])[:3], 1)
+
+    def middle(self, i):
+        place = self.at(i)
+        return np.array((*place[:2], *(place[2:] or (0.8,))))
 
     def ranges(self, i, lidar):
         """Where each ray of a sweep meets it."""
-        place = self.at(i)
-        if place is None:
+        if self.at(i) is None:
             return np.full(len(RAYS), np.inf)
-        middle = np.array((*place[:2], *(place[2:] or (0.8,)))) - lidar
+        middle = self.middle(i) - lidar
         ranges = ranges_of(self.box, middle)
         if self.seen is not None:
             hit = np.flatnonzero(np.isfinite(ranges))
@@ -97,7 +117,7 @@ def detections_of(things, count, seed=0, joined=None, drive=None):
             points += list(seen)
             first += [whole] * len(seen)
             moving += [i in thing.dynamic] * len(seen)
-            stays += [thing.stay(i, count)] * len(seen)
+            stays += list(thing.stays(i, count, seen + T[:3, 3]))
         cloud = np.array(points, np.float32).reshape(-1, 3)
         none = np.zeros(len(cloud), bool)
         objects, flags = np.array(first, np.uint32), np.array(moving, bool)

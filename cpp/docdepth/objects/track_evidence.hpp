@@ -224,18 +224,18 @@ class TrackEvidence {
     const auto it = std::find_if(seen.rbegin(), seen.rend(), lies_there);
     return it == seen.rend() ? -1 : int(it->sweep);
   }
-  /// By how far it is from there. But what is wider than a vehicle was seen together with something
-  /// that stood beside it, and only its box at that time tells what it covers. Points crowd where
-  /// an object is near, samples do not: half of the share is asked of them.
+  /// By how far it is from there, or by its box. But what is wider than a vehicle was seen together
+  /// with something that stood beside it, and only its box at that time tells what it covers.
+  /// Points crowd where an object is near, samples do not: half of the share is asked of them.
   bool lies_over(const TrackObservation& at, const Detection& object, const Stay& stay,
                  double share) const {
     const double time = times_[at.sweep];
     const Vector size = path_.extent().size();
-    if (size.y() <= kMaxVehicleWidth) {
-      const double away = (path_.pose(time).translation() - stay.place).norm();
-      return away <= std::max((1 - share) * size.head<2>().norm(), double(kSamePlace));
-    }
-    const OrientedBox box = path_.box(time);
+    const bool is_one = size.y() <= kMaxVehicleWidth;
+    const double away = (path_.pose(time).translation() - stay.place).norm();
+    if (is_one && away <= std::max((1 - share) * size.head<2>().norm(), double(kSamePlace)))
+      return true;
+    const OrientedBox box = is_one ? path_.whole_box(time) : path_.box(time);
     const auto& samples = object.samples();
     const auto inside = [&](const Vector& p) { return box.holds(p, kSearchMargin); };
     return std::count_if(samples.begin(), samples.end(), inside) >=

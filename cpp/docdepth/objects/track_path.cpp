@@ -52,19 +52,22 @@ OrientedBox TrackPath::box(double t) const {
   const std::size_t k = after(t);
   const auto distance = [&](std::size_t i) { return std::fabs(path_.states[i].time - t); };
   std::size_t nearest = k < path_.states.size() && distance(k) < distance(k - 1) ? k : k - 1;
-  Extent around = path_.extents[nearest];
-  Eigen::Vector3f largest = around.size();
+  Extent seen = path_.extents[nearest];
+  Eigen::Vector3f largest = seen.size();
   for (int step : {-1, 1})
     for (std::size_t i = nearest + std::size_t(step);
          i < path_.extents.size() && distance(i) <= window; i += std::size_t(step)) {
-      around.add(path_.extents[i]);
+      seen.add(path_.extents[i]);
       largest = largest.cwiseMax(path_.extents[i].size());
     }
-  if (!could_match(around, largest))
-    around = path_.extents[nearest];  // not all are the same object
+  if (!could_match(seen, largest)) seen = path_.extents[nearest];  // not all are the same object
+  return around(seen, t);
+}
+
+OrientedBox TrackPath::around(const Extent& extent, double t) const {
   Pose T = pose(t);
-  T.translate((0.5f * (around.low + around.high)).cast<double>());
-  return {T.inverse().cast<float>(), 0.5f * around.size()};
+  T.translate((0.5f * (extent.low + extent.high)).cast<double>());
+  return {T.inverse().cast<float>(), 0.5f * extent.size()};
 }
 
 float TrackPath::distance(bool dynamic) const {

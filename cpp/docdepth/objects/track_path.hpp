@@ -28,6 +28,8 @@ class TrackPath {
   bool covers(double t) const;
   /// Around what was seen of it near a time.
   OrientedBox box(double t) const;
+  /// Around all that was ever seen of it.
+  OrientedBox whole_box(double t) const { return around(path_.extent, t); }
   /// How well its place is known at an observation [m].
   double deviation(std::size_t observation) const { return path_.states[observation].deviation; }
   /// The same of what is seen of its surface, across itself [m]: a lorry may be known badly along
@@ -52,6 +54,7 @@ class TrackPath {
 
  private:
   std::size_t after(double t) const;
+  OrientedBox around(const Extent& extent, double t) const;
 
   const Track& track_;
   const TrackParameters& p_;
