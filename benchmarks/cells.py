@@ -22,7 +22,7 @@ from docdepth.io.atomic import write_atomically
 from docdepth.io.labels import classes_of_labels
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import TRACKS, read_tracks
-from docdepth.pipeline import run_odometry
+from docdepth.pipeline import run_classify, run_odometry
 from docdepth.render.scene import Scene
 from docdepth.synthetic import Drive, scene, sensor, sensors, write_drive
 
@@ -142,8 +142,9 @@ class ExactDrive:
         sweeps, labels = Lazy(count, self.dataset.sweep), Lazy(count, self._labels)
         return Scene(sweeps, self.trajectory, labels, parameters, self.drive.tracks())
 
-    def own_scene(self, run: RunFolder, parameters: Parameters) -> Scene:
-        """The drive with exact poses and the classes and tracks of a run."""
+    def own_scene(self, run: RunFolder, parameters: Parameters, threads: int) -> Scene:
+        """The drive with exact poses, and the classes and tracks that a run finds."""
+        run_classify(run, threads)
 
         def labels(index: int) -> ExactLabels:
             record, of_record = run.classified_frame(index)

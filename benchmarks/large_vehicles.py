@@ -30,7 +30,6 @@ from docdepth.evaluation import Table
 from docdepth.evaluation.tables import number
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
-from docdepth.pipeline import run_classify
 from docdepth.render.scene import render_depth
 from docdepth.synthetic import sensors
 
@@ -100,8 +99,7 @@ def _heights(returns: NDArray[np.float64], places: NDArray[np.float64]) -> NDArr
 def counts(cell: Cell, out: Path, p: Parameters, images: int, threads: int) -> Counts:
     """Pixels of the large vehicles of a drive."""
     exact, run = ExactDrive(cell), cell.run(out / cell.name, p)
-    run_classify(run, threads)
-    scene = exact.own_scene(run, p)
+    scene = exact.own_scene(run, p, threads)
     found = np.zeros((2, 3), np.int64)
     vehicles = {
         track.id: Vehicle(track)

@@ -45,8 +45,7 @@ from docdepth.evaluation.pixels import project
 from docdepth.evaluation.tables import number
 from docdepth.geometry.se3 import inverse
 from docdepth.io.atomic import write_atomically
-from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.pipeline import run_classify
+from docdepth.io.run_folder import stage_key
 from docdepth.render.scene import Scene, render_depth
 from docdepth.tuning import LabelJudge, Trial, read_trials, tune
 
@@ -108,9 +107,10 @@ def depth_rows(
             if name == IP_BASIC:
                 methods[name] = _completion(exact)
                 continue
-            p, run = chosen[name], paths[name].with_suffix("")
-            scene = exact.own_scene(_classified(cell, run, p, threads), p) if own else None
-            methods[name] = _renderer(exact, scene or exact.scene(p), threads)
+            p = chosen[name]
+            run = cell.run(paths[name].with_suffix(""), p) if own else None
+            scene = exact.own_scene(run, p, threads) if run else exact.scene(p)
+            methods[name] = _renderer(exact, scene, threads)
         for name, metrics in _compare(exact, methods, images).items():
             content = json.dumps({"key": keys[name], "metrics": metrics}, indent=1).encode()
             write_atomically(paths[name], lambda stream, c=content: stream.write(c))
@@ -127,12 +127,6 @@ def _compare(exact: ExactDrive, methods: dict[str, Draw], images: int) -> dict[s
         for name, draw in methods.items():
             evaluations[name].add(draw(k), truth.depth, mask, exact.camera.camera.K)
     return {name: evaluation.result().as_dict() for name, evaluation in evaluations.items()}
-
-
-def _classified(cell: Cell, path: Path, p: Parameters, threads: int) -> RunFolder:
-    run = cell.run(path, p)
-    run_classify(run, threads)
-    return run
 
 
 def _renderer(exact: ExactDrive, scene: Scene, threads: int) -> Draw:

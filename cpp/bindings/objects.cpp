@@ -182,8 +182,8 @@ std::shared_ptr<Detections> make_detections(const Array<float>& points, const Ar
 /// borders it has, and since and until when it stands there, (K, 10); its area, that of its dynamic
 /// points and that of free places, its time offset, its middle, the height of the ground and its
 /// deviation, (K, 9); its box, (K, 6); all samples, (M, 3); their normals, (M, 3); the edges and
-/// hidden borders of each object, (B, 3); when each sample, and then each border, was measured, (M
-/// + B,).
+/// hidden borders of each object, (B, 3); when each sample, and then each border, was measured,
+/// (M + B,).
 py::tuple arrays_of(const Detections& detections) {
   const auto count = static_cast<py::ssize_t>(detections.size());
   std::vector<std::uint32_t> numbers;

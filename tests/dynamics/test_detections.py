@@ -26,7 +26,7 @@ def test_detections_are_the_objects_of_their_sweep():
     made = Detections(points, ground, objects, moving, stays, mesh, T)
     numbers, areas, boxes, places, normals, borders, times = made.arrays
     assert list(numbers[:, 0]) == sorted(set(objects[~ground]))
-    for (first, count, dynamic, _, earliest, *_), area, box in zip(
+    for (first, count, dynamic, _, earliest, _, _, _, *stands), area, box in zip(
         numbers, areas, boxes, strict=True
     ):
         members = ~ground & (objects == first)
@@ -40,7 +40,10 @@ def test_detections_are_the_objects_of_their_sweep():
         isolated = np.isin(np.flatnonzero(members), mesh.core.isolated).sum()
         freed = squares[free[members]].sum() if isolated <= 0.1 * count else 0
         np.testing.assert_allclose(area[2], freed, rtol=1e-5)
-        assert earliest == np.sort(np.flatnonzero(members))[count // 2]
+        sweeps = np.sort(np.flatnonzero(members))
+        assert earliest == sweeps[count // 2]
+        quarters = [int(share * (int(count) - 1) + 0.5) for share in (0.25, 0.75)]
+        assert list(stands) == list(sweeps[quarters])
     assert numbers[:, 3].sum() == len(places) == len(normals)
     assert numbers[:, 6:8].sum() == len(borders)
     assert len(times) == len(places) + len(borders)

@@ -177,8 +177,11 @@ def within_image(camera: Camera, places: Floats, radius: float) -> NDArray[np.bo
 
 def _is_known(track: Track, time: int) -> bool:
     """Whether the place of an object is known so well that other sweeps can draw it."""
-    across, anyhow = track.surface_deviation_at(time), track.deviation_at(time)
-    return across <= MAX_DEVIATION and anyhow <= MAX_SHIFT * float(track.size[:2].max())
+    length = float(track.size[:2].max())
+    return (
+        track.surface_deviation_at(time) <= MAX_DEVIATION
+        and track.deviation_at(time) <= MAX_SHIFT * length
+    )
 
 
 def _chosen(
