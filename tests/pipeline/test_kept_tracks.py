@@ -9,7 +9,7 @@ from docdepth.errors import DamagedFileError
 from docdepth.geometry.track import Track
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.array_files import array_offsets, read_arrays, write_arrays
-from docdepth.pipeline.kept_tracks import keep_tracking, kept_tracking
+from docdepth.pipeline.kept_tracks import are_kept, keep_tracking, kept_sweeps, kept_tracks
 
 KEY = {"classify": "1"}
 
@@ -24,6 +24,14 @@ def arrays_of(rng):
     kinds = [(np.uint8, (0,)), (np.float32, (3, 15)), (np.uint64, (7,)), (np.uint32, (0, 3)),
              (np.float64, ()), (np.int64, (2, 1))]  # fmt: skip
     return [rng.integers(0, 99, shape).astype(kind) for kind, shape in kinds]
+
+
+def track_of(number, length):
+    times, poses = np.arange(length) * 100, np.repeat(np.eye(4)[None], length, 0)
+    poses[:, 0, 3] = np.arange(length)
+    points = number * np.arange(length)
+    about = np.full(3, number), points, 0.1 * points, 0.2 * points
+    return Track(number, "person", times, poses, poses[:, 0, :3], *about)
 
 
 def test_any_array_of_a_file_is_read_alone(run):
@@ -60,27 +68,49 @@ def test_tracks_are_read_as_they_were_kept(run):
         )
         for k in range(6)
     ]
-    times, poses = np.arange(3) * 100, np.repeat(np.eye(4)[None], 3, 0)
-    points = np.array([4, 0, 2])
-    track = Track(
-        7, "person", times, poses, poses[:, 0, :3], np.ones(3), points, 0.1 * points, 0.2 * points
-    )
+    tracks = [track_of(7, 3), track_of(9, 1), track_of(2, 5)]
 
     def find(take):
         for sweep in sweeps:
             take(sweep)
-        return [track]
+        return tracks
 
-    path = run.notes / "tracks" / "tracks.npy"
-    keep_tracking(run, path, KEY, find)
-    read = kept_tracking(path, 6)
-    assert run.key(path) == KEY
-    assert len(read.sweeps) == 6
-    for sweep, right in zip(read.sweeps, sweeps, strict=True):
+    folder = run.notes / "tracks"
+    assert not are_kept(run, folder, KEY)
+    keep_tracking(run, folder, KEY, find)
+    assert are_kept(run, folder, KEY)
+    assert not are_kept(run, folder, {"classify": "2"})
+    read = kept_sweeps(folder, 6)
+    assert len(read) == 6
+    for sweep, right in zip(read, sweeps, strict=True):
         for left, array in zip(sweep, right, strict=True):
             np.testing.assert_array_equal(left, array)
-    np.testing.assert_array_equal(read.sweeps[3:5][1].voxels, np.arange(4))
-    for name in Track.__dataclass_fields__:
-        np.testing.assert_array_equal(getattr(read.tracks[0], name), getattr(track, name))
-    with pytest.raises(DamagedFileError, match="are not the tracks"):
-        kept_tracking(path, 5)
+    np.testing.assert_array_equal(read[3:5][1].voxels, np.arange(4))
+    for found, right in zip(kept_tracks(folder), tracks, strict=True):
+        for name in Track.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(found, name), getattr(right, name))
+    with pytest.raises(DamagedFileError, match="it tells of 6 sweeps, the drive has 5"):
+        kept_sweeps(folder, 5)
+
+
+def test_a_drive_without_moving_things_keeps_no_tracks(run):
+    def find(take):
+        take(TrackedSweep())
+        return []
+
+    keep_tracking(run, run.notes / "tracks", KEY, find)
+    assert kept_tracks(run.notes / "tracks") == []
+    assert not kept_sweeps(run.notes / "tracks", 1)[0]
+
+
+def test_damaged_tracks_are_refused(run):
+    folder = run.notes / "tracks"
+    keep_tracking(run, folder, KEY, lambda take: [track_of(7, 3)])
+    (paths,) = (file for file in folder.iterdir() if file.name.startswith("paths"))
+    whole = paths.read_bytes()
+    paths.write_bytes(whole[:-3])
+    with pytest.raises(DamagedFileError, match="bytes are there"):
+        kept_tracks(folder)
+    paths.write_bytes(whole.replace(np.int64(7).tobytes(), np.int64(0).tobytes(), 1))
+    with pytest.raises(DamagedFileError, match="track 0"):
+        kept_tracks(folder)

@@ -12,8 +12,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -142,6 +144,28 @@ def test_what_a_dead_worker_had_in_hand_is_done_again(
         assert path.read_bytes() == b"%d" % first
         assert RunFolder.open(folder.path).key(path) == {"of": "this"}
     assert not (folder.notes / "parts").exists()
+
+
+def test_few_tasks_are_handed_over_at_once() -> None:
+    """Each holds what its chunk needs: those of a long drive would fill the memory."""
+
+    class Pool(ThreadPoolExecutor):
+        most = 0
+
+        def submit(self, *task: Any, **named: Any) -> Any:
+            self.most = max(self.most, len(handed) - len(done))
+            handed.append(1)
+            return super().submit(*task, **named)
+
+    handed: list[int] = []
+    done: list[int] = []
+    two = Workers(1, jobs=2)
+    two._pool = pool = Pool(2)
+    for number, result in two.results([partial(pow, k, 2) for k in range(40)]):
+        done.append(number)
+        assert result == number**2
+    assert sorted(done) == list(range(40))
+    assert 1 < pool.most < 2 * workers_module._TASKS_AHEAD
 
 
 def test_workers_that_die_again_and_again_are_given_up(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.frame import Frame
 from docdepth.render.moving_objects import objects_of
@@ -45,7 +45,7 @@ def followed(points, classid, index, trajectory, track, parameters=None, time_of
     """The frame of a sweep whose dynamic points are all of one track."""
     instance = np.where(classid >= 100, track.id, 0).astype(np.uint16)
     pose, time = trajectory.poses[index], int(trajectory.times[index])
-    of = objects_of(points, classid, time, pose, instance, {track.id: track}, time_offset)
+    of = objects_of(points, classid, time, pose, instance, Tracks([track]), time_offset)
     return Frame(points, classid, parameters, time_offset, objects=of)
 
 

@@ -8,6 +8,7 @@ from render_reference import AXES, TRIANGLES, followed, moving_track, straight
 
 from docdepth.errors import BackendError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.track import Tracks
 from docdepth.render import backends
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
@@ -52,7 +53,7 @@ def scene(
         frames.append(frame if tracked else Frame(points, classid, TRIANGLES))
     about = {"camera": CAMERA, "T_camera_lidar": AXES, "trajectory": trajectory}
     about |= {"time": 600_000_000, "frames": frames.__getitem__, "parameters": TRIANGLES}
-    return about | {"tracks": {1: track} if tracked and objects else {}}
+    return about | {"tracks": Tracks([track] if tracked and objects else [])}
 
 
 def rows_and_columns():

@@ -10,7 +10,7 @@ from render_reference import AXES, TRIANGLES, moving_track, small_camera, straig
 from test_moving_objects import wall_and_box
 
 from docdepth.geometry.se3 import inverse, rotation_exp
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
@@ -44,7 +44,7 @@ def test_pixels_are_the_same_without_what_no_image_shows(kind: str) -> None:
     # To the left out of the image, but not out of what the LiDAR sees.
     track = moving_track(trajectory, (12, 0.5, -1), (0, 2.5, 0), (1, 1.6, 1.4), of=6, kind=kind)
     beside = moving_track(trajectory, (12, -7, -1), (0.3, 0, 0), (1, 1.6, 1.4), of=7, kind=kind)
-    tracks = {6: track, 7: beside}
+    tracks = Tracks([track, beside])
     shown = in_view_of(tracks, trajectory)
 
     def frame(i: int, cropped: bool) -> Frame:
@@ -106,7 +106,7 @@ def test_nothing_that_an_image_draws_is_left_out() -> None:
             deviations=moving.deviations[rows],
             surface_deviations=moving.surface_deviations[rows],
         )
-        shown = in_view_of({number: track}, trajectory)
+        shown = in_view_of(Tracks([track]), trajectory)
         reach = 500_000_000  # images up to five sweeps away may draw it
         times = [
             view.time

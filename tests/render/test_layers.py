@@ -17,6 +17,7 @@ from render_reference import (
 
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.track import Tracks
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.layers import _CONFIDENCE, LAYERS, compose_layers, confidence
@@ -104,7 +105,7 @@ def street(box=False):
     frames = [followed(*seen, i, trajectory, track, TRIANGLES) for i, seen in enumerate(sweeps)]
     camera = Camera(np.array([[200.0, 0, 160], [0, 200, 50], [0, 0, 1]]), 320, 120)
     scene = (camera, AXES, trajectory, time, frames.__getitem__, TRIANGLES)
-    return scene, compose_depth(*scene, tracks={7: track}), {7: track}
+    return scene, compose_depth(*scene, tracks=Tracks([track])), Tracks([track])
 
 
 def test_layers_of_an_exact_street():

@@ -9,7 +9,7 @@ import pytest
 from render_reference import AXES, TRIANGLES, followed, moving_track, small_camera, straight
 
 from docdepth.geometry.se3 import inverse, rotation_exp
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
@@ -61,7 +61,7 @@ def test_a_box_that_moves_and_turns_is_held_to_a_millimetre():
     )
     points = (world @ inverse(ego).T)[:, :3].astype(np.float32)
     classid, instance = np.full(8, 100, np.uint16), np.full(8, 3, np.uint16)
-    of = objects_of(points, classid, stamp, ego, instance, {3: track}, late)
+    of = objects_of(points, classid, stamp, ego, instance, Tracks([track]), late)
     assert of.instances == (3,)
     assert of.times[0] == pytest.approx(stamp + 1e9 * late.astype(float).mean(), abs=10)
     held = np.c_[points + of.displacement, np.ones(8)] @ of.T_object_lidar[0].T
@@ -73,10 +73,10 @@ def test_a_box_that_moves_and_turns_is_held_to_a_millimetre():
 def test_objects_of_a_sweep_equal_a_plain_loop():
     rng = np.random.default_rng(4)
     trajectory = straight(4)
-    tracks = {
-        k: moving_track(trajectory, (6.0 * k, 3 - k, 0), (k, -1, 0), (4, 2, 1.5), of=k)
+    tracks = Tracks(
+        moving_track(trajectory, (6.0 * k, 3 - k, 0), (k, -1, 0), (4, 2, 1.5), of=k)
         for k in (1, 2, 5)
-    }
+    )
     points = rng.uniform((-5, -8, -1), (35, 8, 3), (4000, 3)).astype(np.float32)
     classid = rng.choice([0, 50, 100, 251], 4000).astype(np.uint16)
     instance = rng.choice([0, 1, 2, 5, 9], 4000, p=[0.8, 0.05, 0.05, 0.05, 0.05]).astype(np.uint16)
@@ -135,9 +135,9 @@ def test_sightings_are_placed_as_plain_matrices_say(kind):
     drawn = drawn_frames(trajectory, time, TRIANGLES)
     T_camera_world = AXES @ inverse(trajectory.interpolate(time)[0])
     view = View(small_camera(), T_camera_world, time)
-    objects = sighted_objects(view, trajectory, frames.__getitem__, drawn, {6: track}, 100)
+    objects = sighted_objects(view, trajectory, frames.__getitem__, drawn, Tracks([track]), 100)
     ((instance, around, others, rays),) = objects
-    ((T_camera_box, size),) = boxes_in_view(view, trajectory, {6: track})
+    ((T_camera_box, size),) = boxes_in_view(view, trajectory, Tracks([track]))
     assert size == (*track.size[:2], 4.2 if kind == "vehicle" else 2.2)
     np.testing.assert_allclose(T_camera_box, T_camera_world @ track.pose_at(time))
     assert instance == 6
@@ -158,7 +158,7 @@ def test_sightings_are_placed_as_plain_matrices_say(kind):
         np.testing.assert_allclose(T_camera_sensor, expected, atol=1e-9)
     behind = AXES @ np.diag((-1.0, -1, 1, 1)) @ inverse(trajectory.interpolate(time)[0])
     view = view._replace(T_camera_world=behind)
-    assert not sighted_objects(view, trajectory, frames.__getitem__, drawn, {6: track}, 100)
+    assert not sighted_objects(view, trajectory, frames.__getitem__, drawn, Tracks([track]), 100)
 
 
 def test_what_later_sweeps_saw_of_a_car_is_drawn_where_no_ray_looked():
@@ -175,7 +175,7 @@ def test_what_later_sweeps_saw_of_a_car_is_drawn_where_no_ray_looked():
         frames.append(followed(points, classid, i, trajectory, track, TRIANGLES))
     camera, time = small_camera(320, 120, 180.0), 1_040_000_000
     asked = (camera, AXES, trajectory, time, frames.__getitem__, TRIANGLES)
-    depth = compose_depth(*asked, tracks={1: track})
+    depth = compose_depth(*asked, tracks=Tracks([track]))
     here, y, z = back_of_box(camera, trajectory, track, time)
     upper = (np.abs(y) < 0.7) & (z > -0.1) & (z < 0.3)
     assert upper.sum() > 100
@@ -183,7 +183,7 @@ def test_what_later_sweeps_saw_of_a_car_is_drawn_where_no_ray_looked():
     vague = replace(track, surface_deviations=np.full(len(track), 0.3))
     shifted = replace(track, deviations=np.full(len(track), 0.3))  # along itself
     for other in (replace(track, kind="person"), vague, shifted):
-        alone = compose_depth(*asked, tracks={1: other})
+        alone = compose_depth(*asked, tracks=Tracks([other]))
         assert (np.abs(alone[upper] - here) < 0.1).mean() < 0.2
 
 
@@ -202,7 +202,7 @@ def test_through_a_window_the_car_is_not_drawn_where_rays_pass():
         clear.append(followed(points, classid, i, trajectory, track, TRIANGLES))
     camera, time = small_camera(320, 120, 180.0), 1_040_000_000
     depth = compose_depth(
-        camera, AXES, trajectory, time, clear.__getitem__, TRIANGLES, tracks={1: track}
+        camera, AXES, trajectory, time, clear.__getitem__, TRIANGLES, tracks=Tracks([track])
     )
     here, y, z = back_of_box(camera, trajectory, track, time)
     wall = 30 - trajectory.interpolate(time)[0][0, 3]
@@ -232,18 +232,18 @@ def test_further_sweeps_show_a_vehicle_from_elsewhere_and_belong_to_its_track():
     trajectory = straight(200, spacing=2.0)
     track = moving_track(trajectory, (60, 3.5, -1.7), (16, 0, 0), (9, 2.5, 3.6), of=2)
     beside = 100_000_000 * 150  # 60 m ahead at first; the ego is 4 m/s faster
-    found = track_sweeps(trajectory, beside, {2: track})
+    found = track_sweeps(trajectory, beside, Tracks([track]))
     assert 4 <= len(found) <= MOST_TRACK_SWEEPS
     away = np.abs(60 + 1.6 * np.array(found) - 2.0 * np.array(found))
     assert away.max() == 60  # from where a beam reaches highest
     assert away.min() < 15
-    assert track_sweeps(trajectory, beside + 130_000_000, {2: track}) == found
-    assert not track_sweeps(trajectory, 0, {2: track})  # far: the sweeps around see it whole
+    assert track_sweeps(trajectory, beside + 130_000_000, Tracks([track])) == found
+    assert not track_sweeps(trajectory, 0, Tracks([track]))  # far: the sweeps around see it whole
     person = replace(track, kind="person")
-    assert not track_sweeps(trajectory, beside, {2: person})
+    assert not track_sweeps(trajectory, beside, Tracks([person]))
     seen = replace(track, points=np.where(np.arange(200) < 20, 0, 9))
-    assert min(track_sweeps(trajectory, beside, {2: seen})) >= 20
-    drawn = drawn_frames(trajectory, beside, TRIANGLES, {2: track})
+    assert min(track_sweeps(trajectory, beside, Tracks([seen]))) >= 20
+    drawn = drawn_frames(trajectory, beside, TRIANGLES, Tracks([track]))
     assert not {*drawn.tracked} & {*drawn.static, *drawn.dynamic}
     assert {i for i, whole in drawn.needed.items() if not whole} == {*drawn.tracked}
 
@@ -278,7 +278,7 @@ def test_a_vehicle_is_drawn_from_the_further_sweeps_of_its_own_track_alone():
         ]
         drawn = drawn_frames(trajectory, time, TRIANGLES)
         drawn = drawn._replace(static=drawn.static[:1], tracked=[30, *own])
-        of = sighted_objects(view, trajectory, frames.__getitem__, drawn, {6: track}, 0)
+        of = sighted_objects(view, trajectory, frames.__getitem__, drawn, Tracks([track]), 0)
         others = {drawn.sighted[number] for *_, number in of[0][2]}
         assert others == wanted - {*drawn.dynamic}
     assert len(own) == 2
@@ -294,11 +294,11 @@ def test_near_a_vehicle_its_neighbours_are_kept_also_across_the_seam():
     points = np.concatenate([points, box])
     of_box = np.arange(len(points)) >= 5000
     classid = np.where(of_box, 100, 50).astype(np.uint16)
-    kept = near_vehicles(points, classid, of_box.astype(np.uint16), {1: track})
+    kept = near_vehicles(points, classid, of_box.astype(np.uint16), Tracks([track]))
     across, up = np.abs(points[:, 1] / points[:, 0]), points[:, 2] / -points[:, 0]
     behind = points[:, 0] < 0
     assert kept[of_box].all()
     assert kept[behind & (across < 0.12) & (np.abs(up) < 0.12)].all()
     assert not kept[~behind].any()
     assert not kept[across > 0.2].any()
-    assert not near_vehicles(points, classid, None, {1: track}).any()
+    assert not near_vehicles(points, classid, None, Tracks([track])).any()

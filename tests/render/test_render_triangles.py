@@ -14,6 +14,7 @@ from render_reference import (
     straight,
 )
 
+from docdepth.geometry.track import Tracks
 from docdepth.render import frame as frame_module
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
@@ -160,7 +161,7 @@ def test_a_moving_box_is_drawn_where_it_was_at_the_time_of_the_image(is_followed
         return followed(points, classid, index, trajectory, track, TRIANGLES, times)
 
     frames = [frame(i) for i in range(4)]
-    tracks = {1: track} if is_followed else {}
+    tracks = Tracks([track] if is_followed else [])
     depth = compose_depth(
         camera, AXES, trajectory, 160_000_000, frames.__getitem__, TRIANGLES, tracks=tracks
     )
@@ -194,7 +195,7 @@ def test_other_sweeps_fill_the_part_of_a_moving_box_behind_a_post():
     frames = [followed(*seen(i), i, standing, track, TRIANGLES) for i in range(7)]
     camera = small_camera(640, 240, 360.0)
     asked = (camera, T_camera_lidar, standing, 310_000_000, frames.__getitem__, TRIANGLES)
-    depth = compose_depth(*asked, tracks={1: track})
+    depth = compose_depth(*asked, tracks=Tracks([track]))
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     side, up = ((u - camera.K[0, 2]) / camera.K[0, 0]), ((v - camera.K[1, 2]) / camera.K[1, 1])
     y = 0.6 - side * box_at  # of the box's plane
@@ -228,7 +229,7 @@ def test_a_moving_box_ends_close_to_its_last_ring():
 
     frames, camera = [frame(i) for i in range(7)], small_camera(640, 240, 360.0)
     asked = (camera, AXES, standing, 310_000_000, frames.__getitem__, TRIANGLES)
-    depth = compose_depth(*asked, tracks={1: track})
+    depth = compose_depth(*asked, tracks=Tracks([track]))
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     side = -8 * (u - camera.K[0, 2]) / camera.K[0, 0]
     up = -8 * (v - camera.K[1, 2]) / camera.K[1, 1]

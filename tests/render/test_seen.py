@@ -8,6 +8,7 @@ from render_reference import AXES, PAPER, TRIANGLES, followed, moving_track, str
 
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.track import Tracks
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.layers import AGREED, CONTRADICTED, NOT_LOOKED_AT, compose_layers
@@ -202,13 +203,13 @@ def test_a_moving_box_is_compared_with_rays_that_move_with_it():
 
     frames = [frame(i) for i in range(4)]
     scene = (CAMERA, AXES, trajectory, 150_000_000, frames.__getitem__, TRIANGLES)
-    depth = compose_depth(*scene, tracks={1: track})
-    found = compose_layers(("seen", "class"), depth, *scene, tracks={1: track})
+    depth = compose_depth(*scene, tracks=Tracks([track]))
+    found = compose_layers(("seen", "class"), depth, *scene, tracks=Tracks([track]))
     box = (found["class"] == 100) & (np.abs(depth - 13.0) < 0.1)
     assert box.sum() > 800
     assert (found["seen"][box] == AGREED).mean() > 0.8
     wrong = np.where(box, depth * np.float32(0.8), depth)
-    again = compose_layers(("seen", "class"), wrong, *scene, tracks={1: track})
+    again = compose_layers(("seen", "class"), wrong, *scene, tracks=Tracks([track]))
     shifted = box & (again["class"] == 100)
     assert shifted.sum() > 800
     assert (again["seen"][shifted] == CONTRADICTED).mean() > 0.8

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, PAPER, TRIANGLES, small_camera
+from render_reference import AXES, PAPER, TRIANGLES, moving_track, small_camera
 
+from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
-from docdepth.render.selection import STEP_GROWTH, _roundest, drawn_frames, static_frames
+from docdepth.render.selection import (
+    STEP_GROWTH,
+    _roundest,
+    drawn_frames,
+    needed_frames,
+    static_frames,
+    times_needed,
+)
 
 
 def reference(trajectory, time, p):
@@ -100,6 +108,57 @@ def test_an_image_costs_the_same_however_long_the_drive_is(parameters):
     time = int(trajectory.times[200])
     assert drawn_frames(watched, time, parameters) == drawn_frames(trajectory, time, parameters)
     compose_depth(small_camera(), AXES, watched, time, lambda _: empty, parameters)
+
+
+def random_tracks(rng, trajectory):
+    """Vehicles higher than the beams beside the ego, each for a while."""
+    found = []
+    for number in range(1, 30):
+        first, end = np.sort(rng.integers(0, len(trajectory) + 1, 2))
+        if end <= first:
+            continue
+        part = Trajectory(trajectory.times[first:end], trajectory.poses[first:end])
+        start = part.poses[0, :3, 3] + (rng.uniform(-20, 20), 4, -1.7)
+        kind = ("vehicle", "person", "other")[number % 3]
+        found.append(moving_track(part, start, (1, 0, 0), (9, 2.5, 3.6), of=number, kind=kind))
+    return Tracks(found)
+
+
+@pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
+@pytest.mark.parametrize(("seed", "n"), [(0, 1), (1, 2), (2, 60), (3, 400)])
+def test_all_sweeps_of_some_images_lie_between_the_times_that_they_need(parameters, seed, n):
+    rng = np.random.default_rng(seed)
+    trajectory = random_drive(rng, n)
+    tracks, further = random_tracks(rng, trajectory), 0
+    for _ in range(20):
+        images = np.sort(rng.integers(trajectory.times[0], trajectory.times[-1] + 1, 5)).tolist()
+        low, high = times_needed(trajectory, images[0], images[-1], parameters, tracks)
+        some = Tracks(tracks.between(low, high))
+        for time in images:
+            needed = needed_frames(trajectory, time, parameters, tracks)
+            stamps = trajectory.times[list(needed)]
+            assert low <= stamps.min()
+            assert stamps.max() <= high
+            assert needed == needed_frames(trajectory, time, parameters, some)
+            further += not all(needed.values())
+    assert further or n < 60 or parameters is PAPER
+
+
+def test_tracks_of_a_time_equal_a_plain_loop():
+    rng = np.random.default_rng(0)
+    trajectory = random_drive(rng, 300)
+    tracks = random_tracks(rng, trajectory)
+    assert list(tracks) == sorted(tracks) == tracks.ids.tolist()
+    times = trajectory.times
+    for _ in range(50):
+        first, last = np.sort(rng.integers(times[0] - 10**9, times[-1] + 10**9, 2)).tolist()
+        right = [t for t in tracks.values() if t.times[0] <= last and t.times[-1] >= first]
+        assert tracks.between(first, last) == right
+    edge = tracks[tracks.ids[3]]
+    assert edge in tracks.between(int(edge.times[-1]), int(edge.times[-1]))
+    assert edge not in tracks.between(int(edge.times[-1]) + 1, int(times[-1]))
+    assert Tracks().between(0, 1) == []
+    assert not Tracks()
 
 
 def test_the_roundest_number_between_two():

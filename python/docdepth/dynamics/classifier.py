@@ -13,7 +13,7 @@ from docdepth.datasets.point_times import sweep_seconds
 from docdepth.dynamics.classes import DriveLabels, Labels
 from docdepth.dynamics.scheduling import classify_sweeps
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep
-from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep, Tracking
+from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.geometry.points import (
@@ -79,8 +79,7 @@ def classify_drive(
     told = None if progress is None else partial(progress, "classify")
     classify_sweeps(store, trajectory, p.dynamics, told, threads)
     labels = DriveLabels(store.labels[i] for i in range(len(sweeps)))
-    found = store.tracks()
-    labels.tracks = () if found is None else found.tracks
+    labels.tracks = store.tracks
     return labels
 
 
@@ -95,19 +94,19 @@ class _Memory:
     ) -> None:
         self._sweeps, self._ground, self._period = sweeps, ground, period
         self._kept: dict[int, tuple[Evidence, Detections]] = {}
-        self._tracks: Tracking | None = None
+        self._tracked: list[TrackedSweep] | None = None
+        self.tracks: Sequence[Track] = ()
         self.labels: dict[int, Labels] = {}
 
     def is_done(self, index: int) -> bool:
         return False
 
-    def tracks(self) -> Tracking | None:
-        return self._tracks
+    def tracked(self) -> list[TrackedSweep] | None:
+        return self._tracked
 
     def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
-        sweeps: list[TrackedSweep] = []
-        tracks = find(sweeps.append)
-        self._tracks = Tracking(sweeps, tracks)
+        self._tracked = []
+        self.tracks = find(self._tracked.append)
 
     def has_evidence(self, index: int) -> bool:
         return False

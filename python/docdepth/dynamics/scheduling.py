@@ -12,7 +12,7 @@ from docdepth.config import DynamicsParameters
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.look_ahead import LookAhead
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep, PreparedSweep, SweepClassifier
-from docdepth.dynamics.tracking import Detections, TakeSweep, Tracking
+from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep
 from docdepth.dynamics.voting import KeyFrame
 from docdepth.errors import RunError
 from docdepth.geometry.track import Track
@@ -36,8 +36,8 @@ class SweepStore(Protocol):
         """Whether an earlier run left the labels of this sweep."""
         ...
 
-    def tracks(self) -> Tracking | None:
-        """What is kept of tracks; None if there are none."""
+    def tracked(self) -> Sequence[TrackedSweep] | None:
+        """What tracks found in each sweep; None while they are not known."""
         ...
 
     def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
@@ -107,15 +107,15 @@ def classify_sweeps(
         return 0
     tell = progress or (lambda done, total: None)
     each = share or (lambda work, sweeps, told: work(steps, store, sweeps, told, threads))
-    tracks = store.tracks()
+    tracked = store.tracked()
     # Tracks are made of the evidence of all sweeps. Where they are known, few sweeps are missing.
-    needed = every if steps.uses_tracks and tracks is None else left
+    needed = every if steps.uses_tracks and tracked is None else left
     without = [i for i in needed if not (steps.uses_tracks and store.has_evidence(i))]
     kept = len(trajectory) - len(without)
     tell(kept, len(trajectory))
     each(vote_on, without, lambda done: tell(kept + done, len(trajectory)))
     if steps.uses_tracks:
-        if tracks is None:
+        if tracked is None:
             store.keep_tracks(lambda take: steps.track(store.detections, take, threads))
         each(add_tracks, left, lambda done: None)
     return len(left)
@@ -163,16 +163,15 @@ def add_tracks(
     steps: SweepClassifier, store: SweepStore, sweeps: Sequence[int], told: Told, threads: int
 ) -> None:
     """Classify objects that move at another time of the drive; the store has its tracks."""
-    tracks = store.tracks()
-    if tracks is None:
+    tracked = store.tracked()
+    if tracked is None:
         raise RunError("there are no tracks to add; run the same command again")
-    results = tracks.sweeps
 
     def add(index: int) -> None:
         # The sweep is read once more, since tracks are known when all sweeps have voted and a drive
         # may not fit into memory.
         sweep = store.read(index)
-        labels = steps.add_tracks(index, sweep, store.evidence(index), results[index])
+        labels = steps.add_tracks(index, sweep, store.evidence(index), tracked[index])
         store.write(index, sweep, labels)
 
     with ThreadPoolExecutor(_FILE_THREADS) as pool:

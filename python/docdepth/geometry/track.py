@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Literal, TypeAlias, get_args
@@ -149,6 +150,40 @@ class Track:
             return np.zeros(3)
         after = min(max(int(np.searchsorted(self.times, np.int64(time))), 1), len(self) - 1)
         return _turn_rate(self, after).copy()
+
+
+class Tracks(Mapping[int, Track]):
+    """The tracks of a drive by id. Those of a time are found without looking at the others.
+
+    Parameters
+    ----------
+    tracks : iterable of Track
+
+    Attributes
+    ----------
+    ids : ndarray of uint16, shape (n,)
+    """
+
+    def __init__(self, tracks: Iterable[Track] = ()) -> None:
+        self._by_id = {track.id: track for track in tracks}
+        self._every = list(self._by_id.values())
+        self.ids = np.array([track.id for track in self._every], np.uint16)
+        self._first = np.array([track.times[0] for track in self._every], np.int64)
+        self._last = np.array([track.times[-1] for track in self._every], np.int64)
+
+    def __getitem__(self, number: int) -> Track:
+        return self._by_id[number]
+
+    def __len__(self) -> int:
+        return len(self._by_id)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._by_id)
+
+    def between(self, first: int, last: int) -> list[Track]:
+        """Tracks that are known at some time from ``first`` to ``last`` [ns], in their order."""
+        some = np.flatnonzero((self._first <= last) & (self._last >= first))
+        return [self._every[k] for k in some.tolist()]
 
 
 @lru_cache(maxsize=_KEPT)

@@ -62,15 +62,28 @@ class FileRecords:
     def __init__(self, folder: Path, path: Path) -> None:
         self._folder, self.path, self._lock = folder, path, Lock()
         self._records: dict[str, _Record] = {}
-        self._lines = 0
+        self._lines = self._size = self._file = 0
+        self._torn = False  # by a power failure
+        self.read_on()
+
+    def read_on(self) -> bool:
+        """Read the lines that were added since; False if the file is another one by now."""
         try:
-            text = self.path.read_bytes().decode("utf-8", "surrogateescape")
+            with self.path.open("rb") as stream:
+                known = os.fstat(stream.fileno())
+                if self._file and (self._file != known.st_ino or self._size > known.st_size):
+                    return False
+                stream.seek(self._size)
+                added = stream.read()
         except OSError:
-            text = ""
-        self._torn = bool(text) and not text.endswith("\n")  # by a power failure
-        for line in text.splitlines():
+            return not self._file
+        self._file = known.st_ino
+        self._size += added.rfind(b"\n") + 1
+        self._torn = bool(added) and not added.endswith(b"\n")
+        for line in added.decode("utf-8", "surrogateescape").splitlines():
             self._lines += 1
             self._parse(line)
+        return True
 
     def _parse(self, line: str) -> None:
         try:
@@ -182,6 +195,22 @@ class FileRecords:
             return "missing"
         except OSError:
             return "damaged"
+
+
+_shared: dict[Path, FileRecords] = {}
+_sharing = Lock()
+_MOST_SHARED = 32  # folders
+
+
+def shared_records(folder: Path, path: Path) -> FileRecords:
+    """Records that are only read: each chunk of a worker reads what was added since the last."""
+    with _sharing:
+        records = _shared.get(path)
+        if records is None or not records.read_on():
+            if len(_shared) >= _MOST_SHARED:  # of other runs
+                _shared.clear()
+            records = _shared[path] = FileRecords(folder, path)
+        return records
 
 
 def is_file_name(name: str) -> bool:

@@ -15,7 +15,7 @@ from uuid import uuid4
 
 from docdepth.errors import RunError
 from docdepth.io.atomic import WriteFile, Written, write_atomically
-from docdepth.io.file_records import FileRecords, same_content
+from docdepth.io.file_records import FileRecords, same_content, shared_records
 from docdepth.io.lock import locked
 
 log = logging.getLogger(__name__)
@@ -138,13 +138,15 @@ class RecordedFolder:
         """
         with self._writing:
             if folder not in self._records:
-                inside = self.path in (folder, *folder.parents)
-                if not inside or ".." in folder.parts[len(self.path.parts) :]:
-                    raise RunError(
-                        f"{folder} lies outside of {self.path}; nothing is written there"
-                    )
-                self._records[folder] = FileRecords(folder, self._records_file(folder))
+                self._refuse_outside(folder)
+                open_records = FileRecords if self.handed is None else shared_records
+                self._records[folder] = open_records(folder, self._records_file(folder))
             return self._records[folder]
+
+    def _refuse_outside(self, folder: Path) -> None:
+        inside = self.path in (folder, *folder.parents)
+        if not inside or ".." in folder.parts[len(self.path.parts) :]:
+            raise RunError(f"{folder} lies outside of {self.path}; nothing is written there")
 
     def _records_file(self, folder: Path) -> Path:
         name = folder.relative_to(self.path).as_posix()
@@ -190,7 +192,7 @@ class RecordedFolder:
         RunError
             The file cannot be written.
         """
-        self.records(path.parent)  # refuses a place outside
+        self._refuse_outside(path.parent)
         if self.handed is None:
             write_atomically(
                 path, write, sync=sync, before_rename=lambda one: self._record(path, one, key)

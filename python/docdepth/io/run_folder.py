@@ -6,7 +6,7 @@ import hashlib
 import json
 import logging
 from copy import deepcopy
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -329,12 +329,7 @@ class RunFolder(RecordedFolder):
 
     def trajectory(self) -> Trajectory:
         """LiDAR poses, one a frame."""
-        trajectory, indices = read_trajectory(self.trajectory_path)
-        if not np.array_equal(indices, np.arange(len(indices))):
-            raise RunError(
-                f"{self.trajectory_path}: its frames are not numbered 0, 1, 2, ... without gaps"
-            )
-        return trajectory
+        return _trajectory(self.trajectory_path, _identity(self.trajectory_path))
 
     def calibration_folder(self, camera: str = "") -> Path:
         """Folder of a camera's calibration and trajectory; ``camera`` is one among several."""
@@ -398,6 +393,25 @@ class RunFolder(RecordedFolder):
         """
         cameras: dict[str, dict[str, Any]] = self.manifest["cameras"]
         return cameras
+
+
+def _identity(path: Path) -> tuple[int, ...]:
+    """Another one when a file is written anew; empty where there is none."""
+    try:
+        known = path.stat()
+    except OSError:
+        return ()
+    return known.st_ino, known.st_size, known.st_mtime_ns
+
+
+# All chunks of a worker ask for the trajectory of the whole drive.
+@lru_cache(maxsize=1)
+def _trajectory(path: Path, identity: tuple[int, ...]) -> Trajectory:
+    """The poses of a run, read once."""
+    trajectory, indices = read_trajectory(path)
+    if not np.array_equal(indices, np.arange(len(indices))):
+        raise RunError(f"{path}: its frames are not numbered 0, 1, 2, ... without gaps")
+    return trajectory
 
 
 def stage_key(*parts: Any) -> str:

@@ -18,11 +18,18 @@ Offsets = NDArray[np.int64]
 """Where each array of a file begins, in bytes."""
 
 
-def write_array(stream: BinaryIO, array: NDArray[Any]) -> None:
-    """Write an array behind others; the stream needs the method ``write`` only."""
+def write_array(stream: BinaryIO, array: NDArray[Any]) -> int:
+    """Write an array behind others; the stream needs the method ``write`` only.
+
+    Returns
+    -------
+    int
+        Bytes that were written.
+    """
     content = io.BytesIO()
     np.save(content, array)
     stream.write(content.getbuffer())
+    return content.tell()
 
 
 def write_arrays(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -18,7 +18,7 @@ from docdepth.concurrency import Watch, unwatched
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.scheduling import Told, Work, classify_sweeps
 from docdepth.dynamics.sweep_classifier import Evidence, InputSweep, SweepClassifier
-from docdepth.dynamics.tracking import Detections, TakeSweep, Tracking
+from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import DamagedFileError
 from docdepth.geometry.track import Track
@@ -37,7 +37,7 @@ from docdepth.pipeline.classified_files import (
 from docdepth.pipeline.given_labels import take_labels
 from docdepth.pipeline.graph import classify_parts, label_files
 from docdepth.pipeline.input_files import InputFiles
-from docdepth.pipeline.kept_tracks import keep_tracking, kept_tracking
+from docdepth.pipeline.kept_tracks import are_kept, keep_tracking, kept_sweeps, kept_tracks
 from docdepth.pipeline.memory import parameters_within_budget
 from docdepth.pipeline.sanity import count_classes, warn_of_classes
 from docdepth.pipeline.stage import Progress, Stopwatch, progress_callback, stage
@@ -209,32 +209,35 @@ class _FrameStore:
         self, run: RunFolder, key: dict[str, str], trajectory: Trajectory, watch: Watch = unwatched
     ) -> None:
         self._run, self._key, self._trajectory = run, key, trajectory
-        self._labels = label_files(run)
         self._detections: OrderedDict[int, Detections] = OrderedDict()
         self._keeping = Lock()
         self._ground = _GroundLabels(run, trajectory)
         self.watch = watch
         self.counts = np.zeros(3, np.int64)
 
+    @cached_property
+    def _labels(self) -> dict[int, Path]:
+        return label_files(self._run)
+
     @property
-    def _tracks(self) -> Path:
-        return self._run.notes / TRACKING / "tracks.npy"
+    def _tracking(self) -> Path:
+        return self._run.notes / TRACKING
 
     def _kept(self, index: int) -> Path:
         return self._run.notes / _EVIDENCE / self._key["classify"] / f"{index:06d}.npy"
 
     def is_done(self, index: int) -> bool:
-        if not self.has_tracks() and self._run.key(self._tracks) != self._key:
+        if not self.has_tracks() and not are_kept(self._run, self._tracking, self._key):
             return False  # tracks are made of all sweeps
         return is_classified(self._run, index, self._labels.get(index), self._key)
 
-    def tracks(self) -> Tracking | None:
-        if self._run.key(self._tracks) != self._key:
+    def tracked(self) -> Sequence[TrackedSweep] | None:
+        if not are_kept(self._run, self._tracking, self._key):
             return None
-        return kept_tracking(self._tracks, len(self._trajectory))
+        return kept_sweeps(self._tracking, len(self._trajectory))
 
     def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
-        keep_tracking(self._run, self._tracks, self._key, find)
+        keep_tracking(self._run, self._tracking, self._key, find)
         self._detections.clear()
 
     def has_tracks(self) -> bool:
@@ -244,10 +247,10 @@ class _FrameStore:
 
     def write_tracks(self) -> None:
         """Write the file of tracks, if it is not there."""
-        found = None if self.has_tracks() else self.tracks()
-        if found is not None:
-            write = self._run.writer(self._key)
-            write_tracks(self._run.path / TRACKS, found.tracks, self._trajectory.times, write)
+        if self.has_tracks() or not are_kept(self._run, self._tracking, self._key):
+            return
+        found, write = kept_tracks(self._tracking), self._run.writer(self._key)
+        write_tracks(self._run.path / TRACKS, found, self._trajectory.times, write)
 
     def has_evidence(self, index: int) -> bool:
         return self._run.key(self._kept(index)) == self._key

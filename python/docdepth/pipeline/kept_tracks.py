@@ -8,13 +8,16 @@ from typing import BinaryIO, overload
 
 import numpy as np
 
-from docdepth.dynamics.tracking import TakeSweep, TrackedSweep, Tracking
+from docdepth.dynamics.tracking import TakeSweep, TrackedSweep
 from docdepth.errors import DamagedFileError, InputError
 from docdepth.geometry.track import KINDS, Track
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.array_files import Offsets, array_offsets, read_arrays, write_array
+from docdepth.pipeline.array_files import Offsets, read_arrays, write_array, write_arrays
 
-_OF_SWEEP, _OF_TRACK = len(TrackedSweep._fields), 8  # arrays
+_SWEEPS, _PATHS = "sweeps.npy", "paths.npy"
+"""The arrays of each sweep; where those of each begin, and the tracks of the drive."""
+
+_OF_SWEEP = len(TrackedSweep._fields)  # arrays
 
 
 class TrackedSweeps(Sequence[TrackedSweep]):
@@ -45,41 +48,79 @@ class TrackedSweeps(Sequence[TrackedSweep]):
 
 
 def keep_tracking(
-    run: RunFolder, path: Path, key: dict[str, str], find: Callable[[TakeSweep], list[Track]]
+    run: RunFolder, folder: Path, key: dict[str, str], find: Callable[[TakeSweep], list[Track]]
 ) -> None:
     """Write what ``find`` hands over sweep by sweep, and the tracks that it returns."""
+    offsets: list[int] = []
+    tracks: list[Track] = []
 
     def write(stream: BinaryIO) -> None:
+        size = 0
+
         def take(sweep: TrackedSweep) -> None:
-            for array in sweep:
-                write_array(stream, array)
+            nonlocal size
+            offsets.append(size)
+            size += sum(write_array(stream, array) for array in sweep)
 
-        for t in find(take):
-            about = np.array([t.id, KINDS.index(t.kind)])
-            known = (t.deviations, t.surface_deviations)
-            for array in (about, t.times, t.poses, t.velocities, t.size, t.points, *known):
-                write_array(stream, array)
+        tracks.extend(find(take))
 
-    run.write(path, write, key, sync=False)
+    run.write(folder / _SWEEPS, write, key, sync=False)
+    about = [(t.id, KINDS.index(t.kind), len(t)) for t in tracks]
+    paths = [(t.times, t.poses, t.velocities, t.points, *_known(t)) for t in tracks]
+    arrays = [
+        np.array(offsets, np.int64),
+        np.array(about, np.int64).reshape(-1, 3),
+        np.array([t.size for t in tracks]).reshape(-1, 3),
+        *(np.concatenate(of_all) for of_all in zip(*paths, strict=True)),
+    ]
+    # This file comes last: where it is, the other one is.
+    write_arrays(run, folder / _PATHS, key, arrays)
 
 
-def kept_tracking(path: Path, sweeps: int) -> Tracking:
-    """What :func:`keep_tracking` wrote of so many sweeps.
+def _known(track: Track) -> tuple[np.ndarray, np.ndarray]:
+    return track.deviations, track.surface_deviations
+
+
+def are_kept(run: RunFolder, folder: Path, key: dict[str, str]) -> bool:
+    """Whether :func:`keep_tracking` wrote tracks that are made of ``key``."""
+    return run.key(folder / _PATHS) == key
+
+
+def kept_sweeps(folder: Path, count: int) -> TrackedSweeps:
+    """What tracks found in each of so many sweeps, as :func:`keep_tracking` wrote it.
 
     Raises
     ------
     DamagedFileError
     """
-    offsets = array_offsets(path)
-    first = _OF_SWEEP * sweeps
-    if len(offsets) < first or (len(offsets) - first) % _OF_TRACK:
-        reason = f"{len(offsets)} arrays are not the tracks of {sweeps} sweeps"
-        raise DamagedFileError(path, reason)
-    tracks = []
+    (offsets,) = read_arrays(folder / _PATHS, 1)
+    if offsets.shape != (count,):
+        reason = f"it tells of {len(offsets)} sweeps, the drive has {count}"
+        raise DamagedFileError(folder / _PATHS, reason)
+    return TrackedSweeps(folder / _SWEEPS, offsets)
+
+
+def kept_tracks(folder: Path) -> list[Track]:
+    """The tracks of the drive, as :func:`keep_tracking` wrote them.
+
+    Raises
+    ------
+    DamagedFileError
+    """
+    path = folder / _PATHS
+    about, sizes = read_arrays(path, 2, skipped=1)
+    if not len(about):
+        return []
     try:
-        for offset in offsets[first::_OF_TRACK].tolist():
-            (number, kind), *rest = read_arrays(path, _OF_TRACK, offset=offset)
-            tracks.append(Track(int(number), KINDS[int(kind)], *rest))
-    except (InputError, ValueError, IndexError) as error:
+        paths = [
+            np.split(of_all, np.cumsum(about[:, 2])[:-1])
+            for of_all in read_arrays(path, 6, skipped=3)
+        ]
+        return [
+            Track(int(number), KINDS[int(kind)], times, poses, velocities, size, *rest)
+            for (number, kind, _), size, times, poses, velocities, *rest in zip(
+                about, sizes, *paths, strict=True
+            )
+        ]
+    except (InputError, ValueError, IndexError, TypeError) as error:
         raise DamagedFileError(path, str(error)) from None
-    return Tracking(TrackedSweeps(path, offsets[:first:_OF_SWEEP]), tracks)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,13 +16,13 @@ from numpy.typing import NDArray
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.geometry.se3 import inverse
+from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.calibration_check import edges_of_images, judge
 from docdepth.pipeline.depth_files import DepthFiles
-from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render, tracks_of
+from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render
 from docdepth.pipeline.run_inputs import (
     RunCamera,
     camera_parameters,
@@ -38,7 +39,7 @@ from docdepth.render.frame import Frame
 from docdepth.render.frame_cache import FrameCache
 from docdepth.render.in_view import Images, TracksInView
 from docdepth.render.layers import compose_layers
-from docdepth.render.moving_objects import Tracks, objects_of
+from docdepth.render.moving_objects import objects_of
 from docdepth.render.selection import needed_frames
 from docdepth.render.track_sweeps import near_vehicles
 from docdepth.visualization.report import index_is_whole, write_report
@@ -173,7 +174,7 @@ def _render_cameras(
         report(kept, total)
         work, told = partial(_render_images, renderer), lambda done: report(kept + done, total)
         chunks = workers.cut(images, plan.trajectory.arc_length_at([i.time for i in images]))
-        parts = [_apart(chunk) for chunk in chunks]
+        parts = [_Chunk(_apart(chunk), plan.tracks_for(chunk)) for chunk in chunks]
         for number, shares in workers.each(run, work, parts, profiles[0].watch, told):
             for image, share in zip(chunks[number], shares, strict=True):
                 image.files.coverage[image.index] = share
@@ -199,18 +200,28 @@ def _judge_maps(plan: RenderPlan, files: DepthFiles) -> str | None:
     warn_of_density(files.shares(), stream.name)
     if not stream.images or files.parameters.render.primitive == "splats":
         return None  # splats reach over edges
-    path = files.run.path
-    return judge(edges_of_images(path, stream, done, files.depth, plan.trajectory, tracks_in(path)))
+    path, tracks = files.run.path, plan.tracks.values()
+    return judge(edges_of_images(path, stream, done, files.depth, plan.trajectory, tracks))
 
 
 def _write_cameras(plan: RenderPlan) -> None:
     """Write calibration, interpolated poses (paper V-A) and tracks of each camera."""
     for files in plan.files:
-        tracks = tracks_in(files.run.path)
         indices = np.array([image.index for image in plan.images if image.files is files])
         times = files.stream.times[indices]
         poses = Trajectory(times, plan.trajectory.interpolate(times))
-        files.write_camera(poses, indices, tracks)
+        files.write_camera(poses, indices, plan.tracks.values())
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """Images that are rendered one after the other, and the tracks with which they are drawn."""
+
+    images: list[ImageToRender]
+    tracks: Tracks
+
+    def __len__(self) -> int:
+        return len(self.images)
 
 
 class _Job(NamedTuple):
@@ -223,7 +234,7 @@ class _Job(NamedTuple):
     watch: Stopwatch
 
 
-def _render_images(renderer: Renderer, worker: Worker, images: list[ImageToRender]) -> list[float]:
+def _render_images(renderer: Renderer, worker: Worker, chunk: _Chunk) -> list[float]:
     """Render images in order; meanwhile the next is prepared and the last is written.
 
     Returns
@@ -231,8 +242,8 @@ def _render_images(renderer: Renderer, worker: Worker, images: list[ImageToRende
     list of float
         Share of pixels with depth of each.
     """
-    run, watch, parameters = worker.run, worker.watch, images[0].files.parameters
-    trajectory, tracks = run.trajectory(), tracks_of(run)
+    run, watch, images, tracks = worker.run, worker.watch, chunk.images, chunk.tracks
+    trajectory, parameters = run.trajectory(), images[0].files.parameters
     job = _Job(trajectory, tracks, worker.threads, renderer, watch)
     is_drawn = TracksInView(tracks, trajectory, _views(trajectory, images)).draws
     cache = FrameCache(
@@ -340,7 +351,7 @@ def load_frame(
             kept = kept_of(record)
             record, classid = record.select(kept), classid[kept]
         if not whole:
-            kept = near_vehicles(record.points, classid, record.instance, tracks or {})
+            kept = near_vehicles(record.points, classid, record.instance, tracks or Tracks())
             record, classid = record.select(kept), classid[kept]
         points, late, rig = record.points, record.time_offset, run.sensor_rig(record)
         time, pose = int(trajectory.times[index]), trajectory.poses[index]

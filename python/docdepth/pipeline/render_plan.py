@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import DatasetError
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import check_format
 from docdepth.io.run_folder import RunFolder, stage_key
@@ -20,7 +21,8 @@ from docdepth.pipeline.graph import Parts, render_parts
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.run_inputs import RunCamera
 from docdepth.render.layers import check_layers
-from docdepth.render.moving_objects import by_id
+from docdepth.render.selection import times_needed
+from docdepth.render.sightings import GONE
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,17 @@ class RenderPlan:
     left_out: dict[str, list[str]]
     parts: dict[str, Parts]
     trajectory: Trajectory
+
+    @cached_property
+    def tracks(self) -> Tracks:
+        """All tracks of the run."""
+        return tracks_of(self.files[0].run)
+
+    def tracks_for(self, images: Sequence[ImageToRender]) -> Tracks:
+        """The tracks with which some images, in order of time, are drawn."""
+        first, last, drawing = images[0].time, images[-1].time, images[0].files.parameters.render
+        low, high = times_needed(self.trajectory, first, last, drawing, self.tracks)
+        return Tracks(self.tracks.between(min(low, first - GONE), max(high, last + GONE)))
 
 
 def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
@@ -96,9 +109,9 @@ def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
     return RenderPlan(files, images, left_out, parts, trajectory)
 
 
-def tracks_of(run: RunFolder) -> dict[int, Track]:
-    """The tracks of a run by their ids; none if it was classified without."""
-    return by_id(tracks_in(run.path))
+def tracks_of(run: RunFolder) -> Tracks:
+    """The tracks of a run; none if it was classified without."""
+    return Tracks(tracks_in(run.path))
 
 
 def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:

@@ -17,8 +17,16 @@ import os
 import signal
 import socket
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, as_completed
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    wait,
+)
 from concurrent.futures.process import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -44,6 +52,9 @@ made twice; what a worker has in hand is lost with it."""
 
 _A_SWEEP = 0.5
 """So much path a sweep or image counts beside that of the vehicle, which may stand [m]."""
+
+_TASKS_AHEAD = 2
+"""Tasks that each worker has in hand or next."""
 
 _VAIN = 3
 """So often workers may die without that any chunk gets done."""
@@ -230,22 +241,22 @@ class Workers:
         """
         left, vain = dict(enumerate(tasks)), 0
         while left:
-            before = len(left)
+            before, queue = len(left), deque(left.items())
             futures: dict[Future[_Result], int] = {}
             try:
-                with suppress(BrokenExecutor):
-                    for number, task in left.items():
-                        futures[self._executor().submit(task)] = number
-                for future in as_completed(futures):
-                    try:
-                        result = future.result()
-                    except BrokenExecutor:
-                        continue
-                    except Exception as error:
-                        self._explain(error)
-                        raise
-                    del left[futures[future]]
-                    yield futures[future], result
+                while queue or futures:
+                    self._hand_over(queue, futures)
+                    for future in wait(futures, return_when=FIRST_COMPLETED).done:
+                        number = futures.pop(future)
+                        try:
+                            result = future.result()
+                        except BrokenExecutor:
+                            continue
+                        except Exception as error:
+                            self._explain(error)
+                            raise
+                        del left[number]
+                        yield number, result
             finally:
                 for future in futures:
                     future.cancel()
@@ -255,6 +266,23 @@ class Workers:
                 if vain == _VAIN:
                     raise RunError(_DIE_AGAIN)
                 log.warning("a worker has died; what it had in hand is done again by another one")
+
+    def _hand_over(
+        self,
+        queue: deque[tuple[int, Callable[[], _Result]]],
+        futures: dict[Future[_Result], int],
+    ) -> None:
+        """Give workers the next tasks, as many as they need to have no pause.
+
+        A task holds all that its chunk needs, so those of a whole drive would fill the memory.
+        """
+        most = _TASKS_AHEAD * self.count
+        try:
+            while queue and len(futures) < most:
+                futures[self._executor().submit(queue[0][1])] = queue[0][0]
+                queue.popleft()
+        except BrokenExecutor:
+            queue.clear()  # new workers do the rest
 
     def _explain(self, error: Exception) -> None:
         """Raise what an error of Dask's own means.

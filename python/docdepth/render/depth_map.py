@@ -13,10 +13,10 @@ from docdepth.config import RenderParameters
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse
+from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.backends import Renderer
 from docdepth.render.frame import Frame, Part
-from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import drawn_frames
 from docdepth.render.sightings import View, boxes_in_view, sighted_objects
 
@@ -56,8 +56,8 @@ def compose_depth(
         0 takes all cores. The result does not depend on it.
     renderer : Renderer, optional
         From :func:`docdepth.render.backends.choose`; the CPU if absent.
-    tracks : mapping of int to Track, optional
-        The tracks of the frames' objects by id. Objects without a track are drawn where the nearest
+    tracks : Tracks, optional
+        Of the frames' objects. Objects without a track are drawn where the nearest
         sweep saw them. Used by triangles only.
 
     Returns
@@ -125,7 +125,7 @@ def core_arguments(
             "dynamic_size": p.dynamic_size,
         }
     view = View(camera, T_camera_world, int(time))
-    objects = sighted_objects(view, trajectory, frames, drawn, tracks or {}, len(static))
+    objects = sighted_objects(view, trajectory, frames, drawn, tracks or Tracks(), len(static))
     ages = (np.int64(time) - trajectory.times[drawn.dynamic]) * 1e-9
     around = [placed(i, [frames(i).dynamic_part])[0] for i in drawn.dynamic]
     return image | {

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import DYNAMIC_FRAMES
 from docdepth.render.sightings import SOFT_SECONDS, object_radius, within_image
 
@@ -33,7 +32,7 @@ class TracksInView:
 
     Parameters
     ----------
-    tracks : mapping of int to Track
+    tracks : Tracks
     trajectory : Trajectory
         Poses and times of all sweeps.
     images : sequence of Images
@@ -41,15 +40,15 @@ class TracksInView:
     """
 
     def __init__(self, tracks: Tracks, trajectory: Trajectory, images: Sequence[Images]) -> None:
-        self._tracks = tracks
-        self._times = {of: _times(track, trajectory, images) for of, track in tracks.items()}
+        self._tracks, self._trajectory, self._images = tracks, trajectory, images
+        self._times: dict[int, NDArray[np.int64]] = {}
 
     def draws(self, instance: int, time: int) -> bool:
         """Whether an image draws what was seen of a track at ``time`` [ns].
 
         A vehicle is drawn from all sweeps that saw it, anything else from those around the image.
         """
-        track, times = self._tracks[instance], self._times[instance]
+        track, times = self._tracks[instance], self._times_of(instance)
         if not track.covers(time) or not len(times):
             return bool(len(times))
         if track.kind == "vehicle":
@@ -57,6 +56,13 @@ class TracksInView:
         reach = round(SOFT_SECONDS * 1e9)
         first = int(np.searchsorted(times, np.int64(time - reach)))
         return first < len(times) and int(times[first]) <= time + reach
+
+    def _times_of(self, instance: int) -> NDArray[np.int64]:
+        times = self._times.get(instance)
+        if times is None:
+            times = _times(self._tracks[instance], self._trajectory, self._images)
+            self._times[instance] = times
+        return times
 
 
 def _times(track: Track, trajectory: Trajectory, images: Sequence[Images]) -> NDArray[np.int64]:

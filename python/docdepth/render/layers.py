@@ -37,10 +37,10 @@ from docdepth import _core
 from docdepth.config import Layer, RenderParameters
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import core_arguments
 from docdepth.render.frame import Frame
-from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import drawn_frames
 
 LAYERS: tuple[str, ...] = get_args(Layer)

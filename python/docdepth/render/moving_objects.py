@@ -6,7 +6,7 @@ carried along the track to the time of the image.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,10 +14,7 @@ from numpy.typing import NDArray
 
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse, rotation_exp
-from docdepth.geometry.track import Track
-
-Tracks = Mapping[int, Track]
-"""Tracks by id."""
+from docdepth.geometry.track import Track, Tracks
 
 TOUCH = 0.2
 """A dynamic point without an instance that is this near to the box of a track is carried with it
@@ -90,14 +87,14 @@ def objects_of(
         Pose at the stamp. It and ``time`` matter for tracks only.
     instance : ndarray of uint16, shape (N,), optional
         Id of the track of each point, 0 = none.
-    tracks : mapping of int to Track, optional
+    tracks : Tracks, optional
     time_offset : ndarray of float32, shape (N,), optional
         Seconds from the stamp to each measurement.
     is_drawn : callable, optional
         Whether images draw what was seen of a track, given its id, at a time [ns]; they draw all
         tracks if absent.
     """
-    tracks = tracks or {}
+    tracks = tracks or Tracks()
     rows = np.flatnonzero(classid >= DYNAMIC)
     ids = np.zeros(len(rows), np.int64)
     delay = np.zeros(len(rows)) if time_offset is None else time_offset[rows].astype(np.float64)
@@ -106,7 +103,7 @@ def objects_of(
     if tracks:
         world = world @ pose[:3, :3].T + pose[:3, 3]
         if instance is not None:
-            known = np.isin(instance[rows], list(tracks))
+            known = np.isin(instance[rows], tracks.ids)
             ids[known] = instance[rows][known]
         _carry_strays(ids, world, time, tracks)
     instances, number = np.unique(ids, return_inverse=True)
@@ -160,17 +157,12 @@ def _carry_strays(
 ) -> None:
     """Give dynamic points without an instance to the track whose box they lie in or touch."""
     strays = np.flatnonzero(ids == 0)
-    for of, track in tracks.items():
-        if not len(strays) or not track.covers(time):
-            continue
+    for track in tracks.between(time, time):
+        if not len(strays):
+            return
         T = inverse(track.pose_at(time))
         local = world[strays] @ T[:3, :3].T + T[:3, 3]
         half = 0.5 * track.size + TOUCH
         inside = (np.abs(local - (0, 0, 0.5 * track.size[2])) <= half).all(axis=1)
-        ids[strays[inside]] = of
+        ids[strays[inside]] = track.id
         strays = strays[~inside]
-
-
-def by_id(tracks: Sequence[Track]) -> dict[int, Track]:
-    """Tracks by their ids."""
-    return {track.id: track for track in tracks}

@@ -17,14 +17,14 @@ from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.points import usable_points
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.frame_cache import FrameCache
 from docdepth.render.layers import check_layers, compose_layers
-from docdepth.render.moving_objects import by_id, objects_of
+from docdepth.render.moving_objects import objects_of
 from docdepth.render.selection import needed_frames
 from docdepth.render.track_sweeps import near_vehicles
 
@@ -86,7 +86,7 @@ class Scene:
             raise InputError(f"{len(sweeps)} sweeps need a list of as many labels, got {count}")
         self.sweeps, self.trajectory, self.labels = sweeps, trajectory, labels
         self.parameters = given(parameters)
-        self.tracks = by_id(getattr(labels, "tracks", ()) if tracks is None else tracks)
+        self.tracks = Tracks(getattr(labels, "tracks", ()) if tracks is None else tracks)
         self._period = sweep_seconds(trajectory.times)
         self._start()
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.config import RenderParameters
+from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.moving_objects import Tracks
 from docdepth.render.track_sweeps import track_sweeps
 
 DYNAMIC_FRAMES = 4
@@ -85,6 +85,30 @@ def needed_frames(
         (:func:`~docdepth.render.track_sweeps.near_vehicles`).
     """
     return drawn_frames(trajectory, time, parameters, tracks).needed
+
+
+def times_needed(
+    trajectory: Trajectory,
+    first: int,
+    last: int,
+    parameters: RenderParameters,
+    tracks: Tracks,
+) -> tuple[int, int]:
+    """Between which stamps all sweeps lie that images taken from ``first`` to ``last`` [ns] need.
+
+    Returns
+    -------
+    low, high : int
+        Nanoseconds.
+    """
+    arc, times = trajectory.arc_length, trajectory.times
+    here, there = trajectory.arc_length_at([first, last]).tolist()
+    begin = min(_window(arc, here, parameters)[0], trajectory.nearest(first) - DYNAMIC_FRAMES)
+    end = max(_window(arc, there, parameters)[1], trajectory.nearest(last) + DYNAMIC_FRAMES + 1)
+    low, high = int(times[max(begin, 0)]), int(times[min(end, len(times)) - 1])
+    for track in tracks.between(first, last):  # further sweeps of a vehicle
+        low, high = min(low, int(track.times[0])), max(high, int(track.times[-1]))
+    return low, high
 
 
 def static_frames(

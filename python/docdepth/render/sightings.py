@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from docdepth import _core
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.frame import Frame
-from docdepth.render.moving_objects import Tracks
 from docdepth.render.selection import DrawnFrames
 from docdepth.render.track_sweeps import lidar_range, seen_to_its_top, sweeps_of_track
 
@@ -129,11 +128,10 @@ def boxes_in_view(
 ) -> list[tuple[Floats, Extent]]:
     """Where objects are that the camera may see: ``T_camera_box`` and how large each may be [m]."""
     found = []
-    for track in tracks.values():
-        if track.times[0] - GONE <= view.time <= track.times[-1] + GONE:
-            T_camera_object = view.T_camera_world @ track.pose_at(view.time)
-            if _in_view(view.camera, T_camera_object, track):
-                found.append((T_camera_object, _extent(track, trajectory)))
+    for track in tracks.between(view.time - GONE, view.time + GONE):
+        T_camera_object = view.T_camera_world @ track.pose_at(view.time)
+        if _in_view(view.camera, T_camera_object, track):
+            found.append((T_camera_object, _extent(track, trajectory)))
     return found
 
 

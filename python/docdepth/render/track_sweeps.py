@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.moving_objects import Tracks
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -42,7 +41,7 @@ def track_sweeps(trajectory: Trajectory, time: int, tracks: Tracks) -> list[int]
     The choice belongs to the tracks and not to the image, so consecutive images share it.
     """
     chosen: set[int] = set()
-    for track in tracks.values():
+    for track in tracks.between(time, time):
         chosen.update(sweeps_of_track(track, trajectory, time))
     return sorted(chosen)
 
