@@ -16,7 +16,7 @@ from docdepth.datasets import CameraStream
 from docdepth.errors import CalibrationError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import calibration_check
@@ -126,7 +126,7 @@ def images_along(path: list[float], monkeypatch) -> RunEdges:
         drawn(depth, board, float(board[0, 2]))
     indices = range(len(path))
     return edges_of_images(
-        Path("run"), stream, indices, lambda _: depth, Trajectory(times, poses), []
+        Path("run"), stream, indices, lambda _: depth, Trajectory(times, poses), Tracks()
     )
 
 
@@ -173,13 +173,13 @@ def test_boxes_of_moving_objects_are_left_out() -> None:
         1, "vehicle", times, np.stack([T, T]), np.zeros((2, 3)), np.array([4.0, 2, 1.5]),
         np.array([9, 9]), np.full(2, 0.1), np.full(2, 0.1),
     )  # fmt: skip
-    mask = pixels_of_tracks([track], 5, np.eye(4), CAMERA)
+    mask = pixels_of_tracks(Tracks([track]), 5, np.eye(4), CAMERA)
     v, u = np.nonzero(mask)
     # Its near side is 8 m ahead, 2 m wide about x = 1, its top 1.5 m above y = 1.
     assert abs(u.min() - (310 - 5)) <= 1
     assert abs(u.max() - (310 + 400 * 2 / 8 + 5)) <= 1
     assert abs(v.min() - (120 - 400 * 0.5 / 8 - 5)) <= 1
-    assert not pixels_of_tracks([track], 11, np.eye(4), CAMERA).any()
+    assert not pixels_of_tracks(Tracks([track]), 11, np.eye(4), CAMERA).any()
 
 
 def test_the_verb(finished, tmp_path, monkeypatch) -> None:

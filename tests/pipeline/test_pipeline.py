@@ -12,9 +12,10 @@ import pytest
 
 from command_line import cli
 from docdepth.datasets import open_dataset
+from docdepth.geometry.track import Tracks
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import read_tracks
+from docdepth.io.tracks import read_tracks, tracks_in
 from docdepth.pipeline import classify as classes
 from docdepth.pipeline import depth_files
 from docdepth.visualization import pictures as visualize
@@ -195,8 +196,9 @@ def test_video_from_above_shows_points_and_tracks_where_they_are(finished, tmp_p
     record, classid = folder.classified_frame(2)
     trajectory = folder.trajectory()
     pose, time = trajectory.poses[2], int(trajectory.times[2])
-    exact = sweep_from_above(folder, trajectory, [], 2)
-    tracks = [t for t in read_tracks(run / "tracks.csv") if t.covers(time)]
+    exact = sweep_from_above(folder, trajectory, Tracks(), 2)
+    tracks = tracks_in(run)
+    assert tracks.between(time, time)
     boxed = sweep_from_above(folder, trajectory, tracks, 2)
     assert np.abs(frame.astype(int) - boxed).mean() < 6
 

@@ -267,6 +267,7 @@ def test_auto_takes_a_graphics_card_else_the_cpu(monkeypatch):
     monkeypatch.delenv("DOCDEPTH_RENDERER", raising=False)
     chosen = backends.choose()
     assert chosen.name == "cpu" or not chosen.software
+    assert backends.Renderer("auto").name == chosen.name
     if chosen.name == "cpu":
         # A device that looks like a card and draws in software is not taken.
         monkeypatch.setattr(_core, "egl_devices", lambda: [True])

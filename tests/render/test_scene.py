@@ -18,7 +18,7 @@ from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.render_plan import tracks_of
+from docdepth.io.tracks import tracks_in
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.scene import Scene, render_depth, render_layers
@@ -44,7 +44,7 @@ def scene_of(run, drive):
             instance[record.index] = record.instance
         nobody = Votes(instance, instance)
         labels.append(Labels(classes, nobody, instance))
-    tracks = list(tracks_of(folder).values())
+    tracks = list(tracks_in(folder.path).values())
     return Scene(sweeps, folder.trajectory(), labels, folder.parameters, tracks), recording
 
 

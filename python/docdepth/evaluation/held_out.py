@@ -30,8 +30,8 @@ from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.render import load_frame
-from docdepth.pipeline.render_plan import tracks_of
 from docdepth.pipeline.run_inputs import camera_parameters
 from docdepth.pipeline.run_state import require
 from docdepth.render.depth_map import compose_depth
@@ -271,7 +271,7 @@ class _HeldOutViews:
         self._trajectory, depths = folder.trajectory(), folder.depth_folder(camera)
         self._parameters = camera_parameters(folder, folder.camera_in(depths))
         self.camera, self._T_camera_lidar, _ = folder.calibration(depths)
-        self._tracks = tracks_of(folder)
+        self._tracks = tracks_in(folder.path)
         self._frames: dict[tuple[int, bool, bool], Frame] = {}
 
     def view(self, index: int) -> JudgedView:

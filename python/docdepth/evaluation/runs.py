@@ -159,11 +159,12 @@ def evaluate_tracks(
     track_packages()  # tells what to install before all sweeps are read
     labels = _truth_folder(labels, "labels", folder)
     if tracks is None:
-        tracks = tracks_in(labels.parent)
+        tracks = list(tracks_in(labels.parent).values())
     true_tracks = read_tracks(tracks) if isinstance(tracks, Path) else tracks
     trajectory = folder.trajectory()
     truth = _true_trajectory(labels.parent) or trajectory
-    evaluation = TrackEvaluation(true_tracks, tracks_in(folder.path), _poses(folder))
+    own_tracks = list(tracks_in(folder.path).values())
+    evaluation = TrackEvaluation(true_tracks, own_tracks, _poses(folder))
     for index, time in enumerate(trajectory.times.tolist()):
         record = folder.frame(index)
         name, points = f"{record.name}.label", record.input_points

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError, InputError
 from docdepth.geometry.se3 import rotation_exp
-from docdepth.geometry.track import KINDS, Track
+from docdepth.geometry.track import KINDS, Track, Tracks
 from docdepth.io.atomic import WriteFile, write_atomically
 
 TRACKS = "tracks.csv"
@@ -114,7 +114,7 @@ def cut_tracks(path: Path, times: NDArray[np.int64]) -> bytes:
     return text.getvalue().encode()
 
 
-def tracks_in(folder: Path) -> list[Track]:
+def tracks_in(folder: Path) -> Tracks:
     """The tracks of a run folder or a synthetic drive, ordered by id; none where it has no file.
 
     Raises
@@ -123,7 +123,7 @@ def tracks_in(folder: Path) -> list[Track]:
         As for :func:`read_tracks`.
     """
     path = folder / TRACKS
-    return read_tracks(path) if path.is_file() else []
+    return Tracks(read_tracks(path) if path.is_file() else ())
 
 
 def read_tracks(path: Path) -> list[Track]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import CameraStream
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.se3 import inverse
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
@@ -264,7 +264,7 @@ def edges_of_images(
     indices: Sequence[int],
     depth: Callable[[int], NDArray[np.float32]],
     trajectory: Trajectory,
-    tracks: Collection[Track],
+    tracks: Tracks,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunEdges:
     """Depth edges of some images, evenly along the path.
@@ -280,7 +280,7 @@ def edges_of_images(
         Depth map of an image by its index, float32 of shape (h, w) [m].
     trajectory : Trajectory
         LiDAR poses.
-    tracks : collection of Track
+    tracks : Tracks
         Moving objects.
     progress : callable, optional
         As for :func:`check_calibration`.

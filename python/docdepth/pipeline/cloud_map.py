@@ -11,7 +11,7 @@ from docdepth.errors import InputError
 from docdepth.geometry.points import DYNAMIC, GROUND, STATIC
 from docdepth.io.ply import write_vertices
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.render_plan import tracks_of
+from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.run_state import require
 from docdepth.pipeline.stage import Progress, progress_callback
 from docdepth.render.moving_objects import objects_of
@@ -131,7 +131,7 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress | None = 
         A frame is missing, damaged or not classified.
     """
     require(run, "classify")
-    trajectory, tracks = run.trajectory(), tracks_of(run)
+    trajectory, tracks = run.trajectory(), tracks_in(run.path)
     world = VoxelCloud(voxel, trajectory.poses[0, :3, 3])
     objects: dict[int, VoxelCloud] = {}
     tell = progress_callback(progress, "map")

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Tracks
 from docdepth.io.kitti_tracking import box_in_image
 from docdepth.pipeline.edge_fit import Edges
 
@@ -58,14 +56,12 @@ def edges_of_map(depth: NDArray[np.float32], moving: NDArray[np.bool_] | None = 
 
 
 def pixels_of_tracks(
-    tracks: Iterable[Track], time: int, T_camera_world: NDArray[np.float64], camera: Camera
+    tracks: Tracks, time: int, T_camera_world: NDArray[np.float64], camera: Camera
 ) -> NDArray[np.bool_]:
     """Pixels in or beside the boxes of moving objects, (h, w)."""
     mask = np.zeros((camera.height, camera.width), np.bool_)
-    for track in tracks:
-        box = None
-        if track.covers(time):
-            box = box_in_image(track.size, T_camera_world @ track.pose_at(time), camera)
+    for track in tracks.between(time, time):
+        box = box_in_image(track.size, T_camera_world @ track.pose_at(time), camera)
         if box is not None:
             (left, top), (right, bottom) = np.floor(box).astype(int) + [[-_BESIDE], [1 + _BESIDE]]
             mask[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = True

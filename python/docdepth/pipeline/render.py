@@ -200,7 +200,7 @@ def _judge_maps(plan: RenderPlan, files: DepthFiles) -> str | None:
     warn_of_density(files.shares(), stream.name)
     if not stream.images or files.parameters.render.primitive == "splats":
         return None  # splats reach over edges
-    path, tracks = files.run.path, plan.tracks.values()
+    path, tracks = files.run.path, plan.tracks
     return judge(edges_of_images(path, stream, done, files.depth, plan.trajectory, tracks))
 
 

@@ -60,7 +60,7 @@ class RenderPlan:
     @cached_property
     def tracks(self) -> Tracks:
         """All tracks of the run."""
-        return tracks_of(self.files[0].run)
+        return tracks_in(self.files[0].run.path)
 
     def tracks_for(self, images: Sequence[ImageToRender]) -> Tracks:
         """The tracks with which some images, in order of time, are drawn."""
@@ -107,11 +107,6 @@ def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
     inputs.save()
     images.sort(key=lambda image: image.time)
     return RenderPlan(files, images, left_out, parts, trajectory)
-
-
-def tracks_of(run: RunFolder) -> Tracks:
-    """The tracks of a run; none if it was classified without."""
-    return Tracks(tracks_in(run.path))
 
 
 def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:

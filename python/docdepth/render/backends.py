@@ -38,11 +38,12 @@ class Renderer:
     Parameters
     ----------
     name : str
-        ``cpu``, ``egl``, ``egl:N``, ``surfaceless`` or ``osmesa``.
+        ``auto``, ``cpu``, ``egl``, ``egl:N``, ``surfaceless`` or ``osmesa``.
 
     Attributes
     ----------
     name : str
+        Of the back end; what ``auto`` has found.
     description : str
         The device, OpenGL's GL_RENDERER.
     software : bool
@@ -57,7 +58,7 @@ class Renderer:
     def __init__(self, name: str = "cpu") -> None:
         if not isinstance(name, str):
             raise BackendError(f"the name of a renderer is a str, not {type(name).__name__}")
-        self.name = name
+        self.name = name = (_graphics_card() or "cpu") if name == "auto" else name
         self._library = None if name == "cpu" else _library(name)
         self._threads = threading.local()
         core = self.core
@@ -109,12 +110,11 @@ def choose(name: str | None = None) -> Renderer:
     BackendError
         The name is unknown, or the back end cannot be used on this machine. ``auto`` never fails.
     """
-    name = name or os.environ.get("DOCDEPTH_RENDERER") or "auto"
-    return _graphics_card() or Renderer("cpu") if name == "auto" else Renderer(name)
+    return Renderer(name or os.environ.get("DOCDEPTH_RENDERER") or "auto")
 
 
-def _graphics_card() -> Renderer | None:
-    """The first device that renders in hardware, if any."""
+def _graphics_card() -> str | None:
+    """The name of the first device that renders in hardware, if any."""
     try:
         devices = _core.egl_devices()
     except _core.GlError as error:
@@ -127,7 +127,7 @@ def _graphics_card() -> Renderer | None:
             log.info("%s", error)
             continue
         if not renderer.software:
-            return renderer
+            return renderer.name
         log.info("EGL device %d is software: %s", device, renderer.description)
     return None
 

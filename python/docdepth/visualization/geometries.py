@@ -238,7 +238,8 @@ def run_geometries(
 
 
 def _tracks_at(run: RunFolder, time: int) -> list[tuple[Track, NDArray[np.float64]]]:
-    return [(track, track.pose_at(time)) for track in tracks_in(run.path) if track.covers(time)]
+    shown = tracks_in(run.path).between(time, time)
+    return [(track, track.pose_at(time)) for track in shown]
 
 
 def _camera_view(

@@ -101,7 +101,7 @@ def write_report(run: RunFolder, streams: Mapping[str, CameraStream]) -> Path:
         A file of the run, or an image, is missing or damaged.
     """
     trajectory = run.trajectory()
-    tracks = tracks_in(run.path)
+    tracks = list(tracks_in(run.path).values())
     cameras = [page for page in camera_pages(run, streams, tracks) if page.moments]
     parts = [
         head(f"docdepth: {run.path.resolve().name}", _STYLE),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import MissingExtraError, RunError
 from docdepth.geometry.se3 import inverse, matrix_to_quaternion
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
@@ -135,9 +135,7 @@ def _layout(log: _Log, run: RunFolder, stream: CameraStream | None) -> Any:
     return views.Blueprint(views.Horizontal(drive, views.Vertical(*pictures)), **panels)
 
 
-def _log_sweep(
-    log: _Log, run: RunFolder, index: int, color: Coloring, tracks: Sequence[Track]
-) -> None:
+def _log_sweep(log: _Log, run: RunFolder, index: int, color: Coloring, tracks: Tracks) -> None:
     time = int(log.trajectory.times[index])
     record, classid = run.classified_frame(index)
     colors = np.rint(255 * point_colors(record, classid, color)).astype(np.uint8)
@@ -147,7 +145,7 @@ def _log_sweep(
     log.stream.log(
         "world/lidar/points", log.rerun.Points3D(record.points, colors=colors, radii=dots)
     )
-    there = [(track, track.pose_at(time)) for track in tracks if track.covers(time)]
+    there = [(track, track.pose_at(time)) for track in tracks.between(time, time)]
     centres = [T[:3, 3] - log.origin + T[:3, 2] * track.size[2] / 2 for track, T in there]
     turns = [matrix_to_quaternion(T[:3, :3]) for _, T in there]
     boxes = log.rerun.Boxes3D(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import cv2
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import DESCRIPTION, described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
@@ -120,9 +120,7 @@ def write_video_from_above(
     return _write(run, path, frames, len(trajectory), fps, key, progress)
 
 
-def sweep_from_above(
-    run: RunFolder, trajectory: Trajectory, tracks: Sequence[Track], index: int
-) -> Picture:
+def sweep_from_above(run: RunFolder, trajectory: Trajectory, tracks: Tracks, index: int) -> Picture:
     """One picture of :func:`write_video_from_above`."""
     record, classid = run.classified_frame(index)
     pose, time = trajectory.poses[index], int(trajectory.times[index])
@@ -137,9 +135,7 @@ def sweep_from_above(
     columns, rows = pixels(record.points[finite] @ pose[:3, :3].T + pose[:3, 3]).T
     picture = np.full((_ABOVE[1], _ABOVE[0], 3), BACKGROUND, np.uint8)
     draw_classes(picture, rows, columns, classid[finite])
-    for track in tracks:
-        if not track.covers(time):
-            continue
+    for track in tracks.between(time, time):
         color = track_color(track.id)
         past = track.poses[(track.times <= time) & (track.times > time - _PAST)][:, :3, 3]
         cv2.polylines(picture, [pixels(past).astype(np.int32)], False, color, 1, cv2.LINE_AA)
