@@ -27,6 +27,8 @@ from walled_yard import scan, straight
 
 POSES = straight(SWEEPS, 0.5).poses
 
+KEPT_TRACKS = [".docdepth/tracks/sweeps.npy", ".docdepth/tracks/paths.npy"]
+
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
@@ -145,12 +147,26 @@ def test_a_recording_that_was_moved_is_the_same(root):
     assert times(root / "run") == kept
 
 
+@pytest.mark.parametrize("kind", ["cut", "gone"])
+@pytest.mark.parametrize("name", KEPT_TRACKS)
+def test_tracks_that_are_not_whole_are_found_again(root, name, kind):
+    """A frame without its classes needs them."""
+    before, path = files(root / "run"), root / "run" / name
+    if kind == "gone":
+        path.unlink()
+    else:
+        path.write_bytes(path.read_bytes()[:-9])
+    (root / "run" / "frames" / "frame_000001.ply").unlink()
+    assert again(root).exit_code == 0
+    assert files(root / "run") == before
+
+
 @pytest.mark.parametrize("kind", ["cut", "gone", "turned", "unnoticed"])
 @pytest.mark.parametrize(
     "name",
     ["frames/frame_000001.ply", "labels/000002.label", "depth/000001.png", "report/000001.jpg",
      "depth/depth.json", "traj_odometry.ply", "traj_camera.ply", "calib.json", "run.yaml",
-     ".docdepth/tracks/tracks.npy"],
+     *KEPT_TRACKS],
 )  # fmt: skip
 def test_a_damaged_file_is_made_again_alone(root, name, kind):
     """Finding 33: nobody has to delete anything, and never the whole run."""
@@ -167,7 +183,7 @@ def test_a_damaged_file_is_made_again_alone(root, name, kind):
     if kind == "unnoticed":  # size and time are as they were: only reading tells
         os.utime(path, ns=(known.st_atime_ns, known.st_mtime_ns))
         assert cli("status", root / "run", "--verify").exit_code == 0
-        if name not in ("run.yaml", ".docdepth/tracks/tracks.npy"):
+        if name not in ("run.yaml", *KEPT_TRACKS):
             found = {s.state for s in states(RunFolder.open(root / "run"), verify=True)}
             assert "damaged" in found
         return

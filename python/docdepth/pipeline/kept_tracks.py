@@ -73,7 +73,6 @@ def keep_tracking(
         np.array([t.size for t in tracks]).reshape(-1, 3),
         *(np.concatenate(of_all) for of_all in zip(*paths, strict=True)),
     ]
-    # This file comes last: where it is, the other one is.
     write_arrays(run, folder / _PATHS, key, arrays)
 
 
@@ -82,8 +81,8 @@ def _known(track: Track) -> tuple[np.ndarray, np.ndarray]:
 
 
 def are_kept(run: RunFolder, folder: Path, key: dict[str, str]) -> bool:
-    """Whether :func:`keep_tracking` wrote tracks that are made of ``key``."""
-    return run.key(folder / _PATHS) == key
+    """Whether both files of :func:`keep_tracking` are whole and made of ``key``."""
+    return all(run.key(folder / name) == key for name in (_SWEEPS, _PATHS))
 
 
 def kept_sweeps(folder: Path, count: int) -> TrackedSweeps:
