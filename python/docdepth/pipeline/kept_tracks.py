@@ -66,7 +66,10 @@ def keep_tracking(
 
     run.write(folder / _SWEEPS, write, key, sync=False)
     about = [(t.id, KINDS.index(t.kind), len(t)) for t in tracks]
-    paths = [(t.times, t.poses, t.velocities, t.points, *_known(t)) for t in tracks]
+    paths = [
+        (t.times, t.poses, t.velocities, t.points, t.deviations, t.surface_deviations)
+        for t in tracks
+    ]
     arrays = [
         np.array(offsets, np.int64),
         np.array(about, np.int64).reshape(-1, 3),
@@ -74,10 +77,6 @@ def keep_tracking(
         *(np.concatenate(of_all) for of_all in zip(*paths, strict=True)),
     ]
     write_arrays(run, folder / _PATHS, key, arrays)
-
-
-def _known(track: Track) -> tuple[np.ndarray, np.ndarray]:
-    return track.deviations, track.surface_deviations
 
 
 def are_kept(run: RunFolder, folder: Path, key: dict[str, str]) -> bool:
