@@ -13,17 +13,15 @@ as on drive 0005. Times are those of the stages, and of the whole process and it
 from __future__ import annotations
 
 import argparse
-import os
-import resource
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cost import measured
 from numpy.typing import NDArray
 
 STEP = 1.0
@@ -103,18 +101,9 @@ def run_drive(out: Path, frames: int, jobs: int) -> None:
 
     sweep_classifier.follow_tracks = made_up_tracks  # type: ignore[attr-defined]
     cli.keep_memory()
-    command = [
-        "run",
-        sequence_in(out),
-        "-o",
-        run_in(out),
-        "--poses",
-        "dataset",
-        "--frames",
-        f"0:{frames}",
-    ]
-    options = ["--threads", "1", "--jobs", jobs, "-q"]
-    cli.app([str(part) for part in command + options], standalone_mode=False)
+    options = f"--poses dataset --frames 0:{frames} --threads 1 --jobs {jobs} -q".split()
+    command = ["run", str(sequence_in(out)), "-o", str(run_in(out)), *options]
+    cli.app(command, standalone_mode=False)
 
 
 def main() -> None:
@@ -145,10 +134,7 @@ def row_of(out: Path, frames: int, jobs: int) -> str:
     command = [sys.executable, __file__, str(out), "--alone"]
     command += ["--frames", str(frames), "--jobs", str(jobs)]
     shutil.rmtree(run, ignore_errors=True)
-    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run(command, check=True, env=dict(os.environ))
-    wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
-    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    processor, wall = measured(lambda: subprocess.run(command, check=True))
     stages = yaml.safe_load((run / "run.yaml").read_text())["stages"]
     seconds = [stages[name]["wall_seconds"] for name in ("classify", "render image_2")]
     cells = [f"{1e3 * value / frames:.1f}" for value in (*seconds, wall, processor)]

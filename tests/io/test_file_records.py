@@ -36,7 +36,7 @@ def test_what_is_added_is_read_on(tmp_path: Path, seed: int) -> None:
         if rng.random() < 0.05:
             writer.compact()
         if rng.random() < 0.5:
-            found = shared_records(tmp_path, path)
+            found = shared_records(tmp_path, path, "a")
             assert known(found) == known(FileRecords(tmp_path, path)) == known(writer)
 
 
@@ -47,9 +47,9 @@ def test_only_what_is_new_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     writer = FileRecords(tmp_path, path)
     for k in range(100):
         writer.add(f"{k}.ply", Written(k, k, k), {})
-    first = shared_records(tmp_path, path)
+    first = shared_records(tmp_path, path, "a")
     writer.add("100.ply", Written(1, 1, 1), {})
-    assert shared_records(tmp_path, path) is first
+    assert shared_records(tmp_path, path, "a") is first
     assert len(lines) == 101
     assert len(known(first)) == 101
 
@@ -61,18 +61,28 @@ def test_a_line_that_is_half_written_is_read_when_it_is_whole(tmp_path: Path) ->
     line = path.read_bytes()
     half = len(line) // 2
     path.write_bytes(line + line[:half].replace(b"0.ply", b"1.ply"))
-    records = shared_records(tmp_path, path)
+    records = shared_records(tmp_path, path, "a")
     assert records.names() == ["0.ply"]
     with path.open("ab") as stream:
         stream.write(line[half:])
-    assert shared_records(tmp_path, path).names() == ["0.ply", "1.ply"]
+    assert shared_records(tmp_path, path, "a").names() == ["0.ply", "1.ply"]
     path.unlink()
-    assert shared_records(tmp_path, path).names() == []
+    assert shared_records(tmp_path, path, "a").names() == []
+
+
+def test_a_new_file_under_an_old_name_is_not_taken_for_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "frames.jsonl"
+    FileRecords(tmp_path, path).add("0.ply", Written(1, 2, 3), {"of": "a"})
+    line, inode = path.read_bytes(), path.stat().st_ino
+    shared_records(tmp_path, path, "a")
+    path.write_bytes(line.replace(b"0.ply", b"1.ply") + line.replace(b"0.ply", b"2.ply"))
+    assert path.stat().st_ino == inode
+    assert shared_records(tmp_path, path, "b").names() == ["1.ply", "2.ply"]
 
 
 def test_records_of_earlier_runs_are_let_go(tmp_path: Path) -> None:
     for k in range(2 * file_records._MOST_SHARED):
-        shared_records(tmp_path, tmp_path / f"{k}.jsonl")
+        shared_records(tmp_path, tmp_path / f"{k}.jsonl", "a")
     assert len(file_records._shared) <= file_records._MOST_SHARED
 
 

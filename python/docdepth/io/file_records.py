@@ -62,7 +62,7 @@ class FileRecords:
     def __init__(self, folder: Path, path: Path) -> None:
         self._folder, self.path, self._lock = folder, path, Lock()
         self._records: dict[str, _Record] = {}
-        self._lines = self._size = self._file = 0
+        self._lines = self._bytes_read = self._inode = 0
         self._torn = False  # by a power failure
         self.read_on()
 
@@ -71,14 +71,16 @@ class FileRecords:
         try:
             with self.path.open("rb") as stream:
                 known = os.fstat(stream.fileno())
-                if self._file and (self._file != known.st_ino or self._size > known.st_size):
+                if self._inode and (
+                    self._inode != known.st_ino or self._bytes_read > known.st_size
+                ):
                     return False
-                stream.seek(self._size)
+                stream.seek(self._bytes_read)
                 added = stream.read()
         except OSError:
-            return not self._file
-        self._file = known.st_ino
-        self._size += added.rfind(b"\n") + 1
+            return not self._inode
+        self._inode = known.st_ino
+        self._bytes_read += added.rfind(b"\n") + 1
         self._torn = bool(added) and not added.endswith(b"\n")
         for line in added.decode("utf-8", "surrogateescape").splitlines():
             self._lines += 1
@@ -197,19 +199,23 @@ class FileRecords:
             return "damaged"
 
 
-_shared: dict[Path, FileRecords] = {}
+_shared: dict[tuple[str, Path], FileRecords] = {}
 _sharing = Lock()
 _MOST_SHARED = 32  # folders
 
 
-def shared_records(folder: Path, path: Path) -> FileRecords:
-    """Records that are only read: each chunk of a worker reads what was added since the last."""
+def shared_records(folder: Path, path: Path, writer: str) -> FileRecords:
+    """Records that are only read: each chunk of a worker reads what was added since the last.
+
+    ``writer`` names the process that writes them: another one may have begun a new file under an
+    old name, inode included.
+    """
     with _sharing:
-        records = _shared.get(path)
+        records = _shared.get((writer, path))
         if records is None or not records.read_on():
             if len(_shared) >= _MOST_SHARED:  # of other runs
                 _shared.clear()
-            records = _shared[path] = FileRecords(folder, path)
+            records = _shared[writer, path] = FileRecords(folder, path)
         return records
 
 

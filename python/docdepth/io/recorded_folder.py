@@ -65,6 +65,7 @@ class RecordedFolder:
         self.path = Path(path)
         self.handed: list[HandedFile] | None = None
         self._records: dict[Path, FileRecords] = {}
+        self._writer = uuid4().hex
         self._lock_depth, self._writing = 0, RLock()
 
     def __repr__(self) -> str:
@@ -139,8 +140,12 @@ class RecordedFolder:
         with self._writing:
             if folder not in self._records:
                 self._refuse_outside(folder)
-                open_records = FileRecords if self.handed is None else shared_records
-                self._records[folder] = open_records(folder, self._records_file(folder))
+                file = self._records_file(folder)
+                self._records[folder] = (
+                    FileRecords(folder, file)
+                    if self.handed is None
+                    else shared_records(folder, file, self._writer)
+                )
             return self._records[folder]
 
     def _refuse_outside(self, folder: Path) -> None:

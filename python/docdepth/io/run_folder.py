@@ -396,7 +396,7 @@ class RunFolder(RecordedFolder):
 
 
 def _identity(path: Path) -> tuple[int, ...]:
-    """Another one when a file is written anew; empty where there is none."""
+    """Changes when a file is written anew; empty where there is no file."""
     try:
         known = path.stat()
     except OSError:

@@ -57,8 +57,8 @@ def compose_depth(
     renderer : Renderer, optional
         From :func:`docdepth.render.backends.choose`; the CPU if absent.
     tracks : Tracks, optional
-        Of the frames' objects. Objects without a track are drawn where the nearest
-        sweep saw them. Used by triangles only.
+        Of the frames' objects. Objects without a track are drawn where the nearest sweep saw them.
+        Used by triangles only.
 
     Returns
     -------

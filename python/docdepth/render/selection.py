@@ -94,7 +94,7 @@ def times_needed(
     parameters: RenderParameters,
     tracks: Tracks,
 ) -> tuple[int, int]:
-    """Between which stamps all sweeps lie that images taken from ``first`` to ``last`` [ns] need.
+    """Bounds of the stamps of the sweeps that images taken from ``first`` to ``last`` [ns] need.
 
     Returns
     -------
