@@ -5,7 +5,7 @@
 A scheduler on 127.0.0.1 and its workers, of one thread each, are processes of their own. The same
 drive is run by this process alone, by one worker, by two, and by two of which one is killed while
 it votes. Products of all are compared byte by byte with those of the first. Odometry stays in this
-process. Processor time is that of all processes together.
+process. Processor time is that of all processes together, wall time that which each stage records.
 """
 
 from __future__ import annotations
@@ -16,13 +16,15 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 from cost import clocks
+
+import docdepth
+from docdepth.io.run_folder import RunFolder
 
 KILLED_AFTER = 5.0
 """So many seconds after votes have begun a worker is killed."""
@@ -49,9 +51,7 @@ def products(run: Path) -> dict[str, bytes]:
 
 def make(options: argparse.Namespace, run: Path, workers: int, is_killed: bool) -> dict[str, Any]:
     """Times of a run by so many workers; 0 for this process alone."""
-    import docdepth
-
-    before, begun = clocks(), {}
+    before = clocks()
     address = f"tcp://127.0.0.1:{options.port}"
     with ExitStack() as stack:
         hosts = [
@@ -63,21 +63,20 @@ def make(options: argparse.Namespace, run: Path, workers: int, is_killed: bool) 
             if workers
         ]
 
+        killer = threading.Timer(KILLED_AFTER, lambda: hosts[-1].send_signal(signal.SIGKILL))
+
         def progress(stage: str, done: int, total: int) -> None:
-            if stage not in begun and stage == "classify" and is_killed:
-                threading.Timer(KILLED_AFTER, hosts[-1].send_signal, [signal.SIGKILL]).start()
-            begun.setdefault(stage, time.perf_counter())
+            if stage == "classify" and is_killed and killer.ident is None:
+                killer.start()
 
         where = {"threads": 1, "scheduler": address if workers else None}
         docdepth.run(options.drive, run, frames=options.frames, progress=progress, **where)
-        end = time.perf_counter()
-    wall = {"classify": begun["render"] - begun["ground"], "render": end - begun["render"]}
-    after = clocks()
+    after, stages = clocks(), RunFolder(run).manifest["stages"]
     return {
         "workers": workers,
         "killed": is_killed and hosts[-1].returncode == -signal.SIGKILL,
         "processor_s": round(after[0] - before[0], 1),
-        "wall_s": {stage: round(seconds, 1) for stage, seconds in wall.items()},
+        "wall_s": {stage: round(state["wall_seconds"], 1) for stage, state in stages.items()},
     }
 
 
