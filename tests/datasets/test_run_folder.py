@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import filecmp
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,8 @@ import pytest
 
 from docdepth import run
 from docdepth.datasets import open_dataset
+from docdepth.errors import DocDepthError
+from docdepth.pipeline.convert import convert
 from small_drive import write_small_drive
 
 NAMES = ["000001", "000002", "000003"]
@@ -54,3 +58,24 @@ def test_names_that_are_not_all_there_or_lead_elsewhere_are_numbers(part: Path, 
         assert open_dataset(part).cameras["camera"].names == names
     finally:
         file.write_text(text)
+
+
+def test_frames_may_be_deleted_and_come_back(part: Path, tmp_path: Path) -> None:
+    run_again = tmp_path / "run"
+    shutil.copytree(part, run_again)
+    shutil.rmtree(run_again / "frames")
+    assert convert(run_again, tmp_path / "poses.txt", "tum") == len(NAMES)
+    for use in (
+        lambda: convert(run_again, tmp_path / "labels", "label"),
+        lambda: open_dataset(run_again).sweep_files(1),
+        lambda: open_dataset(run_again).sweep(1),
+    ):
+        with pytest.raises(DocDepthError, match=r"frame_0.* is missing.*docdepth run"):
+            use()
+    run(part.parent / "00", run_again, poses=part.parent / "poses.txt", frames="1:4")
+    same = filecmp.dircmp(part, run_again, ignore=[".docdepth", "report", "run.yaml"])
+    assert not same.left_only
+    assert not same.right_only
+    for folder in ("frames", "labels", "depth"):
+        names = [file.name for file in (part / folder).iterdir()]
+        assert filecmp.cmpfiles(part / folder, run_again / folder, names, shallow=False)[0] == names

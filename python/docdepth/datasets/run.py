@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import CameraStream, DatasetRepr, LidarStream, Sweep
 from docdepth.datasets.format import Format
 from docdepth.datasets.point_times import sweep_seconds
+from docdepth.errors import DamagedFileError
 from docdepth.geometry.points import DYNAMIC
 from docdepth.io.depth import DESCRIPTION
 from docdepth.io.frames import read_frame_name, read_trajectory
@@ -102,7 +103,10 @@ class RunDataset(DatasetRepr):
 
     def sweep_files(self, index: int) -> list[Path]:
         """The PLY of frame ``index``."""
-        return [self._run.frame_path(index)]
+        path = self._run.frame_path(index)
+        if not path.is_file():
+            raise DamagedFileError(path, "")
+        return [path]
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """SemanticKITTI labels: 251 for dynamic points, 9 for others; None without classes."""
@@ -115,7 +119,11 @@ class RunDataset(DatasetRepr):
 FORMAT: Format = Format(
     "run",
     "a run folder with frames/frame_000000.ply and traj_odometry.ply",
-    lambda path: (path / "frames").is_dir() and (path / "traj_odometry.ply").is_file(),
+    # Without frames it is still a run, whose poses can be had.
+    lambda path: (
+        (path / "traj_odometry.ply").is_file()
+        and ((path / "frames").is_dir() or (path / "run.yaml").is_file())
+    ),
     lambda path, image_size: RunDataset(path),
     found_below=False,
 )
