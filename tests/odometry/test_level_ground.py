@@ -4,9 +4,10 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from docdepth import open_dataset, register_drive
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, rotation_log
 from docdepth.odometry.level_ground import thin_level_ground
 from docdepth.synthetic import write_drive
 
@@ -53,12 +54,23 @@ def test_no_points() -> None:
     assert thin_level_ground(np.empty((0, 3)), 1.0).shape == (0, 3)
 
 
-def test_sixteen_beams_on_a_motorway(tmp_path: Path) -> None:
+@pytest.mark.parametrize("seed", [31, 3])
+def test_sixteen_beams_on_a_motorway(tmp_path: Path, seed: int) -> None:
     """Registered on each other, the rings on the road would say that the vehicle stands."""
-    write_drive(tmp_path, "highway", "VLP-16", 12, 31, skew=True)
+    write_drive(tmp_path, "highway", "VLP-16", 12, seed, skew=True)
     dataset = open_dataset(tmp_path / "sequences" / "00")
     poses, exact = register_drive(dataset).trajectory.poses, np.asarray(dataset.poses)
     steps, exact_steps = (inverse(p[:-1]) @ p[1:] for p in (poses, exact))
     assert exact_steps[:, 0, 3].min() > 2.5  # metres a sweep
     errors = np.linalg.norm((inverse(exact_steps) @ steps)[:, :3, 3], axis=1)
     assert errors.max() < 0.15
+
+
+def test_sixteen_beams_do_not_pitch(tmp_path: Path) -> None:
+    """Normals of ten neighbours lean where these lie on one ring: a degree after 20 m."""
+    write_drive(tmp_path, "city", "VLP-16", 20, 31, skew=True)
+    dataset = open_dataset(tmp_path / "sequences" / "00")
+    poses, exact = register_drive(dataset).trajectory.poses, np.asarray(dataset.poses)
+    found, true = (inverse(p[0]) @ p[-1] for p in (poses, exact))
+    turn = np.degrees(rotation_log(true[:3, :3].T @ found[:3, :3]))
+    assert np.abs(turn).max() < 0.2

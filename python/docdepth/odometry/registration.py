@@ -32,7 +32,12 @@ FINE_SAMPLING = 0.25  # metres, edge of a voxel in which a sweep keeps one point
 
 # Voxels of 0.5 m resolve kerbs and posts, and still hold points enough for a normal.
 _FINE_VOXEL = 0.5  # metres, edge of a voxel of the map
-_NORMAL_NEIGHBORS = 10  # points that give the covariance of one
+_NEIGHBORS, _FINE_NEIGHBORS = 20, 15
+"""Points that give the normal of one, in the first pass and in the next. On a road its nearest lie
+on the ring of one laser. Ten of them, by 16 beams, are an arc so short that noise along the rays is
+wider than the arc is bent. So the normal leans towards the LiDAR, and poses pitch a little more
+with each sweep. More than these blur the normals at edges."""
+
 _THREADS = 1  # sums of several threads come in any order: poses would differ from run to run
 _ALIGN = {
     "max_correspondence_distance": 1.0,  # metres, to the mean of a voxel
@@ -64,22 +69,31 @@ class Registration:
         Edge of a voxel of the map [m].
     sampling : float, optional
         Edge of a voxel in which a sweep keeps one point [m]; None where sweeps are thin enough.
+    neighbors : int
+        Points that give the normal of one.
     threads : int
         For the normals of a sweep.
     """
 
-    def __init__(self, voxel_size: float, sampling: float | None, threads: int) -> None:
+    def __init__(
+        self, voxel_size: float, sampling: float | None, neighbors: int, threads: int
+    ) -> None:
         import small_gicp
 
         self._small_gicp = small_gicp
         self._map = small_gicp.GaussianVoxelMap(voxel_size)
-        self._voxel_size, self._sampling, self._threads = voxel_size, sampling, threads
+        self._voxel_size, self._sampling = voxel_size, sampling
+        self._neighbors, self._threads = neighbors, threads
         self._empty, self._cloud = True, None
 
     def take(self, points: NDArray[np.float32]) -> None:
         """Take the next deskewed sweep: its points get their distributions."""
         self._cloud = _cloud(
-            points.astype(np.float64), self._sampling, self._voxel_size, self._threads
+            points.astype(np.float64),
+            self._sampling,
+            self._voxel_size,
+            self._neighbors,
+            self._threads,
         )
 
     def align(self, guess: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -112,7 +126,11 @@ class Registration:
 
 
 def _cloud(
-    points: NDArray[np.float64], sampling: float | None, voxel_size: float, threads: int
+    points: NDArray[np.float64],
+    sampling: float | None,
+    voxel_size: float,
+    neighbors: int,
+    threads: int,
 ) -> Any:
     """A small_gicp.PointCloud with the distribution of each point, for a map of such voxels."""
     import small_gicp
@@ -120,7 +138,7 @@ def _cloud(
     if sampling is not None:
         points = small_gicp.voxelgrid_sampling(points, sampling).points()[:, :3]
     cloud = small_gicp.PointCloud(thin_level_ground(points, voxel_size))
-    small_gicp.estimate_covariances(cloud, small_gicp.KdTree(cloud), _NORMAL_NEIGHBORS, threads)
+    small_gicp.estimate_covariances(cloud, small_gicp.KdTree(cloud), neighbors, threads)
     return cloud
 
 
@@ -229,8 +247,9 @@ def register(
     count, times = len(sweeps), sweeps.times
     voxel = _FINE_VOXEL if known else parameters.voxel_size
     sampling = None if known else 0.5 * parameters.voxel_size
+    neighbors = _FINE_NEIGHBORS if known else _NEIGHBORS
     registration = LoggedRegistration(
-        Registration(voxel, sampling, threads),
+        Registration(voxel, sampling, neighbors, threads),
         RegistrationLog() if kept is None else kept,
         count,
         parameters.max_range + voxel,
@@ -303,7 +322,7 @@ def first_motion(
         near = points_in_range(sweeps[k].points, parameters)
         if len(near) < FEWEST_POINTS:
             break
-        clouds.append(_cloud(near, _FIRST_SAMPLING, _FIRST_VOXEL, _THREADS))
+        clouds.append(_cloud(near, _FIRST_SAMPLING, _FIRST_VOXEL, _NEIGHBORS, _THREADS))
     best, most = np.eye(4), 0.0
     for speed in _STEPS if len(clouds) > 1 else ():
         voxel_map = small_gicp.GaussianVoxelMap(_FIRST_VOXEL)
