@@ -249,16 +249,19 @@ def test_points_in_a_predicted_box_are_dynamic_unless_votes_or_ground_say_otherw
     classid = np.array([50, 50, 50, 0, 50], np.uint16)
     alone = np.arange(5, dtype=np.uint32)
     found = TrackedSweep(box_tracks=np.array([[4, 1]], np.uint32), boxes=box)
-    classes, instance = apply_tracks(points, alone, Votes(static, dynamic), classid, found, T)
+    classes, instance = apply_tracks(points, alone, Votes(static, dynamic), classid, found, T, 20)
     assert list(classes) == [100, 100, 50, 0, 50]
     assert list(instance) == [4, 4, 0, 0, 0]
     stands = found._replace(box_tracks=np.array([[4, 0]], np.uint32))
-    classes, _ = apply_tracks(points, alone, Votes(static, dynamic), classid, stands, T)
+    classes, _ = apply_tracks(points, alone, Votes(static, dynamic), classid, stands, T, 20)
     assert list(classes) == list(classid)
 
 
-@pytest.mark.parametrize(("always", "share", "moves"), [(8, 0.9, 0), (8, 0.7, 1), (7, 0.9, 1)])
-def test_an_always_occupied_rest_of_a_tracked_object_stays_static(always, share, moves):
+@pytest.mark.parametrize(
+    ("always", "key_frames", "share", "moves"),
+    [(8, 20, 0.9, 0), (8, 20, 0.7, 1), (7, 20, 0.9, 1), (5, 10, 0.9, 0), (4, 10, 0.9, 1)],
+)
+def test_an_always_occupied_rest_of_a_tracked_object_stays_static(always, key_frames, share, moves):
     """Beyond that share it was observed free at times, or occupied not often enough."""
     rows = np.arange(100)
     occupied = rows >= 40 + 60 * (1 - share)
@@ -268,12 +271,12 @@ def test_an_always_occupied_rest_of_a_tracked_object_stays_static(always, share,
     found = TrackedSweep(np.array([[0, 3, 1]], np.uint32))
     whole = np.zeros(100, np.uint32)
     votes = Votes(static, dynamic)
-    classes, instance = apply_tracks(points, whole, votes, classid, found, np.eye(4))
+    classes, instance = apply_tracks(points, whole, votes, classid, found, np.eye(4), key_frames)
     np.testing.assert_array_equal(instance, np.where(classes == 100, 3, 0))
     assert (classes[:40] == 100).all()
     assert (classes[40:] == (100 if moves else 50)).all()
     standing = (whole + 50).astype(np.uint16)
-    waits, _ = apply_tracks(points, whole, votes, standing, found, np.eye(4))
+    waits, _ = apply_tracks(points, whole, votes, standing, found, np.eye(4), key_frames)
     assert (waits == 100).all()  # none of it moves now: it is known from another time
 
 
@@ -457,5 +460,5 @@ def test_a_few_points_in_a_dynamic_voxel_are_dynamic():
         place = TrackedSweep(voxels=found.voxels)
         none, alone = np.zeros(3, np.uint16), np.arange(3, dtype=np.uint32)
         static = np.uint16([0, 3, 0])  # many more say that it stands
-        classid, _ = apply_tracks(few, alone, Votes(static, none), none + 50, place, np.eye(4))
+        classid, _ = apply_tracks(few, alone, Votes(static, none), none + 50, place, np.eye(4), 20)
         assert list(classid) == [100 if moves else 50, 50, 50]

@@ -179,5 +179,6 @@ class SweepClassifier:
         if not result:
             return replace(labels, instance=np.zeros(len(objects), np.uint16))
         votes, pose = labels.votes, self._local_poses[index]
-        found = apply_tracks(sweep.points, objects, votes, labels.classid, result, pose)
+        voted = len(self.key_frames[index])
+        found = apply_tracks(sweep.points, objects, votes, labels.classid, result, pose, voted)
         return Labels(found[0], votes, found[1])

@@ -27,6 +27,10 @@ MAX_OCCUPIED_SHARE = 0.8
 """The rest of an object that moves in part stays static above this share of points that were always
 observed occupied: it is another object that touches the first [-]."""
 
+ALWAYS_OCCUPIED = 8
+"""A point was always observed occupied if so many key frames found it so, or half of all where
+these are few, and none found it free."""
+
 
 PERSON_SIZE = (2.2, 1.3, 2.2)
 """A person or cyclist is at most this long, wide and high [m]."""
@@ -319,6 +323,7 @@ def apply_tracks(
     classid: NDArray[np.uint16],
     result: TrackedSweep,
     T_world_lidar: NDArray[np.float64],
+    key_frames: int,
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
     """Add to the classes of a sweep what tracks found in it, and tell which track each point is of.
 
@@ -335,6 +340,8 @@ def apply_tracks(
         Of this sweep.
     T_world_lidar : ndarray of float64, shape (4, 4)
         From :func:`local_poses`.
+    key_frames : int
+        How many key frames voted on this sweep.
 
     Returns
     -------
@@ -342,7 +349,9 @@ def apply_tracks(
         The instance is the track of each dynamic point, 0 if it is of none.
     """
     moving, ground = classid >= DYNAMIC, classid < STATIC
-    moving[_tracked_rows(objects, result.dynamic, votes, moving)] = True
+    always = min(ALWAYS_OCCUPIED, key_frames / 2)
+    occupied = (votes.static >= always) & (votes.dynamic == 0)
+    moving[_tracked_rows(objects, result.dynamic, occupied, moving)] = True
     static, dynamic = votes.static, votes.dynamic
     inside = _core.add_points_inside(
         points,
@@ -390,7 +399,7 @@ def _instances(
 def _tracked_rows(
     objects: NDArray[np.uint32],
     tracked: NDArray[np.uint32],
-    votes: Votes,
+    occupied: NDArray[np.bool_],
     moving: NDArray[np.bool_],
 ) -> NDArray[np.intp]:
     """Rows of tracked objects that become dynamic: all that are not yet, or none of an object.
@@ -400,10 +409,8 @@ def _tracked_rows(
     """
     rows = np.flatnonzero(_rows_of(tracked, objects) & ~moving)
     of, count = objects[rows], len(objects)
-    occupied = votes.static[rows] >= OBJECT_PARAMETERS.max_static_ratio
-    occupied &= votes.dynamic[rows] == 0
     of_object = np.bincount(of, minlength=count)
-    stays = np.bincount(of, occupied, count) > MAX_OCCUPIED_SHARE * of_object
+    stays = np.bincount(of, occupied[rows], count) > MAX_OCCUPIED_SHARE * of_object
     return rows[~(stays[of] & _rows_of(objects[moving], objects)[rows])]
 
 
