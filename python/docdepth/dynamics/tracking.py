@@ -28,8 +28,8 @@ MAX_OCCUPIED_SHARE = 0.8
 observed occupied: it is another object that touches the first [-]."""
 
 ALWAYS_OCCUPIED = 8
-"""A point was always observed occupied if so many key frames found it so, or half of all where
-these are few, and none found it free."""
+"""A point was always observed occupied if no key frame found it free, and so many found it
+occupied. Half of the key frames suffice where these are fewer than twice as many."""
 
 
 PERSON_SIZE = (2.2, 1.3, 2.2)

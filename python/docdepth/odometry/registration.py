@@ -33,10 +33,10 @@ FINE_SAMPLING = 0.25  # metres, edge of a voxel in which a sweep keeps one point
 # Voxels of 0.5 m resolve kerbs and posts, and still hold points enough for a normal.
 _FINE_VOXEL = 0.5  # metres, edge of a voxel of the map
 _NEIGHBORS, _FINE_NEIGHBORS = 20, 15
-"""Points that give the normal of one, in the first pass and in the next. On a road its nearest lie
-on the ring of one laser. Ten of them, by 16 beams, are an arc so short that noise along the rays is
-wider than the arc is bent. So the normal leans towards the LiDAR, and poses pitch a little more
-with each sweep. More than these blur the normals at edges."""
+"""Neighbours from which the normal of a point is taken, in the first pass and in the second. On a
+road the nearest ones lie on the ring of one laser. By 16 beams, ten of them are a short arc, whose
+bend is less than the noise along the rays. So the normal leans towards the LiDAR, and poses pitch
+a little more with each sweep. Still more neighbours blur normals at edges."""
 
 _THREADS = 1  # sums of several threads come in any order: poses would differ from run to run
 _ALIGN = {
@@ -70,7 +70,7 @@ class Registration:
     sampling : float, optional
         Edge of a voxel in which a sweep keeps one point [m]; None where sweeps are thin enough.
     neighbors : int
-        Points that give the normal of one.
+        Points from which the normal of a point is taken.
     threads : int
         For the normals of a sweep.
     """
