@@ -52,6 +52,17 @@ def test_labels_of_a_synthetic_drive(folders) -> None:
     assert found["seen_to_move"] == pytest.approx(numbers(waiting[0])[6], abs=4)
 
 
+def test_labels_by_wide_beams(folders) -> None:
+    """A walker and the parked cars beside him are one object for most of the time."""
+    import suite
+
+    cell = ["--scenes", "residential", "--sensors", "XT-32", "--beam-width", "0.15"]
+    found = suite.main([*folders, *cell])["residential_XT-32"]["default"]
+    f1, precision = numbers(row("Beams with a width", "XT-32, residential")[0])
+    assert found["f1"] == pytest.approx(f1, abs=0.003)
+    assert found["precision"] == pytest.approx(precision, abs=0.005)
+
+
 def test_depth_of_a_synthetic_drive(folders) -> None:
     import suite
 

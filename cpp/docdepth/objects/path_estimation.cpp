@@ -125,13 +125,16 @@ class PathEstimation {
 
 PathEstimate PathEstimation::run() {
   // A person who brushes a parked car is one object with it for a while: little of that passes.
+  const auto are_wide = [](const std::vector<float>& widths) {
+    return widths.size() > 2 && quantile(widths, kRigidQuantile) >= kMinRigidWidth;
+  };
   std::vector<float> widths, passing;
   for (const TrackObservation& of : track_.observations) {
     widths.push_back(of.box.width());
     if (of.is_passing()) passing.push_back(of.box.width());
   }
-  if (2 * passing.size() >= widths.size()) widths = std::move(passing);
-  path_.rigid = widths.size() > 2 && quantile(widths, kRigidQuantile) >= kMinRigidWidth;
+  path_.passes_wide = passing.size() <= 2 || are_wide(passing);
+  path_.rigid = are_wide(2 * passing.size() >= widths.size() ? passing : widths);
   path_.end = track_.observations.size();
   measure_shifts();
   find_headings();

@@ -32,7 +32,7 @@ class TrackEvidence {
         p_(p),
         tracked_(tracked),
         is_rail_(is_rail(followed)),
-        is_vehicle_(is_vehicle(path_) || is_side_of_vehicle(followed)) {
+        is_vehicle_((is_vehicle(path_) && path_.passes_wide()) || is_side_of_vehicle(followed)) {
     float total = 0;
     for (const TrackObservation& seen : track_.observations) {
       total += seen.passing_area;
