@@ -1,11 +1,13 @@
 """Error and processor time of odometry on raw drives with exact poses.
 
     python benchmarks/odometry.py DRIVES [--cells hills:VLP-16] [--seeds 3 4] [--frames 50]
+        [--late MS] [--lost N]
 
 Makes the drives that are missing in DRIVES, by default city and motorway by HDL-64 and a crossing
 by XT-32, with raw sweeps and a time for each point. The error is that of the motion from sweep to
-sweep. It runs on older versions, too: ``PYTHONPATH=OTHER/python python benchmarks/odometry.py
-DRIVES``.
+sweep. ``--late`` adds random errors to the stamps, as if a computer stamped the sweeps when they
+arrive. ``--lost`` leaves out sweeps in the middle, without a gap in the stamps. It runs on older
+versions, too: ``PYTHONPATH=OTHER/python python benchmarks/odometry.py DRIVES``.
 """
 
 from __future__ import annotations
@@ -14,15 +16,37 @@ import argparse
 import inspect
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from docdepth.datasets import open_dataset
+from docdepth.datasets import Sweep, open_dataset
 from docdepth.geometry.se3 import inverse
 from docdepth.odometry.odometry import estimate_poses
 from docdepth.synthetic import write_drive
 
 CELLS = ("city:HDL-64", "crossing:XT-32", "highway:HDL-64")
+
+
+class Disturbed:
+    """A dataset with wrong stamps: late ones, or sweeps that were lost without a trace."""
+
+    def __init__(self, dataset: Any, late: float, lost: int) -> None:
+        middle, count = len(dataset) // 2, len(dataset)
+        self._dataset = dataset
+        self._kept = [*range(middle), *range(middle + lost, count)]
+        error = np.random.default_rng(1).normal(scale=1e6 * late, size=count)
+        self.times = (dataset.times + error.astype(np.int64))[: len(self._kept)]
+        self.poses = np.asarray(dataset.poses)[self._kept]
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._dataset, name)
+
+    def sweep(self, index: int) -> Sweep:
+        return self._dataset.sweep(self._kept[index])
 
 
 def main() -> None:
@@ -31,6 +55,8 @@ def main() -> None:
     parser.add_argument("--cells", nargs="+", default=list(CELLS), metavar="SCENE:SENSOR")
     parser.add_argument("--seeds", type=int, nargs="+", default=[3, 4])
     parser.add_argument("--frames", type=int, default=50)
+    parser.add_argument("--late", type=float, default=0, help="error of the stamps [ms]")
+    parser.add_argument("--lost", type=int, default=0, help="sweeps lost in the middle")
     options = parser.parse_args()
     # Earlier versions ran passes in processes, whose time would be missing.
     threads = {"threads": 1} if "threads" in inspect.signature(estimate_poses).parameters else {}
@@ -42,7 +68,8 @@ def main() -> None:
             folder = options.drives / f"{scene}_{lidar}_{seed}"
             if not folder.exists():
                 write_drive(folder, scene, lidar, options.frames, seed, skew=True)
-            dataset = open_dataset(folder / "sequences" / "00")
+            drive = open_dataset(folder / "sequences" / "00")
+            dataset = Disturbed(drive, options.late, options.lost)
             start = time.process_time()
             poses = estimate_poses(dataset, **threads)
             spent = 1e3 * (time.process_time() - start) / len(poses)

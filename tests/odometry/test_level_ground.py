@@ -66,6 +66,19 @@ def test_sixteen_beams_on_a_motorway(tmp_path: Path, seed: int) -> None:
     assert errors.max() < 0.15
 
 
+@pytest.mark.parametrize("scene", ["highway", "overtaking"])
+@pytest.mark.parametrize("seed", [7, 31])
+def test_a_narrow_view_of_a_motorway(tmp_path: Path, scene: str, seed: int) -> None:
+    """Most of what an Avia sees there is road, and lorries that go along."""
+    write_drive(tmp_path, scene, "Avia", 12, seed)
+    dataset = open_dataset(tmp_path / "sequences" / "00")
+    poses, exact = register_drive(dataset).trajectory.poses, np.asarray(dataset.poses)
+    steps, exact_steps = (inverse(p[:-1]) @ p[1:] for p in (poses, exact))
+    assert exact_steps[:, 0, 3].min() > 2  # metres a sweep
+    errors = np.linalg.norm((inverse(exact_steps) @ steps)[:, :3, 3], axis=1)
+    assert errors.max() < 0.1
+
+
 def test_sixteen_beams_do_not_pitch(tmp_path: Path) -> None:
     """Normals of ten neighbours lean where these lie on one ring: a degree after 20 m."""
     write_drive(tmp_path, "city", "VLP-16", 20, 31, skew=True)

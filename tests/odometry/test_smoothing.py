@@ -6,20 +6,23 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from docdepth.odometry import smoothing
-from docdepth.odometry.smoothing import LAG, State, filtered, smoothed
+from docdepth.odometry.smoothing import LAG, State, filtered, smoothed, stamp_error_of
 
 TIMES = np.array([0, 100, 199, 302, 400, 700, 801, 900, 1000]) * 10**6
 """Two sweeps are lost."""
 
 
-def least_squares(positions: np.ndarray, covariances: np.ndarray, times: np.ndarray) -> np.ndarray:
+def least_squares(poses: np.ndarray, covariances: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Most likely positions: of a first state and a jerk for each sweep, all at once.
 
-    How far a jerk may go follows the velocity that the filter knew before it.
+    How far a jerk may go follows the velocity that the filter knew before it, and how uncertain a
+    measurement is follows how far it is from where the filter expected it. Rotations are those of
+    the poses.
     """
-    n = len(times)
+    n, positions = len(times), poses[:, :3, 3]
     unknowns = 9 + 3 * (n - 1)
     start = np.zeros((9, unknowns))
     start[:, :9] = np.eye(9)
@@ -33,11 +36,13 @@ def least_squares(positions: np.ndarray, covariances: np.ndarray, times: np.ndar
         dt = 1e-9 * (times[k] - times[k - 1])
         jerk = np.zeros((9, unknowns))
         jerk[:, 9 + 3 * (k - 1) :][:, :3] = np.kron([[dt**3 / 6], [dt**2 / 2], [dt]], np.eye(3))
-        F = np.kron([[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]], np.eye(3))
+        turn = Rotation.from_matrix(poses[k, :3, :3] @ poses[k - 1, :3, :3].T).as_rotvec()
+        half, Q = (Rotation.from_rotvec(share * turn).as_matrix() for share in (0.5, 1))
+        zero = np.zeros((3, 3))
+        F = np.block([[np.eye(3), dt * half, dt**2 / 2 * half], [zero, Q, dt * Q], [zero, zero, Q]])
         moved.append(F @ moved[-1] + jerk)
-    poses = np.repeat(np.eye(4)[None], n, axis=0)
-    poses[:, :3, 3] = positions
-    for k, known in enumerate(list(states(poses, covariances, times))[:-1]):
+    filter_states = list(states(poses, covariances, times))
+    for k, known in enumerate(filter_states[:-1]):
         speed = max(np.linalg.norm(known.velocity), smoothing._STANDING)
         jerk = 20.0**2 * np.eye(3)
         jerk += (2.0**2 - 20.0**2) * np.outer(known.velocity, known.velocity) / speed**2
@@ -45,7 +50,12 @@ def least_squares(positions: np.ndarray, covariances: np.ndarray, times: np.ndar
         rows.append(weight @ np.eye(unknowns)[9 + 3 * k : 12 + 3 * k])
         values.append(np.zeros(3))
     for k in range(n):
-        R = covariances[k] + (smoothing._NOISE**2 if k else 0) * np.eye(3)
+        R = covariances[k]
+        if k:
+            R = 10 * covariances[k] + smoothing._NOISE**2 * np.eye(3)
+            off = positions[k] - filter_states[k].predicted[:3]
+            expected = filter_states[k].predicted_covariance[:3, :3] + R
+            R = R * max(1, off @ np.linalg.inv(expected) @ off)
         weight = np.linalg.cholesky(np.linalg.inv(R)).T
         rows.append(weight @ moved[k][:3])
         values.append(weight @ positions[k])
@@ -64,24 +74,26 @@ def states(poses: np.ndarray, covariances: np.ndarray, times: np.ndarray) -> Ite
 def measured(times: np.ndarray, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Exact positions of a car that brakes in a bend, measured poses, and their covariances."""
     rng, t = np.random.default_rng(seed), 1e-9 * times
+    headings = np.arctan2(1.6 * t, 28 - 3 * t)
     exact = np.stack([28 * t - 1.5 * t**2, 0.8 * t**2, 0.02 * t], axis=1)
     covariances = np.empty((len(t), 3, 3))
     for k in range(len(t)):
-        covariances[k] = np.diag(rng.uniform([0.02, 0.002, 0.002], [0.2, 0.01, 0.01]) ** 2)
+        covariances[k] = np.diag(rng.uniform([0.02, 0.002, 0.002], [0.2, 0.01, 0.01]) ** 2) / 10
         if k % 2:
             turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
             covariances[k] = turn @ covariances[k] @ turn.T
     covariances[0] = 1e-8 * np.eye(3)
     poses = np.repeat(np.eye(4)[None], len(t), axis=0)
-    noise = [rng.multivariate_normal(np.zeros(3), C) for C in covariances]
+    noise = [rng.multivariate_normal(np.zeros(3), 10 * C) for C in covariances]
     poses[:, :3, 3] = exact + noise
+    poses[:, :3, :3] = Rotation.from_euler("z", headings[:, None]).as_matrix()
     return exact, poses, covariances
 
 
 def test_a_short_drive_is_least_squares() -> None:
     _, poses, covariances = measured(TIMES)
     made = np.array(list(smoothed(states(poses, covariances, TIMES))))
-    expected = least_squares(poses[:, :3, 3], covariances, TIMES)
+    expected = least_squares(poses, covariances, TIMES)
     np.testing.assert_allclose(made[:, :3, 3], expected, atol=1e-6)
     assert np.abs(expected - poses[:, :3, 3]).max() > 0.01, "nothing was smoothed"
     np.testing.assert_array_equal(made[:, :3, :3], poses[:, :3, :3])
@@ -91,7 +103,7 @@ def test_a_second_of_later_sweeps_is_enough() -> None:
     times = np.arange(60, dtype=np.int64) * 10**8
     exact, poses, covariances = measured(times, 1)
     made = np.array(list(smoothed(states(poses, covariances, times))))
-    whole = least_squares(poses[:, :3, 3], covariances, times)
+    whole = least_squares(poses, covariances, times)
     np.testing.assert_allclose(made[:, :3, 3], whole, atol=0.004)
 
     def error(positions: np.ndarray) -> float:
@@ -133,3 +145,49 @@ def test_the_first_pose_stays() -> None:
     covariances[0] = 0
     made = list(smoothed(states(poses, covariances, TIMES)))
     np.testing.assert_allclose(made[0], poses[0], atol=1e-12)
+
+
+def test_traffic_does_not_pull_a_vehicle_along() -> None:
+    """Registration jumps by a metre, as it does between lorries: the motion goes on."""
+    times = np.arange(40, dtype=np.int64) * 10**8
+    exact, poses, covariances = measured(times, 3)
+    poses[:, :3, 3] = exact
+    covariances[:] = 0.03**2 * np.eye(3)
+    poses[20:24, 0, 3] -= [0.5, 1.0, 1.0, 0.5]
+    made = list(smoothed(states(poses, covariances, times)))
+    assert np.abs(np.array(made)[:, :3, 3] - exact).max() < 0.15
+
+
+@pytest.mark.parametrize("lost", [0.3, 2.8])
+def test_a_sweep_that_is_lost_without_a_trace_in_the_stamps(lost: float) -> None:
+    times = np.arange(40, dtype=np.int64) * 10**8
+    exact, poses, covariances = measured(times, 4)
+    exact[20:, 0] += lost
+    rng = np.random.default_rng(5)
+    poses[:, :3, 3] = exact + rng.normal(scale=0.003, size=exact.shape)
+    covariances[:] = 0.003**2 * np.eye(3) / 10
+    made = np.array(list(smoothed(states(poses, covariances, times))))
+    assert np.abs(made[:, :3, 3] - exact).max() < 0.02
+
+
+def test_a_bend_is_no_jerk() -> None:
+    """A car at 11 m/s turns by 0.6 rad/s: its velocity turns as it does."""
+    times = np.arange(60, dtype=np.int64) * 10**8
+    angle = 0.06 * np.arange(60)
+    poses = np.repeat(np.eye(4)[None], 60, axis=0)
+    poses[:, :3, :3] = Rotation.from_euler("z", angle[:, None]).as_matrix()
+    poses[:, :2, 3] = 11 / 0.6 * np.stack([np.sin(angle), 1 - np.cos(angle)], axis=1)
+    made = list(states(poses, np.repeat(0.05**2 * np.eye(3)[None], 60, axis=0), times))
+    for state in made[10:]:
+        np.testing.assert_allclose(state.predicted[:3], state.pose[:3, 3], atol=0.02)
+
+
+def test_the_error_of_stamps_is_told_by_themselves() -> None:
+    rng = np.random.default_rng(6)
+    even = np.arange(400, dtype=np.int64) * 10**8
+    late = even + (rng.normal(scale=8e6, size=400)).astype(np.int64)
+    assert stamp_error_of(even) == 0
+    assert stamp_error_of(late) == pytest.approx(0.008, rel=0.15)
+    gaps = np.concatenate([late[:100], late[110:200], late[230:]])
+    assert stamp_error_of(gaps) == pytest.approx(0.008, rel=0.15)
+    assert stamp_error_of(even[:2]) == 0

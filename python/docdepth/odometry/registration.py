@@ -17,7 +17,7 @@ from docdepth.geometry.se3 import inverse, nearest_rigid, se3_exp, se3_log
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.level_ground import thin_level_ground
 from docdepth.odometry.registration_log import Found, RegistrationLog
-from docdepth.odometry.smoothing import State, filtered
+from docdepth.odometry.smoothing import State, filtered, stamp_error_of
 from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_sweep
 
 log = logging.getLogger(__name__)
@@ -57,7 +57,8 @@ FIRST_SWEEPS = 3
 _STEPS = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # metres a sweep; 5 is 180 km/h at 10 sweeps a second
 _FIRST_VOXEL = 1.0  # metres, of the map
 _FIRST_SAMPLING = 0.5  # metres, of the sweeps
-_CLEARLY_MORE = 1e-3  # share of inliers by which a faster start has to be better
+_HIGH = 3.0  # metres above the LiDAR, or 5 above the road: nothing that drives is higher
+_CLEARLY_MORE = 1e-3  # share of points by which a faster start has to be better
 
 
 class Registration:
@@ -258,6 +259,7 @@ def register(
     if known is None and registration.first < 2:
         motion = first_motion(sweeps, range(count), parameters)
     period = float(np.median(np.diff(times))) if count > 1 else 1.0
+    stamp_error = stamp_error_of(times)
     pose, predicted = np.eye(4), list[int]()
     state: State | None = None
     for k in range(count):
@@ -269,7 +271,8 @@ def register(
             motion = centred_motion(poses, times, [k])[0]
             guess = last @ inverse(poses[k - 1]) @ poses[k] if k else last
         found = registration.align(k, partial(_deskewed, sweeps, k, motion), guess)
-        state = filtered(state, found.pose, found.covariance, elapsed * period * 1e-9)
+        seconds = elapsed * period * 1e-9
+        state = filtered(state, found.pose, found.covariance, seconds, stamp_error)
         pose = state.pose
         if found.usable:
             registration.insert(k, pose)
@@ -312,8 +315,10 @@ def first_motion(
     """Motion (4, 4) from the first of these frames to the next.
 
     Registration that starts from standstill at the speed of a motorway finds a wrong motion and
-    keeps it. So the first sweeps are registered from several speeds, and the motion with most
-    inliers wins.
+    keeps it. So the first sweeps are registered from several speeds. The motion wins by which most
+    points lie near those of the first sweep. Lorries that go along would say that the vehicle
+    stands, and so do rings on the road. So only points higher than any lorry count, if there are
+    enough of them.
     """
     import small_gicp
 
@@ -323,21 +328,30 @@ def first_motion(
         if len(near) < FEWEST_POINTS:
             break
         clouds.append(_cloud(near, _FIRST_SAMPLING, _FIRST_VOXEL, _NEIGHBORS, _THREADS))
+    if len(clouds) < 2:
+        return np.eye(4)
+    judges = [cloud.points()[:, :3] for cloud in clouds]
+    high = [points[points[:, 2] > _HIGH] for points in judges]
+    if min(map(len, high)) >= FEWEST_POINTS:
+        judges = high
+    first = small_gicp.KdTree(clouds[0])
     best, most = np.eye(4), 0.0
-    for speed in _STEPS if len(clouds) > 1 else ():
+    for speed in _STEPS:
         voxel_map = small_gicp.GaussianVoxelMap(_FIRST_VOXEL)
         voxel_map.insert(clouds[0])
-        step, pose, inliers = np.eye(4), np.eye(4), 0.0
+        step, pose, share = np.eye(4), np.eye(4), 0.0
         step[0, 3] = speed
-        for cloud in clouds[1:]:
+        for cloud, points in zip(clouds[1:], judges[1:], strict=True):
             found = small_gicp.align(voxel_map, cloud, init_T_target_source=pose @ step, **_ALIGN)
             if not np.isfinite(found.T_target_source).all():
                 break
             next_pose = nearest_rigid(found.T_target_source)
             step, pose = inverse(pose) @ next_pose, next_pose
-            inliers += found.num_inliers / cloud.size()
-        if inliers > most * (1 + _CLEARLY_MORE):
-            best, most = step, inliers
+            there = points @ pose[:3, :3].T + pose[:3, 3]
+            squared = np.asarray(first.batch_nearest_neighbor_search(there, _THREADS)[1])
+            share += float(np.mean(squared < _FIRST_SAMPLING**2))
+        if share > most * (1 + _CLEARLY_MORE):
+            best, most = step, share
     return best
 
 

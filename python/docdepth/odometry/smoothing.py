@@ -1,8 +1,8 @@
 """Positions filtered and smoothed along the trajectory.
 
 Where registration is unsure, a steady motion decides. Walls and poles hold a pose to millimetres.
-Along a motorway nothing does, and registration leaves centimetres to decimetres there. A vehicle
-cannot jerk that much from sweep to sweep.
+Along a motorway nothing does, and registration leaves centimetres to decimetres there. Lorries
+that go along pull it with them. A vehicle cannot jerk that much from sweep to sweep.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.geometry.se3 import se3_exp, se3_log
+
 LAG = 10
 """Sweeps after one that are used for it. At 10 sweeps a second they last four times as long as the
 smoothing reaches where registration is 5 cm unsure: cube root of 0.05 m / (2 m/s^3) = 0.3 s."""
@@ -23,6 +25,11 @@ smoothing reaches where registration is 5 cm unsure: cube root of 0.05 m / (2 m/
 _JERK, _SWAY = 2.0, 20.0
 _STANDING = 1.0  # metres/s; a slower vehicle may set off in any direction
 _NOISE = 0.002  # metres; error of a position beside what its covariance says
+_LOST = 25.0
+"""A registration so many standard deviations from where the motion led is right, and the motion is
+not: a sweep was lost, and the stamps do not tell."""
+_ALIKE = 10  # so many neighbouring points err alike, and tell no more than one of them
+_MEDIAN_OF_NORMAL = 0.6745  # of absolute values, in standard deviations
 _SPEED, _ACCELERATION = 60.0, 10.0  # metres/s, metres/s^2; what is known of them at the start
 
 
@@ -50,6 +57,7 @@ def filtered(
     pose: NDArray[np.float64],
     covariance: NDArray[np.float64],
     elapsed: float,
+    stamp_error: float = 0.0,
 ) -> State:
     """One step of a Kalman filter with white jerk; rotations are kept.
 
@@ -63,19 +71,30 @@ def filtered(
         Of its position [m^2].
     elapsed : float
         Seconds since the sweep before.
+    stamp_error : float
+        Standard deviation of a stamp [s], from :func:`stamp_error_of`. In that time the vehicle
+        goes on, so the motion leads as much less exactly.
     """
     position = pose[:3, 3]
-    advance = np.array([[1, elapsed, elapsed**2 / 2], [0, 1, elapsed], [0, 0, 1]])
-    transition = np.kron(advance, np.eye(3))
     if before is None:
+        transition, noise = np.eye(9), covariance
         predicted = np.concatenate([position, np.zeros(6)])
         spread = np.diag(np.repeat([1.0, _SPEED, _ACCELERATION], 3) ** 2)
-        noise = covariance
     else:
-        predicted, noise = transition @ before.mean, covariance + _NOISE**2 * np.eye(3)
+        transition = _transition(before.pose, pose, elapsed)
+        predicted, noise = transition @ before.mean, _ALIKE * covariance + _NOISE**2 * np.eye(3)
         of_jerk = np.array([elapsed**3 / 6, elapsed**2 / 2, elapsed])
         spread = transition @ before.covariance @ transition.T
         spread += np.kron(np.outer(of_jerk, of_jerk), _covariance_of_jerk(before.velocity))
+        of_stamps = stamp_error * before.velocity
+        spread[:3, :3] += 2 * np.outer(of_stamps, of_stamps)  # of this sweep and the one before
+        off = position - predicted[:3]
+        squared = float(off @ np.linalg.solve(spread[:3, :3] + noise, off))
+        if squared > _LOST**2:
+            spread[:3, :3] += np.outer(off, off)
+        else:
+            # It has found traffic, or nothing holds it: it is as uncertain as it is far away.
+            noise = noise * max(1.0, squared)
     gain = np.linalg.solve(spread[:3, :3] + noise, spread[:3]).T
     mean = predicted + gain @ (position - predicted[:3])
     left = np.eye(9)
@@ -85,6 +104,32 @@ def filtered(
     pose = pose.copy()
     pose[:3, 3] = mean[:3]
     return State(pose, transition, predicted, spread, mean, after)
+
+
+def _transition(
+    before: NDArray[np.float64], pose: NDArray[np.float64], elapsed: float
+) -> NDArray[np.float64]:
+    """How a state (9,) goes on: velocity and acceleration turn as the vehicle does."""
+    turn = np.eye(4)
+    turn[:3, :3] = pose[:3, :3] @ before[:3, :3].T
+    half = se3_exp(0.5 * se3_log(turn)[0], np.zeros(3))[:3, :3]
+    advance = np.array([[1, elapsed, elapsed**2 / 2], [0, 1, elapsed], [0, 0, 1]])
+    transition = np.kron(advance, np.eye(3))
+    transition[:3, 3:] = half @ transition[:3, 3:]
+    transition[3:6, 3:] = turn[:3, :3] @ transition[3:6, 3:]
+    transition[6:, 6:] = turn[:3, :3]
+    return transition
+
+
+def stamp_error_of(times: NDArray[np.int64]) -> float:
+    """Standard deviation of stamps (n,) [ns] from those of a LiDAR that turns evenly [s].
+
+    A computer that stamps a sweep when it arrives is milliseconds late, now more, now less.
+    """
+    if len(times) < 3:
+        return 0.0
+    # The second difference of independent errors has six times their variance.
+    return float(np.median(np.abs(np.diff(times, 2)))) * 1e-9 / (_MEDIAN_OF_NORMAL * 6**0.5)
 
 
 def _covariance_of_jerk(velocity: NDArray[np.float64]) -> NDArray[np.float64]:
