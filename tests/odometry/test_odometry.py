@@ -23,6 +23,7 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.deskewing import centred_motion, deskew
 from docdepth.odometry.odometry import estimate_poses, register_drive
 from docdepth.odometry.pose_checks import warn_of_misfit
+from docdepth.odometry.registration import Registration
 from docdepth.odometry.sweeps import ThinnedSweeps
 from docdepth.pipeline import run_odometry
 from exact_drive import MOTION, Drive, pose_errors
@@ -178,6 +179,24 @@ def test_a_sweep_that_is_lost_without_a_gap_in_the_stamps() -> None:
     drive.sweep = lambda index: drive._measured[index]
     drive.count, drive.times, drive.exact = 23, drive.times[:23], drive.exact[kept]
     assert pose_errors(estimate_poses(drive), drive.exact).max() < 0.03
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4])
+def test_a_road_on_which_nothing_holds_the_vehicle(
+    share: float, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    rng, align = np.random.default_rng(1), Registration.align
+
+    def unsure(self: Registration, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        pose, covariance = align(self, guess)
+        if rng.random() < share:
+            pose[0, 3] += rng.choice([-0.6, 0.6])
+            covariance = 0.03**2 * np.eye(3)
+        return pose, covariance
+
+    monkeypatch.setattr(Registration, "align", unsure)
+    estimate_poses(Drive(24))
+    assert ("next to nothing holds the vehicle" in caplog.text) == (share > 0)
 
 
 def test_compensated_sweeps_are_left_alone() -> None:

@@ -52,6 +52,11 @@ _MARGIN = 15.0
 """Metres that points lie farther from a logged pose in the map than from the sensor when they were
 measured: deskewing moves them by up to 10 m at 60 m/s, and the filter moves the pose."""
 
+_FAR, _OFTEN = 0.3, 0.1
+"""Where so large a share of the sweeps lies so many metres from where the motion led, nothing holds
+the vehicle."""
+_SETTLED = 4  # sweeps after which the motion is known
+
 # The first motion is searched on a grid of forward speeds; registration finds what lies between.
 FIRST_SWEEPS = 3
 _STEPS = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # metres a sweep; 5 is 180 km/h at 10 sweeps a second
@@ -260,7 +265,7 @@ def register(
         motion = first_motion(sweeps, range(count), parameters)
     period = float(np.median(np.diff(times))) if count > 1 else 1.0
     stamp_error = stamp_error_of(times)
-    pose, predicted = np.eye(4), list[int]()
+    pose, predicted, far = np.eye(4), list[int](), 0
     state: State | None = None
     for k in range(count):
         last, elapsed = pose, float(times[k] - times[k - 1]) / period if k else 0.0
@@ -274,6 +279,8 @@ def register(
         seconds = elapsed * period * 1e-9
         state = filtered(state, found.pose, found.covariance, seconds, stamp_error)
         pose = state.pose
+        off = np.linalg.norm(found.pose[:3, 3] - state.predicted[:3])
+        far += bool(found.usable and k >= _SETTLED and off > _FAR)
         if found.usable:
             registration.insert(k, pose)
         else:
@@ -285,6 +292,13 @@ def register(
         yield state
     if predicted and known is None:  # the other passes would say the same
         _warn_of_predicted(predicted, count, parameters)
+    if known and far > _OFTEN * count:
+        log.warning(
+            "%d of %d sweeps were registered more than %g m from where the motion led: on this "
+            "road next to nothing holds the vehicle, traffic goes along, or the stamps are wrong; "
+            "the poses may be metres off: look at them, or bring better ones (--poses)",
+            far, count, _FAR,
+        )  # fmt: skip
 
 
 def _deskewed(sweeps: ThinnedSweeps, index: int, motion: NDArray[np.float64]) -> Sweep:
