@@ -23,7 +23,6 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.deskewing import centred_motion, deskew
 from docdepth.odometry.odometry import estimate_poses, register_drive
 from docdepth.odometry.pose_checks import warn_of_misfit
-from docdepth.odometry.registration import Registration
 from docdepth.odometry.sweeps import ThinnedSweeps
 from docdepth.pipeline import run_odometry
 from exact_drive import MOTION, Drive, pose_errors
@@ -163,40 +162,6 @@ def test_the_first_motion_is_found_at_any_speed(speed: float) -> None:
     drive = Drive(6, motion=se3_exp(np.array([0.0, 0.0, 0.01]), np.array([speed, 0.0, 0.0])))
     result = register_drive(drive)
     assert pose_errors(result.trajectory.poses, drive.exact).max() < 0.02
-
-
-def test_stamps_of_a_busy_computer_hardly_move_the_poses() -> None:
-    """At 11 m/s a stamp that is 10 ms late is 0.11 m."""
-    drive = Drive(24, raw=False)
-    drive.times += np.random.default_rng(1).normal(scale=1e7, size=24).astype(np.int64)
-    assert pose_errors(estimate_poses(drive), drive.exact).max() < 0.03
-
-
-def test_a_sweep_that_is_lost_without_a_gap_in_the_stamps() -> None:
-    drive = Drive(24, raw=False)
-    kept = [k for k in range(24) if k != 10]
-    drive._measured = [drive.sweep(k) for k in kept]
-    drive.sweep = lambda index: drive._measured[index]
-    drive.count, drive.times, drive.exact = 23, drive.times[:23], drive.exact[kept]
-    assert pose_errors(estimate_poses(drive), drive.exact).max() < 0.03
-
-
-@pytest.mark.parametrize("share", [0.0, 0.4])
-def test_a_road_on_which_nothing_holds_the_vehicle(
-    share: float, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    rng, align = np.random.default_rng(1), Registration.align
-
-    def unsure(self: Registration, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        pose, covariance = align(self, guess)
-        if rng.random() < share:
-            pose[0, 3] += rng.choice([-0.6, 0.6])
-            covariance = 0.03**2 * np.eye(3)
-        return pose, covariance
-
-    monkeypatch.setattr(Registration, "align", unsure)
-    estimate_poses(Drive(24))
-    assert ("next to nothing holds the vehicle" in caplog.text) == (share > 0)
 
 
 def test_compensated_sweeps_are_left_alone() -> None:

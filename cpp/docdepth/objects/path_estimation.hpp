@@ -32,7 +32,7 @@ struct PathEstimate {
   std::vector<Extent> extents;    ///< of what each of them saw, in the frame of the object
   Extent extent{Eigen::Vector3f::Zero(), Eigen::Vector3f::Zero()};  ///< of all that was seen
   bool rigid = false;
-  bool passes_wide = true;         ///< what of it passes is wider than a person
+  bool passes_wide = true;         ///< wider than a person while it passes, as far as is known
   bool has_ground = false;         ///< heights are those over the ground
   std::size_t begin = 0, end = 0;  ///< the observations that are one object
 

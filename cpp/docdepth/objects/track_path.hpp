@@ -47,8 +47,8 @@ class TrackPath {
   bool is_one_object() const { return path_.is_one_object(); }
 
   bool is_rigid() const { return path_.rigid; }
-  /// Whether what of it passes is wider than a person. A person who walks beside parked cars may
-  /// be seen together with them for most of the time.
+  /// Whether it is wider than a person while it passes. In most sweeps a person may be one object
+  /// with the parked cars beside him, but these do not pass.
   bool passes_wide() const { return path_.passes_wide; }
   /// Whether ground was seen around it; then its heights are those over the ground.
   bool has_ground() const { return path_.has_ground; }

@@ -52,10 +52,10 @@ _MARGIN = 15.0
 """Metres that points lie farther from a logged pose in the map than from the sensor when they were
 measured: deskewing moves them by up to 10 m at 60 m/s, and the filter moves the pose."""
 
-_FAR, _OFTEN = 0.3, 0.1
-"""Where so large a share of the sweeps lies so many metres from where the motion led, nothing holds
-the vehicle."""
-_SETTLED = 4  # sweeps after which the motion is known
+# A run warns if registration disagrees with the motion in a large share of the sweeps.
+_DISAGREES = 0.3  # metres between a registered position and the predicted one
+_MAX_DISAGREEING = 0.1  # share of the sweeps
+_SETTLED = 4  # sweeps after which the filter knows the motion
 
 # The first motion is searched on a grid of forward speeds; registration finds what lies between.
 FIRST_SWEEPS = 3
@@ -265,7 +265,7 @@ def register(
         motion = first_motion(sweeps, range(count), parameters)
     period = float(np.median(np.diff(times))) if count > 1 else 1.0
     stamp_error = stamp_error_of(times)
-    pose, predicted, far = np.eye(4), list[int](), 0
+    pose, predicted, disagreeing = np.eye(4), list[int](), 0
     state: State | None = None
     for k in range(count):
         last, elapsed = pose, float(times[k] - times[k - 1]) / period if k else 0.0
@@ -280,7 +280,7 @@ def register(
         state = filtered(state, found.pose, found.covariance, seconds, stamp_error)
         pose = state.pose
         off = np.linalg.norm(found.pose[:3, 3] - state.predicted[:3])
-        far += bool(found.usable and k >= _SETTLED and off > _FAR)
+        disagreeing += bool(found.usable and k >= _SETTLED and off > _DISAGREES)
         if found.usable:
             registration.insert(k, pose)
         else:
@@ -292,13 +292,8 @@ def register(
         yield state
     if predicted and known is None:  # the other passes would say the same
         _warn_of_predicted(predicted, count, parameters)
-    if known and far > _OFTEN * count:
-        log.warning(
-            "%d of %d sweeps were registered more than %g m from where the motion led: on this "
-            "road next to nothing holds the vehicle, traffic goes along, or the stamps are wrong; "
-            "the poses may be metres off: look at them, or bring better ones (--poses)",
-            far, count, _FAR,
-        )  # fmt: skip
+    if known is not None and disagreeing > _MAX_DISAGREEING * count:
+        _warn_of_disagreement(disagreeing, count)
 
 
 def _deskewed(sweeps: ThinnedSweeps, index: int, motion: NDArray[np.float64]) -> Sweep:
@@ -323,16 +318,25 @@ def _warn_of_predicted(predicted: list[int], count: int, parameters: OdometryPar
     )  # fmt: skip
 
 
+def _warn_of_disagreement(disagreeing: int, count: int) -> None:
+    """Log a warning that registration and the motion do not fit together."""
+    log.warning(
+        "%d of %d sweeps were registered more than %g m from where the motion led; perhaps the "
+        "LiDAR sees little that stands still, traffic goes along, or times are wrong; poses may be "
+        "metres off: look at them, or bring better ones (--poses)", disagreeing, count, _DISAGREES,
+    )  # fmt: skip
+
+
 def first_motion(
     sweeps: Sequence[Sweep] | ThinnedSweeps, frames: range, parameters: OdometryParameters
 ) -> NDArray[np.float64]:
     """Motion (4, 4) from the first of these frames to the next.
 
     Registration that starts from standstill at the speed of a motorway finds a wrong motion and
-    keeps it. So the first sweeps are registered from several speeds. The motion wins by which most
-    points lie near those of the first sweep. Lorries that go along would say that the vehicle
-    stands, and so do rings on the road. So only points higher than any lorry count, if there are
-    enough of them.
+    keeps it. So the first sweeps are registered from several speeds, and the result wins that
+    brings most points near those of the first sweep. Lorries at the same speed, and rings on the
+    road, would vote for standstill. So only points higher than any lorry count, if there are
+    enough.
     """
     import small_gicp
 
@@ -344,10 +348,10 @@ def first_motion(
         clouds.append(_cloud(near, _FIRST_SAMPLING, _FIRST_VOXEL, _NEIGHBORS, _THREADS))
     if len(clouds) < 2:
         return np.eye(4)
-    judges = [cloud.points()[:, :3] for cloud in clouds]
-    high = [points[points[:, 2] > _HIGH] for points in judges]
+    counted = [cloud.points()[:, :3] for cloud in clouds]
+    high = [points[points[:, 2] > _HIGH] for points in counted]
     if min(map(len, high)) >= FEWEST_POINTS:
-        judges = high
+        counted = high
     first = small_gicp.KdTree(clouds[0])
     best, most = np.eye(4), 0.0
     for speed in _STEPS:
@@ -355,7 +359,7 @@ def first_motion(
         voxel_map.insert(clouds[0])
         step, pose, share = np.eye(4), np.eye(4), 0.0
         step[0, 3] = speed
-        for cloud, points in zip(clouds[1:], judges[1:], strict=True):
+        for cloud, points in zip(clouds[1:], counted[1:], strict=True):
             found = small_gicp.align(voxel_map, cloud, init_T_target_source=pose @ step, **_ALIGN)
             if not np.isfinite(found.T_target_source).all():
                 break

@@ -1,8 +1,8 @@
 """Positions filtered and smoothed along the trajectory.
 
 Where registration is unsure, a steady motion decides. Walls and poles hold a pose to millimetres.
-Along a motorway nothing does, and registration leaves centimetres to decimetres there. Lorries
-that go along pull it with them. A vehicle cannot jerk that much from sweep to sweep.
+Along a motorway nothing does, and registration is centimetres to decimetres off there. Lorries at
+the same speed pull its result along. A vehicle cannot jerk that much from sweep to sweep.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _JERK, _SWAY = 2.0, 20.0
 _STANDING = 1.0  # metres/s; a slower vehicle may set off in any direction
 _NOISE = 0.002  # metres; error of a position beside what its covariance says
 _LOST = 25.0
-"""A registration so many standard deviations from where the motion led is right, and the motion is
-not: a sweep was lost, and the stamps do not tell."""
-_ALIKE = 10  # so many neighbouring points err alike, and tell no more than one of them
+"""Beyond so many standard deviations between registration and the predicted position, registration
+is right: a sweep was lost without a gap in the stamps."""
+_ALIKE = 10  # neighbouring points that have the same error, and so count as one
 _MEDIAN_OF_NORMAL = 0.6745  # of absolute values, in standard deviations
 _SPEED, _ACCELERATION = 60.0, 10.0  # metres/s, metres/s^2; what is known of them at the start
 
@@ -72,8 +72,8 @@ def filtered(
     elapsed : float
         Seconds since the sweep before.
     stamp_error : float
-        Standard deviation of a stamp [s], from :func:`stamp_error_of`. In that time the vehicle
-        goes on, so the motion leads as much less exactly.
+        Standard deviation of a stamp [s], from :func:`stamp_error_of`. The predicted position is
+        uncertain by the way that the vehicle goes in that time.
     """
     position = pose[:3, 3]
     if before is None:
@@ -93,7 +93,7 @@ def filtered(
         if squared > _LOST**2:
             spread[:3, :3] += np.outer(off, off)
         else:
-            # It has found traffic, or nothing holds it: it is as uncertain as it is far away.
+            # Traffic pulls it along, or nothing holds it. The farther away, the less it counts.
             noise = noise * max(1.0, squared)
     gain = np.linalg.solve(spread[:3, :3] + noise, spread[:3]).T
     mean = predicted + gain @ (position - predicted[:3])
@@ -109,7 +109,7 @@ def filtered(
 def _transition(
     before: NDArray[np.float64], pose: NDArray[np.float64], elapsed: float
 ) -> NDArray[np.float64]:
-    """How a state (9,) goes on: velocity and acceleration turn as the vehicle does."""
+    """Matrix (9, 9) from one state to the next. Velocity and acceleration turn with the vehicle."""
     turn = np.eye(4)
     turn[:3, :3] = pose[:3, :3] @ before[:3, :3].T
     half = se3_exp(0.5 * se3_log(turn)[0], np.zeros(3))[:3, :3]
@@ -122,9 +122,9 @@ def _transition(
 
 
 def stamp_error_of(times: NDArray[np.int64]) -> float:
-    """Standard deviation of stamps (n,) [ns] from those of a LiDAR that turns evenly [s].
+    """Standard deviation [s] of the errors of stamps (n,) [ns], as a LiDAR turns evenly.
 
-    A computer that stamps a sweep when it arrives is milliseconds late, now more, now less.
+    Sweeps that a computer stamps when they arrive are milliseconds late, some more, some less.
     """
     if len(times) < 3:
         return 0.0

@@ -1,0 +1,83 @@
+"""Drives that are hard for odometry: motorways, sparse beams, traffic, wrong stamps."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from docdepth import open_dataset, register_drive
+from docdepth.geometry.se3 import inverse, rotation_log
+from docdepth.odometry.odometry import estimate_poses
+from docdepth.odometry.registration import Registration
+from docdepth.synthetic import write_drive
+from exact_drive import Drive, pose_errors
+
+
+def registered(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of a written drive, estimated and exact."""
+    dataset = open_dataset(folder / "sequences" / "00")
+    return register_drive(dataset).trajectory.poses, np.asarray(dataset.poses)
+
+
+def errors_of_steps(folder: Path, least: float) -> np.ndarray:
+    """Errors of the motion from sweep to sweep [m], which is longer than ``least`` [m]."""
+    steps, exact = (inverse(poses[:-1]) @ poses[1:] for poses in registered(folder))
+    assert exact[:, 0, 3].min() > least
+    return np.linalg.norm((inverse(exact) @ steps)[:, :3, 3], axis=1)
+
+
+@pytest.mark.parametrize("seed", [31, 3])
+def test_sixteen_beams_on_a_motorway(tmp_path: Path, seed: int) -> None:
+    """Registered on each other, the rings on the road would say that the vehicle stands."""
+    write_drive(tmp_path, "highway", "VLP-16", 12, seed, skew=True)
+    assert errors_of_steps(tmp_path, 2.5).max() < 0.15
+
+
+@pytest.mark.parametrize("scene", ["highway", "overtaking"])
+@pytest.mark.parametrize("seed", [7, 31])
+def test_a_narrow_view_of_a_motorway(tmp_path: Path, scene: str, seed: int) -> None:
+    """Most of what an Avia sees there is road, and lorries that go along."""
+    write_drive(tmp_path, scene, "Avia", 12, seed)
+    assert errors_of_steps(tmp_path, 2).max() < 0.1
+
+
+def test_sixteen_beams_do_not_pitch(tmp_path: Path) -> None:
+    """Normals of ten neighbours lean where these lie on one ring: a degree after 20 m."""
+    write_drive(tmp_path, "city", "VLP-16", 20, 31, skew=True)
+    found, true = (inverse(poses[0]) @ poses[-1] for poses in registered(tmp_path))
+    turn = np.degrees(rotation_log(true[:3, :3].T @ found[:3, :3]))
+    assert np.abs(turn).max() < 0.2
+
+
+def test_stamps_of_a_busy_computer_hardly_move_the_poses() -> None:
+    """At 11 m/s a stamp that is 10 ms late is 0.11 m."""
+    drive = Drive(24, raw=False)
+    drive.times += np.random.default_rng(1).normal(scale=1e7, size=24).astype(np.int64)
+    assert pose_errors(estimate_poses(drive), drive.exact).max() < 0.03
+
+
+def test_a_sweep_that_is_lost_without_a_gap_in_the_stamps() -> None:
+    drive = Drive(24, raw=False)
+    kept = [k for k in range(24) if k != 10]
+    measured = [drive.sweep(k) for k in kept]
+    drive.sweep = measured.__getitem__
+    drive.count, drive.times, drive.exact = 23, drive.times[:23], drive.exact[kept]
+    assert pose_errors(estimate_poses(drive), drive.exact).max() < 0.03
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4])
+def test_a_road_on_which_nothing_holds_the_vehicle(
+    share: float, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    rng, align = np.random.default_rng(1), Registration.align
+
+    def unsure(self: Registration, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        pose, covariance = align(self, guess)
+        if rng.random() < share:
+            pose[0, 3] += rng.choice([-0.6, 0.6])
+            covariance = 0.03**2 * np.eye(3)
+        return pose, covariance
+
+    monkeypatch.setattr(Registration, "align", unsure)
+    estimate_poses(Drive(24))
+    assert ("where the motion led" in caplog.text) == (share > 0)
