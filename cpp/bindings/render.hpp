@@ -84,15 +84,22 @@ inline std::vector<ShutterFrame> as_shutter_frames(const std::vector<ShutterOf>&
   return result;
 }
 
-/// ``T_camera_box`` of a box, and its length, width and height.
-using BoxOf = std::pair<Array<double>, std::tuple<double, double, double>>;
+/// ``T_camera_box`` of a box, its length, width and height, and its velocity in the camera's frame.
+using Triple = std::tuple<double, double, double>;
+using BoxOf = std::tuple<Array<double>, Triple, Triple>;
 
 inline std::vector<PlacedBox> as_boxes(const std::vector<BoxOf>& boxes) {
   std::vector<PlacedBox> result;
-  for (const auto& [pose, size] : boxes) {
+  const auto vector = [](const Triple& values) {
+    const auto& [x, y, z] = values;
+    return Eigen::Vector3f(float(x), float(y), float(z));
+  };
+  for (const auto& [pose, size, velocity] : boxes) {
     const auto& [length, width, height] = size;
     for (const double side : {length, width, height}) in_range(side, 0, 1e3, "a side of a box [m]");
-    result.push_back({as_pose(pose), {float(length), float(width), float(height)}});
+    const auto& [x, y, z] = velocity;
+    for (const double speed : {x, y, z}) in_range(speed, -1e3, 1e3, "a speed of a box [m/s]");
+    result.push_back({as_pose(pose), vector(size), vector(velocity)});
   }
   return result;
 }

@@ -137,9 +137,10 @@ def test_sightings_are_placed_as_plain_matrices_say(kind):
     view = View(small_camera(), T_camera_world, time)
     objects = sighted_objects(view, trajectory, frames.__getitem__, drawn, Tracks([track]), 100)
     ((instance, around, others, rays),) = objects
-    ((T_camera_box, size),) = boxes_in_view(view, trajectory, Tracks([track]))
+    ((T_camera_box, size, velocity),) = boxes_in_view(view, trajectory, Tracks([track]))
     assert size == (*track.size[:2], 4.2 if kind == "vehicle" else 2.2)
     np.testing.assert_allclose(T_camera_box, T_camera_world @ track.pose_at(time))
+    np.testing.assert_allclose(velocity, T_camera_world[:3, :3] @ (4, 0.5, 0))
     assert instance == 6
     if kind == "person":
         near = [i for i in drawn.dynamic if abs(trajectory.times[i] - time) <= SOFT_SECONDS * 1e9]

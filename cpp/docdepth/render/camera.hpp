@@ -14,6 +14,11 @@ struct Camera {
   int width, height;
 };
 
+/// The ray of a pixel, with a depth of 1.
+inline Eigen::Vector3f ray_of(const Camera& camera, float u, float v) {
+  return {(u - float(camera.cx)) / float(camera.fx), (v - float(camera.cy)) / float(camera.fy), 1};
+}
+
 /// An axis-aligned box.
 struct Box {
   Eigen::Vector3f center = Eigen::Vector3f::Zero();

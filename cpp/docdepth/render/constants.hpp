@@ -47,8 +47,12 @@ constexpr float kShutter = 0.1f;
 /// An object may reach this far beyond the box of its track [m]: what was seen of it is not all.
 constexpr float kBoxMargin = 0.05f;
 /// Behind the box of an object a point was seen if so many of the nearest rays around it, one in
-/// each quadrant of direction, ended there. Outside a corner of the object three do.
-constexpr int kMinEnded = 3;
+/// each quadrant of direction, ended there. Beside a straight edge of the object two do.
+constexpr int kMinEnded = 2;
+/// The way through the box is looked at once for so many pixels to each side, and at so many places
+/// at most.
+constexpr int kWayCell = 2;
+constexpr int kMostPlaces = 8;
 /// Rays around a point are near if they lie within so many mean distances between returns, to each
 /// side and up and down: both of two rings ten times farther apart than their returns.
 constexpr float kNearRays = 4;

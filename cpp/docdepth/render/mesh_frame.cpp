@@ -42,9 +42,9 @@ PlacedDynamicObject place(const Camera& camera, const SightedObject& object,
     return from.placed.frame->dynamic_meshes[from.owner - 1];
   };
   for (const Sighting& from : object.around) {
-    const bool nearest = &from == object.around.data();
-    add(nearest ? placed.trusted : placed.others, meshes(from).whole, from, false);
-    if (nearest) add(placed.trusted, meshes(from).inner, from, true);
+    auto& surfaces = &from == object.around.data() ? placed.trusted : placed.others;
+    add(surfaces, meshes(from).whole, from, false);
+    add(surfaces, meshes(from).inner, from, true);
     add(placed.continued, meshes(from).outer, from, true);
   }
   for (const Sighting& from : object.others) add(placed.others, meshes(from).whole, from, false);

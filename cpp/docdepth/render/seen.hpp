@@ -23,17 +23,4 @@ enum class Seen : std::uint8_t { kNotLookedAt = 0, kAgreed = 1, kContradicted = 
 std::vector<Seen> seen_pixels(const Camera& camera, const MeshScene& scene, const float* depth,
                               const std::vector<std::int32_t>& objects, int threads);
 
-/// Empty the static world behind a box where rays around the shutter did not end on it.
-///
-/// The object may hide it from the camera. What is drawn there comes from sweeps that were taken
-/// before it came or after it left: the street behind the upper half of a truck that reaches above
-/// the highest beam, the wall behind a person beside the view of the sensor. Where the object ends
-/// rays pass it, and most of the four nearest ones ended on what is drawn (kMinEnded).
-/// @param owners  number of the dynamic object that each pixel shows, from 1 on; 0 for none; may be
-///   empty if the scene has none
-/// @param depth   of the image [m]; NaN for none
-void empty_behind_boxes(const Camera& camera, const MeshScene& scene,
-                        const std::vector<std::uint16_t>& owners, std::vector<float>& depth,
-                        int threads);
-
 }  // namespace docdepth

@@ -4,9 +4,9 @@
 #include <utility>
 
 #include "docdepth/geometry/parallel.hpp"
+#include "docdepth/render/behind_boxes.hpp"
 #include "docdepth/render/depth_hypotheses.hpp"
 #include "docdepth/render/raster.hpp"
-#include "docdepth/render/seen.hpp"
 
 namespace docdepth {
 namespace {

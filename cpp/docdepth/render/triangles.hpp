@@ -33,6 +33,7 @@ struct PlacedDynamicObject {
 struct PlacedBox {
   Pose T_camera_box;  ///< x forward, z up; the origin is the centre of the bottom
   Eigen::Vector3f size;
+  Eigen::Vector3f velocity;  ///< in the frame of the camera [m/s]
 };
 
 /// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all

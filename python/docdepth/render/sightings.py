@@ -60,7 +60,9 @@ MOST_RAYS = 8
 Floats: TypeAlias = NDArray[np.float64]
 Sighting: TypeAlias = "tuple[_core.Frame | _core.MeshFrame, int, Floats, int]"
 """A frame, the number of the object in it, ``T_camera_sensor``, and the number of the sweep."""
-Extent: TypeAlias = tuple[float, float, float]
+Triple: TypeAlias = tuple[float, float, float]
+PlacedBox: TypeAlias = tuple[Floats, Triple, Triple]
+"""``T_camera_box``; length, width and height [m]; velocity in the frame of the camera [m/s]."""
 SightedObject: TypeAlias = "tuple[int, list[Sighting], list[Sighting], list[Sighting]]"
 """Instance, sightings of sweeps around the image and of others, and those whose rays tell where the
 object ends."""
@@ -123,15 +125,14 @@ def sighted_objects(
     return found
 
 
-def boxes_in_view(
-    view: View, trajectory: Trajectory, tracks: Tracks
-) -> list[tuple[Floats, Extent]]:
-    """Where objects are that the camera may see: ``T_camera_box`` and how large each may be [m]."""
+def boxes_in_view(view: View, trajectory: Trajectory, tracks: Tracks) -> list[PlacedBox]:
+    """Objects that the camera may see: where they are, how large each may be, and how fast."""
     found = []
     for track in tracks.between(view.time - GONE, view.time + GONE):
         T_camera_object = view.T_camera_world @ track.pose_at(view.time)
         if _in_view(view.camera, T_camera_object, track):
-            found.append((T_camera_object, _extent(track, trajectory)))
+            x, y, z = (view.T_camera_world[:3, :3] @ track.velocity_at(view.time)).tolist()
+            found.append((T_camera_object, _extent(track, trajectory), (x, y, z)))
     return found
 
 
@@ -140,7 +141,7 @@ def _sighting(frame: Frame, seen: _Seen, T_camera_object: Floats) -> Sighting:
     return frame.dynamic_part[0], seen.owner, T_camera_sensor, seen.number
 
 
-def _extent(track: Track, trajectory: Trajectory) -> Extent:
+def _extent(track: Track, trajectory: Trajectory) -> Triple:
     """How long, wide and high an object may be: its height may never have been seen."""
     length, width, height = track.size.tolist()
     if not seen_to_its_top(track, trajectory):

@@ -6,10 +6,10 @@
 #include <string>
 
 #include "docdepth/geometry/rigid.hpp"
+#include "docdepth/render/behind_boxes.hpp"
 #include "docdepth/render/depth_hypotheses.hpp"
 #include "docdepth/render/gl/program.hpp"
 #include "docdepth/render/gl/shaders.hpp"
-#include "docdepth/render/seen.hpp"
 
 namespace docdepth::gl {
 namespace {

@@ -1,0 +1,131 @@
+#include "docdepth/render/behind_boxes.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "docdepth/geometry/parallel.hpp"
+#include "docdepth/render/shutter_rays.hpp"
+
+namespace docdepth {
+namespace {
+
+using Vector = Eigen::Vector3f;
+
+/// Depths between which a ray of the camera is inside a box; none if `leave` is not more.
+struct Inside {
+  float enter, leave;
+
+  bool ends_before(float depth) const { return enter < leave && leave < depth; }
+};
+
+/// A box as the camera sees it.
+class SeenBox {
+ public:
+  SeenBox(const Camera& camera, const PlacedBox& box)
+      : low_(-box.size.x() / 2 - kBoxMargin, -box.size.y() / 2 - kBoxMargin, 0),
+        high_(box.size.x() / 2 + kBoxMargin, box.size.y() / 2 + kBoxMargin,
+              box.size.z() + kBoxMargin),
+        velocity_(box.velocity),
+        bounds_(bounds_of(camera, box.T_camera_box, {(low_ + high_) / 2, (high_ - low_) / 2})) {
+    const Pose T = box.T_camera_box.inverse();
+    rotation_ = T.linear().cast<float>();
+    start_ = T.translation().cast<float>();
+  }
+
+  const PixelBounds& bounds() const { return bounds_; }
+
+  /// @param ray  of the camera, with a depth of 1
+  Inside inside(const Vector& ray) const {
+    const Vector along = rotation_ * ray;
+    Inside inside{0, std::numeric_limits<float>::infinity()};
+    for (int k = 0; k < 3; ++k) {
+      const float a = (low_[k] - start_[k]) / along[k], b = (high_[k] - start_[k]) / along[k];
+      inside.enter = std::max(inside.enter, std::min(a, b));
+      inside.leave = std::min(inside.leave, std::max(a, b));
+    }
+    return inside;
+  }
+
+  /// Whether rays around the shutter passed all along the way through the box.
+  bool is_empty_along(const Vector& ray, const ShutterRays& rays) const {
+    const auto [enter, leave] = inside(ray);
+    if (!(enter < leave)) return true;
+    const float apart = std::min(rays.apart(ray * enter, ray * leave), float(kMostPlaces));
+    const int places = std::max(int(std::ceil(apart)), 1);
+    for (int k = 0; k < places; ++k) {
+      const float depth = enter + (leave - enter) * (float(k) + 0.5f) / float(places);
+      const Corners corners = rays.around({ray * depth, Kind::kStatic, velocity_});
+      if (count(corners, {Verdict::kPassed, Verdict::kEnded}) < int(corners.size())) return false;
+    }
+    return true;
+  }
+
+ private:
+  Vector low_, high_, velocity_;
+  PixelBounds bounds_;
+  Eigen::Matrix3f rotation_;
+  Vector start_;
+};
+
+/// Pixels of a box that show the static world, kWayCell by kWayCell at a time.
+class PixelsOfBox {
+ public:
+  PixelsOfBox(const Camera& camera, const SeenBox& box, const ShutterRays& rays)
+      : camera_(camera), box_(box), rays_(rays) {}
+
+  /// @param was_seen  1 for pixels that stay whatever boxes follow
+  void empty(int from_u, int from_v, const std::vector<std::uint16_t>& owners,
+             std::vector<std::uint8_t>& was_seen, std::vector<float>& depth) const {
+    const PixelBounds& bounds = box_.bounds();
+    // Rays are farther apart than pixels: one way stands for all.
+    constexpr float kMiddle = float(kWayCell - 1) / 2;
+    bool is_known = false, is_free = false;
+    for (int v = from_v; v < std::min(from_v + kWayCell, bounds.end_v); ++v)
+      for (int u = from_u; u < std::min(from_u + kWayCell, bounds.end_u); ++u) {
+        const std::size_t i = std::size_t(v) * camera_.width + u;
+        if (was_seen[i] || !(depth[i] > 0) || (!owners.empty() && owners[i] != 0)) continue;
+        const Vector ray = ray_of(camera_, float(u), float(v));
+        if (!box_.inside(ray).ends_before(depth[i])) continue;
+        if (!is_known)
+          is_free = box_.is_empty_along(
+              ray_of(camera_, float(from_u) + kMiddle, float(from_v) + kMiddle), rays_);
+        is_known = true;
+        was_seen[i] = is_free && ended(ray * depth[i]);
+        if (!was_seen[i]) depth[i] = std::numeric_limits<float>::quiet_NaN();
+      }
+  }
+
+ private:
+  bool ended(const Vector& point) const {
+    return count(rays_.around({point, Kind::kStatic}), {Verdict::kEnded}) >= kMinEnded;
+  }
+
+  const Camera& camera_;
+  const SeenBox& box_;
+  const ShutterRays& rays_;
+};
+
+}  // namespace
+
+void empty_behind_boxes(const Camera& camera, const MeshScene& scene,
+                        const std::vector<std::uint16_t>& owners, std::vector<float>& depth,
+                        int threads) {
+  if (scene.boxes.empty()) return;
+  const ShutterRays rays(scene.shutter_rays);
+  std::vector<std::uint8_t> was_seen(depth.size(), 0);  // behind a box before this one
+  for (const PlacedBox& placed : scene.boxes) {
+    const SeenBox box(camera, placed);
+    const PixelBounds& bounds = box.bounds();
+    if (bounds.empty()) continue;
+    const PixelsOfBox pixels(camera, box, rays);
+    const auto rows = std::size_t(bounds.end_v - bounds.begin_v + kWayCell - 1) / kWayCell;
+    parallel_for(rows, 4, threads, [&](std::size_t begin, std::size_t end) {
+      for (int row = int(begin); row < int(end); ++row)
+        for (int u = bounds.begin_u; u < bounds.end_u; u += kWayCell)
+          pixels.empty(u, bounds.begin_v + row * kWayCell, owners, was_seen, depth);
+    });
+  }
+}
+
+}  // namespace docdepth

@@ -1,0 +1,28 @@
+// The static world behind the boxes of objects that move.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "docdepth/render/camera.hpp"
+#include "docdepth/render/triangles.hpp"
+
+namespace docdepth {
+
+/// Empty the static world behind a box where the object may hide it from the camera.
+///
+/// What is drawn there comes from sweeps that were taken before the object came or after it left:
+/// the street behind the upper half of a truck that reaches above the highest beam, the wall behind
+/// a person beside the view of the sensor. It stays where two things are known. All of the four
+/// nearest rays around the shutter passed through the box along the way from the camera: nothing of
+/// the object is there. The camera stands beside the sensor, and the object moves between the ray
+/// and the image, so rays that ended on the world are not enough. And of the nearest rays at least
+/// kMinEnded ended on what is drawn.
+/// @param owners  number of the dynamic object that each pixel shows, from 1 on; 0 for none; may be
+///   empty if the scene has none
+/// @param depth   of the image [m]; NaN for none
+void empty_behind_boxes(const Camera& camera, const MeshScene& scene,
+                        const std::vector<std::uint16_t>& owners, std::vector<float>& depth,
+                        int threads);
+
+}  // namespace docdepth
