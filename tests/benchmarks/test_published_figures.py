@@ -77,6 +77,18 @@ def test_depth_of_a_synthetic_drive(folders) -> None:
     assert found["too_far"] == pytest.approx(far, abs=0.1)
 
 
+def test_moving_objects_by_own_classes_and_tracks(folders) -> None:
+    """A cyclist 1.4 m away is seen by the camera where the LiDAR looks past."""
+    import suite
+
+    cell = ["--own", "--scenes", "city", "--sensors", "HDL-64"]
+    found = suite.main([*folders, *cell])["city_HDL-64"]["default"]
+    shifts, density, rmse = map(float, row("Depth by own classes and tracks", "HDL-64, city")[-3:])
+    assert found["moving_shifts"] == pytest.approx(shifts, abs=0.03)
+    assert found["moving_density"] == pytest.approx(density, abs=0.5)
+    assert found["moving_rmse"] == pytest.approx(rmse, abs=0.04)
+
+
 def test_labels_of_drive_0005(drive_0005, tmp_path) -> None:
     made = cli("run", drive_0005, "-o", tmp_path / "run", "--camera", "none")
     assert made.exit_code == 0, made.output

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from render_reference import AXES, TRIANGLES, followed, moving_track, straight
 
 from docdepth.errors import BackendError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import rotation_exp
 from docdepth.geometry.track import Tracks
+from docdepth.geometry.trajectory import Trajectory
 from docdepth.render import backends
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.layers import AGREED, compose_layers
-from docdepth.render.sightings import boxes_in_view
+from docdepth.render.sightings import RISE, VEHICLE_HEIGHT, View, boxes_in_view
 from docdepth.render.track_sweeps import seen_to_its_top
 
 CAMERA = Camera(np.array([[200.0, 0, 160], [0, 200, 80], [0, 0, 1]]), 320, 120)
+VIEW = View(CAMERA, AXES, 0)
 WALL, AHEAD = 36.0, 6.0  # places of the wall, and of the object before the ego [m]
 HIGHEST = 8.0  # beam [deg]
 
@@ -204,6 +209,34 @@ def test_what_was_seen_to_its_top_is_as_high_as_its_box():
     for size, speed, known in ((2.2, 20, False), (2.2, 80, True), (4.0, 80, False)):
         track = moving_track(trajectory, (6, 0, -1.7), (speed, 0, 0), (4, 2, size))
         assert seen_to_its_top(track, trajectory) == known
+
+
+@pytest.mark.parametrize(
+    ("slope", "speed", "known"), [(0, 20, False), (-4, 20, True), (0, 80, True), (4, 80, False)]
+)
+def test_a_lidar_that_is_tilted_downhill_looks_less_high(slope, speed, known):
+    level = straight(9, spacing=2.0)
+    tilt = np.eye(4)
+    tilt[:3, :3] = rotation_exp(np.radians((0, slope, 0)))
+    tilted = Trajectory(level.times, level.poses @ tilt)
+    track = moving_track(level, (6, 0, -1.7), (speed, 0, 0), (4, 2, 2.2))
+    assert seen_to_its_top(track, tilted) == known
+    (box,) = boxes_in_view(VIEW, tilted, Tracks([track]))
+    np.testing.assert_allclose(box[1], (4, 2, 2.2 + RISE if known else VEHICLE_HEIGHT))
+
+
+def test_the_box_of_an_object_is_there_before_the_lidar_sees_it():
+    """It comes over a hill at 20 m/s towards us: 2 s before its first return it is 40 m farther."""
+    trajectory = straight(50, spacing=0.0)
+    whole = moving_track(trajectory, (80, 0, -1.7), (-20, 0, 0), (4, 2, 1.5))
+    stamps = ("times", "poses", "velocities", "points", "deviations", "surface_deviations")
+    seen = replace(whole, **{name: getattr(whole, name)[25:] for name in stamps})
+    for seconds, expected in ((0.5, 70.0), (0.1, 78.0)):
+        view = VIEW._replace(time=round(seconds * 1e9))
+        ((T_camera_box, *_),) = boxes_in_view(view, trajectory, Tracks([seen]))
+        np.testing.assert_allclose(T_camera_box[:3, 3], (0, 1.7, expected), atol=1e-9)
+    late = replace(seen, times=seen.times + 200_000_000)
+    assert not boxes_in_view(VIEW, trajectory, Tracks([late]))
 
 
 @pytest.mark.parametrize("name", ["egl", "surfaceless", "osmesa"])

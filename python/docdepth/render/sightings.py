@@ -43,9 +43,10 @@ COARSER = 1.25
 """Sweeps that saw a vehicle from so many times farther show less of it than those around the
 image."""
 
-GONE = 500_000_000
-"""For so long before it is first seen, and after it is last seen, the place of an object is known
-[ns]. An object that brakes hard is a metre off by then."""
+GONE = 2_500_000_000
+"""For so long before it is first seen, and after it is last seen, the box of an object goes on as
+it did [ns]: the object comes over a hill, or into the view of a narrow LiDAR. The box may be metres
+off by then. That costs a few pixels, of those only at which no ray looked."""
 
 REACH = 1.0
 """An object may reach this far beyond the box of its track [m]."""
@@ -53,6 +54,10 @@ REACH = 1.0
 VEHICLE_HEIGHT, PERSON_HEIGHT = 4.2, 2.2
 """Road vehicles, and persons or cyclists, are no higher above the ground [m]: bridges on European
 roads let 4.2 to 4.5 m pass."""
+
+RISE = 0.4
+"""The box of a vehicle may lie so much too low [m]: where the road bends upwards, a van that is
+seen from the front alone is followed 0.4 m below its place."""
 
 MOST_RAYS = 8
 """Sweeps whose rays tell where an object ends: those around the image and as many others."""
@@ -144,9 +149,10 @@ def _sighting(frame: Frame, seen: _Seen, T_camera_object: Floats) -> Sighting:
 def _extent(track: Track, trajectory: Trajectory) -> Triple:
     """How long, wide and high an object may be: its height may never have been seen."""
     length, width, height = track.size.tolist()
-    if not seen_to_its_top(track, trajectory):
-        height = max(height, PERSON_HEIGHT if track.kind == "person" else VEHICLE_HEIGHT)
-    return length, width, height
+    person, seen = track.kind == "person", seen_to_its_top(track, trajectory)
+    if not seen:
+        height = max(height, PERSON_HEIGHT if person else VEHICLE_HEIGHT)
+    return length, width, height + (RISE if seen and not person else 0.0)
 
 
 def _in_view(camera: Camera, T_camera_object: Floats, track: Track) -> bool:

@@ -63,20 +63,20 @@ def lidar_range(track: Track, trajectory: Trajectory, time: int) -> float:
 
 def seen_to_its_top(track: Track, trajectory: Trajectory) -> bool:
     """Whether some sweep looked above an object, so that the height of its box is its own."""
-    _, lidar = _lidar_in_box(track, trajectory)
-    away = np.hypot(lidar[:, 0], lidar[:, 1])
-    elevation = np.arctan2(track.size[2] - lidar[:, 2], away)
+    _, T_box_lidar = _lidar_in_box(track, trajectory)
+    top = inverse(T_box_lidar) @ (0, 0, track.size[2], 1)  # the LiDAR may be tilted on a slope
+    elevation = np.arctan2(top[:, 2], np.hypot(top[:, 0], top[:, 1]))
     return bool((elevation < HIGHEST - TOP_MARGIN).any())
 
 
 def _lidar_in_box(track: Track, trajectory: Trajectory) -> tuple[NDArray[np.int64], Floats]:
-    """The sweeps that saw an object, (n,), and where in its frame the LiDAR was, (n, 3)."""
+    """The sweeps that saw an object, (n,), and the poses of the LiDAR in its frame, (n, 4, 4)."""
     sweep = np.minimum(np.searchsorted(trajectory.times, track.times), len(trajectory) - 1)
     seen = trajectory.times[sweep] == track.times
     if track.points.any():
         seen &= track.points > 0
     sweep = sweep[seen]
-    return sweep, (inverse(track.poses[seen]) @ trajectory.poses[sweep])[:, :3, 3]
+    return sweep, inverse(track.poses[seen]) @ trajectory.poses[sweep]
 
 
 def _views(track: Track, trajectory: Trajectory) -> list[int]:
@@ -85,9 +85,10 @@ def _views(track: Track, trajectory: Trajectory) -> list[int]:
     Of each half octave of range and eighth of a turn around it there is one: what is missing lies
     above the beams of the nearest sweep. At most ``MOST_TRACK_SWEEPS`` are taken.
     """
-    sweep, lidar = _lidar_in_box(track, trajectory)
+    sweep, T_box_lidar = _lidar_in_box(track, trajectory)
     if not len(sweep):
         return []
+    lidar = T_box_lidar[:, :3, 3]
     away = np.maximum(np.hypot(lidar[:, 0], lidar[:, 1]), 1.0)
     octave = np.floor(2 * np.log2(away)).astype(np.int64)
     side = np.round(np.arctan2(lidar[:, 1], lidar[:, 0]) / (np.pi / 4)).astype(np.int64) % 8
