@@ -149,9 +149,17 @@ def test_a_gap_inside_an_object_does_not_show_the_world():
 LEVEL = np.abs(UP + 0.1) < 0.08
 
 
-def test_a_camera_beside_the_lidar_is_shown_no_world_through_an_object(monkeypatch):
+@pytest.mark.parametrize("with_an_empty_box", [False, True])
+def test_a_camera_beside_the_lidar_is_shown_no_world_through_an_object(
+    with_an_empty_box, monkeypatch
+):
     """The left of the object gives no returns. From the LiDAR the wall behind it is in view."""
     beside = scene(top=1.0, ahead=3.0, gap=(8.0, 18.2))  # without returns from 0.42 to 0.99 m
+    if with_an_empty_box:  # farther off, where rays passed; each box is looked at by itself
+        empty = moving_track(
+            beside["trajectory"], (10, 5.2, -1.7), (20, 0, 0), (0.5, 3.4, 3.0), of=2
+        )
+        beside["tracks"] = Tracks([empty, *beside["tracks"].values()])
     beside["T_camera_lidar"] = AXES.copy()
     beside["T_camera_lidar"][0, 3] = -0.8
     hidden = LEVEL & (RIGHT > -0.57) & (RIGHT < -0.43)

@@ -74,9 +74,9 @@ class PixelsOfBox {
   PixelsOfBox(const Camera& camera, const SeenBox& box, const ShutterRays& rays)
       : camera_(camera), box_(box), rays_(rays) {}
 
-  /// @param was_seen  1 for pixels that stay whatever boxes follow
+  /// @param is_world  1 for pixels behind a box before this one at which rays ended on the world
   void empty(int from_u, int from_v, const std::vector<std::uint16_t>& owners,
-             std::vector<std::uint8_t>& was_seen, std::vector<float>& depth) const {
+             std::vector<std::uint8_t>& is_world, std::vector<float>& depth) const {
     const PixelBounds& bounds = box_.bounds();
     // Rays are farther apart than pixels: one way stands for all.
     constexpr float kMiddle = float(kWayCell - 1) / 2;
@@ -84,15 +84,15 @@ class PixelsOfBox {
     for (int v = from_v; v < std::min(from_v + kWayCell, bounds.end_v); ++v)
       for (int u = from_u; u < std::min(from_u + kWayCell, bounds.end_u); ++u) {
         const std::size_t i = std::size_t(v) * camera_.width + u;
-        if (was_seen[i] || !(depth[i] > 0) || (!owners.empty() && owners[i] != 0)) continue;
+        if (!(depth[i] > 0) || (!owners.empty() && owners[i] != 0)) continue;
         const Vector ray = ray_of(camera_, float(u), float(v));
         if (!box_.inside(ray).ends_before(depth[i])) continue;
         if (!is_known)
           is_free = box_.is_empty_along(
               ray_of(camera_, float(from_u) + kMiddle, float(from_v) + kMiddle), rays_);
         is_known = true;
-        was_seen[i] = is_free && ended(ray * depth[i]);
-        if (!was_seen[i]) depth[i] = std::numeric_limits<float>::quiet_NaN();
+        is_world[i] = is_free && (is_world[i] || ended(ray * depth[i]));
+        if (!is_world[i]) depth[i] = std::numeric_limits<float>::quiet_NaN();
       }
   }
 
@@ -113,7 +113,7 @@ void empty_behind_boxes(const Camera& camera, const MeshScene& scene,
                         int threads) {
   if (scene.boxes.empty()) return;
   const ShutterRays rays(scene.shutter_rays);
-  std::vector<std::uint8_t> was_seen(depth.size(), 0);  // behind a box before this one
+  std::vector<std::uint8_t> is_world(depth.size(), 0);
   for (const PlacedBox& placed : scene.boxes) {
     const SeenBox box(camera, placed);
     const PixelBounds& bounds = box.bounds();
@@ -123,7 +123,7 @@ void empty_behind_boxes(const Camera& camera, const MeshScene& scene,
     parallel_for(rows, 4, threads, [&](std::size_t begin, std::size_t end) {
       for (int row = int(begin); row < int(end); ++row)
         for (int u = bounds.begin_u; u < bounds.end_u; u += kWayCell)
-          pixels.empty(u, bounds.begin_v + row * kWayCell, owners, was_seen, depth);
+          pixels.empty(u, bounds.begin_v + row * kWayCell, owners, is_world, depth);
     });
   }
 }
