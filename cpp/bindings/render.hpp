@@ -90,17 +90,14 @@ using BoxOf = std::tuple<Array<double>, Triple, Triple>;
 
 inline std::vector<PlacedBox> as_boxes(const std::vector<BoxOf>& boxes) {
   std::vector<PlacedBox> result;
-  const auto vector = [](const Triple& values) {
+  const auto vector = [](const Triple& values, double least, double most, const char* what) {
     const auto& [x, y, z] = values;
+    for (const double value : {x, y, z}) in_range(value, least, most, what);
     return Eigen::Vector3f(float(x), float(y), float(z));
   };
-  for (const auto& [pose, size, velocity] : boxes) {
-    const auto& [length, width, height] = size;
-    for (const double side : {length, width, height}) in_range(side, 0, 1e3, "a side of a box [m]");
-    const auto& [x, y, z] = velocity;
-    for (const double speed : {x, y, z}) in_range(speed, -1e3, 1e3, "a speed of a box [m/s]");
-    result.push_back({as_pose(pose), vector(size), vector(velocity)});
-  }
+  for (const auto& [pose, size, velocity] : boxes)
+    result.push_back({as_pose(pose), vector(size, 0, 1e3, "a side of a box [m]"),
+                      vector(velocity, -1e3, 1e3, "a speed of a box [m/s]")});
   return result;
 }
 

@@ -202,7 +202,9 @@ def test_only_pixels_behind_the_box_that_rays_do_not_agree_with_are_emptied(monk
     seen = compose_layers(("seen",), whole, **cut)["seen"]
     missing = np.isnan(emptied) & np.isfinite(whole)
     assert missing.sum() > 500
-    assert (missing & (seen == AGREED)).sum() < 0.005 * missing.sum()  # beside the object
+    # Rays that agree are enough but for the pixel at the outline: some rays ended on the object.
+    outline = np.abs(np.abs(RIGHT) - 1 / AHEAD) * CAMERA.K[0, 0] < 1
+    assert not (missing & (seen == AGREED) & ~outline).any()
     # Points along the ray of each pixel, in the frame of the box.
     T = np.linalg.inv(box.pose_at(cut["time"])) @ cut["trajectory"].poses[6] @ np.linalg.inv(AXES)
     z = np.linspace(0.1, 1, 2000)[:, None] * whole[missing]

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/render/shutter_rays.hpp"
@@ -47,7 +48,7 @@ class SeenBox {
     return inside;
   }
 
-  /// Whether rays around the shutter passed all along the way through the box.
+  /// Whether rays around the shutter tell that the object is nowhere along the way through its box.
   bool is_empty_along(const Vector& ray, const ShutterRays& rays) const {
     const auto [enter, leave] = inside(ray);
     if (!(enter < leave)) return true;
@@ -56,6 +57,7 @@ class SeenBox {
     for (int k = 0; k < places; ++k) {
       const float depth = enter + (leave - enter) * (float(k) + 0.5f) / float(places);
       const Corners corners = rays.around({ray * depth, Kind::kStatic, velocity_});
+      // Where a ray ended on what stands still, that is there and not the object.
       if (count(corners, {Verdict::kPassed, Verdict::kEnded}) < int(corners.size())) return false;
     }
     return true;
@@ -78,20 +80,18 @@ class PixelsOfBox {
   void empty(int from_u, int from_v, const std::vector<std::uint16_t>& owners,
              std::vector<std::uint8_t>& is_world, std::vector<float>& depth) const {
     const PixelBounds& bounds = box_.bounds();
-    // Rays are farther apart than pixels: one way stands for all.
     constexpr float kMiddle = float(kWayCell - 1) / 2;
-    bool is_known = false, is_free = false;
+    std::optional<bool> is_empty;  // along the way of the middle
     for (int v = from_v; v < std::min(from_v + kWayCell, bounds.end_v); ++v)
       for (int u = from_u; u < std::min(from_u + kWayCell, bounds.end_u); ++u) {
         const std::size_t i = std::size_t(v) * camera_.width + u;
         if (!(depth[i] > 0) || (!owners.empty() && owners[i] != 0)) continue;
         const Vector ray = ray_of(camera_, float(u), float(v));
         if (!box_.inside(ray).ends_before(depth[i])) continue;
-        if (!is_known)
-          is_free = box_.is_empty_along(
+        if (!is_empty)
+          is_empty = box_.is_empty_along(
               ray_of(camera_, float(from_u) + kMiddle, float(from_v) + kMiddle), rays_);
-        is_known = true;
-        is_world[i] = is_free && (is_world[i] || ended(ray * depth[i]));
+        is_world[i] = *is_empty && (is_world[i] || ended(ray * depth[i]));
         if (!is_world[i]) depth[i] = std::numeric_limits<float>::quiet_NaN();
       }
   }

@@ -13,11 +13,15 @@ namespace docdepth {
 ///
 /// What is drawn there comes from sweeps that were taken before the object came or after it left:
 /// the street behind the upper half of a truck that reaches above the highest beam, the wall behind
-/// a person beside the view of the sensor. It stays where two things are known. All of the four
-/// nearest rays around the shutter passed through the box along the way from the camera: nothing of
-/// the object is there. The camera stands beside the sensor, and the object moves between the ray
-/// and the image, so rays that ended on the world are not enough. And of the nearest rays at least
-/// kMinEnded ended on what is drawn.
+/// a person beside the view of the sensor. It stays where rays around the shutter tell two things:
+///
+/// - The object is not on the way from the camera. At places along the way through its box, all of
+///   the four nearest rays passed, or ended on what stands still. Each is asked about the place
+///   where that part of the box was when the ray was fired.
+/// - The world is there. At least kMinEnded of the four nearest rays ended on what is drawn.
+///
+/// The second is not enough: the camera stands beside the sensor, and the object moves between the
+/// ray and the image.
 /// @param owners  number of the dynamic object that each pixel shows, from 1 on; 0 for none; may be
 ///   empty if the scene has none
 /// @param depth   of the image [m]; NaN for none

@@ -49,9 +49,9 @@ constexpr float kBoxMargin = 0.05f;
 /// Behind the box of an object a point was seen if so many of the nearest rays around it, one in
 /// each quadrant of direction, ended there. Beside a straight edge of the object two do.
 constexpr int kMinEnded = 2;
-/// The way through the box is looked at once for so many pixels to each side, and at so many places
-/// at most.
+/// So many pixels to each side share one way through the box: rays are farther apart than pixels.
 constexpr int kWayCell = 2;
+/// The way through the box is looked at in so many places at most.
 constexpr int kMostPlaces = 8;
 /// Rays around a point are near if they lie within so many mean distances between returns, to each
 /// side and up and down: both of two rings ten times farther apart than their returns.

@@ -51,7 +51,8 @@ class ShutterRays {
   /// Whether a point in the frame of the camera lies on the plane where the ray ended.
   bool on_plane(const Corner& corner, const Eigen::Vector3f& point) const;
 
-  /// How far apart two points of the frame of the camera appear, in mean distances between returns.
+  /// How far apart the sensor sees two points of the frame of the camera, in mean distances between
+  /// returns.
   float apart(const Eigen::Vector3f& a, const Eigen::Vector3f& b) const;
 
  private:

@@ -45,7 +45,7 @@ struct MeshScene {
   std::vector<PlacedDynamicObject> dynamic_objects;  ///< hide what is farther
   std::vector<PlacedRays> shutter_rays{};            ///< of the sweeps nearest in time to the image
   std::vector<PlacedMesh> continued{};  ///< continue `trusted`, and may hide what is farther
-  std::vector<PlacedBox> boxes{};       ///< the static world behind is drawn where these saw it
+  std::vector<PlacedBox> boxes{};       ///< around what moves; see empty_behind_boxes()
 };
 
 /// Depth of the surface at each pixel, row after row [m]; NaN if there is none. Triangles with a

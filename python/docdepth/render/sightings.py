@@ -149,10 +149,12 @@ def _sighting(frame: Frame, seen: _Seen, T_camera_object: Floats) -> Sighting:
 def _extent(track: Track, trajectory: Trajectory) -> Triple:
     """How long, wide and high an object may be: its height may never have been seen."""
     length, width, height = track.size.tolist()
-    person, seen = track.kind == "person", seen_to_its_top(track, trajectory)
-    if not seen:
+    person = track.kind == "person"
+    if not seen_to_its_top(track, trajectory):
         height = max(height, PERSON_HEIGHT if person else VEHICLE_HEIGHT)
-    return length, width, height + (RISE if seen and not person else 0.0)
+    elif not person:
+        height += RISE
+    return length, width, height
 
 
 def _in_view(camera: Camera, T_camera_object: Floats, track: Track) -> bool:

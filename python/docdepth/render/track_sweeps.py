@@ -50,9 +50,8 @@ def sweeps_of_track(track: Track, trajectory: Trajectory, time: int) -> list[int
     """Sweeps that saw from elsewhere what of a vehicle is too high at ``time`` [ns], ascending."""
     if track.kind != "vehicle" or not track.covers(time):
         return []
-    T_lidar_world = inverse(trajectory.interpolate(time)[0])
-    x, y, z, _ = T_lidar_world @ track.pose_at(time) @ (0, 0, track.size[2], 1)
-    return _views(track, trajectory) if np.arctan2(z, np.hypot(x, y)) > HIGHEST else []
+    T_lidar_box = inverse(trajectory.interpolate(time)[0]) @ track.pose_at(time)
+    return _views(track, trajectory) if _elevation_of_top(track, T_lidar_box) > HIGHEST else []
 
 
 def lidar_range(track: Track, trajectory: Trajectory, time: int) -> float:
@@ -64,9 +63,13 @@ def lidar_range(track: Track, trajectory: Trajectory, time: int) -> float:
 def seen_to_its_top(track: Track, trajectory: Trajectory) -> bool:
     """Whether some sweep looked above an object, so that the height of its box is its own."""
     _, T_box_lidar = _lidar_in_box(track, trajectory)
-    top = inverse(T_box_lidar) @ (0, 0, track.size[2], 1)  # the LiDAR may be tilted on a slope
-    elevation = np.arctan2(top[:, 2], np.hypot(top[:, 0], top[:, 1]))
-    return bool((elevation < HIGHEST - TOP_MARGIN).any())
+    return bool((_elevation_of_top(track, inverse(T_box_lidar)) < HIGHEST - TOP_MARGIN).any())
+
+
+def _elevation_of_top(track: Track, T_lidar_box: Floats) -> Floats:
+    """Elevation of the top of a box (...) [rad] for poses (..., 4, 4); the LiDAR may be tilted."""
+    top = T_lidar_box @ (0, 0, track.size[2], 1)
+    return np.asarray(np.arctan2(top[..., 2], np.hypot(top[..., 0], top[..., 1])))
 
 
 def _lidar_in_box(track: Track, trajectory: Trajectory) -> tuple[NDArray[np.int64], Floats]:
