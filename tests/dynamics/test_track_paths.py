@@ -85,6 +85,16 @@ def test_a_lorry_uphill_stays_on_the_road():
     np.testing.assert_allclose(track.velocities[3:-3, 2], climbs, atol=0.3)
 
 
+@pytest.mark.parametrize(("speed", "slope"), [(18, -0.2), (12, -0.3), (18, -0.3)])
+def test_a_car_on_a_steep_road_is_tracked(speed, slope):
+    """It rises by a third to a half of a metre a sweep: more than samples that match may differ."""
+    track, heights = track_on_ground(CAR, lambda i: (45 - 0.1 * speed * i, 4), 20, slope)
+    assert len(track) >= 18
+    assert np.ptp(track.poses[:, 2, 3] - heights) < 0.2  # its box leans, this one does not
+    np.testing.assert_allclose(track.velocities[3:-3, 0], -speed, rtol=0.05)
+    np.testing.assert_allclose(track.velocities[3:-3, 2], -speed * slope, atol=0.5)
+
+
 def path_of(place, count, lost=()):
     """The track of a car that a standing LiDAR sees, but for some sweeps, and all it says."""
     rng, detections = np.random.default_rng(0), []

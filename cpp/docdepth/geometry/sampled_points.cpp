@@ -153,7 +153,8 @@ TimedPoints downsample_sweep(const Points& points, const float* times, float siz
   return means;
 }
 
-Vector most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach) {
+Vector most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach,
+                           float rise) {
   if (!(reach < kMaxShift)) reach = kMaxShift;
   const int side =
       2 * static_cast<int>(std::ceil(reach / kShiftBin)) + 3;  // a border of empty bins
@@ -162,7 +163,7 @@ Vector most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float
     for (const Vector& q : b) {
       const Vector d = q - p;
       // Written so that differences that are not finite are left out, too.
-      if (!(std::fabs(d.z()) <= kMaxHeightDifference && std::fabs(d.x()) <= reach &&
+      if (!(std::fabs(d.z() - rise) <= kMaxHeightDifference && std::fabs(d.x()) <= reach &&
             std::fabs(d.y()) <= reach))
         continue;
       const int u = side / 2 + static_cast<int>(std::lround(d.x() / kShiftBin));
@@ -177,7 +178,8 @@ Vector most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float
         for (int dv = -1; dv <= 1; ++dv) sum += counts[(u + du) * side + v + dv];
       if (sum > most) most = sum, best = u * side + v;
     }
-  return {float(best / side - side / 2) * kShiftBin, float(best % side - side / 2) * kShiftBin, 0};
+  return {float(best / side - side / 2) * kShiftBin, float(best % side - side / 2) * kShiftBin,
+          rise};
 }
 
 bool refine_shift(const SampledPoints& a, const SampledPoints& b, Vector& shift) {

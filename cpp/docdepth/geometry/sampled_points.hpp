@@ -87,8 +87,10 @@ TimedSurface downsample(const TimedSurface& surface, float size);
 TimedPoints downsample_sweep(const Points& points, const float* times, float size, float min_range,
                              float max_range);
 
-/// The horizontal shift up to `reach` that explains most of the differences b - a.
-Eigen::Vector3f most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach);
+/// The horizontal shift up to `reach`, after a vertical one by `rise`, that explains most of the
+/// differences b - a.
+Eigen::Vector3f most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach,
+                                    float rise);
 
 /// Refine a shift so that points of a and b that are each other's nearest coincide (horizontal
 /// ICP).

@@ -5,6 +5,7 @@
 
 #include "docdepth/objects/constants.hpp"
 #include "docdepth/objects/ego_places.hpp"
+#include "docdepth/objects/elevation.hpp"
 #include "docdepth/objects/neighbors.hpp"
 
 namespace docdepth {
@@ -64,6 +65,7 @@ struct End {
   Vector largest;         ///< size of its objects
   double time;
   Speed speed;
+  Elevation elevation;
   float area = 0;                ///< that was seen of it when it was not partly hidden
   SampledPoints neighbors = {};  ///< of what touched it but is none of it, where these stand
 };
@@ -166,7 +168,8 @@ class Tracker {
       last_speeds_.emplace_back();
       const SampledPoints& samples = seen[k].samples();
       alive_.push_back(
-          {track, samples, samples, seen[k].box.size(), times_[sweep], {}, seen[k].area});
+          {track, samples, samples, seen[k].box.size(), times_[sweep], {}, {}, seen[k].area});
+      alive_.back().elevation.add(times_[sweep], seen[k].ground);
     }
   }
 
@@ -226,6 +229,7 @@ class Tracker {
     end.speed.add(match.shift, times_[sweep] - end.time, match.range);
     if (!partial) end.area = match.area;
     end.time = times_[sweep];
+    end.elevation.add(end.time, ground_under(detections_[sweep], match.objects));
     end.samples =
         together(std::move(partial || stands ? end.samples : end.last), match.shift, match.samples);
     end.last = match.samples;
@@ -281,8 +285,10 @@ class Tracker {
       return samples;
     };
     End end{track, {},          samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep],
-            {},    seen[0].area};
+            {},    {},             seen[0].area};
     for (const TrackObservation& of : seen) end.largest = end.largest.cwiseMax(of.box.size());
+    for (std::size_t k = seen.size(); k-- > 0;)
+      end.elevation.add(times_[seen[k].sweep], seen[k].ground);
     end.samples = end.last;
     if (seen.size() == 1) return end;
     end.samples = together(samples_of(seen[1]), -seen[1].shift, end.last);
@@ -337,9 +343,11 @@ class Tracker {
     const Detections& seen = detections_[sweep];
     const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
     Match best;
-    const Vector expected = end.speed.velocity * static_cast<float>(dt);
+    Vector expected = end.speed.velocity * static_cast<float>(dt);
+    expected.z() = end.elevation.rise(times_[sweep], {});
     std::vector<Vector> tried;
     const auto attempt = [&](const Vector& start) {
+      if (std::fabs(start.z()) > float(kSteepest) * start.head<2>().norm()) return;  // no road
       const auto is_same = [&](const Vector& other) {
         return (other - start).norm() < kSampleSpacing;
       };
@@ -361,10 +369,14 @@ class Tracker {
                             ? seen[k].box.overlaps(there, kSearchMargin)
                             : seen[k].is_passing() && seen[k].box.overlaps(box, reach);
       if (!near) continue;
-      for (const Vector& shift :
-           {Vector(seen[k].box.low - box.low), Vector(seen[k].box.high - box.high)})
-        if (shift.head<2>().norm() <= reach) attempt({shift.x(), shift.y(), 0});
-      if (!end.speed.is_known) attempt(most_frequent_shift(samples, seen[k].samples(), reach));
+      // Level, too: the ground may have been seen wrong.
+      for (const float up : {0.0f, end.elevation.rise(times_[sweep], seen[k].ground)}) {
+        for (const Vector& shift :
+             {Vector(seen[k].box.low - box.low), Vector(seen[k].box.high - box.high)})
+          if (shift.head<2>().norm() <= reach) attempt({shift.x(), shift.y(), up});
+        if (!end.speed.is_known)
+          attempt(most_frequent_shift(samples, seen[k].samples(), reach, up));
+      }
     }
     return best;
   }
