@@ -284,8 +284,8 @@ class Tracker {
       for (const auto k : of.objects) append(samples, detections_[of.sweep][k].samples());
       return samples;
     };
-    End end{track, {},          samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep],
-            {},    {},             seen[0].area};
+    End end{track, {}, samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep],
+            {},    {}, seen[0].area};
     for (const TrackObservation& of : seen) end.largest = end.largest.cwiseMax(of.box.size());
     for (std::size_t k = seen.size(); k-- > 0;)
       end.elevation.add(times_[seen[k].sweep], seen[k].ground);
