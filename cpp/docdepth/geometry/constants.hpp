@@ -18,14 +18,15 @@ constexpr std::int64_t kMaxVoxel = std::int64_t{1} << 40;
 /// An object with fewer samples has no shape that could be matched.
 constexpr std::size_t kMinSamples = 5;
 
-// --- Matching: the horizontal shift between two observations of one object. ---
+// --- Matching: the shift between two observations of one object. ---
 
 /// Edge of a bin of the histogram of shifts [m].
 constexpr float kShiftBin = 0.2f;
 /// Larger shifts are not looked for [m]: after a pause of the recording the histogram would fill
 /// the memory.
 constexpr float kMaxShift = 400.0f;
-/// Samples whose heights differ more are not the same place [m]: objects move on the ground.
+/// Samples whose heights differ more, after the object rose with the ground, are not the same
+/// place [m].
 constexpr float kMaxHeightDifference = 0.2f;
 /// A sample is matched by another one within this distance [m].
 constexpr float kMatchDistance = 0.3f;

@@ -1,4 +1,4 @@
-// How high a track stands.
+// How high an object stands, and whether it goes up or down.
 #pragma once
 
 #include <cmath>
@@ -27,8 +27,8 @@ class Elevation {
     }
   }
 
-  /// How much higher the object is at another time, above such ground if that is known [m]; 0 if
-  /// that is no more than an error of the ground.
+  /// How much higher the object is at another time [m]; 0 if that is no more than its error.
+  /// @param ground  that was seen there; of infinite deviation if none was
   float rise(double time, const Height& ground) const {
     if (!known_) return 0;
     Elevation there = *this;

@@ -143,8 +143,8 @@ PathEstimate PathEstimation::run() {
   return std::move(path_);
 }
 
-/// Sum the shifts from sweep to sweep, which are horizontal. Heights are those of the ground, or of
-/// the lowest points where no ground was seen.
+/// Sum the horizontal shifts from sweep to sweep. Heights are those of the ground, or of the lowest
+/// points where no ground was seen.
 void PathEstimation::measure_shifts() {
   std::vector<MeasuredPosition> measured;
   Position at = Position::Zero();

@@ -347,7 +347,8 @@ class Tracker {
     expected.z() = end.elevation.rise(times_[sweep], {});
     std::vector<Vector> tried;
     const auto attempt = [&](const Vector& start) {
-      if (std::fabs(start.z()) > float(kSteepest) * start.head<2>().norm()) return;  // no road
+      // No road is so steep: the ground was seen wrong.
+      if (std::fabs(start.z()) > float(kSteepest) * start.head<2>().norm()) return;
       const auto is_same = [&](const Vector& other) {
         return (other - start).norm() < kSampleSpacing;
       };
@@ -369,14 +370,16 @@ class Tracker {
                             ? seen[k].box.overlaps(there, kSearchMargin)
                             : seen[k].is_passing() && seen[k].box.overlaps(box, reach);
       if (!near) continue;
-      // Level, too: the ground may have been seen wrong.
-      for (const float up : {0.0f, end.elevation.rise(times_[sweep], seen[k].ground)}) {
+      const auto attempt_at = [&](float rise) {
         for (const Vector& shift :
              {Vector(seen[k].box.low - box.low), Vector(seen[k].box.high - box.high)})
-          if (shift.head<2>().norm() <= reach) attempt({shift.x(), shift.y(), up});
+          if (shift.head<2>().norm() <= reach) attempt({shift.x(), shift.y(), rise});
         if (!end.speed.is_known)
-          attempt(most_frequent_shift(samples, seen[k].samples(), reach, up));
-      }
+          attempt(most_frequent_shift(samples, seen[k].samples(), reach, rise));
+      };
+      attempt_at(0);  // in any case, as the ground may have been seen wrong
+      const float rise = end.elevation.rise(times_[sweep], seen[k].ground);
+      if (rise != 0) attempt_at(rise);
     }
     return best;
   }
