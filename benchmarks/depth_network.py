@@ -20,6 +20,7 @@ _SCALE = 6
 _CHANNELS = (16, 32, 64, 128)
 # Pixels of an image that count in one step: as many for a dense truth as a sparse one has.
 _SAMPLES = 8192
+_DEVICE = torch.device("cuda" if torch.cuda.is_available() else "cpu")
 # Guess of an untrained network [m].
 _TYPICAL_DEPTH = 12.0
 
@@ -45,11 +46,12 @@ class DepthNetwork(nn.Module):
             for flat, deep in zip(_CHANNELS[-2::-1], _CHANNELS[:0:-1], strict=True)
         )
         self.last = nn.Conv2d(_CHANNELS[0], 1, 1)
+        self.to(_DEVICE)
 
     def forward(self, image: Tensor) -> Tensor:
         n, _, h, w = image.shape
-        rows = torch.linspace(-1, 1, h).view(1, 1, h, 1).expand(n, 1, h, w)
-        columns = torch.linspace(-1, 1, w).view(1, 1, 1, w).expand(n, 1, h, w)
+        rows = torch.linspace(-1, 1, h, device=image.device).view(1, 1, h, 1).expand(n, 1, h, w)
+        columns = torch.linspace(-1, 1, w, device=image.device).view(1, 1, 1, w).expand(n, 1, h, w)
         x = torch.cat([image, rows, columns], dim=1)
         passed = []
         for block in self.down:
@@ -92,15 +94,19 @@ def train(
     network, choice = DepthNetwork(), np.random.default_rng(seed)
     # Of its own, so that sparse and dense truths see the same images in the same order.
     pixels = np.random.default_rng(seed)
+    known = [np.flatnonzero(np.isfinite(s.truth)) for s in samples]
     optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=1e-2)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, steps, pct_start=0.1)
     stops = {steps // 8, steps // 4, steps // 2, steps}
     for step in range(1, steps + 1):
-        chosen = [samples[k] for k in choice.integers(len(samples), size=batch)]
+        chosen = choice.integers(len(samples), size=batch)
         flipped = choice.random(batch) < 0.5
-        pairs = [_flip(s) if f else s for s, f in zip(chosen, flipped, strict=True)]
+        shown = list(zip(chosen, flipped, strict=True))
         optimizer.zero_grad()
-        loss = _loss(network, pairs, pixels)
+        images = [samples[k].image[:, :: -1 if f else 1] for k, f in shown]
+        guess = network(_small(images))
+        truths = [_some(samples[k].truth, known[k], f, pixels) for k, f in shown]
+        loss = torch.stack([_error(*of) for of in zip(guess, truths, strict=True)]).mean()
         loss.backward()
         nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimizer.step()
@@ -117,31 +123,31 @@ def predict(network: DepthNetwork, image: NDArray[np.uint8]) -> NDArray[np.float
     """Depth of each pixel of an image, (h, w) [m]."""
     guess = network(_small([image]))
     full = F.interpolate(guess, size=image.shape[:2], mode="bilinear", align_corners=False)
-    return full[0, 0].exp().numpy()
+    return full[0, 0].exp().cpu().numpy()
 
 
-def _loss(network: DepthNetwork, pairs: list[Sample], choice: np.random.Generator) -> Tensor:
-    guess = network(_small([s.image for s in pairs]))
-    errors = []
-    for k, sample in enumerate(pairs):
-        rows, columns = np.nonzero(np.isfinite(sample.truth))
-        if len(rows) > _SAMPLES:
-            some = choice.choice(len(rows), _SAMPLES, replace=False)
-            rows, columns = rows[some], columns[some]
-        h, w = sample.truth.shape
-        where = np.stack([(2 * columns + 1) / w - 1, (2 * rows + 1) / h - 1], axis=1)
-        grid = torch.from_numpy(where.astype(np.float32))[None, None]
-        found = F.grid_sample(guess[k : k + 1], grid, padding_mode="border", align_corners=False)
-        true = torch.from_numpy(np.log(sample.truth[rows, columns]))
-        errors.append((found[0, 0, 0] - true).abs().mean())
-    return torch.stack(errors).mean()
+def _some(
+    truth: NDArray[np.float32], known: NDArray[np.int64], flipped: bool, choice: np.random.Generator
+) -> tuple[Tensor, Tensor]:
+    """Some of the known pixels: where they are, from -1 to 1, and the logarithm of their depth."""
+    if len(known) > _SAMPLES:
+        known = choice.choice(known, _SAMPLES, replace=False)
+    h, w = truth.shape
+    rows, columns = np.divmod(known, w)
+    x, y = (2 * columns + 1) / w - 1, (2 * rows + 1) / h - 1
+    where = np.stack([-x if flipped else x, y], axis=1).astype(np.float32)
+    depth = np.log(truth.ravel()[known])
+    return torch.from_numpy(where).to(_DEVICE), torch.from_numpy(depth).to(_DEVICE)
+
+
+def _error(guess: Tensor, truth: tuple[Tensor, Tensor]) -> Tensor:
+    where, depth = truth
+    grid = where[None, None]
+    found = F.grid_sample(guess[None], grid, padding_mode="border", align_corners=False)
+    return (found[0, 0, 0] - depth).abs().mean()
 
 
 def _small(images: list[NDArray[np.uint8]]) -> Tensor:
-    batch = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).float() / 255.0 - 0.5
+    batch = torch.from_numpy(np.stack(images)).to(_DEVICE).permute(0, 3, 1, 2).float() / 255 - 0.5
     h, w = batch.shape[-2:]
     return F.interpolate(batch, size=(h // _SCALE, w // _SCALE), mode="area")
-
-
-def _flip(sample: Sample) -> Sample:
-    return Sample(sample.image[:, ::-1].copy(), sample.truth[:, ::-1].copy())

@@ -1,7 +1,7 @@
 """Does a network learn more from denser truth? A small one, judged against exact depth.
 
     pip install 'docdepth[synth,train]'
-    python benchmarks/training.py drives -o training [--runs 2] [--steps 800]
+    python benchmarks/training.py drives -o training [--runs 2] [--steps 800] [--jobs 1]
 
 Writes synthetic drives with images below ``drives`` and runs ``docdepth run`` on the raw sweeps of
 each, with the presets ``default`` and ``paper``. The same network is then trained with five truths:
@@ -9,7 +9,8 @@ the points of one sweep, IP-Basic on that sweep, ``paper``, ``default``, and exa
 that any truth could do. All see the same images in the same order from the same start. Networks
 are judged on images of drives that no network saw, against exact depth of all pixels up to 80 m.
 
-Prints the table after the last step, and how the error falls. An interrupted run resumes.
+Prints the table after the last step, and how the error falls. Trains on a graphics card if there is
+one. An interrupted run resumes.
 """
 
 from __future__ import annotations
@@ -17,10 +18,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import multiprocessing
 import statistics
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,7 +53,7 @@ Errors = dict[str, float]
 
 @dataclass(frozen=True)
 class Judged:
-    """An image with exact depth, pixels above the highest beam, near edges, and moving ones."""
+    """An image with exact depth, and which pixels are below the highest beam, moving and so on."""
 
     image: NDArray[np.uint8]
     truth: Depth
@@ -101,15 +104,11 @@ def one_sweep(run: docdepth.RunFolder, camera: CameraStream, k: int) -> Depth:
     return project(camera.camera, camera.T_camera_lidar @ T_lidar_sweep, run.points(nearest))[0]
 
 
-def judged_images(lidar: str) -> list[Judged]:
-    """Images of drives that no network saw."""
-    images = []
-    for seed in JUDGED_ON:
-        for name in SCENES:
-            drive = Drive(scene(name, seed), sensor(lidar), FRAMES, seed)
-            spread = np.linspace(0, len(drive.camera_times) - 1, IMAGES_OF_A_JUDGED_DRIVE)
-            images += [_judged(drive, int(k)) for k in spread.round()]
-    return images
+def judged_images(name: str, lidar: str, seed: int) -> list[Judged]:
+    """Images of a drive that no network saw."""
+    drive = Drive(scene(name, seed), sensor(lidar), FRAMES, seed)
+    spread = np.linspace(0, len(drive.camera_times) - 1, IMAGES_OF_A_JUDGED_DRIVE)
+    return [_judged(drive, int(k)) for k in spread.round()]
 
 
 def _judged(drive: Drive, k: int) -> Judged:
@@ -123,6 +122,7 @@ def _judged(drive: Drive, k: int) -> Judged:
     known = np.isfinite(truth)
     parts = {
         "all": known,
+        "below the highest beam": known & ~above,
         "above the highest beam": known & above,
         "near edges": known & (edge_distance(truth) <= EDGE_MARGIN),
         "moving": known & moving(view.labels.ravel()).reshape(truth.shape),
@@ -150,17 +150,20 @@ def errors_of(predict: Callable[[NDArray[np.uint8]], Depth], judged: list[Judged
     return figures
 
 
-def trained(
-    samples: list[Sample], judged: list[Judged], steps: int, seed: int
-) -> dict[int, Errors]:
-    """Figures of one network along its training."""
+def train(
+    folders: list[Path], kind: str, judged: list[Judged], steps: int, seed: int, file: Path
+) -> None:
+    """Train a network with one kind of truth; write its figures along the way."""
+    if file.is_file():
+        return
+    samples = [s for folder in folders for s in truths_of(folder, kind)]
     curve: dict[int, Errors] = {}
 
     def watch(step: int, network: depth_network.DepthNetwork) -> None:
         curve[step] = errors_of(lambda image: depth_network.predict(network, image), judged)
 
     depth_network.train(samples, steps, seed, watch)
-    return curve
+    file.write_text(json.dumps(curve, indent=1))
 
 
 def main() -> None:
@@ -170,22 +173,35 @@ def main() -> None:
     parser.add_argument("--sensor", default="HDL-64", choices=list(sensors()))
     parser.add_argument("--steps", type=int, default=800)
     parser.add_argument("--runs", type=int, default=2, help="trainings of each truth")
+    parser.add_argument("--jobs", type=int, default=1, help="drives and trainings at once")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    folders = [
-        drive_with_runs(args.drives, name, args.sensor, seed)
-        for seed in TRAINED_ON
-        for name in SCENES
+    trainings = [
+        (kind, seed, args.out / f"{args.sensor}_{kind}_{args.steps}_{seed}.json")
+        for seed in range(args.runs)
+        for kind in TRUTHS
     ]
-    judged = judged_images(args.sensor)
     curves: dict[str, list[dict[str, Errors]]] = {kind: [] for kind in TRUTHS}
-    for seed in range(args.runs):
-        for kind in TRUTHS:
-            file = args.out / f"{args.sensor}_{kind}_{args.steps}_{seed}.json"
-            if not file.is_file():
-                samples = [s for folder in folders for s in truths_of(folder, kind)]
-                curve = trained(samples, judged, args.steps, seed)
-                file.write_text(json.dumps(curve, indent=1))
+    spawn = multiprocessing.get_context("spawn")  # a forked process cannot use the graphics card
+    with ProcessPoolExecutor(args.jobs, spawn) as pool:
+        drives = [
+            pool.submit(drive_with_runs, args.drives, name, args.sensor, seed)
+            for seed in TRAINED_ON
+            for name in SCENES
+        ]
+        others = [
+            pool.submit(judged_images, name, args.sensor, seed)
+            for seed in JUDGED_ON
+            for name in SCENES
+        ]
+        folders = [drive.result() for drive in drives]
+        judged = [image for images in others for image in images.result()]
+        running = [
+            pool.submit(train, folders, kind, judged, args.steps, seed, file)
+            for kind, seed, file in trainings
+        ]
+        for (kind, _, file), training in zip(trainings, running, strict=True):
+            training.result()
             curves[kind].append(json.loads(file.read_text()))
             print(_tables({k: c for k, c in curves.items() if c}), flush=True)
 

@@ -227,7 +227,7 @@ def test_with_broken_libraries_the_cpu_renders(tmp_path):
     script = """
 from docdepth.render import backends
 from docdepth.errors import BackendError
-assert backends.choose("auto").name == "cpu"
+assert backends.choose().name == "cpu"
 found = {b.name: b for b in backends.available()}
 assert found.pop("cpu").usable
 assert set(found) == {"egl", "surfaceless", "osmesa"}, found
@@ -263,22 +263,13 @@ def test_the_extension_is_not_linked_to_opengl():
         assert name not in linked.stdout
 
 
-def test_auto_takes_a_graphics_card_else_the_cpu(monkeypatch):
-    monkeypatch.delenv("DOCDEPTH_RENDERER", raising=False)
-    chosen = backends.choose()
-    assert chosen.name == "cpu" or not chosen.software
-    assert backends.Renderer("auto").name == chosen.name
-    if chosen.name == "cpu":
-        # A device that looks like a card and draws in software is not taken.
-        monkeypatch.setattr(_core, "egl_devices", lambda: [True])
-        assert backends.choose("auto").name == "cpu"
-
-
 def test_names(monkeypatch):
+    monkeypatch.delenv("DOCDEPTH_RENDERER", raising=False)
+    assert backends.choose().name == "cpu"
     monkeypatch.setenv("DOCDEPTH_RENDERER", "cpu")
     assert backends.choose().name == "cpu"
     monkeypatch.setenv("DOCDEPTH_RENDERER", "vulkan")
-    with pytest.raises(BackendError, match="unknown renderer 'vulkan'; there are auto, cpu"):
+    with pytest.raises(BackendError, match="unknown renderer 'vulkan'; there are cpu"):
         backends.choose()
     for name in ("egl:", "egl:-1", "egl:x", "osmesa:0", "egl:99999999999"):
         with pytest.raises(BackendError, match="unknown renderer"):

@@ -199,8 +199,8 @@ RendererName = Annotated[
     str | None,
     typer.Option(
         "--renderer",
-        help=f"What draws: {', '.join(RENDERERS)}. auto takes a graphics card if there is one, "
-        "else cpu. DOCDEPTH_RENDERER, then auto, if absent.",
+        help=f"What draws: {', '.join(RENDERERS)}; all draw the same. If absent, "
+        "DOCDEPTH_RENDERER, else cpu.",
         **one_of(RENDERERS),
     ),
 ]
