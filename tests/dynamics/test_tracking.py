@@ -216,6 +216,17 @@ def test_a_bin_that_is_first_seen_where_a_pedestrian_was_last_seen_stays_static(
     assert tracked([walker, bin], 40) == [[], []]
 
 
+@pytest.mark.parametrize("hidden", [0, 3])
+@pytest.mark.parametrize("place", [(11.0, 3), (11.3, 3.4), (11.6, 3)])
+def test_a_track_does_not_go_on_with_a_bush_that_stood_there_all_along(place, hidden):
+    """He disappears 0.6 to 1.2 m before it, and both are hidden for a while."""
+    walker = Thing(PERSON, lambda i: (8 + 0.12 * i, 3) if i < 20 else None, range(20))
+    bush = Thing((0.8, 0.6, 1.5), lambda i: None if 20 <= i < 20 + hidden else place)
+    detections, _ = detections_of([walker, bush], 45)
+    (track,) = track_objects(detections, straight(45)).tracks
+    assert len(track) == 20
+
+
 def test_a_pedestrian_beside_a_wall_is_tracked_past_it():
     walker = Thing(PERSON, lambda i: (2 + 0.12 * i, 3), [*range(10), *range(20, 30)])
     wall = Thing(WALL, parked_at(4, 3.5))

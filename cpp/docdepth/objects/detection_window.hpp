@@ -22,12 +22,15 @@ class DetectionWindow {
   DetectionWindow(ReadDetections read, std::size_t held) : read_(std::move(read)), held_(held) {}
 
   /// @return a reference that is good until another sweep is asked for
-  const Detections& operator[](std::size_t sweep) {
+  const Detections& operator[](std::size_t sweep) { return *hold(sweep); }
+
+  /// The same, kept for as long as the caller holds it.
+  std::shared_ptr<const Detections> hold(std::size_t sweep) {
     for (auto it = recent_.rbegin(); it != recent_.rend(); ++it)
-      if (it->first == sweep) return *it->second;
+      if (it->first == sweep) return it->second;
     if (recent_.size() == held_) recent_.pop_front();
     recent_.emplace_back(sweep, read_(sweep));
-    return *recent_.back().second;
+    return recent_.back().second;
   }
 
  private:

@@ -5,8 +5,8 @@
 
 #include "docdepth/objects/constants.hpp"
 #include "docdepth/objects/ego_places.hpp"
-#include "docdepth/objects/elevation.hpp"
 #include "docdepth/objects/neighbors.hpp"
+#include "docdepth/objects/track_end.hpp"
 
 namespace docdepth {
 namespace {
@@ -29,60 +29,8 @@ struct Match {
   SampledPoints neighbors;
 };
 
-/// How wrong a shift of what is so far away may be [m].
-float shift_error(float range) {
-  return std::max(kShiftError, kRaySpacing * range);
-}
-
-/// Velocity at an end of a track: the mean of its shifts, the last ones most.
-struct Speed {
-  Vector velocity = Vector::Zero();
-  float error = 0;  ///< of it [m/s]
-  bool is_known = false;
-
-  void add(const Vector& shift, double dt, float range) {
-    const auto t = static_cast<float>(dt);
-    const Vector measured = shift / t;
-    const float its_error = shift_error(range) / std::fabs(t);
-    velocity = is_known ? Vector(0.5f * velocity + 0.5f * measured) : measured;
-    error = is_known ? 0.5f * error + 0.5f * its_error : its_error;
-    is_known = true;
-  }
-  /// Whether it can go so far within a duration [s]: no road user changes its speed faster.
-  bool allows(const Vector& shift, double dt, float range) const {
-    if (!is_known) return true;
-    const auto t = static_cast<float>(std::fabs(dt));
-    const float most = kMaxAcceleration * t * t / 2 + error * t + shift_error(range);
-    return (shift - velocity * float(dt)).head<2>().norm() <= most;
-  }
-};
-
-/// The end at which a track goes on.
-struct End {
-  int track;
-  SampledPoints samples;  ///< of the last two observations: each may see another part
-  SampledPoints last;     ///< of the last observation
-  Vector largest;         ///< size of its objects
-  double time;
-  Speed speed;
-  Elevation elevation;
-  float area = 0;                ///< that was seen of it when it was not partly hidden
-  SampledPoints neighbors = {};  ///< of what touched it but is none of it, where these stand
-};
-
 bool can_be_tracked(const Detection& object) {
   return object.box.size().z() >= kMinTrackedHeight && object.box.width() <= kMaxObjectWidth;
-}
-
-void append(SampledPoints& samples, const SampledPoints& more) {
-  samples.insert(samples.end(), more.begin(), more.end());
-}
-
-/// The samples of the last two observations, the older ones moved along.
-SampledPoints together(SampledPoints older, const Vector& shift, const SampledPoints& newer) {
-  for (Vector& p : older) p += shift;
-  append(older, newer);
-  return downsample(older, kSampleSpacing, kMaxSamples, largest_spacing(extent_of(older)));
 }
 
 double mean_time_offset(const Detections& seen, const std::vector<std::uint32_t>& objects) {
@@ -142,7 +90,7 @@ class Tracker {
     for (const Detection& object : seen)
       owners.push_back(can_be_tracked(object) && !ego_.hold(object) ? kFree : kUntracked);
     owners_.push_back(std::move(owners));
-    go_on(sweep, [&](const End& end, Match&& match) {
+    go_on(sweep, [&](const TrackEnd& end, Match&& match) {
       add(end.track, sweep, match, false);
       last_speeds_[std::size_t(end.track)] = end.speed;
     });
@@ -167,14 +115,22 @@ class Tracker {
                          1});
       last_speeds_.emplace_back();
       const SampledPoints& samples = seen[k].samples();
-      alive_.push_back(
-          {track, samples, samples, seen[k].box.size(), times_[sweep], {}, {}, seen[k].area});
+      alive_.push_back({track,
+                        sweep,
+                        detections_.hold(sweep),
+                        samples,
+                        samples,
+                        seen[k].box.size(),
+                        times_[sweep],
+                        {},
+                        {},
+                        seen[k].area});
       alive_.back().elevation.add(times_[sweep], seen[k].ground);
     }
   }
 
   void backward(std::size_t sweep) {
-    go_on(sweep, [&](End& end, Match&& match) {
+    go_on(sweep, [&](TrackEnd& end, Match&& match) {
       const int before = earlier_track(sweep, match);
       if (before < 0) return add(end.track, sweep, match, true);
       // What the two have in common is the last observation of the earlier track.
@@ -189,7 +145,7 @@ class Tracker {
       gone_.push_back(end.track);  // it goes on at its new beginning
     });
     for (const int track : gone_) {
-      const auto is_it = [&](const End& end) { return end.track == track; };
+      const auto is_it = [&](const TrackEnd& end) { return end.track == track; };
       alive_.erase(std::remove_if(alive_.begin(), alive_.end(), is_it), alive_.end());
       joined_.push_back(track);
     }
@@ -204,16 +160,16 @@ class Tracker {
   /// Let each living track find its continuation in a sweep; the longest chooses first.
   template <class Take>
   void go_on(std::size_t sweep, const Take& take) {
-    std::stable_sort(alive_.begin(), alive_.end(), [&](const End& a, const End& b) {
+    std::stable_sort(alive_.begin(), alive_.end(), [&](const TrackEnd& a, const TrackEnd& b) {
       return tracks_[a.track].observations.size() > tracks_[b.track].observations.size();
     });
-    std::vector<End> alive;
-    for (End& end : alive_) {
+    std::vector<TrackEnd> alive;
+    for (TrackEnd& end : alive_) {
       const double dt = times_[sweep] - end.time;
       if (std::fabs(dt) > max_gap(end)) continue;
       Match match = find(end, end.samples, sweep, dt);
       if (match.score == 0) match = find(end, end.last, sweep, dt);
-      if (match.score > 0 && can_join(sweep, match, dt)) {
+      if (match.score > 0 && can_join(sweep, match, dt) && !was_there(end, sweep, match)) {
         move_on(end, sweep, match);
         take(end, std::move(match));
       }
@@ -222,13 +178,15 @@ class Tracker {
     alive_ = std::move(alive);
   }
 
-  void move_on(End& end, std::size_t sweep, const Match& match) const {
+  void move_on(TrackEnd& end, std::size_t sweep, const Match& match) const {
     // What hides an object now may go away: all is kept that was seen of it.
     const bool partial = match.hidden || match.area < kPartialShare * end.area;
     const bool stands = end.speed.velocity.norm() < kStanding;
     end.speed.add(match.shift, times_[sweep] - end.time, match.range);
     if (!partial) end.area = match.area;
     end.time = times_[sweep];
+    end.sweep = sweep;
+    end.seen = detections_.hold(sweep);
     end.elevation.add(end.time, ground_under(detections_[sweep], match.objects));
     end.samples =
         together(std::move(partial || stands ? end.samples : end.last), match.shift, match.samples);
@@ -277,15 +235,23 @@ class Tracker {
   }
 
   /// The beginning of a track, from which it is followed backward.
-  End beginning(int track) const {
+  TrackEnd beginning(int track) const {
     const auto& seen = tracks_[track].observations;
     const auto samples_of = [&](const TrackObservation& of) {
       SampledPoints samples;
       for (const auto k : of.objects) append(samples, detections_[of.sweep][k].samples());
       return samples;
     };
-    End end{track, {}, samples_of(seen[0]), seen[0].box.size(), times_[seen[0].sweep],
-            {},    {}, seen[0].area};
+    TrackEnd end{track,
+                 seen[0].sweep,
+                 detections_.hold(seen[0].sweep),
+                 {},
+                 samples_of(seen[0]),
+                 seen[0].box.size(),
+                 times_[seen[0].sweep],
+                 {},
+                 {},
+                 seen[0].area};
     for (const TrackObservation& of : seen) end.largest = end.largest.cwiseMax(of.box.size());
     for (std::size_t k = seen.size(); k-- > 0;)
       end.elevation.add(times_[seen[k].sweep], seen[k].ground);
@@ -324,22 +290,43 @@ class Tracker {
     return found;
   }
 
-  double max_gap(const End& end) const {
+  double max_gap(const TrackEnd& end) const {
     const bool stands = end.speed.is_known && end.speed.velocity.norm() < kStanding;
     const bool proven = tracks_[end.track].dynamic >= p_.min_detections;
     return (stands && proven ? p_.max_gap_standing : p_.max_gap) + kTimeTolerance;
   }
 
   /// Whether a track may take a detection: it is nobody's, or the end of an earlier track.
-  bool is_free(std::size_t sweep, std::uint32_t k, const End& end) const {
+  bool is_free(std::size_t sweep, std::uint32_t k, const TrackEnd& end) const {
     const int owner = owners_[sweep][k];
     if (owner < 0) return owner == kFree;
     return owner != end.track && tracks_[end.track].observations.front().sweep > sweep &&
            tracks_[owner].observations.back().sweep == sweep;
   }
 
+  /// Whether what a track is matched with stood there already in the sweep that saw the track last:
+  /// then it is something else, though a track that was hidden could have gone there.
+  bool was_there(const TrackEnd& end, std::size_t sweep, const Match& match) const {
+    if (std::max(sweep, end.sweep) - std::min(sweep, end.sweep) < 2) return false;
+    const Detections& then = *end.seen;
+    const auto stood = [&](std::uint32_t k) {
+      const Detection& object = detections_[sweep][k];
+      const auto lies_on = [&](const SampledPoints& others) {
+        return matched_share(object.samples(), Vector::Zero(), others) >= kMinMemberShare;
+      };
+      if (object.is_passing() || lies_on(end.samples)) return false;
+      for (std::uint32_t of = 0; of < then.size(); ++of)
+        if (owners_[end.sweep][of] != end.track && !then[of].is_passing() &&
+            then[of].box.overlaps(object.box, kMatchDistance) && lies_on(then[of].samples()))
+          return true;
+      return false;
+    };
+    return std::any_of(match.objects.begin(), match.objects.end(), stood);
+  }
+
   /// The best match of these samples of a track.
-  Match find(const End& end, const SampledPoints& samples, std::size_t sweep, double dt) const {
+  Match find(const TrackEnd& end, const SampledPoints& samples, std::size_t sweep,
+             double dt) const {
     const Detections& seen = detections_[sweep];
     const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
     Match best;
@@ -385,7 +372,7 @@ class Tracker {
   }
 
   /// The detections onto which the samples fall, with a shift that is refined from `start`.
-  Match match_from(const End& end, const SampledPoints& samples, std::size_t sweep,
+  Match match_from(const TrackEnd& end, const SampledPoints& samples, std::size_t sweep,
                    const Vector& start, const Vector& expected, double dt) const {
     const Detections& seen = detections_[sweep];
     const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
@@ -448,7 +435,7 @@ class Tracker {
   std::vector<Track> tracks_;
   std::vector<std::vector<int>> owners_;  ///< of each detection of each sweep
   std::vector<Speed> last_speeds_;        ///< of each track, at its last observation
-  std::vector<End> alive_;
+  std::vector<TrackEnd> alive_;
   std::vector<int> gone_, joined_;  ///< tracks that are followed on from another beginning
 };
 

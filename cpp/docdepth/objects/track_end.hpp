@@ -1,0 +1,71 @@
+// The end at which a track goes on: what was seen of the object last, and how it moves.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <memory>
+
+#include "docdepth/geometry/sampled_points.hpp"
+#include "docdepth/objects/constants.hpp"
+#include "docdepth/objects/detections.hpp"
+#include "docdepth/objects/elevation.hpp"
+
+namespace docdepth {
+
+/// How wrong a shift of what is so far away may be [m].
+inline float shift_error(float range) {
+  return std::max(kShiftError, kRaySpacing * range);
+}
+
+/// Velocity at an end of a track: the mean of its shifts, the last ones most.
+struct Speed {
+  Eigen::Vector3f velocity = Eigen::Vector3f::Zero();
+  float error = 0;  ///< of it [m/s]
+  bool is_known = false;
+
+  void add(const Eigen::Vector3f& shift, double dt, float range) {
+    const auto t = static_cast<float>(dt);
+    const Eigen::Vector3f measured = shift / t;
+    const float its_error = shift_error(range) / std::fabs(t);
+    velocity = is_known ? Eigen::Vector3f(0.5f * velocity + 0.5f * measured) : measured;
+    error = is_known ? 0.5f * error + 0.5f * its_error : its_error;
+    is_known = true;
+  }
+  /// Whether it can go so far within a duration [s]: no road user changes its speed faster.
+  bool allows(const Eigen::Vector3f& shift, double dt, float range) const {
+    if (!is_known) return true;
+    const auto t = static_cast<float>(std::fabs(dt));
+    const float most = kMaxAcceleration * t * t / 2 + error * t + shift_error(range);
+    return (shift - velocity * float(dt)).head<2>().norm() <= most;
+  }
+};
+
+/// The end at which a track goes on.
+struct TrackEnd {
+  int track;
+  std::size_t sweep;                       ///< of the last observation
+  std::shared_ptr<const Detections> seen;  ///< by that sweep
+  SampledPoints samples;    ///< of the last two observations: each may see another part
+  SampledPoints last;       ///< of the last observation
+  Eigen::Vector3f largest;  ///< size of its objects
+  double time;
+  Speed speed;
+  Elevation elevation;
+  float area = 0;                ///< that was seen of it when it was not partly hidden
+  SampledPoints neighbors = {};  ///< of what touched it but is none of it, where these stand
+};
+
+inline void append(SampledPoints& samples, const SampledPoints& more) {
+  samples.insert(samples.end(), more.begin(), more.end());
+}
+
+/// The samples of the last two observations, the older ones moved along.
+inline SampledPoints together(SampledPoints older, const Eigen::Vector3f& shift,
+                              const SampledPoints& newer) {
+  for (Eigen::Vector3f& p : older) p += shift;
+  append(older, newer);
+  return downsample(older, kSampleSpacing, kMaxSamples, largest_spacing(extent_of(older)));
+}
+
+}  // namespace docdepth
