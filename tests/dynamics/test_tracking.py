@@ -219,7 +219,7 @@ def test_a_bin_that_is_first_seen_where_a_pedestrian_was_last_seen_stays_static(
 @pytest.mark.parametrize("hidden", [0, 3])
 @pytest.mark.parametrize("place", [(11.0, 3), (11.3, 3.4), (11.6, 3)])
 def test_a_track_does_not_go_on_with_a_bush_that_stood_there_all_along(place, hidden):
-    """He disappears 0.6 to 1.2 m before it, and both are hidden for a while."""
+    """A walker disappears about a metre before it; it may be hidden for a while, too."""
     walker = Thing(PERSON, lambda i: (8 + 0.12 * i, 3) if i < 20 else None, range(20))
     bush = Thing((0.8, 0.6, 1.5), lambda i: None if 20 <= i < 20 + hidden else place)
     detections, _ = detections_of([walker, bush], 45)
