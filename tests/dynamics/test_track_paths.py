@@ -216,3 +216,35 @@ def test_what_stands_beside_a_van_makes_it_no_larger():
     np.testing.assert_allclose(track.size[:2], (5, 2.2), atol=0.2)  # else 7.4 and 3.8
     truth = [van.at(i) for i in (track.times // 100_000_000).tolist()]
     np.testing.assert_allclose(track.poses[:, :2, 3], truth, atol=0.2)
+
+
+def tracks_by_petals(at, count, share, seed):
+    """Tracks of a car that each of five petals of a sweep meets in this share of its directions."""
+    there = Trajectory(straight(count).times, np.repeat(straight(1).poses, count, 0))
+    rng, detections = np.random.default_rng(seed), []
+    for i in range(count):
+        petals, times = [], np.arange(0, 0.1, 0.02)
+        for t in times:
+            ranges = ranges_of(CAR, np.array((*at(i + 10 * t), 0.8)) - there.poses[i, :3, 3])
+            met = np.isfinite(ranges) & (rng.random(len(ranges)) < share)
+            petals.append(measured(ranges, met, rng))
+        cloud, offsets = np.vstack(petals), np.repeat(times, [len(petal) for petal in petals])
+        here, car = np.full(len(cloud), i, np.int32), np.ones(len(cloud), bool)
+        first, stays = np.zeros(len(cloud), np.uint32), PointStays(car, here, here)
+        seen = cloud, ~car, first, car, stays, ScanMesh(cloud), there.poses[i]
+        detections.append(Detections(*seen, offsets.astype(np.float32)))
+    return track_objects(detections, there).tracks
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_fast_car_is_tracked_though_each_petal_of_a_rosette_sees_it_elsewhere(monkeypatch, seed):
+    """It comes at 30 m/s: between the first and the last petal it goes on by half its length."""
+    azimuth, elevation = np.meshgrid(np.arange(-35, 35, 0.2), np.arange(-15, 3, 0.4))
+    azimuth, elevation = np.radians(azimuth.ravel()), np.radians(elevation.ravel())
+    level = np.cos(elevation)
+    directions = (level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation))
+    monkeypatch.setattr("things.RAYS", np.stack(directions, -1))
+    (track,) = tracks_by_petals(lambda i: (55 - 3 * i, 5), 14, 0.08, seed)
+    assert len(track) >= 13
+    np.testing.assert_allclose(track.velocities[:, 0], -30, atol=0.5)
+    np.testing.assert_allclose(track.size, CAR, atol=0.5)

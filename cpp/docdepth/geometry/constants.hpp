@@ -25,6 +25,9 @@ constexpr float kShiftBin = 0.2f;
 /// Larger shifts are not looked for [m]: after a pause of the recording the histogram would fill
 /// the memory.
 constexpr float kMaxShift = 400.0f;
+/// Two samples tell a shift if they were measured at least this share of the time between their
+/// sweeps apart: over less, their distance is noise more than motion.
+constexpr float kMinTimeShare = 0.3f;
 /// Samples whose heights differ more, after the object rose with the ground, are not the same
 /// place [m].
 constexpr float kMaxHeightDifference = 0.2f;

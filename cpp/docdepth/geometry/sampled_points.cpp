@@ -153,17 +153,29 @@ TimedPoints downsample_sweep(const Points& points, const float* times, float siz
   return means;
 }
 
-Vector most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach,
+SampledPoints held(const SampledPoints& points, const std::vector<float>& times,
+                   const Vector& velocity, float time) {
+  SampledPoints there(points.size());
+  for (std::size_t i = 0; i < points.size(); ++i)
+    there[i] = points[i] - (times[i] - time) * velocity;
+  return there;
+}
+
+Vector most_frequent_shift(const TimedPoints& a, const TimedPoints& b, float dt, float reach,
                            float rise) {
   if (!(reach < kMaxShift)) reach = kMaxShift;
   const int side =
       2 * static_cast<int>(std::ceil(reach / kShiftBin)) + 3;  // a border of empty bins
   std::vector<int> counts(side * side, 0);
-  for (const Vector& p : a)
-    for (const Vector& q : b) {
-      const Vector d = q - p;
+  for (std::size_t i = 0; i < a.points.size(); ++i)
+    for (std::size_t j = 0; j < b.points.size(); ++j) {
+      const float share = 1 + (b.times[j] - a.times[i]) / dt;  // of the time between the sweeps
+      if (!(share >= kMinTimeShare)) continue;
+      Vector d = b.points[j] - a.points[i];
+      d.z() -= rise * share;
+      d.head<2>() /= share;
       // Written so that differences that are not finite are left out, too.
-      if (!(std::fabs(d.z() - rise) <= kMaxHeightDifference && std::fabs(d.x()) <= reach &&
+      if (!(std::fabs(d.z()) <= kMaxHeightDifference && std::fabs(d.x()) <= reach &&
             std::fabs(d.y()) <= reach))
         continue;
       const int u = side / 2 + static_cast<int>(std::lround(d.x() / kShiftBin));

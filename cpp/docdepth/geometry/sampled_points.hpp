@@ -24,6 +24,7 @@ struct Extent {
     low = low.cwiseMin(other.low);
     high = high.cwiseMax(other.high);
   }
+  Extent moved(const Eigen::Vector3f& shift) const { return {low + shift, high + shift}; }
   /// What of it lies within another one; flat on its border if nothing does.
   Extent clipped(const Extent& other) const {
     return {low.cwiseMax(other.low).cwiseMin(other.high),
@@ -87,10 +88,16 @@ TimedSurface downsample(const TimedSurface& surface, float size);
 TimedPoints downsample_sweep(const Points& points, const float* times, float size, float min_range,
                              float max_range);
 
-/// The horizontal shift up to `reach`, after a vertical one by `rise`, that explains most of the
-/// differences b - a.
-Eigen::Vector3f most_frequent_shift(const SampledPoints& a, const SampledPoints& b, float reach,
-                                    float rise);
+/// Where points that go with a velocity are at one time [s].
+SampledPoints held(const SampledPoints& points, const std::vector<float>& times,
+                   const Eigen::Vector3f& velocity, float time);
+
+/// How far an object goes from one sweep to another, `dt` later, by the motion that explains most
+/// of the differences b - a: the horizontal shift up to `reach`, after a vertical one by `rise`.
+///
+/// @param a, b  with times after the stamps of the sweeps [s]
+Eigen::Vector3f most_frequent_shift(const TimedPoints& a, const TimedPoints& b, float dt,
+                                    float reach, float rise);
 
 /// Refine a shift so that points of a and b that are each other's nearest coincide (horizontal
 /// ICP).

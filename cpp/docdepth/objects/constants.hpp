@@ -121,6 +121,11 @@ constexpr double kGate = 4, kOutlierFactor = 100;
 constexpr double kSureDeviations = 2;
 /// Above this speed an object's motion tells its heading [m/s]; a person's at half of it.
 constexpr double kMinHeadingSpeed = 1.5;
+/// How exactly the motion tells the heading of a vehicle [rad]. Of a car seen from behind only, the
+/// surface says little of it: without this it turns further with each sweep.
+constexpr double kMotionHeading = 0.1;
+/// What comes into view seems to move so fast [m/s].
+constexpr double kCreep = 1;
 /// No road is steeper [rad]: 20 degrees.
 constexpr double kSteepest = 0.35;
 
@@ -128,6 +133,11 @@ constexpr double kSteepest = 0.35;
 
 /// Partners are looked for within these distances, step by step [m].
 constexpr float kRegistrationRadii[] = {0.6f, 0.6f, 0.4f, 0.3f, 0.3f};
+/// Normals are fitted to at least so many samples within a radius [m] where the object moved by
+/// more than this between neighbouring measurements [m]. They are unknown where samples are spread
+/// across their plane by more than this share of how they are spread in it, squared.
+constexpr int kMinPlaneSamples = 5;
+constexpr float kPlaneRadius = 0.5f, kMaxBetweenNeighbors = 0.05f, kMaxPlaneThickness = 0.1f;
 /// Distance of samples from the plane of their partners [m]. It is that of noise and curvature,
 /// times ten, since neighbouring samples err alike.
 constexpr double kResidualDeviation = 0.2;

@@ -126,9 +126,9 @@ Track joined(const std::vector<const TrackAndPath*>& parts, const std::vector<do
       const TrackPath& path = *std::max_element(begin, end, [](const Seen& a, const Seen& b) {
                                  return a.of->area < b.of->area;
                                })->path;
-      const double before = time_of(track.observations.back(), times);
-      seen.shift = (path.pose(time_of(seen, times)).translation() - path.pose(before).translation())
-                       .cast<float>();
+      const double now = time_of(seen, times);
+      const double before = now - times[seen.sweep] + times[track.observations.back().sweep];
+      seen.shift = (path.pose(now).translation() - path.pose(before).translation()).cast<float>();
     }
     track.dynamic += seen.dynamic;
     track.observations.push_back(std::move(seen));

@@ -3,6 +3,7 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "docdepth/objects/constants.hpp"
@@ -85,11 +86,17 @@ Extent extent_in(const SampledPoints& points, const Pose& T_world_object) {
   return box;
 }
 
+/// The heading of what moves, by its motion alone [rad].
+struct MotionHeading {
+  double value = 0, variance = std::numeric_limits<double>::infinity();
+};
+
 /// Of each observation: the position, and the heading as the first coordinate.
 struct Measurements {
   std::vector<MeasuredPosition> positions, headings;
 
-  void set(std::size_t k, const Registration& found, const PathState& state);
+  void set(std::size_t k, const Registration& found, const PathState& state,
+           const MotionHeading& by_motion);
 };
 
 class PathEstimation {
@@ -119,7 +126,8 @@ class PathEstimation {
   const Track& track_;
   const SeenSurface* seen_;  ///< of each observation, in the world
   const std::vector<double>& times_;
-  std::vector<std::uint8_t> alone_;  ///< whether an observation shows nothing but the object
+  std::vector<MotionHeading> headings_;  ///< of each observation
+  std::vector<std::uint8_t> alone_;      ///< whether an observation shows nothing but the object
   PathEstimate path_;
 };
 
@@ -148,6 +156,7 @@ PathEstimate PathEstimation::run() {
 void PathEstimation::measure_shifts() {
   std::vector<MeasuredPosition> measured;
   Position at = Position::Zero();
+  double stamp = 0;  // of the observation before
   const auto& all = track_.observations;
   path_.has_ground = std::any_of(
       all.begin(), all.end(), [](const TrackObservation& seen) { return is_known(seen.ground); });
@@ -155,11 +164,13 @@ void PathEstimation::measure_shifts() {
   for (const TrackObservation& seen : all) {
     const Height height = is_known(seen.ground) ? seen.ground : Height{seen.box.low.z(), unsure};
     const Eigen::Vector3d deviation(kShiftDeviation, kShiftDeviation, height.deviation);
+    const double time = times_[seen.sweep] + seen.time_offset;
     if (measured.empty())
       at = (0.5f * (seen.box.low + seen.box.high)).cast<double>();
     else
-      at += seen.shift.cast<double>();
-    const double time = times_[seen.sweep] + seen.time_offset;
+      at +=
+          (time - measured.back().time) / (times_[seen.sweep] - stamp) * seen.shift.cast<double>();
+    stamp = times_[seen.sweep];
     measured.push_back({time,
                         {at.x(), at.y(), height.value},
                         Eigen::Vector3d(deviation.cwiseAbs2()).asDiagonal()});
@@ -177,6 +188,7 @@ void PathEstimation::measure_shifts() {
 /// Along the motion where it moves; where it stands, as it comes or goes.
 void PathEstimation::find_headings() {
   const double least = path_.rigid ? kMinHeadingSpeed : kMinHeadingSpeed / 2;
+  headings_.assign(path_.states.size(), {});
   std::vector<std::size_t> moving;
   for (std::size_t k = 0; k < path_.states.size(); ++k)
     if (path_.states[k].velocity.head<2>().norm() >= least) moving.push_back(k);
@@ -188,6 +200,8 @@ void PathEstimation::find_headings() {
   for (const std::size_t k : moving) {
     const Position& v = path_.states[k].velocity;
     path_.states[k].heading = std::atan2(v.y(), v.x());
+    const double deviation = std::hypot(kMotionHeading, kCreep / v.head<2>().norm());
+    headings_[k] = {path_.states[k].heading, deviation * deviation};
     if (path_.rigid)  // people are upright uphill, too
       path_.states[k].slope =
           std::clamp(std::atan2(v.z(), v.head<2>().norm()), -kSteepest, kSteepest);
@@ -246,7 +260,7 @@ void PathEstimation::register_surfaces() {
                           kGuessHeadingDeviation * kGuessHeadingDeviation};
   for (std::size_t k = 0; k < path_.states.size(); ++k) {
     const ExpectedPose expected{path_.states[k].pose(), near.covariance, near.heading_variance};
-    measured.set(k, register_surface(surface(k), model, expected), path_.states[k]);
+    measured.set(k, register_surface(surface(k), model, expected), path_.states[k], headings_[k]);
   }
   smooth(measured);
   measure_surfaces(model, near);
@@ -300,7 +314,7 @@ std::size_t PathEstimation::register_from(std::size_t first, int step, SurfaceMo
                      kShiftSpeedDeviation);
       }
     }
-    measured.set(k, found, {time, {}, {}, turn.position().x(), 0});
+    measured.set(k, found, {time, {}, {}, turn.position().x(), 0}, headings_[k]);
     MeasuredPosition& position = measured.positions[k];
     if (is_known(track_.observations[k].ground)) separate_height(position.covariance);
     if (!motion.expects(position)) position.covariance *= kOutlierFactor;
@@ -313,14 +327,16 @@ std::size_t PathEstimation::register_from(std::size_t first, int step, SurfaceMo
 }
 
 /// What a registration measured. Headings go on from that of the state, so that they do not jump by
-/// a turn.
-void Measurements::set(std::size_t k, const Registration& found, const PathState& state) {
+/// a turn. The motion tells the heading, too.
+void Measurements::set(std::size_t k, const Registration& found, const PathState& state,
+                       const MotionHeading& by_motion) {
   const double factor = found.share >= kMinRegisteredShare ? 1 : kOutlierFactor;
-  const double heading = state.heading + wrapped(found.heading - state.heading);
+  double heading = state.heading + wrapped(found.heading - state.heading);
+  double variance = factor * found.heading_variance;
+  const double share = variance / (variance + by_motion.variance);
+  heading += share * wrapped(by_motion.value - heading), variance *= 1 - share;
   positions[k] = {state.time, found.position, factor * found.covariance};
-  headings[k] = {state.time,
-                 {heading, 0, 0},
-                 Eigen::Vector3d(factor * found.heading_variance, 1, 1).asDiagonal()};
+  headings[k] = {state.time, {heading, 0, 0}, Eigen::Vector3d(variance, 1, 1).asDiagonal()};
 }
 
 /// The motion through measured positions and headings. Vertical sides tell nothing of the height,
@@ -371,7 +387,9 @@ void PathEstimation::measure_surfaces(const SurfaceModel& model, const ExpectedP
 /// Around what several sweeps saw of the object.
 void PathEstimation::find_extent(const SurfaceModel& model) {
   std::vector<float> sides[3];
-  const int least = std::min<int>(kMinHits, 1 + int(path_.states.size()) / kMinHits);
+  // Where most was seen by fewer sweeps, as petals of a rosette see what is fast, fewer are enough.
+  const int typical = int(quantile(model.hits(), 0.5));
+  const int least = std::min({kMinHits, 1 + int(path_.states.size()) / kMinHits, typical});
   for (std::size_t i = 0; i < model.hits().size(); ++i)
     for (int axis = 0; axis < 3 && model.hits()[i] >= least; ++axis)
       sides[axis].push_back(model.surface().points[i][axis]);

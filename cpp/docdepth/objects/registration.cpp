@@ -1,6 +1,7 @@
 #include "docdepth/objects/registration.hpp"
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 
@@ -107,15 +108,59 @@ void add_ends(const SeenSurface& seen, const Ends& expected,
       sum.add({1, 0, 0, 0}, *end - *known, weight);
 }
 
+/// How far apart in time a sample and its nearest one were measured, in the mean [s].
+float time_between_neighbors(const SampledPoints& points, const std::vector<float>& times) {
+  float sum = 0;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    float nearest = INFINITY, apart = 0;
+    for (std::size_t j = 0; j < points.size(); ++j) {
+      const float squared = (points[j] - points[i]).squaredNorm();
+      if (j != i && squared < nearest) nearest = squared, apart = std::fabs(times[j] - times[i]);
+    }
+    sum += apart;
+  }
+  return sum / float(points.size());
+}
+
+/// Normals of the planes through the samples around each one, to the side of those that it had.
+void fit_normals(SampledSurface& surface) {
+  const SampledPoints& points = surface.points;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    Vector sum = Vector::Zero();
+    Eigen::Matrix3f squares = Eigen::Matrix3f::Zero();
+    int count = 0;
+    for (const Vector& point : points) {
+      const Vector off = point - points[i];
+      if (off.squaredNorm() > kPlaneRadius * kPlaneRadius) continue;
+      sum += off, squares += off * off.transpose(), ++count;
+    }
+    const Vector before = surface.normals[i];
+    surface.normals[i].setZero();
+    if (count < kMinPlaneSamples) continue;
+    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3f> axes(squares -
+                                                              sum * sum.transpose() / float(count));
+    if (axes.eigenvalues()[0] > kMaxPlaneThickness * axes.eigenvalues()[1]) continue;
+    const Vector normal = axes.eigenvectors().col(0);
+    surface.normals[i] = before.dot(normal) < 0 ? Vector(-normal) : normal;
+  }
+}
+
 }  // namespace
 
 SeenSurface SeenSurface::held(const Vector& velocity) const {
   SeenSurface surface = *this;
+  const float speed = velocity.norm();
+  const auto [first, last] = std::minmax_element(times.begin(), times.end());
   const auto hold = [&](SampledPoints& moved, std::vector<float>& late) {
-    for (std::size_t i = 0; i < moved.size(); ++i) moved[i] -= late[i] * velocity;
+    moved = docdepth::held(moved, late, velocity, 0);
     std::fill(late.begin(), late.end(), 0.0f);
   };
   hold(surface.points, surface.times);
+  // Where a rosette measured neighbours at other times, the mesh of the sweep is not that of what
+  // moved meanwhile.
+  if (speed * (*last - *first) > kMaxBetweenNeighbors &&
+      speed * time_between_neighbors(surface.points, times) > kMaxBetweenNeighbors)
+    fit_normals(surface);
   for (TimedPoints* border : {&surface.edges, &surface.hidden}) hold(border->points, border->times);
   return surface;
 }

@@ -13,9 +13,11 @@ struct TrackObservation {
   std::size_t sweep;
   std::vector<std::uint32_t> objects;  ///< indices of its detections
   Extent box;                          ///< around them
-  Eigen::Vector3f shift;  ///< from where the last observation was: the samples registered [m]
-  bool dynamic;           ///< whether most of it is passing by its votes
-  bool voted;             ///< whether the votes call most of it dynamic
+  /// How far it went between the stamps of the last observation and of this one: the samples
+  /// registered [m].
+  Eigen::Vector3f shift;
+  bool dynamic;  ///< whether most of it is passing by its votes
+  bool voted;    ///< whether the votes call most of it dynamic
   /// Of its points, of those that are passing, and of those whose place was free (Detection).
   float area, passing_area, free_area;
   std::uint32_t points;  ///< of its objects
@@ -29,8 +31,5 @@ struct Track {
   std::vector<TrackObservation> observations;  ///< ascending in time
   int dynamic = 0;                             ///< how many of them are dynamic
 };
-
-/// Whether a box may be the same object as one that was seen with another size.
-bool could_match(const Extent& box, const Eigen::Vector3f& size);
 
 }  // namespace docdepth

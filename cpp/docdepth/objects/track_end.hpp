@@ -41,31 +41,47 @@ struct Speed {
   }
 };
 
+inline void append(SampledPoints& samples, const SampledPoints& more) {
+  samples.insert(samples.end(), more.begin(), more.end());
+}
+
+inline void append(TimedPoints& samples, const Detection& object) {
+  append(samples.points, object.samples());
+  const auto& times = object.surface.times;
+  samples.times.insert(samples.times.end(), times.begin(), times.end());
+}
+
 /// The end at which a track goes on.
 struct TrackEnd {
   int track;
   std::size_t sweep;                       ///< of the last observation
   std::shared_ptr<const Detections> seen;  ///< by that sweep
-  SampledPoints samples;    ///< of the last two observations: each may see another part
-  SampledPoints last;       ///< of the last observation
+  TimedPoints samples;      ///< of the last two observations: each may see another part
+  TimedPoints last;         ///< of the last observation; times after the stamp of its sweep
   Eigen::Vector3f largest;  ///< size of its objects
-  double time;
+  double time;              ///< stamp of its sweep [s]
+  float offset;             ///< mean time of what was seen last, after the stamp [s]
   Speed speed;
   Elevation elevation;
   float area = 0;                ///< that was seen of it when it was not partly hidden
   SampledPoints neighbors = {};  ///< of what touched it but is none of it, where these stand
+
+  /// Keep the samples of two observations, held at `offset` as fast as the shift between them says,
+  /// the older ones moved along.
+  void hold(const TimedPoints& older, const TimedPoints& newer, const Eigen::Vector3f& shift,
+            double dt) {
+    const Eigen::Vector3f velocity = shift / float(dt);
+    const auto at_offset = [&](SampledPoints points) {
+      std::vector<float> times(points.size(), offset);
+      return TimedPoints{std::move(points), std::move(times)};
+    };
+    SampledPoints both = held(older.points, older.times, velocity, offset);
+    for (Eigen::Vector3f& p : both) p += shift;
+    last = at_offset(held(newer.points, newer.times, velocity, offset));
+    append(both, last.points);
+    samples =
+        at_offset(downsample(both, kSampleSpacing, kMaxSamples, largest_spacing(extent_of(both))));
+  }
 };
-
-inline void append(SampledPoints& samples, const SampledPoints& more) {
-  samples.insert(samples.end(), more.begin(), more.end());
-}
-
-/// The samples of the last two observations, the older ones moved along.
-inline SampledPoints together(SampledPoints older, const Eigen::Vector3f& shift,
-                              const SampledPoints& newer) {
-  for (Eigen::Vector3f& p : older) p += shift;
-  append(older, newer);
-  return downsample(older, kSampleSpacing, kMaxSamples, largest_spacing(extent_of(older)));
-}
 
 }  // namespace docdepth

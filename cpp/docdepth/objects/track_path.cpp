@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "docdepth/objects/constants.hpp"
+#include "docdepth/objects/matching.hpp"
 
 namespace docdepth {
 

@@ -5,7 +5,7 @@
 
 #include "docdepth/objects/constants.hpp"
 #include "docdepth/objects/ego_places.hpp"
-#include "docdepth/objects/neighbors.hpp"
+#include "docdepth/objects/matching.hpp"
 #include "docdepth/objects/track_end.hpp"
 
 namespace docdepth {
@@ -15,24 +15,6 @@ using Vector = Eigen::Vector3f;
 
 constexpr int kFree = -1, kUntracked = -2;  // owners of a detection besides tracks
 
-/// The continuation of a track in a sweep.
-struct Match {
-  float score = 0;
-  Vector shift = Vector::Zero();
-  std::vector<std::uint32_t> objects;
-  SampledPoints samples;
-  Extent box;
-  Vector largest;
-  bool hidden = false;  ///< partly, by something nearer
-  float range = 0;      ///< of the farthest of its objects [m]
-  float area = 0;       ///< of its objects
-  SampledPoints neighbors;
-};
-
-bool can_be_tracked(const Detection& object) {
-  return object.box.size().z() >= kMinTrackedHeight && object.box.width() <= kMaxObjectWidth;
-}
-
 double mean_time_offset(const Detections& seen, const std::vector<std::uint32_t>& objects) {
   double offset = 0, points = 0;
   for (const auto k : objects)
@@ -40,24 +22,14 @@ double mean_time_offset(const Detections& seen, const std::vector<std::uint32_t>
   return offset / points;
 }
 
+bool can_be_tracked(const Detection& object) {
+  return object.box.size().z() >= kMinTrackedHeight && object.box.width() <= kMaxObjectWidth;
+}
+
 /// Under the object of most points.
 Height ground_under(const Detections& seen, const std::vector<std::uint32_t>& objects) {
   const auto fewer = [&](auto a, auto b) { return seen[a].points < seen[b].points; };
   return seen[*std::max_element(objects.begin(), objects.end(), fewer)].ground;
-}
-
-/// Share of the shifted samples that have one of `others` beside them. Rings leave gaps above and
-/// below, so that only the horizontal distance tells exactly.
-float level_share(const SampledPoints& samples, const Vector& shift, const SampledPoints& others) {
-  std::size_t found = 0;
-  for (const Vector& sample : samples) {
-    const Vector p = sample + shift;
-    found += std::any_of(others.begin(), others.end(), [&](const Vector& q) {
-      return (q - p).head<2>().squaredNorm() < kLevelDistance * kLevelDistance &&
-             std::fabs(q.z() - p.z()) < kMatchDistance;
-    });
-  }
-  return float(found) / float(samples.size());
 }
 
 class Tracker {
@@ -114,7 +86,7 @@ class Tracker {
                            seen[k].ground}},
                          1});
       last_speeds_.emplace_back();
-      const SampledPoints& samples = seen[k].samples();
+      const TimedPoints samples{seen[k].samples(), seen[k].surface.times};
       alive_.push_back({track,
                         sweep,
                         detections_.hold(sweep),
@@ -122,6 +94,7 @@ class Tracker {
                         samples,
                         seen[k].box.size(),
                         times_[sweep],
+                        seen[k].time_offset,
                         {},
                         {},
                         seen[k].area});
@@ -167,8 +140,9 @@ class Tracker {
     for (TrackEnd& end : alive_) {
       const double dt = times_[sweep] - end.time;
       if (std::fabs(dt) > max_gap(end)) continue;
-      Match match = find(end, end.samples, sweep, dt);
-      if (match.score == 0) match = find(end, end.last, sweep, dt);
+      std::vector<bool> free(owners_[sweep].size());
+      for (std::uint32_t k = 0; k < free.size(); ++k) free[k] = is_free(sweep, k, end);
+      Match match = find_match(end, detections_[sweep], free, times_[sweep], p_.max_speed);
       if (match.score > 0 && can_join(sweep, match, dt) && !was_there(end, sweep, match)) {
         move_on(end, sweep, match);
         take(end, std::move(match));
@@ -182,15 +156,15 @@ class Tracker {
     // What hides an object now may go away: all is kept that was seen of it.
     const bool partial = match.hidden || match.area < kPartialShare * end.area;
     const bool stands = end.speed.velocity.norm() < kStanding;
-    end.speed.add(match.shift, times_[sweep] - end.time, match.range);
+    const double dt = times_[sweep] - end.time;
+    end.speed.add(match.shift, dt, match.range);
     if (!partial) end.area = match.area;
+    end.offset = float(mean_time_offset(detections_[sweep], match.objects));
+    end.hold(partial || stands ? end.samples : end.last, match.samples, match.shift, dt);
     end.time = times_[sweep];
     end.sweep = sweep;
     end.seen = detections_.hold(sweep);
     end.elevation.add(end.time, ground_under(detections_[sweep], match.objects));
-    end.samples =
-        together(std::move(partial || stands ? end.samples : end.last), match.shift, match.samples);
-    end.last = match.samples;
     end.largest = match.largest;
     append(end.neighbors, match.neighbors);
     end.neighbors = downsample(end.neighbors, kSampleSpacing, kMaxNeighborSamples);
@@ -238,8 +212,8 @@ class Tracker {
   TrackEnd beginning(int track) const {
     const auto& seen = tracks_[track].observations;
     const auto samples_of = [&](const TrackObservation& of) {
-      SampledPoints samples;
-      for (const auto k : of.objects) append(samples, detections_[of.sweep][k].samples());
+      TimedPoints samples;
+      for (const auto k : of.objects) append(samples, detections_[of.sweep][k]);
       return samples;
     };
     TrackEnd end{track,
@@ -249,6 +223,7 @@ class Tracker {
                  samples_of(seen[0]),
                  seen[0].box.size(),
                  times_[seen[0].sweep],
+                 float(seen[0].time_offset),
                  {},
                  {},
                  seen[0].area};
@@ -257,11 +232,12 @@ class Tracker {
       end.elevation.add(times_[seen[k].sweep], seen[k].ground);
     end.samples = end.last;
     if (seen.size() == 1) return end;
-    end.samples = together(samples_of(seen[1]), -seen[1].shift, end.last);
+    const double dt = end.time - times_[seen[1].sweep];
+    end.hold(samples_of(seen[1]), samples_of(seen[0]), -seen[1].shift, dt);
     float range = 0;
     for (const auto k : seen[0].objects)
       range = std::max(range, detections_[seen[0].sweep][k].range());
-    end.speed.add(-seen[1].shift, end.time - times_[seen[1].sweep], range);
+    end.speed.add(-seen[1].shift, dt, range);
     return end;
   }
 
@@ -314,7 +290,7 @@ class Tracker {
       const auto lies_on = [&](const SampledPoints& others) {
         return matched_share(object.samples(), Vector::Zero(), others) >= kMinMemberShare;
       };
-      if (object.is_passing() || lies_on(end.samples)) return false;
+      if (object.is_passing() || lies_on(end.samples.points)) return false;
       for (std::uint32_t of = 0; of < then.size(); ++of)
         if (owners_[end.sweep][of] != end.track && !then[of].is_passing() &&
             then[of].box.overlaps(object.box, kMatchDistance) && lies_on(then[of].samples()))
@@ -322,110 +298,6 @@ class Tracker {
       return false;
     };
     return std::any_of(match.objects.begin(), match.objects.end(), stood);
-  }
-
-  /// The best match of these samples of a track.
-  Match find(const TrackEnd& end, const SampledPoints& samples, std::size_t sweep,
-             double dt) const {
-    const Detections& seen = detections_[sweep];
-    const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
-    Match best;
-    Vector expected = end.speed.velocity * static_cast<float>(dt);
-    expected.z() = end.elevation.rise(times_[sweep], {});
-    std::vector<Vector> tried;
-    const auto attempt = [&](const Vector& start) {
-      // No road is so steep: the ground was seen wrong.
-      if (std::fabs(start.z()) > float(kSteepest) * start.head<2>().norm()) return;
-      const auto is_same = [&](const Vector& other) {
-        return (other - start).norm() < kSampleSpacing;
-      };
-      if (std::any_of(tried.begin(), tried.end(), is_same)) return;
-      tried.push_back(start);
-      Match match = match_from(end, samples, sweep, start, expected, dt);
-      if (match.score > best.score) best = std::move(match);
-    };
-    Extent box = extent_of(samples);
-    if (end.speed.is_known) {
-      attempt(expected);
-      attempt(Vector::Zero());
-    }
-    // Along a flat side every shift fits; its ends tell how far it went.
-    const Extent there{box.low + expected, box.high + expected};
-    for (std::uint32_t k = 0; k < seen.size(); ++k) {
-      if (!is_free(sweep, k, end) || !could_match(seen[k].box, end.largest)) continue;
-      const bool near = end.speed.is_known
-                            ? seen[k].box.overlaps(there, kSearchMargin)
-                            : seen[k].is_passing() && seen[k].box.overlaps(box, reach);
-      if (!near) continue;
-      const auto attempt_at = [&](float rise) {
-        for (const Vector& shift :
-             {Vector(seen[k].box.low - box.low), Vector(seen[k].box.high - box.high)})
-          if (shift.head<2>().norm() <= reach) attempt({shift.x(), shift.y(), rise});
-        if (!end.speed.is_known)
-          attempt(most_frequent_shift(samples, seen[k].samples(), reach, rise));
-      };
-      attempt_at(0);  // in any case, as the ground may have been seen wrong
-      const float rise = end.elevation.rise(times_[sweep], seen[k].ground);
-      if (rise != 0) attempt_at(rise);
-    }
-    return best;
-  }
-
-  /// The detections onto which the samples fall, with a shift that is refined from `start`.
-  Match match_from(const TrackEnd& end, const SampledPoints& samples, std::size_t sweep,
-                   const Vector& start, const Vector& expected, double dt) const {
-    const Detections& seen = detections_[sweep];
-    const float reach = p_.max_speed * static_cast<float>(std::fabs(dt));
-    Extent box = extent_of(samples);
-    box.low += start;
-    box.high += start;
-    std::vector<std::uint32_t> near;
-    float range = 0;
-    SampledPoints there;
-    for (std::uint32_t k = 0; k < seen.size(); ++k) {
-      if (!seen[k].box.overlaps(box, kSearchMargin) || !is_free(sweep, k, end)) continue;
-      if (!end.speed.is_known && !seen[k].is_passing()) continue;
-      if (!could_match(seen[k].box, end.largest) || is_among(seen[k], end.neighbors)) continue;
-      near.push_back(k);
-      range = std::max(range, seen[k].range());
-      append(there, seen[k].samples());
-    }
-    Match match;
-    match.shift = start;
-    match.largest = end.largest;
-    match.range = range;
-    if (!refine_shift(samples, there, match.shift)) return {};
-    if (!end.speed.allows(match.shift, dt, range)) match.shift = start;
-    if (!end.speed.allows(match.shift, dt, range)) return {};
-    for (const auto k : near)
-      if (matched_share(seen[k].samples(), -match.shift, samples) >= kMinMemberShare)
-        match.objects.push_back(k);
-    if (match.objects.empty()) return {};
-    match.neighbors = drop_neighbors(seen, match.objects);
-    match.box = seen[match.objects[0]].box;
-    for (const auto k : match.objects) {
-      append(match.samples, seen[k].samples());
-      match.hidden |= !seen[k].hidden.points.empty();
-      match.area += seen[k].area;
-      match.box.add(seen[k].box);
-      match.largest = match.largest.cwiseMax(seen[k].box.size());
-    }
-    // Where most of the track is not what was kept, what was dropped may be the track itself.
-    if (matched_share(samples, match.shift, match.samples) < kMinKeptShare) match.neighbors.clear();
-    // Together larger than one object: a pedestrian and what he walks away from.
-    if (!could_match(match.box, match.largest)) return {};
-    // Half of a track may be hidden, so twice its matched share counts. Of two equal matches the
-    // one nearer to where it is expected is more likely.
-    const auto score = [&](const auto& share) {
-      return std::min(1.0f, 2 * share(samples, match.shift, match.samples)) *
-             share(match.samples, -match.shift, samples) /
-             (1 + (match.shift - expected).norm() / (2 * reach));
-    };
-    const auto nearly = [](const auto&... of) { return matched_share(of...); };
-    const float share = score(nearly);
-    if (share < kMinMatchedShare) return {};
-    match.score = score(level_share) + kNearWeight * share;
-    return match;
   }
 
   DetectionWindow& detections_;
@@ -440,11 +312,6 @@ class Tracker {
 };
 
 }  // namespace
-
-bool could_match(const Extent& box, const Vector& size) {
-  const Vector most = size * kMaxSizeFactor + Vector::Constant(kMaxSizeMargin);
-  return (box.size().array() < most.array()).all();
-}
 
 std::vector<Track> follow_objects(DetectionWindow& detections, const std::vector<double>& times,
                                   const TrackParameters& p) {
