@@ -124,7 +124,7 @@ constexpr double kMinHeadingSpeed = 1.5;
 /// How exactly the motion tells the heading of a vehicle [rad]. Of a car seen from behind only, the
 /// surface says little of it: without this it turns further with each sweep.
 constexpr double kMotionHeading = 0.1;
-/// What comes into view seems to move so fast [m/s].
+/// A vehicle of which more comes into view seems to go so much faster or slower [m/s].
 constexpr double kCreep = 1;
 /// No road is steeper [rad]: 20 degrees.
 constexpr double kSteepest = 0.35;
