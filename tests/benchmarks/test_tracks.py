@@ -49,3 +49,22 @@ def test_a_car_ahead_of_a_rosette_is_one_track_that_heads_where_it_goes(tmp_path
     is_near, heading = near(track)
     assert is_near.sum() == len(track) > 120
     assert np.abs(heading).max() < 0.5
+
+
+@pytest.mark.slow
+def test_an_oncoming_car_of_which_each_sweep_of_a_rosette_sees_another_part_is_tracked(tmp_path):
+    """It comes at 34 m/s. From two parts its speed is wrong by 5 m/s."""
+    from cells import Cell, ExactDrive
+
+    cell = Cell("highway", "Avia", 40, 7, tmp_path)
+    run, exact = cell.run(), ExactDrive(cell).drive
+    run_classify(run, 2)
+    car = next(track for track in exact.tracks() if track.id == 12)
+    assert np.linalg.norm(car.velocities[0]) > 33
+
+    def meets(track):
+        common, mine, its = np.intersect1d(track.times, car.times, return_indices=True)
+        off = track.poses[mine, :2, 3] - car.poses[its, :2, 3]
+        return len(common) > 3 and np.linalg.norm(off, axis=1).max() < 2
+
+    assert sum(meets(track) for track in read_tracks(run.path / TRACKS)) == 1

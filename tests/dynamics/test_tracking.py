@@ -227,6 +227,23 @@ def test_a_track_does_not_go_on_with_a_bush_that_stood_there_all_along(place, hi
     assert len(track) == 20
 
 
+def test_a_car_seen_once_does_not_go_on_as_one_that_comes_into_view_later():
+    """It could be there after 0.8 s, at 8 m/s."""
+    first = Thing(CAR, lambda i: (10, 8) if i == 2 else None, [2])
+    later = Thing(CAR, lambda i: (12 + 0.8 * (i - 10), 4) if i >= 10 else None, range(10, 30))
+    detections, _ = detections_of([first, later], 30)
+    (track,) = track_objects(detections, straight(30)).tracks
+    assert track.times[0] == 10 * 100_000_000
+
+
+def test_a_car_is_tracked_by_two_sweeps_a_second():
+    detections, _ = detections_of([Thing(CAR, passes(4), range(30))], 30)
+    slow = Trajectory(straight(30).times * 5, straight(30).poses)
+    (track,) = track_objects(detections, slow).tracks
+    assert len(track) == 30
+    np.testing.assert_allclose(track.velocities[:, 0], 8.0 / 5, atol=0.1)
+
+
 def test_a_pedestrian_beside_a_wall_is_tracked_past_it():
     walker = Thing(PERSON, lambda i: (2 + 0.12 * i, 3), [*range(10), *range(20, 30)])
     wall = Thing(WALL, parked_at(4, 3.5))

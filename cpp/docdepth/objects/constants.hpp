@@ -62,6 +62,8 @@ constexpr float kSearchMargin = 0.5f;
 constexpr float kLevelDistance = 0.2f;
 /// Weight of the samples that match beside those that match exactly: it decides between few.
 constexpr float kNearWeight = 0.1f;
+/// If two sweeps show no common part of an object, this share of its first shift may be wrong.
+constexpr float kOpenShare = 0.3f;
 /// Share of an object's samples that have to match the track it belongs to.
 constexpr float kMinMemberShare = 0.6f;
 /// Share of min_distance that a track goes while votes call it dynamic.
@@ -70,6 +72,10 @@ constexpr float kMinVotedDistanceShare = 0.3f;
 constexpr float kSlow = 2;
 /// Slower objects stand; they may stay hidden for long [m/s].
 constexpr float kStanding = 0.5f;
+
+/// What was seen once may be anywhere that max_speed reaches, so it is looked for in so many sweeps
+/// only: with each one there are more places, and parked cars in some of them.
+constexpr std::size_t kMaxSweepsUnknown = 3;
 
 /// No road user speeds up, brakes or bends its path harder [m/s^2].
 constexpr float kMaxAcceleration = 8;

@@ -19,7 +19,7 @@ struct Match {
   Extent box;
   Eigen::Vector3f largest;
   bool hidden = false;  ///< partly, by something nearer
-  float range = 0;      ///< of the farthest of its objects [m]
+  float error = 0;      ///< how wrong the shift may be [m]
   float area = 0;       ///< of its objects
   SampledPoints neighbors;
 };

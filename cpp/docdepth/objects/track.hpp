@@ -16,8 +16,9 @@ struct TrackObservation {
   /// How far it went between the stamps of the last observation and of this one: the samples
   /// registered [m].
   Eigen::Vector3f shift;
-  bool dynamic;  ///< whether most of it is passing by its votes
-  bool voted;    ///< whether the votes call most of it dynamic
+  float shift_error;  ///< how wrong that may be [m]
+  bool dynamic;       ///< whether most of it is passing by its votes
+  bool voted;         ///< whether the votes call most of it dynamic
   /// Of its points, of those that are passing, and of those whose place was free (Detection).
   float area, passing_area, free_area;
   std::uint32_t points;  ///< of its objects

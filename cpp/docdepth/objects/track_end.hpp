@@ -24,19 +24,20 @@ struct Speed {
   float error = 0;  ///< of it [m/s]
   bool is_known = false;
 
-  void add(const Eigen::Vector3f& shift, double dt, float range) {
+  /// @param shift_error  how wrong the shift may be [m]
+  void add(const Eigen::Vector3f& shift, double dt, float shift_error) {
     const auto t = static_cast<float>(dt);
     const Eigen::Vector3f measured = shift / t;
-    const float its_error = shift_error(range) / std::fabs(t);
+    const float its_error = shift_error / std::fabs(t);
     velocity = is_known ? Eigen::Vector3f(0.5f * velocity + 0.5f * measured) : measured;
     error = is_known ? 0.5f * error + 0.5f * its_error : its_error;
     is_known = true;
   }
   /// Whether it can go so far within a duration [s]: no road user changes its speed faster.
-  bool allows(const Eigen::Vector3f& shift, double dt, float range) const {
+  bool allows(const Eigen::Vector3f& shift, double dt, float shift_error) const {
     if (!is_known) return true;
     const auto t = static_cast<float>(std::fabs(dt));
-    const float most = kMaxAcceleration * t * t / 2 + error * t + shift_error(range);
+    const float most = kMaxAcceleration * t * t / 2 + error * t + shift_error;
     return (shift - velocity * float(dt)).head<2>().norm() <= most;
   }
 };

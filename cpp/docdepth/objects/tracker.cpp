@@ -76,6 +76,7 @@ class Tracker {
                            {k},
                            seen[k].box,
                            Vector::Zero(),
+                           0,
                            true,
                            seen[k].is_dynamic(),
                            seen[k].area,
@@ -110,6 +111,7 @@ class Tracker {
       auto& later = tracks_[end.track].observations;
       auto& earlier = tracks_[before].observations;
       later.front().shift = -match.shift;
+      later.front().shift_error = match.error;
       later.insert(later.begin(), earlier.begin(), earlier.end());
       tracks_[end.track].dynamic += tracks_[before].dynamic;
       for (const TrackObservation& seen : earlier)
@@ -139,7 +141,7 @@ class Tracker {
     std::vector<TrackEnd> alive;
     for (TrackEnd& end : alive_) {
       const double dt = times_[sweep] - end.time;
-      if (std::fabs(dt) > max_gap(end)) continue;
+      if (is_lost(end, sweep)) continue;
       std::vector<bool> free(owners_[sweep].size());
       for (std::uint32_t k = 0; k < free.size(); ++k) free[k] = is_free(sweep, k, end);
       Match match = find_match(end, detections_[sweep], free, times_[sweep], p_.max_speed);
@@ -157,7 +159,7 @@ class Tracker {
     const bool partial = match.hidden || match.area < kPartialShare * end.area;
     const bool stands = end.speed.velocity.norm() < kStanding;
     const double dt = times_[sweep] - end.time;
-    end.speed.add(match.shift, dt, match.range);
+    end.speed.add(match.shift, dt, match.error);
     if (!partial) end.area = match.area;
     end.offset = float(mean_time_offset(detections_[sweep], match.objects));
     end.hold(partial || stands ? end.samples : end.last, match.samples, match.shift, dt);
@@ -176,6 +178,7 @@ class Tracker {
                            match.objects,
                            match.box,
                            match.shift,
+                           match.error,
                            false,
                            false,
                            0,
@@ -201,6 +204,7 @@ class Tracker {
     auto& observations = tracks_[track].observations;
     if (at_front) {
       observations.front().shift = -match.shift;
+      observations.front().shift_error = match.error;
       added.shift = Vector::Zero();
       observations.insert(observations.begin(), std::move(added));
     } else {
@@ -234,10 +238,7 @@ class Tracker {
     if (seen.size() == 1) return end;
     const double dt = end.time - times_[seen[1].sweep];
     end.hold(samples_of(seen[1]), samples_of(seen[0]), -seen[1].shift, dt);
-    float range = 0;
-    for (const auto k : seen[0].objects)
-      range = std::max(range, detections_[seen[0].sweep][k].range());
-    end.speed.add(-seen[1].shift, dt, range);
+    end.speed.add(-seen[1].shift, dt, seen[1].shift_error);
     return end;
   }
 
@@ -245,7 +246,7 @@ class Tracker {
   bool can_join(std::size_t sweep, const Match& match, double dt) const {
     for (const auto k : match.objects)
       if (const int owner = owners_[sweep][k];
-          owner >= 0 && !last_speeds_[std::size_t(owner)].allows(-match.shift, -dt, match.range))
+          owner >= 0 && !last_speeds_[std::size_t(owner)].allows(-match.shift, -dt, match.error))
         return false;
     return true;
   }
@@ -266,10 +267,17 @@ class Tracker {
     return found;
   }
 
-  double max_gap(const TrackEnd& end) const {
+  /// Whether a track was seen too long before a sweep, or too long after it, to go on there.
+  bool is_lost(const TrackEnd& end, std::size_t sweep) const {
+    if (!end.speed.is_known && sweeps_between(end, sweep) > kMaxSweepsUnknown) return true;
     const bool stands = end.speed.is_known && end.speed.velocity.norm() < kStanding;
     const bool proven = tracks_[end.track].dynamic >= p_.min_detections;
-    return (stands && proven ? p_.max_gap_standing : p_.max_gap) + kTimeTolerance;
+    const double gap = stands && proven ? p_.max_gap_standing : p_.max_gap;
+    return std::fabs(times_[sweep] - end.time) > gap + kTimeTolerance;
+  }
+
+  static std::size_t sweeps_between(const TrackEnd& end, std::size_t sweep) {
+    return std::max(sweep, end.sweep) - std::min(sweep, end.sweep);
   }
 
   /// Whether a track may take a detection: it is nobody's, or the end of an earlier track.
@@ -283,7 +291,7 @@ class Tracker {
   /// Whether what a track is matched with stood there already in the sweep that saw the track last:
   /// then it is something else, though a track that was hidden could have gone there.
   bool was_there(const TrackEnd& end, std::size_t sweep, const Match& match) const {
-    if (std::max(sweep, end.sweep) - std::min(sweep, end.sweep) < 2) return false;
+    if (sweeps_between(end, sweep) < 2) return false;
     const Detections& then = *end.seen;
     const auto stood = [&](std::uint32_t k) {
       const Detection& object = detections_[sweep][k];
