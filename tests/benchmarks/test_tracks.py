@@ -53,7 +53,7 @@ def test_a_car_ahead_of_a_rosette_is_one_track_that_heads_where_it_goes(tmp_path
 
 @pytest.mark.slow
 def test_an_oncoming_car_of_which_each_sweep_of_a_rosette_sees_another_part_is_tracked(tmp_path):
-    """It comes at 34 m/s. From two parts its speed is wrong by 5 m/s."""
+    """It comes at 34 m/s. By the first two parts that are seen of it, it seems 5 m/s slower."""
     from cells import Cell, ExactDrive
 
     cell = Cell("highway", "Avia", 40, 7, tmp_path)

@@ -228,7 +228,7 @@ def test_a_track_does_not_go_on_with_a_bush_that_stood_there_all_along(place, hi
 
 
 def test_a_car_seen_once_does_not_go_on_as_one_that_comes_into_view_later():
-    """It could be there after 0.8 s, at 8 m/s."""
+    """It could be there after 0.8 s, at 6 m/s."""
     first = Thing(CAR, lambda i: (10, 8) if i == 2 else None, [2])
     later = Thing(CAR, lambda i: (12 + 0.8 * (i - 10), 4) if i >= 10 else None, range(10, 30))
     detections, _ = detections_of([first, later], 30)

@@ -62,8 +62,6 @@ constexpr float kSearchMargin = 0.5f;
 constexpr float kLevelDistance = 0.2f;
 /// Weight of the samples that match beside those that match exactly: it decides between few.
 constexpr float kNearWeight = 0.1f;
-/// If two sweeps show no common part of an object, this share of its first shift may be wrong.
-constexpr float kOpenShare = 0.3f;
 /// Share of an object's samples that have to match the track it belongs to.
 constexpr float kMinMemberShare = 0.6f;
 /// Share of min_distance that a track goes while votes call it dynamic.
@@ -83,6 +81,9 @@ constexpr float kMaxAcceleration = 8;
 constexpr float kPartialShare = 0.5f;
 /// How wrong a shift may be [m]; far away as much as rays are apart [rad]: 0.3 degrees.
 constexpr float kShiftError = 0.15f, kRaySpacing = 0.005f;
+/// The first shift of a track may be wrong by this share of itself if the two sweeps show no common
+/// part of the object.
+constexpr float kFirstShiftError = 0.3f;
 
 /// What the LiDAR sees within this distance [m] at the same place of its own frame, in this share
 /// of the sweeps, while it goes so far [m], is the vehicle that carries it. Nothing else keeps

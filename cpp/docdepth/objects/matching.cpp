@@ -101,7 +101,7 @@ class Search {
 
   /// The detections onto which the samples fall, with a shift that is refined from `start`.
   Match from(const Vector& start, const TimedPoints& of_track) const {
-    const bool can_be = end_.speed.allows(start, dt_, shift_error(0));
+    const bool can_be = end_.speed.allows(start, dt_, shift_error_at(0));
     const Vector velocity = can_be ? Vector(start / dt_) : end_.speed.velocity;
     const SampledPoints samples = held(of_track.points, of_track.times, velocity, end_.offset);
     const Extent box = extent_of(samples).moved(start);
@@ -123,7 +123,7 @@ class Search {
     match.shift = start;
     match.largest = end_.largest;
     if (!refine_shift(samples, there, match.shift)) return {};
-    match.error = shift_error(range);
+    match.error = shift_error_at(range);
     if (!end_.speed.allows(match.shift, dt_, match.error)) match.shift = start;
     if (!end_.speed.allows(match.shift, dt_, match.error)) return {};
     for (std::size_t n = 0; n < near.size(); ++n)
@@ -153,7 +153,7 @@ class Search {
     // Two petals of a rosette see two parts of a car: the less they have in common, the less they
     // tell how far it went.
     if (!end_.speed.is_known)
-      match.error = std::max(match.error, kOpenShare * (1 - exact) * match.shift.norm());
+      match.error = std::max(match.error, kFirstShiftError * (1 - exact) * match.shift.norm());
     return match;
   }
 

@@ -14,7 +14,7 @@
 namespace docdepth {
 
 /// How wrong a shift of what is so far away may be [m].
-inline float shift_error(float range) {
+inline float shift_error_at(float range) {
   return std::max(kShiftError, kRaySpacing * range);
 }
 
