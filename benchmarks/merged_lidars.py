@@ -127,7 +127,7 @@ def write_calibration(folder: Path, text: str, changed: dict[str, NDArray[np.flo
 
 
 HEADER = ("scene", "rig", "LiDARs", "density %", "MAE m", "MAE in shifts", "too near, too far %",
-          "moving: shifts")  # fmt: skip
+          "moving: density %", "moving: shifts")  # fmt: skip
 
 
 def main() -> None:
@@ -151,8 +151,9 @@ def main() -> None:
                 found = evaluate_depth(made, exact)
                 far = f"{found.all.too_near:.2f}, {found.all.too_far:.2f}"
                 figures = (number(found.all.density, 1), number(found.all.mae, 3))
-                shifts = number(found.all.shifts, 2), number(found.dynamic.shifts, 2)
-                rows.append((scene_name, name, kind, *figures, shifts[0], far, shifts[1]))
+                moving = (number(found.dynamic.density, 1), number(found.dynamic.shifts, 2))
+                shifts = number(found.all.shifts, 2)
+                rows.append((scene_name, name, kind, *figures, shifts, far, *moving))
     print(Table("several LiDARs in one cloud", HEADER, tuple(rows)))
 
 

@@ -152,7 +152,7 @@ def test_sightings_are_placed_as_plain_matrices_say(kind):
         assert 0 < len(others) <= MOST_SIGHTINGS - 4
     for core, owner, T_camera_sensor, number in around + others:
         sweep = drawn.sighted[number - 100]
-        assert core is frames[sweep].dynamic_part[0]
+        assert core is frames[sweep].parts[0][0]
         assert owner == 1
         T_object_then = inverse(track.pose_at(int(trajectory.times[sweep])))
         expected = T_camera_world @ track.pose_at(time) @ T_object_then @ trajectory.poses[sweep]

@@ -118,19 +118,20 @@ def core_arguments(
     if splats:
         return image | {
             "static_frames": static,
-            "dynamic_frames": [
-                part for i in drawn.dynamic for part in placed(i, [frames(i).dynamic_part])
-            ],
+            "dynamic_frames": [part for i in drawn.dynamic for part in placed(i, frames(i).parts)],
             "static_size": p.static_size,
             "dynamic_size": p.dynamic_size,
         }
     view = View(camera, T_camera_world, int(time))
     objects = sighted_objects(view, trajectory, frames, drawn, tracks or Tracks(), len(static))
-    ages = (np.int64(time) - trajectory.times[drawn.dynamic]) * 1e-9
-    around = [placed(i, [frames(i).dynamic_part])[0] for i in drawn.dynamic]
+    around = [
+        (*part, float((np.int64(time) - trajectory.times[i]) * 1e-9))
+        for i in drawn.dynamic
+        for part in placed(i, frames(i).parts)
+    ]
     return image | {
         "static_frames": static,
-        "shutter_frames": [(*part, float(age)) for part, age in zip(around, ages, strict=True)],
+        "shutter_frames": around,
         "objects": objects,
-        "visibility_sweeps": p.visibility_sweeps,
+        "visibility_sweeps": sum(len(frames(i).parts) for i in drawn.static[: p.visibility_sweeps]),
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -55,13 +54,9 @@ class Frame:
     Attributes
     ----------
     parts : list of Part
-        The static points: one part for each LiDAR.
-    dynamic_part : Part
-        The dynamic points of all LiDARs.
+        One for each LiDAR.
     objects : SweepObjects
         Of the points that are drawn. Triangles only.
-    T_object_sensor : ndarray of float64, shape (objects, 4, 4)
-        From the sensor of the dynamic part to each object that is drawn. Triangles only.
 
     Raises
     ------
@@ -70,9 +65,7 @@ class Frame:
     """
 
     parts: list[Part]
-    dynamic_part: Part
     objects: SweepObjects
-    T_object_sensor: NDArray[np.float64]
 
     def __init__(
         self,
@@ -95,8 +88,7 @@ class Frame:
         if p.primitive == "splats":
             if not drawn.all():
                 points, classid = points.compress(drawn, axis=0), classid[drawn]
-            self.dynamic_part = (_core.Frame(points, classid, np.inf), np.eye(4))
-            self.parts = [self.dynamic_part]
+            self.parts = [(_core.Frame(points, classid, np.inf), np.eye(4))]
             return
         if time_offset is not None and velocity is not None:
             rig = sensor_rig or SensorRig.single((0, 0, 0), len(points))
@@ -121,16 +113,16 @@ class Frame:
         # which changes which returns are neighbours, and points beyond the crop are missing.
         meshes = ScanMesh(points, sensor_rig=sensor_rig).parts
         self.parts = [_part(mesh, classid, self.objects) for mesh in meshes]
-        self.dynamic_part = self.parts[0]
-        if sensor_rig is not None and len(meshes) > 1:
-            # An object seen by two LiDARs must be one object: its outline is found with the rays
-            # of all LiDARs. So the returns of all are triangulated once more, as seen from the
-            # first LiDAR.
-            first = SensorRig.single(meshes[0].view.T_lidar_sensor[:3, 3], len(points))
-            first = replace(first, ego_displacement=sensor_rig.ego_displacement)
-            (whole,) = ScanMesh(points, sensor_rig=first).parts
-            self.dynamic_part = _part(whole, classid, self.objects)
-        self.T_object_sensor = self.objects.T_object_lidar @ self.dynamic_part[1]
+        # Rows of other LiDARs are NaN.
+        owners = [self.objects.owner[np.isfinite(mesh.view.points[:, 0])] for mesh in meshes]
+        count = len(self.objects.instances) + 1
+        self._returns = np.array([np.bincount(of, minlength=count) for of in owners])
+
+    def seen_by(self, owner: int) -> list[int]:
+        """The parts whose LiDARs measured an object, that of most returns first."""
+        returns = self._returns[:, owner]
+        order = np.argsort(-returns, kind="stable")
+        return [k for k in order.tolist() if returns[k]]
 
 
 def _checked(

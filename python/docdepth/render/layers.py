@@ -112,8 +112,8 @@ def compose_layers(
     )
     drawn = drawn_frames(trajectory, time, p, tracks)
     # The core numbers parts: a sweep of several LiDARs has a number for each.
-    sweeps = [i for i in drawn.static for _ in frames(i).parts]
-    sweeps += drawn.dynamic if p.primitive == "splats" else drawn.sighted
+    moving = drawn.dynamic if p.primitive == "splats" else drawn.sighted
+    sweeps = [i for i in (*drawn.static, *moving) for _ in frames(i).parts]
     delays = (trajectory.times[sweeps] - np.int64(time)).astype(np.float64) * 1e-9
     number = found["sweep"]
     found["time"] = np.where(number < 0, np.nan, delays[number]).astype(np.float32)

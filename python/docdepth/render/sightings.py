@@ -100,20 +100,21 @@ def sighted_objects(
 ) -> list[SightedObject]:
     """The argument ``objects`` of the core's renderers.
 
-    Sweep ``k`` of ``drawn.sighted`` has the number ``first_number + k``.
+    The LiDARs of the sweeps ``drawn.sighted`` are numbered from ``first_number`` on.
     """
     seen: dict[int, list[_Seen]] = {}
-    for number, sweep in enumerate(drawn.sighted, first_number):
+    number = first_number
+    for sweep in drawn.sighted:
         objects = frames(sweep).objects
         for owner, instance in enumerate(objects.instances, 1):
             away = abs(objects.times[owner - 1] - view.time)
             seen.setdefault(instance, []).append(_Seen(number, sweep, owner, away))
+        number += len(frames(sweep).parts)
     found: list[SightedObject] = []
     strays = [one for one in seen.pop(0, []) if one.sweep == drawn.dynamic[0]]
     for one in strays:
         T_camera_lidar = view.T_camera_world @ trajectory.poses[one.sweep]
-        core, T_lidar_sensor = frames(one.sweep).dynamic_part
-        placed = [(core, one.owner, T_camera_lidar @ T_lidar_sensor, one.number)]
+        placed = _sightings(frames(one.sweep), one, T_camera_lidar)
         found.append((0, placed, [], placed))
     for instance in sorted(seen):
         if not any(one.sweep in drawn.dynamic for one in seen[instance]):
@@ -121,12 +122,21 @@ def sighted_objects(
         T_camera_object = view.T_camera_world @ tracks[instance].pose_at(view.time)
         if not _in_view(view.camera, T_camera_object, tracks[instance]):
             continue
-        around, others = (
-            [_sighting(frames(one.sweep), one, T_camera_object) for one in some]
-            for some in _chosen(seen[instance], drawn, trajectory, tracks[instance], view.time)
+        near, far = _chosen(seen[instance], drawn, trajectory, tracks[instance], view.time)
+        around, others, rays = (
+            [
+                sighting
+                for one in some
+                for sighting in _sightings(
+                    frames(one.sweep),
+                    one,
+                    T_camera_object @ frames(one.sweep).objects.T_object_lidar[one.owner - 1],
+                )
+            ]
+            for some in (near, far, (near + far)[:MOST_RAYS])
         )
         if around:  # of what is not rigid those within SOFT_SECONDS
-            found.append((instance, around, others, (around + others)[:MOST_RAYS]))
+            found.append((instance, around, others, rays))
     return found
 
 
@@ -141,9 +151,13 @@ def boxes_in_view(view: View, trajectory: Trajectory, tracks: Tracks) -> list[Pl
     return found
 
 
-def _sighting(frame: Frame, seen: _Seen, T_camera_object: Floats) -> Sighting:
-    T_camera_sensor = T_camera_object @ frame.T_object_sensor[seen.owner - 1]
-    return frame.dynamic_part[0], seen.owner, T_camera_sensor, seen.number
+def _sightings(frame: Frame, seen: _Seen, T_camera_lidar: Floats) -> list[Sighting]:
+    """What each LiDAR of a sweep saw of an object, placed where the object is now."""
+    found = []
+    for k in frame.seen_by(seen.owner):
+        core, T_lidar_sensor = frame.parts[k]
+        found.append((core, seen.owner, T_camera_lidar @ T_lidar_sensor, seen.number + k))
+    return found
 
 
 def _extent(track: Track, trajectory: Trajectory) -> Triple:
