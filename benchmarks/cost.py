@@ -7,7 +7,8 @@ so that a slow moment of the machine hits all of them. Processor time is user an
 threads and children. KISS-ICP reads the sweeps through docdepth, deskews them and has its own
 settings. DUFOMap (pip install dufomap; left out without it) classifies sweeps that are deskewed, in
 memory and have poses: what that takes is part of ``all``, not of ``classify``. Ratios are medians
-of those of each turn. ``--code`` measures another version of docdepth, too.
+of those of each turn. ``--code`` measures another version of docdepth, too, and ``--set
+render.behind=0`` (repeat it for more) the default with other parameters.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ def measured(work: Callable[[], object]) -> tuple[float, float]:
     return after[0] - before[0], after[1] - before[1]
 
 
-def run_docdepth(drive: str, frames: str, preset: str) -> tuple[Times, int]:
+def run_docdepth(drive: str, frames: str, preset: str, settings: list[str]) -> tuple[Times, int]:
     """Times of the stages of a run, and its sweeps."""
     import docdepth.pipeline.run as pipeline
     from docdepth import cli
@@ -60,6 +61,7 @@ def run_docdepth(drive: str, frames: str, preset: str) -> tuple[Times, int]:
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "run"
         command = ["run", drive, "-o", str(run), "--preset", preset, "--frames", frames, "-q"]
+        command += [word for setting in settings for word in ("--set", setting)]
         cli.app(command, standalone_mode=False)
         return times, len(list((run / "frames").glob("*.ply")))
 
@@ -107,13 +109,16 @@ def run_dufomap(drive: str, frames: str) -> tuple[Times, int]:
 PEERS = {"KISS-ICP": run_kiss_icp, "DUFOMap": run_dufomap}
 
 
-def run_child(job: str, options: argparse.Namespace, code: str | None) -> tuple[Times, int]:
+def run_child(
+    job: str, options: argparse.Namespace, code: str | None, settings: list[str]
+) -> tuple[Times, int]:
     """One job in a process of its own."""
     environment = dict(os.environ)
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package is compiled once
     if code:
         environment["PYTHONPATH"] = code
     command = [sys.executable, __file__, options.drive, "--frames", options.frames, "--job", job]
+    command += [word for setting in settings for word in ("--set", setting)]
     before = clocks()
     result = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     after = clocks()
@@ -129,26 +134,33 @@ def main() -> None:
     parser.add_argument("--frames", default="0:60", help="sweeps A to B-1")
     parser.add_argument("--repeat", type=int, default=5, help="turns")
     parser.add_argument("--code", help="python folder of another version, measured too")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="measured as default, set"
+    )
     parser.add_argument("--job", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.job:
         if options.job in PEERS:
             times, sweeps = PEERS[options.job](options.drive, options.frames)
         else:
-            times, sweeps = run_docdepth(options.drive, options.frames, options.job)
+            times, sweeps = run_docdepth(options.drive, options.frames, options.job, options.set)
         print(json.dumps({"times": times, "sweeps": sweeps}))
         return
-    jobs = {"KISS-ICP": ("KISS-ICP", None), "default": ("default", None), "paper": ("paper", None)}
+    jobs: dict[str, tuple[str, str | None, list[str]]] = {
+        name: (name, None, []) for name in ("KISS-ICP", "default", "paper")
+    }
     if find_spec("dufomap"):
-        jobs["DUFOMap"] = ("DUFOMap", None)
+        jobs["DUFOMap"] = ("DUFOMap", None, [])
     if options.code:
-        jobs["other default"] = ("default", options.code)
+        jobs["other default"] = ("default", options.code, [])
+    if options.set:
+        jobs["default, set"] = ("default", None, options.set)
     turns: list[dict[str, Times]] = []
     sweeps = 1
     for turn in range(options.repeat):
         turns.append({})
-        for name, (job, code) in jobs.items():
-            turns[-1][name], sweeps = run_child(job, options, code)
+        for name, (job, code, settings) in jobs.items():
+            turns[-1][name], sweeps = run_child(job, options, code, settings)
             print(f"turn {turn + 1}: {name}", file=sys.stderr)
     print_table(turns, sweeps)
 
