@@ -40,18 +40,20 @@ py::array_t<float> draw_meshes(GlRenderer& renderer, const Array<double>& K, int
                                const std::vector<PlacedFrame>& static_frames,
                                const std::vector<ObjectOf>& objects, int visibility_sweeps,
                                int /*threads*/, const std::vector<ShutterOf>& shutter_frames,
-                               const std::vector<BoxOf>& boxes) {
+                               const std::vector<BoxOf>& boxes, int nearest_frames) {
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
   const auto sighted = as_objects(objects);
   const auto shutter = as_shutter_frames(shutter_frames);
   const auto placed = as_boxes(boxes);
   in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
+  in_range(nearest_frames, 0, kMaxRows, "nearest_frames");
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
     depth = renderer.render_triangles(
-        camera, compose_scene(camera, frames, sighted, visibility_sweeps, shutter, placed));
+        camera,
+        compose_scene(camera, frames, sighted, visibility_sweeps, shutter, placed, nearest_frames));
   }
   return to_numpy(std::move(depth), {height, width});
 }
@@ -73,7 +75,7 @@ void bind_gl(py::module_& m) {
            "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0)
       .def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a,
            "objects"_a, "visibility_sweeps"_a, "threads"_a = 0, "shutter_frames"_a = py::list(),
-           "boxes"_a = py::list());
+           "boxes"_a = py::list(), "nearest_frames"_a = 1);
 }
 
 }  // namespace docdepth::bindings

@@ -91,18 +91,20 @@ py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
                                const std::vector<PlacedFrame>& static_frames,
                                const std::vector<ObjectOf>& objects, int visibility_sweeps,
                                int threads, const std::vector<ShutterOf>& shutter_frames,
-                               const std::vector<BoxOf>& boxes) {
+                               const std::vector<BoxOf>& boxes, int nearest_frames) {
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
   const auto sighted = as_objects(objects);
   const auto shutter = as_shutter_frames(shutter_frames);
   const auto placed = as_boxes(boxes);
   in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
+  in_range(nearest_frames, 0, kMaxRows, "nearest_frames");
   threads = checked_threads(threads);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
-    depth = render_meshes(camera, frames, sighted, visibility_sweeps, shutter, placed, threads);
+    depth = render_meshes(camera, frames, sighted, visibility_sweeps, shutter, placed,
+                          nearest_frames, threads);
   }
   return to_numpy(std::move(depth), {height, width});
 }
@@ -195,7 +197,7 @@ py::dict mesh_layers(const Array<double>& K, int width, int height,
   {
     const py::gil_scoped_release release;
     layers = layers_of_triangles(
-        camera, compose_scene(camera, frames, sighted, visibility_sweeps, shutter, {}), z, seen,
+        camera, compose_scene(camera, frames, sighted, visibility_sweeps, shutter, {}, 0), z, seen,
         threads);
   }
   return as_dict(std::move(*layers), width, height);
@@ -220,7 +222,7 @@ void bind_render(py::module_& m) {
       .def("query_visibility", &query_visibility, "points"_a);
   m.def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
         "visibility_sweeps"_a, "threads"_a = 0, "shutter_frames"_a = py::list(),
-        "boxes"_a = py::list());
+        "boxes"_a = py::list(), "nearest_frames"_a = 1);
   m.def("mesh_layers", &mesh_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
         "visibility_sweeps"_a, "depth"_a, "threads"_a = 0, "shutter_frames"_a = py::list(),
         "seen"_a = false);

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from render_reference import AXES, TRIANGLES, small_camera
 
+from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
@@ -24,23 +25,29 @@ def first_met(origin, directions, top, wall_top):
     return x
 
 
-def frame(origin, top, wall_top):
-    """A sweep of 32 beams 1 degree apart."""
+def frame(origin, top, wall_top, behind=False):
+    """A sweep of 32 beams 1 degree apart; before it, if asked, that of a LiDAR that looks back."""
     azimuth = np.radians(np.arange(-60, 60, 0.18))
     a, e = np.meshgrid(azimuth, np.radians(np.arange(-16.0, 16.0)))
     directions = np.stack([np.ones_like(a), np.tan(a), np.tan(e) / np.cos(a)], axis=-1)
     x = first_met(origin, directions, top, wall_top) - origin[0]
     points = (directions * np.where(np.isfinite(x), x, 0)[..., None])[np.isfinite(x)]
-    return Frame(points.astype(np.float32), np.full(len(points), 50, np.uint16), TRIANGLES)
+    index = np.zeros(len(points), np.uint8)
+    if behind:
+        back = (directions * -20)[::2, ::9].reshape(-1, 3)
+        points, index = np.concatenate([back, points]), np.append(np.zeros(len(back)), index + 1)
+    rig = SensorRig(index.astype(np.uint8), np.repeat(np.eye(4)[None], 1 + behind, 0))
+    classid = np.full(len(points), 50, np.uint16)
+    return Frame(points.astype(np.float32), classid, TRIANGLES, sensor_rig=rig)
 
 
-def seen(origins, top, wall_elevation):
+def seen(origins, top, wall_elevation, behind=False):
     """Depth, exact depth, and the height at the box of each pixel's ray that can meet the box."""
     wall_top = WALL * np.tan(np.radians(wall_elevation))
     poses = np.repeat(np.eye(4)[None], len(origins), axis=0)
     poses[:, :3, 3] = origins
     trajectory = Trajectory(np.arange(len(origins)) * 100_000_000, poses)
-    frames = [frame(np.array(origin), top, wall_top) for origin in origins]
+    frames = [frame(np.array(origin), top, wall_top, behind) for origin in origins]
     camera, T_camera_lidar = small_camera(300, 200, 720.0), AXES.copy()
     T_camera_lidar[:3, 3] = -AXES[:3, :3] @ CAMERA
     depth = compose_depth(camera, T_camera_lidar, trajectory, 0, frames.__getitem__, TRIANGLES)
@@ -54,8 +61,9 @@ def seen(origins, top, wall_elevation):
 
 
 @pytest.mark.parametrize("wall_elevation", [1.4, 12.0], ids=["isolated returns", "a wall"])
-def test_nothing_far_is_drawn_over_the_top_of_a_thing(wall_elevation):
-    depth, exact, height = seen([(0, 0, 0)], 0.45 * GAP, wall_elevation)
+@pytest.mark.parametrize("behind", [False, True], ids=["one LiDAR", "the second LiDAR"])
+def test_nothing_far_is_drawn_over_the_top_of_a_thing(wall_elevation, behind):
+    depth, exact, height = seen([(0, 0, 0)], 0.45 * GAP, wall_elevation, behind)
     on_box = np.isfinite(height) & (np.abs(exact - (BOX - CAMERA[0])) < 1e-9)
     assert (on_box & (height > 0)).sum() > 200
     assert not (depth[on_box] > BOX).any()

@@ -92,12 +92,12 @@ MeshFrame::MeshFrame(const MeshParts& parts) {
 MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>& static_frames,
                         const std::vector<SightedObject>& objects, int visibility_sweeps,
                         const std::vector<ShutterFrame>& shutter_frames,
-                        const std::vector<PlacedBox>& boxes) {
+                        const std::vector<PlacedBox>& boxes, int nearest_frames) {
   MeshScene scene;
   const auto count = static_cast<int>(static_frames.size());
-  if (count > 0)
+  for (int i = 0; i < std::min(count, nearest_frames); ++i)
     scene.continued.push_back(
-        {&static_frames[0].frame->static_outer, static_frames[0].T_camera_frame});
+        {&static_frames[i].frame->static_outer, static_frames[i].T_camera_frame});
   for (int i = 0; i < count; ++i)
     (i == 0 ? scene.trusted : scene.others)
         .push_back({&static_frames[i].frame->static_mesh, static_frames[i].T_camera_frame, i});
@@ -121,11 +121,12 @@ std::vector<float> render_meshes(const Camera& camera,
                                  const std::vector<PlacedMeshFrame>& static_frames,
                                  const std::vector<SightedObject>& objects, int visibility_sweeps,
                                  const std::vector<ShutterFrame>& shutter_frames,
-                                 const std::vector<PlacedBox>& boxes, int threads) {
-  return render_triangles(
-      camera,
-      compose_scene(camera, static_frames, objects, visibility_sweeps, shutter_frames, boxes),
-      threads);
+                                 const std::vector<PlacedBox>& boxes, int nearest_frames,
+                                 int threads) {
+  return render_triangles(camera,
+                          compose_scene(camera, static_frames, objects, visibility_sweeps,
+                                        shutter_frames, boxes, nearest_frames),
+                          threads);
 }
 
 }  // namespace docdepth

@@ -79,22 +79,26 @@ struct SightedObject {
 
 /// Depth map of static surface and dynamic objects, row after row [m]; NaN if there is none.
 ///
-/// @param static_frames      sweeps in the order of trust, the nearest first
+/// @param static_frames      sweeps in the order of trust, the nearest first; of several LiDARs a
+///   frame for each
 /// @param visibility_sweeps  number of static_frames whose rays decide where sweeps differ. With 0
 ///   the first sweep with a depth wins.
 /// @param shutter_frames     sweeps nearest in time to the image, the nearest first; these are the
 ///   sweeps static_frames.size(), static_frames.size() + 1, ... of sightings
 /// @param boxes              around objects that move; see empty_behind_boxes()
+/// @param nearest_frames     number of static_frames of the nearest sweep: between its last return
+///   and the next ray, each may hide what is farther
 std::vector<float> render_meshes(const Camera& camera,
                                  const std::vector<PlacedMeshFrame>& static_frames,
                                  const std::vector<SightedObject>& objects, int visibility_sweeps,
                                  const std::vector<ShutterFrame>& shutter_frames,
-                                 const std::vector<PlacedBox>& boxes, int threads);
+                                 const std::vector<PlacedBox>& boxes, int nearest_frames,
+                                 int threads);
 
 /// What render_meshes() draws, for any rasteriser. static_frames are the sweeps from 0 on.
 MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>& static_frames,
                         const std::vector<SightedObject>& objects, int visibility_sweeps,
                         const std::vector<ShutterFrame>& shutter_frames,
-                        const std::vector<PlacedBox>& boxes);
+                        const std::vector<PlacedBox>& boxes, int nearest_frames);
 
 }  // namespace docdepth

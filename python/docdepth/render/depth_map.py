@@ -76,6 +76,8 @@ def compose_depth(
     core = (renderer or Renderer()).core
     draw = core.render_splats if p.primitive == "splats" else core.render_meshes
     arguments = core_arguments(camera, T_camera_lidar, trajectory, time, frames, p, tracks)
+    if p.primitive == "triangles":
+        arguments["nearest_frames"] = len(frames(trajectory.nearest(int(time))).parts)
     if p.primitive == "triangles" and tracks:
         T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
         view = View(camera, T_camera_world, int(time))
