@@ -47,7 +47,7 @@ py::array_t<float> draw_meshes(GlRenderer& renderer, const Array<double>& K, int
   const auto shutter = as_shutter_frames(shutter_frames);
   const auto placed = as_boxes(boxes);
   in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
-  in_range(nearest_frames, 0, kMaxRows, "nearest_frames");
+  in_range(nearest_frames, 1, kMaxRows, "nearest_frames");
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;

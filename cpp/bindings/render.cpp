@@ -98,7 +98,7 @@ py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
   const auto shutter = as_shutter_frames(shutter_frames);
   const auto placed = as_boxes(boxes);
   in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
-  in_range(nearest_frames, 0, kMaxRows, "nearest_frames");
+  in_range(nearest_frames, 1, kMaxRows, "nearest_frames");
   threads = checked_threads(threads);
   std::vector<float> depth;
   {
@@ -197,7 +197,7 @@ py::dict mesh_layers(const Array<double>& K, int width, int height,
   {
     const py::gil_scoped_release release;
     layers = layers_of_triangles(
-        camera, compose_scene(camera, frames, sighted, visibility_sweeps, shutter, {}, 0), z, seen,
+        camera, compose_scene(camera, frames, sighted, visibility_sweeps, shutter, {}, 1), z, seen,
         threads);
   }
   return as_dict(std::move(*layers), width, height);

@@ -95,12 +95,15 @@ MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>
                         const std::vector<PlacedBox>& boxes, int nearest_frames) {
   MeshScene scene;
   const auto count = static_cast<int>(static_frames.size());
-  for (int i = 0; i < std::min(count, nearest_frames); ++i)
-    scene.continued.push_back(
-        {&static_frames[i].frame->static_outer, static_frames[i].T_camera_frame});
-  for (int i = 0; i < count; ++i)
-    (i == 0 ? scene.trusted : scene.others)
-        .push_back({&static_frames[i].frame->static_mesh, static_frames[i].T_camera_frame, i});
+  for (int i = 0; i < count; ++i) {
+    const auto& [frame, T_camera_frame] = static_frames[i];
+    const PlacedMesh mesh{&frame->static_mesh, T_camera_frame, i};
+    if (i < nearest_frames) {
+      scene.trusted.push_back(mesh);
+      scene.continued.push_back({&frame->static_outer, T_camera_frame});
+    }
+    if (i > 0) scene.others.push_back(mesh);
+  }
   for (int i = 0; i < std::min(count, visibility_sweeps); ++i)
     scene.rays.push_back({&static_frames[i].frame->rays, static_frames[i].T_camera_frame});
   for (const auto& [placed, age] : shutter_frames)

@@ -86,8 +86,8 @@ struct SightedObject {
 /// @param shutter_frames     sweeps nearest in time to the image, the nearest first; these are the
 ///   sweeps static_frames.size(), static_frames.size() + 1, ... of sightings
 /// @param boxes              around objects that move; see empty_behind_boxes()
-/// @param nearest_frames     number of static_frames of the nearest sweep: between its last return
-///   and the next ray, each may hide what is farther
+/// @param nearest_frames     number of static_frames of the nearest sweep, at least 1: they are
+///   trusted, and between its last return and the next ray each may hide what is farther
 std::vector<float> render_meshes(const Camera& camera,
                                  const std::vector<PlacedMeshFrame>& static_frames,
                                  const std::vector<SightedObject>& objects, int visibility_sweeps,
