@@ -97,6 +97,7 @@ class Scene:
             "drawn": np.ones(len(motion), np.uint8),
             "displacement": np.zeros((n, 3), np.float32),
             "visibility_sweeps": 15,
+            "nearest_frames": 1,
             "isolated_angle": 0.002,
             "shutter_frames": [(mesh_frame, pose, 0.03)],
             "seen": True,
