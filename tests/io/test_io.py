@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -145,6 +146,26 @@ def test_another_run_is_not_overwritten(tmp_path):
     (tmp_path / "photos" / "cat.jpg").touch()
     with pytest.raises(RunError, match="holds no run"):
         RunFolder.create(tmp_path / "photos", source, parameters())
+
+
+def test_a_run_that_another_command_starts_is_no_foreign_folder(tmp_path, monkeypatch):
+    """Its first file is listed before it has a record, or the record comes in between."""
+    path = tmp_path / "run"
+    (path / ".docdepth/records").mkdir(parents=True)
+    (path / ".run.yaml.part").touch()
+    RunFolder.create(path, {}, parameters())
+    (path / ".run.yaml.part").rename(path / "run.yaml")
+    with pytest.raises(RunError, match="holds no run"):
+        RunFolder.create(path, {}, parameters())
+    listed = Path.iterdir
+
+    def recorded_meanwhile(folder):
+        files = list(listed(folder))
+        (path / ".docdepth/records/run.jsonl").touch()
+        return iter(files)
+
+    monkeypatch.setattr(Path, "iterdir", recorded_meanwhile)
+    RunFolder.create(path, {}, parameters())
 
 
 def test_calibration_round_trip_and_missing(tmp_path):

@@ -140,11 +140,17 @@ class RunFolder(RecordedFolder):
 
     def _has_foreign_files(self) -> bool:
         """Whether there is something in the folder though docdepth never wrote into it."""
-        if not self.path.is_dir() or self._records_file(self.path).is_file():
+        if not self.path.is_dir():
+            return False
+        # Another command may start a run here at the moment. A file has a record before it gets
+        # its name, so files are listed first.
+        own = {NOTES, f".{self._manifest_path.name}.part"}
+        others = [file for file in self.path.iterdir() if file.name not in own]
+        if self._records_file(self.path).is_file():
             return False
         if self._manifest_path.exists() and self.frame_path(0).parent.is_dir():
             return False  # a run whose state is lost
-        return any(file.name != NOTES for file in self.path.iterdir())
+        return bool(others)
 
     @classmethod
     def open(cls, path: Path | str | RunFolder) -> RunFolder:
