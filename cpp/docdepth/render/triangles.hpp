@@ -39,7 +39,7 @@ struct PlacedBox {
 /// What is drawn, in this order. Two sweeps never measure quite the same, so the nearest of all
 /// surfaces would be the one with the most noise and the widest silhouette.
 struct MeshScene {
-  std::vector<PlacedMesh> trusted;  ///< the nearest of them is drawn as it is, except at edges
+  std::vector<PlacedMesh> trusted;  ///< of the nearest sweep; drawn as they are, except at edges
   std::vector<PlacedMesh> others;   ///< fill what is left empty, and are hypotheses at edges
   std::vector<PlacedRays> rays;     ///< decide between hypotheses
   std::vector<PlacedDynamicObject> dynamic_objects;  ///< hide what is farther

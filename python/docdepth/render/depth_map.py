@@ -78,10 +78,10 @@ def compose_depth(
     arguments = core_arguments(camera, T_camera_lidar, trajectory, time, frames, p, tracks)
     if p.primitive == "triangles":
         arguments["nearest_frames"] = len(frames(trajectory.nearest(int(time))).parts)
-    if p.primitive == "triangles" and tracks:
-        T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
-        view = View(camera, T_camera_world, int(time))
-        arguments["boxes"] = boxes_in_view(view, trajectory, tracks)
+        if tracks:
+            T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
+            view = View(camera, T_camera_world, int(time))
+            arguments["boxes"] = boxes_in_view(view, trajectory, tracks)
     depth: NDArray[np.float32] = draw(**arguments, threads=threads)
     # The nearest depth wins, so cutting the map at the far plane is cutting the points.
     depth[depth > p.max_depth] = np.nan

@@ -34,7 +34,7 @@ class SweepObjects:
     times : tuple of int
         The time at which each object is held: the mean time of its measurements [ns].
     T_object_lidar : ndarray of float64, shape (objects, 4, 4)
-        From the LiDAR to each object at that time; not used of points that are not followed.
+        From the LiDAR to each object at that time; identity for points that are not followed.
     motion : ndarray of float32, shape (objects, 4)
         Velocity of each object in the LiDAR frame [m/s], and its time [s after the stamp].
     time_offset : ndarray of float32, shape (N,), optional

@@ -127,11 +127,7 @@ def sighted_objects(
             [
                 sighting
                 for one in some
-                for sighting in _sightings(
-                    frames(one.sweep),
-                    one,
-                    T_camera_object @ frames(one.sweep).objects.T_object_lidar[one.owner - 1],
-                )
+                for sighting in _sightings(frames(one.sweep), one, T_camera_object)
             ]
             for some in (near, far, (near + far)[:MOST_RAYS])
         )
@@ -151,9 +147,13 @@ def boxes_in_view(view: View, trajectory: Trajectory, tracks: Tracks) -> list[Pl
     return found
 
 
-def _sightings(frame: Frame, seen: _Seen, T_camera_lidar: Floats) -> list[Sighting]:
-    """What each LiDAR of a sweep saw of an object, placed where the object is now."""
+def _sightings(frame: Frame, seen: _Seen, T_camera_object: Floats) -> list[Sighting]:
+    """What each LiDAR of a sweep saw of an object, placed where the object is now.
+
+    What is not followed stays in the frame of the sweep, whose ``T_object_lidar`` is the identity.
+    """
     found = []
+    T_camera_lidar = T_camera_object @ frame.objects.T_object_lidar[seen.owner - 1]
     for k in frame.seen_by(seen.owner):
         core, T_lidar_sensor = frame.parts[k]
         found.append((core, seen.owner, T_camera_lidar @ T_lidar_sensor, seen.number + k))
