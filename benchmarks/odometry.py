@@ -67,7 +67,8 @@ def main() -> None:
         for seed in options.seeds:
             folder = options.drives / f"{scene}_{lidar}_{seed}"
             if not folder.exists():
-                write_drive(folder, scene, lidar, options.frames, seed, skew=True)
+                made_of = scene, lidar, options.frames, seed
+                write_drive(folder, *made_of, skew=True, images=False)
             drive = open_dataset(folder / "sequences" / "00")
             dataset = Disturbed(drive, options.late, options.lost)
             start = time.process_time()

@@ -105,7 +105,7 @@ def test_a_torn_log_is_taken_up_to_the_tear(drive, whole, tmp_path, name: str, c
 
 def test_rows_are_read_as_they_were_written(tmp_path) -> None:
     rng, file = np.random.default_rng(3), tmp_path / "notes" / "pass_1.log"
-    rows = [Found(rng.normal(size=(4, 4)), rng.normal(size=(3, 3)), k % 3 > 0) for k in range(9)]
+    rows = [Found(rng.normal(size=(4, 4)), rng.normal(size=(6, 6)), k % 3 > 0) for k in range(9)]
     for begin, end in ((0, 4), (4, 4), (4, 9)):
         log = RegistrationLog(file, "key")
         assert len(log) == begin
@@ -124,18 +124,18 @@ def test_rows_are_read_as_they_were_written(tmp_path) -> None:
     whole = file.read_bytes()
     for cut in range(0, len(whole), 7):
         file.write_bytes(whole[:cut])
-        assert len(RegistrationLog(file, "key")) == max(cut - 4, 0) // 208
+        assert len(RegistrationLog(file, "key")) == max(cut - 4, 0) // 424
 
 
 def test_a_log_that_cannot_be_written(tmp_path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(RunError, match=r"pass_1\.log: .*; it continues where it stopped"):
-        RegistrationLog(tmp_path / "file" / "pass_1.log").add(Found(np.eye(4), np.eye(3), True))
+        RegistrationLog(tmp_path / "file" / "pass_1.log").add(Found(np.eye(4), np.eye(6), True))
 
 
 def test_a_disk_that_fills_up_within_a_row(tmp_path) -> None:
     """The system then writes what fits, and says so only by the count."""
-    rows = [Found(k * np.eye(4), np.eye(3), True) for k in range(3)]
+    rows = [Found(k * np.eye(4), np.eye(6), True) for k in range(3)]
     file = tmp_path / "\udcff" / "pass_1.log"
     log = RegistrationLog(file, "\udcff")
     log.add(rows[0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pytest
@@ -64,11 +64,25 @@ def least_squares(poses: np.ndarray, covariances: np.ndarray, times: np.ndarray)
 
 
 def states(poses: np.ndarray, covariances: np.ndarray, times: np.ndarray) -> Iterator[State]:
+    """Of poses whose rotation is exact; covariances (n, 3, 3) are of their position."""
+    return _states(poses, [of_position(covariance) for covariance in covariances], times)
+
+
+def _states(
+    poses: np.ndarray, covariances: Sequence[np.ndarray], times: np.ndarray
+) -> Iterator[State]:
     before = None
     for k, (pose, covariance) in enumerate(zip(poses, covariances, strict=True)):
         elapsed = 1e-9 * float(times[k] - times[k - 1]) if k else 0.0
         before = filtered(before, pose, covariance, elapsed)
         yield before
+
+
+def of_position(covariance: np.ndarray) -> np.ndarray:
+    """Of a registration (6, 6) whose rotation is exact."""
+    whole = np.zeros((6, 6))
+    whole[3:, 3:] = covariance
+    return whole
 
 
 def measured(times: np.ndarray, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -99,6 +113,34 @@ def test_a_short_drive_is_least_squares() -> None:
     np.testing.assert_array_equal(made[:, :3, :3], poses[:, :3, :3])
 
 
+def test_rotations_follow_positions_as_registration_says() -> None:
+    """At the position of each pose, the rotation is the most likely one by both errors together."""
+    rng = np.random.default_rng(6)
+    _, poses, positions = measured(TIMES)
+    covariances = np.empty((len(TIMES), 6, 6))
+    for k in range(len(TIMES)):
+        # A turn of 0.1 degrees goes with a step to the side, as of points far ahead.
+        root = np.diag(rng.uniform(1e-4, 2e-3, 6))
+        root[3:, 3:] = np.linalg.cholesky(positions[k])
+        root[:3, 3:] = rng.normal(scale=4e-4, size=(3, 3))
+        covariances[k] = root @ root.T
+    known = list(_states(poses, covariances, TIMES))
+    turned = 0.0
+    for made, pose, C in zip(smoothed(known), poses, covariances, strict=True):
+        # Least squares of rotation and position (6,) that registration is off by; what is left of
+        # the position is the error that registration does not know of.
+        step = made[:3, 3] - pose[:3, 3]
+        unknown = np.hypot(0.002, 0.005)
+        rows = [np.linalg.inv(np.linalg.cholesky(10 * C)), np.eye(6)[3:] / unknown]
+        values = np.concatenate([np.zeros(6), step / unknown])
+        expected = np.linalg.lstsq(np.concatenate(rows), values, rcond=None)[0][:3]
+        found = Rotation.from_matrix(made[:3, :3] @ pose[:3, :3].T).as_rotvec()
+        # First the filter moves the pose, then the smoother: two small turns, one after the other.
+        np.testing.assert_allclose(found, expected, atol=2e-6)
+        turned = max(turned, float(np.linalg.norm(expected)))
+    assert turned > 1e-3, "nothing turned"
+
+
 def test_a_second_of_later_sweeps_is_enough() -> None:
     times = np.arange(60, dtype=np.int64) * 10**8
     exact, poses, covariances = measured(times, 1)
@@ -120,7 +162,7 @@ def test_poses_come_a_few_sweeps_later_and_all_of_them() -> None:
         state = None
         for k in range(len(times)):
             asked.append(k)
-            state = filtered(state, np.eye(4), 1e-4 * np.eye(3), 0.1)
+            state = filtered(state, np.eye(4), of_position(1e-4 * np.eye(3)), 0.1)
             yield state
 
     poses = smoothed(registered())

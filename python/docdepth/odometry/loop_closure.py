@@ -111,7 +111,7 @@ def close_loops(
         if found is None:
             placed = locate_again(places, nodes, at_nodes, visit)
             edge = _edge(at_nodes, visit, placed.pose)
-            found = Found(edge, np.zeros((3, 3)), passes(placed))
+            found = Found(edge, np.zeros((6, 6)), passes(placed))
             kept.add(found)
         if found.usable:
             edges.append(Edge(visit.earlier, visit.later, found.pose))

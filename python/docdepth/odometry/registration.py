@@ -46,7 +46,7 @@ _ALIGN = {
     "rotation_epsilon": 1e-4,  # radians
     "translation_epsilon": 5e-4,  # metres
 }
-_UNKNOWN = 1e2  # metres; standard deviation of a position that was not measured
+_UNKNOWN = 1e2  # metres and radians; standard deviation of a pose that was not measured
 
 _MARGIN = 15.0
 """Metres that points lie farther from a logged pose in the map than from the sensor when they were
@@ -108,12 +108,12 @@ class Registration:
         Returns
         -------
         pose : ndarray of float64, shape (4, 4)
-        covariance : ndarray of float64, shape (3, 3)
-            Of its position [m^2].
+        covariance : ndarray of float64, shape (6, 6)
+            Of its rotation [rad^2] and its position [m^2], about the axes of the world.
         """
-        pose, covariance = guess.copy(), _UNKNOWN**2 * np.eye(3)
+        pose, covariance = guess.copy(), _UNKNOWN**2 * np.eye(6)
         if self._empty:
-            covariance = np.zeros((3, 3))  # it is the frame of all poses
+            covariance = np.zeros((6, 6))  # it is the frame of all poses
         else:
             found = self._small_gicp.align(
                 self._map, self._cloud, init_T_target_source=guess, **_ALIGN
@@ -122,7 +122,7 @@ class Registration:
             if found.num_inliers >= FEWEST_POINTS and np.isfinite(found.T_target_source).all():
                 # Row by row, as poses are stored: products of other layouts differ in the last bit.
                 pose = np.array(nearest_rigid(found.T_target_source), order="C")
-                covariance = _covariance_of_position(found.H, pose)
+                covariance = _covariance(found.H, pose)
         return pose, covariance
 
     def insert(self, pose: NDArray[np.float64]) -> None:
@@ -192,7 +192,7 @@ class LoggedRegistration:
         if usable:
             self._registration.take(points)
         if found is None:
-            unknown = _UNKNOWN**2 * np.eye(3)
+            unknown = _UNKNOWN**2 * np.eye(6)
             pose, covariance = self._registration.align(guess) if usable else (guess, unknown)
             if not np.isfinite(pose).all():
                 raise OdometryError(
@@ -209,13 +209,13 @@ class LoggedRegistration:
             self._registration.insert(pose)
 
 
-def _covariance_of_position(
+def _covariance(
     hessian: NDArray[np.float64], pose: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Covariance (3, 3) in the world, of a Hessian (6, 6) of rotation and translation."""
-    rotation = pose[:3, :3]
+    """Covariance (6, 6) about the axes of the world, of a Hessian about those of the LiDAR."""
+    turn = np.kron(np.eye(2), pose[:3, :3])
     inverse_hessian = np.linalg.inv(np.asarray(hessian) + _UNKNOWN**-2 * np.eye(6))
-    covariance: NDArray[np.float64] = rotation @ inverse_hessian[3:, 3:] @ rotation.T
+    covariance: NDArray[np.float64] = turn @ inverse_hessian @ turn.T
     return covariance
 
 

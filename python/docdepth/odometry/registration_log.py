@@ -26,7 +26,7 @@ FORGOTTEN = _HORIZON + CLEAR_CYCLE
 """Insertions after which a voxel that none of them touches is no longer in the map."""
 
 _ROW = np.dtype(
-    [("pose", "<f8", (4, 4)), ("covariance", "<f8", (3, 3)), ("usable", "<u4"), ("sum", "<u4")]
+    [("pose", "<f8", (4, 4)), ("covariance", "<f8", (6, 6)), ("usable", "<u4"), ("sum", "<u4")]
 )
 _SUMMED = _ROW.itemsize - 4  # bytes of a row before its checksum
 
@@ -37,8 +37,8 @@ class Found(NamedTuple):
     Attributes
     ----------
     pose : ndarray of float64, shape (4, 4)
-    covariance : ndarray of float64, shape (3, 3)
-        Of its position [m^2].
+    covariance : ndarray of float64, shape (6, 6)
+        Of its rotation [rad^2] and its position [m^2], about the axes of the world.
     usable : bool
         It has points enough. Otherwise its pose is the predicted one, and the map does not get it.
     """
