@@ -41,6 +41,12 @@ def test_a_narrow_view_of_a_motorway(tmp_path: Path, scene: str, seed: int) -> N
     assert errors_of_steps(tmp_path, 2).max() < 0.1
 
 
+def test_lorries_beside_do_not_pull_along(tmp_path: Path) -> None:
+    """They go at nearly the speed of the vehicle, and hide most of what stands."""
+    write_drive(tmp_path, "overtaking", "XT-32", 40, 31, skew=True, images=False)
+    assert errors_of_steps(tmp_path, 2).max() < 0.04
+
+
 def test_a_narrow_view_does_not_turn_away(tmp_path: Path) -> None:
     """Points ahead fit a step to the side as well as a turn, so a rotation follows its position.
 

@@ -4,7 +4,7 @@ from collections import defaultdict
 
 import numpy as np
 
-from docdepth.odometry.level_ground import thin_level_ground
+from docdepth.odometry.level_ground import split_level_ground
 
 
 def plainly_thinned(points: np.ndarray, edge: float) -> np.ndarray:
@@ -29,12 +29,13 @@ def test_a_level_column_keeps_its_mean() -> None:
     wall = np.column_stack([rng.uniform(-20, 20, 800), np.full(800, 7.3), rng.uniform(-2, 3, 800)])
     points = rng.permutation(np.concatenate([road, wall]))
     for edge in (0.5, 1.0):
-        thinned, plain = thin_level_ground(points, edge), plainly_thinned(points, edge)
+        thinned = np.concatenate(split_level_ground(points, edge))
+        plain = plainly_thinned(points, edge)
         assert len(thinned) == len(plain)
         order, plain_order = np.lexsort(thinned.T), np.lexsort(plain.T)
         np.testing.assert_allclose(thinned[order], plain[plain_order], atol=1e-12)
         assert np.count_nonzero(thinned[:, 2] > -1) == np.count_nonzero(wall[:, 2] > -1)
-    assert len(thin_level_ground(points, 1.0)) < 0.6 * len(points)
+    assert sum(map(len, split_level_ground(points, 1.0))) < 0.6 * len(points)
 
 
 def test_where_walls_are_most_of_a_sweep_all_points_stay() -> None:
@@ -42,8 +43,10 @@ def test_where_walls_are_most_of_a_sweep_all_points_stay() -> None:
     road = np.column_stack([rng.uniform(-20, 20, (900, 2)), rng.normal(-1.8, 0.02, 900)])
     wall = np.column_stack([rng.uniform(-9, 9, 1000), np.full(1000, 7.3), rng.uniform(-2, 3, 1000)])
     points = np.concatenate([road, wall])
-    assert thin_level_ground(points, 1.0) is points
+    rising, road = split_level_ground(points, 1.0)
+    assert rising is points
+    assert len(road) == 0
 
 
 def test_no_points() -> None:
-    assert thin_level_ground(np.empty((0, 3)), 1.0).shape == (0, 3)
+    assert [part.shape for part in split_level_ground(np.empty((0, 3)), 1.0)] == [(0, 3), (0, 3)]

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 _LEVEL = 0.1  # metres between the returns of a column; kerbs, walls and twigs have more
 
 
-def thin_level_ground(points: NDArray[np.float64], edge: float) -> NDArray[np.float64]:
-    """Points of which each level column keeps its mean alone, if most of them lie in such columns.
+def split_level_ground(
+    points: NDArray[np.float64], edge: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What rises above an open road, and the road in one point for each level column.
 
     Parameters
     ----------
@@ -29,11 +31,14 @@ def thin_level_ground(points: NDArray[np.float64], edge: float) -> NDArray[np.fl
     Returns
     -------
     ndarray of float64, shape (M, 3)
-        Points of the other columns, in their order, then the means of level columns; ``points``
-        itself if at most half of them lie in level columns.
+        Points of the other columns, in their order; ``points`` itself if at most half of them lie
+        in level columns.
+    ndarray of float64, shape (K, 3)
+        Means of the level columns; none if at most half of the points lie in them.
     """
+    none = np.zeros((0, 3))
     if not len(points):
-        return points
+        return points, none
     x, y = np.floor(points[:, :2] / edge).astype(np.int64).T
     column = (x << 32) + y
     order = np.argsort(column, kind="stable")
@@ -42,7 +47,7 @@ def thin_level_ground(points: NDArray[np.float64], edge: float) -> NDArray[np.fl
     count = np.diff(np.append(first, len(column)))
     level = np.maximum.reduceat(height, first) - np.minimum.reduceat(height, first) < _LEVEL
     if count[level].sum() <= 0.5 * len(points):
-        return points
+        return points, none
     means = np.add.reduceat(points[order], first)[level] / count[level, None]
     others = np.sort(order[np.repeat(~level, count)])
-    return np.concatenate([points[others], means])
+    return points[others], means

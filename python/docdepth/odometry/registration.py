@@ -15,10 +15,11 @@ from docdepth.datasets.base import Sweep
 from docdepth.errors import OdometryError
 from docdepth.geometry.se3 import inverse, nearest_rigid, se3_exp, se3_log
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
-from docdepth.odometry.level_ground import thin_level_ground
+from docdepth.odometry.level_ground import split_level_ground
 from docdepth.odometry.registration_log import Found, RegistrationLog
 from docdepth.odometry.smoothing import State, filtered, stamp_error_of
 from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_sweep
+from docdepth.odometry.traffic import SEEN, Traffic
 
 log = logging.getLogger(__name__)
 
@@ -90,17 +91,22 @@ class Registration:
         self._map = small_gicp.GaussianVoxelMap(voxel_size)
         self._voxel_size, self._sampling = voxel_size, sampling
         self._neighbors, self._threads = neighbors, threads
-        self._empty, self._cloud = True, None
+        self._empty, self._cloud, self._traffic = True, None, Traffic()
 
-    def take(self, points: NDArray[np.float32]) -> None:
-        """Take the next deskewed sweep: its points get their distributions."""
-        self._cloud = _cloud(
-            points.astype(np.float64),
-            self._sampling,
-            self._voxel_size,
-            self._neighbors,
-            self._threads,
-        )
+    def take(self, points: NDArray[np.float32], guess: NDArray[np.float64]) -> None:
+        """Take the next deskewed sweep, without traffic: its points get their distributions.
+
+        Parameters
+        ----------
+        points : ndarray of float32, shape (N, 3)
+        guess : ndarray of float64, shape (4, 4)
+            Where it was taken, about.
+        """
+        rising, road = _thinned(points.astype(np.float64), self._sampling, self._voxel_size)
+        seen = rising if len(road) else np.zeros((0, 3))
+        along = self._traffic.left_out(seen, guess)
+        rising = rising[~along] if along.any() else rising
+        self._cloud = _cloud(rising, road, self._neighbors, self._threads)
 
     def align(self, guess: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Register the sweep that was taken, from an initial guess (4, 4).
@@ -131,19 +137,24 @@ class Registration:
         self._empty = False
 
 
-def _cloud(
-    points: NDArray[np.float64],
-    sampling: float | None,
-    voxel_size: float,
-    neighbors: int,
-    threads: int,
-) -> Any:
-    """A small_gicp.PointCloud with the distribution of each point, for a map of such voxels."""
+def _thinned(
+    points: NDArray[np.float64], sampling: float | None, voxel_size: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """One point in each voxel, for a map of such voxels; and level ground if it is most of them."""
     import small_gicp
 
     if sampling is not None:
         points = small_gicp.voxelgrid_sampling(points, sampling).points()[:, :3]
-    cloud = small_gicp.PointCloud(thin_level_ground(points, voxel_size))
+    return split_level_ground(points, voxel_size)
+
+
+def _cloud(
+    rising: NDArray[np.float64], road: NDArray[np.float64], neighbors: int, threads: int
+) -> Any:
+    """A small_gicp.PointCloud with the distribution of each point."""
+    import small_gicp
+
+    cloud = small_gicp.PointCloud(np.concatenate([rising, road]) if len(road) else rising)
     small_gicp.estimate_covariances(cloud, small_gicp.KdTree(cloud), neighbors, threads)
     return cloud
 
@@ -164,7 +175,7 @@ class LoggedRegistration:
     Attributes
     ----------
     first : int
-        The first sweep that is read.
+        The first sweep that the map shows.
     """
 
     def __init__(
@@ -173,6 +184,8 @@ class LoggedRegistration:
         self._registration, self._log = registration, kept
         # Two sweeps touch one voxel from either side.
         self.first = kept.first_needed(2 * (reach + _MARGIN)) if len(kept) < count else count
+        # Traffic in the first sweep is told by those before it.
+        self._read = max(0, self.first - SEEN) if len(kept) < count else count
 
     def align(self, index: int, deskewed: Callable[[], Sweep], guess: NDArray[np.float64]) -> Found:
         """What registration finds, or has found, of a sweep; it is read only if it is needed.
@@ -185,12 +198,12 @@ class LoggedRegistration:
         guess : ndarray of float64, shape (4, 4)
         """
         found = self._log.found(index)
-        if found is not None and (index < self.first or not found.usable):
+        if found is not None and (index < self._read or not found.usable):
             return found
         points = deskewed().points
         usable = len(points) >= FEWEST_POINTS
         if usable:
-            self._registration.take(points)
+            self._registration.take(points, guess)
         if found is None:
             unknown = _UNKNOWN**2 * np.eye(6)
             pose, covariance = self._registration.align(guess) if usable else (guess, unknown)
@@ -209,9 +222,7 @@ class LoggedRegistration:
             self._registration.insert(pose)
 
 
-def _covariance(
-    hessian: NDArray[np.float64], pose: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _covariance(hessian: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """Covariance (6, 6) about the axes of the world, of a Hessian about those of the LiDAR."""
     turn = np.kron(np.eye(2), pose[:3, :3])
     inverse_hessian = np.linalg.inv(np.asarray(hessian) + _UNKNOWN**-2 * np.eye(6))
@@ -345,7 +356,8 @@ def first_motion(
         near = points_in_range(sweeps[k].points, parameters)
         if len(near) < FEWEST_POINTS:
             break
-        clouds.append(_cloud(near, _FIRST_SAMPLING, _FIRST_VOXEL, _NEIGHBORS, _THREADS))
+        parts = _thinned(near, _FIRST_SAMPLING, _FIRST_VOXEL)
+        clouds.append(_cloud(*parts, _NEIGHBORS, _THREADS))
     if len(clouds) < 2:
         return np.eye(4)
     counted = [cloud.points()[:, :3] for cloud in clouds]

@@ -109,7 +109,7 @@ def filtered(
     # Joseph's form keeps the covariance positive.
     after = left @ spread @ left.T + gain @ noise @ gain.T
     # What registration found of both together: the mean rotation where the position is known.
-    lean = np.linalg.solve(measured + _HELD**2 * np.eye(3), _ALIKE * covariance[3:, :3]).T
+    lean = _ALIKE * covariance[:3, 3:] @ np.linalg.inv(measured + _HELD**2 * np.eye(3))
     pose = _moved(pose, mean[:3], lean)
     return State(pose, transition, predicted, spread, mean, after, lean)
 
