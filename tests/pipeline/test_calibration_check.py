@@ -105,6 +105,18 @@ def test_images_of_another_drive_tell_nothing() -> None:
         compare(made(unrelated=True))
 
 
+def test_an_image_without_edges_changes_nothing() -> None:
+    """A map may be empty, or show nothing but what moves."""
+    found, empty = made(), made()
+    empty.names.append("000099")
+    empty.images.append(np.full((240, 620, 3), 120, np.uint8))
+    empty.edges.append(edges_of_map(np.full((240, 620), 40, np.float32)))
+    assert len(empty.edges[-1]) == 0
+    with_it, without = compare(empty).fit, compare(found).fit
+    np.testing.assert_array_equal(with_it.change, without.change)
+    assert with_it.score == without.score
+
+
 def test_too_few_edges_tell_nothing() -> None:
     found = made()
     few = RunEdges(found.path, found.stream, found.names[:3], found.images[:3], found.edges[:3])

@@ -249,6 +249,37 @@ def test_the_box_of_an_object_is_there_before_the_lidar_sees_it():
     assert not boxes_in_view(VIEW, trajectory, Tracks([late]))
 
 
+def test_a_box_that_holds_the_camera_or_the_lidar_hides_nothing():
+    """A lost track goes on through the place of the vehicle; its map was all but empty."""
+    trajectory = straight(50, spacing=0.0)
+    whole = moving_track(trajectory, (8, 0.3, -1.7), (-20, 0, 0), (4, 2, 1.5))
+    stamps = ("times", "poses", "velocities", "points", "deviations", "surface_deviations")
+    seen = replace(whole, **{name: getattr(whole, name)[:3] for name in stamps})
+    # The camera looks from 3 m behind the LiDAR.
+    behind = VIEW.T_camera_world.copy()
+    behind[2, 3] = 3.0
+    level = VIEW.T_camera_world
+    # After 0.2 s the box is still ahead; then it holds the camera or the LiDAR.
+    for seconds, T in ((0.2, level), (0.2, behind), (0.4, level), (0.4, behind), (0.55, behind)):
+        view = VIEW._replace(time=round(seconds * 1e9), T_camera_world=T)
+        found = boxes_in_view(view, trajectory, Tracks([seen]))
+        assert len(found) == (seconds == 0.2), seconds
+    cut = scene(top=0.0)
+    lost = moving_track(cut["trajectory"], (0.5, 0.2, -1.7), (20, 0, 0), (4, 2, 1.5))
+    drawn = compose_depth(
+        **cut | {"tracks": Tracks([*cut["tracks"].values(), replace(lost, id=9)])}
+    )
+    np.testing.assert_array_equal(drawn, compose_depth(**cut))
+
+
+def test_a_box_that_may_be_anywhere_hides_nothing():
+    trajectory = straight(9, spacing=2.0)
+    track = moving_track(trajectory, (6, 0, -1.7), (20, 0, 0), (4, 2, 2.2))
+    for metres, hides in ((3.9, True), (4.1, False)):
+        unsure = replace(track, deviations=np.full(len(track), metres))
+        assert bool(boxes_in_view(VIEW, trajectory, Tracks([unsure]))) == hides
+
+
 @pytest.mark.parametrize("name", ["egl", "surfaceless", "osmesa"])
 def test_every_renderer_empties_the_same_pixels(name):
     try:

@@ -111,6 +111,8 @@ def profiles(edges: Edges, image: NDArray[np.uint8], camera: Camera) -> NDArray[
     ndarray of float32, shape (n, 2 * 32 + 1)
         From the near side to the far one.
     """
+    if not len(edges):  # OpenCV takes no empty map
+        return np.zeros((0, 2 * _REACH + 1), np.float32)
     step = _step(camera)
     bright = np.sqrt(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32))
     bright = cv2.GaussianBlur(bright, (0, 0), step)

@@ -137,14 +137,33 @@ def sighted_objects(
 
 
 def boxes_in_view(view: View, trajectory: Trajectory, tracks: Tracks) -> list[PlacedBox]:
-    """Objects that the camera may see: where they are, how large each may be, and how fast."""
+    """Objects that the camera may see: where they are, how large each may be, and how fast.
+
+    A box that holds the camera or the LiDAR is none: the vehicle itself is there.
+    """
     found = []
+    T_camera_world = view.T_camera_world
+    lidar = T_camera_world @ trajectory.interpolate(view.time)[0][:, 3]
+    own = np.stack([np.zeros(3), lidar[:3]])
     for track in tracks.between(view.time - GONE, view.time + GONE):
-        T_camera_object = view.T_camera_world @ track.pose_at(view.time)
-        if _in_view(view.camera, T_camera_object, track):
-            x, y, z = (view.T_camera_world[:3, :3] @ track.velocity_at(view.time)).tolist()
-            found.append((T_camera_object, _extent(track, trajectory), (x, y, z)))
+        if track.deviation_at(view.time) > track.size[:2].max():
+            continue  # it is more likely elsewhere than there
+        T_camera_object = T_camera_world @ track.pose_at(view.time)
+        extent = _extent(track, trajectory)
+        if _in_view(view.camera, T_camera_object, track) and not _holds(
+            T_camera_object, extent, own
+        ):
+            x, y, z = (T_camera_world[:3, :3] @ track.velocity_at(view.time)).tolist()
+            found.append((T_camera_object, extent, (x, y, z)))
     return found
+
+
+def _holds(T_camera_object: Floats, extent: Triple, places: Floats) -> bool:
+    """Whether a box, whose origin is the middle of its bottom, holds one of some places (n, 3)."""
+    x, y, z = ((places - T_camera_object[:3, 3]) @ T_camera_object[:3, :3]).T
+    length, width, height = extent
+    inside = (np.abs(x) <= length / 2) & (np.abs(y) <= width / 2) & (z >= 0) & (z <= height)
+    return bool(inside.any())
 
 
 def _sightings(frame: Frame, seen: _Seen, T_camera_object: Floats) -> list[Sighting]:
