@@ -55,7 +55,7 @@ measured: deskewing moves them by up to 10 m at 60 m/s, and the filter moves the
 
 # A run warns if registration disagrees with the motion in a large share of the sweeps.
 _DISAGREES = 0.3  # metres between a registered position and the predicted one
-_MAX_DISAGREEING = 0.1  # share of the sweeps
+_MAX_DISAGREEING = 0.05  # share of the sweeps
 _SETTLED = 4  # sweeps after which the filter knows the motion
 
 # The first motion is searched on a grid of forward speeds; registration finds what lies between.

@@ -20,12 +20,12 @@ SEEN = 15
 """Sweeps that are looked back at. At a metre a sweep the first of them is 15 m behind."""
 
 _NEAREST, _FARTHEST = 6.0, 15.0
-"""Metres behind the vehicle at which sweeps tell what stands: where a car is now, none of it was
-then, as it is shorter; farther behind, another one may have been there."""
-_THERE = 0.5  # metres; what stands was met so near by
-_FASTER, _ASIDE = 1.0, 0.3
-"""Metres a sweep that traffic moves along the way and aside, as seen from the vehicle. A vehicle
-that goes less than the first cannot tell traffic from what stands."""
+"""Sweeps taken so far behind tell what stands [m]. Nearer ones met a car at a part of its present
+place, as it is that long. Farther behind, another car may have been there."""
+_SAME_PLACE = 0.5  # metres; a sweep from behind met what stands so near by
+_ALONG, _ASIDE = 1.0, 0.3
+"""What traffic moves from sweep to sweep at most, as seen from the vehicle: along its way and aside
+[m]. A vehicle that goes less than the first cannot tell traffic from what stands."""
 _THREADS = 1  # of small_gicp
 
 
@@ -50,18 +50,26 @@ class Traffic:
         ndarray of bool, shape (N,)
         """
         along = np.zeros(len(points), bool)
-        behind = [(float(np.linalg.norm(_from(s.pose, pose)[:3, 3])), s) for s in self._seen]
-        if len(points) and behind and behind[-1][0] > _FASTER and len(behind[-1][1].points):
-            standing = [s for far, s in behind if _NEAREST <= far <= _FARTHEST and len(s.points)]
-            if standing:
-                rows = np.flatnonzero(_moved_little(points, pose, behind[-1][1]))
-                for sweep in standing:
-                    T = _from(sweep.pose, pose)
-                    there = points[rows] @ T[:3, :3].T + T[:3, 3]
-                    rows = rows[sweep.distance(there) > _THERE]
-                along[rows] = True
+        along[self._rows(points, pose)] = True
         self._seen.append(_Sweep(pose, points))
         return along
+
+    def _rows(self, points: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Rows of the points that drive along."""
+        none = np.zeros(0, np.int64)
+        seen = [(float(np.linalg.norm((s.pose - pose)[:3, 3])), s) for s in self._seen]
+        behind = [s for far, s in seen if _NEAREST <= far <= _FARTHEST and len(s.points)]
+        if not len(points) or not behind:
+            return none
+        moved, before = seen[-1]
+        if moved <= _ALONG or not len(before.points):
+            return none
+        rows = np.flatnonzero(_moved_little(points, pose, before))
+        for sweep in behind:
+            T = _from(sweep.pose, pose)
+            there = points[rows] @ T[:3, :3].T + T[:3, 3]
+            rows = rows[sweep.distance(there) > _SAME_PLACE]
+        return rows
 
 
 class _Sweep:
@@ -91,8 +99,8 @@ def _moved_little(
     ahead = _from(before.pose, pose)[:3, 3]
     ahead = ahead / np.linalg.norm(ahead)
     # Distances aside count as much more as they may be smaller.
-    stretch = np.eye(3) + (_FASTER / _ASIDE - 1) * (np.eye(3) - np.outer(ahead, ahead))
-    near: NDArray[np.bool_] = _distance(_tree(before.points @ stretch), points @ stretch) < _FASTER
+    stretch = np.eye(3) + (_ALONG / _ASIDE - 1) * (np.eye(3) - np.outer(ahead, ahead))
+    near: NDArray[np.bool_] = _distance(_tree(before.points @ stretch), points @ stretch) < _ALONG
     return near
 
 
