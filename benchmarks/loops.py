@@ -37,8 +37,7 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.loop_closure import close_loops
 from docdepth.odometry.odometry import estimate_poses
 from docdepth.odometry.places import KEPT_SWEEPS
-from docdepth.odometry.registration import FINE_SAMPLING
-from docdepth.odometry.sweeps import ThinnedSweeps
+from docdepth.odometry.sweeps import FINE_SAMPLING, ThinnedSweeps
 from docdepth.pipeline import run_classify, run_odometry, run_render
 from docdepth.render import selection
 from docdepth.synthetic import EndlessRecording

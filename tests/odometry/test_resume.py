@@ -59,7 +59,7 @@ def test_poses_are_the_same_bit_for_bit(drive, whole, tmp_path, stops: tuple[int
 def test_what_is_known_is_not_registered_again(drive, whole, tmp_path, monkeypatch) -> None:
     with pytest.raises(Stopped):
         estimate_poses(drive, progress=until(5), checkpoint=tmp_path)
-    logs = [RegistrationLog(f, _head(f)) for f in sorted(tmp_path.iterdir())]
+    logs = [RegistrationLog(f, _head(f)) for f in sorted(tmp_path.glob("pass_*"))]
     known = [len(log) for log in logs]
     assert known[0] > known[1] >= 5
     aligned: list[object] = []
@@ -70,7 +70,6 @@ def test_what_is_known_is_not_registered_again(drive, whole, tmp_path, monkeypat
         return align(voxels, *arguments, **named)
 
     monkeypatch.setattr(small_gicp, "align", counted)
-    monkeypatch.setattr("docdepth.odometry.registration.first_motion", lambda *_: np.eye(4))
     np.testing.assert_array_equal(estimate_poses(drive, checkpoint=tmp_path), whole)
     assert len(aligned) == 2 * COUNT - sum(known)
     drive.read.clear()

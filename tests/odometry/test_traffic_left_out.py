@@ -9,7 +9,7 @@ import numpy as np
 
 from docdepth.datasets.base import Sweep
 from docdepth.geometry.se3 import inverse, rotation_exp
-from docdepth.odometry.registration import LoggedRegistration
+from docdepth.odometry.passes import LoggedRegistration
 from docdepth.odometry.registration_log import Found, RegistrationLog
 from docdepth.odometry.traffic import SEEN, Traffic
 

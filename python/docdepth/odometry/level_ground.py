@@ -39,6 +39,26 @@ def split_level_ground(
     none = np.zeros((0, 3))
     if not len(points):
         return points, none
+    order, first, count, level = _columns(points, edge)
+    if count[level].sum() <= 0.5 * len(points):
+        return points, none
+    means = np.add.reduceat(points[order], first)[level] / count[level, None]
+    others = np.sort(order[np.repeat(~level, count)])
+    return points[others], means
+
+
+def rising_rows(points: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
+    """Rows of the points (N, 3) in columns that are not level, however many these are."""
+    if not len(points):
+        return np.zeros(0, np.int64)
+    order, _, count, level = _columns(points, edge)
+    return np.sort(order[np.repeat(~level, count)])
+
+
+def _columns(
+    points: NDArray[np.float64], edge: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """Rows sorted by column, and of each column its first, their number and whether it is level."""
     x, y = np.floor(points[:, :2] / edge).astype(np.int64).T
     column = (x << 32) + y
     order = np.argsort(column, kind="stable")
@@ -46,8 +66,4 @@ def split_level_ground(
     first = np.flatnonzero(np.append(True, column[1:] != column[:-1]))
     count = np.diff(np.append(first, len(column)))
     level = np.maximum.reduceat(height, first) - np.minimum.reduceat(height, first) < _LEVEL
-    if count[level].sum() <= 0.5 * len(points):
-        return points, none
-    means = np.add.reduceat(points[order], first)[level] / count[level, None]
-    others = np.sort(order[np.repeat(~level, count)])
-    return points[others], means
+    return order, first, count, level

@@ -29,14 +29,15 @@ from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.geometry.values import ShortRepr
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
+from docdepth.odometry.first_motion import FIRST_SWEEPS, first_motion
 from docdepth.odometry.loop_closure import close_loops
+from docdepth.odometry.passes import register
 from docdepth.odometry.places import KEPT_SWEEPS
 from docdepth.odometry.pose_checks import check_given_poses, check_period, warn_of_jumps
 from docdepth.odometry.pose_graph import check_solver
-from docdepth.odometry.registration import FINE_SAMPLING, FIRST_SWEEPS, register
-from docdepth.odometry.registration_log import RegistrationLog
+from docdepth.odometry.registration_log import Found, RegistrationLog
 from docdepth.odometry.smoothing import LAG, smoothed
-from docdepth.odometry.sweeps import DeskewedSweeps, ThinnedSweeps
+from docdepth.odometry.sweeps import FINE_SAMPLING, DeskewedSweeps, ThinnedSweeps
 
 log = logging.getLogger(__name__)
 
@@ -163,9 +164,10 @@ def estimate_poses(
     behind = (passes - 1) * (LAG + NEIGHBORS)
     sweeps = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, behind + FIRST_SWEEPS)
     stream: _PoseStream | None = None
+    first = _first_motion(sweeps, _log(dataset, parameters, checkpoint, "first_motion"))
     logs = [_log(dataset, parameters, checkpoint, f"pass_{k + 1}") for k in range(passes)]
     for log_of_pass in logs:
-        registered = register(sweeps, parameters, stream, thread_count(threads), log_of_pass)
+        registered = register(sweeps, parameters, first, stream, thread_count(threads), log_of_pass)
         stream = _PoseStream(smoothed(registered), count)
     assert stream is not None
     try:
@@ -184,6 +186,18 @@ def estimate_poses(
         finally:
             kept.close()
     return poses
+
+
+def _first_motion(sweeps: ThinnedSweeps, kept: RegistrationLog) -> NDArray[np.float64] | None:
+    """The first motion, which an interrupted estimation may have found."""
+    found = kept.found(0)
+    if found is None:
+        motion = first_motion(sweeps, range(len(sweeps)))
+        known = motion is not None
+        found = Found(motion if motion is not None else np.eye(4), np.zeros((6, 6)), known)
+        kept.add(found)
+        kept.close()
+    return found.pose if found.usable else None
 
 
 def _log(

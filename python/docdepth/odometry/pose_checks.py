@@ -14,8 +14,9 @@ from docdepth.datasets.base import Dataset
 from docdepth.errors import InputError, OdometryError
 from docdepth.geometry.se3 import check_rigid, inverse
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.odometry.registration import FEWEST_POINTS, first_motion
-from docdepth.odometry.sweeps import DeskewedSweeps
+from docdepth.odometry.first_motion import FIRST_SWEEPS, first_motion
+from docdepth.odometry.registration import FEWEST_POINTS
+from docdepth.odometry.sweeps import FINE_SAMPLING, ThinnedSweeps
 
 log = logging.getLogger(__name__)
 
@@ -101,9 +102,10 @@ def move_upwards(poses: NDArray[np.float64]) -> bool:
 
 def _warn_of_motion(dataset: Dataset, parameters: OdometryParameters) -> None:
     """Log a warning if the sweeps move; the poses do not."""
-    sweeps, n = DeskewedSweeps(dataset, None), len(dataset)
+    sweeps, n = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, FIRST_SWEEPS), len(dataset)
     for frames in (range(n), range(n // 2, n)):
-        step = np.linalg.norm(first_motion(sweeps, frames, parameters)[:3, 3])
+        motion = first_motion(sweeps, frames)
+        step = 0.0 if motion is None else np.linalg.norm(motion[:3, 3])
         if step > _MOVING:
             log.warning(
                 "all poses are the same, yet near frame %d the LiDAR moves by %.2f m a sweep; "

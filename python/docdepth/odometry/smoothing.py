@@ -31,11 +31,12 @@ _STANDING = 1.0  # metres/s; a slower vehicle may set off in any direction
 _NOISE = 0.002  # metres; error of a position beside what its covariance says
 _LOST = 25.0
 """Beyond so many standard deviations between registration and the predicted position, registration
-is right: a sweep was lost without a gap in the stamps."""
+is right if it is ahead: a sweep was lost without a gap in the stamps. Behind, traffic pulls it."""
 _HELD = 0.005  # metres; a change of position up to this size is no sign of a turn
 _ALIKE = 10  # neighbouring points that have the same error, and so count as one
 _MEDIAN_OF_NORMAL = 0.6745  # of absolute values, in standard deviations
 _SPEED, _ACCELERATION = 60.0, 10.0  # metres/s, metres/s^2; what is known of them at the start
+_FIRST_SPEED = 2.0  # metres/s; error of the first motion: its steps, and 10 m/s^2 for 0.2 s
 
 
 class State(NamedTuple):
@@ -58,8 +59,23 @@ class State(NamedTuple):
         return self.mean[3:6]
 
 
+def first_state(pose: NDArray[np.float64], velocity: NDArray[np.float64] | None) -> State:
+    """State at the first sweep, whose pose is the frame of all others.
+
+    Parameters
+    ----------
+    pose : ndarray of float64, shape (4, 4)
+    velocity : ndarray of float64, shape (3,), optional
+        From the first motion, in the world [m/s]. None if it is not known.
+    """
+    speed = _SPEED if velocity is None else _FIRST_SPEED
+    mean = np.concatenate([pose[:3, 3], np.zeros(3) if velocity is None else velocity, np.zeros(3)])
+    covariance = np.diag(np.repeat([0.0, speed, _ACCELERATION], 3) ** 2)
+    return State(pose, np.eye(9), mean, covariance, mean, covariance, np.zeros((3, 3)))
+
+
 def filtered(
-    before: State | None,
+    before: State,
     pose: NDArray[np.float64],
     covariance: NDArray[np.float64],
     elapsed: float,
@@ -69,8 +85,8 @@ def filtered(
 
     Parameters
     ----------
-    before : State, optional
-        Of the sweep before; None for the first.
+    before : State
+        Of the sweep before.
     pose : ndarray of float64, shape (4, 4)
         ``T_world_lidar`` as registered.
     covariance : ndarray of float64, shape (6, 6)
@@ -81,27 +97,22 @@ def filtered(
         Standard deviation of a stamp [s], from :func:`stamp_error_of`. The predicted position is
         uncertain by the way that the vehicle goes in that time.
     """
-    position, of_position = pose[:3, 3], covariance[3:, 3:]
-    measured = _ALIKE * of_position + _NOISE**2 * np.eye(3)
-    if before is None:
-        transition, noise = np.eye(9), of_position
-        predicted = np.concatenate([position, np.zeros(6)])
-        spread = np.diag(np.repeat([1.0, _SPEED, _ACCELERATION], 3) ** 2)
+    position = pose[:3, 3]
+    measured = _ALIKE * covariance[3:, 3:] + _NOISE**2 * np.eye(3)
+    transition = _transition(before.pose, pose, elapsed)
+    predicted, noise = transition @ before.mean, measured
+    of_jerk = np.array([elapsed**3 / 6, elapsed**2 / 2, elapsed])
+    spread = transition @ before.covariance @ transition.T
+    spread += np.kron(np.outer(of_jerk, of_jerk), _covariance_of_jerk(before.velocity))
+    of_stamps = stamp_error * before.velocity
+    spread[:3, :3] += 2 * np.outer(of_stamps, of_stamps)  # of this sweep and the one before
+    off = position - predicted[:3]
+    squared = float(off @ np.linalg.solve(spread[:3, :3] + noise, off))
+    if squared > _LOST**2 and off @ before.velocity > 0:
+        spread[:3, :3] += np.outer(off, off)
     else:
-        transition = _transition(before.pose, pose, elapsed)
-        predicted, noise = transition @ before.mean, measured
-        of_jerk = np.array([elapsed**3 / 6, elapsed**2 / 2, elapsed])
-        spread = transition @ before.covariance @ transition.T
-        spread += np.kron(np.outer(of_jerk, of_jerk), _covariance_of_jerk(before.velocity))
-        of_stamps = stamp_error * before.velocity
-        spread[:3, :3] += 2 * np.outer(of_stamps, of_stamps)  # of this sweep and the one before
-        off = position - predicted[:3]
-        squared = float(off @ np.linalg.solve(spread[:3, :3] + noise, off))
-        if squared > _LOST**2:
-            spread[:3, :3] += np.outer(off, off)
-        else:
-            # Traffic pulls it along, or nothing holds it. The farther away, the less it counts.
-            noise = noise * max(1.0, squared)
+        # Traffic pulls it along, or nothing holds it. The farther away, the less it counts.
+        noise = noise * max(1.0, squared)
     gain = np.linalg.solve(spread[:3, :3] + noise, spread[:3]).T
     mean = predicted + gain @ (position - predicted[:3])
     left = np.eye(9)

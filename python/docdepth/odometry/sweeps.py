@@ -16,6 +16,8 @@ from docdepth.datasets.tolerance import reading_a_frame
 from docdepth.errors import InputError, OdometryError
 from docdepth.odometry.deskewing import deskew
 
+FINE_SAMPLING = 0.25  # metres, edge of a voxel in which a sweep keeps one point
+
 
 @dataclass(frozen=True, repr=False)
 class DeskewedSweeps(Sequence[Sweep]):

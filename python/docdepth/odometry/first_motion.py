@@ -1,0 +1,209 @@
+"""The first motion of a drive, sought among straight motions in all directions.
+
+Registration that starts from standstill at the speed of a motorway finds a wrong motion and keeps
+it. Between lorries it finds theirs, even if it starts from the right one. So straight motions are
+tried first. That wins by which most points of the next sweeps come to lie on surfaces of the first.
+Each motion deskews the sweeps, since those of a rosette agree in no other way.
+
+A LiDAR may be mounted with any side ahead, so all directions are tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import Sweep
+from docdepth.odometry.deskewing import deskew
+from docdepth.odometry.level_ground import rising_rows
+from docdepth.odometry.registration import FEWEST_POINTS, Registration
+from docdepth.odometry.sweeps import ThinnedSweeps, is_raw
+
+FIRST_SWEEPS = 4
+"""Sweeps that tell the first motion. A motorway is straight for so long."""
+
+_COMPARED = 3  # of them, while the direction is sought; a street bends sooner
+_DIRECTIONS = np.radians(np.arange(-180, 180, 10)).tolist()
+_SPEEDS = np.arange(0, 5.1, 0.25).tolist()  # metres a sweep; 5 is 180 km/h at 10 sweeps a second
+_BEST = 3  # directions around which finer steps are tried
+_FINER_DIRECTIONS = np.radians([-5, -2.5, 0, 2.5, 5]).tolist()
+_FINER_SPEEDS = np.arange(-0.1, 0.11, 0.05).tolist()
+_AHEAD, _CLEARLY_MORE = np.radians(15), 1.2
+"""A direction that is not about ahead (x) has to have so many times the agreement of those that
+are. Lorries hide less of the road to the sides."""
+
+_ON, _COARSELY_ON, _NEAR = 0.25, 0.5, 1.0
+"""A point lies on a surface if it is within so many metres of its plane, and of a measured point.
+The second is for coarse steps of speed and direction."""
+_NEIGHBORS = 10  # points from which the plane of a surface is taken
+_SURFACE, _POINTS = 4000, 500  # points of the first sweep, and of each next one, at most
+
+# Lorries at the vehicle's own speed, and rings on the road, would vote for standstill.
+_COLUMN = 1.0  # metres, edge of the columns that tell the road from what rises above it
+_HIGH = 3.0  # metres above the LiDAR, or 5 above the road: nothing that drives is higher
+_ASIDE = 12.0  # metres from the path, three lanes
+
+_VOXEL, _SAMPLING, _MAP_NEIGHBORS = 1.0, 0.5, 20  # metres, metres; for registration
+
+
+class _Points(NamedTuple):
+    """Points (N, 3) of a sweep, and their times (N,) in sweeps after the first stamp."""
+
+    points: NDArray[np.float32]
+    time: NDArray[np.float32]
+
+    def moved(self, motion: NDArray[np.float64]) -> NDArray[np.float64]:
+        """In the frame of the first sweep."""
+        return deskew(self.points, self.time, motion).astype(np.float64)
+
+    def rows(self, chosen: NDArray[np.bool_] | NDArray[np.int64] | slice) -> _Points:
+        return _Points(self.points[chosen], self.time[chosen])
+
+    def fewer(self, most: int) -> _Points:
+        """At most so many of the points."""
+        return self.rows(slice(None, None, max(1, -(-len(self.points) // most))))
+
+
+def first_motion(sweeps: ThinnedSweeps, frames: range) -> NDArray[np.float64] | None:
+    """Motion (4, 4) in one sweep's duration at the first of these frames.
+
+    Parameters
+    ----------
+    sweeps : ThinnedSweeps
+    frames : range
+        The first :data:`FIRST_SWEEPS` of them are read.
+
+    Returns
+    -------
+    ndarray of float64, shape (4, 4), or None
+        None if there are fewer than two sweeps, or too few of their points rise above the road.
+    """
+    whole = _timed([sweeps[k] for k in frames[:FIRST_SWEEPS]])
+    rising = [s.rows(rising_rows(s.points.astype(np.float64), _COLUMN)) for s in whole]
+    if len(rising) < 2 or min(len(s.points) for s in rising) < FEWEST_POINTS:
+        return None
+    points, straight = _best_straight(_telling(rising))
+    tried = [np.eye(4), *straight]
+    tried += [_registered(whole, start) for start in tried]
+    return max(tried, key=partial(_agreement, points))
+
+
+def _timed(sweeps: Sequence[Sweep]) -> list[_Points]:
+    """The sweeps up to the first that holds too few points."""
+    period = float(np.median(np.diff([sweep.time for sweep in sweeps]))) if len(sweeps) > 1 else 1.0
+    timed = []
+    for sweep in sweeps:
+        if len(sweep.points) < FEWEST_POINTS:
+            break
+        time = np.full(len(sweep.points), (sweep.time - sweeps[0].time) / period, np.float32)
+        if is_raw(sweep):
+            assert sweep.relative_time is not None
+            time += sweep.relative_time
+        # Points without a time are refused, by name, when the sweep is registered.
+        timed.append(_Points(sweep.points, time).rows(np.isfinite(time)))
+    return timed
+
+
+def _telling(rising: list[_Points]) -> dict[float, list[_Points]]:
+    """For each direction in which there are enough of them, points that no lorry beside us has.
+
+    If no direction has enough, all points tell.
+    """
+    high = [s.points[:, 2] > _HIGH for s in rising]
+    if min(map(np.count_nonzero, high)) >= FEWEST_POINTS:
+        points = [s.rows(rows) for s, rows in zip(rising, high, strict=True)]
+        return dict.fromkeys(_DIRECTIONS, points)
+    telling = {}
+    for direction in _DIRECTIONS:
+        path = 0.0 if abs(direction) <= _AHEAD else direction
+        left = np.array([-np.sin(path), np.cos(path)])
+        points = [
+            s.rows(rows | (np.abs(s.points[:, :2] @ left) > _ASIDE))
+            for s, rows in zip(rising, high, strict=True)
+        ]
+        if min(len(s.points) for s in points) >= FEWEST_POINTS:
+            telling[direction] = points
+    return telling or dict.fromkeys(_DIRECTIONS, rising)
+
+
+def _best_straight(
+    telling: dict[float, list[_Points]],
+) -> tuple[list[_Points], list[NDArray[np.float64]]]:
+    """Straight motions (4, 4) by which most points agree, behind the points that told the first."""
+    best: list[tuple[float, float, float]] = []
+    normals, seen = np.zeros((0, 3)), None
+    for direction, points in telling.items():
+        if points is not seen:
+            # Once for all coarse steps: they would take most of the time.
+            normals, seen = _normals(points[0], np.eye(4)), points
+        agreement = [
+            _agreement(points[:_COMPARED], _straight(direction, speed), _COARSELY_ON, normals)
+            for speed in _SPEEDS
+        ]
+        most = int(np.argmax(agreement))
+        clearly = 1.0 if abs(direction) <= _AHEAD else _CLEARLY_MORE
+        best.append((agreement[most] / clearly, direction, _SPEEDS[most]))
+    best.sort(reverse=True)
+    points, motions = telling[best[0][1]], []
+    for _, direction, speed in best[:_BEST]:
+        finer = [
+            _straight(direction + turn, speed + step)
+            for turn in _FINER_DIRECTIONS
+            for step in _FINER_SPEEDS
+        ]
+        motions.append(max(finer, key=partial(_agreement, points)))
+    return points, motions
+
+
+def _straight(direction: float, speed: float) -> NDArray[np.float64]:
+    """Motion (4, 4) of so many metres a sweep, towards an angle from x to y."""
+    motion = np.eye(4)
+    motion[:2, 3] = speed * np.cos(direction), speed * np.sin(direction)
+    return motion
+
+
+def _agreement(
+    sweeps: list[_Points],
+    motion: NDArray[np.float64],
+    on: float = _ON,
+    normals: NDArray[np.float64] | None = None,
+) -> float:
+    """Share of the points of the next sweeps that lie on surfaces of the first, by a motion."""
+    import small_gicp
+
+    first, *others = sweeps
+    surface = first.fewer(_SURFACE).moved(motion)
+    tree = small_gicp.KdTree(surface, 1)
+    if normals is None:
+        normals = _normals(first, motion)
+    shares = []
+    for sweep in others:
+        points = sweep.fewer(_POINTS).moved(motion)
+        rows, squared = map(np.asarray, tree.batch_nearest_neighbor_search(points, 1))
+        off = np.abs(np.einsum("ij,ij->i", normals[rows], points - surface[rows]))
+        shares.append(np.mean((squared < _NEAR**2) * np.clip(1 - off / on, 0, None)))
+    return float(np.mean(shares))
+
+
+def _normals(first: _Points, motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Normals (N, 3) of the surfaces that a sweep shows, by a motion."""
+    import small_gicp
+
+    surface = small_gicp.PointCloud(first.fewer(_SURFACE).moved(motion))
+    small_gicp.estimate_normals(surface, small_gicp.KdTree(surface, 1), _NEIGHBORS, 1)
+    normals: NDArray[np.float64] = surface.normals()[:, :3]
+    return normals
+
+
+def _registered(sweeps: list[_Points], motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What registration of the second sweep on the first makes of a motion."""
+    registration, start = Registration(_VOXEL, _SAMPLING, _MAP_NEIGHBORS, 1), np.eye(4)
+    registration.take(sweeps[0].moved(motion).astype(np.float32), start)
+    registration.insert(start)
+    registration.take(sweeps[1].moved(motion).astype(np.float32), start)
+    more: NDArray[np.float64] = registration.align(start)[0] @ motion
+    return more
