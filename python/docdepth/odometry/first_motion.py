@@ -39,6 +39,9 @@ are. Lorries hide less of the road to the sides."""
 _ON, _COARSELY_ON, _NEAR = 0.25, 0.5, 1.0
 """A point lies on a surface if it is within so many metres of its plane, and of a measured point.
 The second is for coarse steps of speed and direction."""
+_FAR_BETTER = 2.0
+"""A motion by which so many times as many high points agree is right, and the other wrong. At 152
+places of exact drives with lorries, the right motion never had less than 0.69 of the best."""
 _NEIGHBORS = 10  # points from which the plane of a surface is taken
 _SURFACE, _POINTS = 4000, 500  # points of the first sweep, and of each next one, at most
 
@@ -82,14 +85,51 @@ def first_motion(sweeps: ThinnedSweeps, frames: range) -> NDArray[np.float64] | 
     ndarray of float64, shape (4, 4), or None
         None if there are fewer than two sweeps, or too few of their points rise above the road.
     """
+    found = _sought(sweeps, frames)
+    return None if found is None else found[0]
+
+
+def checked_motion(
+    sweeps: ThinnedSweeps, frames: range, motion: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """A motion, or the first motion of these frames if far more points agree with that.
+
+    Only points that are higher than any lorry are asked.
+
+    Parameters
+    ----------
+    sweeps : ThinnedSweeps
+    frames : range
+    motion : ndarray of float64, shape (4, 4)
+        What is taken for the motion in one sweep's duration.
+
+    Returns
+    -------
+    ndarray of float64, shape (4, 4), or None
+        None if there are too few such points.
+    """
+    found = _sought(sweeps, frames, only_high=True)
+    if found is None:
+        return None
+    other, points = found
+    far_better = _agreement(points, other) > _FAR_BETTER * _agreement(points, motion)
+    return other if far_better else motion
+
+
+def _sought(
+    sweeps: ThinnedSweeps, frames: range, only_high: bool = False
+) -> tuple[NDArray[np.float64], list[_Points]] | None:
+    """The first motion of these frames, and the points that told it."""
     whole = _timed([sweeps[k] for k in frames[:FIRST_SWEEPS]])
     rising = [s.rows(rising_rows(s.points.astype(np.float64), _COLUMN)) for s in whole]
     if len(rising) < 2 or min(len(s.points) for s in rising) < FEWEST_POINTS:
         return None
+    if only_high and min(np.count_nonzero(_high(s)) for s in rising) < FEWEST_POINTS:
+        return None
     points, straight = _best_straight(_telling(rising))
     tried = [np.eye(4), *straight]
     tried += [_registered(whole, start) for start in tried]
-    return max(tried, key=partial(_agreement, points))
+    return max(tried, key=partial(_agreement, points)), points
 
 
 def _timed(sweeps: Sequence[Sweep]) -> list[_Points]:
@@ -108,12 +148,17 @@ def _timed(sweeps: Sequence[Sweep]) -> list[_Points]:
     return timed
 
 
+def _high(sweep: _Points) -> NDArray[np.bool_]:
+    high: NDArray[np.bool_] = sweep.points[:, 2] > _HIGH
+    return high
+
+
 def _telling(rising: list[_Points]) -> dict[float, list[_Points]]:
     """For each direction in which there are enough of them, points that no lorry beside us has.
 
     If no direction has enough, all points tell.
     """
-    high = [s.points[:, 2] > _HIGH for s in rising]
+    high = [_high(s) for s in rising]
     if min(map(np.count_nonzero, high)) >= FEWEST_POINTS:
         points = [s.rows(rows) for s, rows in zip(rising, high, strict=True)]
         return dict.fromkeys(_DIRECTIONS, points)

@@ -33,7 +33,12 @@ from docdepth.odometry.first_motion import FIRST_SWEEPS, first_motion
 from docdepth.odometry.loop_closure import close_loops
 from docdepth.odometry.passes import register
 from docdepth.odometry.places import KEPT_SWEEPS
-from docdepth.odometry.pose_checks import check_given_poses, check_period, warn_of_jumps
+from docdepth.odometry.pose_checks import (
+    check_given_poses,
+    check_period,
+    warn_of_jumps,
+    warn_of_other_motion,
+)
 from docdepth.odometry.pose_graph import check_solver
 from docdepth.odometry.registration_log import Found, RegistrationLog
 from docdepth.odometry.smoothing import LAG, smoothed
@@ -115,6 +120,7 @@ def register_drive(
         known = level_world(dataset, check_given_poses(dataset, poses, settings))
     else:
         known = estimate_poses(dataset, settings, progress, checkpoint, threads)
+        warn_of_other_motion(dataset, known, settings)
     trajectory = Trajectory(dataset.times, known)
     warn_of_jumps(trajectory)
     motions = centred_motion(known, dataset.times)

@@ -14,7 +14,9 @@ from docdepth.datasets.base import Dataset
 from docdepth.errors import InputError, OdometryError
 from docdepth.geometry.se3 import check_rigid, inverse
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.odometry.first_motion import FIRST_SWEEPS, first_motion
+from docdepth.odometry.deskewing import centred_motion
+from docdepth.odometry.first_motion import FIRST_SWEEPS, checked_motion, first_motion
+from docdepth.odometry.level_ground import split_level_ground
 from docdepth.odometry.registration import FEWEST_POINTS
 from docdepth.odometry.sweeps import FINE_SAMPLING, ThinnedSweeps
 
@@ -28,6 +30,10 @@ _SAMPLING = 0.5  # metres, edge of a voxel in which a cloud keeps one point
 # Metres by which sweeps move when they are aligned with those before. Median of right poses: 0.003
 # to 0.08, the most of a rosette; without motion, inverse, at half the scale or shuffled: 0.36 to 4.
 _MISFIT = 0.25
+# Places of a drive at which what stands high is asked, and answers that are enough.
+_PLACES, _ANSWERS = 12, 3
+_COLUMN = 1.0  # metres, edge of the columns that tell an open road
+_OTHER = 0.5  # metres a sweep between poses and what stands high
 _PERIODS = (0.005, 5.0)  # seconds between sweeps
 _JUMP = 1.0  # metres by which the step from sweep to sweep changes; a vehicle cannot do that
 
@@ -111,6 +117,32 @@ def _warn_of_motion(dataset: Dataset, parameters: OdometryParameters) -> None:
                 "all poses are the same, yet near frame %d the LiDAR moves by %.2f m a sweep; "
                 "give T_world_lidar of each sweep, or no poses", frames[0], step,
             )  # fmt: skip
+
+
+def warn_of_other_motion(
+    dataset: Dataset, poses: NDArray[np.float64], parameters: OdometryParameters
+) -> None:
+    """Log a warning if, on an open road, what stands high says that poses follow the traffic."""
+    sweeps, last = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, FIRST_SWEEPS), len(poses) - 1
+    answers = 0
+    for k in np.unique(np.linspace(0, last, _PLACES + 2)[1:-1].astype(int)).tolist():
+        if not len(split_level_ground(sweeps[k].points.astype(np.float64), _COLUMN)[1]):
+            continue
+        motion = centred_motion(poses, dataset.times, [k])[0]
+        checked = checked_motion(sweeps, range(k, len(poses)), motion)
+        if checked is None:
+            continue
+        if np.linalg.norm((checked - motion)[:3, 3]) > _OTHER:
+            log.warning(
+                "near frame %d the LiDAR moves by %.1f m a sweep, but its poses by %.1f m: they "
+                "follow traffic, and labels and depth will be wrong; begin at another frame "
+                "(--frames), or bring better poses (--poses)",
+                k, np.linalg.norm(checked[:3, 3]), np.linalg.norm(motion[:3, 3]),
+            )  # fmt: skip
+            return
+        answers += 1
+        if answers == _ANSWERS:
+            return
 
 
 def warn_of_misfit(
