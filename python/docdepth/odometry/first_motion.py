@@ -2,8 +2,8 @@
 
 Registration that starts from standstill at the speed of a motorway finds a wrong motion and keeps
 it. Between lorries it finds theirs, even if it starts from the right one. So straight motions are
-tried first. That wins by which most points of the next sweeps come to lie on surfaces of the first.
-Each motion deskews the sweeps, since those of a rosette agree in no other way.
+tried first. The best one brings most points of the next sweeps onto surfaces of the first. Each
+motion also deskews the sweeps: those of a rosette fit in no other way.
 
 A LiDAR may be mounted with any side ahead, so all directions are tried.
 """
@@ -24,7 +24,7 @@ from docdepth.odometry.registration import FEWEST_POINTS, Registration
 from docdepth.odometry.sweeps import ThinnedSweeps, is_raw
 
 FIRST_SWEEPS = 4
-"""Sweeps that tell the first motion. A motorway is straight for so long."""
+"""Sweeps from which the first motion is found. A motorway is straight for so long."""
 
 _COMPARED = 3  # of them, while the direction is sought; a street bends sooner
 _DIRECTIONS = np.radians(np.arange(-180, 180, 10)).tolist()
@@ -33,8 +33,8 @@ _BEST = 3  # directions around which finer steps are tried
 _FINER_DIRECTIONS = np.radians([-5, -2.5, 0, 2.5, 5]).tolist()
 _FINER_SPEEDS = np.arange(-0.1, 0.11, 0.05).tolist()
 _AHEAD, _CLEARLY_MORE = np.radians(15), 1.2
-"""A direction that is not about ahead (x) has to have so many times the agreement of those that
-are. Lorries hide less of the road to the sides."""
+"""As a rule x looks ahead. A direction farther from it than this angle has to fit so many times
+better."""
 
 _ON, _COARSELY_ON, _NEAR = 0.25, 0.5, 1.0
 """A point lies on a surface if it is within so many metres of its plane, and of a measured point.
@@ -45,7 +45,7 @@ places of exact drives with lorries, the right motion never had less than 0.69 o
 _NEIGHBORS = 10  # points from which the plane of a surface is taken
 _SURFACE, _POINTS = 4000, 500  # points of the first sweep, and of each next one, at most
 
-# Lorries at the vehicle's own speed, and rings on the road, would vote for standstill.
+# Lorries at the vehicle's own speed, and rings on the road, fit best at standstill.
 _COLUMN = 1.0  # metres, edge of the columns that tell the road from what rises above it
 _HIGH = 3.0  # metres above the LiDAR, or 5 above the road: nothing that drives is higher
 _ASIDE = 12.0  # metres from the path, three lanes
@@ -85,7 +85,7 @@ def first_motion(sweeps: ThinnedSweeps, frames: range) -> NDArray[np.float64] | 
     ndarray of float64, shape (4, 4), or None
         None if there are fewer than two sweeps, or too few of their points rise above the road.
     """
-    found = _sought(sweeps, frames)
+    found = _search(sweeps, frames)
     return None if found is None else found[0]
 
 
@@ -108,7 +108,7 @@ def checked_motion(
     ndarray of float64, shape (4, 4), or None
         None if there are too few such points.
     """
-    found = _sought(sweeps, frames, only_high=True)
+    found = _search(sweeps, frames, only_high=True)
     if found is None:
         return None
     other, points = found
@@ -116,17 +116,17 @@ def checked_motion(
     return other if far_better else motion
 
 
-def _sought(
+def _search(
     sweeps: ThinnedSweeps, frames: range, only_high: bool = False
 ) -> tuple[NDArray[np.float64], list[_Points]] | None:
-    """The first motion of these frames, and the points that told it."""
+    """The first motion of these frames, and the points by which it was judged."""
     whole = _timed([sweeps[k] for k in frames[:FIRST_SWEEPS]])
     rising = [s.rows(rising_rows(s.points.astype(np.float64), _COLUMN)) for s in whole]
     if len(rising) < 2 or min(len(s.points) for s in rising) < FEWEST_POINTS:
         return None
     if only_high and min(np.count_nonzero(_high(s)) for s in rising) < FEWEST_POINTS:
         return None
-    points, straight = _best_straight(_telling(rising))
+    points, straight = _best_straight(_beyond_traffic(rising))
     tried = [np.eye(4), *straight]
     tried += [_registered(whole, start) for start in tried]
     return max(tried, key=partial(_agreement, points)), points
@@ -153,16 +153,16 @@ def _high(sweep: _Points) -> NDArray[np.bool_]:
     return high
 
 
-def _telling(rising: list[_Points]) -> dict[float, list[_Points]]:
-    """For each direction in which there are enough of them, points that no lorry beside us has.
+def _beyond_traffic(rising: list[_Points]) -> dict[float, list[_Points]]:
+    """For each direction, points where no vehicle drives along: high ones, and those far aside.
 
-    If no direction has enough, all points tell.
+    Directions with too few of them are left out; if all have, all points are taken.
     """
     high = [_high(s) for s in rising]
     if min(map(np.count_nonzero, high)) >= FEWEST_POINTS:
         points = [s.rows(rows) for s, rows in zip(rising, high, strict=True)]
         return dict.fromkeys(_DIRECTIONS, points)
-    telling = {}
+    trusted = {}
     for direction in _DIRECTIONS:
         path = 0.0 if abs(direction) <= _AHEAD else direction
         left = np.array([-np.sin(path), np.cos(path)])
@@ -171,17 +171,17 @@ def _telling(rising: list[_Points]) -> dict[float, list[_Points]]:
             for s, rows in zip(rising, high, strict=True)
         ]
         if min(len(s.points) for s in points) >= FEWEST_POINTS:
-            telling[direction] = points
-    return telling or dict.fromkeys(_DIRECTIONS, rising)
+            trusted[direction] = points
+    return trusted or dict.fromkeys(_DIRECTIONS, rising)
 
 
 def _best_straight(
-    telling: dict[float, list[_Points]],
+    trusted: dict[float, list[_Points]],
 ) -> tuple[list[_Points], list[NDArray[np.float64]]]:
-    """Straight motions (4, 4) by which most points agree, behind the points that told the first."""
+    """The points that fit best, and the straight motions (4, 4) by which they do, best first."""
     best: list[tuple[float, float, float]] = []
     normals, seen = np.zeros((0, 3)), None
-    for direction, points in telling.items():
+    for direction, points in trusted.items():
         if points is not seen:
             # Once for all coarse steps: they would take most of the time.
             normals, seen = _normals(points[0], np.eye(4)), points
@@ -193,7 +193,7 @@ def _best_straight(
         clearly = 1.0 if abs(direction) <= _AHEAD else _CLEARLY_MORE
         best.append((agreement[most] / clearly, direction, _SPEEDS[most]))
     best.sort(reverse=True)
-    points, motions = telling[best[0][1]], []
+    points, motions = trusted[best[0][1]], []
     for _, direction, speed in best[:_BEST]:
         finer = [
             _straight(direction + turn, speed + step)

@@ -30,10 +30,11 @@ _SAMPLING = 0.5  # metres, edge of a voxel in which a cloud keeps one point
 # Metres by which sweeps move when they are aligned with those before. Median of right poses: 0.003
 # to 0.08, the most of a rosette; without motion, inverse, at half the scale or shuffled: 0.36 to 4.
 _MISFIT = 0.25
-# Places of a drive at which what stands high is asked, and answers that are enough.
-_PLACES, _ANSWERS = 12, 3
+# Places of a drive where its poses are compared with points higher than any lorry. Three that have
+# such points are enough.
+_PLACES, _ENOUGH = 12, 3
 _COLUMN = 1.0  # metres, edge of the columns that tell an open road
-_OTHER = 0.5  # metres a sweep between poses and what stands high
+_OTHER = 0.5  # metres a sweep, between the motion of poses and that of high points
 _PERIODS = (0.005, 5.0)  # seconds between sweeps
 _JUMP = 1.0  # metres by which the step from sweep to sweep changes; a vehicle cannot do that
 
@@ -122,9 +123,9 @@ def _warn_of_motion(dataset: Dataset, parameters: OdometryParameters) -> None:
 def warn_of_other_motion(
     dataset: Dataset, poses: NDArray[np.float64], parameters: OdometryParameters
 ) -> None:
-    """Log a warning if, on an open road, what stands high says that poses follow the traffic."""
+    """Log a warning if points higher than any lorry show that, on a road, poses follow traffic."""
     sweeps, last = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, FIRST_SWEEPS), len(poses) - 1
-    answers = 0
+    compared = 0
     for k in np.unique(np.linspace(0, last, _PLACES + 2)[1:-1].astype(int)).tolist():
         if not len(split_level_ground(sweeps[k].points.astype(np.float64), _COLUMN)[1]):
             continue
@@ -140,8 +141,8 @@ def warn_of_other_motion(
                 k, np.linalg.norm(checked[:3, 3]), np.linalg.norm(motion[:3, 3]),
             )  # fmt: skip
             return
-        answers += 1
-        if answers == _ANSWERS:
+        compared += 1
+        if compared == _ENOUGH:
             return
 
 
