@@ -20,6 +20,7 @@ from docdepth.io.recorded_folder import RecordedFolder
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry
 from docdepth.pipeline.depth_files import DepthFiles
+from docdepth.pipeline.kept_frames import KEPT, keeps_results_alone
 from docdepth.pipeline.run import continue_run, render_again, run
 from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.pipeline.run_state import require, states
@@ -53,9 +54,10 @@ class World:
         self.run = self.root / "run"
         self.make()
 
-    def make(self) -> RunFolder:
+    def make(self, keep: str | None = None) -> RunFolder:
         """The first command."""
-        return run(self.drive, self.run, poses=self.root / "poses.txt", camera="image_2", threads=1)
+        poses = self.root / "poses.txt"
+        return run(self.drive, self.run, poses=poses, camera="image_2", keep=keep, threads=1)
 
     def fresh(self) -> Path:
         """The same results, made at once in another folder."""
@@ -182,6 +184,11 @@ def lay_own_file(world: World, number: int) -> None:
     world.own[path] = path.read_bytes()
 
 
+def keep(world: World, number: int) -> None:
+    """The results alone, or the frames as well."""
+    world.make(KEPT[number % 2])
+
+
 def kill(world: World, number: int) -> None:
     """The first command ends at some write, before or after the file gets its name."""
     replace, left = os.replace, [number % 25]
@@ -202,7 +209,7 @@ def kill(world: World, number: int) -> None:
 
 ACTIONS = [
     first_command, stage_again, stage_again, other_camera, delete, delete_folder, damage, damage,
-    change_input, lay_own_file, kill,
+    change_input, lay_own_file, kill, keep, keep,
 ]  # fmt: skip
 
 
@@ -247,13 +254,15 @@ def test_run_ends_like_a_fresh_one_whatever_happened(tmp_path_factory, actions):
     if world.notes_lost:  # where nothing tells whose a file is, it is kept beside the new one
         made = {name: content for name, content in made.items() if ".old" not in name}
     fresh = results(world.fresh(), world)
+    if keeps_results_alone(folder):
+        fresh = {name: content for name, content in fresh.items() if not name.startswith("frames/")}
     assert made.keys() == fresh.keys()
     assert [name for name in made if made[name] != fresh[name]] == []
     for path, content in world.own.items():
         assert path.read_bytes() == content
     if not world.notes_lost:
         # Of a stage that was killed while it made something else, some files are of the old key.
-        same = {p: seen for p, seen in before.items() if keys[p] == folder.key(p)}
+        same = {p: seen for p, seen in before.items() if keys[p] == folder.key(p) and p.is_file()}
         _check_that_little_was_written(world, same, known)
     # And then there is nothing to do.
     times = {p: p.stat().st_mtime_ns for p in world.run.rglob("*") if p.is_file()}

@@ -10,6 +10,7 @@ import typer
 from docdepth.cli.names import (
     DATASETS,
     FORMATS,
+    KEPT,
     LAYERS,
     ON_ERROR,
     PRESETS,
@@ -124,6 +125,16 @@ OnError = Annotated[
         help="What to do about broken sweeps and images. stop: name them and end. skip: read all "
         "before the run begins and leave out broken ones. As the run began if absent, else stop.",
         **one_of(ON_ERROR),
+    ),
+]
+Keep = Annotated[
+    str | None,
+    typer.Option(
+        "--keep",
+        help="What stays once all is done. results: deletes the frames, four fifths of the bytes; "
+        "view, map and render need them. frames: makes them again. As the run began if absent, "
+        "else frames.",
+        **one_of(KEPT),
     ),
 ]
 HashInputs = Annotated[

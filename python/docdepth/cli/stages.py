@@ -24,6 +24,7 @@ from docdepth.cli.options import (
     ImageSize,
     Jobs,
     Json,
+    Keep,
     LayerNames,
     Memory,
     OnError,
@@ -88,6 +89,7 @@ def run(
     memory: Memory = None,
     renderer: RendererName = None,
     on_error: OnError = None,
+    keep: Keep = None,
     hash_inputs: HashInputs = False,
     force: Force = False,
     dry_run: DryRun = False,
@@ -108,7 +110,7 @@ def run(
     from docdepth.render.backends import choose
 
     how: dict[str, Any] = {"dry_run": dry_run, "threads": threads, "renderer": choose(renderer)}
-    how |= {"jobs": jobs, "scheduler": scheduler}
+    how |= {"jobs": jobs, "scheduler": scheduler, "keep": keep}
     if output is None:
         chosen = (every, config, dataset, camera, frames, poses, camera_times, calibration, labels,
                   image_size, preset, settings, format, scale, layers, memory,

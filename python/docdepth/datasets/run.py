@@ -85,6 +85,7 @@ class RunDataset(DatasetRepr):
     @cached_property
     def lidars(self) -> dict[str, LidarStream]:
         """The LiDARs of the recording as one: its frames do not tell when each measured."""
+        self._run.check_has_frames()
         names = [read_frame_name(self._run.frame_path(k)) for k in range(len(self))]
         return {"lidar": LidarStream("lidar", self.times, names)}
 
@@ -103,6 +104,7 @@ class RunDataset(DatasetRepr):
 
     def sweep_files(self, index: int) -> list[Path]:
         """The PLY of frame ``index``."""
+        self._run.check_has_frames()
         path = self._run.frame_path(index)
         if not path.is_file():
             raise DamagedFileError(path, "")

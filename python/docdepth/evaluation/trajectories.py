@@ -180,7 +180,7 @@ def evaluate_trajectories(run: Path | str | RunFolder, poses: Path | str) -> Tra
         The poses of the run are missing, damaged or out of date.
     """
     folder = RunFolder.open(run)
-    require(folder, "odometry")
+    require(folder, "odometry", frames=False)
     made = folder.trajectory()
     source = folder.manifest["source"]
     entry = poses_entry(poses)

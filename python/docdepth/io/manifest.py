@@ -13,6 +13,10 @@ SKIPPED = "skipped"
 camera and name, each with what is wrong, and ``checked``, a hash of the files that were looked at.
 """
 
+WITHOUT_FRAMES = "without_frames"
+"""Entry of a run whose frames were deleted when all was done: the keys of the stages that made
+them. While these are up to date, no frame is missing."""
+
 
 def first_difference(have: Any, want: Any, path: str = "") -> str:
     """Say what differs first between two trees of values."""

@@ -30,6 +30,7 @@ from docdepth.io.frames import (
     write_frame,
 )
 from docdepth.io.manifest import (
+    WITHOUT_FRAMES,
     cameras_of_earlier_version,
     first_difference,
     read_manifest,
@@ -277,8 +278,22 @@ class RunFolder(RecordedFolder):
     def frame_path(self, index: int) -> Path:
         return self.path / "frames" / f"frame_{index:06d}.ply"
 
+    def check_has_frames(self) -> None:
+        """Refuse a run whose frames were deleted when all was done.
+
+        Raises
+        ------
+        RunError
+        """
+        if WITHOUT_FRAMES in self.manifest:
+            raise RunError(
+                f"{self.path} kept its results alone (--keep results), and this needs its frames; "
+                f"make them again: docdepth run {self.path} --keep frames"
+            )
+
     def frame(self, index: int) -> FrameRecord:
         """Frame number ``index``."""
+        self.check_has_frames()
         return read_frame(self.frame_path(index))
 
     def classified_frame(self, index: int) -> tuple[FrameRecord, NDArray[np.uint16]]:
@@ -298,6 +313,7 @@ class RunFolder(RecordedFolder):
 
     def points(self, index: int) -> NDArray[np.float32]:
         """The points of frame number ``index``; faster than reading the whole frame."""
+        self.check_has_frames()
         return read_points(self.frame_path(index))
 
     def sensor_rig(self, frame: FrameRecord) -> SensorRig | None:

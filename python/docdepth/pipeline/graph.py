@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import Dataset, Sweep
+from docdepth.io.manifest import WITHOUT_FRAMES
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS
 from docdepth.pipeline.depth_files import DepthFiles
@@ -170,19 +171,22 @@ class RunGraph:
     def odometry(self) -> StageState:
         """Poses and deskewed frames."""
         key = {"odometry": stage_key(self._odometry)}
-        files = [self._run.frame_path(i) for i in range(self._frames)]
+        files = self._frame_files("odometry", key["odometry"])
         once = [self._run.trajectory_path]
         if self._run.sensors_path.name in self._run.records(self._run.path):
             once.append(self._run.sensors_path)
-        return self._state("odometry", self._odometry, key, [[f] for f in files], once)
+        state = self._state("odometry", self._odometry, key, files, once)
+        if state.state == "done" and files and not files[0]:
+            return replace(state, why="its frames were deleted when all was done (--keep results)")
+        return state
 
     def classify(self) -> StageState:
         """Classes of the frames, label files, and tracks."""
         key = {"classify": stage_key(self._classify)}
         labels = label_files(self._run)
         files = [
-            [self._run.frame_path(i), labels.get(i, self._run.path / "labels" / f"of frame {i}")]
-            for i in range(self._frames)
+            [*of_frame, labels.get(i, self._run.path / "labels" / f"of frame {i}")]
+            for i, of_frame in enumerate(self._frame_files("classify", key["classify"]))
         ]
         tracked = self._run.parameters.dynamics.evidence == "tracks"
         if "labels" in self._classify:
@@ -214,6 +218,12 @@ class RunGraph:
                 whole = len(images) - len(old)
                 return replace(state, state="out of date", why=why, frames=whole)
         return state
+
+    def _frame_files(self, stage: str, key: str) -> list[list[Path]]:
+        """The file of each frame that a stage has written; none where the run let them go."""
+        if self._run.manifest.get(WITHOUT_FRAMES, {}).get(stage) == key:
+            return [[] for _ in range(self._frames)]
+        return [[self._run.frame_path(i)] for i in range(self._frames)]
 
     def _state(
         self,

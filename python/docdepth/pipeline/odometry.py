@@ -15,6 +15,7 @@ from docdepth.datasets.tolerance import reading_a_frame
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.points import usable_points
 from docdepth.io.frames import FrameRecord, write_trajectory
+from docdepth.io.manifest import WITHOUT_FRAMES
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.odometry.blooming import blooming_points
 from docdepth.odometry.odometry import Odometry, register_drive
@@ -56,6 +57,8 @@ def run_odometry(
         Poses cannot be estimated, or the given ones do not fit.
     """
     with run.lock("odometry"):
+        if run.manifest.pop(WITHOUT_FRAMES, None) is not None:
+            run.save()
         inputs = InputFiles(run)
         first = dataset.sweep(0)
         parts = odometry_parts(run, dataset, first, poses, inputs)

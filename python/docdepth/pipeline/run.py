@@ -28,6 +28,7 @@ from docdepth.pipeline.given_labels import open_labels, take_labels
 from docdepth.pipeline.given_poses import poses_entry
 from docdepth.pipeline.graph import outdated
 from docdepth.pipeline.input_files import InputFiles
+from docdepth.pipeline.kept_frames import choose_kept, delete_frames, keeps_results_alone
 from docdepth.pipeline.memory import keep_budget, parameters_within_budget, within_memory
 from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.problems import raise_problems
@@ -68,6 +69,7 @@ def run(
     image_size: str | None = None,
     frames: str | None = None,
     on_error: str | None = None,
+    keep: str | None = None,
     hash_inputs: bool = False,
     force: bool = False,
     dry_run: bool = False,
@@ -116,6 +118,9 @@ def run(
         ``skip`` reads every sweep and image before the run begins and leaves broken ones out, as if
         they had not been recorded; status and report list them. As the run began if absent, else
         ``stop``.
+    keep : {"frames", "results"}, optional
+        What stays once all is done. ``results`` deletes the frames, four fifths of the bytes. As
+        the run began if absent, else ``frames``.
     hash_inputs : bool
         Tell by their content whether inputs have changed, not by size and time.
     force : bool
@@ -174,6 +179,7 @@ def run(
         inputs["hash_inputs"] = True  # for good: a run compares as it began
     _follow_recording(folder, opened)
     folder.start(inputs, values, force)
+    choose_kept(folder, keep)
     if memory is not None:
         keep_budget(folder, within)
     register(folder, streams)
@@ -186,6 +192,7 @@ def run(
 def continue_run(
     output: Path | str,
     *,
+    keep: str | None = None,
     dry_run: bool = False,
     threads: int = 0,
     jobs: int = 1,
@@ -199,7 +206,7 @@ def continue_run(
     ----------
     output : Path
         Run folder.
-    dry_run, threads, jobs, scheduler, renderer, progress
+    keep, dry_run, threads, jobs, scheduler, renderer, progress
         As for :func:`run`.
 
     Raises
@@ -212,6 +219,7 @@ def continue_run(
     if not source:
         raise RunError(f"{output} was not made of a recording; there is nothing to continue")
     _check_place(folder)
+    choose_kept(folder, keep)
     with _all_problems(source, folder.parameters, folder.path):
         recording, _ = open_inputs(source)
     _make(folder, recording, Workers(threads, jobs, scheduler), dry_run, renderer, progress)
@@ -358,9 +366,10 @@ def _make(
         return _check(folder, recording, workers.jobs)
     left = outdated(states(folder))
     if not left and index_is_whole(folder):
-        if folder.manifest != RunFolder(folder.path).manifest:  # the recording was moved
+        if folder.manifest != RunFolder(folder.path).manifest:  # the recording was moved, or --keep
             with folder.lock("run"):
                 folder.save()
+        _delete_frames(folder)
         return
     if left:
         _check(folder, recording, workers.jobs)
@@ -372,6 +381,7 @@ def _make(
                 run_classify(folder, workers.threads, progress, workers)
                 streams = [camera.stream for camera in run_cameras(folder, recording)]
                 run_render(folder, streams, workers.threads, progress, renderer, workers)
+                _delete_frames(folder)
                 return
             except (DatasetError, OdometryError):
                 # A file that was whole when the run began is not any more.
@@ -389,6 +399,13 @@ def _make(
         raise RunError(
             f"more than {_MOST_REPAIRS} files of {folder.path} are damaged; check the disk"
         )
+
+
+def _delete_frames(folder: RunFolder) -> None:
+    """Delete the frames of a run that is done, if its results alone are to stay."""
+    if keeps_results_alone(folder) and folder.records(folder.frame_path(0).parent).names():
+        with folder.lock("run"):
+            delete_frames(folder)
 
 
 def _without_newly_broken(folder: RunFolder) -> Dataset | None:

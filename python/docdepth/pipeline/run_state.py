@@ -47,7 +47,7 @@ def changes_since_start(folder: RunFolder) -> list[str]:
     return sentences
 
 
-def require(folder: RunFolder, stage: str) -> None:
+def require(folder: RunFolder, stage: str, *, frames: bool = True) -> None:
     """Refuse results of a stage that are missing, damaged or out of date.
 
     Folders that docdepth did not write, or an earlier version, are taken as they are.
@@ -57,6 +57,8 @@ def require(folder: RunFolder, stage: str) -> None:
     folder : RunFolder
     stage : str
         ``odometry``, ``classify``, or ``render CAMERA``.
+    frames : bool
+        Whether what ``odometry`` and ``classify`` wrote into the frames is needed.
 
     Raises
     ------
@@ -72,6 +74,8 @@ def require(folder: RunFolder, stage: str) -> None:
             f"{stage} of {folder.path} is {state.state}: {state.why}; "
             f"bring it up to date: docdepth run {folder.path}"
         )
+    if frames and name != "render":
+        folder.check_has_frames()
 
 
 def _graph(folder: RunFolder, verify: bool = False) -> RunGraph:
