@@ -82,6 +82,7 @@ class PixelsOfBox {
     const PixelBounds& bounds = box_.bounds();
     constexpr float kMiddle = float(kWayCell - 1) / 2;
     std::optional<bool> is_empty;  // along the way of the middle
+    Asked asked;
     for (int v = from_v; v < std::min(from_v + kWayCell, bounds.end_v); ++v)
       for (int u = from_u; u < std::min(from_u + kWayCell, bounds.end_u); ++u) {
         const std::size_t i = std::size_t(v) * camera_.width + u;
@@ -91,14 +92,24 @@ class PixelsOfBox {
         if (!is_empty)
           is_empty = box_.is_empty_along(
               ray_of(camera_, float(from_u) + kMiddle, float(from_v) + kMiddle), rays_);
-        is_world[i] = *is_empty && (is_world[i] || ended(ray * depth[i]));
+        is_world[i] = *is_empty && (is_world[i] || ended(ray, depth[i], asked));
         if (!is_world[i]) depth[i] = std::numeric_limits<float>::quiet_NaN();
       }
   }
 
  private:
-  bool ended(const Vector& point) const {
-    return count(rays_.around({point, Kind::kStatic}), {Verdict::kEnded}) >= kMinEnded;
+  /// What the rays said of a pixel. Its neighbours at the same depth are seen by the same rays.
+  struct Asked {
+    float depth = std::numeric_limits<float>::infinity();
+    bool ended = false;
+  };
+
+  bool ended(const Vector& ray, float depth, Asked& asked) const {
+    if (!(std::fabs(depth - asked.depth) < kSurfaceMargin)) {
+      const Corners corners = rays_.around({ray * depth, Kind::kStatic});
+      asked = {depth, count(corners, {Verdict::kEnded}) >= kMinEnded};
+    }
+    return asked.ended;
   }
 
   const Camera& camera_;

@@ -49,7 +49,8 @@ constexpr float kBoxMargin = 0.05f;
 /// Behind the box of an object a point was seen if so many of the nearest rays around it, one in
 /// each quadrant of direction, ended there. Beside a straight edge of the object two do.
 constexpr int kMinEnded = 2;
-/// So many pixels to each side share one way through the box: rays are farther apart than pixels.
+/// So many pixels to each side share one way through the box, and if they are at the same depth
+/// what rays say of the place behind it: rays are farther apart than pixels.
 constexpr int kWayCell = 2;
 /// The way through the box is looked at in so many places at most.
 constexpr int kMostPlaces = 8;
