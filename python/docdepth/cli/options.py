@@ -131,9 +131,9 @@ Keep = Annotated[
     str | None,
     typer.Option(
         "--keep",
-        help="What stays once all is done. results: deletes the frames, four fifths of the bytes; "
-        "view, map and render need them. frames: makes them again. As the run began if absent, "
-        "else frames.",
+        help="What stays once all is done. results: all but the frames, which are four fifths of "
+        "the bytes; view, map and render need them. frames: these as well; they are made again if "
+        "they were deleted. As the run began if absent, else frames.",
         **one_of(KEPT),
     ),
 ]

@@ -119,8 +119,9 @@ def run(
         they had not been recorded; status and report list them. As the run began if absent, else
         ``stop``.
     keep : {"frames", "results"}, optional
-        What stays once all is done. ``results`` deletes the frames, four fifths of the bytes. As
-        the run began if absent, else ``frames``.
+        What stays once all is done: the frames as well, which are made again if they were deleted,
+        or all but them. They are four fifths of the bytes. As the run began if absent, else
+        ``frames``.
     hash_inputs : bool
         Tell by their content whether inputs have changed, not by size and time.
     force : bool
