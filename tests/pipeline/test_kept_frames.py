@@ -20,7 +20,7 @@ from walled_yard import straight
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a drive and two runs of it: one kept all, the other its results alone."""
+    """A folder with a drive and two runs of it: one kept all, the other only its results."""
     folder = tmp_path_factory.mktemp("made")
     write_small_drive(folder / "drive")
     write_kitti(folder / "poses.txt", straight(SWEEPS, 0.5).poses)
@@ -159,7 +159,7 @@ def test_a_command_says_what_stays(root: Path) -> None:
     assert "its frames were deleted" in status
 
 
-def test_every_recording_keeps_its_results_alone(root: Path) -> None:
+def test_every_recording_keeps_only_its_results(root: Path) -> None:
     shutil.copytree(root / "drive", root / "drives" / "one")
     options = {"poses": root / "poses.txt", "keep": "results", "threads": 1}
     (ended,) = run_all(root / "drives", root / "runs", **options)
@@ -171,3 +171,13 @@ def test_another_word_is_refused(root: Path) -> None:
     with pytest.raises(ConfigError, match="keep is 'depth'; it must be frames or results"):
         make(root, "other", "depth")
     assert not (root / "other").exists()
+
+
+def test_a_damaged_note_of_deleted_frames_is_not_believed(root: Path) -> None:
+    file = root / "results" / "run.yaml"
+    lines = file.read_text().split("without_frames:")[0]
+    file.write_text(lines + "without_frames: yes\n")
+    make(root, "results")  # by the copy of run.yaml
+    assert contents(root / "results").keys() - {"run.yaml.old"} == {
+        name for name in contents(root / "all") if not is_frame(name)
+    }

@@ -15,12 +15,13 @@ from hypothesis import strategies as st
 
 from docdepth.config import replaced
 from docdepth.errors import DocDepthError, RunError
+from docdepth.io.manifest import KEPT
 from docdepth.io.poses import write_kitti
 from docdepth.io.recorded_folder import RecordedFolder
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry
 from docdepth.pipeline.depth_files import DepthFiles
-from docdepth.pipeline.kept_frames import KEPT, keeps_results_alone
+from docdepth.pipeline.kept_frames import keeps_only_results
 from docdepth.pipeline.run import continue_run, render_again, run
 from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.pipeline.run_state import require, states
@@ -185,7 +186,7 @@ def lay_own_file(world: World, number: int) -> None:
 
 
 def keep(world: World, number: int) -> None:
-    """The results alone, or the frames as well."""
+    """Frames as well, or only the results."""
     world.make(KEPT[number % 2])
 
 
@@ -254,7 +255,7 @@ def test_run_ends_like_a_fresh_one_whatever_happened(tmp_path_factory, actions):
     if world.notes_lost:  # where nothing tells whose a file is, it is kept beside the new one
         made = {name: content for name, content in made.items() if ".old" not in name}
     fresh = results(world.fresh(), world)
-    if keeps_results_alone(folder):
+    if keeps_only_results(folder):
         fresh = {name: content for name, content in fresh.items() if not name.startswith("frames/")}
     assert made.keys() == fresh.keys()
     assert [name for name in made if made[name] != fresh[name]] == []

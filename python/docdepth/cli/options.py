@@ -10,7 +10,6 @@ import typer
 from docdepth.cli.names import (
     DATASETS,
     FORMATS,
-    KEPT,
     LAYERS,
     ON_ERROR,
     PRESETS,
@@ -18,6 +17,7 @@ from docdepth.cli.names import (
     one_of,
     some_of,
 )
+from docdepth.io.manifest import KEPT
 
 if TYPE_CHECKING:
     from docdepth.io.run_folder import RunFolder

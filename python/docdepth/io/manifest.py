@@ -13,6 +13,9 @@ SKIPPED = "skipped"
 camera and name, each with what is wrong, and ``checked``, a hash of the files that were looked at.
 """
 
+KEPT = ("frames", "results")
+"""What ``run --keep`` takes: whether the frames stay once all is done, or only the results."""
+
 WITHOUT_FRAMES = "without_frames"
 """Entry of a run whose frames were deleted when all was done: the keys of the stages that made
 them. While these are up to date, no frame is missing."""
@@ -41,6 +44,8 @@ def read_manifest(path: Path) -> dict[str, Any] | None:
         return None
     source, stages = found.get("source"), found.get("stages")
     if not isinstance(source, dict) or not isinstance(stages, dict):
+        return None
+    if not isinstance(found.get(WITHOUT_FRAMES, {}), dict):
         return None
     cameras = found.get("cameras") or {}
     sound = isinstance(cameras, dict) and all(map(_is_camera, cameras.values()))

@@ -287,7 +287,7 @@ class RunFolder(RecordedFolder):
         """
         if WITHOUT_FRAMES in self.manifest:
             raise RunError(
-                f"{self.path} kept its results alone (--keep results), and this needs its frames; "
+                f"{self.path} keeps only its results (--keep results), and this needs its frames; "
                 f"make them again: docdepth run {self.path} --keep frames"
             )
 

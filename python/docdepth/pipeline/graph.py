@@ -220,7 +220,7 @@ class RunGraph:
         return state
 
     def _frame_files(self, stage: str, key: str) -> list[list[Path]]:
-        """The file of each frame that a stage has written; none where the run let them go."""
+        """The file of each frame that a stage has written; none where the run deleted them."""
         if self._run.manifest.get(WITHOUT_FRAMES, {}).get(stage) == key:
             return [[] for _ in range(self._frames)]
         return [[self._run.frame_path(i)] for i in range(self._frames)]

@@ -1,17 +1,14 @@
-"""What stays of a run that is done: its frames too, or its results alone.
+"""What stays of a run that is done: all of it, or only its results, without the frames.
 
 Frames are four fifths of a run's bytes, and those who want depth maps alone never open them. They
-can be made again at any time: poses, ground and tracks stay.
+can be made again while the recording is there: poses, ground and tracks stay.
 """
 
 from __future__ import annotations
 
 from docdepth.errors import ConfigError
-from docdepth.io.manifest import WITHOUT_FRAMES
+from docdepth.io.manifest import KEPT, WITHOUT_FRAMES
 from docdepth.io.run_folder import RunFolder
-
-KEPT = ("frames", "results")
-"""What may stay."""
 
 _KEEP = "keep"
 """Entry of run.yaml: one of ``KEPT``."""
@@ -29,11 +26,11 @@ def choose_kept(run: RunFolder, keep: str | None) -> None:
         raise ConfigError(f"keep is {keep!r}; it must be {' or '.join(KEPT)}")
     if keep is not None:
         run.manifest[_KEEP] = keep
-    if not keeps_results_alone(run):
+    if not keeps_only_results(run):
         run.manifest.pop(WITHOUT_FRAMES, None)  # so its frames are missing
 
 
-def keeps_results_alone(run: RunFolder) -> bool:
+def keeps_only_results(run: RunFolder) -> bool:
     """Whether the frames of a run are deleted once all is done."""
     return bool(run.manifest.get(_KEEP) == "results")
 

@@ -28,7 +28,7 @@ from docdepth.pipeline.given_labels import open_labels, take_labels
 from docdepth.pipeline.given_poses import poses_entry
 from docdepth.pipeline.graph import outdated
 from docdepth.pipeline.input_files import InputFiles
-from docdepth.pipeline.kept_frames import choose_kept, delete_frames, keeps_results_alone
+from docdepth.pipeline.kept_frames import choose_kept, delete_frames, keeps_only_results
 from docdepth.pipeline.memory import keep_budget, parameters_within_budget, within_memory
 from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.problems import raise_problems
@@ -403,8 +403,8 @@ def _make(
 
 
 def _delete_frames(folder: RunFolder) -> None:
-    """Delete the frames of a run that is done, if its results alone are to stay."""
-    if keeps_results_alone(folder) and folder.records(folder.frame_path(0).parent).names():
+    """Delete the frames of a run that is done, if only its results are to stay."""
+    if keeps_only_results(folder) and folder.records(folder.frame_path(0).parent).names():
         with folder.lock("run"):
             delete_frames(folder)
 
