@@ -218,14 +218,16 @@ def test_what_stands_beside_a_van_makes_it_no_larger():
     np.testing.assert_allclose(track.poses[:, :2, 3], truth, atol=0.2)
 
 
-def tracks_by_petals(at, count, share, seed):
-    """Tracks of a car that each of five petals of a sweep meets in this share of its directions."""
+def tracks_by_petals(at, count, share, seed, size=CAR):
+    """Tracks of a thing that each of five petals of a sweep meets in this share of its rays."""
     there = Trajectory(straight(count).times, np.repeat(straight(1).poses, count, 0))
     rng, detections = np.random.default_rng(seed), []
     for i in range(count):
         petals, times = [], np.arange(0, 0.1, 0.02)
         for t in times:
-            ranges = ranges_of(CAR, np.array((*at(i + 10 * t), 0.8)) - there.poses[i, :3, 3])
+            middle = np.array((*at(i + 10 * t), size[2] / 2 + 0.05))
+            middle -= there.poses[i, :3, 3]
+            ranges = ranges_of(size, middle)
             met = np.isfinite(ranges) & (rng.random(len(ranges)) < share)
             petals.append(measured(ranges, met, rng))
         cloud, offsets = np.vstack(petals), np.repeat(times, [len(petal) for petal in petals])
@@ -248,3 +250,28 @@ def test_a_fast_car_is_tracked_though_each_petal_of_a_rosette_sees_it_elsewhere(
     assert len(track) >= 13
     np.testing.assert_allclose(track.velocities[:, 0], -30, atol=0.5)
     np.testing.assert_allclose(track.size, CAR, atol=0.5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_side_of_a_fast_lorry_is_known_though_its_samples_are_far_apart(seed):
+    """It is 9 m long, so that its hundred samples are 0.6 m apart: too far for planes of 0.5 m."""
+    lorry = (9.0, 2.5, 2.7)
+    (track,) = tracks_by_petals(lambda i: (28 - 1.6 * i, 5), 30, 0.5, seed, lorry)
+    assert len(track) >= 28
+    assert np.ptp(track.poses[:, 1, 3]) < 0.05
+    assert track.surface_deviations.max() < 0.06
+
+
+def test_where_a_sweep_shows_little_the_sweeps_around_tell_where_the_surface_is():
+    """Ten returns tell little; in a tenth of a second a car can go astray by 1.5 cm."""
+
+    def every_twentieth_once(i, points):
+        return (i != 20) | (np.arange(len(points)) % 20 == 0)
+
+    car = Thing(CAR, lambda i: (8 + 1.2 * i, 4), range(40), seen=every_twentieth_once)
+    detections, _ = detections_of([car], 40)
+    (track,) = track_objects(detections, straight(40)).tracks
+    row = int(np.flatnonzero(track.times == 2_000_000_000)[0])
+    assert track.points[row] < 12
+    around = min(track.surface_deviations[[row - 1, row + 1]])
+    assert track.surface_deviations[row] == pytest.approx(around + 0.5 * 3 * 0.1**2)

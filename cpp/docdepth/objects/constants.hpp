@@ -140,11 +140,14 @@ constexpr double kSteepest = 0.35;
 
 /// Partners are looked for within these distances, step by step [m].
 constexpr float kRegistrationRadii[] = {0.6f, 0.6f, 0.4f, 0.3f, 0.3f};
-/// Normals are fitted to at least so many samples within a radius [m] where the object moved by
-/// more than this between neighbouring measurements [m]. They are unknown where samples are spread
-/// across their plane by more than this share of how they are spread in it, squared.
-constexpr int kMinPlaneSamples = 5;
-constexpr float kPlaneRadius = 0.5f, kMaxBetweenNeighbors = 0.05f, kMaxPlaneThickness = 0.1f;
+/// Where the object moved by more than this between neighbouring measurements [m], normals are
+/// fitted to the samples within a radius [m]. If they are fewer than this, those are taken that are
+/// as far away as this share of the object's width: samples of what is long are farther apart.
+/// Normals are unknown where samples are spread across their plane by more than this share of how
+/// they are spread in it, squared.
+constexpr float kMaxBetweenNeighbors = 0.05f, kPlaneRadius = 0.5f;
+constexpr std::size_t kMinPlaneSamples = 5;
+constexpr float kPlaneShare = 0.11f, kMaxPlaneThickness = 0.1f;
 /// Distance of samples from the plane of their partners [m]. It is that of noise and curvature,
 /// times ten, since neighbouring samples err alike.
 constexpr double kResidualDeviation = 0.2;

@@ -119,6 +119,7 @@ class PathEstimation {
                             Measurements& measured);
   void smooth(const Measurements& measured);
   void measure_surfaces(const SurfaceModel& model, const ExpectedPose& near);
+  void share_surface_deviations(const std::vector<double>& measured);
   void find_extent(const SurfaceModel& model);
   void find_extents();
   Position turn_change(std::size_t k) const;
@@ -364,6 +365,7 @@ void PathEstimation::smooth(const Measurements& measured) {
 /// How far each surface lies beside the model, where the path says that it is. What is not known
 /// along a flat side, or of a heading where little was seen, does not count.
 void PathEstimation::measure_surfaces(const SurfaceModel& model, const ExpectedPose& near) {
+  std::vector<double> measured(path_.states.size());
   for (std::size_t k = 0; k < path_.states.size(); ++k) {
     path_.states[k].surface_deviation = path_.states[k].deviation;
     const SeenSurface seen = surface(k);
@@ -378,10 +380,31 @@ void PathEstimation::measure_surfaces(const SurfaceModel& model, const ExpectedP
       const double off = seen.normals[i].dot(moved * seen.points[i] - seen.points[i]);
       sum += off * off, ++count;
     }
-    if (count > 0)
-      path_.states[k].surface_deviation =
-          std::sqrt((sum + kResidualDeviation * kResidualDeviation) / count);
+    if (count == 0) continue;
+    measured[k] = std::sqrt(sum / count);
+    path_.states[k].surface_deviation =
+        std::sqrt((sum + kResidualDeviation * kResidualDeviation) / count);
   }
+  share_surface_deviations(measured);
+}
+
+/// A sweep that shows little of a surface, or nothing that can be registered, tells little of where
+/// it is. Those around it do: meanwhile the path may bend away by kStrongest. But never is it known
+/// better than by what the sweep itself measured.
+void PathEstimation::share_surface_deviations(const std::vector<double>& measured) {
+  std::vector<double> shared;
+  for (std::size_t k = 0; k < path_.states.size(); ++k) {
+    double least = path_.states[k].surface_deviation;
+    for (const int step : {-1, 1})
+      for (std::size_t j = k + std::size_t(step); j < path_.states.size(); j += std::size_t(step)) {
+        const double dt = path_.states[j].time - path_.states[k].time;
+        const double bent = kStrongest / 2 * dt * dt;
+        if (bent >= least) break;
+        least = std::min(least, path_.states[j].surface_deviation + bent);
+      }
+    shared.push_back(std::max(least, measured[k]));
+  }
+  for (std::size_t k = 0; k < shared.size(); ++k) path_.states[k].surface_deviation = shared[k];
 }
 
 /// Around what several sweeps saw of the object.

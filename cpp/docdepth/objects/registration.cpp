@@ -122,16 +122,28 @@ float time_between_neighbors(const SampledPoints& points, const std::vector<floa
   return sum / float(points.size());
 }
 
+/// Squared radius, up to `most`, around a point within which at least kMinPlaneSamples samples lie.
+float plane_radius_squared(const SampledPoints& points, const Vector& point, float most) {
+  if (points.size() < kMinPlaneSamples) return kPlaneRadius * kPlaneRadius;
+  std::vector<float> squared;
+  for (const Vector& other : points) squared.push_back((other - point).squaredNorm());
+  const auto last = squared.begin() + kMinPlaneSamples - 1;
+  std::nth_element(squared.begin(), last, squared.end());
+  return std::clamp(*last, kPlaneRadius * kPlaneRadius, most * most);
+}
+
 /// Normals of the planes through the samples around each one, to the side of those that it had.
 void fit_normals(SampledSurface& surface) {
   const SampledPoints& points = surface.points;
+  const float most = std::max(kPlaneRadius, kPlaneShare * extent_of(points).width());
   for (std::size_t i = 0; i < points.size(); ++i) {
+    const float radius_squared = plane_radius_squared(points, points[i], most);
     Vector sum = Vector::Zero();
     Eigen::Matrix3f squares = Eigen::Matrix3f::Zero();
-    int count = 0;
+    std::size_t count = 0;
     for (const Vector& point : points) {
       const Vector off = point - points[i];
-      if (off.squaredNorm() > kPlaneRadius * kPlaneRadius) continue;
+      if (off.squaredNorm() > radius_squared) continue;
       sum += off, squares += off * off.transpose(), ++count;
     }
     const Vector before = surface.normals[i];

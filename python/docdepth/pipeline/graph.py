@@ -25,7 +25,7 @@ from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.run_inputs import RunCamera
 
-_VERSIONS = {"odometry": 8, "classify": 19, "render": 10}
+_VERSIONS = {"odometry": 8, "classify": 20, "render": 10}
 """Counted up when a new version of docdepth makes other results of the same inputs."""
 
 State = Literal["done", "out of date", "incomplete", "damaged", "missing"]
