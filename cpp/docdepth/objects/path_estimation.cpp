@@ -389,8 +389,8 @@ void PathEstimation::measure_surfaces(const SurfaceModel& model, const ExpectedP
 }
 
 /// A sweep that shows little of a surface, or nothing that can be registered, tells little of where
-/// it is. Those around it do: meanwhile the path may bend away by kStrongest. But never is it known
-/// better than by what the sweep itself measured.
+/// it is. The sweeps around it do; meanwhile the path bends by kStrongest at most. Where the sweep
+/// measured an offset, the deviation is at least that.
 void PathEstimation::share_surface_deviations(const std::vector<double>& measured) {
   std::vector<double> shared;
   for (std::size_t k = 0; k < path_.states.size(); ++k) {
