@@ -142,9 +142,9 @@ constexpr double kSteepest = 0.35;
 constexpr float kRegistrationRadii[] = {0.6f, 0.6f, 0.4f, 0.3f, 0.3f};
 /// Where the object moved by more than this between neighbouring measurements [m], normals are
 /// fitted to the samples within a radius [m], and to the nearest ones until they are so many, up to
-/// this share of the object's width away: samples of what is long are farther apart. Normals are
-/// unknown where samples are spread across their plane by more than this share of how they are
-/// spread in it, squared.
+/// this share of the object's horizontal diagonal away: samples of what is long are farther apart.
+/// Normals are unknown where samples are spread across their plane by more than this share of how
+/// they are spread in it, squared.
 constexpr float kMaxBetweenNeighbors = 0.05f, kPlaneRadius = 0.5f;
 constexpr std::size_t kMinPlaneSamples = 5;
 constexpr float kPlaneShare = 0.11f, kMaxPlaneThickness = 0.1f;
