@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from timing import interleaved
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.config import parameters
 from docdepth.datasets import Dataset, open_dataset
 from docdepth.dynamics.key_frames import key_frames

@@ -1,77 +1,142 @@
-"""Are two runs the same, bit for bit?
+"""Are the results of two runs, or of two versions of docdepth, the same bit for bit?
 
     python benchmarks/compare_runs.py RUN OTHER
+    python benchmarks/compare_runs.py --freeze FILE --kitti DIR --work DIR    # before a change
+    python benchmarks/compare_runs.py --against FILE --kitti DIR --work DIR   # after it
 
-Compares poses, deskewed points, votes, classes, labels, depth maps and layers of two run folders,
-also of different versions of docdepth. Exit status 1 if anything differs.
+The first form compares two run folders. The others make twenty runs of real and synthetic drives
+(``DIR`` holds ``2011_09_26``) with both presets, given and own poses, and write or compare a hash
+of every label file, depth map, layer, track and trajectory. Synthetic drives are made in
+``--work`` once and kept. ``--only`` names some of the runs. Exit status 1 if anything differs.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
+import os
+import shutil
+import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
+SYNTHETIC = {"HDL-64": "city", "XT-32": "crossing", "Avia": "residential"}
+"""The scene that each sensor sees in the twenty runs."""
 
-from docdepth.io.frames import FrameRecord, read_frame, read_trajectory
-
-_COLUMNS = [n for n in FrameRecord.__dataclass_fields__ if n not in ("name", "key")]
+LAYERS = "confidence,normal,class,seen,instance"
 
 
-def arrays_of(path: Path) -> dict[str, NDArray]:
-    """The content of a file of a run by name."""
-    if path.parent.name == "frames":
-        frame = read_frame(path)
-        return {name: np.asarray(getattr(frame, name)) for name in _COLUMNS}
-    if path.suffix == ".ply":
-        trajectory, _ = read_trajectory(path)
-        return {"times": trajectory.times, "poses": trajectory.poses}
-    if path.suffix == ".npz":
-        with np.load(path) as stored:
-            return dict(stored)
-    return {"bytes": np.frombuffer(path.read_bytes(), np.uint8)}
+def runs(kitti: Path, work: Path) -> dict[str, list[str]]:
+    """Arguments of ``docdepth run`` for each of the twenty runs, by name."""
+
+    def real(number: str) -> str:
+        return str(kitti / "2011_09_26" / f"2011_09_26_drive_{number}_sync")
+
+    given = ["--poses", f"{real('0005')}/lidar_poses_tum.txt"]
+    given_9001 = ["--poses", f"{real('9001')}/lidar_poses_tum.txt"]
+    oxts = ["--poses", "dataset"]
+    paper, layers = ["--preset", "paper"], ["--layers", LAYERS]
+    found = {
+        "0005": [real("0005"), "--frames", "0:40"],
+        "0005 given": [real("0005"), "--frames", "0:40", *given],
+        "0005 paper": [real("0005"), "--frames", "0:40", *paper],
+        "0005 paper given": [real("0005"), "--frames", "0:40", *paper, *given],
+        "9001": [real("9001"), "--frames", "10:40", *layers],
+        "9001 given": [real("9001"), "--frames", "10:30", *given_9001],
+        "9001 paper": [real("9001"), "--frames", "10:30", *paper],
+        "9001 paper given": [real("9001"), "--frames", "10:30", *paper, *given_9001],
+        "0013": [real("0013"), "--frames", "60:90"],
+        "0013 given": [real("0013"), "--frames", "60:80", *oxts],
+        "0013 paper": [real("0013"), "--frames", "60:80", *paper],
+        "0013 paper given": [real("0013"), "--frames", "60:80", *paper, *oxts],
+    }
+    for sensor in SYNTHETIC:
+        drive = work / "drives" / sensor / "sequences" / "00"
+        exact = ["--poses", "dataset"]
+        found[sensor] = [str(drive), *(layers if sensor == "Avia" else [])]
+        found[f"{sensor} given"] = [str(drive), *exact]
+        if sensor != "Avia":
+            found[f"{sensor} paper given"] = [str(drive), *paper, *exact]
+    return found
 
 
-def files_of(run: Path) -> Iterator[Path]:
-    """Files that hold results, relative to the run."""
-    yield Path("traj_odometry.ply")
-    for kind, pattern in (("frames", "*.ply"), ("labels", "*"), ("depth", "*"), ("layers", "*")):
-        for path in sorted((run / kind).rglob(pattern)):
-            if path.is_file() and path.name != "depth.json":  # it holds the version
-                yield path.relative_to(run)
+def docdepth(*arguments: str) -> None:
+    """Run a command of docdepth; its output is shown if it fails."""
+    command = [sys.executable, "-m", "docdepth", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(command)}\n{done.stdout}{done.stderr}")
 
 
-def differences(run: Path, other: Path) -> Iterator[str]:
-    """A line for each file that is not the same."""
-    for file in sorted({*files_of(run), *files_of(other)}):
-        missing = [str(r / file) for r in (run, other) if not (r / file).is_file()]
-        if missing:
-            yield f"{missing[0]} is missing"
+def hashes(run: Path, frames: bool = False) -> dict[str, str]:
+    """A hash of each file that holds results, and of the frames if wanted."""
+    files = [run / "traj_odometry.ply", run / "tracks.csv"]
+    for kind in ("labels", "depth", "layers", *(["frames"] if frames else [])):
+        files += sorted((run / kind).rglob("*"))
+    return {
+        path.relative_to(run).as_posix(): hashlib.blake2b(path.read_bytes()).hexdigest()[:16]
+        for path in files
+        if path.is_file() and path.name != "depth.json"  # it holds the version
+    }
+
+
+def differences(run: Path, other: Path) -> list[str]:
+    """Files of two runs of one version that are not the same, or are missing on one side."""
+    return differing(hashes(run, frames=True), hashes(other, frames=True))
+
+
+def differing(a: dict[str, str], b: dict[str, str]) -> list[str]:
+    """Names whose hashes are not the same, or that are missing on one side."""
+    return sorted(name for name in {*a, *b} if a.get(name) != b.get(name))
+
+
+def make_runs(kitti: Path, work: Path, only: list[str]) -> dict[str, dict[str, str]]:
+    """Make the runs and hash their results."""
+    for sensor, scene in SYNTHETIC.items():
+        drive = work / "drives" / sensor
+        if not drive.is_dir():
+            street = ["--scene", scene, "--sensor", sensor, "--seed", "77"]
+            docdepth("synth", str(drive), "--frames", "30", "--skew", *street)
+    found = {}
+    for name, arguments in runs(kitti, work).items():
+        if only and name not in only:
             continue
-        a, b = arrays_of(run / file), arrays_of(other / file)
-        names = [
-            name
-            for name in {**a, **b}
-            if name not in a
-            or name not in b
-            or (a[name].dtype, a[name].shape) != (b[name].dtype, b[name].shape)
-            or a[name].tobytes() != b[name].tobytes()
-        ]
-        if names:
-            yield f"{file}: {', '.join(names)}"
+        place = work / "runs" / name.replace(" ", "_")
+        shutil.rmtree(place, ignore_errors=True)
+        docdepth("run", *arguments, "-o", str(place))
+        found[name] = hashes(place)
+        shutil.rmtree(place)
+        print(f"{name}: {len(found[name])} files", flush=True)
+    return found
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("run", type=Path)
-    parser.add_argument("other", type=Path)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("runs", type=Path, nargs="*", metavar="RUN")
+    parser.add_argument("--freeze", type=Path, metavar="FILE")
+    parser.add_argument("--against", type=Path, metavar="FILE")
+    parser.add_argument("--kitti", type=Path, default=os.environ.get("DOCDEPTH_KITTI_RAW"))
+    parser.add_argument("--work", type=Path, metavar="DIR")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME")
     args = parser.parse_args(arguments)
-    found = list(differences(args.run, args.other))
-    print(f"{sum(1 for _ in files_of(args.run))} files, {len(found)} differ", *found, sep="\n")
-    return bool(found)
+    if len(args.runs) == 2:
+        pairs = {"": tuple(hashes(run, frames=True) for run in args.runs)}
+    elif args.kitti and args.work and (args.freeze or args.against):
+        now = make_runs(Path(args.kitti).absolute(), args.work.absolute(), args.only)
+        if args.freeze:
+            args.freeze.write_text(json.dumps(now, indent=1) + "\n")
+            return 0
+        frozen = json.loads(args.against.read_text())
+        pairs = {f"{name}/": (frozen[name], now[name]) for name in now}
+    else:
+        parser.error("give two runs, or --freeze or --against with --kitti and --work")
+    differ = [f"{run}{file}" for run, (a, b) in pairs.items() for file in differing(a, b)]
+    files = sum(len(a) for a, _ in pairs.values())
+    print(f"{files} files, {len(differ)} differ", *differ, sep="\n")
+    return bool(differ)
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ from cells import Cell, ExactDrive, add_cell_arguments, cells_of
 from ip_basic import ip_basic
 from numpy.typing import NDArray
 
-from docdepth import __version__
+from docdepth._core import __version__
 from docdepth.config import Parameters, parameters, parse_settings
 from docdepth.errors import DocDepthError
 from docdepth.evaluation import DepthEvaluation, Table, label_counts, moving

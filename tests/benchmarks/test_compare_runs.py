@@ -24,6 +24,6 @@ def test_every_result_is_compared(finished, tmp_path, capsys: pytest.CaptureFixt
     assert main([str(run), str(other)]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].endswith("3 differ")
-    assert f"{depth} is missing" in lines
-    assert "frames/frame_000001.ply: classid" in lines
-    assert f"labels/{label.name}: bytes" in lines
+    assert f"depth/{depth.name}" in lines
+    assert "frames/frame_000001.ply" in lines
+    assert f"labels/{label.name}" in lines
