@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from docdepth import _core
+import docdepth._core as _core
 from hostile_scene import Scene
 
 STUBS = Path(_core.__file__).with_name("_core.pyi")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from docdepth import _core
+import docdepth._core as _core
 
 POINTS = 360
 

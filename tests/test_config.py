@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth._old_names import REMOVED, warn_of_rename
 from docdepth.config import (
     GroundParameters,

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import docdepth._core as _core
 import hostile
-from docdepth import _core
 
 PROGRAM = Path(hostile.__file__)
 

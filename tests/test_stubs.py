@@ -7,7 +7,7 @@ import inspect
 from pathlib import Path
 
 import docdepth
-from docdepth import _core
+import docdepth._core as _core
 
 
 def _name(member: ast.stmt) -> str:

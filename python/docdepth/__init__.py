@@ -16,7 +16,7 @@ Everything else is internal and may change without notice.
 
 import logging
 
-from docdepth._core import __version__  # before the rooms, which write it into their files
+from docdepth._core import __version__
 from docdepth.config import Parameters, parameters
 from docdepth.datasets import CameraStream, Dataset, LidarStream, Sweep, open_dataset
 from docdepth.dynamics.classes import Labels

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from dynamics_reference import reference_vote
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.config import DynamicsParameters, parameters
 from docdepth.dynamics import key_frames as key_frame_module
 from docdepth.dynamics.classifier import classify_drive

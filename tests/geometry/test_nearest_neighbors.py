@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from docdepth import _core
+import docdepth._core as _core
 
 
 def reference(points, queries):

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.errors import InputError
 from docdepth.geometry.scan_mesh import ScanMesh
 

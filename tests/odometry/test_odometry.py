@@ -13,7 +13,7 @@ import pytest
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.config import OdometryParameters, Parameters
 from docdepth.datasets import Sweep, open_dataset
 from docdepth.errors import InputError, OdometryError

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from render_reference import AXES, TRIANGLES, drive, reference, small_camera, straight
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.cli.doctor import doctor
 from docdepth.config import RenderParameters
 from docdepth.errors import BackendError

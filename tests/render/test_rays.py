@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory

@@ -74,7 +74,7 @@ def test_triangles_of_a_plane_are_that_plane_without_cracks(planes):
 
 def draw_triangles(camera, vertices, triangles, threads=1):
     """Render triangles given in camera axes, none of them a depth jump."""
-    from docdepth import _core
+    import docdepth._core as _core
 
     frame = _core.MeshFrame(
         vertices.astype(np.float32),

@@ -52,7 +52,7 @@ def options(
     """Set up what every verb shares."""
     set_volume(quiet, verbose)
     if version:
-        from docdepth import __version__
+        from docdepth._core import __version__
 
         out.print(__version__)
         raise typer.Exit

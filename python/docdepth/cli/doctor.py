@@ -9,7 +9,7 @@ import platform
 import re
 from collections.abc import Mapping, Sequence
 
-from docdepth import __version__
+from docdepth._core import __version__
 from docdepth.render import backends
 
 # Debian's packages of the system libraries that Python packages load.

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.merged_lidars import Cloud, Place, find_lidars, lidar_ends, rig_in_order
 from docdepth.geometry.points import usable_points

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.geometry.points import check_sweep
 from docdepth.geometry.scan_mesh import ScanMesh
 

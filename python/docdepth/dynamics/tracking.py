@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.dynamics.clustering import OBJECT_PARAMETERS
 from docdepth.dynamics.voting import NEVER, Votes
 from docdepth.errors import InputError

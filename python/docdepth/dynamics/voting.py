@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.config import DynamicsParameters
 from docdepth.errors import InputError
 from docdepth.geometry.points import check_sweep

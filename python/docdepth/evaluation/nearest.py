@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import _core
+import docdepth._core as _core
 
 # Queries per piece, so that temporary arrays stay below a hundred megabytes.
 _BATCH = 1_000_000

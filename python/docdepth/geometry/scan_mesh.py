@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.geometry.points import check_points
 from docdepth.geometry.sensor_rig import LidarView, SensorRig, lidar_views
 

@@ -7,7 +7,7 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.config import GroundParameters
 from docdepth.errors import InputError
 from docdepth.geometry.se3 import check_rigid

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from docdepth import __version__
+from docdepth._core import __version__
 from docdepth.config import Parameters, stored_parameters
 from docdepth.errors import DamagedFileError, InputError, RunError
 from docdepth.geometry.camera import Camera

@@ -9,7 +9,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset, Sweep
 from docdepth.datasets.tolerance import reading_a_frame

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import __version__
+from docdepth._core import __version__
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.datasets.tolerance import reading_a_frame

@@ -37,7 +37,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import __version__
+from docdepth._core import __version__
 from docdepth.concurrency import thread_count
 from docdepth.errors import ConfigError, MissingExtraError, RunError
 from docdepth.io.recorded_folder import HandedFile

@@ -21,7 +21,7 @@ import threading
 from dataclasses import dataclass
 from typing import Any
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.errors import BackendError
 
 _CPU = "docdepth's own rasteriser"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.config import RenderParameters
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera

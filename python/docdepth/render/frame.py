@@ -7,7 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.config import RenderParameters
 from docdepth.errors import InputError
 from docdepth.geometry.points import DYNAMIC

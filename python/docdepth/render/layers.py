@@ -33,7 +33,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth import _core
+import docdepth._core as _core
 from docdepth.config import Layer, RenderParameters
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera

@@ -12,7 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from docdepth import __version__
+from docdepth._core import __version__
 from docdepth.config import Parameters
 from docdepth.errors import ConfigError, DamagedFileError, RunError
 from docdepth.io.atomic import write_atomically

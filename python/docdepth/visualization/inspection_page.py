@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from docdepth import __version__
+from docdepth._core import __version__
 from docdepth.visualization.inspection_text import inspection_lines
 from docdepth.visualization.page import figure, head, table, write_page
 from docdepth.visualization.pictures import Picture

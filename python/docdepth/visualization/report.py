@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from docdepth import __version__
+from docdepth._core import __version__
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
