@@ -1,17 +1,19 @@
-// numpy arrays in and out of the core. Shapes are checked here as well, so that a direct caller of
-// _core gets an error message and never a crash.
+// numpy arrays in and out of the core. Their shapes, rows and poses are checked here, as what does
+// not fit would be read beyond its end. Parameters are checked by config.py.
 #pragma once
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 
 #include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
 
-#include "checks.hpp"
 #include "docdepth/geometry/types.hpp"
 #include "docdepth/mesh/constants.hpp"
 #include "docdepth/mesh/scan_mesh.hpp"
@@ -26,6 +28,19 @@ using Array = py::array_t<T, py::array::c_style | py::detail::npy_api::NPY_ARRAY
 
 using PointMap = Eigen::Map<const Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>>;
 
+constexpr std::int64_t kMaxRows = 0x7fffffff;  ///< rows are numbered by 32 bits
+constexpr double kMaxTranslation = 1e8;        ///< of a pose [m]: beyond UTM coordinates
+constexpr double kOrthogonal = 1e-3;           ///< of rotations, as in geometry/se3.py
+
+/// @throws std::invalid_argument the number is outside of its range, or not a number
+template <class Number>
+Number in_range(Number value, double low, double high, const char* name) {
+  if (static_cast<double>(value) >= low && static_cast<double>(value) <= high) return value;
+  std::ostringstream text;
+  text << name << " = " << value << " must lie between " << low << " and " << high;
+  throw std::invalid_argument(text.str());
+}
+
 /// View of an (N, 3) float32 array, without a copy.
 inline PointMap as_points(const Array<float>& array, const char* name = "points") {
   if (array.ndim() != 2 || array.shape(1) != 3 || array.shape(0) > kMaxRows)
@@ -33,25 +48,33 @@ inline PointMap as_points(const Array<float>& array, const char* name = "points"
   return PointMap(array.data(), array.shape(0), 3);
 }
 
+/// A pose of 16 values, row after row. Rows and cells of images are computed with it.
+inline Pose checked_pose(const double* values) {
+  Pose pose;
+  pose.matrix() = Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(values);
+  const Eigen::Matrix3d gram = pose.linear() * pose.linear().transpose();
+  if (!(pose.matrix().allFinite() && pose.matrix().row(3) == Eigen::RowVector4d(0, 0, 0, 1) &&
+        (gram - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff() < kOrthogonal &&
+        pose.linear().determinant() > 0 &&
+        pose.translation().cwiseAbs().maxCoeff() < kMaxTranslation))
+    throw std::invalid_argument("a pose is not a rotation and a translation in metres");
+  return pose;
+}
+
 /// A 4x4 row-major float64 array as a pose.
 inline Pose as_pose(const Array<double>& array) {
   if (array.ndim() != 2 || array.shape(0) != 4 || array.shape(1) != 4)
     throw std::invalid_argument("a pose must be a float64 array of shape (4, 4)");
-  Pose pose;
-  pose.matrix() = Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(array.data());
-  return checked(pose);
+  return checked_pose(array.data());
 }
 
 /// A (k, 4, 4) row-major float64 array as poses.
 inline std::vector<Pose> as_poses(const Array<double>& array) {
   if (array.ndim() != 3 || array.shape(1) != 4 || array.shape(2) != 4)
     throw std::invalid_argument("poses must be a float64 array of shape (k, 4, 4)");
-  std::vector<Pose> poses(array.shape(0));
-  for (std::size_t k = 0; k < poses.size(); ++k) {
-    using Matrix = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
-    poses[k].matrix() = Eigen::Map<const Matrix>(array.data() + 16 * k);
-    checked(poses[k]);
-  }
+  std::vector<Pose> poses;
+  for (py::ssize_t k = 0; k < array.shape(0); ++k)
+    poses.push_back(checked_pose(array.data() + 16 * k));
   return poses;
 }
 

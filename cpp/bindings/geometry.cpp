@@ -7,7 +7,6 @@ namespace {
 
 py::tuple find_nearest(const Array<float>& points, const Array<float>& queries, int threads) {
   const PointMap map = as_points(points), wanted = as_points(queries, "queries");
-  threads = checked_threads(threads);
   NearestNeighbors found;
   {
     const py::gil_scoped_release release;

@@ -48,7 +48,7 @@ void bind_ground(py::module_& m) {
                        const std::optional<Array<double>>& corner) {
              std::optional<Eigen::Vector3d> at;
              if (corner) at = Eigen::Map<const Eigen::Vector3d>(as_column(*corner, 3, "corner"));
-             return std::make_unique<GroundMap>(checked(parameters), checked_threads(threads), at);
+             return std::make_unique<GroundMap>(parameters, threads, at);
            }),
            py::arg("parameters"), py::arg("threads") = 0, py::arg("corner") = py::none())
       .def("__len__", &GroundMap::size)

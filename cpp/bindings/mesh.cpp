@@ -12,9 +12,8 @@ namespace {
 
 std::unique_ptr<ScanMesh> make_mesh(const Array<float>& points, const MeshParameters& parameters) {
   const PointMap map = as_points(points);
-  const MeshParameters used = checked(parameters);
   const py::gil_scoped_release release;
-  return std::make_unique<ScanMesh>(build_scan_mesh(map, used));
+  return std::make_unique<ScanMesh>(build_scan_mesh(map, parameters));
 }
 
 /// Join the meshes of several LiDARs into one. Each uses its own rows of the same points.

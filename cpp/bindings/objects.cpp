@@ -87,11 +87,10 @@ py::array_t<std::uint32_t> objects_of(const Array<float>& points, const Array<bo
   const PointMap map = as_points(points);
   check_mesh(mesh, map.rows());
   const bool* flags = as_flags(ground, map.rows(), "ground");
-  const ObjectParameters used = checked(parameters);
   std::vector<std::uint32_t> objects;
   {
     const py::gil_scoped_release release;
-    objects = cluster_objects(map, flags, mesh, used);
+    objects = cluster_objects(map, flags, mesh, parameters);
   }
   return to_numpy(std::move(objects), {static_cast<py::ssize_t>(map.rows())});
 }
@@ -104,12 +103,11 @@ py::array_t<std::uint8_t> classified(const Array<float>& points, const Array<boo
   const VotedSweep sweep(points, ground, static_votes, dynamic_votes);
   check_mesh(mesh, sweep.points.rows());
   const std::uint32_t* first = as_objects(objects, sweep.points.rows());
-  const ObjectParameters used = checked(parameters);
   std::vector<std::uint8_t> dynamic;
   {
     const py::gil_scoped_release release;
     dynamic = classify_objects(sweep.points, sweep.ground, first, sweep.static_votes,
-                               sweep.dynamic_votes, mesh, used);
+                               sweep.dynamic_votes, mesh, parameters);
   }
   return to_numpy(std::move(dynamic), {static_cast<py::ssize_t>(sweep.points.rows())});
 }
@@ -122,12 +120,11 @@ py::array_t<std::uint8_t> with_isolated(const Array<float>& points, const Array<
                                         const ObjectParameters& parameters) {
   const VotedSweep sweep(points, ground, static_votes, dynamic_votes);
   const std::uint32_t* first = as_objects(objects, sweep.points.rows());
-  const ObjectParameters used = checked(parameters);
   std::vector<std::uint8_t> result = copy_flags(dynamic, sweep.points.rows(), "dynamic");
   {
     const py::gil_scoped_release release;
     add_isolated_points(sweep.points, sweep.ground, first, sweep.static_votes, sweep.dynamic_votes,
-                        used, result);
+                        parameters, result);
   }
   return to_numpy(std::move(result), {static_cast<py::ssize_t>(sweep.points.rows())});
 }
@@ -143,12 +140,11 @@ py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bo
   const Pose T_world_lidar = as_pose(pose);
   const std::vector<OrientedBox> oriented = as_oriented_boxes(boxes);
   const std::vector<std::uint64_t> sorted(voxels.data(), voxels.data() + voxels.size());
-  const ObjectParameters used = checked(parameters);
   std::vector<std::uint8_t> result = copy_flags(dynamic, sweep.points.rows(), "dynamic");
   {
     const py::gil_scoped_release release;
     add_points_inside(sweep.points, sweep.ground, sweep.static_votes, sweep.dynamic_votes,
-                      T_world_lidar, oriented, sorted, used, result);
+                      T_world_lidar, oriented, sorted, parameters, result);
   }
   return to_numpy(std::move(result), {static_cast<py::ssize_t>(sweep.points.rows())});
 }
@@ -326,8 +322,6 @@ py::list track(const py::function& read, const Array<double>& times,
     in_range(t[i], -1e12, 1e12, "a time in seconds");
     if (i > 0 && !(t[i] > t[i - 1])) throw std::invalid_argument("times must increase");
   }
-  const TrackParameters used = checked(parameters);
-  threads = checked_threads(threads);
   if (held < 1) throw std::invalid_argument("at least one sweep must be held");
   const auto detections = [&](std::size_t sweep) -> std::shared_ptr<const Detections> {
     const py::gil_scoped_acquire acquire;
@@ -342,7 +336,8 @@ py::list track(const py::function& read, const Array<double>& times,
   std::vector<TrackedObject> tracked;
   {
     const py::gil_scoped_release release;
-    tracked = track_objects(detections, {t, t + count}, used, threads, give, std::size_t(held));
+    tracked =
+        track_objects(detections, {t, t + count}, parameters, threads, give, std::size_t(held));
   }
   py::list objects;
   for (TrackedObject& object : tracked) {

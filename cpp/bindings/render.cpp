@@ -26,7 +26,6 @@ py::array_t<float> draw_splats(const Array<double>& K, int width, int height,
                                const Size& dynamic_size, int threads) {
   const Camera camera = as_camera(K, width, height);
   const PlacedClouds placed(static_frames, dynamic_frames, static_size, dynamic_size);
-  threads = checked_threads(threads);
   // The renderer keeps an image for each height of splats.
   const int largest = std::max(placed.static_heights.largest(), placed.dynamic_heights.largest());
   in_range(double(width) * height * largest, 0, kMaxSplatPixels,
@@ -99,7 +98,6 @@ py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
   const auto placed = as_boxes(boxes);
   in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
   in_range(nearest_frames, 1, kMaxRows, "nearest_frames");
-  threads = checked_threads(threads);
   std::vector<float> depth;
   {
     const py::gil_scoped_release release;
@@ -171,7 +169,6 @@ py::dict splat_layers(const Array<double>& K, int width, int height,
                       const Size& dynamic_size, const Array<float>& depth, int threads) {
   const Camera camera = as_camera(K, width, height);
   const PlacedClouds placed(static_frames, dynamic_frames, static_size, dynamic_size);
-  threads = checked_threads(threads);
   const float* z = as_depth(depth, width, height);
   std::optional<Layers> layers;
   {
@@ -191,7 +188,6 @@ py::dict mesh_layers(const Array<double>& K, int width, int height,
   const auto sighted = as_objects(objects);
   const auto shutter = as_shutter_frames(shutter_frames);
   in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
-  threads = checked_threads(threads);
   const float* z = as_depth(depth, width, height);
   std::optional<Layers> layers;
   {

@@ -15,6 +15,12 @@
 
 namespace docdepth::bindings {
 
+constexpr int kMaxSide = 1 << 16;                 ///< of an image [pixel]
+constexpr std::int64_t kMaxPixels = 1 << 27;      ///< a depth map of 512 MB
+constexpr double kMaxFocalLength = 1e6;           ///< [pixel]
+constexpr double kMaxSplat = 2048.0;              ///< height of a splat [pixel]
+constexpr double kMaxSplatPixels = 2147483648.0;  ///< of all heights together: 8 GB
+
 inline Camera as_camera(const Array<double>& K, int width, int height) {
   if (K.ndim() != 2 || K.shape(0) != 3 || K.shape(1) != 3)
     throw std::invalid_argument("K must be a float64 array of shape (3, 3)");

@@ -10,12 +10,20 @@
 namespace docdepth::bindings {
 namespace {
 
+constexpr double kMinResolution = 5e-4;  ///< of a key frame [rad]: 2 GB at most
+constexpr int kMaxWindow = 63;           ///< of a key frame [pixel]
+
+void check_key_frame(double resolution, int window) {
+  in_range(resolution, kMinResolution, 1, "resolution");
+  in_range(window, 1, kMaxWindow, "window");
+}
+
 std::unique_ptr<RangeImage> make_range_image(const Array<float>& points, const Array<bool>& ground,
                                              double resolution, int window, float tolerance,
                                              bool plain) {
   const PointMap map = as_points(points);
   const bool* flags = as_flags(ground, map.rows(), "ground");
-  check_key_frame(resolution, window, tolerance);
+  check_key_frame(resolution, window);
   const py::gil_scoped_release release;
   return std::make_unique<RangeImage>(map, flags,
                                       RangeImageParameters{resolution, window, tolerance, plain});
@@ -27,9 +35,9 @@ std::unique_ptr<MeshImage> make_mesh_image(const Array<float>& points, const Arr
   const PointMap map = as_points(points);
   const bool* flags = as_flags(ground, map.rows(), "ground");
   check_mesh(mesh, map.rows());
-  const MeshImageParameters used = checked(parameters);
+  check_key_frame(parameters.resolution, parameters.window);
   const py::gil_scoped_release release;
-  return std::make_unique<MeshImage>(map, flags, mesh, used);
+  return std::make_unique<MeshImage>(map, flags, mesh, parameters);
 }
 
 py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
@@ -44,7 +52,6 @@ py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
   const std::vector<Pose> T_world_key = as_poses(poses);
   for (const KeyFrame* key_frame : key_frames)
     if (!key_frame) throw std::invalid_argument("a key frame is None");
-  threads = checked_threads(threads);
   Votes votes;
   {
     const py::gil_scoped_release release;

@@ -1,9 +1,12 @@
 import logging
+import signal
+from concurrent.futures import ThreadPoolExecutor
 
 import ground_reference as reference
 import numpy as np
 import pytest
 
+import docdepth._core as _core
 from docdepth.config import GroundParameters, Parameters, parameters
 from docdepth.errors import InputError
 from docdepth.geometry.se3 import quaternion_to_matrix
@@ -285,3 +288,38 @@ def test_bad_input_is_named():
         ground_of([good, good], T[None])
     with pytest.raises(InputError, match="0 sweeps"):
         ground_of([], T[None])
+
+
+def test_growth_of_the_ground_ends_when_it_is_interrupted():
+    """A chunk of half a kilometre grows for many seconds."""
+    x, y = np.meshgrid(np.arange(1000), np.arange(1000))
+    floor = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float32) * np.float32(0.03)
+    ground_map = _core.GroundMap(_core.GroundParameters(), 1)
+    ground_map.insert(floor, np.eye(4))
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+        with pytest.raises(KeyboardInterrupt):
+            ground_map.grow()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert not ground_map.label(floor, np.eye(4)).any(), "it had grown to its end"
+    assert ground_map.grow() == len(ground_map)
+
+
+def test_a_ground_map_is_filled_from_several_threads():
+    ground_map = _core.GroundMap(_core.GroundParameters(), 2)
+    numbers = np.random.default_rng(0)
+    clouds = [numbers.uniform(-9, 9, (5000, 3)).astype(np.float32) for _ in range(24)]
+
+    def use(points: np.ndarray) -> int:
+        ground_map.insert(points, np.eye(4))
+        ground_map.grow()
+        return int(ground_map.label(points, np.eye(4)).sum())
+
+    with ThreadPoolExecutor(6) as pool:
+        assert len(list(pool.map(use, clouds))) == len(clouds)
