@@ -1,18 +1,16 @@
-"""Parameters: presets, single values, names of the last release, mistakes."""
+"""Parameters: presets, single values, mistakes."""
 
 import numpy as np
 import pytest
 import yaml
 
 import docdepth._core as _core
-from docdepth._old_names import REMOVED, warn_of_rename
 from docdepth.config import (
     GroundParameters,
-    Parameters,
     parameters,
     parse_settings,
 )
-from docdepth.errors import ConfigError, RunError
+from docdepth.errors import ConfigError
 from docdepth.io.run_folder import RunFolder
 from docdepth.parameter_table import parameter_table
 
@@ -211,77 +209,6 @@ def test_constants_given_in_degrees():
     mesh, image = _core.MeshParameters(), _core.MeshImageParameters()
     assert np.float32(mesh.max_gap) == np.float32(np.radians(4))
     assert np.float32(image.level_cosine) == np.float32(np.cos(np.radians(25)))
-
-
-@pytest.mark.parametrize(
-    ("preset", "settings", "new"),
-    [
-        ("default", {"dynamics.against": "pixels"}, {"vote_model": "range_image"}),
-        ("paper", {"dynamics.against": "surface"}, {"vote_model": "surface"}),
-        ("default", {"dynamics.tracks": False}, {"evidence": "objects"}),
-        ("default", {"dynamics.objects": False}, {"evidence": "points"}),
-        ("default", {"dynamics.objects": True, "dynamics.tracks": False}, {"evidence": "objects"}),
-        ("default", {"dynamics.tracks": True, "dynamics.objects": False}, {"evidence": "points"}),
-        ("paper", {"dynamics.objects": True}, {"evidence": "objects"}),
-        ("paper", {"dynamics.objects": True, "dynamics.tracks": True}, {"evidence": "tracks"}),
-        ("paper", {"dynamics.tracks": True}, {"evidence": "points"}),
-        ("paper", {"render.surface": "triangles"}, {"primitive": "triangles"}),
-        ("default", {"render.witnesses": 3}, {"visibility_sweeps": 3}),
-        (
-            "default",
-            {"render.static_size_max": 40, "render.static_size_min": 2},
-            {"static_size": (40, 2)},
-        ),
-        ("default", {"render.dynamic_size_min": 20}, {"dynamic_size": (80, 20)}),
-        ("default", {"odometry.bloom_deg": 0.5}, {"blooming_deg": 0.5}),
-    ],
-)
-def test_names_of_the_last_release_are_understood(preset, settings, new, caplog):
-    warn_of_rename.cache_clear()
-    changed = parameters(preset, settings)
-    stage = next(iter(settings)).partition(".")[0]
-    expected = parameters(preset, {f"{stage}.{name}": value for name, value in new.items()})
-    assert changed == expected
-    for old in settings:
-        assert f"{old} is called {stage}.{next(iter(new))} now" in caplog.text
-
-
-OLD = {
-    "preset": "default",
-    "ground": {"chunk_overlap": 100.0, "least_share": 0.01, "voxel_size": 0.05},
-    "surface": {"max_gap_deg": 4.0, "jump_ratio": 4.0, "noise": 0.1, "flatness": 0.1},
-    "dynamics": {"against": "surface", "across": 0.2, "link": 0.3, "objects": True, "tracks": True},
-}
-
-
-def test_an_old_run_opens_unless_it_changed_what_is_a_constant_now():
-    assert Parameters.model_validate(OLD) == parameters(settings={"ground.voxel_size": 0.05})
-    paper = {"dynamics": {"against": "pixels", "end_radius": 0, "objects": False, "tracks": False}}
-    found = Parameters.model_validate(paper).dynamics
-    assert (found.vote_model, found.evidence) == ("range_image", "points")
-    changed = OLD | {"surface": {"max_gap_deg": 5.0}}
-    with pytest.raises(ValueError, match=r"surface.max_gap_deg is no parameter.*here it is 5.0"):
-        Parameters.model_validate(changed)
-
-
-@pytest.mark.parametrize("name", REMOVED)
-def test_what_is_a_constant_now_is_named(name):
-    with pytest.raises(ConfigError, match=f"{name} is no parameter any more but the constant"):
-        parameters(settings={name: REMOVED[name][0]})
-    assert name not in [f"{s}.{key}" for s, v in parameters().model_dump().items()
-                        if s != "preset" for key in v]  # fmt: skip
-
-
-def test_a_run_of_the_last_release_continues(tmp_path):
-    manifest = {"source": {}, "parameters": OLD, "stages": {}}
-    (tmp_path / "run.yaml").write_text(yaml.safe_dump(manifest))
-    p = parameters(settings={"ground.voxel_size": 0.05})
-    assert RunFolder.open(tmp_path).parameters == p
-    run = RunFolder.create(tmp_path, {}, p)
-    assert run.manifest["parameters"] == p.model_dump(mode="json")
-    other = parameters(settings={"dynamics.window": 7, "ground.voxel_size": 0.05})
-    with pytest.raises(RunError, match=r"dynamics.window is 5, not 7"):
-        RunFolder.create(tmp_path, {}, other)
 
 
 def test_numbers_with_zeros_in_front_are_decimal():

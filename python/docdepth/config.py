@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from docdepth._old_names import REMOVED, is_constant, translate
 from docdepth._parameter_text import check_key_frames, explain
 from docdepth._parameter_text import parse_settings as parse_settings
 from docdepth.errors import ConfigError, InputError
@@ -278,9 +277,7 @@ class OutputParameters(_Stage):
 
 
 class Parameters(_Stage):
-    """Parameters of all stages of a run. Unknown names are errors, those of earlier versions are
-    translated with a warning.
-    """
+    """Parameters of all stages of a run. Unknown names are errors."""
 
     preset: Preset = "default"
     odometry: OdometryParameters = OdometryParameters()
@@ -288,11 +285,6 @@ class Parameters(_Stage):
     dynamics: DynamicsParameters = DynamicsParameters()
     render: RenderParameters = RenderParameters()
     output: OutputParameters = OutputParameters()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_earlier_versions(cls, tree: Any) -> Any:
-        return translate(tree, _default) if isinstance(tree, dict) else tree
 
     def __repr__(self) -> str:
         changes = departures(self)
@@ -308,11 +300,6 @@ STAGES: dict[str, type[BaseModel]] = {
     "render": RenderParameters,
     "output": OutputParameters,
 }
-
-
-def _default(name: str) -> Any:
-    stage, _, key = name.partition(".")
-    return STAGES[stage].model_fields[key].default
 
 
 # What `paper` sets apart from `default`, stage by stage.
@@ -337,8 +324,7 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
     preset : {"default", "paper"}
         ``default`` is what measured best, ``paper`` follows the paper's text.
     settings : dict, optional
-        Values by dotted name, ``{"dynamics.tolerance": 0.3}``. Names of the last release are
-        understood, with a warning.
+        Values by dotted name, ``{"dynamics.tolerance": 0.3}``.
 
     Returns
     -------
@@ -347,8 +333,7 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
     Raises
     ------
     ConfigError
-        The preset or a name is unknown, names what is a constant now, or a value is outside its
-        range.
+        The preset or a name is unknown, or a value is outside its range.
     """
     if preset not in ("default", "paper"):
         raise ConfigError(f"unknown preset {preset!r}; there are 'default' and 'paper'")
@@ -361,8 +346,6 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
     if preset == "paper":
         tree |= {stage: dict(values) for stage, values in _PAPER.items()}
     for name, value in (settings or {}).items():
-        if name in REMOVED:
-            raise ConfigError(is_constant(name))
         stage, _, key = name.partition(".")
         if not key or stage not in STAGES:
             raise ConfigError(

@@ -29,8 +29,6 @@ def commands(group=None, path=()):
 
 @pytest.mark.parametrize(("name", "command"), [pytest.param(n, c, id=n) for n, c in commands()])
 def test_every_option_says_what_it_is_for(name, command):
-    if name == "sweep":  # the old name of tune
-        return
     assert command.help
     for parameter in command.params:
         assert parameter.help, f"{name} {parameter.name}"

@@ -11,7 +11,6 @@ from docdepth.config import parameters
 from docdepth.errors import CalibrationError, RunError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import poses_from, rotation_exp
-from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
 from docdepth.io.calibration import write_calibration
@@ -47,13 +46,6 @@ def test_frame_is_read_back_the_same(tmp_path, frame):
     for name in ("points", "index", "classid", "votes_static", "votes_dynamic", "time_offset"):
         np.testing.assert_array_equal(getattr(back, name), getattr(frame, name))
     assert (back.name, back.input_points) == (frame.name, 201)
-
-
-def test_a_frame_of_the_previous_release_is_read(tmp_path, frame):
-    path = tmp_path / "frame_000000.ply"
-    write_frame(path, frame)
-    path.write_bytes(path.read_bytes().replace(b"float time_offset", b"float late"))
-    np.testing.assert_array_equal(read_frame(path).time_offset, frame.time_offset)
 
 
 def test_names_of_files_survive(tmp_path, frame):
@@ -185,19 +177,6 @@ def test_calibration_round_trip_and_missing(tmp_path):
     np.testing.assert_array_equal(back.K, camera.K)
     np.testing.assert_array_equal(T_camera_lidar, pose)
     assert (back.width, back.height) == (1242, 375)
-
-
-def test_sensors_of_the_previous_release_are_read(tmp_path, frame):
-    run = RunFolder.create(tmp_path / "run", {}, parameters())
-    index = np.zeros(100, np.uint8)
-    rig = SensorRig(index, np.eye(4)[None], np.array([0.02]), np.array([3], np.uint8))
-    run.write_sensors(rig, {})
-    record = replace(frame, sensor=index)
-    assert run.sensor_rig(record).lidar_id.tolist() == [3]
-    old = {"T_lidar_sensor": rig.T_lidar_sensor, "aside": rig.lateral_offset, "head": rig.lidar_id}
-    np.savez(run.path / "sensors.npz", **old)
-    found = RunFolder.open(run.path).sensor_rig(record)
-    assert (found.lateral_offset.tolist(), found.lidar_id.tolist()) == ([0.02], [3])
 
 
 def test_stage_key_depends_on_every_value():

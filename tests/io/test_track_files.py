@@ -60,17 +60,6 @@ def test_tracks_are_read_as_they_were_written(tmp_path: Path):
             np.testing.assert_allclose(getattr(read, name), getattr(track, name), atol=1e-3)
 
 
-def test_a_file_of_an_earlier_version_tells_one_deviation(tmp_path: Path):
-    path = tmp_path / "tracks.csv"
-    write_tracks(path, [circling()], TIMES)
-    column = COLUMNS.index("surface_deviation")
-    rows = [line.split(",") for line in path.read_text().splitlines()]
-    path.write_text("".join(",".join(row[:column] + row[column + 1 :]) + "\n" for row in rows))
-    (read,) = read_tracks(path)
-    np.testing.assert_array_equal(read.surface_deviations, read.deviations)
-    np.testing.assert_allclose(read.deviations, circling().deviations, atol=1e-3)
-
-
 @pytest.mark.parametrize(
     "content",
     ["", "frame,id\n0,1\n", "\xff", ",".join(COLUMNS) + "\n0,0,1,lorry" + ",1" * 14 + "\n",

@@ -53,13 +53,11 @@ def test_files(tmp_path) -> None:
     assert len(read_trials(Path(__file__).parents[2] / "benchmarks" / "ablation.yaml")) == 4
 
 
-def test_settings_replace_those_of_the_run_by_old_names_too() -> None:
+def test_settings_replace_those_of_the_run() -> None:
     base = parameters("paper", {"dynamics.window": 3, "render.step": 1.0, "output.scale": 100})
     assert parameters_of(base, Trial("a", {})) == base
     found = parameters_of(base, Trial("b", {"dynamics.tolerance": 0.5}))
     assert (found.dynamics.window, found.dynamics.tolerance, found.render.step) == (3, 0.5, 1.0)
-    old = parameters_of(base, Trial("c", {"dynamics.against": "surface"}))
-    assert (old.dynamics.vote_model, old.dynamics.window) == ("surface", 3)
     preset = parameters_of(base, Trial("d", {"preset": "default"}))
     assert preset == parameters(settings={"output.scale": 100})
 

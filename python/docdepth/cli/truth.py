@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial, wraps
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -231,9 +231,3 @@ def _judges(
     if depth:
         return [DepthJudge(folder, camera) for folder in depth]
     return [HeldOutJudge(10 if every is None else every, camera)] * count
-
-
-@app.command("sweep", hidden=True, deprecated=True)
-@wraps(tune)
-def sweep(*args: Any, **options: Any) -> None:
-    tune(*args, **options)

@@ -38,8 +38,6 @@ _OPTIONAL = {
 }
 """Properties of a frame that it may lack."""
 
-_OLD_NAMES = {"time_offset": "late"}  # read for one release
-
 
 @dataclass(frozen=True)
 class FrameRecord:
@@ -208,10 +206,7 @@ def read_frame(path: Path) -> FrameRecord:
         raise DamagedFileError(path, f"its sweep is called {name[:60]!r}")
 
     def column(name: str) -> NDArray[Any] | None:
-        written = name if name in names else _OLD_NAMES.get(name)
-        if written not in names:
-            return None
-        return np.ascontiguousarray(rows[written], _OPTIONAL[name])
+        return np.ascontiguousarray(rows[name], _OPTIONAL[name]) if name in names else None
 
     index = (
         rows["index"].astype(np.uint32)

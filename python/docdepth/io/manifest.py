@@ -47,7 +47,7 @@ def read_manifest(path: Path) -> dict[str, Any] | None:
         return None
     if not isinstance(found.get(WITHOUT_FRAMES, {}), dict):
         return None
-    cameras = found.get("cameras") or {}
+    cameras = found.setdefault("cameras", {})
     sound = isinstance(cameras, dict) and all(map(_is_camera, cameras.values()))
     return found if sound and all(isinstance(stage, dict) for stage in stages.values()) else None
 
@@ -57,16 +57,6 @@ def _is_camera(entry: Any) -> bool:
     folder = entry.get("folder") if isinstance(entry, dict) else None
     plain = isinstance(folder, str) and (folder == "" or is_file_name(folder))
     return plain and isinstance(entry.get("settings", {}), dict)
-
-
-def cameras_of_earlier_version(stages: dict[str, Any]) -> dict[str, Any]:
-    """The cameras of a run.yaml that lists them with the stage that draws them."""
-    listed = [stage for name, stage in stages.items() if name.partition(" ")[0] == "render"]
-    return {
-        name: {"folder": folder, "settings": {}}
-        for stage in listed
-        for name, folder in zip(stage.get("cameras", []), stage.get("folders", []), strict=False)
-    }
 
 
 def skipped_frames(skipped: dict[str, Any] | None) -> list[str]:

@@ -31,7 +31,6 @@ from docdepth.io.frames import (
 )
 from docdepth.io.manifest import (
     WITHOUT_FRAMES,
-    cameras_of_earlier_version,
     first_difference,
     read_manifest,
     without_skipped,
@@ -117,7 +116,6 @@ class RunFolder(RecordedFolder):
 
     def _continue(self, source: dict[str, Any], asked: dict[str, Any], force: bool) -> None:
         """Go on with a run that was started before."""
-        # In today's names: a release before this one may have started the run.
         known = self.parameters.model_dump(mode="json")
         first = self.manifest.get("parameters_at_start", known)
         # Another camera is added to those that the run has.
@@ -188,8 +186,6 @@ class RunFolder(RecordedFolder):
             found = read_manifest(self._copy_path)
             if found is not None:
                 log.warning("%s was missing or damaged; its copy is used", self._manifest_path)
-        if found is not None and not isinstance(found.get("cameras"), dict):
-            found["cameras"] = cameras_of_earlier_version(found["stages"])
         return found or {}
 
     def _manifest_text(self) -> bytes | None:

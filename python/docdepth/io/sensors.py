@@ -13,7 +13,6 @@ from docdepth.io.arrays import ArrayError, read_arrays
 from docdepth.io.atomic import npz_bytes
 
 _NAMES = ("T_lidar_sensor", "lateral_offset", "lidar_id")
-_OLD_NAMES = {"aside": "lateral_offset", "head": "lidar_id"}  # read for one release
 
 
 def sensors_bytes(sensor_rig: SensorRig) -> bytes:
@@ -30,8 +29,8 @@ def read_sensors(path: Path) -> dict[str, NDArray[Any]]:
         The file is missing or damaged.
     """
     try:
-        kept = {_OLD_NAMES.get(name, name): values for name, values in read_arrays(path).items()}
-        return {name: kept[name] for name in _NAMES}
+        arrays = read_arrays(path)
+        return {name: arrays[name] for name in _NAMES}
     except FileNotFoundError:
         raise DamagedFileError(path, "") from None
     except (OSError, ArrayError, KeyError) as error:

@@ -155,8 +155,6 @@ class _Rows:
         self.kind, self.values, self.whole = kind, array("d"), array("q")
 
     def add(self, row: dict[str, str]) -> None:
-        # Files of earlier versions tell one deviation.
-        row.setdefault("surface_deviation", row["deviation"])
         self.values.extend([float(row[name]) for name in _NUMBERS])
         self.whole.extend([int(row["time_ns"]), int(row["points"])])
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import yaml
 
-from docdepth._old_names import RENAMED
 from docdepth._parameter_text import read_yaml
 from docdepth._yaml_text import explain_yaml
 from docdepth.config import Parameters, parameters, replaced
@@ -152,11 +151,6 @@ def check_stages(trial: Trial, stages: Sequence[str], what: str) -> None:
                 f"{name} does not change {what}; judge by true depth (--depth DIR) or by sweeps "
                 "that are left out (--held-out N)",
             )
-
-
-def given_names(trial: Trial) -> set[str]:
-    """Today's dotted names of what a trial sets."""
-    return {RENAMED[name][0] if name in RENAMED else name for name in trial.settings}
 
 
 def refused(trial: Trial, why: str) -> ConfigError:

@@ -21,7 +21,7 @@ from docdepth.pipeline.run_state import require
 from docdepth.tuning.judges import Judge
 from docdepth.tuning.results import Outcome, View, as_csv, means, table
 from docdepth.tuning.trial_run import make_trial
-from docdepth.tuning.trials import Trial, check_stages, given_names, parameters_of, refused
+from docdepth.tuning.trials import Trial, check_stages, parameters_of, refused
 
 _TRIALS = ".docdepth-trials"
 """Folder of the trials' run folders. A trial is deleted once it is judged, so nothing of the user's
@@ -223,7 +223,7 @@ class _Task:
     def __call__(self) -> None:
         """Make the trial, judge it, write the result and delete the trial."""
         path, source = self.out / _TRIALS / self.trial.name, RunFolder.open(self.run)
-        varied = given_names(self.trial)
+        varied = set(self.trial.settings)
         try:
             folder = make_trial(
                 path, source, self.parameters, varied, self.key, self.judge, self.threads
