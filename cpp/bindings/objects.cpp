@@ -4,10 +4,11 @@
 #include <optional>
 
 #include "arrays.hpp"
-#include "docdepth/objects/classification.hpp"
-#include "docdepth/objects/clustering.hpp"
-#include "docdepth/objects/detections.hpp"
-#include "docdepth/objects/tracking.hpp"
+#include "docdepth/detections/classification.hpp"
+#include "docdepth/detections/clustering.hpp"
+#include "docdepth/detections/detections.hpp"
+#include "docdepth/evidence/points_inside.hpp"
+#include "docdepth/evidence/track_objects.hpp"
 
 PYBIND11_MAKE_OPAQUE(docdepth::Detections)
 

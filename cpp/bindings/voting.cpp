@@ -3,9 +3,9 @@
 #include <memory>
 
 #include "arrays.hpp"
-#include "docdepth/dynamics/key_frame.hpp"
-#include "docdepth/dynamics/mesh_image.hpp"
-#include "docdepth/dynamics/range_image.hpp"
+#include "docdepth/voting/key_frame.hpp"
+#include "docdepth/voting/mesh_image.hpp"
+#include "docdepth/voting/range_image.hpp"
 
 namespace docdepth::bindings {
 namespace {

@@ -1,0 +1,67 @@
+// Where a tracked object is over time.
+#pragma once
+
+#include <vector>
+
+#include "docdepth/geometry/oriented_box.hpp"
+#include "docdepth/paths/path_estimation.hpp"
+#include "docdepth/tracking/parameters.hpp"
+#include "docdepth/tracking/track.hpp"
+
+namespace docdepth {
+
+/// The path of a track: where its object is at any time, and around what was seen of it.
+class TrackPath {
+ public:
+  /// The track and the parameters must outlive the path.
+  /// @param seen  what each observation of the track saw
+  TrackPath(const Track& track, const SeenSurface* seen, const std::vector<double>& times,
+            const TrackParameters& p)
+      : track_(track), p_(p), path_(estimate_path(track, seen, times)) {}
+
+  /// The object at a time [s], interpolated between its observations and continued beyond them.
+  Pose pose(double t) const;  ///< T_world_object; x forward, z up
+  Eigen::Vector3d velocity(double t) const;
+  float speed(double t) const { return float(velocity(t).norm()); }
+
+  /// Whether the position is known: between observations and a little outside, longer if it stands.
+  bool covers(double t) const;
+  /// Around what was seen of it near a time.
+  OrientedBox box(double t) const;
+  /// Around all that was ever seen of it.
+  OrientedBox whole_box(double t) const { return around(path_.extent, t); }
+  /// How well its place is known at an observation [m].
+  double deviation(std::size_t observation) const { return path_.states[observation].deviation; }
+  /// The same of what is seen of its surface, across itself [m]: a lorry may be known badly along
+  /// its side, and the side well.
+  double surface_deviation(std::size_t observation) const {
+    return path_.states[observation].surface_deviation;
+  }
+  /// How far it surely goes from its first place, level, in all observations or in dynamic ones
+  /// [m]. What is seen of a bush goes up and down, and a fence shows no shift along it.
+  float distance(bool dynamic) const;
+
+  /// The observations that are one object; of others nothing else is known.
+  std::size_t begin() const { return path_.begin; }
+  std::size_t end() const { return path_.end; }
+  bool is_one_object() const { return path_.is_one_object(); }
+
+  bool is_rigid() const { return path_.rigid; }
+  /// Whether it is wider than a person while it passes. In most sweeps a person may be one object
+  /// with the parked cars beside him, but these do not pass.
+  bool passes_wide() const { return path_.passes_wide; }
+  /// Whether ground was seen around it; then its heights are those over the ground.
+  bool has_ground() const { return path_.has_ground; }
+  /// Around all that was seen of it, in its own frame.
+  const Extent& extent() const { return path_.extent; }
+
+ private:
+  std::size_t after(double t) const;
+  OrientedBox around(const Extent& extent, double t) const;
+
+  const Track& track_;
+  const TrackParameters& p_;
+  const PathEstimate path_;
+};
+
+}  // namespace docdepth

@@ -1,0 +1,66 @@
+#include "docdepth/tracking/neighbors.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "docdepth/detections/constants.hpp"
+
+namespace docdepth {
+namespace {
+
+/// Whether the place of a detection was less free than that of another one which is not much
+/// larger, and the votes tell that it was there before or stayed after.
+bool was_there_before(const Detection& object, const Detection& other) {
+  return object.area > kFragmentShare * other.area &&
+         was_less_free(object, other.passing_share()) &&
+         (other.is_passing() || object.first_occupied < other.first_occupied ||
+          object.last_occupied > other.last_occupied);
+}
+
+}  // namespace
+
+bool are_too_wide(std::initializer_list<const SampledPoints*> things) {
+  for (int i = 0; i < kWidthDirections; ++i) {
+    const double angle = M_PI * i / kWidthDirections;
+    const Eigen::Vector2f across(float(std::cos(angle)), float(std::sin(angle)));
+    float low = std::numeric_limits<float>::infinity(), high = -low;
+    for (const SampledPoints* samples : things)
+      for (const Eigen::Vector3f& p : *samples) {
+        const float x = across.dot(p.head<2>());
+        low = std::min(low, x), high = std::max(high, x);
+      }
+    if (high - low <= kMaxVehicleWidth) return false;
+  }
+  return true;
+}
+
+bool was_less_free(const Detection& object, float share) {
+  return share * float(object.points) >= kMinExpectedPoints &&
+         object.passing_share() < kTogetherShare * share;
+}
+
+SampledPoints drop_neighbors(const Detections& seen, std::vector<std::uint32_t>& objects) {
+  SampledPoints neighbors;
+  if (objects.empty()) return neighbors;
+  const auto best = *std::max_element(objects.begin(), objects.end(), [&](auto a, auto b) {
+    return seen[a].passing_area() < seen[b].passing_area();
+  });
+  const auto is_neighbor = [&](std::uint32_t k) {
+    const SampledPoints& samples = seen[k].samples();
+    if (k == best ||
+        !(was_there_before(seen[k], seen[best]) || are_too_wide({&samples, &seen[best].samples()})))
+      return false;
+    neighbors.insert(neighbors.end(), samples.begin(), samples.end());
+    return true;
+  };
+  objects.erase(std::remove_if(objects.begin(), objects.end(), is_neighbor), objects.end());
+  return neighbors;
+}
+
+bool is_among(const Detection& object, const SampledPoints& neighbors) {
+  return !neighbors.empty() &&
+         matched_share(object.samples(), Eigen::Vector3f::Zero(), neighbors) >= kMinMemberShare;
+}
+
+}  // namespace docdepth
