@@ -1,15 +1,40 @@
-"""Errors of docdepth. Each message names the file, the frame and the remedy."""
+"""Errors and findings of docdepth: what is wrong, where, and what to do.
+
+A remedy is a sentence. What it names of Python stands in backticks, as in ``leave it out by
+`on_error='skip'```; the command line says it as an option or a command.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 
 class DocDepthError(Exception):
-    """Base class of all errors that docdepth raises."""
+    """Base class of all errors that docdepth raises.
+
+    Parameters
+    ----------
+    text : str
+        What is wrong: it names the file, the frame and the value.
+    remedy : str
+        What to do.
+    code : str
+        Kind of problem, for programs; that of the class if absent.
+    """
+
+    code = "error"
+
+    def __init__(self, text: object = "", remedy: str = "", *, code: str = "") -> None:
+        super().__init__(str(text))
+        self.text, self.remedy = str(text), remedy
+        self.code = code or type(self).code
+
+    def __str__(self) -> str:
+        return _sentence(self.text, self.remedy)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Of a worker's error another process makes a copy. Exception would call __init__ with the
@@ -23,28 +48,44 @@ def _copy(kind: type[DocDepthError], args: tuple[Any, ...], rest: dict[str, Any]
     return error
 
 
+def _sentence(text: str, remedy: str) -> str:
+    return "; ".join(part for part in (text, remedy) if part)
+
+
 class InputError(DocDepthError, ValueError):
     """An array has the wrong shape, dtype or content."""
+
+    code = "input"
 
 
 class DatasetError(DocDepthError):
     """A recording on disk is missing, truncated or inconsistent."""
 
+    code = "dataset"
+
 
 class CalibrationError(DocDepthError):
     """A camera or extrinsic calibration is missing or does not fit."""
+
+    code = "calibration"
 
 
 class ConfigError(DocDepthError):
     """A parameter is unknown or out of its range."""
 
+    code = "config"
+
 
 class OdometryError(DocDepthError):
     """Poses could not be computed or do not fit the sweeps."""
 
+    code = "odometry"
+
 
 class RunError(DocDepthError):
     """A run folder cannot be used as it is."""
+
+    code = "run"
 
 
 class DamagedFileError(RunError):
@@ -57,18 +98,58 @@ class DamagedFileError(RunError):
         What is wrong with it; empty if it is missing.
     """
 
+    code = "damaged-file"
+
     def __init__(self, path: Path, what: str) -> None:
         found = f"is damaged ({what})" if what else "is missing"
-        super().__init__(f"{path} {found}; docdepth run RUN makes it again")
+        super().__init__(f"{path} {found}", "`docdepth.run(..., RUN)` makes it again")
         self.path, self.what = path, what
 
 
 class BackendError(DocDepthError):
     """A renderer is unknown or cannot be used on this machine."""
 
+    code = "renderer"
+
 
 class MissingExtraError(DocDepthError, ImportError):
     """An optional dependency is not installed."""
+
+    code = "missing-extra"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that a check found in inputs or results.
+
+    Attributes
+    ----------
+    code : str
+        Kind of problem, for programs.
+    severity : {"error", "warning", "note"}
+        With an error a run would fail or give nothing of use. A note is unusual, but no problem.
+    subject : str
+        What it is about: a camera, a recording, a file.
+    text : str
+        What is wrong with it, with values.
+    remedy : str
+        What to do.
+    """
+
+    code: str
+    severity: Literal["error", "warning", "note"]
+    subject: str
+    text: str
+    remedy: str = ""
+
+    @classmethod
+    def of(cls, error: DocDepthError) -> Finding:
+        """What an error tells."""
+        return cls(error.code, "error", "", error.text, error.remedy)
+
+    def __str__(self) -> str:
+        sentence = _sentence(self.text, self.remedy)
+        return f"{self.subject}: {sentence}" if self.subject else sentence
 
 
 class SeveralProblems(DatasetError, CalibrationError):
@@ -76,13 +157,15 @@ class SeveralProblems(DatasetError, CalibrationError):
 
     Attributes
     ----------
-    problems : list of str
+    errors : list of DocDepthError
     """
 
-    def __init__(self, problems: Sequence[str]) -> None:
-        self.problems = list(problems)
-        lines = "".join(f"\n  {problem}" for problem in self.problems)
-        super().__init__(f"{len(self.problems)} problems:{lines}")
+    code = "several"
+
+    def __init__(self, errors: Sequence[DocDepthError]) -> None:
+        self.errors = list(errors)
+        lines = "".join(f"\n  {error}" for error in self.errors)
+        super().__init__(f"{len(self.errors)} problems:{lines}")
 
 
 class Collector:
@@ -91,7 +174,7 @@ class Collector:
     Attributes
     ----------
     errors : list of DocDepthError
-        What was found so far.
+        What was found so far, each once.
     """
 
     def __init__(self) -> None:
@@ -103,16 +186,8 @@ class Collector:
         try:
             yield
         except DocDepthError as error:
-            self.errors.append(error)
-
-    @property
-    def problems(self) -> list[str]:
-        """All messages, each once."""
-        told: dict[str, None] = {}
-        for error in self.errors:
-            for text in getattr(error, "problems", [str(error)]):
-                told.setdefault(text)
-        return list(told)
+            known = {str(other) for other in self.errors}
+            self.errors += [e for e in single_errors(error) if str(e) not in known]
 
     def raise_errors(self) -> None:
         """Raise what was found: one error as it is, several as one.
@@ -122,7 +197,18 @@ class Collector:
         DocDepthError
             Of the class of the only error, else :class:`SeveralProblems`.
         """
-        if len(self.problems) == 1:
-            raise self.errors[0]
-        if self.errors:
-            raise SeveralProblems(self.problems)
+        raise_together(self.errors)
+
+
+def single_errors(error: DocDepthError) -> list[DocDepthError]:
+    """The errors that one is made of."""
+    return error.errors if isinstance(error, SeveralProblems) else [error]
+
+
+def raise_together(errors: Iterable[DocDepthError]) -> None:
+    """Raise errors: one as it is, several as :class:`SeveralProblems`; none if there are none."""
+    known = list(errors)
+    if len(known) == 1:
+        raise known[0]
+    if known:
+        raise SeveralProblems(known)

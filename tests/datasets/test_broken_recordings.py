@@ -38,7 +38,7 @@ def test_all_problems_of_a_sequence_are_told_together(copy: Path) -> None:
     (copy / "image_2" / "size.txt").write_text("wide")
     with pytest.raises(SeveralProblems) as caught:
         open_dataset(copy)
-    assert len(caught.value.problems) == 3
+    assert len(caught.value.errors) == 3
     text = str(caught.value)
     assert text.startswith("3 problems:\n  ")
     for part in ("000003.bin (frame 3) has 1001 bytes", "is not after that of frame 0", "'Tr:'"):
@@ -52,9 +52,9 @@ def test_all_problems_of_a_raw_drive_are_told_together(tmp_path: Path) -> None:
     with pytest.raises(SeveralProblems) as caught:
         open_dataset(drive)
     names = ("0000000000.bin", "timestamps.txt", "calib_velo_to_cam.txt", "calib_cam_to_cam.txt")
-    assert len(caught.value.problems) == len(names)
-    for name, problem in zip(names, caught.value.problems, strict=True):
-        assert name in problem
+    assert len(caught.value.errors) == len(names)
+    for name, problem in zip(names, caught.value.errors, strict=True):
+        assert name in problem.text
 
 
 def test_one_problem_stays_a_sentence_of_its_class(copy: Path) -> None:

@@ -260,7 +260,7 @@ def test_garbage_is_told_without_more(broken: Sequence[int]) -> None:
     errors = [problem.text for problem in result.problems if problem.severity == "error"]
     assert errors
     assert all("points lie" in text for text in errors)
-    hints = ["--on-error skip" in text for text in errors]
+    hints = ["`on_error='skip'`" in text for text in errors]
     assert all(hints) if len(broken) == 1 else not any(hints)
     if len(broken) > 1:
         assert len(result.problems) == len(errors)

@@ -179,14 +179,12 @@ def replaced(old: bytes, new: bytes, layout: str = "binary_little_endian") -> by
 def test_damage_is_described(tmp_path: Path, content: bytes, match: str) -> None:
     path = tmp_path / "frame_000003.ply"
     path.write_bytes(content)
-    with pytest.raises(
-        RunError, match=rf"frame_000003\.ply is damaged \(.*({match}).*\); docdepth run RUN makes"
-    ):
+    with pytest.raises(RunError, match=rf"frame_000003\.ply is damaged \(.*({match}).*\)"):
         read_vertices(path)
 
 
 def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match=r"none\.ply is missing; docdepth run RUN makes"):
+    with pytest.raises(RunError, match=r"none\.ply is missing"):
         read_vertices(tmp_path / "none.ply")
     with pytest.raises(RunError, match="cannot be read: Is a directory"):
         read_vertices(tmp_path)

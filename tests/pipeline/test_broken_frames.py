@@ -149,11 +149,11 @@ def test_what_stops_a_run_names_the_option_that_leaves_it_out(drive: Path, tmp_p
     for broken, file in ((broken_sweep, sweep), (broken_image, image)):
         whole, out = file.read_bytes(), tmp_path / file.stem
         with pytest.raises(
-            DatasetError, match=rf"{file.name}.*; or leave it out by --on-error skip"
+            DatasetError, match=rf"{file.name}.*; or leave it out by `on_error='skip'`"
         ):
             run(drive, out, camera="image_2", progress=broken, threads=1)
         with pytest.raises(
-            DatasetError, match=rf"{file.name}.*; or leave it out by --on-error skip"
+            DatasetError, match=rf"{file.name}.*; or leave it out by `on_error='skip'`"
         ):
             run(drive, out, camera="image_2")
         run(drive, out, camera="image_2", on_error="skip")

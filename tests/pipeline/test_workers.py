@@ -22,7 +22,7 @@ import pytest
 
 from command_line import cli
 from docdepth.config import Parameters
-from docdepth.errors import ConfigError, DamagedFileError, RunError, SeveralProblems
+from docdepth.errors import ConfigError, DamagedFileError, DatasetError, RunError, SeveralProblems
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import workers as workers_module
 from docdepth.pipeline.run import run
@@ -212,9 +212,10 @@ def test_errors_of_workers_are_told_as_if_they_were_ours(tmp_path: Path) -> None
     with pytest.raises(DamagedFileError, match="cut off") as raised, Workers(1, jobs=2) as two:
         list(two.each(folder, refuse, [[0], [1]], workers_module.Stopwatch(), lambda done: None))
     assert raised.value.path.name == "frame_000003.ply"
-    several = pickle.loads(pickle.dumps(SeveralProblems(["one", "two"])))
-    assert several.problems == ["one", "two"]
-    assert str(several) == str(SeveralProblems(["one", "two"]))
+    both = SeveralProblems([DatasetError("one"), RunError("two", "do it", code="second")])
+    several = pickle.loads(pickle.dumps(both))
+    assert [error.code for error in several.errors] == ["dataset", "second"]
+    assert str(several) == str(both) == "2 problems:\n  one\n  two; do it"
 
 
 def test_chunks_are_even_and_hold_each_frame_once() -> None:

@@ -15,6 +15,7 @@ import typer
 import yaml
 
 from docdepth._yaml_text import explain_yaml
+from docdepth.cli.remedies import as_commands
 from docdepth.cli.terminal import err, volume
 from docdepth.errors import DocDepthError
 
@@ -68,7 +69,7 @@ def explain(error: BaseException) -> Failure | None:
     if isinstance(error, _Usage):
         return Failure(_of_usage(error))
     if isinstance(error, DocDepthError):
-        return Failure(str(error))
+        return Failure(as_commands(str(error)))
     if isinstance(error, OSError):
         return Failure(_of_path(error))
     if isinstance(error, RuntimeError) and "Symlink loop" in str(error):

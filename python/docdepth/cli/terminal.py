@@ -16,6 +16,8 @@ import typer
 from rich.console import Console
 from typer.core import TyperGroup
 
+from docdepth.cli.remedies import as_commands
+
 _ORDER = (
     *("demo", "inspect", "check", "run", "status", "report", "view", "map", "video"),
     *("evaluate", "tune", "convert", "calibrate", "odometry", "classify", "render"),
@@ -75,7 +77,7 @@ class _Lines(logging.Handler):
         self.printed: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
-        message = record.getMessage()
+        message = as_commands(record.getMessage())
         if record.levelno >= logging.WARNING:
             if message in self.printed:
                 return

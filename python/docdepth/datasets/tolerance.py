@@ -32,11 +32,11 @@ def are_broken_frames_tolerated() -> bool:
 
 @contextmanager
 def reading_a_frame() -> Iterator[None]:
-    """If a sweep or an image is broken, name the option that leaves it out."""
+    """If a sweep or an image is broken, say how a run leaves it out."""
     try:
         yield
     except DatasetError as error:
-        raise DatasetError(f"{error}; or leave it out by --on-error skip") from None
+        raise DatasetError(error, "or leave it out by `on_error='skip'`", code=error.code) from None
 
 
 def first_readable(read: Callable[[_File], _Read], files: Sequence[_File]) -> _Read:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from docdepth.errors import Collector, DatasetError, DocDepthError, SeveralProblems
+from docdepth.errors import Collector, DatasetError, raise_together
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Findings(Collector):
     def all(self) -> list[Problem]:
         """Errors first, each once."""
         warnings = dict.fromkeys(self.warnings)
-        return [Problem("error", text) for text in self.problems] + [
+        return [Problem("error", str(error)) for error in self.errors] + [
             Problem("warning", text) for text in warnings
         ]
 
@@ -54,8 +54,4 @@ def raise_problems(problems: Sequence[Problem]) -> None:
     DatasetError
         For one error its sentence, for several :class:`SeveralProblems`.
     """
-    errors: list[DocDepthError] = [DatasetError(p.text) for p in problems if p.severity == "error"]
-    if len(errors) == 1:
-        raise errors[0]
-    if errors:
-        raise SeveralProblems([str(error) for error in errors])
+    raise_together(DatasetError(p.text) for p in problems if p.severity == "error")

@@ -234,7 +234,8 @@ class _Task:
             file = error.path.resolve()  # a file of the run, where it is a link
             shutil.rmtree(path, ignore_errors=True)
             raise RunError(
-                str(error).replace(str(error.path), str(file)).replace("run RUN", f"run {self.run}")
+                DamagedFileError(file, error.what).text,
+                f"`docdepth.run(..., {str(self.run)!r})` makes it again",
             ) from None
         except RunError:
             self._check_run()
