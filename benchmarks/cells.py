@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import numpy as np
+import scenes  # noqa: F401  adds its scenes
 import yaml
 from numpy.typing import NDArray
 

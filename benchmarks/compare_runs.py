@@ -62,8 +62,12 @@ def runs(kitti: Path, work: Path) -> dict[str, list[str]]:
 
 
 def docdepth(*arguments: str) -> None:
-    """Run a command of docdepth; its output is shown if it fails."""
-    command = [sys.executable, "-m", "docdepth", *arguments]
+    """Run a command of docdepth."""
+    call([sys.executable, "-m", "docdepth", *arguments])
+
+
+def call(command: list[str]) -> None:
+    """Run a command; its output is shown if it fails."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{' '.join(command)}\n{done.stdout}{done.stderr}")
@@ -97,7 +101,8 @@ def make_runs(kitti: Path, work: Path, only: list[str]) -> dict[str, dict[str, s
         drive = work / "drives" / sensor
         if not drive.is_dir():
             street = ["--scene", scene, "--sensor", sensor, "--seed", "77"]
-            docdepth("synth", str(drive), "--frames", "30", "--skew", *street)
+            made = [str(drive), "--frames", "30", "--skew", *street]
+            call([sys.executable, str(Path(__file__).with_name("synth.py")), *made])
     found = {}
     for name, arguments in runs(kitti, work).items():
         if only and name not in only:

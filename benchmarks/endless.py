@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from scenes.endless import EndlessRecording
 
 from docdepth.cli import keep_memory, take_one_blas_thread
 from docdepth.config import Parameters
@@ -32,7 +33,6 @@ from docdepth.geometry.points import DYNAMIC
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry, run_render
-from docdepth.synthetic import EndlessRecording
 
 STAGES = ("read", "odometry", "classify", "render", "judge", "alone")
 EVERY = 10  # sweeps from image to image

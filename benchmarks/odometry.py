@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scenes  # noqa: F401  adds its scenes
 
 from docdepth.datasets import Sweep, open_dataset
 from docdepth.geometry.se3 import inverse

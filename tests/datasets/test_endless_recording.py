@@ -14,7 +14,7 @@ def test_it_is_a_recording(tmp_path, monkeypatch):
     file = tmp_path / "street.endless.yaml"
     about = {"sensor": "VLP-16", "columns": 90, "frames": 8, "image_every": 3, "image_scale": 0.5}
     file.write_text(yaml.safe_dump(about))
-    point = EntryPoint("endless", "docdepth.synthetic.endless:FORMAT", "docdepth.datasets")
+    point = EntryPoint("endless", "scenes.endless:FORMAT", "docdepth.datasets")
     monkeypatch.setattr(registry, "entry_points", lambda group: [point])
     recording = open_dataset(file)
     check(recording, "endless")

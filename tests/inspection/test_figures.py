@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scenes  # noqa: F401  adds its scenes
 from drives import Recorded, right_poses, turned
 
 from docdepth.datasets import usable_points

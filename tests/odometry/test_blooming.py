@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scenes  # noqa: F401  adds its scenes
 
 from docdepth.config import parameters
 from docdepth.datasets import open_dataset

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scenes  # noqa: F401  adds its scenes
 from scipy.spatial.transform import Rotation
 
 from docdepth import open_dataset

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scenes  # noqa: F401  adds its scenes
 
 from docdepth import open_dataset, register_drive
 from docdepth.geometry.se3 import inverse, rotation_log

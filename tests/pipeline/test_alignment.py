@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scenes  # noqa: F401  adds its scenes
 import yaml
 
 from docdepth.datasets import CameraStream, Dataset, open_dataset

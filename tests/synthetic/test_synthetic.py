@@ -8,6 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import scenes  # noqa: F401  adds its scenes
 import yaml
 
 from docdepth import synthetic

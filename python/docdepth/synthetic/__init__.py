@@ -2,7 +2,6 @@
 
 from docdepth.synthetic.actors import Actor, Pace, Part, Path, Speeds, Standing
 from docdepth.synthetic.drive import Drive, TrueSweep, kitti_rig, sweeps_of
-from docdepth.synthetic.endless import EndlessDrive, EndlessRecording
 from docdepth.synthetic.mesh import Mesh, Paint, box, pose_of
 from docdepth.synthetic.photo import View
 from docdepth.synthetic.scenes import SCENES, scene
@@ -14,8 +13,6 @@ __all__ = [
     "SCENES",
     "Actor",
     "Drive",
-    "EndlessDrive",
-    "EndlessRecording",
     "Mesh",
     "Pace",
     "Paint",

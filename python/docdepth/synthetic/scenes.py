@@ -3,21 +3,11 @@
 from __future__ import annotations
 
 from docdepth.errors import InputError
-from docdepth.synthetic.rural import highway, hills
 from docdepth.synthetic.street import Scene
-from docdepth.synthetic.traffic import arrivals, overtaking, queue
-from docdepth.synthetic.urban import city, crossing, residential
+from docdepth.synthetic.urban import city, crossing
 
-SCENES = {
-    "arrivals": arrivals,
-    "city": city,
-    "crossing": crossing,
-    "highway": highway,
-    "hills": hills,
-    "overtaking": overtaking,
-    "queue": queue,
-    "residential": residential,
-}
+SCENES = {"city": city, "crossing": crossing}
+"""Makers of scenes by name, called with a seed. The benchmarks add more."""
 
 
 def scene(name: str, seed: int = 0) -> Scene:

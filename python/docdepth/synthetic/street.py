@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from docdepth.synthetic import large_vehicles, road_users
+from docdepth.synthetic import road_users
 from docdepth.synthetic.actors import Actor, Pace, Part, Path, Speeds
 from docdepth.synthetic.mesh import Mesh, Paint, merged
 from docdepth.synthetic.road import Floats, Road
@@ -151,12 +151,10 @@ KINDS: dict[str, tuple[Callable[[np.random.Generator], list[Part]], int, int, fl
     "car": (lambda rng: _one(road_users.car(rng, 10)), 10, 252, 2.6, 1.5),
     "van": (lambda rng: _one(road_users.van(rng, 20)), 20, 259, 3.2, 1.7),
     "truck": (lambda rng: _one(road_users.truck(rng, 18)), 18, 258, 5.5, 2.1),
-    "bus": (lambda rng: large_vehicles.bus(rng), 13, 257, 5.8, 2.1),
-    "trailer": (lambda rng: _one(large_vehicles.trailer(rng, 20)), 20, 259, 2.0, 1.6),
-    "lorry trailer": (lambda rng: _one(large_vehicles.lorry_trailer(18)), 18, 258, 4.6, 2.1),
     "cyclist": (lambda rng: road_users.cyclist(rng, 31), 31, 253, 1.04, 0.1),
     "pedestrian": (lambda rng: road_users.pedestrian(rng, 30), 30, 254, 0.4, 0.2),
 }
+"""Parts, label, label while it moves, and distance of the wheels along and across [m] by kind."""
 
 
 def generator(name: str, seed: int) -> np.random.Generator:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from docdepth.synthetic import large_vehicles, road_users, roadside
+from docdepth.synthetic import road_users, roadside
 from docdepth.synthetic.actors import Pace, Path, Speeds, rounded
-from docdepth.synthetic.rural import highway_road, highway_roadside
 from docdepth.synthetic.street import Scene, Street, generator
 from docdepth.synthetic.urban_street import add_furniture, add_houses, away_from, blocks, urban_road
+from scenes.large_vehicles import bus
+from scenes.rural import highway_road, highway_roadside
 
 # Centre of a lane, from the centre line [m].
 _LANE = 1.75
@@ -247,7 +248,7 @@ def _bus_and_turn(street: Street) -> None:
     leaves = stop + 7.0
     times = (stop - 4.0, stop, leaves, leaves + 4.0)
     pace = Speeds(times, (6.0, 0.0, 0.0, 5.0))
-    parts = large_vehicles.bus(rng, opens=stop + 0.8, closes=leaves - 2.5)
+    parts = bus(rng, opens=stop + 0.8, closes=leaves - 2.5)
     lane = [(place - 50.0, -5.2), (place + 100.0, -5.2)]
     start = 50.0 - float(pace.distance(stop))
     street.send("bus", lane, pace, start, name="bus at its stop", parts=parts)

@@ -3,10 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+from scenes.endless import EndlessDrive
+from scenes.endless_street import PIECE, TILE, EndlessStreet, endless_road
 
-from docdepth.synthetic import EndlessDrive, sensor
+from docdepth.synthetic import sensor
 from docdepth.synthetic.casting import Rays
-from docdepth.synthetic.endless_street import PIECE, TILE, EndlessStreet, endless_road
 
 FIRST_MOVING = 252
 

@@ -80,3 +80,11 @@ def lorry_trailer(label: int = 18) -> Mesh:
         wheels(label, (-2.9, -1.6, 2.9), 2.45, 0.5),
     ]
     return merged(parts)
+
+
+LARGE_VEHICLES = {
+    "bus": (bus, 13, 257, 5.8, 2.1),
+    "trailer": (lambda rng: [Part(trailer(rng, 20))], 20, 259, 2.0, 1.6),
+    "lorry trailer": (lambda rng: [Part(lorry_trailer(18))], 18, 258, 4.6, 2.1),
+}
+"""Kinds of actors, as in :data:`docdepth.synthetic.street.KINDS`."""

@@ -19,10 +19,10 @@ from docdepth.errors import DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.synthetic.casting import World
 from docdepth.synthetic.drive import Drive
-from docdepth.synthetic.endless_street import PIECE, SPEED, EndlessStreet, ego_path, passes
 from docdepth.synthetic.mesh import merged
 from docdepth.synthetic.sensors import Pattern, Sensor, sensor, sensors
 from docdepth.synthetic.street import Scene
+from scenes.endless_street import PIECE, SPEED, EndlessStreet, ego_path, passes
 
 WAY_BACK = 40
 """Tiles after which the street of a drive comes back to where it began: 24 km."""

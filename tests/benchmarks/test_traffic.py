@@ -7,11 +7,11 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from scenes.large_vehicles import bus
 
 from docdepth import synthetic
 from docdepth.synthetic import Drive, Speeds
 from docdepth.synthetic.actors import rounded
-from docdepth.synthetic.large_vehicles import bus
 
 pytest.importorskip("embreex")
 
