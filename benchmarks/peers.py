@@ -25,10 +25,11 @@ from pathlib import Path
 
 import numpy as np
 from peer_classifiers import Drive, beautymap, dufomap
+from peer_maps import MapEvaluation, MapResult
 
 from docdepth.datasets import Dataset, open_dataset, usable_points
 from docdepth.errors import DocDepthError
-from docdepth.evaluation import LabelEvaluation, LabelResult, MapEvaluation, MapResult, Table
+from docdepth.evaluation import LabelEvaluation, LabelResult, Table
 from docdepth.evaluation.label_counts import NOTE
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.sensor_rig import LidarView, lidar_views

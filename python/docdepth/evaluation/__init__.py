@@ -2,8 +2,7 @@
 
 Labels
     static accuracy SA, dynamic accuracy DA, associated accuracy AA, F1, precision and IoU of the
-    dynamic class, point by point (the paper's evaluation of labels), or on the cleaned map
-    (DynamicMap_Benchmark, ERASOR).
+    dynamic class, point by point (the paper's evaluation of labels).
 Depth
     the error metrics of KITTI's development kit, density, and errors by range and region.
 Trajectories
@@ -19,13 +18,7 @@ from docdepth.evaluation.depth import DepthEvaluation, DepthResult
 from docdepth.evaluation.depth_metrics import DepthErrors, RegionErrors
 from docdepth.evaluation.label_counts import LabelCounts, ignored, moving
 from docdepth.evaluation.labels import LabelEvaluation, LabelResult
-from docdepth.evaluation.map_protocols import (
-    PreservationRejection,
-    nearest_neighbor_protocol,
-    voxel_protocol,
-)
 from docdepth.evaluation.pixels import depth_edges, fill_background
-from docdepth.evaluation.static_map import MapEvaluation, MapResult
 from docdepth.evaluation.tables import Table
 from docdepth.evaluation.tracks import TrackEvaluation, TrackResult
 
@@ -36,9 +29,6 @@ __all__ = [
     "LabelCounts",
     "LabelEvaluation",
     "LabelResult",
-    "MapEvaluation",
-    "MapResult",
-    "PreservationRejection",
     "RegionErrors",
     "Table",
     "TrackEvaluation",
@@ -47,6 +37,4 @@ __all__ = [
     "fill_background",
     "ignored",
     "moving",
-    "nearest_neighbor_protocol",
-    "voxel_protocol",
 ]

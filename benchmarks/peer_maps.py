@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.evaluation.label_counts import LabelCounts
+from docdepth.errors import InputError
+from docdepth.evaluation.label_counts import LabelCounts, ignored, moving
 from docdepth.evaluation.nearest import nearest_neighbors
-from docdepth.evaluation.tables import percent, ratio
+from docdepth.evaluation.tables import percent, plain, ratio
 
 # Above this number of cells the grid of :func:`_crop` would need too much memory.
 _MAX_CELLS = 200_000_000
@@ -173,3 +175,104 @@ def _voxelise(
     away = ((sorted_points - centroids[voxel]) ** 2).sum(axis=1)
     nearest = np.lexsort((away, voxel))[first]
     return centroids, dynamic[order[nearest]]
+
+
+@dataclass(frozen=True)
+class MapResult:
+    """Metrics of a merged map by both protocols.
+
+    Attributes
+    ----------
+    poses : str
+        Source of the poses.
+    distance, voxel_size : float
+        Search radius and voxel size of the protocols [m].
+    nearest : LabelCounts
+    voxels : PreservationRejection
+    """
+
+    poses: str
+    distance: float
+    voxel_size: float
+    nearest: LabelCounts
+    voxels: PreservationRejection
+
+    def as_dict(self) -> dict[str, Any]:
+        """All metrics by name, ready for JSON; None replaces NaN."""
+        result = {
+            "poses": self.poses,
+            "nearest_neighbor": {"distance": self.distance, **self.nearest.as_dict()},
+            "voxels": {"voxel_size": self.voxel_size, **self.voxels.as_dict()},
+        }
+        return dict(plain(result))
+
+
+class MapEvaluation:
+    """Evaluates the map that remains when dynamic points are removed, by both protocols.
+
+    The points of all sweeps stay in memory until :meth:`result`, 15 bytes each, which then builds a
+    search tree of them: meant for a few hundred sweeps.
+
+    Parameters
+    ----------
+    poses : str
+        Source of the poses; printed with the metrics.
+    distance, voxel_size : float
+        Search radius and voxel size of the protocols [m].
+    """
+
+    def __init__(
+        self, poses: str = "not stated", distance: float = 0.05, voxel_size: float = 0.2
+    ) -> None:
+        self._poses, self._distance, self._voxel_size = poses, distance, voxel_size
+        self._points: list[NDArray[np.float32]] = []
+        self._flags: list[NDArray[np.bool_]] = []
+
+    def add(
+        self,
+        points: NDArray[np.float32],
+        labels: NDArray[np.uint32],
+        dynamic: NDArray[np.bool_],
+    ) -> None:
+        """Add one sweep to the map.
+
+        Parameters
+        ----------
+        points : ndarray of float32, shape (N, 3)
+            World frame [m].
+        labels : ndarray of uint32, shape (N,)
+            True SemanticKITTI labels; unlabelled points stay in the cleaned map.
+        dynamic : ndarray of bool, shape (N,)
+            Points that the method labelled dynamic.
+
+        Raises
+        ------
+        InputError
+            The arrays do not belong to the same points.
+        """
+        if points.ndim != 2 or points.shape != (len(labels), 3) or len(dynamic) != len(labels):
+            raise InputError(
+                f"points {points.shape}, {len(labels)} labels and {len(dynamic)} flags do not "
+                "belong together; give one label and one flag per point"
+            )
+        finite = np.isfinite(points).all(axis=1)
+        flags = np.stack([~ignored(labels), moving(labels), np.asarray(dynamic, dtype=bool)])
+        self._points.append(points[finite].astype(np.float32, copy=False))
+        self._flags.append(flags[:, finite])
+
+    def result(self) -> MapResult:
+        """Metrics of all sweeps added so far."""
+        points = np.concatenate([np.empty((0, 3), np.float32), *self._points])
+        flags = np.concatenate([np.empty((3, 0), np.bool_), *self._flags], axis=1)
+        labelled, truth, dynamic = flags
+        # A kept point is its own neighbour: only removed points need the search.
+        removed = labelled & dynamic
+        kept = labelled & ~dynamic
+        nearest = nearest_neighbor_protocol(
+            points[removed], truth[removed], points[~dynamic], self._distance
+        )
+        nearest += LabelCounts.of(truth[kept], dynamic[kept])
+        voxels = voxel_protocol(
+            points[labelled], truth[labelled], ~dynamic[labelled], self._voxel_size
+        )
+        return MapResult(self._poses, self._distance, self._voxel_size, nearest, voxels)
