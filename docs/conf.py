@@ -21,7 +21,7 @@ ROOT = Path(__file__).parent.parent
 CHAPTERS = {
     "Use": (
         *("docs/quickstart", "docs/recordings", "docs/datasets", "docs/calibration"),
-        *("docs/mistakes", "notebooks/README"),
+        "notebooks/README",
     ),
     "Look up": ("docs/python", "docs/parameters", "docs/formats"),
     "Understand": ("docs/method", "docs/measurements", "docs/decisions"),
