@@ -22,7 +22,6 @@
 #include <vector>
 
 #include "docdepth/ground/octree.hpp"
-#include "keep_memory.hpp"
 
 using namespace docdepth;
 using Eigen::Vector3d;
@@ -232,7 +231,6 @@ void print(const char* name, const Seconds& seconds, std::size_t points) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  keep_memory();
   const int threads = argc > 1 ? std::atoi(argv[1]) : 2;
   const int frames = argc > 3 ? std::atoi(argv[3]) : argc > 2 ? 100 : 30;
   const Drive drive = argc > 2 ? kitti_drive(argv[2], frames) : street_drive(frames);

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("trimesh")
-import merged_lidars as rigs
+import lidar_rig as rigs
 
 from docdepth.datasets import Sweep
 from docdepth.datasets.merged_lidars import (
@@ -29,11 +29,11 @@ from docdepth.synthetic import Drive, scene
 @pytest.fixture(scope="module")
 def cloud() -> tuple[np.ndarray, np.ndarray, list[tuple[float, float, float]]]:
     """Points in the frame of the vehicle, where the returns of each LiDAR end, and their places."""
-    lidars = rigs.rig("around", columns=900)
+    lidars = rigs.rig(columns=900)
     drives = [Drive(scene("crossing", 91), own, 3, 5 + k) for k, (_, own) in enumerate(lidars)]
-    points, _ = rigs.merged(drives, 1)
+    points = [drive.sweep(1).points for drive in drives]
     places = [tuple((np.array(place) + rigs.ORIGIN).tolist()) for place, _ in lidars]
-    together = np.concatenate(points)[:, :3] + rigs.ORIGIN.astype(np.float32)
+    together = np.concatenate(points) + rigs.ORIGIN.astype(np.float32)
     return together, np.cumsum([len(own) for own in points]), places
 
 
