@@ -8,17 +8,9 @@ namespace {
 
 using gl::GlRenderer;
 
-std::unique_ptr<GlRenderer> open(const std::string& backend, int device,
-                                 const std::string& library) {
-  gl::Choice choice{gl::Backend::kEgl, device, library};
-  if (backend == "surfaceless")
-    choice.backend = gl::Backend::kSurfaceless;
-  else if (backend == "osmesa")
-    choice.backend = gl::Backend::kOsmesa;
-  else if (backend != "egl")
-    throw std::invalid_argument("backend must be egl, surfaceless or osmesa");
+std::unique_ptr<GlRenderer> open(const std::string& library, int device) {
   const py::gil_scoped_release release;
-  return std::make_unique<GlRenderer>(choice);
+  return std::make_unique<GlRenderer>(library, device);
 }
 
 // The driver has its own threads. The argument makes this a drop-in for the processor's renderer.
@@ -64,13 +56,10 @@ void bind_gl(py::module_& m) {
   using namespace py::literals;
   py::register_exception<gl::GlError>(m, "GlError",
                                       py::module_::import("docdepth.errors").attr("BackendError"));
-  m.def("egl_devices", &gl::egl_devices, "library"_a = "");
+  m.def("egl_devices", &gl::egl_devices);
   py::class_<GlRenderer>(m, "GlRenderer")
-      .def(py::init(&open), "backend"_a, "device"_a = -1, "library"_a = "")
+      .def(py::init(&open), "library"_a, "device"_a = -1)
       .def_property_readonly("renderer", [](const GlRenderer& r) { return r.context().renderer(); })
-      .def_property_readonly("version", [](const GlRenderer& r) { return r.context().version(); })
-      .def_property_readonly("software", [](const GlRenderer& r) { return r.context().software(); })
-      .def_property_readonly("point_limit", &GlRenderer::point_limit)
       .def("render_splats", &draw_splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
            "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0)
       .def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a,

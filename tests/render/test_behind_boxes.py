@@ -280,7 +280,7 @@ def test_a_box_that_may_be_anywhere_hides_nothing():
         assert bool(boxes_in_view(VIEW, trajectory, Tracks([unsure]))) == hides
 
 
-@pytest.mark.parametrize("name", ["egl", "surfaceless", "osmesa"])
+@pytest.mark.parametrize("name", ["egl", "osmesa"])
 def test_every_renderer_empties_the_same_pixels(name):
     try:
         renderer = backends.Renderer(name)

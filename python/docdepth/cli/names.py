@@ -15,7 +15,7 @@ from docdepth.evaluation.depth import Mode
 from docdepth.synthetic import SCENES, sensors
 
 DATASETS = format_names()
-RENDERERS = ("cpu", "egl", "egl:N", "surfaceless", "osmesa")
+RENDERERS = ("cpu", "egl", "egl:N", "osmesa")
 PRESETS: tuple[str, ...] = get_args(Preset)
 FORMATS: tuple[str, ...] = get_args(DepthFormat)
 LAYERS: tuple[str, ...] = get_args(Layer)

@@ -207,11 +207,10 @@ AllBelow = Annotated[
     ),
 ]
 RendererName = Annotated[
-    str | None,
+    str,
     typer.Option(
         "--renderer",
-        help=f"What draws: {', '.join(RENDERERS)}; all draw the same. If absent, "
-        "DOCDEPTH_RENDERER, else cpu.",
+        help=f"What draws: {', '.join(RENDERERS)}; all draw the same.",
         **one_of(RENDERERS),
     ),
 ]

@@ -87,7 +87,7 @@ def run(
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     memory: Memory = None,
-    renderer: RendererName = None,
+    renderer: RendererName = "cpu",
     on_error: OnError = None,
     keep: Keep = None,
     hash_inputs: HashInputs = False,
@@ -107,9 +107,9 @@ def run(
     """
     from docdepth.cli.config_file import Given, read_config
     from docdepth.config import parameters
-    from docdepth.render.backends import choose
+    from docdepth.render.backends import Renderer
 
-    how: dict[str, Any] = {"dry_run": dry_run, "threads": threads, "renderer": choose(renderer)}
+    how: dict[str, Any] = {"dry_run": dry_run, "threads": threads, "renderer": Renderer(renderer)}
     how |= {"jobs": jobs, "scheduler": scheduler, "keep": keep}
     if output is None:
         chosen = (every, config, dataset, camera, frames, poses, camera_times, calibration, labels,
@@ -228,7 +228,7 @@ def render(
     camera_times: VirtualTimes = None,
     labels: GivenLabels = None,
     threads: Threads = 0,
-    renderer: RendererName = None,
+    renderer: RendererName = "cpu",
 ) -> None:
     """Repeat rendering with other parameters, formats or cameras, or for a virtual camera.
 
@@ -237,9 +237,9 @@ def render(
     from docdepth.errors import ConfigError
     from docdepth.pipeline.run import render_again
     from docdepth.pipeline.virtual_camera import virtual_camera
-    from docdepth.render.backends import choose
+    from docdepth.render.backends import Renderer
 
-    drawn_by = choose(renderer)
+    drawn_by = Renderer(renderer)
     changes = changes_of(settings) | output_of(format, scale, layers)
     check_stages(changes, "render", "output")
     described = None

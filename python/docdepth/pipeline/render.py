@@ -68,7 +68,7 @@ def run_render(
     progress : callable, optional
         Called with the stage, the number of images done and of all images.
     renderer : Renderer, optional
-        From :func:`docdepth.render.backends.choose`; the CPU if absent.
+        What draws; the CPU if absent.
     workers : Workers, optional
         Who does the work; this process with its threads if absent.
 

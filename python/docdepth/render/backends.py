@@ -1,21 +1,18 @@
-"""Renderers: the CPU, or OpenGL without a window through EGL or OSMesa.
+"""Renderers: the CPU, or OpenGL without a window by EGL or OSMesa.
 
-All of them render the same depth. OpenGL's libraries are loaded when a back end is chosen, so
-docdepth works without them. The names of ``--renderer`` and ``DOCDEPTH_RENDERER`` are:
+All of them render the same depth. OpenGL's libraries are loaded when a renderer is opened, so
+docdepth works without them. The names of ``--renderer`` are:
 
 ``cpu``
     docdepth's own rasteriser, the default: always available, and the fastest wherever measured
 ``egl``, ``egl:N``
     EGL on the first device that works, graphics cards first; or on device N
-``surfaceless``
-    EGL without a device (Mesa)
 ``osmesa``
     Mesa's off-screen library, removed from Mesa with version 25.1
 """
 
 from __future__ import annotations
 
-import os
 import re
 import threading
 from dataclasses import dataclass
@@ -28,37 +25,34 @@ _CPU = "docdepth's own rasteriser"
 
 
 class Renderer:
-    """A back end that is ready to render, from any thread; each thread gets its own OpenGL context.
+    """A renderer, for any thread; each thread gets its own OpenGL context.
 
     Parameters
     ----------
     name : str
-        ``cpu``, ``egl``, ``egl:N``, ``surfaceless`` or ``osmesa``.
+        ``cpu``, ``egl``, ``egl:N`` or ``osmesa``.
 
     Attributes
     ----------
     name : str
-        Of the back end.
+        As given.
     description : str
         The device, OpenGL's GL_RENDERER.
-    software : bool
-        The CPU renders.
 
     Raises
     ------
     BackendError
-        The name is unknown, or the back end cannot be used on this machine.
+        The name is unknown, or the renderer cannot be used on this machine.
     """
 
     def __init__(self, name: str = "cpu") -> None:
-        if not isinstance(name, str):
-            raise BackendError(f"the name of a renderer is a str, not {type(name).__name__}")
+        if not re.fullmatch(r"cpu|osmesa|egl(:[0-9]{1,4})?", str(name)):
+            raise BackendError(
+                f"unknown renderer {name!r}; it must be the str cpu, egl, egl:N or osmesa"
+            )
         self.name = name
-        self._library = None if name == "cpu" else _library(name)
         self._threads = threading.local()
-        core = self.core
-        self.description: str = core.renderer if self._library else _CPU
-        self.software: bool = core.software if self._library else True
+        self.description: str = _CPU if name == "cpu" else self.core.renderer
 
     def __repr__(self) -> str:
         return f"<Renderer {self.name}: {self.description}>"
@@ -73,13 +67,14 @@ class Renderer:
         Raises
         ------
         BackendError
-            This process was forked after OpenGL had been used, which drivers do not support.
+            OpenGL cannot be used here, for example as this process was forked after its use.
         """
-        if self._library is None:
+        if self.name == "cpu":
             return _core
         if not hasattr(self._threads, "core"):
+            library, _, device = self.name.partition(":")
             try:
-                self._threads.core = _core.GlRenderer(*self._library)
+                self._threads.core = _core.GlRenderer(library, int(device or -1))
             except _core.GlError as error:
                 raise BackendError(
                     f"renderer {self.name} is not available: {error}; --renderer cpu always is, "
@@ -88,29 +83,9 @@ class Renderer:
         return self._threads.core
 
 
-def choose(name: str | None = None) -> Renderer:
-    """Choose a renderer by name.
-
-    Parameters
-    ----------
-    name : str, optional
-        A name of the list above; if absent ``DOCDEPTH_RENDERER``, else ``cpu``.
-
-    Returns
-    -------
-    Renderer
-
-    Raises
-    ------
-    BackendError
-        The name is unknown, or the back end cannot be used on this machine.
-    """
-    return Renderer(name or os.environ.get("DOCDEPTH_RENDERER") or "cpu")
-
-
 @dataclass(frozen=True)
 class Backend:
-    """The result of trying a back end.
+    """The result of trying a renderer.
 
     Attributes
     ----------
@@ -128,28 +103,13 @@ class Backend:
 
 
 def available() -> list[Backend]:
-    """Try every back end, and EGL on each of its devices."""
+    """Try every renderer, and EGL on each of its devices."""
     found = [Backend("cpu", True, _CPU)]
-    names = ["surfaceless", "osmesa"]
-    try:
-        names = [f"egl:{i}" for i in range(len(_core.egl_devices()))] + names
-    except _core.GlError as error:
-        found.append(Backend("egl", False, str(error)))
-    for name in names:
+    for name in [*([f"egl:{i}" for i in range(_core.egl_devices())] or ["egl"]), "osmesa"]:
+        library, _, device = name.partition(":")
         try:
-            found.append(Backend(name, True, _core.GlRenderer(*_library(name)).renderer))
+            renderer = _core.GlRenderer(library, int(device or -1)).renderer
+            found.append(Backend(name, True, renderer))
         except _core.GlError as error:
             found.append(Backend(name, False, str(error)))
     return found
-
-
-def _library(name: str) -> tuple[str, int]:
-    """The library of a back end and the number of a device, -1 for any."""
-    egl = re.fullmatch(r"egl(?::([0-9]{1,4}))?", name)
-    if egl:
-        return "egl", int(egl[1] or -1)
-    if name in ("surfaceless", "osmesa"):
-        return name, -1
-    raise BackendError(
-        f"unknown renderer {name!r}; there are cpu, egl, egl:N, surfaceless and osmesa"
-    )

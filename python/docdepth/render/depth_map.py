@@ -55,7 +55,7 @@ def compose_depth(
     threads : int
         0 takes all cores. The result does not depend on it.
     renderer : Renderer, optional
-        From :func:`docdepth.render.backends.choose`; the CPU if absent.
+        What draws; the CPU if absent.
     tracks : Tracks, optional
         Of the frames' objects. Objects without a track are drawn where the nearest sweep saw them.
         Used by triangles only.

@@ -184,7 +184,7 @@ def render_depth(
     threads : int
         0 takes all cores. The result does not depend on it.
     renderer : Renderer, optional
-        From :func:`docdepth.render.backends.choose`; the CPU if absent.
+        What draws; the CPU if absent.
 
     Returns
     -------

@@ -1,33 +1,21 @@
-// The parts of OpenGL 3.3 core, EGL and OSMesa that the renderer uses. They are declared here, so
-// that no headers are needed to build and no library to run.
+// The parts of OpenGL 3.3 core that the renderer uses. They are declared here, so that no headers
+// are needed to build and no library to run.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
-#include <stdexcept>
 
 namespace docdepth::gl {
-
-/// A backend cannot be used; the message says why.
-class GlError : public std::runtime_error {
-  using std::runtime_error::runtime_error;
-};
-
-/// Address of an entry point by its name, or null.
-using Loader = void (*(*)(const char*))();
 
 // X(return type, name without "gl", parameters)
 #define DOCDEPTH_GL_FUNCTIONS(X)                                                              \
   X(const std::uint8_t*, GetString, (unsigned name))                                          \
   X(void, GetIntegerv, (unsigned name, int* value))                                           \
-  X(void, GetFloatv, (unsigned name, float* value))                                           \
   X(unsigned, GetError, ())                                                                   \
   X(void, Finish, ())                                                                         \
   X(unsigned, CreateShader, (unsigned type))                                                  \
   X(void, ShaderSource, (unsigned shader, int count, const char* const*, const int* lengths)) \
   X(void, CompileShader, (unsigned shader))                                                   \
-  X(void, GetShaderiv, (unsigned shader, unsigned name, int* value))                          \
-  X(void, GetShaderInfoLog, (unsigned shader, int capacity, int* length, char* log))          \
   X(void, DeleteShader, (unsigned shader))                                                    \
   X(unsigned, CreateProgram, ())                                                              \
   X(void, AttachShader, (unsigned program, unsigned shader))                                  \
@@ -43,7 +31,6 @@ using Loader = void (*(*)(const char*))();
   X(void, GenVertexArrays, (int count, unsigned* names))                                      \
   X(void, BindVertexArray, (unsigned name))                                                   \
   X(void, EnableVertexAttribArray, (unsigned index))                                          \
-  X(void, VertexAttribDivisor, (unsigned index, unsigned divisor))                            \
   X(void, VertexAttribPointer,                                                                \
     (unsigned index, int size, unsigned type, std::uint8_t normalized, int stride,            \
      const void* offset))                                                                     \
@@ -66,7 +53,6 @@ using Loader = void (*(*)(const char*))();
   X(void, BlendEquation, (unsigned mode))                                                     \
   X(void, ClearBufferfv, (unsigned buffer, int index, const float* value))                    \
   X(void, MultiDrawArrays, (unsigned mode, const int* first, const int* count, int draws))    \
-  X(void, DrawArraysInstanced, (unsigned mode, int first, int count, int instances))          \
   X(void, MultiDrawElementsBaseVertex,                                                        \
     (unsigned mode, const int* count, unsigned type, const void* const* offsets, int draws,   \
      const int* base))                                                                        \
@@ -78,39 +64,28 @@ struct Functions {
 #define DOCDEPTH_GL_MEMBER(result, name, parameters) result(*name) parameters = nullptr;
   DOCDEPTH_GL_FUNCTIONS(DOCDEPTH_GL_MEMBER)
 #undef DOCDEPTH_GL_MEMBER
-
-  /// @throws GlError naming the first entry point that is missing
-  void load(Loader address);
 };
 
 enum : unsigned {
   kPoints = 0x0000,
   kTriangles = 0x0004,
-  kTriangleStrip = 0x0005,
   kOutOfMemory = 0x0505,
-  kPointSizeRange = 0x0B12,
   kBlend = 0x0BE2,
-  kMaxViewportSize = 0x0D3A,
   kUnsignedByte = 0x1401,
   kFloat = 0x1406,
   kColor = 0x1800,
   kRed = 0x1903,
-  kRgba = 0x1908,
   kRenderer = 0x1F01,
-  kVersion = 0x1F02,
   kMin = 0x8007,
   kMax = 0x8008,
   kMajorVersion = 0x821B,
   kMinorVersion = 0x821C,
   kR32f = 0x822E,
-  kMaxRenderbufferSize = 0x84E8,
-  kProgramPointSize = 0x8642,
   kArrayBuffer = 0x8892,
   kElementArrayBuffer = 0x8893,
   kStaticDraw = 0x88E4,
   kFragmentShader = 0x8B30,
   kVertexShader = 0x8B31,
-  kCompileStatus = 0x8B81,
   kLinkStatus = 0x8B82,
   kFramebufferComplete = 0x8CD5,
   kColorAttachment0 = 0x8CE0,
@@ -118,63 +93,5 @@ enum : unsigned {
   kRenderbuffer = 0x8D41,
   kGeometryShader = 0x8DD9,
 };
-
-namespace egl {
-enum : int {
-  kPbufferBit = 0x0001,
-  kOpenGlBit = 0x0008,
-  kSurfaceType = 0x3033,
-  kNone = 0x3038,
-  kRenderableType = 0x3040,
-  kExtensions = 0x3055,
-  kHeight = 0x3056,
-  kWidth = 0x3057,
-  kMinorVersion = 0x30FB,
-  kMajorVersion = 0x3098,
-  kOpenGlApi = 0x30A2,
-  kProfileMask = 0x30FD,
-  kCoreProfileBit = 0x0001,
-  kPlatformDevice = 0x313F,
-  kPlatformSurfaceless = 0x31DD,
-};
-
-/// Entry points of libEGL by dlsym. The last three are extensions, found by GetProcAddress.
-struct Functions {
-  Loader GetProcAddress;
-  int (*GetError)();
-  const char* (*QueryString)(void* display, int name);
-  unsigned (*Initialize)(void* display, int* major, int* minor);
-  unsigned (*BindAPI)(unsigned api);
-  unsigned (*ChooseConfig)(void* display, const int* wanted, void** configs, int capacity,
-                           int* count);
-  void* (*CreateContext)(void* display, void* config, void* share, const int* attributes);
-  unsigned (*DestroyContext)(void* display, void* context);
-  void* (*CreatePbufferSurface)(void* display, void* config, const int* attributes);
-  unsigned (*DestroySurface)(void* display, void* surface);
-  unsigned (*MakeCurrent)(void* display, void* draw, void* read, void* context);
-  void* (*GetPlatformDisplayEXT)(unsigned platform, void* native, const int* attributes);
-  unsigned (*QueryDevicesEXT)(int capacity, void** devices, int* count);
-  const char* (*QueryDeviceStringEXT)(void* device, int name);
-};
-}  // namespace egl
-
-namespace osmesa {
-enum : int {
-  kFormat = 0x22,
-  kDepthBits = 0x30,
-  kProfile = 0x33,
-  kCoreProfile = 0x34,
-  kMajorVersion = 0x36,
-  kMinorVersion = 0x37,
-};
-
-/// Entry points of libOSMesa by dlsym.
-struct Functions {
-  Loader GetProcAddress;
-  void* (*CreateContextAttribs)(const int* attributes, void* share);
-  void (*DestroyContext)(void* context);
-  std::uint8_t (*MakeCurrent)(void* context, void* pixels, unsigned type, int width, int height);
-};
-}  // namespace osmesa
 
 }  // namespace docdepth::gl

@@ -1,6 +1,7 @@
 #include "docdepth/render/gl/renderer.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <string>
@@ -8,7 +9,6 @@
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/render/behind_boxes.hpp"
 #include "docdepth/render/depth_hypotheses.hpp"
-#include "docdepth/render/gl/program.hpp"
 #include "docdepth/render/gl/shaders.hpp"
 
 namespace docdepth::gl {
@@ -22,6 +22,28 @@ void check(const GlContext::Current& gl, const std::string& renderer) {
   if (error) throw GlError(renderer + " failed with OpenGL error " + std::to_string(error));
 }
 
+/// A program of the sources of its vertex, geometry and fragment shader.
+/// @throws GlError with the message of the driver
+unsigned link(const GlContext::Current& gl, const std::array<const char*, 3>& sources) {
+  const unsigned program = gl->CreateProgram();
+  const unsigned kinds[] = {kVertexShader, kGeometryShader, kFragmentShader};
+  for (std::size_t i = 0; i < 3; ++i) {
+    const char* parts[] = {kExact, sources[i]};
+    const unsigned shader = gl->CreateShader(kinds[i]);
+    gl->ShaderSource(shader, 2, parts, nullptr);
+    gl->CompileShader(shader);
+    gl->AttachShader(program, shader);
+    gl->DeleteShader(shader);
+  }
+  gl->LinkProgram(program);
+  int linked = 0;
+  gl->GetProgramiv(program, kLinkStatus, &linked);
+  char log[1024] = "";
+  gl->GetProgramInfoLog(program, sizeof log, nullptr, log);
+  if (!linked) throw GlError(std::string("the driver does not link a program: ") + log);
+  return program;
+}
+
 /// The image with rows of `stride` values, padded with zeros.
 std::vector<float> widened(const std::vector<float>& image, std::size_t width, std::size_t stride) {
   std::vector<float> wide(image.size() / width * stride, 0.0f);
@@ -32,20 +54,10 @@ std::vector<float> widened(const std::vector<float>& image, std::size_t width, s
 
 }  // namespace
 
-GlRenderer::GlRenderer(const Choice& choice) : context_(choice) {
+GlRenderer::GlRenderer(const std::string& library, int device) : context_(library, device) {
   const Gl gl(context_);
-  float point_sizes[2] = {1, 1};
-  gl->GetFloatv(kPointSizeRange, point_sizes);
-  point_limit_ = static_cast<int>(point_sizes[1]);
-  int viewport[2] = {0, 0}, renderbuffer = 0;
-  gl->GetIntegerv(kMaxViewportSize, viewport);
-  gl->GetIntegerv(kMaxRenderbufferSize, &renderbuffer);
-  image_limit_ = std::min({viewport[0], viewport[1], renderbuffer});
-  splats_ = link(gl, {{kVertexShader, kSplatVertex}, {kFragmentShader, kSplatFragment}});
-  triangles_ = link(gl, {{kVertexShader, kTriangleVertex},
-                         {kGeometryShader, kTriangleGeometry},
-                         {kFragmentShader, kTriangleFragment}});
-
+  splats_ = link(gl, {kSplatVertex, kSplatGeometry, kSplatFragment});
+  triangles_ = link(gl, {kTriangleVertex, kTriangleGeometry, kTriangleFragment});
   unsigned array = 0, framebuffer = 0;
   gl->GenVertexArrays(1, &array);
   gl->BindVertexArray(array);
@@ -54,7 +66,6 @@ GlRenderer::GlRenderer(const Choice& choice) : context_(choice) {
   gl->BindFramebuffer(kFramebuffer, framebuffer);
   gl->GenRenderbuffers(1, &image_);
   gl->BindRenderbuffer(kRenderbuffer, image_);
-  gl->Enable(kProgramPointSize);
   gl->Enable(kBlend);
   check(gl, context_.renderer());
 }
@@ -63,15 +74,14 @@ GlRenderer::GlRenderer(const Choice& choice) : context_(choice) {
 /// stays.
 void GlRenderer::begin(const Gl& gl, const Camera& camera, unsigned program, unsigned keeps,
                        float none) {
-  if (camera.width > image_limit_ || camera.height > image_limit_)
-    throw GlError(context_.renderer() + " draws images of at most " + std::to_string(image_limit_) +
-                  " pixels");
   if (camera.width != width_ || camera.height != height_) {
     width_ = height_ = 0;
     gl->RenderbufferStorage(kRenderbuffer, kR32f, camera.width, camera.height);
     gl->FramebufferRenderbuffer(kFramebuffer, kColorAttachment0, kRenderbuffer, image_);
-    if (gl->CheckFramebufferStatus(kFramebuffer) != kFramebufferComplete)
-      throw GlError(context_.renderer() + " cannot draw float images");
+    if (gl->GetError() || gl->CheckFramebufferStatus(kFramebuffer) != kFramebufferComplete)
+      throw GlError(context_.renderer() + " cannot draw float images of " +
+                    std::to_string(camera.width) + " x " + std::to_string(camera.height) +
+                    " pixels");
     gl->Viewport(0, 0, camera.width, camera.height);
     width_ = camera.width, height_ = camera.height;
   }
@@ -96,8 +106,7 @@ void GlRenderer::place(const Gl& gl, unsigned program, const Pose& T_camera_poin
 
 /// Coordinates of a cloud or a mesh as attributes 0 to 2, from its copy on the device.
 template <class Shape>
-GlRenderer::Uploaded& GlRenderer::bind(const Gl& gl, const Shape& shape, std::size_t size,
-                                       unsigned divisor) {
+GlRenderer::Uploaded& GlRenderer::bind(const Gl& gl, const Shape& shape, std::size_t size) {
   Uploaded& copy = uploaded_[shape.id()];
   copy.used = true;
   const auto bytes = static_cast<std::ptrdiff_t>(size * sizeof(float));
@@ -110,10 +119,8 @@ GlRenderer::Uploaded& GlRenderer::bind(const Gl& gl, const Shape& shape, std::si
     gl->BufferSubData(kArrayBuffer, bytes, bytes, shape.y());
     gl->BufferSubData(kArrayBuffer, 2 * bytes, bytes, shape.z());
   }
-  for (unsigned axis = 0; axis < 3; ++axis) {
-    gl->VertexAttribDivisor(axis, divisor);
+  for (unsigned axis = 0; axis < 3; ++axis)
     gl->VertexAttribPointer(axis, 1, kFloat, 0, 0, reinterpret_cast<const void*>(axis * bytes));
-  }
   return copy;
 }
 
@@ -136,14 +143,9 @@ void GlRenderer::draw_cloud(const Gl& gl, const Camera& camera, const PlacedClou
                   std::to_string(kLargestSplat) + " of OpenGL here; the cpu draws any size");
   gl->Uniform1fv(gl->GetUniformLocation(splats_, "limits"), largest + 1, limits.data());
   gl->Uniform1i(gl->GetUniformLocation(splats_, "largest"), largest);
-  const bool squares = largest > point_limit_;
-  gl->Uniform1i(gl->GetUniformLocation(splats_, "as_squares"), squares);
   place(gl, splats_, placed.T_camera_cloud);
-  bind(gl, cloud, cloud.size(), squares ? 1 : 0);
-  if (squares)
-    gl->DrawArraysInstanced(kTriangleStrip, 0, 4, static_cast<int>(cloud.size()));
-  else
-    gl->MultiDrawArrays(kPoints, first.data(), count.data(), static_cast<int>(first.size()));
+  bind(gl, cloud, cloud.size());
+  gl->MultiDrawArrays(kPoints, first.data(), count.data(), static_cast<int>(first.size()));
 }
 
 std::vector<float> GlRenderer::render_splats(const Camera& camera,
@@ -175,7 +177,7 @@ void GlRenderer::draw_mesh(const Gl& gl, const Camera& camera, const PlacedMesh&
   }
   if (count.empty()) return;
   place(gl, triangles_, placed.T_camera_mesh);
-  Uploaded& copy = bind(gl, mesh, mesh.vertex_count(), 0);
+  Uploaded& copy = bind(gl, mesh, mesh.vertex_count());
   const bool known = copy.corners;
   if (!known) gl->GenBuffers(1, &copy.corners);
   gl->BindBuffer(kElementArrayBuffer, copy.corners);

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <string>
 #include <unordered_map>
 #include <vector>
 
@@ -17,13 +18,11 @@ namespace docdepth::gl {
 /// device until a depth map does not need them. For one thread and one process, like GlContext.
 class GlRenderer {
  public:
-  /// @throws GlError saying why the back end cannot be used here
-  explicit GlRenderer(const Choice& choice);
+  /// @param library, device as those of GlContext
+  /// @throws GlError saying why OpenGL cannot be used here
+  explicit GlRenderer(const std::string& library, int device = -1);
 
   const GlContext& context() const { return context_; }
-  int point_limit() const {
-    return point_limit_;
-  }  ///< largest size of points [pixel]; larger splats are drawn as squares
 
   /// As docdepth::render_splats().
   std::vector<float> render_splats(const Camera& camera, const std::vector<PlacedCloud>& clouds);
@@ -44,14 +43,13 @@ class GlRenderer {
   void draw_cloud(const Gl& gl, const Camera& camera, const PlacedCloud& placed);
   void draw_mesh(const Gl& gl, const Camera& camera, const PlacedMesh& placed);
   template <class Shape>
-  Uploaded& bind(const Gl& gl, const Shape& shape, std::size_t size, unsigned divisor);
+  Uploaded& bind(const Gl& gl, const Shape& shape, std::size_t size);
   std::vector<float> inverse_depth(const Gl& gl, const Camera& camera,
                                    const std::vector<PlacedMesh>& meshes);
   std::vector<float> read(const Gl& gl, const Camera& camera);
   void forget_unused(const Gl& gl);
 
   GlContext context_;
-  int point_limit_ = 1, image_limit_ = 0;
   int width_ = 0, height_ = 0;  // of the image on the device
   unsigned image_ = 0;
   unsigned splats_ = 0, triangles_ = 0;  // programs

@@ -39,25 +39,23 @@ float row(vec4 r, vec3 p) {
 vec3 move(vec3 p) { return vec3(row(rows[0], p), row(rows[1], p), row(rows[2], p)); }
 )";
 
-/// A splat as a point, or as one of the four corners of a square if points cannot be that large.
-/// Its centre is snapped to a pixel and its edge is odd, so every driver covers the same pixels.
+/// The pixel of a point, the height of its splat, which is -1 where nothing is drawn, and its
+/// depth.
 constexpr const char* kSplatVertex = R"(
 layout(location = 0) in float x;
 layout(location = 1) in float y;
 layout(location = 2) in float z;
 uniform float limits[512];  // largest squared distance at which a height is reached
 uniform int largest;
-uniform int as_squares;
-flat out ivec3 splat;       // column, row, height
-flat out float depth;
+out vec4 centre;            // column, row, height, depth
 
-int height(float squared) {
+float height(float squared) {
   int reached = 0, missed = largest + 1;
   while (missed - reached > 1) {
     int middle = (reached + missed) / 2;
     if (squared <= limits[middle]) reached = middle; else missed = middle;
   }
-  return reached;
+  return float(reached);
 }
 
 void main() {
@@ -66,29 +64,38 @@ void main() {
   EXACT float u = (divide(fx_x, p.z) + lens.z) + 0.5;
   EXACT float v = (divide(fy_y, p.z) + lens.w) + 0.5;
   EXACT float squared = (p.x * p.x + p.y * p.y) + p.z * p.z;
-  gl_PointSize = 1.0;
-  gl_Position = vec4(0.0, 0.0, 2.0, 1.0);  // outside of everything
-  splat = ivec3(0);
-  depth = p.z;
-  if (!(p.z > 0.1 && u >= 0.0 && u < size.x && v >= 0.0 && v < size.y)) return;
-  vec2 centre = floor(vec2(u, v));
-  splat = ivec3(centre, height(squared));
-  float half_edge = float(splat.z / 2) + 0.5;
-  gl_PointSize = 2.0 * half_edge;
-  vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
-  vec2 at = centre + 0.5 + (as_squares != 0 ? corner * half_edge : vec2(0.0));
-  gl_Position = vec4(at / size * 2.0 - 1.0, 0.0, 1.0);
+  bool drawn = p.z > 0.1 && u >= 0.0 && u < size.x && v >= 0.0 && v < size.y;
+  centre = vec4(floor(u), floor(v), drawn ? height(squared) : -1.0, p.z);
+}
+)";
+
+/// A splat becomes the square of pixels around it, and the fragments test its edge.
+constexpr const char* kSplatGeometry = R"(
+layout(points) in;
+layout(triangle_strip, max_vertices = 4) out;
+in vec4 centre[];
+flat out vec4 splat;
+
+void main() {
+  if (centre[0].z < 0.0) return;
+  float half_edge = floor(centre[0].z / 2.0) + 0.5;
+  for (int i = 0; i < 4; ++i) {
+    splat = centre[0];
+    vec2 at = centre[0].xy + 0.5 + (vec2(i & 1, i >> 1) * 2.0 - 1.0) * half_edge;
+    gl_Position = vec4(at / size * 2.0 - 1.0, 0.0, 1.0);
+    EmitVertex();
+  }
 }
 )";
 
 constexpr const char* kSplatFragment = R"(
-flat in ivec3 splat;
-flat in float depth;
+flat in vec4 splat;
 out float nearest;
 void main() {
-  ivec2 d = ivec2(gl_FragCoord.xy) - splat.xy;
-  if (9 * d.x * d.x + 4 * d.y * d.y > splat.z * splat.z) discard;
-  nearest = depth;
+  ivec2 d = ivec2(gl_FragCoord.xy) - ivec2(splat.xy);
+  int height = int(splat.z);
+  if (9 * d.x * d.x + 4 * d.y * d.y > height * height) discard;
+  nearest = splat.w;
 }
 )";
 
