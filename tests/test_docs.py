@@ -20,6 +20,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
+from docdepth.render.view import View
 
 ROOT = Path(__file__).parent.parent
 README = ROOT / "README.md"
@@ -247,7 +248,7 @@ def test_the_recipe_for_far_scenes_draws_far_sweeps(primitive: Any) -> None:
             points = np.stack([np.full(up.shape, 40.0), side, distance * up], -1).reshape(-1, 3)
             return Frame(points.astype(np.float32), np.full(len(points), 50, np.uint16), p)
 
-        depth = compose_depth(camera, T_camera_lidar, trajectory, 0, board, p)
+        depth = compose_depth(View.at(camera, T_camera_lidar, trajectory, 0), trajectory, board, p)
         return set(np.unique(depth[np.isfinite(depth)].round(-1)).tolist())
 
     far = drawn(settings)

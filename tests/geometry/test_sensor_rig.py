@@ -21,6 +21,7 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry, run_render
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
+from docdepth.render.view import View
 from docdepth.synthetic import scene, sensor, write_drive
 from docdepth.synthetic.drive import Drive
 
@@ -87,8 +88,9 @@ def test_ray_origins_follow_a_driving_lidar():
     right = np.eye(4)  # looks to the right, where the panel is
     right[:3, :3] = [[-1, 0, 0], [0, 0, -1], [0, -1, 0]]
     moving = standing.with_ego_motion((20, 0, 0), time_offset)
+    view = View.at(camera, right, trajectory, 0)
     drawn = [
-        compose_depth(camera, right, trajectory, 0, lambda _, frame=frame: frame, p)
+        compose_depth(view, trajectory, lambda _, frame=frame: frame, p)
         for frame in (told, Frame(points, classid, p, sensor_rig=moving),
                       Frame(points, classid, p))
     ]  # fmt: skip

@@ -11,6 +11,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.frame import Frame
 from docdepth.render.moving_objects import objects_of
 from docdepth.render.selection import dynamic_frame, static_frames
+from docdepth.render.view import View
 
 # Camera axes in the LiDAR frame: x right = -y, y down = -z, z forward = x.
 AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=np.float64)
@@ -88,6 +89,11 @@ def scattered(rng, n):
     points[:3] = [[0, 0, 0], [np.nan, 1, 2], [np.inf, 0, 0]]
     points[3] = [0.5, 0.1, 0.1]
     return points
+
+
+def at(camera, T_camera_lidar, trajectory, time):
+    """View and trajectory, the first arguments of compose_depth()."""
+    return View.at(camera, T_camera_lidar, trajectory, time), trajectory
 
 
 def drive(rng, camera_time, parameters, n=6):

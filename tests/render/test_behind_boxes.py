@@ -17,8 +17,9 @@ from docdepth.render import backends
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.layers import AGREED, compose_layers
-from docdepth.render.sightings import RISE, VEHICLE_HEIGHT, View, boxes_in_view
+from docdepth.render.sightings import RISE, VEHICLE_HEIGHT, boxes_in_view
 from docdepth.render.track_sweeps import seen_to_its_top
+from docdepth.render.view import View
 
 CAMERA = Camera(np.array([[200.0, 0, 160], [0, 200, 80], [0, 0, 1]]), 320, 120)
 VIEW = View(CAMERA, AXES, 0)
@@ -70,9 +71,13 @@ def scene(
         classid = np.where(hit, 100, 50).astype(np.uint16)
         frame = followed(points, classid, i, trajectory, track, TRIANGLES)
         frames.append(frame if tracked else Frame(points, classid, TRIANGLES))
-    about = {"camera": CAMERA, "T_camera_lidar": AXES, "trajectory": trajectory}
-    about |= {"time": round(image * 1e8), "frames": frames.__getitem__, "parameters": TRIANGLES}
-    return about | {"tracks": Tracks([track] if tracked and objects else [])}
+    return {
+        "view": View.at(CAMERA, AXES, trajectory, round(image * 1e8)),
+        "trajectory": trajectory,
+        "frames": frames.__getitem__,
+        "parameters": TRIANGLES,
+        "tracks": Tracks([track] if tracked and objects else []),
+    }
 
 
 def rows_and_columns():
@@ -160,8 +165,9 @@ def test_a_camera_beside_the_lidar_is_shown_no_world_through_an_object(
             beside["trajectory"], (10, 5.2, -1.7), (20, 0, 0), (0.5, 3.4, 3.0), of=2
         )
         beside["tracks"] = Tracks([empty, *beside["tracks"].values()])
-    beside["T_camera_lidar"] = AXES.copy()
-    beside["T_camera_lidar"][0, 3] = -0.8
+    T_camera_lidar = AXES.copy()
+    T_camera_lidar[0, 3] = -0.8
+    beside["view"] = View.at(CAMERA, T_camera_lidar, beside["trajectory"], beside["view"].time)
     hidden = LEVEL & (RIGHT > -0.57) & (RIGHT < -0.43)
     depth = compose_depth(**beside)
     monkeypatch.setattr("docdepth.render.depth_map.boxes_in_view", lambda *_: [])
@@ -206,7 +212,8 @@ def test_only_pixels_behind_the_box_that_rays_do_not_agree_with_are_emptied(monk
     outline = np.abs(np.abs(RIGHT) - 1 / AHEAD) * CAMERA.K[0, 0] < 1
     assert not (missing & (seen == AGREED) & ~outline).any()
     # Points along the ray of each pixel, in the frame of the box.
-    T = np.linalg.inv(box.pose_at(cut["time"])) @ cut["trajectory"].poses[6] @ np.linalg.inv(AXES)
+    T_box_world = np.linalg.inv(box.pose_at(cut["view"].time))
+    T = T_box_world @ cut["trajectory"].poses[6] @ np.linalg.inv(AXES)
     z = np.linspace(0.1, 1, 2000)[:, None] * whole[missing]
     rays = np.stack([RIGHT[missing] * z, -UP[missing] * z, z], -1) @ T[:3, :3].T + T[:3, 3]
     low, high = np.array((-0.25, -1, 0)) - 0.06, np.array((0.25, 1, 4.2)) + 0.06

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, TRIANGLES, small_camera
+from render_reference import AXES, TRIANGLES, at, small_camera
 
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
@@ -50,7 +50,7 @@ def seen(origins, top, wall_elevation, behind=False):
     frames = [frame(np.array(origin), top, wall_top, behind) for origin in origins]
     camera, T_camera_lidar = small_camera(300, 200, 720.0), AXES.copy()
     T_camera_lidar[:3, 3] = -AXES[:3, :3] @ CAMERA
-    depth = compose_depth(camera, T_camera_lidar, trajectory, 0, frames.__getitem__, TRIANGLES)
+    depth = compose_depth(*at(camera, T_camera_lidar, trajectory, 0), frames.__getitem__, TRIANGLES)
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     side, up = (u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1]
     directions = np.stack([np.ones_like(side), -side, -up], axis=-1)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from render_reference import AXES, TRIANGLES, moving_track, small_camera, straight
+from render_reference import AXES, TRIANGLES, at, moving_track, small_camera, straight
 from test_moving_objects import wall_and_box
 
 from docdepth.geometry.se3 import inverse, rotation_exp
@@ -16,7 +16,8 @@ from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.in_view import TracksInView
 from docdepth.render.moving_objects import objects_of
-from docdepth.render.sightings import SOFT_SECONDS, View, _in_view
+from docdepth.render.sightings import SOFT_SECONDS, _in_view
+from docdepth.render.view import View
 
 CAMERA = small_camera(focal=600)  # 15 degrees wide; the LiDAR sees 69
 
@@ -32,10 +33,7 @@ def views_of(trajectory: Trajectory) -> list[View]:
 
 
 def in_view_of(tracks: dict[int, Track], trajectory: Trajectory) -> TracksInView:
-    views = views_of(trajectory)
-    poses = np.array([view.T_camera_world for view in views])
-    times = np.array([view.time for view in views])
-    return TracksInView(tracks, trajectory, [(CAMERA, times, poses)])
+    return TracksInView(tracks, trajectory, views_of(trajectory))
 
 
 @pytest.mark.parametrize("kind", ["vehicle", "person"])
@@ -73,7 +71,12 @@ def test_pixels_are_the_same_without_what_no_image_shows(kind: str) -> None:
     for time in image_times(trajectory).tolist():
         expected, found = (
             compose_depth(
-                CAMERA, AXES, trajectory, time, frames.__getitem__, TRIANGLES, 1, None, tracks
+                *at(CAMERA, AXES, trajectory, time),
+                frames.__getitem__,
+                TRIANGLES,
+                1,
+                None,
+                tracks,
             )
             for frames in (whole, cropped)
         )

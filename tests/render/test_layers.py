@@ -8,6 +8,7 @@ from render_reference import (
     AXES,
     PAPER,
     TRIANGLES,
+    at,
     drive,
     followed,
     moving_track,
@@ -22,6 +23,7 @@ from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.layers import _CONFIDENCE, LAYERS, compose_layers, confidence
 from docdepth.render.selection import static_frames
+from docdepth.render.view import View
 
 OF_SPLATS = tuple(name for name in LAYERS if name not in ("normal", "instance", "seen"))
 GROUND, WALL = -1.7, 25.0
@@ -30,7 +32,7 @@ GROUND, WALL = -1.7, 25.0
 def test_layers_of_splats_equal_plain_numpy():
     camera, time = small_camera(), 130_000_000
     trajectory, frames, clouds = drive(np.random.default_rng(5), time, PAPER)
-    scene = (camera, AXES, trajectory, time, frames.__getitem__, PAPER)
+    scene = (*at(camera, AXES, trajectory, time), frames.__getitem__, PAPER)
     depth = compose_depth(*scene)
     kept = depth.copy()
     one, two = (compose_layers(OF_SPLATS, depth, *scene, threads=t) for t in (1, 2))
@@ -104,13 +106,14 @@ def street(box=False):
     track = moving_track(trajectory, (10.5, 0, -1.2), (10, 0, 0), (1, 2, 1.4), of=7)
     frames = [followed(*seen, i, trajectory, track, TRIANGLES) for i, seen in enumerate(sweeps)]
     camera = Camera(np.array([[200.0, 0, 160], [0, 200, 50], [0, 0, 1]]), 320, 120)
-    scene = (camera, AXES, trajectory, time, frames.__getitem__, TRIANGLES)
+    scene = (*at(camera, AXES, trajectory, time), frames.__getitem__, TRIANGLES)
     return scene, compose_depth(*scene, tracks=Tracks([track])), Tracks([track])
 
 
 def test_layers_of_an_exact_street():
     scene, depth, _ = street()
-    _, _, trajectory, time, *_ = scene
+    view, trajectory, *_ = scene
+    time = view.time
     found, again = (compose_layers(LAYERS, depth, *scene, threads=t) for t in (1, 3))
     for name in LAYERS:
         np.testing.assert_array_equal(found[name], again[name])
@@ -220,7 +223,8 @@ def test_error_falls_as_confidence_rises(preset):
         return frames[i]
 
     time = int(drive.camera_times[8])
-    scene_of = (camera, drive.rig.T_camera_lidar, trajectory, time, frame, preset)
+    view = View.at(camera, drive.rig.T_camera_lidar, trajectory, time)
+    scene_of = (view, trajectory, frame, preset)
     depth, truth = compose_depth(*scene_of), drive.image(8).depth
     sure = compose_layers(("confidence",), depth, *scene_of)["confidence"]
     np.testing.assert_array_equal(np.isnan(sure), np.isnan(depth))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from render_reference import AXES, TRIANGLES, followed, moving_track, small_camera, straight
+from render_reference import AXES, TRIANGLES, at, followed, moving_track, small_camera, straight
 
 from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import Track, Tracks
@@ -18,7 +18,6 @@ from docdepth.render.selection import drawn_frames
 from docdepth.render.sightings import (
     MOST_SIGHTINGS,
     SOFT_SECONDS,
-    View,
     boxes_in_view,
     sighted_objects,
 )
@@ -28,6 +27,7 @@ from docdepth.render.track_sweeps import (
     sweeps_of_track,
     track_sweeps,
 )
+from docdepth.render.view import View
 
 CORNERS = np.array([(x, y, z) for x in (-2, 2) for y in (-0.9, 0.9) for z in (0, 1.5)])
 
@@ -175,7 +175,7 @@ def test_what_later_sweeps_saw_of_a_car_is_drawn_where_no_ray_looked():
             points, classid = points[low], classid[low]
         frames.append(followed(points, classid, i, trajectory, track, TRIANGLES))
     camera, time = small_camera(320, 120, 180.0), 1_040_000_000
-    asked = (camera, AXES, trajectory, time, frames.__getitem__, TRIANGLES)
+    asked = (*at(camera, AXES, trajectory, time), frames.__getitem__, TRIANGLES)
     depth = compose_depth(*asked, tracks=Tracks([track]))
     here, y, z = back_of_box(camera, trajectory, track, time)
     upper = (np.abs(y) < 0.7) & (z > -0.1) & (z < 0.3)
@@ -203,7 +203,10 @@ def test_through_a_window_the_car_is_not_drawn_where_rays_pass():
         clear.append(followed(points, classid, i, trajectory, track, TRIANGLES))
     camera, time = small_camera(320, 120, 180.0), 1_040_000_000
     depth = compose_depth(
-        camera, AXES, trajectory, time, clear.__getitem__, TRIANGLES, tracks=Tracks([track])
+        *at(camera, AXES, trajectory, time),
+        clear.__getitem__,
+        TRIANGLES,
+        tracks=Tracks([track]),
     )
     here, y, z = back_of_box(camera, trajectory, track, time)
     wall = 30 - trajectory.interpolate(time)[0][0, 3]
@@ -223,7 +226,11 @@ def test_strays_stay_where_the_nearest_sweep_saw_them():
     depths = []
     for some in (np.arange(len(points)), order):
         frame = Frame(points[some], classid[some], TRIANGLES)
-        asked = (small_camera(), AXES, trajectory, 130_000_000, lambda _, f=frame: f, TRIANGLES)
+        asked = (
+            *at(small_camera(), AXES, trajectory, 130_000_000),
+            lambda _, f=frame: f,
+            TRIANGLES,
+        )
         depths.append(compose_depth(*asked))
     np.testing.assert_array_equal(*depths)
     assert (np.abs(depths[0] - 12) < 0.01).sum() > 40

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from render_reference import at
 
 import docdepth._core as _core
 from docdepth.config import RenderParameters
@@ -179,12 +180,14 @@ def test_bars_of_a_fence_are_where_most_sweeps_measured_them():
             ranges = fence_and_wall(directions, pose[0, 3])
             points = (directions * ranges[:, None])[(ranges > 0) & (ranges < 80)].astype(F)
             frames.append(Frame(points, np.full(len(points), 50, np.uint16), parameters))
-        depth = compose_depth(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 1)
+        depth = compose_depth(*at(camera, AXES, trajectory, 0), frames.__getitem__, parameters, 1)
         known = np.isfinite(depth)
         drawn[case] = known.mean()
         wrong[case] = (np.abs(depth - truth) > 0.05 * truth)[known].mean()
         missed[case] = (~(np.abs(depth - truth) <= 0.05 * truth)).mean()
-        threaded = compose_depth(camera, AXES, trajectory, 0, frames.__getitem__, parameters, 3)
+        threaded = compose_depth(
+            *at(camera, AXES, trajectory, 0), frames.__getitem__, parameters, 3
+        )
         np.testing.assert_array_equal(threaded, depth)
     # One sweep leaves pixels between bar and wall empty; others fill them, with more errors.
     assert drawn["one sweep"] < 0.8

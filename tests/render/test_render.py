@@ -11,6 +11,7 @@ from render_reference import (
     AXES,
     PAPER,
     TRIANGLES,
+    at,
     drive,
     reference,
     small_camera,
@@ -42,7 +43,12 @@ def test_equals_plain_numpy_pixel_for_pixel(seed, sizes):
     trajectory, frames, clouds = drive(np.random.default_rng(seed), time, parameters)
     expected = reference(camera, clouds)
     one, two = (
-        compose_depth(camera, AXES, trajectory, time, frames.__getitem__, parameters, threads=t)
+        compose_depth(
+            *at(camera, AXES, trajectory, time),
+            frames.__getitem__,
+            parameters,
+            threads=t,
+        )
         for t in (1, 2)
     )
     np.testing.assert_array_equal(one, expected)
@@ -58,7 +64,7 @@ def frame_of(points, classid=50):
 
 def test_a_single_splat_is_an_upright_ellipse_of_constant_depth():
     camera = Camera(np.array([[100.0, 0, 40], [0, 100, 30], [0, 0, 1]]), 81, 61)
-    depth = compose_depth(camera, AXES, straight(1), 0, lambda _: frame_of([10, 0, 0]), PAPER)
+    depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame_of([10, 0, 0]), PAPER)
     h = round(50 / np.log(100))  # 11 pixels high
     rows, columns = np.nonzero(np.isfinite(depth))
     assert (rows.min(), rows.max()) == (30 - h // 2, 30 + h // 2)
@@ -80,7 +86,7 @@ def test_near_moving_wall_hides_far_static_wall():
     points = np.concatenate([wall(20.0), near]).astype(np.float32)
     classid = np.repeat(np.array([50, 100], np.uint16), [side.size, len(near)])
     frame = Frame(points, classid, PAPER)
-    depth = compose_depth(camera, AXES, straight(1), 0, lambda _: frame, PAPER)
+    depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame, PAPER)
     assert set(np.unique(depth)) == {8.0, 20.0}
     assert (depth[:, 60:100] == 8.0).all()
     assert (depth[:, :30] == 20.0).all()
@@ -90,7 +96,11 @@ def test_near_moving_wall_hides_far_static_wall():
 def test_points_behind_too_near_or_centred_outside_are_not_drawn():
     camera = small_camera()
     for point in ([-5, 0, 0], [0.1, 0, 0], [5, 5, 0], [5, -5, 0], [5, 0, 3], [5, 0, -3]):
-        depth = compose_depth(camera, AXES, straight(1), 0, lambda _, p=point: frame_of(p), PAPER)
+        depth = compose_depth(
+            *at(camera, AXES, straight(1), 0),
+            lambda _, p=point: frame_of(p),
+            PAPER,
+        )
         assert np.isnan(depth).all(), point
 
 
@@ -102,7 +112,7 @@ def test_moving_points_come_from_the_sweep_nearest_in_time_only():
         asked.append(i)
         return frame_of([20 + i, 0, 0], classid=100)
 
-    depth = compose_depth(small_camera(), AXES, trajectory, 160_000_000, frames, PAPER)
+    depth = compose_depth(*at(small_camera(), AXES, trajectory, 160_000_000), frames, PAPER)
     # Sweep 2 stands at 2 m and sees its point at 22 m; the camera stands at 1.6 m.
     np.testing.assert_allclose(np.unique(depth[np.isfinite(depth)]), [22.4], rtol=1e-6)
     assert set(asked) == {2, 3}  # static points: those after 1.6 - 0.5
@@ -131,7 +141,7 @@ def test_a_standing_ego_is_drawn_from_the_sweep_nearest_in_time():
 def test_no_points_give_no_depth(parameters):
     empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
     assert np.isnan(
-        compose_depth(small_camera(), AXES, straight(2), 0, lambda _: empty, parameters)
+        compose_depth(*at(small_camera(), AXES, straight(2), 0), lambda _: empty, parameters)
     ).all()
 
 
@@ -141,10 +151,16 @@ def test_bad_input_is_refused():
     with pytest.raises(InputError, match="one for each point"):
         Frame(np.zeros((3, 3), np.float32), np.zeros(2, np.uint16))
     with pytest.raises(InputError, match="outside the trajectory"):
-        compose_depth(small_camera(), AXES, straight(2), -1, lambda _: frame_of([5, 0, 0]), PAPER)
+        compose_depth(
+            *at(small_camera(), AXES, straight(2), -1),
+            lambda _: frame_of([5, 0, 0]),
+            PAPER,
+        )
     with pytest.raises(InputError, match="not made for triangles"):
         compose_depth(
-            small_camera(), AXES, straight(2), 0, lambda _: frame_of([5, 0, 0]), TRIANGLES
+            *at(small_camera(), AXES, straight(2), 0),
+            lambda _: frame_of([5, 0, 0]),
+            TRIANGLES,
         )
     with pytest.raises(InputError, match="time_offset"):
         Frame(
@@ -166,7 +182,7 @@ def test_needed_frames_are_those_that_are_asked_for(parameters, time):
         asked.add(index)
         return frames[index]
 
-    compose_depth(small_camera(), AXES, trajectory, time, frame, parameters)
+    compose_depth(*at(small_camera(), AXES, trajectory, time), frame, parameters)
     assert asked == set(needed_frames(trajectory, time, parameters))
 
 
@@ -180,7 +196,7 @@ def test_the_crop_leaves_dynamic_points(parameters):
     points = np.concatenate([board, unusable]).astype(np.float32)
     for classid, drawn in ((50, False), (99, False), (100, True)):
         frame = Frame(points, np.full(len(points), classid, np.uint16), near)
-        depth = compose_depth(small_camera(), AXES, straight(1), 0, lambda _, f=frame: f, near)
+        depth = compose_depth(*at(small_camera(), AXES, straight(1), 0), lambda _, f=frame: f, near)
         assert np.isfinite(depth).any() == drawn
         np.testing.assert_allclose(depth[np.isfinite(depth)], 20, rtol=1e-5)
 
@@ -216,7 +232,7 @@ def test_equals_plain_numpy_on_real_sweeps():
             clouds.append((s[c < 100], pose, (50.0, 3.0)))
         if i == dynamic_frame(trajectory, time):
             clouds.append((s[c >= 100], pose, (80.0, 35.0)))
-    depth = compose_depth(camera, AXES, trajectory, time, frames.__getitem__, PAPER)
+    depth = compose_depth(*at(camera, AXES, trajectory, time), frames.__getitem__, PAPER)
     np.testing.assert_array_equal(depth, reference(camera, clouds))
     assert np.isfinite(depth).mean() > 0.5
 
@@ -230,7 +246,7 @@ def test_scenes_of_700_metres(primitive):
     points = np.concatenate([far, beyond])
     frame = Frame(points, np.full(len(points), 50, np.uint16), parameters)
     camera = Camera(np.array([[700.0, 0, 300], [0, 700, 60], [0, 0, 1]]), 601, 121)
-    depth = compose_depth(camera, AXES, straight(1), 0, lambda _: frame, parameters)
+    depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame, parameters)
     wall = depth[30:90, 270:330]
     assert np.isfinite(wall).mean() > 0.9
     np.testing.assert_allclose(wall[np.isfinite(wall)], 690, rtol=1e-5)

@@ -7,6 +7,7 @@ import pytest
 from render_reference import (
     AXES,
     TRIANGLES,
+    at,
     drive,
     followed,
     moving_track,
@@ -54,7 +55,7 @@ def test_triangles_of_a_plane_are_that_plane_without_cracks(planes):
     points = (directions * ranges[:, None])[hit].astype(np.float32)
     camera = small_camera()
     frame = Frame(points, np.full(len(points), 50, np.uint16), TRIANGLES)
-    depth = compose_depth(camera, AXES, straight(1), 0, lambda _: frame, TRIANGLES)
+    depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame, TRIANGLES)
     rays = pixel_rays(camera)
     exact, plane = meet(rays.reshape(-1, 3), planes)
     exact, plane = np.minimum(exact, 1e6).reshape(depth.shape), plane.reshape(depth.shape)
@@ -132,7 +133,10 @@ def test_triangles_do_not_depend_on_threads(seed, pixels):
     trajectory, frames, _ = drive(np.random.default_rng(seed), 130_000_000, TRIANGLES)
     one, two = (
         compose_depth(
-            small_camera(250), AXES, trajectory, 130_000_000, frames.__getitem__, TRIANGLES, t
+            *at(small_camera(250), AXES, trajectory, 130_000_000),
+            frames.__getitem__,
+            TRIANGLES,
+            t,
         )
         for t in (1, 2)
     )
@@ -163,7 +167,10 @@ def test_a_moving_box_is_drawn_where_it_was_at_the_time_of_the_image(is_followed
     frames = [frame(i) for i in range(4)]
     tracks = Tracks([track] if is_followed else [])
     depth = compose_depth(
-        camera, AXES, trajectory, 160_000_000, frames.__getitem__, TRIANGLES, tracks=tracks
+        *at(camera, AXES, trajectory, 160_000_000),
+        frames.__getitem__,
+        TRIANGLES,
+        tracks=tracks,
     )
     # Sweep 2 saw the box at 12 m; 40 ms before, it was at 11.2 m and the camera at 1.6 m.
     distance = 11.2 - 1.6 if is_followed else 12 - 1.6
@@ -194,7 +201,11 @@ def test_other_sweeps_fill_the_part_of_a_moving_box_behind_a_post():
 
     frames = [followed(*seen(i), i, standing, track, TRIANGLES) for i in range(7)]
     camera = small_camera(640, 240, 360.0)
-    asked = (camera, T_camera_lidar, standing, 310_000_000, frames.__getitem__, TRIANGLES)
+    asked = (
+        *at(camera, T_camera_lidar, standing, 310_000_000),
+        frames.__getitem__,
+        TRIANGLES,
+    )
     depth = compose_depth(*asked, tracks=Tracks([track]))
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     side, up = ((u - camera.K[0, 2]) / camera.K[0, 0]), ((v - camera.K[1, 2]) / camera.K[1, 1])
@@ -228,7 +239,7 @@ def test_a_moving_box_ends_close_to_its_last_ring():
         return followed(points.astype(np.float32), classid, index, standing, track, TRIANGLES)
 
     frames, camera = [frame(i) for i in range(7)], small_camera(640, 240, 360.0)
-    asked = (camera, AXES, standing, 310_000_000, frames.__getitem__, TRIANGLES)
+    asked = (*at(camera, AXES, standing, 310_000_000), frames.__getitem__, TRIANGLES)
     depth = compose_depth(*asked, tracks=Tracks([track]))
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     side = -8 * (u - camera.K[0, 2]) / camera.K[0, 0]
@@ -245,7 +256,7 @@ def test_an_isolated_return_is_a_small_diamond(monkeypatch):
     camera = small_camera()
     monkeypatch.setattr(frame_module, "ISOLATED_SIZE_DEG", 3.0)
     frame = Frame(np.array([[10, 0, 0]], np.float32), np.array([50], np.uint16), TRIANGLES)
-    depth = compose_depth(camera, AXES, straight(1), 0, lambda _: frame, TRIANGLES)
+    depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame, TRIANGLES)
     u, v = np.meshgrid(np.arange(160) - camera.K[0, 2], np.arange(60) - camera.K[1, 2])
     half = np.radians(3.0)
     inside = np.abs(u / camera.K[0, 0]) + np.abs(v / camera.K[1, 1]) <= half

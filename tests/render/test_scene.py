@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from render_reference import AXES, PAPER, TRIANGLES, small_camera, straight
+from render_reference import AXES, PAPER, TRIANGLES, at, small_camera, straight
 
 from command_line import cli
 from docdepth.config import Parameters, parameters
@@ -152,7 +152,9 @@ def test_plain_arrays_are_a_scene():
             for p, c, u in zip(points, classes, usable, strict=True)
         ]
         expected = compose_depth(
-            camera.camera, AXES, trajectory, 130_000_000, frames.__getitem__, values.render
+            *at(camera.camera, AXES, trajectory, 130_000_000),
+            frames.__getitem__,
+            values.render,
         )
         scene = Scene(points, trajectory, classes, values)
         np.testing.assert_array_equal(render_depth(scene, camera, -1), expected)

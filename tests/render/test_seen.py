@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, PAPER, TRIANGLES, followed, moving_track, straight
+from render_reference import AXES, PAPER, TRIANGLES, at, followed, moving_track, straight
 
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
@@ -49,7 +49,11 @@ def pixel_rays(camera):
 
 
 def seen_of(depth, frames, trajectory, T_camera_lidar=AXES, time=TIME, threads=0):
-    scene = (CAMERA, T_camera_lidar, trajectory, time, frames.__getitem__, TRIANGLES)
+    scene = (
+        *at(CAMERA, T_camera_lidar, trajectory, time),
+        frames.__getitem__,
+        TRIANGLES,
+    )
     return compose_layers(("seen",), depth.astype(np.float32), *scene, threads=threads)["seen"]
 
 
@@ -202,7 +206,11 @@ def test_a_moving_box_is_compared_with_rays_that_move_with_it():
         return followed(points, classid, i, trajectory, track, TRIANGLES)
 
     frames = [frame(i) for i in range(4)]
-    scene = (CAMERA, AXES, trajectory, 150_000_000, frames.__getitem__, TRIANGLES)
+    scene = (
+        *at(CAMERA, AXES, trajectory, 150_000_000),
+        frames.__getitem__,
+        TRIANGLES,
+    )
     depth = compose_depth(*scene, tracks=Tracks([track]))
     found = compose_layers(("seen", "class"), depth, *scene, tracks=Tracks([track]))
     box = (found["class"] == 100) & (np.abs(depth - 13.0) < 0.1)
@@ -219,4 +227,10 @@ def test_splats_have_no_such_layer():
     frame = Frame(np.ones((3, 3), np.float32), np.full(3, 50, np.uint16), PAPER)
     depth = np.full((CAMERA.height, CAMERA.width), np.nan, np.float32)
     with pytest.raises(InputError, match="leave the layer seen out"):
-        compose_layers(("seen",), depth, CAMERA, AXES, straight(1), 0, lambda _: frame, PAPER)
+        compose_layers(
+            ("seen",),
+            depth,
+            *at(CAMERA, AXES, straight(1), 0),
+            lambda _: frame,
+            PAPER,
+        )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, PAPER, TRIANGLES, moving_track, small_camera
+from render_reference import AXES, PAPER, TRIANGLES, at, moving_track, small_camera
 
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
@@ -107,7 +107,7 @@ def test_an_image_costs_the_same_however_long_the_drive_is(parameters):
     object.__setattr__(watched, "poses", trajectory.poses.view(Whole))
     time = int(trajectory.times[200])
     assert drawn_frames(watched, time, parameters) == drawn_frames(trajectory, time, parameters)
-    compose_depth(small_camera(), AXES, watched, time, lambda _: empty, parameters)
+    compose_depth(*at(small_camera(), AXES, watched, time), lambda _: empty, parameters)
 
 
 def random_tracks(rng, trajectory):

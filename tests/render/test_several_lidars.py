@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, moving_track, small_camera, straight
+from render_reference import AXES, at, moving_track, small_camera, straight
 
 from docdepth.config import RenderParameters
 from docdepth.geometry.sensor_rig import SensorRig
@@ -69,7 +69,9 @@ def test_what_moves_and_the_world_beside_it_are_drawn_whole(drive):
     trajectory, track, frames = drive
     camera, time = small_camera(320, 160, 220.0), int(trajectory.times[4])
     depth = compose_depth(
-        camera, AXES, trajectory, time, frames.__getitem__, tracks=Tracks([track])
+        *at(camera, AXES, trajectory, time),
+        frames.__getitem__,
+        tracks=Tracks([track]),
     )
     x, y, _ = track.poses[4, :3, 3] - trajectory.poses[4, :3, 3]
     back, wall = x - 0.5, WALL - trajectory.poses[4, 0, 3]
@@ -90,7 +92,11 @@ def test_layers_name_the_sweep_of_each_lidar(drive):
     trajectory, track, _ = drive
     frames = scene_of(trajectory, track, PLACES, shown=(3, 5))
     camera, time = small_camera(), int(trajectory.times[4]) + 20_000_000
-    given = (camera, AXES, trajectory, time, frames.__getitem__, RenderParameters())
+    given = (
+        *at(camera, AXES, trajectory, time),
+        frames.__getitem__,
+        RenderParameters(),
+    )
     depth = compose_depth(*given, tracks=Tracks([track]))
     layers = compose_layers(["time", "class"], depth, *given, tracks=Tracks([track]))
     moving = layers["class"] == 100

@@ -37,6 +37,7 @@ from docdepth.pipeline.run_state import require
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.selection import needed_frames
+from docdepth.render.view import View
 
 
 @dataclass(frozen=True)
@@ -315,17 +316,9 @@ class _HeldOutViews:
             own = int(kept[k])
             key = (own, whole, own == index)
             self._frames[key] = frames[k] = before.get(key) or self._frame(*key)
-        # The renderer interpolates the pose between the neighbours; the estimated one is better.
-        T_lidar_interpolated = inverse(trajectory.poses[index]) @ others.interpolate(time)[0]
+        view = View(self.camera, T_camera_lidar @ inverse(trajectory.poses[index]), time)
         return compose_depth(
-            self.camera,
-            T_camera_lidar @ T_lidar_interpolated,
-            others,
-            time,
-            frames.__getitem__,
-            p.render,
-            self._threads,
-            tracks=tracks,
+            view, others, frames.__getitem__, p.render, self._threads, tracks=tracks
         )
 
     def _frame(self, index: int, whole: bool, judged: bool) -> Frame:

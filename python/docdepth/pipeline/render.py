@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
-from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.frames import FrameRecord
@@ -37,11 +36,12 @@ from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.frame import Frame
 from docdepth.render.frame_cache import FrameCache
-from docdepth.render.in_view import Images, TracksInView
+from docdepth.render.in_view import TracksInView
 from docdepth.render.layers import compose_layers
 from docdepth.render.moving_objects import objects_of
 from docdepth.render.selection import needed_frames
 from docdepth.render.track_sweeps import near_vehicles
+from docdepth.render.view import View
 from docdepth.visualization.report import index_is_whole, write_report
 
 
@@ -245,7 +245,8 @@ def _render_images(renderer: Renderer, worker: Worker, chunk: _Chunk) -> list[fl
     run, watch, images, tracks = worker.run, worker.watch, chunk.images, chunk.tracks
     trajectory, parameters = run.trajectory(), images[0].files.parameters
     job = _Job(trajectory, tracks, worker.threads, renderer, watch)
-    is_drawn = TracksInView(tracks, trajectory, _views(trajectory, images)).draws
+    views = [image.view(trajectory) for image in images]
+    is_drawn = TracksInView(tracks, trajectory, views).draws
     cache = FrameCache(
         lambda i, w: load_frame(run, trajectory, i, parameters, tracks, w, watch, is_drawn=is_drawn)
     )
@@ -260,7 +261,7 @@ def _render_images(renderer: Renderer, worker: Worker, chunk: _Chunk) -> list[fl
             requested = cache.request({one for some in needed for one in some.items()}, pool)
             with watch("wait for frames"):
                 frames = {i: requested[i, whole].result() for i, whole in needed[0].items()}
-            depth, layers = _render_image(job, image, frames)
+            depth, layers = _render_image(job, image, views[done], frames)
             if writing:
                 shares.append(writing.result())
             writing = pool.submit(_write, image, depth, layers, watch)
@@ -281,35 +282,17 @@ def _apart(images: list[ImageToRender]) -> list[ImageToRender]:
     return found
 
 
-def _views(trajectory: Trajectory, images: list[ImageToRender]) -> list[Images]:
-    """Where each camera is when it takes its images."""
-    views: list[Images] = []
-    for files in {id(image.files): image.files for image in images}.values():
-        times = np.array([image.time for image in images if image.files is files])
-        T_camera_world = files.stream.T_camera_lidar @ inverse(trajectory.interpolate(times))
-        views.append((files.stream.camera, times, T_camera_world))
-    return views
-
-
 def _render_image(
-    job: _Job, image: ImageToRender, frames: dict[int, Frame]
+    job: _Job, image: ImageToRender, view: View, frames: dict[int, Frame]
 ) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
-    parameters, stream = image.files.parameters, image.files.stream
-    scene = (
-        stream.camera,
-        stream.T_camera_lidar,
-        job.trajectory,
-        image.time,
-        frames.__getitem__,
-        parameters.render,
-        job.threads,
-    )
+    p, names = image.files.parameters.render, image.files.parameters.output.layers
+    trajectory, tracks, read = job.trajectory, job.tracks, frames.__getitem__
     with job.watch("draw"):
-        depth = compose_depth(*scene, job.renderer, job.tracks)
-    if not parameters.output.layers:
+        depth = compose_depth(view, trajectory, read, p, job.threads, job.renderer, tracks)
+    if not names:
         return depth, {}
     with job.watch("layers"):
-        return depth, compose_layers(parameters.output.layers, depth, *scene, job.tracks)
+        return depth, compose_layers(names, depth, view, trajectory, read, p, job.threads, tracks)
 
 
 def _write(

@@ -23,6 +23,7 @@ from docdepth.pipeline.run_inputs import RunCamera
 from docdepth.render.layers import check_layers
 from docdepth.render.selection import times_needed
 from docdepth.render.sightings import GONE
+from docdepth.render.view import View
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,11 @@ class ImageToRender:
     time: int
     files: DepthFiles
     index: int
+
+    def view(self, trajectory: Trajectory) -> View:
+        """What the image shows, and from where."""
+        stream = self.files.stream
+        return View.at(stream.camera, stream.T_camera_lidar, trajectory, self.time)
 
 
 @dataclass(frozen=True)

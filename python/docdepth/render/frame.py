@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,8 +19,9 @@ ISOLATED_SIZE_DEG = 0.1
 """Triangles: half the diagonal of the square drawn for a return that belongs to no triangle, as the
 LiDAR sees it [deg]. Half the angle between two returns of a common spinning LiDAR."""
 
-Part: TypeAlias = "tuple[_core.Frame | _core.MeshFrame, NDArray[np.float64]]"
-"""What the core draws, and the pose ``T_lidar_sensor`` of the LiDAR that measured it."""
+Part: TypeAlias = tuple[Any, NDArray[np.float64]]
+"""What the core draws (``_core.Frame`` of splats, ``_core.MeshFrame`` of triangles), and the pose
+``T_lidar_sensor`` of the LiDAR that measured it."""
 
 
 class Frame:

@@ -6,7 +6,7 @@ A LiDAR looks all around, a camera ahead. What no camera sees of an object need 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,9 @@ from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.selection import DYNAMIC_FRAMES
 from docdepth.render.sightings import SOFT_SECONDS, object_radius, within_image
+from docdepth.render.view import View
 
 Floats: TypeAlias = NDArray[np.float64]
-Images: TypeAlias = "tuple[Camera, NDArray[np.int64], Floats]"
-"""A camera, the times (n,) of its images [ns] and their poses ``T_camera_world`` (n, 4, 4)."""
 
 _ROUNDING = 1e-3
 """Here positions are computed in another order than where objects are drawn [m]."""
@@ -35,12 +34,13 @@ class TracksInView:
     tracks : Tracks
     trajectory : Trajectory
         Poses and times of all sweeps.
-    images : sequence of Images
-        All images that are drawn, by camera; each in order of time.
+    views : sequence of View
+        All images that are drawn; those of each camera in order of time.
     """
 
-    def __init__(self, tracks: Tracks, trajectory: Trajectory, images: Sequence[Images]) -> None:
-        self._tracks, self._trajectory, self._images = tracks, trajectory, images
+    def __init__(self, tracks: Tracks, trajectory: Trajectory, views: Sequence[View]) -> None:
+        self._tracks, self._trajectory = tracks, trajectory
+        self._images = _by_camera(views)
         self._times: dict[int, NDArray[np.int64]] = {}
 
     def draws(self, instance: int, time: int) -> bool:
@@ -65,7 +65,25 @@ class TracksInView:
         return times
 
 
-def _times(track: Track, trajectory: Trajectory, images: Sequence[Images]) -> NDArray[np.int64]:
+class _Images(NamedTuple):
+    """The images of a camera: times (n,) [ns], ascending, and ``T_camera_world`` (n, 4, 4)."""
+
+    camera: Camera
+    times: NDArray[np.int64]
+    T_camera_world: Floats
+
+
+def _by_camera(views: Sequence[View]) -> list[_Images]:
+    cameras = {id(view.camera): view.camera for view in views}
+    found = []
+    for camera in cameras.values():
+        own = [view for view in views if view.camera is camera]
+        times = np.array([view.time for view in own], np.int64)
+        found.append(_Images(camera, times, np.stack([view.T_camera_world for view in own])))
+    return found
+
+
+def _times(track: Track, trajectory: Trajectory, images: Sequence[_Images]) -> NDArray[np.int64]:
     """Times of the images that may show a track, ascending [ns]."""
     stamps, reach = trajectory.times, DYNAMIC_FRAMES + 1
     # A track is drawn only if one of the sweeps around the image saw it.

@@ -36,12 +36,11 @@ from numpy.typing import NDArray
 import docdepth._core as _core
 from docdepth.config import Layer, RenderParameters
 from docdepth.errors import InputError
-from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.depth_map import core_arguments
 from docdepth.render.frame import Frame
-from docdepth.render.selection import drawn_frames
+from docdepth.render.render_list import RenderList, render_list
+from docdepth.render.view import View
 
 LAYERS: tuple[str, ...] = get_args(Layer)
 
@@ -62,10 +61,8 @@ exact depth of synthetic drives."""
 def compose_layers(
     names: Sequence[str],
     depth: NDArray[np.float32],
-    camera: Camera,
-    T_camera_lidar: NDArray[np.float64],
+    view: View,
     trajectory: Trajectory,
-    time: int,
     frames: Callable[[int], Frame],
     parameters: RenderParameters | None = None,
     threads: int = 0,
@@ -83,7 +80,7 @@ def compose_layers(
         agree or not.
     depth : ndarray of float32, shape (h, w)
         Metres, NaN = none.
-    camera, T_camera_lidar, trajectory, time, frames, parameters, threads, tracks
+    view, trajectory, frames, parameters, threads, tracks
         The arguments that :func:`~docdepth.render.depth_map.compose_depth` was given.
 
     Returns
@@ -96,25 +93,16 @@ def compose_layers(
     InputError
         A name is unknown, the depth map has another size than the image, or splats lack a layer.
     """
-    p = parameters or RenderParameters()
+    p, camera = parameters or RenderParameters(), view.camera
     check_layers(names, p)
     if depth.shape != (camera.height, camera.width) or depth.dtype != np.float32:
         raise InputError(
             f"depth must be float32 of shape ({camera.height}, {camera.width}) as the camera's "
             f"image, got {depth.dtype} {depth.shape}"
         )
-    gather = _core.splat_layers if p.primitive == "splats" else _core.mesh_layers
-    arguments = core_arguments(camera, T_camera_lidar, trajectory, time, frames, p, tracks)
-    if p.primitive == "triangles":
-        arguments["seen"] = "seen" in names or "confidence" in names
-    found: dict[str, NDArray[Any]] = gather(
-        **arguments, depth=np.ascontiguousarray(depth), threads=threads
-    )
-    drawn = drawn_frames(trajectory, time, p, tracks)
-    # The core numbers parts: a sweep of several LiDARs has a number for each.
-    moving = drawn.dynamic if p.primitive == "splats" else drawn.sighted
-    sweeps = [i for i in (*drawn.static, *moving) for _ in frames(i).parts]
-    delays = (trajectory.times[sweeps] - np.int64(time)).astype(np.float64) * 1e-9
+    drawn = render_list(view, trajectory, frames, p, tracks or Tracks())
+    found = _gather(names, np.ascontiguousarray(depth), view, drawn, p, threads)
+    delays = (trajectory.times[drawn.sweeps] - np.int64(view.time)).astype(np.float64) * 1e-9
     number = found["sweep"]
     found["time"] = np.where(number < 0, np.nan, delays[number]).astype(np.float32)
     if "confidence" in names:
@@ -122,6 +110,42 @@ def compose_layers(
             depth, found["support"], found["measures"], found.get("seen")
         )
     return {name: found[name] for name in names}
+
+
+def _gather(
+    names: Sequence[str],
+    depth: NDArray[np.float32],
+    view: View,
+    drawn: RenderList,
+    p: RenderParameters,
+    threads: int,
+) -> dict[str, NDArray[Any]]:
+    """The layers of the core; ``sweep`` is the number of a part."""
+    camera = view.camera
+    if p.primitive == "splats":
+        return _core.splat_layers(
+            K=camera.K,
+            width=camera.width,
+            height=camera.height,
+            static_frames=drawn.static,
+            dynamic_frames=drawn.dynamic,
+            static_size=p.static_size,
+            dynamic_size=p.dynamic_size,
+            depth=depth,
+            threads=threads,
+        )
+    return _core.mesh_layers(
+        K=camera.K,
+        width=camera.width,
+        height=camera.height,
+        static_frames=drawn.static,
+        shutter_frames=drawn.around,
+        objects=drawn.objects,
+        visibility_sweeps=drawn.visibility,
+        seen="seen" in names or "confidence" in names,
+        depth=depth,
+        threads=threads,
+    )
 
 
 def check_layers(names: Sequence[str], parameters: RenderParameters) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
 from typing import Any, Protocol, TypeAlias
@@ -15,7 +15,6 @@ from docdepth.config import Parameters, given
 from docdepth.datasets.base import CameraStream, Sweep
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import InputError
-from docdepth.geometry.camera import Camera
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
@@ -27,6 +26,7 @@ from docdepth.render.layers import check_layers, compose_layers
 from docdepth.render.moving_objects import objects_of
 from docdepth.render.selection import needed_frames
 from docdepth.render.track_sweeps import near_vehicles
+from docdepth.render.view import View
 
 
 class HasClasses(Protocol):
@@ -37,9 +37,6 @@ class HasClasses(Protocol):
 
 
 Classes: TypeAlias = HasClasses | NDArray[np.uint16]
-
-
-_Image: TypeAlias = tuple[Camera, NDArray[np.float64], Trajectory, int, Callable[[int], Frame]]
 
 
 class Scene:
@@ -118,14 +115,8 @@ class Scene:
         Raises
         ------
         InputError
-            ``time`` lies outside the trajectory, or the arrays of a sweep are wrong.
+            The arrays of a sweep are wrong.
         """
-        if not self.trajectory.covers(time):
-            first, last = self.trajectory.times[[0, -1]]
-            raise InputError(
-                f"{time} ns lies outside the trajectory, which goes from {first} to {last} ns; "
-                "poses are not extrapolated, so leave this image out"
-            )
         needed = needed_frames(self.trajectory, time, self.parameters.render, self.tracks)
         with ThreadPoolExecutor(thread_count(threads)) as executor:
             requested = self._cache.request(needed.items(), executor)
@@ -201,8 +192,9 @@ def render_depth(
     """
     if renderer is not None and not isinstance(renderer, Renderer):
         raise InputError(f"renderer must be docdepth.Renderer(name), not {type(renderer).__name__}")
-    image = _image(scene, camera, index, time, threads)
-    return compose_depth(*image, scene.parameters.render, threads, renderer, scene.tracks)
+    view = _view(scene, camera, index, time)
+    frames = scene.frames_at(view.time, threads)
+    return _drawn(scene, view, frames, threads, renderer)
 
 
 def render_layers(
@@ -238,20 +230,30 @@ def render_layers(
     _check(scene, camera)
     p = scene.parameters.render
     check_layers(names, p)
-    image = _image(scene, camera, index, time, threads)
+    view = _view(scene, camera, index, time)
+    frames = scene.frames_at(view.time, threads)
     if depth is None:
-        depth = compose_depth(*image, p, threads, None, scene.tracks)
-    return compose_layers(names, depth, *image, p, threads, scene.tracks)
+        depth = _drawn(scene, view, frames, threads)
+    return compose_layers(
+        names, depth, view, scene.trajectory, frames.__getitem__, p, threads, scene.tracks
+    )
 
 
-def _image(
-    scene: Scene, camera: CameraStream, index: int | None, time: int | None, threads: int
-) -> _Image:
-    """The arguments of :func:`compose_depth` up to its frames."""
+def _drawn(
+    scene: Scene,
+    view: View,
+    frames: dict[int, Frame],
+    threads: int,
+    renderer: Renderer | None = None,
+) -> NDArray[np.float32]:
+    p, tracks = scene.parameters.render, scene.tracks
+    return compose_depth(view, scene.trajectory, frames.__getitem__, p, threads, renderer, tracks)
+
+
+def _view(scene: Scene, camera: CameraStream, index: int | None, time: int | None) -> View:
     _check(scene, camera)
     stamp = _stamp(camera, index, time)
-    frames = scene.frames_at(stamp, threads)
-    return camera.camera, camera.T_camera_lidar, scene.trajectory, stamp, frames.__getitem__
+    return View.at(camera.camera, camera.T_camera_lidar, scene.trajectory, stamp)
 
 
 def _check(scene: Scene, camera: CameraStream) -> None:

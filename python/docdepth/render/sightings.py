@@ -7,18 +7,18 @@ the image do.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-import docdepth._core as _core
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.frame import Frame
 from docdepth.render.selection import DrawnFrames
 from docdepth.render.track_sweeps import lidar_range, seen_to_its_top, sweeps_of_track
+from docdepth.render.view import View
 
 SOFT_SECONDS = 0.12
 """Sweeps farther in time from the image tell nothing about what is not rigid [s]. A step of a
@@ -63,12 +63,13 @@ MOST_RAYS = 8
 """Sweeps whose rays tell where an object ends: those around the image and as many others."""
 
 Floats: TypeAlias = NDArray[np.float64]
-Sighting: TypeAlias = "tuple[_core.Frame | _core.MeshFrame, int, Floats, int]"
-"""A frame, the number of the object in it, ``T_camera_sensor``, and the number of the sweep."""
+Sighting: TypeAlias = tuple[Any, int, Floats, int]
+"""A ``_core.MeshFrame``, the number of the object in it, ``T_camera_sensor``, and the number of the
+sweep."""
 Triple: TypeAlias = tuple[float, float, float]
 PlacedBox: TypeAlias = tuple[Floats, Triple, Triple]
 """``T_camera_box``; length, width and height [m]; velocity in the frame of the camera [m/s]."""
-SightedObject: TypeAlias = "tuple[int, list[Sighting], list[Sighting], list[Sighting]]"
+SightedObject: TypeAlias = tuple[int, list[Sighting], list[Sighting], list[Sighting]]
 """Instance, sightings of sweeps around the image and of others, and those whose rays tell where the
 object ends."""
 
@@ -80,14 +81,6 @@ class _Seen(NamedTuple):
     sweep: int
     owner: int
     away: int
-
-
-class View(NamedTuple):
-    """What is drawn and when: the camera at the time [ns] of the image."""
-
-    camera: Camera
-    T_camera_world: Floats
-    time: int
 
 
 def sighted_objects(
