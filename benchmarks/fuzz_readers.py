@@ -24,11 +24,12 @@ from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import read_times
 from docdepth.errors import DocDepthError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.calibration import read_camera_calibration, write_calibration
 from docdepth.io.depth import encode_depth, read_depth
-from docdepth.io.frames import FrameRecord, read_frame, read_trajectory, write_frame
+from docdepth.io.frames import read_frame, read_trajectory, write_frame
 from docdepth.io.frames import write_trajectory as write_ply_trajectory
 from docdepth.io.labels import read_classes
 from docdepth.io.pcd import write_pcd
@@ -41,10 +42,10 @@ _POINTS = np.random.default_rng(3).normal(0, 20, (6, 3)).astype(np.float32)
 _POSES = np.repeat(np.eye(4)[None], 3, axis=0)
 _POSES[:, 0, 3] = (0.0, 0.5, 1.0)
 _TRAJECTORY = Trajectory(np.arange(3) * 10**8 + 10**18, _POSES)
-_FRAME = FrameRecord(
+_FRAME = LidarFrame(
     _POINTS, np.arange(6, dtype=np.uint32), "000003", 9,
+    np.zeros(6, np.float32), SensorRig.single((0, 0, 1), 6),
     *(np.arange(6, dtype=np.uint16) for _ in range(4)),
-    np.zeros(6, np.float32), np.zeros(6, np.uint8),
 )  # fmt: skip
 
 
@@ -342,7 +343,8 @@ def _read_npz(path: Path) -> None:
     content = path.read_bytes()
     (path.parent / "sensors.npz").write_bytes(content)
     run = RunFolder(path.parent)
-    run.sensor_rig(_FRAME)
+    run.write_frame(0, _FRAME)
+    run.frame(0)
 
 
 def _read_image(path: Path) -> None:

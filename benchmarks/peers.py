@@ -48,7 +48,7 @@ def drive_of_run(run: Path, recording: Path) -> Drive:
     def view(index: int) -> LidarView:
         # The peers assume that a sweep is measured from its origin.
         frame = folder.frame(index)
-        return next(lidar_views(frame.points, folder.sensor_rig(frame)))
+        return next(lidar_views(frame.points, frame.sensor_rig))
 
     return Drive(
         poses=folder.trajectory().poses @ view(0).T_lidar_sensor,

@@ -34,8 +34,9 @@ from docdepth.evaluation.held_out import HeldOutResult, JudgedView, evaluate_hel
 from docdepth.evaluation.left_out import LeftOut
 from docdepth.evaluation.runs import evaluate_depth
 from docdepth.evaluation.tables import Table, number
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.se3 import inverse, rotation_exp
-from docdepth.io.frames import FrameRecord, write_frame
+from docdepth.io.frames import write_frame
 from docdepth.io.run_folder import RunFolder
 from docdepth.synthetic import Drive, Sensor, scene, sensor, write_drive
 
@@ -119,7 +120,8 @@ def with_second(made: Path, rig: Path, judged: Path) -> Path:
     shutil.copy(other.sensors_path, judged / "sensors.npz")
     for index in range(len(source.trajectory())):
         own, all_points = source.frame(index), other.frame(index)
-        second = all_points.select(np.asarray(all_points.sensor == 1))
+        assert all_points.sensor_rig is not None
+        second = all_points.select(all_points.sensor_rig.index == 1)
         write_frame(RunFolder(judged).frame_path(index), joined(own, second))
     kept = {"source": {}, "stages": {}, "cameras": source.cameras}
     kept["parameters"] = source.manifest["parameters"]
@@ -127,7 +129,7 @@ def with_second(made: Path, rig: Path, judged: Path) -> Path:
     return judged
 
 
-def joined(own: FrameRecord, second: FrameRecord) -> FrameRecord:
+def joined(own: LidarFrame, second: LidarFrame) -> LidarFrame:
     """The points of the first LiDAR as its own run has them, and those of the second."""
     count, more = len(own.points), len(second.points)
     both: dict[str, NDArray[Any]] = {}
@@ -137,7 +139,8 @@ def joined(own: FrameRecord, second: FrameRecord) -> FrameRecord:
         if getattr(own, name) is not None:
             both[name] = np.concatenate([getattr(own, name), np.zeros(more, np.uint16)])
     sensors = np.repeat(np.array([0, 1], np.uint8), [count, more])
-    return replace(own, **both, sensor=sensors, input_points=count + more)
+    rig = None if second.sensor_rig is None else replace(second.sensor_rig, index=sensors)
+    return replace(own, **both, sensor_rig=rig, input_points=count + more)
 
 
 def row(name: str, result: HeldOutResult) -> tuple[str, ...]:

@@ -141,11 +141,11 @@ def test_a_new_place_of_the_lidar_makes_odometry_run_again(tmp_path):
     dataset = open_dataset(folder)
     run = RunFolder.create(tmp_path / "run", {}, parameters())
     run_odometry(run, dataset, dataset.poses)
-    assert run.frame(1).sensor is None
+    assert run.frame(1).sensor_rig is None
     file = folder / "docdepth.yaml"
     file.write_text(yaml.safe_dump(yaml.safe_load(file.read_text()) | {"looks_from": [0, 0, 0.5]}))
     moved = open_dataset(folder)
     run_odometry(run, moved, moved.poses)
-    found = run.sensor_rig(run.frame(1))
+    found = run.frame(1).sensor_rig
     assert found is not None
     np.testing.assert_array_equal(found.T_lidar_sensor[0, :3, 3], [0, 0, 0.5])

@@ -12,9 +12,10 @@ from docdepth.dynamics.classes import classify
 from docdepth.dynamics.classifier import classify_drive
 from docdepth.dynamics.clustering import OBJECT_PARAMETERS, cluster_objects
 from docdepth.dynamics.voting import Votes
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.ground.growing import grow_ground
-from docdepth.io.frames import FrameRecord, write_trajectory
+from docdepth.io.frames import write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import classify as stage
 from docdepth.pipeline import run_classify
@@ -60,7 +61,7 @@ def folder_of(path, trajectory, sweeps, p):
     """A run whose odometry is done."""
     run = RunFolder.create(path, {}, p)
     for i, points in enumerate(sweeps):
-        record = FrameRecord(points, np.arange(len(points), dtype=np.uint32), f"{i:06d}",
+        record = LidarFrame(points, np.arange(len(points), dtype=np.uint32), f"{i:06d}",
                              len(points))  # fmt: skip
         run.write_frame(i, record, {"odometry": "exact"})
     write_trajectory(run.trajectory_path, trajectory, np.arange(len(sweeps)))

@@ -9,8 +9,9 @@ import pytest
 
 from docdepth.config import Parameters
 from docdepth.evaluation.causes import Causes, causes
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.frames import FrameRecord, write_trajectory
+from docdepth.io.frames import write_trajectory
 from docdepth.io.labels import classes_of_labels
 from docdepth.io.run_folder import RunFolder
 
@@ -44,7 +45,7 @@ def run_of(path: Path, drives, skew: bool, times: bool = False, off: float = 0.0
         rows = np.arange(len(sweep.points), dtype=np.uint32)
         late = sweep.relative_time * np.float32(0.1) if times else None
         classid = classes_of_labels(sweep.labels)[0]
-        frame = FrameRecord(
+        frame = LidarFrame(
             sweep.points, rows, f"{k:06d}", len(rows), classid=classid, time_offset=late
         )
         run.write_frame(k, frame)

@@ -15,10 +15,10 @@ from docdepth.errors import InputError
 from docdepth.evaluation.depth_metrics import DepthErrors
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.evaluation.left_out import LeftOut, Neighbour, beam_of, between_sides
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.sensor_rig import SensorRig, lidar_views
-from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder
 
 pytest.importorskip("embreex")
@@ -41,10 +41,8 @@ def rig(tmp_path_factory):
     return root / "run"
 
 
-def record_of(run, index):
-    folder = RunFolder.open(run)
-    record = folder.frame(index)
-    return record, folder.sensor_rig(record)
+def frame_of(run, index):
+    return RunFolder.open(run).frame(index)
 
 
 @pytest.fixture
@@ -57,7 +55,7 @@ def change(rig):
     def scale(lidar, factor):
         for k in kept:
             frame = folder.frame(k)
-            factors = np.where(frame.sensor == lidar, np.float32(factor), np.float32(1))
+            factors = np.where(frame.sensor_rig.index == lidar, np.float32(factor), np.float32(1))
             folder.write_frame(k, replace(frame, points=frame.points * factors[:, None]), keys[k])
 
     yield scale
@@ -99,11 +97,11 @@ def test_hidden_returns_are_those_whose_line_to_the_other_lidar_is_blocked(rig):
     from docdepth.synthetic.casting import Rays
 
     drive = Drive(scene("city", 1), sensor(SENSOR), FRAMES, 1)
-    record, sensors = record_of(rig, 3)
-    clear = SECOND.clear(record, sensors)
-    own = SECOND.rows(record, sensors)
+    frame = frame_of(rig, 3)
+    clear = SECOND.clear(frame)
+    own = SECOND.rows(frame)
     pose = drive._scene_poses(drive.times[3:4] / 1e9)[0]
-    points = record.points[own].astype(np.float64)
+    points = frame.points[own].astype(np.float64)
     assert np.linalg.norm(PLACE) > 0.4
     ranges = np.linalg.norm(points, axis=1)
     directions = points / ranges[:, None] @ pose[:3, :3].T
@@ -120,33 +118,33 @@ def test_hidden_returns_are_those_whose_line_to_the_other_lidar_is_blocked(rig):
 @pytest.mark.parametrize("turned_deg", [0, 30])
 def test_an_edge_that_only_a_neighbouring_sweep_met_is_not_clear(rig, turned_deg):
     """A return of the first LiDAR stands for a thin post: half as far as all around it."""
-    record, sensors = record_of(rig, 3)
-    second = record.sensor == 1
-    clear = SECOND.clear(record, sensors)
-    unit = record.points / np.linalg.norm(record.points, axis=1, keepdims=True)
+    frame = frame_of(rig, 3)
+    second = frame.sensor_rig.index == 1
+    clear = SECOND.clear(frame)
+    unit = frame.points / np.linalg.norm(frame.points, axis=1, keepdims=True)
     tree = scipy_spatial.cKDTree(unit[~second])
     distance, nearest = tree.query(unit)
     distance[~(second & clear)] = np.inf
     assert distance.min() < np.radians(0.05)
     post = np.flatnonzero(~second)[nearest[distance.argmin()]]
-    points = record.points.copy()
+    points = frame.points.copy()
     points[post] /= 2
     T = np.eye(4)
     T[:2, :2] = rotation_exp(np.radians((0, 0, turned_deg)))[:2, :2]
-    neighbour = Neighbour(replace(record, points=(points @ T[:3, :3].T).astype("f4")), sensors, T)
-    lost = clear & ~SECOND.clear(record, sensors, [neighbour])
+    neighbour = Neighbour(replace(frame, points=(points @ T[:3, :3].T).astype("f4")), T)
+    lost = clear & ~SECOND.clear(frame, [neighbour])
     apart = np.degrees(np.arccos(np.clip(unit @ unit[post], -1, 1)))
     assert lost[distance.argmin()]
     far = clear & (apart > 3)  # turned points fall at another place in their pixels
     assert lost[far].mean() < (0.01 if turned_deg else 1e-9)
-    assert not SECOND.clear(record, sensors, [neighbour])[~clear].any()
+    assert not SECOND.clear(frame, [neighbour])[~clear].any()
 
 
 def test_points_between_the_sides_of_an_edge_are_those_in_its_triangles(rig):
     """Looked up in a picture, and solved for each of the points and triangles."""
-    record, sensors = record_of(rig, 3)
-    view = list(lidar_views(record.points, sensors))[1]
-    points = record.points[record.sensor == 0][::6]
+    frame = frame_of(rig, 3)
+    view = list(lidar_views(frame.points, frame.sensor_rig))[1]
+    points = frame.points[frame.sensor_rig.index == 0][::6]
     found = between_sides(points, view)
     own = points.astype(np.float64) @ inverse(view.T_lidar_sensor)[:3, :3].T
     own += inverse(view.T_lidar_sensor)[:3, 3]
@@ -201,8 +199,8 @@ def test_half_of_the_beams_judge_the_others():
         values, counts = np.unique(beam[sweep.ring == ring], return_counts=True)
         assert np.ptp(values) <= 2, "a ring may lie on a border, and the vehicle moves"
         assert counts.max() > 0.4 * counts.sum()
-    record = FrameRecord(sweep.points, np.arange(len(beam), dtype=np.uint32), "0", len(beam))
-    rows = LeftOut(beams=4).rows(record, None)
+    frame = LidarFrame(sweep.points, np.arange(len(beam), dtype=np.uint32), "0", len(beam))
+    rows = LeftOut(beams=4).rows(frame)
     assert 0.1 < rows.mean() < 0.4
     lasers = kitti_lidar.sensor_rig(sweep.points)
     np.testing.assert_array_equal(
@@ -214,17 +212,17 @@ def test_left_out_beams_are_not_drawn(rig):
     """Of the judged sweep, the others are whole."""
     folder = RunFolder.open(rig)
     beams = LeftOut(beams=3)
-    record, sensors = record_of(rig, 3)
-    rows = beams.rows(record, sensors)
-    view = beams.view(record, sensors)
+    frame = frame_of(rig, 3)
+    rows = beams.rows(frame)
+    view = beams.view(frame)
     np.testing.assert_array_equal(np.isfinite(view.points).all(axis=1), rows)
-    assert not (rows & (record.sensor == 1)).any()
+    assert not (rows & (frame.sensor_rig.index == 1)).any()
     before = folder.frame_path(3).read_bytes()
     key = folder.frame_key(3)
     factors = np.where(rows, np.float32(0.7), np.float32(1))[:, None]
     seen = []
     evaluate_held_out(rig, every=7, left_out=beams, look=seen.append)
-    folder.write_frame(3, replace(record, points=record.points * factors), key)
+    folder.write_frame(3, replace(frame, points=frame.points * factors), key)
     fixed = replace_beams(rows)
     evaluate_held_out(rig, every=7, left_out=fixed, look=seen.append)
     folder.write(folder.frame_path(3), lambda stream: stream.write(before), key)
@@ -235,10 +233,10 @@ def test_left_out_beams_are_not_drawn(rig):
 def test_left_out_sectors_are_every_second_one(rig):
     """Of the judged sweep alone, and of the LiDAR that judges."""
     sectors = LeftOut(sectors=30)
-    record, sensors = record_of(rig, 3)
-    rows = sectors.rows(record, sensors)
-    first = record.sensor == 0
-    azimuth = np.degrees(np.arctan2(record.points[:, 1], record.points[:, 0]))[first] % 60
+    frame = frame_of(rig, 3)
+    rows = sectors.rows(frame)
+    first = frame.sensor_rig.index == 0
+    azimuth = np.degrees(np.arctan2(frame.points[:, 1], frame.points[:, 0]))[first] % 60
     clearly = (np.abs(azimuth - 30) > 3) & (azimuth > 3) & (azimuth < 57)  # the vehicle moves
     np.testing.assert_array_equal(rows[first][clearly], azimuth[clearly] < 30)
     assert not rows[~first].any()
@@ -258,8 +256,8 @@ def replace_beams(rows):
     """The same rows, whatever the points are."""
 
     class Fixed(LeftOut):
-        def rows(self, record, rig):
-            return rows if len(rows) == len(record.points) else super().rows(record, rig)
+        def rows(self, frame):
+            return rows if len(rows) == len(frame) else super().rows(frame)
 
     return Fixed(beams=3)
 
@@ -315,6 +313,7 @@ def test_mistakes(rig):
         LeftOut(beams=1)
     with pytest.raises(InputError, match=r"LiDAR 0, 1; LiDAR\s+2"):
         evaluate_held_out(rig, left_out=LeftOut(lidar=2))
-    record, _ = record_of(rig, 0)
+    frame = frame_of(rig, 0)
+    alone = SensorRig.single((0, 0, 0), len(frame))
     with pytest.raises(InputError, match="cannot be left out"):
-        LeftOut(lidar=0).view(record, SensorRig.single((0, 0, 0), len(record.points)))
+        LeftOut(lidar=0).view(replace(frame, sensor_rig=alone))

@@ -30,12 +30,13 @@ from docdepth.errors import (
     OdometryError,
     RunError,
 )
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.arrays import ArrayError, read_array, read_arrays
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.depth import encode_depth, read_depth
-from docdepth.io.frames import FrameRecord, read_frame, read_trajectory, write_frame
+from docdepth.io.frames import read_frame, read_trajectory, write_frame
 from docdepth.io.frames import write_trajectory as write_ply
 from docdepth.io.labels import read_classes
 from docdepth.io.poses import read_poses, read_tum
@@ -44,8 +45,12 @@ from docdepth.io.tracks import COLUMNS, read_tracks
 from docdepth.io.trees import parse_json, parse_yaml
 from docdepth.pipeline.run_state import states
 
-FRAME = FrameRecord(
-    np.ones((2, 3), np.float32), np.arange(2, dtype=np.uint32), "7", 2, sensor=np.zeros(2, "u1")
+FRAME = LidarFrame(
+    np.ones((2, 3), np.float32),
+    np.arange(2, dtype=np.uint32),
+    "7",
+    2,
+    sensor_rig=SensorRig.single((0, 0, 1), 2),
 )
 POSES = np.repeat(np.eye(4)[None], 3, axis=0)
 SOURCE = {"dataset": None, "name": None, "camera": None}
@@ -236,12 +241,13 @@ def test_broken_archives(tmp_path: Path, changes: dict[str, int]) -> None:
 
 def test_sensors_of_another_shape(tmp_path: Path) -> None:
     run = new_run(tmp_path)
-    run.write_sensors(SensorRig.single((0, 0, 1), 2), {})
-    assert run.sensor_rig(FRAME) is not None
+    run.write_sensors(FRAME.sensor_rig, {})
+    run.write_frame(0, FRAME)
+    assert run.frame(0).sensor_rig is not None
     for arrays in ({"depth": np.zeros(3)}, {"T_lidar_sensor": np.zeros((2, 3))}):
         np.savez(run.sensors_path, **{"lateral_offset": [], "lidar_id": [], **arrays})
         with pytest.raises(DamagedFileError, match=r"sensors\.npz"):
-            RunFolder(run.path).sensor_rig(FRAME)
+            RunFolder(run.path).frame(0)
 
 
 def test_no_object_of_python_is_loaded(tmp_path: Path) -> None:
@@ -366,7 +372,7 @@ def test_nothing_outside_is_written_or_deleted(tmp_path: Path, name: str) -> Non
             act()
     assert own.read_text() == "mine"
     assert (run.path / "labels" / "a.label").is_file()
-    write_frame(tmp_path / "frame.ply", FrameRecord(FRAME.points, FRAME.index, name, 2))
+    write_frame(tmp_path / "frame.ply", LidarFrame(FRAME.points, FRAME.index, name, 2))
     with pytest.raises(DamagedFileError, match="its sweep is called"):
         read_frame(tmp_path / "frame.ply")
 

@@ -10,12 +10,12 @@ import pytest
 from docdepth.config import parameters
 from docdepth.errors import CalibrationError, RunError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.se3 import poses_from, rotation_exp
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
 from docdepth.io.calibration import write_calibration
 from docdepth.io.frames import (
-    FrameRecord,
     read_frame,
     read_trajectory,
     write_frame,
@@ -25,9 +25,9 @@ from docdepth.io.run_folder import RunFolder, stage_key
 
 
 @pytest.fixture
-def frame() -> FrameRecord:
+def frame() -> LidarFrame:
     rng = np.random.default_rng(1)
-    return FrameRecord(
+    return LidarFrame(
         points=rng.normal(size=(100, 3)).astype(np.float32),
         index=np.arange(0, 200, 2, dtype=np.uint32),
         name="sweep with a space",

@@ -200,7 +200,7 @@ def test_a_run_of_points_in_the_frame_of_the_vehicle(tmp_path, caplog):
         rows[:, :3] += PLACE.astype(np.float32)
         rows.tofile(file)
     run = run_of(drive)
-    rig = run.sensor_rig(run.frame(0))
+    rig = run.frame(0).sensor_rig
     assert rig is not None
     assert (np.abs(rig.T_lidar_sensor[0, :3, 3] - PLACE) < (0.3, 0.3, 0.8)).all()
     assert run.manifest["source"]["looks_from"] == rig.T_lidar_sensor[0, :3, 3].tolist()

@@ -98,7 +98,7 @@ class RunDataset(DatasetRepr):
             record.name,
             int(self.times[index]),
             relative_time=None if late is None else late / self._period,
-            sensor_rig=self._run.sensor_rig(record),
+            sensor_rig=record.sensor_rig,
             motion_compensated=True,
         )
 

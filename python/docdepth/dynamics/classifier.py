@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,26 +13,20 @@ from docdepth.config import Parameters, given
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.dynamics.classes import DriveLabels, Labels
 from docdepth.dynamics.scheduling import classify_sweeps
-from docdepth.dynamics.sweep_classifier import Evidence, InputSweep
+from docdepth.dynamics.sweep_classifier import Evidence
 from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
-from docdepth.geometry.points import (
-    STATIC,
-    DeskewedSweep,
-    check_sweep,
-    points_of,
-    rig_of,
-    spread,
-    usable_points,
-)
+from docdepth.geometry.lidar_frame import LidarFrame
+from docdepth.geometry.points import GROUND, STATIC, check_sweep, spread, usable_points
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import grow_ground
+from docdepth.odometry.sweeps import AnySweep, lidar_frame
 
 
 def classify_drive(
-    sweeps: Sequence[DeskewedSweep | NDArray[np.float32]],
+    sweeps: Sequence[AnySweep],
     trajectory: Trajectory,
     parameters: Parameters | None = None,
     ground: Sequence[NDArray[np.bool_]] | None = None,
@@ -42,10 +37,10 @@ def classify_drive(
 
     Parameters
     ----------
-    sweeps : sequence of Sweep, or of ndarray of float32, shape (N_i, 3)
-        Deskewed, LiDAR frame, metres. Items are taken from several threads, and several times. A
-        :class:`~docdepth.Sweep` also says when and from where each point was measured, as a run
-        knows it.
+    sweeps : sequence of LidarFrame, of Sweep, or of ndarray of float32, shape (N_i, 3)
+        Deskewed, LiDAR frame, metres. Items are taken from several threads, and several times.
+        Those of :class:`~docdepth.Odometry`, and a :class:`~docdepth.Sweep`, also say when and from
+        where each point was measured, as a run knows it.
     trajectory : Trajectory
         One pose a sweep.
     parameters : Parameters, optional
@@ -88,7 +83,7 @@ class _Memory:
 
     def __init__(
         self,
-        sweeps: Sequence[DeskewedSweep | NDArray[np.float32]],
+        sweeps: Sequence[AnySweep],
         ground: Sequence[NDArray[np.bool_]],
         period: np.float32,
     ) -> None:
@@ -111,15 +106,14 @@ class _Memory:
     def has_evidence(self, index: int) -> bool:
         return False
 
-    def read(self, index: int) -> InputSweep:
-        sweep = self._sweeps[index]
-        points, ground = check_sweep(points_of(sweep), self._ground[index])
-        usable, rig, time_offset = usable_points(points), rig_of(sweep), None
-        shares = getattr(sweep, "relative_time", None)
-        if shares is not None:
-            time_offset = (self._period * shares)[usable]
-        rig = None if rig is None else rig.select(usable)
-        return InputSweep(points[usable], ground[usable], rig, time_offset, usable)
+    def read(self, index: int) -> LidarFrame:
+        frame = lidar_frame(self._sweeps[index], self._period)
+        points, ground = check_sweep(frame.points, self._ground[index])
+        rows = np.arange(len(points), dtype=np.uint32)  # of the sweep as it was given
+        classid = np.where(ground, np.uint16(GROUND), np.uint16(STATIC))
+        return replace(frame, index=rows, classid=classid, instance=None).select(
+            usable_points(points)
+        )
 
     def keep(self, index: int, evidence: Evidence, detections: Detections) -> None:
         self._kept[index] = evidence, detections
@@ -130,10 +124,11 @@ class _Memory:
     def detections(self, index: int) -> Detections:
         return self._kept[index][1]
 
-    def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
-        usable, votes, instance = sweep.record, labels.votes, labels.instance
+    def write(self, index: int, frame: LidarFrame, labels: Labels) -> None:
+        rows, count = frame.index, len(self._ground[index])
+        votes, instance = labels.votes, labels.instance
         self.labels[index] = Labels(
-            spread(labels.classid, usable, STATIC),
-            Votes(spread(votes.static, usable), spread(votes.dynamic, usable)),
-            None if instance is None else spread(instance, usable),
+            spread(labels.classid, rows, count, STATIC),
+            Votes(spread(votes.static, rows, count), spread(votes.dynamic, rows, count)),
+            None if instance is None else spread(instance, rows, count),
         )

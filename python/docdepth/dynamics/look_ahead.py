@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, Future
 
-from docdepth.dynamics.sweep_classifier import PreparedSweep
+from docdepth.dynamics.sweep_classifier import MeshedFrame
 from docdepth.dynamics.voting import KeyFrame
 
 
@@ -38,15 +38,15 @@ class LookAhead:
         workers: int,
         order: Sequence[int],
         voters: Callable[[int], list[int]],
-        prepare: Callable[[int], PreparedSweep],
-        key_frame: Callable[[PreparedSweep], KeyFrame],
+        prepare: Callable[[int], MeshedFrame],
+        key_frame: Callable[[MeshedFrame], KeyFrame],
     ) -> None:
         self._pool, self._workers, self._order, self._voters = pool, workers, order, voters
         self._prepare, self._key_frame = prepare, key_frame
-        self._sweeps: dict[int, Future[PreparedSweep]] = {}
+        self._sweeps: dict[int, Future[MeshedFrame]] = {}
         self._key_frames: dict[int, Future[KeyFrame]] = {}
 
-    def take(self, step: int) -> tuple[Future[PreparedSweep], list[Future[KeyFrame]]]:
+    def take(self, step: int) -> tuple[Future[MeshedFrame], list[Future[KeyFrame]]]:
         """The sweep at a place of the order, and its key frames; call it for each in turn."""
         index, ahead = self._order[step], self._order[step : step + self._workers + 2]
         soon, later = self._voters_of(ahead[: self._workers + 1]), self._voters_of(ahead)
@@ -62,5 +62,5 @@ class LookAhead:
     def _voters_of(self, sweeps: Iterable[int]) -> set[int]:
         return {k for index in sweeps for k in self._voters(index)}
 
-    def _make(self, sweep: Future[PreparedSweep]) -> KeyFrame:
+    def _make(self, sweep: Future[MeshedFrame]) -> KeyFrame:
         return self._key_frame(sweep.result())

@@ -11,10 +11,11 @@ from docdepth.concurrency import Watch, prefetch, thread_count, unwatched
 from docdepth.config import DynamicsParameters
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.look_ahead import LookAhead
-from docdepth.dynamics.sweep_classifier import Evidence, InputSweep, PreparedSweep, SweepClassifier
+from docdepth.dynamics.sweep_classifier import Evidence, MeshedFrame, SweepClassifier
 from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep
 from docdepth.dynamics.voting import KeyFrame
 from docdepth.errors import RunError
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 
@@ -48,7 +49,9 @@ class SweepStore(Protocol):
         """Whether an interrupted run left the evidence of this sweep."""
         ...
 
-    def read(self, index: int) -> InputSweep: ...
+    def read(self, index: int) -> LidarFrame:
+        """A sweep whose classes are ground and static."""
+        ...
 
     def keep(self, index: int, evidence: Evidence, detections: Detections) -> None:
         """Keep what is needed of a sweep when tracks are known."""
@@ -58,7 +61,7 @@ class SweepStore(Protocol):
 
     def detections(self, index: int) -> Detections: ...
 
-    def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
+    def write(self, index: int, frame: LidarFrame, labels: Labels) -> None:
         """Take the labels of a sweep."""
         ...
 
@@ -131,15 +134,15 @@ def vote_on(
         return keys
 
     def classify(
-        index: int, made: Future[PreparedSweep], key_frames: list[Future[KeyFrame]]
+        index: int, made: Future[MeshedFrame], key_frames: list[Future[KeyFrame]]
     ) -> Future[None]:
-        prepared = made.result()
-        sweep = prepared.sweep
-        votes = steps.vote(index, sweep, [frame.result() for frame in key_frames])
+        meshed = made.result()
+        frame = meshed.frame
+        votes = steps.vote(index, frame, [key_frame.result() for key_frame in key_frames])
         if not steps.uses_tracks:
-            labels = steps.classify(prepared, votes)
-            return writers.submit(store.write, index, sweep, labels)
-        return writers.submit(store.keep, index, *steps.detect(index, prepared, votes))
+            labels = steps.classify(meshed, votes)
+            return writers.submit(store.write, index, frame, labels)
+        return writers.submit(store.keep, index, *steps.detect(index, meshed, votes))
 
     # A job takes one thread, since a sweep alone has too little to do for many. Others write, so
     # that workers do not wait for the disk.
@@ -170,9 +173,9 @@ def add_tracks(
     def add(index: int) -> None:
         # The sweep is read once more, since tracks are known when all sweeps have voted and a drive
         # may not fit into memory.
-        sweep = store.read(index)
-        labels = steps.add_tracks(index, sweep, store.evidence(index), tracked[index])
-        store.write(index, sweep, labels)
+        frame = store.read(index)
+        labels = steps.add_tracks(index, frame, store.evidence(index), tracked[index])
+        store.write(index, frame, labels)
 
     with ThreadPoolExecutor(_FILE_THREADS) as pool:
         for done, _ in enumerate(prefetch(pool, add, sweeps, _FILE_THREADS), 1):

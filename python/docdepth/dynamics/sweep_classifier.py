@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,41 +25,17 @@ from docdepth.dynamics.tracking import (
     local_poses,
 )
 from docdepth.dynamics.voting import KeyFrame, Votes
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.scan_mesh import ScanMesh
-from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 
 
-@dataclass(frozen=True)
-class InputSweep:
-    """A deskewed sweep as the classifier gets it.
+class MeshedFrame(NamedTuple):
+    """A frame with its mesh, which its key frame, its objects and its classes share."""
 
-    Attributes
-    ----------
-    points : ndarray of float32, shape (N, 3)
-        LiDAR frame, metres.
-    ground : ndarray of bool, shape (N,)
-    sensor_rig : SensorRig, optional
-        Where it was measured from, if not from the origin.
-    time_offset : ndarray of float32, shape (N,), optional
-        Seconds from the stamp to each measurement.
-    record
-        What the sweep's store needs to write its labels.
-    """
-
-    points: NDArray[np.float32]
-    ground: NDArray[np.bool_]
-    sensor_rig: SensorRig | None = None
-    time_offset: NDArray[np.float32] | None = None
-    record: Any = None
-
-
-class PreparedSweep(NamedTuple):
-    """A sweep with its mesh, which its key frame, its objects and its classes share."""
-
-    sweep: InputSweep
+    frame: LidarFrame
     mesh: ScanMesh | None
 
 
@@ -104,34 +80,34 @@ class SweepClassifier:
         self._trajectory, self._parameters, self._watch = trajectory, parameters, watch
         self._local_poses = local_poses(trajectory)
 
-    def prepare(self, sweep: InputSweep) -> PreparedSweep:
+    def prepare(self, frame: LidarFrame) -> MeshedFrame:
         """Make the mesh of a sweep, if key frames or objects need one."""
-        p, rig = self._parameters, sweep.sensor_rig
+        p, rig = self._parameters, frame.sensor_rig
         if p.vote_model == "range_image" and p.evidence == "points":
-            return PreparedSweep(sweep, None)
+            return MeshedFrame(frame, None)
         # This mesh is seen from the LiDAR's place at the stamp, that of rendering from where the
         # LiDAR was when it measured each return. So they are two. Votes with moving ray origins
         # were tried: F1 0.9940 instead of 0.9941.
         if rig is not None and rig.ego_displacement is not None:
             rig = replace(rig, ego_displacement=None)
-            sweep = replace(sweep, sensor_rig=rig)
+            frame = replace(frame, sensor_rig=rig)
         with self._watch("meshes"):
-            return PreparedSweep(sweep, ScanMesh(sweep.points, rig))
+            return MeshedFrame(frame, ScanMesh(frame.points, rig))
 
-    def key_frame(self, prepared: PreparedSweep) -> KeyFrame:
+    def key_frame(self, meshed: MeshedFrame) -> KeyFrame:
         """Prepare a sweep to vote."""
-        sweep, mesh = prepared
+        frame, mesh = meshed
         with self._watch("key frames"):
-            return KeyFrame(sweep.points, sweep.ground, self._parameters, mesh, sweep.sensor_rig)
+            return KeyFrame(frame.points, frame.ground, self._parameters, mesh, frame.sensor_rig)
 
-    def vote(self, index: int, sweep: InputSweep, key_frames: Sequence[KeyFrame]) -> Votes:
+    def vote(self, index: int, frame: LidarFrame, key_frames: Sequence[KeyFrame]) -> Votes:
         """Let the key frames of sweep ``index`` vote on it, in one thread."""
         poses = self._trajectory.poses
         earlier = int(np.searchsorted(self.key_frames[index], index))
         with self._watch("vote"):
             return voting.vote(
-                sweep.points,
-                sweep.ground,
+                frame.points,
+                frame.ground,
                 poses[index],
                 key_frames,
                 poses[self.key_frames[index]],
@@ -139,19 +115,17 @@ class SweepClassifier:
                 earlier=earlier,
             )
 
-    def classify(self, prepared: PreparedSweep, votes: Votes) -> Labels:
+    def classify(self, meshed: MeshedFrame, votes: Votes) -> Labels:
         """Labels of a sweep when no tracks are used."""
-        sweep, mesh = prepared
+        frame, mesh = meshed
         with self._watch("objects"):
-            classid = classify(sweep.ground, votes, self._parameters, sweep.points, mesh)
+            classid = classify(frame.ground, votes, self._parameters, frame.points, mesh)
         return Labels(classid, votes)
 
-    def detect(
-        self, index: int, prepared: PreparedSweep, votes: Votes
-    ) -> tuple[Evidence, Detections]:
+    def detect(self, index: int, meshed: MeshedFrame, votes: Votes) -> tuple[Evidence, Detections]:
         """Labels of a sweep by its own votes, and the detections that tracks are made of."""
-        sweep, mesh = prepared
-        points, ground = sweep.points, sweep.ground
+        frame, mesh = meshed
+        points, ground = frame.points, frame.ground
         mesh = mesh or ScanMesh(points)
         with self._watch("objects"):
             objects = cluster_objects(points, ground, mesh)
@@ -160,7 +134,7 @@ class SweepClassifier:
             moving, pose = classid >= DYNAMIC, self._local_poses[index]
             stays = PointStays.of(votes, self.key_frames[index], index)
             detections = Detections(
-                points, ground, objects, moving, stays, mesh, pose, sweep.time_offset
+                points, ground, objects, moving, stays, mesh, pose, frame.time_offset
             )
         return Evidence(Labels(classid, votes), objects), detections
 
@@ -172,7 +146,7 @@ class SweepClassifier:
             return follow_tracks(read, self._trajectory, take, threads)
 
     def add_tracks(
-        self, index: int, sweep: InputSweep, evidence: Evidence, result: TrackedSweep
+        self, index: int, frame: LidarFrame, evidence: Evidence, result: TrackedSweep
     ) -> Labels:
         """Labels of a sweep with what tracks found in it."""
         labels, objects = evidence
@@ -180,5 +154,5 @@ class SweepClassifier:
             return replace(labels, instance=np.zeros(len(objects), np.uint16))
         votes, pose = labels.votes, self._local_poses[index]
         voted = len(self.key_frames[index])
-        found = apply_tracks(sweep.points, objects, votes, labels.classid, result, pose, voted)
+        found = apply_tracks(frame.points, objects, votes, labels.classid, result, pose, voted)
         return Labels(found[0], votes, found[1])

@@ -28,14 +28,12 @@ from docdepth.evaluation.tables import Table, number, plain, ratio
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
-from docdepth.pipeline.render import load_frame
 from docdepth.pipeline.run_inputs import camera_parameters
 from docdepth.pipeline.run_state import require
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
+from docdepth.render.frame import Frame, prepare_sweep
 from docdepth.render.selection import needed_frames
 from docdepth.render.view import View
 
@@ -277,26 +275,22 @@ class _HeldOutViews:
 
     def view(self, index: int) -> JudgedView:
         """What is left out of sweep ``index``, and the depth map without it."""
-        record, classid = self._folder.classified_frame(index)
-        rig = self._folder.sensor_rig(record)
-        view = self._left_out.view(record, rig)
+        frame, classid = self._folder.classified_frame(index)
+        view = self._left_out.view(frame)
         # The viewing direction of the camera, from the position of the LiDAR.
         T_camera_sensor = self._T_camera_lidar @ view.T_lidar_sensor
         T_camera_sensor[:3, 3] = 0
         truth, row = project(self.camera, T_camera_sensor, view.points)
         depth = self._depth_without(index, T_camera_sensor @ inverse(view.T_lidar_sensor))
         classes = np.where(row < 0, np.uint16(0), classid[row])
-        clear = (row >= 0) & self._left_out.clear(record, rig, self._neighbours(index))[row]
-        return JudgedView(index, record.name, depth, truth, classes, clear)
+        clear = (row >= 0) & self._left_out.clear(frame, self._neighbours(index))[row]
+        return JudgedView(index, frame.name, depth, truth, classes, clear)
 
     def _neighbours(self, index: int) -> Iterator[Neighbour]:
         """The sweeps before and after a sweep."""
         poses = self._trajectory.poses
         for k in (index - 1, index + 1):
-            record = self._folder.frame(k)
-            yield Neighbour(
-                record, self._folder.sensor_rig(record), inverse(poses[k]) @ poses[index]
-            )
+            yield Neighbour(self._folder.frame(k), inverse(poses[k]) @ poses[index])
 
     def _depth_without(
         self, index: int, T_camera_lidar: NDArray[np.float64]
@@ -323,17 +317,8 @@ class _HeldOutViews:
 
     def _frame(self, index: int, whole: bool, judged: bool) -> Frame:
         """Sweep ``index`` without what is left out of all sweeps, or of the judged one."""
-
-        def kept_of(record: FrameRecord) -> NDArray[np.bool_]:
-            return ~self._left_out.rows(record, self._folder.sensor_rig(record))
-
-        partial = judged or self._left_out.lidar is not None
-        return load_frame(
-            self._folder,
-            self._trajectory,
-            index,
-            self._parameters,
-            self._tracks,
-            whole,
-            kept_of=kept_of if partial else None,
-        )
+        frame, _ = self._folder.classified_frame(index)
+        if judged or self._left_out.lidar is not None:
+            frame = frame.select(~self._left_out.rows(frame))
+        p = self._parameters.render
+        return prepare_sweep(frame, index, self._trajectory, p, self._tracks, whole)

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from docdepth.config import DynamicsParameters
 from docdepth.dynamics.voting import KeyFrame, vote
 from docdepth.errors import InputError
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.sensor_rig import LidarView, SensorRig, lidar_views
-from docdepth.io.frames import FrameRecord
 
 _MANY_LASERS = 4  # a rig of more places knows each laser, as that of KITTI's LiDAR
 _PIXEL_DEG = 0.05  # of the picture in which returns are looked up; half a pixel of most cameras
@@ -24,10 +24,9 @@ _BAND_DEG = 0.2  # least height of a beam; returns of sharper ones lie together
 
 
 class Neighbour(NamedTuple):
-    """A sweep near the judged one: its frame and rig, and ``T_neighbour_lidar``, (4, 4)."""
+    """A sweep near the judged one, and ``T_neighbour_lidar``, (4, 4)."""
 
-    record: FrameRecord
-    rig: SensorRig | None
+    frame: LidarFrame
     T_neighbour_lidar: NDArray[np.float64]
 
 
@@ -65,7 +64,7 @@ class LeftOut:
         """Whether nothing of the judged sweep is drawn."""
         return self.lidar is None and self.beams is None and self.sectors is None
 
-    def view(self, record: FrameRecord, rig: SensorRig | None) -> LidarView:
+    def view(self, frame: LidarFrame) -> LidarView:
         """The returns that judge, as the LiDAR that measured them saw them; other rows are NaN.
 
         Raises
@@ -73,38 +72,37 @@ class LeftOut:
         InputError
             The sweep has no returns of the LiDAR that is left out, or of no other one.
         """
-        views = {number: view for number, view in _by_number(record, rig)}
+        views = {number: view for number, view in _by_number(frame)}
         number = min(views) if self.lidar is None else self.lidar
         if number not in views or (self.lidar is not None and len(views) < 2):
             raise InputError(
-                f"sweep {record.name} has returns of LiDAR {', '.join(map(str, views))}; LiDAR "
+                f"sweep {frame.name} has returns of LiDAR {', '.join(map(str, views))}; LiDAR "
                 f"{self.lidar} cannot be left out. LiDARs count from 0, as docdepth inspect lists "
                 "them"
             )
         if self.beams is None and self.sectors is None:
             return views[number]
         points = views[number].points.copy()
-        points[~self.rows(record, rig)] = np.nan
+        points[~self.rows(frame)] = np.nan
         return views[number]._replace(points=points)
 
-    def rows(self, record: FrameRecord, rig: SensorRig | None) -> NDArray[np.bool_]:
+    def rows(self, frame: LidarFrame) -> NDArray[np.bool_]:
         """Rows of a sweep that are not drawn, (N,)."""
         if self.lidar is not None:
-            number = np.zeros(len(record.points)) if rig is None else rig.lidar_id[rig.index]
+            rig = frame.sensor_rig
+            number = np.zeros(len(frame)) if rig is None else rig.lidar_id[rig.index]
             return np.asarray(number == self.lidar)
         if self.whole_sweep:
-            return np.ones(len(record.points), np.bool_)
-        _, view = next(_by_number(record, rig))
+            return np.ones(len(frame.points), np.bool_)
+        _, view = next(_by_number(frame))
         own = np.isfinite(view.points).all(axis=1)
         if self.sectors is not None:
             sector = np.floor(_directions(view.motion_corrected())[:, 0] / self.sectors)
             return np.asarray((sector % 2 == 0) & own)
         assert self.beams is not None
-        return np.asarray((beam_of(view, rig) % self.beams == self.beams // 2) & own)
+        return np.asarray((beam_of(view, frame.sensor_rig) % self.beams == self.beams // 2) & own)
 
-    def clear(
-        self, record: FrameRecord, rig: SensorRig | None, neighbours: Iterable[Neighbour] = ()
-    ) -> NDArray[np.bool_]:
+    def clear(self, frame: LidarFrame, neighbours: Iterable[Neighbour] = ()) -> NDArray[np.bool_]:
         """Which returns can be judged to the pixel, (N,): it is clear what their pixel shows.
 
         A return beside a depth edge of its own sweep may fall into a pixel of the other side. Where
@@ -114,22 +112,22 @@ class LeftOut:
         not see at that time is hidden from where they stand: no ray of their sweep ended there or
         passed behind it, which is how a key frame votes.
         """
-        own = self.rows(record, rig)
-        view = LeftOut(self.lidar).view(record, rig)
+        own, rig = self.rows(frame), frame.sensor_rig
+        view = LeftOut(self.lidar).view(frame)
         clear = ~beside_edges(view)
         if self.lidar is None or rig is None:
             return clear
-        for sweep in (Neighbour(record, rig, np.eye(4)), *neighbours):
+        for sweep in (Neighbour(frame, np.eye(4)), *neighbours):
             T = sweep.T_neighbour_lidar.astype(np.float32)
-            points = record.points @ T[:3, :3].T + T[:3, 3]
-            for number, other in _by_number(sweep.record, sweep.rig):
+            points = frame.points @ T[:3, :3].T + T[:3, 3]
+            for number, other in _by_number(sweep.frame):
                 if number != self.lidar:
                     clear &= ~between_sides(points, other)
-        others = record.points.copy()
+        others = frame.points.copy()
         others[own] = np.nan
         flat = np.zeros(len(own), np.bool_)
         mesh = KeyFrame(others, flat, DynamicsParameters(vote_model="surface"), None, rig)
-        votes = vote(record.points, flat, np.eye(4), [mesh], np.eye(4)[None], threads=1)
+        votes = vote(frame.points, flat, np.eye(4), [mesh], np.eye(4)[None], threads=1)
         return np.asarray(clear & (votes.static + votes.dynamic > 0))
 
     def __str__(self) -> str:
@@ -143,10 +141,11 @@ class LeftOut:
         return "held-out sweeps"
 
 
-def _by_number(record: FrameRecord, rig: SensorRig | None) -> Iterator[tuple[int, LidarView]]:
+def _by_number(frame: LidarFrame) -> Iterator[tuple[int, LidarView]]:
     """The views of a sweep with the numbers of their LiDARs."""
+    rig = frame.sensor_rig
     numbers = [0] if rig is None else sorted(set(rig.lidar_id.tolist()))
-    yield from zip(numbers, lidar_views(record.points, rig), strict=True)
+    yield from zip(numbers, lidar_views(frame.points, rig), strict=True)
 
 
 def beam_of(view: LidarView, rig: SensorRig | None) -> NDArray[np.int64]:

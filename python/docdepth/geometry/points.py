@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.geometry.sensor_rig import SensorRig
 
 GROUND, STATIC, DYNAMIC = 0, 50, 100
 """Values of ``classid`` as ``frames/*.ply`` stores it; below 50 is ground, from 100 on dynamic."""
@@ -21,37 +20,6 @@ MOVING_LABELS = tuple(range(251, 260))
 
 GROUND_LABELS = (40, 44, 48, 49, 60, 72)
 """SemanticKITTI's road, parking, sidewalk, other ground, lane marking and terrain."""
-
-
-class DeskewedSweep(Protocol):
-    """What ground and dynamics use of a sweep; ``docdepth.datasets.Sweep`` is one."""
-
-    @property
-    def points(self) -> NDArray[np.float32]: ...
-    @property
-    def sensor_rig(self) -> SensorRig | None: ...
-
-
-def points_of(sweep: DeskewedSweep | NDArray[np.float32]) -> NDArray[np.float32]:
-    """The points of a sweep that may be given as its array of points alone.
-
-    Raises
-    ------
-    InputError
-        It is neither, or points are not float32 of shape (N, 3).
-    """
-    points = sweep if isinstance(sweep, np.ndarray) else getattr(sweep, "points", None)
-    if points is None:
-        raise InputError(
-            "a sweep is a docdepth.Sweep or a float32 array of shape (N, 3), "
-            f"not {type(sweep).__name__}"
-        )
-    return check_points(points)
-
-
-def rig_of(sweep: DeskewedSweep | NDArray[np.float32]) -> SensorRig | None:
-    """The sensor rig of a sweep; None for an array, which was measured from its origin."""
-    return None if isinstance(sweep, np.ndarray) else sweep.sensor_rig
 
 
 def usable_points(points: NDArray[np.float32], min_range: float = 0.5) -> NDArray[np.bool_]:
@@ -75,12 +43,12 @@ def usable_points(points: NDArray[np.float32], min_range: float = 0.5) -> NDArra
     return usable
 
 
-def spread(values: NDArray[Any], usable: NDArray[np.bool_], fill: Any = 0) -> NDArray[Any]:
-    """Values of the usable rows as values of all rows; ``fill`` in the others."""
-    if len(values) == len(usable):
+def spread(values: NDArray[Any], rows: NDArray[Any], count: int, fill: Any = 0) -> NDArray[Any]:
+    """Values of some rows, numbers or a mask, as values of all ``count`` rows."""
+    if len(values) == count:
         return values
-    every = np.full(usable.shape, fill, values.dtype)
-    every[usable] = values
+    every = np.full(count, fill, values.dtype)
+    every[rows] = values
     return every
 
 

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Watch, prefetch, thread_count, unwatched
 from docdepth.config import GroundParameters, Parameters, given
-from docdepth.geometry.points import DeskewedSweep, points_of, spread, usable_points
+from docdepth.datasets.point_times import sweep_seconds
+from docdepth.geometry.points import spread, usable_points
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.ground_map import GroundMap
+from docdepth.odometry.sweeps import AnySweep, lidar_frame
 
 CHUNK_OVERLAP = 100.0
 """Path before and after a chunk that is merged with it: about the range of a LiDAR [m]."""
@@ -105,7 +107,7 @@ def label_chunk(
 
 
 def grow_ground(
-    sweeps: Sequence[DeskewedSweep | NDArray[np.float32]],
+    sweeps: Sequence[AnySweep],
     trajectory: Trajectory,
     parameters: Parameters | None = None,
     threads: int = 0,
@@ -115,7 +117,7 @@ def grow_ground(
 
     Parameters
     ----------
-    sweeps : sequence of Sweep, or of ndarray of float32, shape (N_i, 3)
+    sweeps : sequence of LidarFrame, of Sweep, or of ndarray of float32, shape (N_i, 3)
         Deskewed, LiDAR frame, metres.
     trajectory : Trajectory
         One pose a sweep.
@@ -138,10 +140,11 @@ def grow_ground(
     """
     p = given(parameters).ground
     Trajectory.check(trajectory, sweeps)
+    period = sweep_seconds(trajectory.times)
     usable: dict[int, NDArray[np.bool_]] = {}
 
     def read(index: int) -> NDArray[np.float32]:
-        points = points_of(sweeps[index])
+        points = lidar_frame(sweeps[index], period).points
         usable[index] = usable_points(points)
         return points[usable[index]]
 
@@ -150,7 +153,8 @@ def grow_ground(
         done = partial(chunk_progress, progress, chunk, len(trajectory))
         found = label_chunk(chunk, read, trajectory, p, threads, done)
         for index, of_usable in zip(chunk.frames, found, strict=True):
-            labels.append(spread(of_usable, usable.pop(index)))
+            rows = usable.pop(index)
+            labels.append(spread(of_usable, rows, len(rows)))
         usable.clear()
     if progress:
         progress("ground", len(trajectory), len(trajectory))

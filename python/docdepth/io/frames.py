@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError, InputError
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.se3 import matrix_to_quaternion, poses_from, quaternion_to_matrix
+from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import WriteFile, write_atomically
 from docdepth.io.file_records import is_file_name
@@ -37,52 +39,6 @@ _OPTIONAL = {
     "sensor": "<u1",
 }
 """Properties of a frame that it may lack."""
-
-
-@dataclass(frozen=True)
-class FrameRecord:
-    """One deskewed sweep of a run folder.
-
-    Attributes
-    ----------
-    points : ndarray of float32, shape (N, 3)
-        LiDAR frame at the sweep's stamp, metres; usable returns only.
-    index : ndarray of uint32, shape (N,)
-        Row of each point in the input sweep.
-    name : str
-        Stem of the input file.
-    input_points : int
-        Rows of the input sweep.
-    classid : ndarray of uint16, shape (N,), optional
-        Below 50 ground, 50 to 99 static, 100 and above dynamic.
-    instance : ndarray of uint16, shape (N,), optional
-        Track of each dynamic point, 0 if it is of none.
-    votes_static, votes_dynamic : ndarray of uint16, shape (N,), optional
-    time_offset : ndarray of float32, shape (N,), optional
-        When each point was measured, seconds after the sweep's stamp.
-    sensor : ndarray of uint8, shape (N,), optional
-        Which LiDAR, or which of its lasers, measured each point; see :class:`SensorRig`.
-    """
-
-    points: NDArray[np.float32]
-    index: NDArray[np.uint32]
-    name: str
-    input_points: int
-    classid: NDArray[np.uint16] | None = None
-    instance: NDArray[np.uint16] | None = None
-    votes_static: NDArray[np.uint16] | None = None
-    votes_dynamic: NDArray[np.uint16] | None = None
-    time_offset: NDArray[np.float32] | None = None
-    sensor: NDArray[np.uint8] | None = None
-
-    def select(self, rows: NDArray[np.bool_]) -> FrameRecord:
-        """The frame with some of its points."""
-        chosen: dict[str, Any] = {
-            field.name: values[rows]
-            for field in fields(self)
-            if isinstance(values := getattr(self, field.name), np.ndarray)
-        }
-        return replace(self, **chosen)
 
 
 def write_trajectory(
@@ -172,10 +128,12 @@ def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
         raise DamagedFileError(path, str(error)) from None
 
 
-def write_frame(path: Path, frame: FrameRecord, write_file: WriteFile = write_atomically) -> None:
+def write_frame(path: Path, frame: LidarFrame, write_file: WriteFile = write_atomically) -> None:
     """Write a frame; classes, votes, times and sensors only where it has them."""
     fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("index", "<u4")]
-    extra = {name: getattr(frame, name) for name in _OPTIONAL if getattr(frame, name) is not None}
+    columns = {name: getattr(frame, name, None) for name in _OPTIONAL}
+    columns["sensor"] = None if frame.sensor_rig is None else frame.sensor_rig.index
+    extra = {name: values for name, values in columns.items() if values is not None}
     fields += [(name, _OPTIONAL[name]) for name in extra]
     rows = np.empty(len(frame.points), np.dtype(fields))
     # Numpy is slow where both sides are strided and one of them is not aligned.
@@ -187,10 +145,13 @@ def write_frame(path: Path, frame: FrameRecord, write_file: WriteFile = write_at
     write_vertices(path, rows, comments, write_file)
 
 
-def read_frame(path: Path) -> FrameRecord:
+def read_frame(
+    path: Path, rig_of: Callable[[NDArray[np.uint8]], SensorRig] | None = None
+) -> LidarFrame:
     """Read a frame of docdepth or of the official release.
 
-    Of the official release, which has no indices, row ``i`` has index ``i``.
+    Of the official release, which has no indices, row ``i`` has index ``i``. ``rig_of`` makes the
+    sensor rig of the sensor of each point.
 
     Raises
     ------
@@ -213,12 +174,15 @@ def read_frame(path: Path) -> FrameRecord:
         if "index" in names
         else np.arange(len(rows), dtype=np.uint32)
     )
-    return FrameRecord(
+    columns = {name: column(name) for name in _OPTIONAL}
+    sensor = columns.pop("sensor")
+    return LidarFrame(
         points,
         index,
         name,
         _count(path, notes.get("input_points", str(len(rows)))),
-        *map(column, _OPTIONAL),
+        sensor_rig=None if sensor is None or rig_of is None else rig_of(sensor),
+        **columns,
     )
 
 

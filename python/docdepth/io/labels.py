@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import (
     DYNAMIC,
     GROUND,
@@ -22,7 +23,6 @@ from docdepth.geometry.points import (
 )
 from docdepth.io.arrays import ArrayError, read_array
 from docdepth.io.atomic import WriteFile, write_atomically
-from docdepth.io.frames import FrameRecord
 from docdepth.io.pcd import PcdError, read_pcd
 
 LABEL_FORMATS = ("label", "classid", "pcd")
@@ -133,7 +133,7 @@ def classes_of_labels(labels: NDArray[np.uint32]) -> tuple[_Classes, _Classes]:
     return classid, (labels >> 16).astype(np.uint16)
 
 
-def write_labels(path: Path, frame: FrameRecord, write_file: WriteFile = write_atomically) -> None:
+def write_labels(path: Path, frame: LidarFrame, write_file: WriteFile = write_atomically) -> None:
     """Write classes and instances of a frame as SemanticKITTI's labels, for all rows of the sweep.
 
     9 is static or ground, 251 dynamic, 1 a row that is no usable return.
@@ -141,7 +141,7 @@ def write_labels(path: Path, frame: FrameRecord, write_file: WriteFile = write_a
     Parameters
     ----------
     path : Path
-    frame : FrameRecord
+    frame : LidarFrame
         With classes.
     write_file : callable
     """

@@ -18,12 +18,12 @@ from docdepth._core import __version__
 from docdepth.config import Parameters, stored_parameters
 from docdepth.errors import DamagedFileError, InputError, RunError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
 from docdepth.io.calibration import read_calibration
 from docdepth.io.frames import (
-    FrameRecord,
     read_frame,
     read_points,
     read_trajectory,
@@ -287,12 +287,12 @@ class RunFolder(RecordedFolder):
                 f"make them again: docdepth run {self.path} --keep frames"
             )
 
-    def frame(self, index: int) -> FrameRecord:
+    def frame(self, index: int) -> LidarFrame:
         """Frame number ``index``."""
         self.check_has_frames()
-        return read_frame(self.frame_path(index))
+        return read_frame(self.frame_path(index), self._rig_of)
 
-    def classified_frame(self, index: int) -> tuple[FrameRecord, NDArray[np.uint16]]:
+    def classified_frame(self, index: int) -> tuple[LidarFrame, NDArray[np.uint16]]:
         """Frame number ``index`` and its classes.
 
         Raises
@@ -312,12 +312,10 @@ class RunFolder(RecordedFolder):
         self.check_has_frames()
         return read_points(self.frame_path(index))
 
-    def sensor_rig(self, frame: FrameRecord) -> SensorRig | None:
-        """Where the rays of a frame begin; None where they begin at the origin."""
-        if frame.sensor is None:
-            return None
+    def _rig_of(self, sensor: NDArray[np.uint8]) -> SensorRig:
+        """Where the rays of points begin, by the sensor of each."""
         try:
-            return SensorRig(frame.sensor, **self._sensors)
+            return SensorRig(sensor, **self._sensors)
         except (InputError, TypeError, ValueError) as error:
             raise DamagedFileError(self.sensors_path, str(error)) from None
 
@@ -339,9 +337,7 @@ class RunFolder(RecordedFolder):
         """What frame ``index`` was made of, a hash for each stage; empty if it is not whole."""
         return self.key(self.frame_path(index))
 
-    def write_frame(
-        self, index: int, frame: FrameRecord, key: dict[str, str] | None = None
-    ) -> None:
+    def write_frame(self, index: int, frame: LidarFrame, key: dict[str, str] | None = None) -> None:
         """Write frame ``index``; ``key`` tells what it is made of, a hash for each stage."""
         write_frame(self.frame_path(index), frame, self.writer(key or {}))
 

@@ -62,7 +62,7 @@ class Odometry(ShortRepr):
     ----------
     trajectory : Trajectory
         ``T_world_lidar`` at each sweep's stamp.
-    sweeps : sequence of Sweep
+    sweeps : sequence of LidarFrame
         Item ``i`` reads sweep ``i`` once and deskews it. It has a row for each row of the input;
         rows without a usable return stay as they are.
     """

@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters
-from docdepth.datasets.base import Sweep
 from docdepth.errors import OdometryError
 from docdepth.geometry.se3 import inverse, se3_exp, se3_log
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.registration import FEWEST_POINTS, UNKNOWN, Registration
 from docdepth.odometry.registration_log import Found, RegistrationLog
 from docdepth.odometry.smoothing import State, filtered, first_state, stamp_error_of
-from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_sweep
+from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_points
 from docdepth.odometry.traffic import SEEN
 
 log = logging.getLogger(__name__)
@@ -71,20 +70,22 @@ class LoggedRegistration:
         # Traffic in the first sweep is told by those before it.
         self._read = max(0, self.first - SEEN) if len(kept) < count else count
 
-    def align(self, index: int, deskewed: Callable[[], Sweep], guess: NDArray[np.float64]) -> Found:
+    def align(
+        self, index: int, deskewed: Callable[[], NDArray[np.float32]], guess: NDArray[np.float64]
+    ) -> Found:
         """What registration finds, or has found, of a sweep; it is read only if it is needed.
 
         Parameters
         ----------
         index : int
         deskewed : callable
-            Reads the sweep.
+            Reads the points of the sweep.
         guess : ndarray of float64, shape (4, 4)
         """
         found = self._log.found(index)
         if found is not None and (index < self._read or not found.usable):
             return found
-        points = deskewed().points
+        points = deskewed()
         usable = len(points) >= FEWEST_POINTS
         if usable:
             self._registration.take(points, guess)
@@ -188,8 +189,10 @@ def register(
         _warn_of_disagreement(disagreeing, count)
 
 
-def _deskewed(sweeps: ThinnedSweeps, index: int, motion: NDArray[np.float64]) -> Sweep:
-    return deskewed_sweep(sweeps[index], index, motion)
+def _deskewed(
+    sweeps: ThinnedSweeps, index: int, motion: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    return deskewed_points(sweeps[index], index, motion)
 
 
 def _power(motion: NDArray[np.float64], share: float) -> NDArray[np.float64]:

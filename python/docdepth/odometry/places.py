@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from docdepth.geometry.se3 import inverse, nearest_rigid, rotation_exp, se3_log
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.registration import FEWEST_POINTS
-from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_sweep
+from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_points
 
 REACH = 45.0
 """Points of a place lie within this distance of its pose, seen from above [m]."""
@@ -121,7 +121,7 @@ class Places:
             if abs(self._arc[k] - here) > _SPAN + _SPACING:
                 continue
             motion = centred_motion(self._poses, self._sweeps.times, [k])[0]
-            points = deskewed_sweep(self._sweeps[k], k, motion).points.astype(np.float64)
+            points = deskewed_points(self._sweeps[k], k, motion).astype(np.float64)
             points = points @ self._poses[k, :3, :3].T + (self._poses[k, :3, 3] - origin)
             clouds.append(points[np.hypot(points[:, 0], points[:, 1]) < REACH])
         points = np.concatenate(clouds)

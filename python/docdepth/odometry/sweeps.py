@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import overload
+from functools import cached_property
+from typing import TypeAlias, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,18 +13,63 @@ from numpy.typing import NDArray
 import docdepth._core as _core
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset, Sweep
+from docdepth.datasets.point_times import sweep_seconds
 from docdepth.datasets.tolerance import reading_a_frame
 from docdepth.errors import InputError, OdometryError
+from docdepth.geometry.lidar_frame import LidarFrame
+from docdepth.geometry.points import check_points
 from docdepth.odometry.deskewing import deskew
 
 FINE_SAMPLING = 0.25  # metres, edge of a voxel in which a sweep keeps one point
 
 
+AnySweep: TypeAlias = LidarFrame | Sweep | NDArray[np.float32]
+"""A deskewed sweep as a caller may have it."""
+
+
+def lidar_frame(sweep: AnySweep, period: np.float32) -> LidarFrame:
+    """A sweep that is deskewed to its stamp, or an array of its points, as a frame of all its rows.
+
+    Here alone shares of a sweep (:attr:`Sweep.relative_time`) become seconds.
+
+    Parameters
+    ----------
+    sweep : LidarFrame, Sweep, or ndarray of float32, shape (N, 3)
+        An array was measured from its origin. A frame is returned as it is.
+    period : float32
+        Seconds of a sweep (:func:`~docdepth.datasets.point_times.sweep_seconds`).
+
+    Raises
+    ------
+    InputError
+        It is none of these, or points are not float32 of shape (N, 3).
+    """
+    if isinstance(sweep, LidarFrame):
+        return sweep
+    points = sweep if isinstance(sweep, np.ndarray) else getattr(sweep, "points", None)
+    if points is None:
+        raise InputError(
+            "a sweep is a docdepth.Sweep or a float32 array of shape (N, 3), "
+            f"not {type(sweep).__name__}"
+        )
+    points = check_points(points)
+    shares = getattr(sweep, "relative_time", None)
+    return LidarFrame(
+        points,
+        np.arange(len(points), dtype=np.uint32),
+        getattr(sweep, "name", ""),
+        len(points),
+        None if shares is None else period * shares,
+        getattr(sweep, "sensor_rig", None),
+    )
+
+
 @dataclass(frozen=True, repr=False)
-class DeskewedSweeps(Sequence[Sweep]):
+class DeskewedSweeps(Sequence[LidarFrame]):
     """Sweeps of a dataset; item ``i`` reads sweep ``i`` once and deskews it to its stamp.
 
-    Nothing is kept: asking twice reads twice. A slice is a list of its sweeps.
+    A frame has a row for each row of its sweep. Nothing is kept: asking twice reads twice. A slice
+    is a list of its frames.
 
     Attributes
     ----------
@@ -43,20 +89,25 @@ class DeskewedSweeps(Sequence[Sweep]):
         return f"<{len(self)} sweeps of {self.dataset!r}, deskewed when read>"
 
     @overload
-    def __getitem__(self, index: int) -> Sweep: ...
+    def __getitem__(self, index: int) -> LidarFrame: ...
     @overload
-    def __getitem__(self, index: slice) -> list[Sweep]: ...
-    def __getitem__(self, index: int | slice) -> Sweep | list[Sweep]:
+    def __getitem__(self, index: slice) -> list[LidarFrame]: ...
+    def __getitem__(self, index: int | slice) -> LidarFrame | list[LidarFrame]:
         frames = range(len(self))[index]
         if isinstance(frames, range):
             return [self[frame] for frame in frames]
         return self.deskewed(frames, self.dataset.sweep(frames))
 
-    def deskewed(self, index: int, sweep: Sweep) -> Sweep:
-        """Sweep ``index``, which the caller has read, deskewed as :func:`deskewed_sweep` does."""
-        if self.motion is None or not is_raw(sweep):
-            return sweep
-        return deskewed_sweep(sweep, index, self.motion(index))
+    @cached_property
+    def _period(self) -> np.float32:
+        return sweep_seconds(self.dataset.times)
+
+    def deskewed(self, index: int, sweep: Sweep) -> LidarFrame:
+        """Sweep ``index``, which the caller has read, deskewed as :func:`deskewed_points` does."""
+        frame = lidar_frame(sweep, self._period)
+        if self.motion is None:
+            return frame
+        return replace(frame, points=deskewed_points(sweep, index, self.motion(index)))
 
 
 class ThinnedSweeps:
@@ -110,10 +161,11 @@ def is_raw(sweep: Sweep) -> bool:
     return sweep.relative_time is not None and not sweep.motion_compensated
 
 
-def deskewed_sweep(sweep: Sweep, index: int, motion: NDArray[np.float64]) -> Sweep:
-    """Sweep ``index`` deskewed to its stamp; rows, times, intensities and the sensor rig are kept.
+def deskewed_points(sweep: Sweep, index: int, motion: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The points of sweep ``index``, deskewed to its stamp, (N, 3).
 
-    A sweep that is motion compensated already, or whose points have no times, is returned as it is.
+    Those of a sweep that is motion compensated already, or whose points have no times, are returned
+    as they are.
 
     Raises
     ------
@@ -121,9 +173,8 @@ def deskewed_sweep(sweep: Sweep, index: int, motion: NDArray[np.float64]) -> Swe
         A usable point has no finite time.
     """
     if sweep.relative_time is None or sweep.motion_compensated:
-        return sweep
+        return sweep.points
     try:
-        points = deskew(sweep.points, sweep.relative_time, motion)
+        return deskew(sweep.points, sweep.relative_time, motion)
     except InputError as error:
         raise OdometryError(f"sweep {sweep.name} (frame {index}): {error}") from None
-    return replace(sweep, points=points, motion_compensated=True)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from docdepth.io.frames import FrameRecord
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.io.labels import write_labels
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.stage import is_outdated
 
-GROUND, TRACKING = "ground", "tracks"
+GROUND_FOLDER, TRACKING = "ground", "tracks"
 """Folders in the notes of a run. With them, single frames are classified again."""
 
 
 def write_classified(
-    run: RunFolder, index: int, classified: FrameRecord, of: dict[str, str]
+    run: RunFolder, index: int, classified: LidarFrame, of: dict[str, str]
 ) -> None:
     """Write labels of all rows of the input, and the frame with its classes.
 
@@ -22,7 +22,7 @@ def write_classified(
     ----------
     run : RunFolder
     index : int
-    classified : FrameRecord
+    classified : LidarFrame
     of : dict
         What classes are made of.
     """
@@ -49,7 +49,7 @@ def is_classified(run: RunFolder, index: int, labels: Path | None, of: dict[str,
 def remove_outdated(run: RunFolder, ground_key: dict[str, str], key: dict[str, str]) -> None:
     """Delete what was kept of other parameters, and labels of sweeps that are no more."""
     for folder, made_of in (
-        (run.notes / GROUND, ground_key),
+        (run.notes / GROUND_FOLDER, ground_key),
         (run.notes / TRACKING, key),
         (run.path / "labels", key),
         (run.path, key),

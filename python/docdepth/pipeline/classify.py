@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 from docdepth.concurrency import Watch, unwatched
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.scheduling import Told, Work, classify_sweeps
-from docdepth.dynamics.sweep_classifier import Evidence, InputSweep, SweepClassifier
+from docdepth.dynamics.sweep_classifier import Evidence, SweepClassifier
 from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import DamagedFileError
+from docdepth.geometry.lidar_frame import LidarFrame
+from docdepth.geometry.points import GROUND, STATIC
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import Chunk, chunks, label_chunk
@@ -28,7 +30,7 @@ from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS, write_tracks
 from docdepth.pipeline.array_files import Offsets, array_offsets, read_arrays, write_arrays
 from docdepth.pipeline.classified_files import (
-    GROUND,
+    GROUND_FOLDER,
     TRACKING,
     is_classified,
     remove_outdated,
@@ -175,7 +177,7 @@ def _frames(chunk: Chunk) -> int:
 
 
 def _ground_file(run: RunFolder, chunk: Chunk) -> Path:
-    return run.notes / GROUND / f"chunk_{chunk.frames[0]:06d}.npy"
+    return run.notes / GROUND_FOLDER / f"chunk_{chunk.frames[0]:06d}.npy"
 
 
 def _classify_chunk(
@@ -255,17 +257,11 @@ class _FrameStore:
     def has_evidence(self, index: int) -> bool:
         return self._run.key(self._kept(index)) == self._key
 
-    def read(self, index: int) -> InputSweep:
+    def read(self, index: int) -> LidarFrame:
         with self.watch("read"):
-            record = self._run.frame(index)
-            ground = np.unpackbits(self._ground.read(index), count=len(record.points))
-        return InputSweep(
-            record.points,
-            ground.view(np.bool_),
-            self._run.sensor_rig(record),
-            record.time_offset,
-            record,
-        )
+            frame = self._run.frame(index)
+            ground = np.unpackbits(self._ground.read(index), count=len(frame)).view(np.bool_)
+        return replace(frame, classid=np.where(ground, np.uint16(GROUND), np.uint16(STATIC)))
 
     def keep(self, index: int, evidence: Evidence, detections: Detections) -> None:
         self._hold(index, detections)
@@ -297,13 +293,13 @@ class _FrameStore:
             if len(self._detections) > _HELD_DETECTIONS:
                 self._detections.popitem(last=False)
 
-    def write(self, index: int, sweep: InputSweep, labels: Labels) -> None:
+    def write(self, index: int, frame: LidarFrame, labels: Labels) -> None:
         counts = count_classes(labels.classid)
         with self._keeping:
             self.counts += counts
         with self.watch("write"):
             classified = replace(
-                sweep.record,
+                frame,
                 votes_static=labels.votes.static,
                 votes_dynamic=labels.votes.dynamic,
                 classid=labels.classid,

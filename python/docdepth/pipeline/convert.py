@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from docdepth.datasets import Dataset, open_dataset, usable_points
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.ground_plane import level_turn
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.geometry.se3 import inverse, matrix_to_quaternion
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
-from docdepth.io.frames import FrameRecord, write_trajectory
+from docdepth.io.frames import write_trajectory
 from docdepth.io.labels import LABEL_FORMATS, classes_of_labels, write_labels
 from docdepth.io.pcd import write_pcd
 from docdepth.io.poses import POSE_FORMATS, read_timed_poses, write_kitti, write_tum
@@ -165,7 +166,7 @@ def _write_poses(
 
 def _sweeps(
     source: Path, dataset: str | None, to: str
-) -> tuple[Iterator[FrameRecord], NDArray[np.float64] | None, int]:
+) -> tuple[Iterator[LidarFrame], NDArray[np.float64] | None, int]:
     """Sweeps with classes, the poses of the LiDAR, and their number."""
     recording = open_dataset(source, dataset)
     if to == "pcd" and recording.poses is None:
@@ -184,25 +185,30 @@ def _sweeps(
     return _of_recording(recording), recording.poses, len(recording)
 
 
-def _of_run(run: RunFolder, count: int) -> Iterator[FrameRecord]:
+def _of_run(run: RunFolder, count: int) -> Iterator[LidarFrame]:
     for k in range(count):
         yield run.classified_frame(k)[0]
 
 
-def _of_recording(recording: Dataset) -> Iterator[FrameRecord]:
+def _of_recording(recording: Dataset) -> Iterator[LidarFrame]:
     for k in range(len(recording)):
         sweep, labels = recording.sweep(k), recording.labels(k)
         if labels is None:
             raise DatasetError(f"{recording.path} has no labels of sweep {sweep.name} (frame {k})")
         rows = np.flatnonzero(usable_points(sweep.points))
         classid, instance = (values[rows] for values in classes_of_labels(labels))
-        yield FrameRecord(
-            sweep.points[rows], rows.astype(np.uint32), sweep.name, len(labels), classid, instance
+        yield LidarFrame(
+            sweep.points[rows],
+            rows.astype(np.uint32),
+            sweep.name,
+            len(labels),
+            classid=classid,
+            instance=instance,
         )
 
 
 def _write_labels(
-    folder: Path, to: str, record: FrameRecord, poses: NDArray[np.float64] | None, frame: int
+    folder: Path, to: str, record: LidarFrame, poses: NDArray[np.float64] | None, frame: int
 ) -> None:
     classid = record.classid
     assert classid is not None

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.frames import FrameRecord, read_trajectory
+from docdepth.io.frames import read_trajectory
 from docdepth.io.labels import SUFFIXES, label_file, read_classes
 from docdepth.io.tracks import TRACKS, cut_tracks
 
@@ -82,7 +83,7 @@ class LabelFolder:
         if points is not None:
             read_classes(file, points, frame, returns)
 
-    def classified(self, record: FrameRecord, frame: int) -> FrameRecord:
+    def classified(self, record: LidarFrame, frame: int) -> LidarFrame:
         """A frame with the classes given, and without votes."""
         file = label_file(self.folder, record.name, frame)
         classid, instance = read_classes(file, record.input_points, frame, lambda: record.index)

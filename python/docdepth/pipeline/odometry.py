@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import Dataset, Sweep
-from docdepth.datasets.point_times import sweep_seconds
 from docdepth.datasets.tolerance import reading_a_frame
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.points import usable_points
-from docdepth.io.frames import FrameRecord, write_trajectory
+from docdepth.io.frames import write_trajectory
 from docdepth.io.manifest import WITHOUT_FRAMES
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.odometry.blooming import blooming_points
@@ -86,7 +85,7 @@ def run_odometry(
             _write_frames(run, odometry, left, key, profile, progress)
             _remove_old_frames(run, key)
             with profile.watch("check"):
-                warn_of_viewpoint(run.points, lambda i: run.sensor_rig(run.frame(i)), len(dataset))
+                warn_of_viewpoint(run.points, lambda i: run.frame(i).sensor_rig, len(dataset))
                 poses = odometry.trajectory.poses
                 warn_of_misfit(run.points, poses, run.parameters.odometry)
 
@@ -133,7 +132,6 @@ def _write_frames(
     dataset, watch = odometry.sweeps.dataset, profile.watch
     blooming_deg = run.parameters.odometry.blooming_deg
     total = len(dataset)
-    period = sweep_seconds(dataset.times)
     for index in left:
         report(total - len(left) + profile.frames, total)
         with watch("deskew"):
@@ -148,24 +146,11 @@ def _write_frames(
                     f"{dataset.path}: sweep {measured.name} (frame {index}) holds no usable "
                     "point; leave it out by --on-error skip"
                 )
-            record = _frame(deskewed, usable, period)
+            frame = deskewed.select(usable)
         with watch("write"):
-            run.write_frame(index, record, key)
+            run.write_frame(index, frame, key)
         profile.frames += 1
     report(total, total)
-
-
-def _frame(sweep: Sweep, usable: NDArray[np.bool_], period: np.float32) -> FrameRecord:
-    """The usable points of a deskewed sweep; ``period`` is a sweep's duration in seconds."""
-    relative_time, sensor_rig = sweep.relative_time, sweep.sensor_rig
-    return FrameRecord(
-        np.ascontiguousarray(sweep.points[usable]),
-        np.flatnonzero(usable).astype(np.uint32),
-        sweep.name,
-        len(sweep.points),
-        time_offset=None if relative_time is None else period * relative_time[usable],
-        sensor=None if sensor_rig is None else sensor_rig.index[usable],
-    )
 
 
 def _ghost_returns(dataset: Dataset, sweep: Sweep, blooming_deg: float) -> NDArray[np.bool_]:

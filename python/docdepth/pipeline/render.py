@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -13,11 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.calibration_check import edges_of_images, judge
 from docdepth.pipeline.depth_files import DepthFiles
@@ -34,13 +32,11 @@ from docdepth.pipeline.stage import Profile, Progress, Stopwatch, progress_callb
 from docdepth.pipeline.workers import Worker, Workers
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
+from docdepth.render.frame import Frame, prepare_sweep
 from docdepth.render.frame_cache import FrameCache
 from docdepth.render.in_view import TracksInView
 from docdepth.render.layers import compose_layers
-from docdepth.render.moving_objects import objects_of
 from docdepth.render.selection import needed_frames
-from docdepth.render.track_sweeps import near_vehicles
 from docdepth.render.view import View
 from docdepth.visualization.report import index_is_whole, write_report
 
@@ -243,13 +239,18 @@ def _render_images(renderer: Renderer, worker: Worker, chunk: _Chunk) -> list[fl
         Share of pixels with depth of each.
     """
     run, watch, images, tracks = worker.run, worker.watch, chunk.images, chunk.tracks
-    trajectory, parameters = run.trajectory(), images[0].files.parameters
+    trajectory, p = run.trajectory(), images[0].files.parameters.render
     job = _Job(trajectory, tracks, worker.threads, renderer, watch)
     views = [image.view(trajectory) for image in images]
     is_drawn = TracksInView(tracks, trajectory, views).draws
-    cache = FrameCache(
-        lambda i, w: load_frame(run, trajectory, i, parameters, tracks, w, watch, is_drawn=is_drawn)
-    )
+
+    def load(index: int, whole: bool) -> Frame:
+        with watch("read"):
+            frame, _ = run.classified_frame(index)
+        with watch("frames"):
+            return prepare_sweep(frame, index, trajectory, p, tracks, whole, is_drawn)
+
+    cache = FrameCache(load)
     shares: list[float] = []
     with ThreadPoolExecutor(2) as pool:
         writing: Future[float] | None = None
@@ -257,7 +258,7 @@ def _render_images(renderer: Renderer, worker: Worker, chunk: _Chunk) -> list[fl
         for done, image in enumerate(images):
             needed = needed[1:]
             for coming in images[done + len(needed) : done + 2]:
-                needed.append(needed_frames(trajectory, coming.time, parameters.render, tracks))
+                needed.append(needed_frames(trajectory, coming.time, p, tracks))
             requested = cache.request({one for some in needed for one in some.items()}, pool)
             with watch("wait for frames"):
                 frames = {i: requested[i, whole].result() for i, whole in needed[0].items()}
@@ -303,41 +304,3 @@ def _write(
 ) -> float:
     with watch("write"):
         return image.files.write(image.index, depth, layers)
-
-
-def load_frame(
-    run: RunFolder,
-    trajectory: Trajectory,
-    index: int,
-    parameters: Parameters,
-    tracks: Tracks | None = None,
-    whole: bool = True,
-    watch: Stopwatch | None = None,
-    kept_of: Callable[[FrameRecord], NDArray[np.bool_]] | None = None,
-    is_drawn: Callable[[int, int], bool] | None = None,
-) -> Frame:
-    """Read a classified sweep of a run and prepare it for rendering, or what is near vehicles.
-
-    ``kept_of`` tells which of its points to take; all if left out. ``is_drawn`` is that of
-    :func:`~docdepth.render.moving_objects.objects_of`.
-
-    Raises
-    ------
-    RunError
-        It has no classes.
-    """
-    watch = watch or Stopwatch()
-    with watch("read"):
-        record, classid = run.classified_frame(index)
-    with watch("frames"):
-        if kept_of is not None:
-            kept = kept_of(record)
-            record, classid = record.select(kept), classid[kept]
-        if not whole:
-            kept = near_vehicles(record.points, classid, record.instance, tracks or Tracks())
-            record, classid = record.select(kept), classid[kept]
-        points, late, rig = record.points, record.time_offset, run.sensor_rig(record)
-        time, pose = int(trajectory.times[index]), trajectory.poses[index]
-        objects = objects_of(points, classid, time, pose, record.instance, tracks, late, is_drawn)
-        velocity = trajectory.velocity(index)
-        return Frame(points, classid, parameters.render, late, rig, velocity, objects)

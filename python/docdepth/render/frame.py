@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -10,10 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 import docdepth._core as _core
 from docdepth.config import RenderParameters
 from docdepth.errors import InputError
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
 from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.track import Tracks
+from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.moving_objects import SweepObjects, objects_of
+from docdepth.render.track_sweeps import near_vehicles
 
 ISOLATED_SIZE_DEG = 0.1
 """Triangles: half the diagonal of the square drawn for a return that belongs to no triangle, as the
@@ -124,6 +129,50 @@ class Frame:
         returns = self._returns[:, owner]
         order = np.argsort(-returns, kind="stable")
         return [k for k in order.tolist() if returns[k]]
+
+
+def prepare_sweep(
+    frame: LidarFrame,
+    index: int,
+    trajectory: Trajectory,
+    parameters: RenderParameters,
+    tracks: Tracks | None = None,
+    whole: bool = True,
+    is_drawn: Callable[[int, int], bool] | None = None,
+) -> Frame:
+    """Prepare a classified sweep for rendering, or what of it is near vehicles.
+
+    Parameters
+    ----------
+    frame : LidarFrame
+        Usable returns, with classes.
+    index : int
+        Of its pose in the trajectory.
+    trajectory : Trajectory
+    parameters : RenderParameters
+    tracks : Tracks, optional
+    whole : bool
+        False: only the points near vehicles
+        (:func:`~docdepth.render.track_sweeps.near_vehicles`).
+    is_drawn : callable, optional
+        That of :func:`~docdepth.render.moving_objects.objects_of`.
+
+    Raises
+    ------
+    InputError
+        A shape or dtype is wrong, or the sweep has no classes.
+    """
+    if frame.classid is None:
+        raise InputError(f"sweep {frame.name} has no classes")
+    if not whole:
+        near = near_vehicles(frame.points, frame.classid, frame.instance, tracks or Tracks())
+        frame = frame.select(near)
+    points, classid, late = frame.points, frame.classid, frame.time_offset
+    assert classid is not None
+    time, pose = int(trajectory.times[index]), trajectory.poses[index]
+    objects = objects_of(points, classid, time, pose, frame.instance, tracks, late, is_drawn)
+    velocity = trajectory.velocity(index)
+    return Frame(points, classid, parameters, late, frame.sensor_rig, velocity, objects)
 
 
 def _checked(

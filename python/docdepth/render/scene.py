@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from threading import Lock
 from typing import Any, Protocol, TypeAlias
 
@@ -12,20 +13,19 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import thread_count
 from docdepth.config import Parameters, given
-from docdepth.datasets.base import CameraStream, Sweep
+from docdepth.datasets.base import CameraStream
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import InputError
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.odometry.sweeps import AnySweep, lidar_frame
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
+from docdepth.render.frame import Frame, prepare_sweep
 from docdepth.render.frame_cache import FrameCache
 from docdepth.render.layers import check_layers, compose_layers
-from docdepth.render.moving_objects import objects_of
 from docdepth.render.selection import needed_frames
-from docdepth.render.track_sweeps import near_vehicles
 from docdepth.render.view import View
 
 
@@ -48,10 +48,11 @@ class Scene:
 
     Parameters
     ----------
-    sweeps : sequence of Sweep, or of ndarray of float32, shape (N, 3)
-        Metres, LiDAR frame, deskewed to the sweep's time. A :class:`Sweep` also says when
-        (``relative_time``) and from where (``sensor_rig``) each point was measured, which places
-        dynamic objects and depth edges more exactly. The sequence may read each sweep from disk.
+    sweeps : sequence of LidarFrame, of Sweep, or of ndarray of float32, shape (N, 3)
+        Metres, LiDAR frame, deskewed to the sweep's time. Those of :class:`~docdepth.Odometry`, and
+        a :class:`~docdepth.Sweep`, also say when and from where each point was measured, which
+        places dynamic objects and depth edges more exactly. The sequence may read each sweep from
+        disk.
     trajectory : Trajectory
         The pose of each sweep.
     labels : sequence of Labels, or of ndarray of uint16, shape (N,)
@@ -71,7 +72,7 @@ class Scene:
 
     def __init__(
         self,
-        sweeps: Sequence[Sweep] | Sequence[NDArray[np.float32]],
+        sweeps: Sequence[AnySweep],
         trajectory: Trajectory,
         labels: Sequence[Classes],
         parameters: Parameters | None = None,
@@ -125,31 +126,19 @@ class Scene:
     def _prepare(self, index: int, whole: bool) -> Frame:
         with self._reading:  # datasets need not be safe to read from several threads
             sweep, classes = self.sweeps[index], self.labels[index]
-        points = np.asarray(sweep.points if isinstance(sweep, Sweep) else sweep)
         classid = np.asarray(classes.classid if hasattr(classes, "classid") else classes)
-        time_offset, sensor_rig = None, None
-        if points.ndim != 2 or classid.shape != points.shape[:1]:
-            raise InputError(
-                f"sweep {index}: points {points.shape} must have shape (N, 3), and their classes "
-                f"{classid.shape} shape (N,), one for each point"
-            )
-        instance = getattr(classes, "instance", None)
-        usable = usable_points(points)
-        if not whole:
-            usable = usable & near_vehicles(points, classid, instance, self.tracks)
-        if isinstance(sweep, Sweep):
-            if sweep.relative_time is not None:
-                time_offset = (self._period * sweep.relative_time)[usable]
-            if sweep.sensor_rig is not None:
-                sensor_rig = sweep.sensor_rig.select(usable)
-        points, classid = points[usable], classid[usable]
-        instance = None if instance is None else instance[usable]
-        trajectory, p = self.trajectory, self.parameters.render
-        time, pose = int(trajectory.times[index]), trajectory.poses[index]
         try:
-            objects = objects_of(points, classid, time, pose, instance, self.tracks, time_offset)
-            velocity = trajectory.velocity(index)
-            return Frame(points, classid, p, time_offset, sensor_rig, velocity, objects)
+            frame = lidar_frame(sweep, self._period)
+            if classid.shape != frame.points.shape[:1]:
+                raise InputError(
+                    f"points {frame.points.shape} must have shape (N, 3), and their classes "
+                    f"{classid.shape} shape (N,), one for each point"
+                )
+            instance = getattr(classes, "instance", None)
+            frame = replace(frame, classid=classid, instance=instance)
+            frame = frame.select(usable_points(frame.points))
+            p = self.parameters.render
+            return prepare_sweep(frame, index, self.trajectory, p, self.tracks, whole)
         except InputError as error:
             raise InputError(f"sweep {index}: {error}") from None
 

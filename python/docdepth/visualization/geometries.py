@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import InputError, MissingExtraError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import described_maps, maps_in, read_depth
-from docdepth.io.frames import FrameRecord
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.visualization.image_views import BOX_EDGES, box_corners, track_color
@@ -109,7 +109,7 @@ def instance_colors(instance: NDArray[np.uint16]) -> NDArray[np.float64]:
 
 
 def point_colors(
-    record: FrameRecord, classid: NDArray[np.uint16], color: Coloring
+    record: LidarFrame, classid: NDArray[np.uint16], color: Coloring
 ) -> NDArray[np.float64]:
     """RGB colour of each point of a frame, float64 (N, 3), 0..1.
 
