@@ -19,7 +19,7 @@ from docdepth.datasets import open_dataset
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
+from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.view import View
 
 ROOT = Path(__file__).parent.parent
@@ -242,11 +242,11 @@ def test_the_recipe_for_far_scenes_draws_far_sweeps(primitive: Any) -> None:
     def drawn(values: dict[str, Any]) -> set[float]:
         p = parameters("default", {"render.primitive": primitive, **values}).render
 
-        def board(index: int) -> Frame:
+        def board(index: int) -> RenderSweep:
             distance = 40.0 + spacing * index
             side = -distance * (right + 100 * index / 15000)  # 100 pixels beside the last board
             points = np.stack([np.full(up.shape, 40.0), side, distance * up], -1).reshape(-1, 3)
-            return Frame(points.astype(np.float32), np.full(len(points), 50, np.uint16), p)
+            return RenderSweep(points.astype(np.float32), np.full(len(points), 50, np.uint16), p)
 
         depth = compose_depth(View.at(camera, T_camera_lidar, trajectory, 0), trajectory, board, p)
         return set(np.unique(depth[np.isfinite(depth)].round(-1)).tolist())

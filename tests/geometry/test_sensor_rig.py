@@ -20,7 +20,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry, run_render
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
+from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.view import View
 from docdepth.synthetic import scene, sensor, write_drive
 from docdepth.synthetic.drive import Drive
@@ -82,7 +82,7 @@ def test_ray_origins_follow_a_driving_lidar():
         standing.with_ego_motion((20, 0, 0), time_offset[:3])
     # A frame that is told both begins there, too.
     classid, p = np.full(len(points), 50, np.uint16), parameters("default").render
-    told = Frame(points, classid, p, time_offset=time_offset, velocity=(20, 0, 0))
+    told = RenderSweep(points, classid, p, time_offset=time_offset, velocity=(20, 0, 0))
     camera = Camera(np.array([[200.0, 0, 160], [0, 200, 60], [0, 0, 1]]), 320, 120)
     trajectory = Trajectory(np.array([0, 1]), np.repeat(np.eye(4)[None], 2, axis=0))
     right = np.eye(4)  # looks to the right, where the panel is
@@ -91,8 +91,8 @@ def test_ray_origins_follow_a_driving_lidar():
     view = View.at(camera, right, trajectory, 0)
     drawn = [
         compose_depth(view, trajectory, lambda _, frame=frame: frame, p)
-        for frame in (told, Frame(points, classid, p, sensor_rig=moving),
-                      Frame(points, classid, p))
+        for frame in (told, RenderSweep(points, classid, p, sensor_rig=moving),
+                      RenderSweep(points, classid, p))
     ]  # fmt: skip
     np.testing.assert_array_equal(drawn[0], drawn[1])
     assert (drawn[0] != drawn[2])[np.isfinite(drawn[0])].any()

@@ -8,9 +8,9 @@ from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.frame import Frame
 from docdepth.render.moving_objects import objects_of
-from docdepth.render.selection import dynamic_frame, static_frames
+from docdepth.render.render_sweep import RenderSweep
+from docdepth.render.selection import dynamic_sweep, static_sweeps
 from docdepth.render.view import View
 
 # Camera axes in the LiDAR frame: x right = -y, y down = -z, z forward = x.
@@ -47,7 +47,7 @@ def followed(points, classid, index, trajectory, track, parameters=None, time_of
     instance = np.where(classid >= 100, track.id, 0).astype(np.uint16)
     pose, time = trajectory.poses[index], int(trajectory.times[index])
     of = objects_of(points, classid, time, pose, instance, Tracks([track]), time_offset)
-    return Frame(points, classid, parameters, time_offset, objects=of)
+    return RenderSweep(points, classid, parameters, time_offset, objects=of)
 
 
 def reference(camera, clouds):
@@ -106,13 +106,13 @@ def drive(rng, camera_time, parameters, n=6):
     trajectory = Trajectory(trajectory.times, poses)
     sweeps = [scattered(rng, 4000) for _ in range(n)]
     classes = [rng.choice([0, 50, 99, 100, 251], size=4000).astype(np.uint16) for _ in range(n)]
-    frames = [Frame(s, c, parameters) for s, c in zip(sweeps, classes, strict=True)]
+    frames = [RenderSweep(s, c, parameters) for s, c in zip(sweeps, classes, strict=True)]
 
     T_camera_world = AXES @ np.linalg.inv(trajectory.interpolate(camera_time)[0])
     clouds = []
     for dynamic in (False, True):
-        indices = static_frames(trajectory, camera_time, parameters)
-        for i in [dynamic_frame(trajectory, camera_time)] if dynamic else indices:
+        indices = static_sweeps(trajectory, camera_time, parameters)
+        for i in [dynamic_sweep(trajectory, camera_time)] if dynamic else indices:
             with np.errstate(invalid="ignore", over="ignore"):
                 distance = np.linalg.norm(sweeps[i].astype(np.float64), axis=1)
             kept = np.isfinite(distance) if dynamic else distance < parameters.crop

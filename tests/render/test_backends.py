@@ -16,7 +16,7 @@ from docdepth.config import RenderParameters
 from docdepth.errors import BackendError
 from docdepth.render import backends
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
+from docdepth.render.render_sweep import RenderSweep
 
 TIME = 130_000_000
 SOFTWARE = ("llvmpipe", "softpipe", "swrast")
@@ -63,7 +63,7 @@ def test_each_context_draws_what_the_cpu_draws(gl):
                 view = at(small_camera(width, height, focal), AXES, trajectory, time)
                 depth = assert_drawn_alike(gl, *view, frames.__getitem__, parameters)
                 assert np.isfinite(depth).any()
-    empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
+    empty = RenderSweep(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
     view = at(small_camera(), AXES, straight(1), 0)
     assert np.isnan(assert_drawn_alike(gl, *view, lambda _: empty, parameters)).all()
 
@@ -77,7 +77,8 @@ def test_draws_from_many_threads(gl):
 
 def test_splats_beyond_the_limit_are_refused(gl):
     trajectory, frames, _ = drive(np.random.default_rng(1), TIME, DRAWN[2])
-    asked = (*at(small_camera(), AXES, trajectory, TIME), frames.__getitem__, splats(1500, 20, 1, 1))
+    view = at(small_camera(), AXES, trajectory, TIME)
+    asked = (*view, frames.__getitem__, splats(1500, 20, 1, 1))
     with pytest.raises(BackendError, match="the cpu draws any size"):
         compose_depth(*asked, renderer=gl)
 

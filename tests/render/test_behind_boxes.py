@@ -15,8 +15,8 @@ from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render import backends
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
 from docdepth.render.layers import AGREED, compose_layers
+from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.sightings import RISE, VEHICLE_HEIGHT, boxes_in_view
 from docdepth.render.track_sweeps import seen_to_its_top
 from docdepth.render.view import View
@@ -70,11 +70,11 @@ def scene(
         points = (ray * np.where(hit, near, far)[:, None]).astype(np.float32)
         classid = np.where(hit, 100, 50).astype(np.uint16)
         frame = followed(points, classid, i, trajectory, track, TRIANGLES)
-        frames.append(frame if tracked else Frame(points, classid, TRIANGLES))
+        frames.append(frame if tracked else RenderSweep(points, classid, TRIANGLES))
     return {
         "view": View.at(CAMERA, AXES, trajectory, round(image * 1e8)),
         "trajectory": trajectory,
-        "frames": frames.__getitem__,
+        "sweeps": frames.__getitem__,
         "parameters": TRIANGLES,
         "tracks": Tracks([track] if tracked and objects else []),
     }

@@ -13,9 +13,9 @@ from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
 from docdepth.render.in_view import TracksInView
 from docdepth.render.moving_objects import objects_of
+from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.sightings import SOFT_SECONDS, _in_view
 from docdepth.render.view import View
 
@@ -45,7 +45,7 @@ def test_pixels_are_the_same_without_what_no_image_shows(kind: str) -> None:
     tracks = Tracks([track, beside])
     shown = in_view_of(tracks, trajectory)
 
-    def frame(i: int, cropped: bool) -> Frame:
+    def frame(i: int, cropped: bool) -> RenderSweep:
         points, classid = wall_and_box(i, trajectory, track.poses[i, :2, 3] - (0.5, 0))
         others, other_class = wall_and_box(i, trajectory, beside.poses[i, :2, 3] - (0.5, 0))
         instance = np.where(classid >= 100, 6, np.where(other_class >= 100, 7, 0))
@@ -58,7 +58,7 @@ def test_pixels_are_the_same_without_what_no_image_shows(kind: str) -> None:
             points, classid, stamp, pose, instance.astype(np.uint16), tracks, None, is_drawn
         )
         np.testing.assert_array_equal(part.owner, of.owner)
-        return Frame(points, classid, TRIANGLES, objects=part)
+        return RenderSweep(points, classid, TRIANGLES, objects=part)
 
     whole = [frame(i, False) for i in range(30)]
     cropped = [frame(i, True) for i in range(30)]

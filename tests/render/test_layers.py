@@ -20,9 +20,9 @@ from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Tracks
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
 from docdepth.render.layers import _CONFIDENCE, LAYERS, compose_layers, confidence
-from docdepth.render.selection import static_frames
+from docdepth.render.render_sweep import RenderSweep
+from docdepth.render.selection import static_sweeps
 from docdepth.render.view import View
 
 OF_SPLATS = tuple(name for name in LAYERS if name not in ("normal", "instance", "seen"))
@@ -44,7 +44,7 @@ def test_layers_of_splats_equal_plain_numpy():
     fx, fy, cx, cy = (f(v) for v in camera.K[[0, 1, 0, 1], [0, 1, 2, 2]])
     agreeing = [[[] for _ in range(camera.width)] for _ in range(camera.height)]
     seen_from = {}
-    sweeps = [*static_frames(trajectory, time, PAPER), trajectory.nearest(time)]
+    sweeps = [*static_sweeps(trajectory, time, PAPER), trajectory.nearest(time)]
     for sweep, (points, pose, (largest, smallest)) in zip(sweeps, clouds, strict=True):
         T = pose.astype(f)
         p, q, r = points.T
@@ -138,7 +138,7 @@ def test_layers_of_an_exact_street():
     np.testing.assert_allclose(found["range"][seen], distance[seen], rtol=1e-4)
     # All five sweeps measured the wall straight ahead.
     common = on_wall & (np.abs(ray[..., 0]) < 0.5) & (np.abs(v - 50) < 5)
-    assert (found["support"][common] == len(static_frames(trajectory, time, TRIANGLES))).all()
+    assert (found["support"][common] == len(static_sweeps(trajectory, time, TRIANGLES))).all()
     assert found["std"][common].max() < 0.01
     assert (found["support"][~seen] == 0).all()
     single = seen & (found["support"] < 2)
@@ -219,7 +219,7 @@ def test_error_falls_as_confidence_rises(preset):
         if i not in frames:
             sweep = drive.sweep(i)
             classid = np.where(sweep.moving, 100, 50).astype(np.uint16)
-            frames[i] = Frame(sweep.points, classid, preset)
+            frames[i] = RenderSweep(sweep.points, classid, preset)
         return frames[i]
 
     time = int(drive.camera_times[8])

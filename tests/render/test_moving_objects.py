@@ -12,9 +12,9 @@ from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
 from docdepth.render.moving_objects import TOUCH, objects_of
-from docdepth.render.selection import drawn_frames
+from docdepth.render.render_sweep import RenderSweep
+from docdepth.render.selection import drawn_sweeps
 from docdepth.render.sightings import (
     MOST_SIGHTINGS,
     SOFT_SECONDS,
@@ -132,7 +132,7 @@ def test_sightings_are_placed_as_plain_matrices_say(kind):
         for i in range(40)
     ]
     time = 530_000_000
-    drawn = drawn_frames(trajectory, time, TRIANGLES)
+    drawn = drawn_sweeps(trajectory, time, TRIANGLES)
     T_camera_world = AXES @ inverse(trajectory.interpolate(time)[0])
     view = View(small_camera(), T_camera_world, time)
     objects = sighted_objects(view, trajectory, frames.__getitem__, drawn, Tracks([track]), 100)
@@ -225,7 +225,7 @@ def test_strays_stay_where_the_nearest_sweep_saw_them():
     order = rng.permutation(len(points))
     depths = []
     for some in (np.arange(len(points)), order):
-        frame = Frame(points[some], classid[some], TRIANGLES)
+        frame = RenderSweep(points[some], classid[some], TRIANGLES)
         asked = (
             *at(small_camera(), AXES, trajectory, 130_000_000),
             lambda _, f=frame: f,
@@ -251,7 +251,7 @@ def test_further_sweeps_show_a_vehicle_from_elsewhere_and_belong_to_its_track():
     assert not track_sweeps(trajectory, beside, Tracks([person]))
     seen = replace(track, points=np.where(np.arange(200) < 20, 0, 9))
     assert min(track_sweeps(trajectory, beside, Tracks([seen]))) >= 20
-    drawn = drawn_frames(trajectory, beside, TRIANGLES, Tracks([track]))
+    drawn = drawn_sweeps(trajectory, beside, TRIANGLES, Tracks([track]))
     assert not {*drawn.tracked} & {*drawn.static, *drawn.dynamic}
     assert {i for i, whole in drawn.needed.items() if not whole} == {*drawn.tracked}
 
@@ -284,7 +284,7 @@ def test_a_vehicle_is_drawn_from_the_further_sweeps_of_its_own_track_alone():
             followed(*wall_and_box(i, trajectory, where[i]), i, trajectory, track, TRIANGLES)
             for i in range(40)
         ]
-        drawn = drawn_frames(trajectory, time, TRIANGLES)
+        drawn = drawn_sweeps(trajectory, time, TRIANGLES)
         drawn = drawn._replace(static=drawn.static[:1], tracked=[30, *own])
         of = sighted_objects(view, trajectory, frames.__getitem__, drawn, Tracks([track]), 0)
         others = {drawn.sighted[number] for *_, number in of[0][2]}

@@ -23,8 +23,8 @@ from docdepth.errors import CalibrationError, ConfigError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
-from docdepth.render.selection import dynamic_frame, needed_frames, static_frames
+from docdepth.render.render_sweep import RenderSweep
+from docdepth.render.selection import dynamic_sweep, needed_sweeps, static_sweeps
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -59,7 +59,7 @@ def test_equals_plain_numpy_pixel_for_pixel(seed, sizes):
 
 def frame_of(points, classid=50):
     points = np.asarray(points, dtype=np.float32).reshape(-1, 3)
-    return Frame(points, np.full(len(points), classid, np.uint16), PAPER)
+    return RenderSweep(points, np.full(len(points), classid, np.uint16), PAPER)
 
 
 def test_a_single_splat_is_an_upright_ellipse_of_constant_depth():
@@ -85,7 +85,7 @@ def test_near_moving_wall_hides_far_static_wall():
     near = wall(8.0)[np.abs(side.ravel()) < 2]
     points = np.concatenate([wall(20.0), near]).astype(np.float32)
     classid = np.repeat(np.array([50, 100], np.uint16), [side.size, len(near)])
-    frame = Frame(points, classid, PAPER)
+    frame = RenderSweep(points, classid, PAPER)
     depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame, PAPER)
     assert set(np.unique(depth)) == {8.0, 20.0}
     assert (depth[:, 60:100] == 8.0).all()
@@ -120,12 +120,12 @@ def test_moving_points_come_from_the_sweep_nearest_in_time_only():
 
 def test_static_frames_follow_the_path_window_and_step():
     trajectory = straight(200, spacing=0.5)
-    taken = static_frames(trajectory, 5_000_000_000, PAPER)  # at 25 m
+    taken = static_sweeps(trajectory, 5_000_000_000, PAPER)  # at 25 m
     assert taken[0] == 50  # -0.5 m is excluded
     assert taken[-1] == 199
-    taken = static_frames(trajectory, 5_000_000_000, PAPER.model_copy(update={"ahead": 10.0}))
+    taken = static_sweeps(trajectory, 5_000_000_000, PAPER.model_copy(update={"ahead": 10.0}))
     assert (trajectory.arc_length[taken] < 35).all()
-    coarse = static_frames(trajectory, 5_000_000_000, PAPER.model_copy(update={"step": 2.0}))
+    coarse = static_sweeps(trajectory, 5_000_000_000, PAPER.model_copy(update={"step": 2.0}))
     assert (np.diff(trajectory.arc_length[coarse]) >= 2.0).all()
 
 
@@ -133,13 +133,13 @@ def test_a_standing_ego_is_drawn_from_the_sweep_nearest_in_time():
     poses = np.repeat(np.eye(4)[None], 30, axis=0)
     poses[:, 0, 3] = 1e-3 * np.sin(np.arange(30))
     trajectory = Trajectory(np.arange(30) * 100_000_000, poses)
-    assert static_frames(trajectory, 1_730_000_000, PAPER).tolist() == [17]
-    assert dynamic_frame(trajectory, 1_730_000_000) == 17
+    assert static_sweeps(trajectory, 1_730_000_000, PAPER).tolist() == [17]
+    assert dynamic_sweep(trajectory, 1_730_000_000) == 17
 
 
 @pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
 def test_no_points_give_no_depth(parameters):
-    empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
+    empty = RenderSweep(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
     assert np.isnan(
         compose_depth(*at(small_camera(), AXES, straight(2), 0), lambda _: empty, parameters)
     ).all()
@@ -147,9 +147,9 @@ def test_no_points_give_no_depth(parameters):
 
 def test_bad_input_is_refused():
     with pytest.raises(InputError, match="float32"):
-        Frame(np.zeros((3, 3)), np.zeros(3, np.uint16))
+        RenderSweep(np.zeros((3, 3)), np.zeros(3, np.uint16))
     with pytest.raises(InputError, match="one for each point"):
-        Frame(np.zeros((3, 3), np.float32), np.zeros(2, np.uint16))
+        RenderSweep(np.zeros((3, 3), np.float32), np.zeros(2, np.uint16))
     with pytest.raises(InputError, match="outside the trajectory"):
         compose_depth(
             *at(small_camera(), AXES, straight(2), -1),
@@ -163,7 +163,7 @@ def test_bad_input_is_refused():
             TRIANGLES,
         )
     with pytest.raises(InputError, match="time_offset"):
-        Frame(
+        RenderSweep(
             np.zeros((3, 3), np.float32),
             np.zeros(3, np.uint16),
             time_offset=np.zeros(2, np.float32),
@@ -183,7 +183,7 @@ def test_needed_frames_are_those_that_are_asked_for(parameters, time):
         return frames[index]
 
     compose_depth(*at(small_camera(), AXES, trajectory, time), frame, parameters)
-    assert asked == set(needed_frames(trajectory, time, parameters))
+    assert asked == set(needed_sweeps(trajectory, time, parameters))
 
 
 @pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
@@ -195,7 +195,7 @@ def test_the_crop_leaves_dynamic_points(parameters):
     unusable = [[np.inf, 1, 0], [np.nan, 0, 1], [1e30, 0, 0]]
     points = np.concatenate([board, unusable]).astype(np.float32)
     for classid, drawn in ((50, False), (99, False), (100, True)):
-        frame = Frame(points, np.full(len(points), classid, np.uint16), near)
+        frame = RenderSweep(points, np.full(len(points), classid, np.uint16), near)
         depth = compose_depth(*at(small_camera(), AXES, straight(1), 0), lambda _, f=frame: f, near)
         assert np.isfinite(depth).any() == drawn
         np.testing.assert_allclose(depth[np.isfinite(depth)], 20, rtol=1e-5)
@@ -222,15 +222,15 @@ def test_equals_plain_numpy_on_real_sweeps():
     trajectory = straight(len(sweeps), spacing=5.0)
     # Every tenth point is dynamic, so that both sizes occur.
     classes = [np.where(np.arange(len(s)) % 10, 50, 100).astype(np.uint16) for s in sweeps]
-    frames = [Frame(s, c, PAPER) for s, c in zip(sweeps, classes, strict=True)]
+    frames = [RenderSweep(s, c, PAPER) for s, c in zip(sweeps, classes, strict=True)]
     time = 20_000_000
     T_camera_world = AXES @ np.linalg.inv(trajectory.interpolate(time)[0])
     clouds = []
     for i, (s, c) in enumerate(zip(sweeps, classes, strict=True)):
         pose = T_camera_world @ trajectory.poses[i]
-        if i in static_frames(trajectory, time, PAPER):
+        if i in static_sweeps(trajectory, time, PAPER):
             clouds.append((s[c < 100], pose, (50.0, 3.0)))
-        if i == dynamic_frame(trajectory, time):
+        if i == dynamic_sweep(trajectory, time):
             clouds.append((s[c >= 100], pose, (80.0, 35.0)))
     depth = compose_depth(*at(camera, AXES, trajectory, time), frames.__getitem__, PAPER)
     np.testing.assert_array_equal(depth, reference(camera, clouds))
@@ -244,7 +244,7 @@ def test_scenes_of_700_metres(primitive):
     far = np.stack([np.full(y.shape, 690.0), y, z], axis=-1).reshape(-1, 3).astype(np.float32)
     beyond = far + np.float32([30, 200, 0])
     points = np.concatenate([far, beyond])
-    frame = Frame(points, np.full(len(points), 50, np.uint16), parameters)
+    frame = RenderSweep(points, np.full(len(points), 50, np.uint16), parameters)
     camera = Camera(np.array([[700.0, 0, 300], [0, 700, 60], [0, 0, 1]]), 601, 121)
     depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame, parameters)
     wall = depth[30:90, 270:330]

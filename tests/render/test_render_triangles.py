@@ -18,8 +18,8 @@ from render_reference import (
 from docdepth.geometry.track import Tracks
 from docdepth.render import frame as frame_module
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
-from docdepth.render.selection import STEP_GROWTH, static_frames
+from docdepth.render.render_sweep import RenderSweep
+from docdepth.render.selection import STEP_GROWTH, static_sweeps
 
 
 def spinning(rings=48, columns=1500, low=-25.0, high=8.0):
@@ -54,7 +54,7 @@ def test_triangles_of_a_plane_are_that_plane_without_cracks(planes):
     hit = ranges < 60
     points = (directions * ranges[:, None])[hit].astype(np.float32)
     camera = small_camera()
-    frame = Frame(points, np.full(len(points), 50, np.uint16), TRIANGLES)
+    frame = RenderSweep(points, np.full(len(points), 50, np.uint16), TRIANGLES)
     depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame, TRIANGLES)
     rays = pixel_rays(camera)
     exact, plane = meet(rays.reshape(-1, 3), planes)
@@ -161,7 +161,7 @@ def test_a_moving_box_is_drawn_where_it_was_at_the_time_of_the_image(is_followed
         classid = np.where(on_box[seen], 100, 50).astype(np.uint16)
         times = None if time_offset is None else np.full(len(points), time_offset, np.float32)
         if not is_followed:
-            return Frame(points, classid, TRIANGLES, time_offset=times)
+            return RenderSweep(points, classid, TRIANGLES, time_offset=times)
         return followed(points, classid, index, trajectory, track, TRIANGLES, times)
 
     frames = [frame(i) for i in range(4)]
@@ -218,7 +218,7 @@ def test_other_sweeps_fill_the_part_of_a_moving_box_behind_a_post():
     assert hidden.sum() > 50
     assert (np.abs(depth[hidden] - box_at) < 0.05).mean() > 0.95
     assert (np.abs(depth[inside] - box_at) < 0.05).mean() > 0.95
-    frames[:] = [Frame(*seen(i), TRIANGLES) for i in range(7)]
+    frames[:] = [RenderSweep(*seen(i), TRIANGLES) for i in range(7)]
     alone = compose_depth(*asked)
     assert not (np.abs(alone[hidden] - box_at) < 0.05).mean() > 0.9
 
@@ -255,7 +255,7 @@ def test_a_moving_box_ends_close_to_its_last_ring():
 def test_an_isolated_return_is_a_small_diamond(monkeypatch):
     camera = small_camera()
     monkeypatch.setattr(frame_module, "ISOLATED_SIZE_DEG", 3.0)
-    frame = Frame(np.array([[10, 0, 0]], np.float32), np.array([50], np.uint16), TRIANGLES)
+    frame = RenderSweep(np.array([[10, 0, 0]], np.float32), np.array([50], np.uint16), TRIANGLES)
     depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame, TRIANGLES)
     u, v = np.meshgrid(np.arange(160) - camera.K[0, 2], np.arange(60) - camera.K[1, 2])
     half = np.radians(3.0)
@@ -268,7 +268,7 @@ def test_an_isolated_return_is_a_small_diamond(monkeypatch):
 def test_sweeps_for_triangles_start_with_the_nearest_and_thin_out():
     trajectory = straight(300, spacing=0.5)
     far = TRIANGLES.model_copy(update={"ahead": 100.0})
-    taken = static_frames(trajectory, 5_030_000_000, far)  # at 25.15 m
+    taken = static_sweeps(trajectory, 5_030_000_000, far)  # at 25.15 m
     ahead = trajectory.arc_length[taken] - 25.15
     assert taken[0] == 50
     assert len(set(taken.tolist())) == len(taken)
@@ -279,14 +279,14 @@ def test_sweeps_for_triangles_start_with_the_nearest_and_thin_out():
     assert np.diff(ordered)[np.abs(ordered[1:]) < 4].max() < 2.1
     assert np.diff(ordered)[ordered[1:] > 50].min() >= 8
     # The next image takes the same sweeps, except the nearest and a few new ones.
-    following = static_frames(trajectory, 5_130_000_000, far)
+    following = static_sweeps(trajectory, 5_130_000_000, far)
     assert len(set(following.tolist()) - set(taken.tolist())) <= 3
 
 
 @pytest.mark.parametrize("spacing", [0.5, 1.1, 2.8])
 def test_sweeps_for_triangles_leave_no_gap_however_fast_the_ego_is(spacing):
     trajectory = straight(300, spacing=spacing)
-    taken = static_frames(trajectory, int(trajectory.times[60]) + 30_000_000, TRIANGLES)
+    taken = static_sweeps(trajectory, int(trajectory.times[60]) + 30_000_000, TRIANGLES)
     ahead = np.sort(
         trajectory.arc_length[taken]
         - trajectory.arc_length_at(int(trajectory.times[60]) + 30_000_000)[0]

@@ -20,9 +20,9 @@ from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
+from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.scene import Scene, render_depth, render_layers
-from docdepth.render.selection import needed_frames
+from docdepth.render.selection import needed_sweeps
 
 LAYERS = ("class", "time", "range", "support", "std", "confidence")
 
@@ -115,7 +115,7 @@ def asked_scene(count=60, render=TRIANGLES):
 def test_frames_are_made_when_needed_and_forgotten_when_not(render):
     near = render.model_copy(update={"ahead": 5.0, "behind": 2.0})
     scene, camera = asked_scene(render=near), camera_of([1_000_000_000, 1_020_000_000, 10**9 * 4])
-    needed = [set(needed_frames(scene.trajectory, int(t), near)) for t in camera.times]
+    needed = [set(needed_sweeps(scene.trajectory, int(t), near)) for t in camera.times]
     assert scene.sweeps.asked == []
     render_depth(scene, camera, 0)
     assert sorted(scene.sweeps.asked) == sorted(needed[0])
@@ -124,7 +124,7 @@ def test_frames_are_made_when_needed_and_forgotten_when_not(render):
     render_depth(scene, camera, 1)
     assert sorted(scene.sweeps.asked) == sorted(needed[0]) + sorted(needed[1] - needed[0])
     render_depth(scene, camera, 2)
-    assert set(scene.frames_at(int(camera.times[2]))) == needed[2]
+    assert set(scene.sweeps_at(int(camera.times[2]))) == needed[2]
     assert {i for i, _ in scene._cache._frames} == needed[2]
 
 
@@ -148,7 +148,7 @@ def test_plain_arrays_are_a_scene():
     trajectory, camera = straight(4), camera_of([130_000_000])
     for values in (parameters("default"), parameters("paper")):
         frames = [
-            Frame(p[u], c[u], values.render)
+            RenderSweep(p[u], c[u], values.render)
             for p, c, u in zip(points, classes, usable, strict=True)
         ]
         expected = compose_depth(

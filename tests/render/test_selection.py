@@ -9,13 +9,13 @@ from render_reference import AXES, PAPER, TRIANGLES, at, moving_track, small_cam
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
+from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.selection import (
     STEP_GROWTH,
     _roundest,
-    drawn_frames,
-    needed_frames,
-    static_frames,
+    drawn_sweeps,
+    needed_sweeps,
+    static_sweeps,
     times_needed,
 )
 
@@ -67,7 +67,7 @@ def test_selection_equals_the_rules_on_the_whole_trajectory(parameters, seed, n)
     for time in [*trajectory.times[[0, n // 3, n // 2, -1]], *times]:
         for step in (parameters.step, 2.0):
             p = parameters.model_copy(update={"step": step})
-            assert static_frames(trajectory, time, p).tolist() == reference(trajectory, time, p)
+            assert static_sweeps(trajectory, time, p).tolist() == reference(trajectory, time, p)
 
 
 @pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
@@ -77,7 +77,7 @@ def test_a_window_that_holds_no_sweep(parameters):
     poses[:, 0, 3] = 0, 1, 501, 502
     trajectory = Trajectory(np.arange(4) * 10**8, poses)
     time = 150_000_000
-    assert static_frames(trajectory, time, parameters).tolist() == reference(
+    assert static_sweeps(trajectory, time, parameters).tolist() == reference(
         trajectory, time, parameters
     )
 
@@ -101,12 +101,12 @@ class Watched(Trajectory):
 @pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
 def test_an_image_costs_the_same_however_long_the_drive_is(parameters):
     trajectory = random_drive(np.random.default_rng(9), 500)
-    empty = Frame(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
+    empty = RenderSweep(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
     watched = Watched(trajectory.times, trajectory.poses)
     object.__setattr__(watched, "kept", trajectory.arc_length)
     object.__setattr__(watched, "poses", trajectory.poses.view(Whole))
     time = int(trajectory.times[200])
-    assert drawn_frames(watched, time, parameters) == drawn_frames(trajectory, time, parameters)
+    assert drawn_sweeps(watched, time, parameters) == drawn_sweeps(trajectory, time, parameters)
     compose_depth(*at(small_camera(), AXES, watched, time), lambda _: empty, parameters)
 
 
@@ -135,11 +135,11 @@ def test_all_sweeps_of_some_images_lie_between_the_times_that_they_need(paramete
         low, high = times_needed(trajectory, images[0], images[-1], parameters, tracks)
         some = Tracks(tracks.between(low, high))
         for time in images:
-            needed = needed_frames(trajectory, time, parameters, tracks)
+            needed = needed_sweeps(trajectory, time, parameters, tracks)
             stamps = trajectory.times[list(needed)]
             assert low <= stamps.min()
             assert stamps.max() <= high
-            assert needed == needed_frames(trajectory, time, parameters, some)
+            assert needed == needed_sweeps(trajectory, time, parameters, some)
             further += not all(needed.values())
     assert further or n < 60 or parameters is PAPER
 

@@ -10,9 +10,9 @@ from docdepth.config import RenderParameters
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.track import Tracks
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame
 from docdepth.render.layers import compose_layers
 from docdepth.render.moving_objects import objects_of
+from docdepth.render.render_sweep import RenderSweep
 
 PLACES = ((0.0, 0.0, 0.0), (0.4, 1.3, -0.8))
 """On the roof, and in the left of the bumper [m]."""
@@ -47,7 +47,7 @@ def scene_of(trajectory, track, places, shown=range(9)):
         instance = np.where(classid == 100, track.id, 0).astype(np.uint16)
         objects = objects_of(points, classid, int(time), pose, instance, Tracks([track]))
         rig = SensorRig(index, T) if len(places) > 1 else None
-        frames.append(Frame(points, classid, sensor_rig=rig, objects=objects))
+        frames.append(RenderSweep(points, classid, sensor_rig=rig, objects=objects))
     return frames
 
 
@@ -114,4 +114,4 @@ def test_the_lidar_with_most_returns_of_an_object_comes_first():
     for share, order in ((0.0, [2]), (0.3, [2, 0]), (0.7, [0, 2]), (1.0, [0])):
         index = np.arange(len(points), dtype=np.uint8) % 3
         index[rows] = np.where(np.arange(len(rows)) < share * len(rows), 0, 2)
-        assert Frame(points, classid, sensor_rig=SensorRig(index, T)).seen_by(1) == order
+        assert RenderSweep(points, classid, sensor_rig=SensorRig(index, T)).seen_by(1) == order

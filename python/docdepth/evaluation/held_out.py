@@ -33,8 +33,8 @@ from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.run_inputs import camera_parameters
 from docdepth.pipeline.run_state import require
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame, prepare_sweep
-from docdepth.render.selection import needed_frames
+from docdepth.render.render_sweep import RenderSweep, prepare_sweep
+from docdepth.render.selection import needed_sweeps
 from docdepth.render.view import View
 
 
@@ -271,7 +271,7 @@ class _HeldOutViews:
         self._parameters = camera_parameters(folder, folder.camera_in(depths))
         self.camera, self._T_camera_lidar, _ = folder.calibration(depths)
         self._tracks = tracks_in(folder.path)
-        self._frames: dict[tuple[int, bool, bool], Frame] = {}
+        self._sweeps: dict[tuple[int, bool, bool], RenderSweep] = {}
 
     def view(self, index: int) -> JudgedView:
         """What is left out of sweep ``index``, and the depth map without it."""
@@ -303,19 +303,19 @@ class _HeldOutViews:
         others = Trajectory(trajectory.times[kept], trajectory.poses[kept])
         time = int(trajectory.times[index])
         p, tracks = self._parameters, self._tracks
-        needed = needed_frames(others, time, p.render, tracks)
-        before = self._frames
-        self._frames, frames = {}, {}
+        needed = needed_sweeps(others, time, p.render, tracks)
+        before = self._sweeps
+        self._sweeps, sweeps = {}, {}
         for k, whole in sorted(needed.items()):
             own = int(kept[k])
             key = (own, whole, own == index)
-            self._frames[key] = frames[k] = before.get(key) or self._frame(*key)
+            self._sweeps[key] = sweeps[k] = before.get(key) or self._sweep(*key)
         view = View(self.camera, T_camera_lidar @ inverse(trajectory.poses[index]), time)
         return compose_depth(
-            view, others, frames.__getitem__, p.render, self._threads, tracks=tracks
+            view, others, sweeps.__getitem__, p.render, self._threads, tracks=tracks
         )
 
-    def _frame(self, index: int, whole: bool, judged: bool) -> Frame:
+    def _sweep(self, index: int, whole: bool, judged: bool) -> RenderSweep:
         """Sweep ``index`` without what is left out of all sweeps, or of the judged one."""
         frame, _ = self._folder.classified_frame(index)
         if judged or self._left_out.lidar is not None:

@@ -32,11 +32,11 @@ from docdepth.pipeline.stage import Profile, Progress, Stopwatch, progress_callb
 from docdepth.pipeline.workers import Worker, Workers
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame, prepare_sweep
-from docdepth.render.frame_cache import FrameCache
 from docdepth.render.in_view import TracksInView
 from docdepth.render.layers import compose_layers
-from docdepth.render.selection import needed_frames
+from docdepth.render.render_sweep import RenderSweep, prepare_sweep
+from docdepth.render.selection import needed_sweeps
+from docdepth.render.sweep_cache import SweepCache
 from docdepth.render.view import View
 from docdepth.visualization.report import index_is_whole, write_report
 
@@ -244,13 +244,13 @@ def _render_images(renderer: Renderer, worker: Worker, chunk: _Chunk) -> list[fl
     views = [image.view(trajectory) for image in images]
     is_drawn = TracksInView(tracks, trajectory, views).draws
 
-    def load(index: int, whole: bool) -> Frame:
+    def load(index: int, whole: bool) -> RenderSweep:
         with watch("read"):
             frame, _ = run.classified_frame(index)
         with watch("frames"):
             return prepare_sweep(frame, index, trajectory, p, tracks, whole, is_drawn)
 
-    cache = FrameCache(load)
+    cache = SweepCache(load)
     shares: list[float] = []
     with ThreadPoolExecutor(2) as pool:
         writing: Future[float] | None = None
@@ -258,11 +258,11 @@ def _render_images(renderer: Renderer, worker: Worker, chunk: _Chunk) -> list[fl
         for done, image in enumerate(images):
             needed = needed[1:]
             for coming in images[done + len(needed) : done + 2]:
-                needed.append(needed_frames(trajectory, coming.time, p, tracks))
+                needed.append(needed_sweeps(trajectory, coming.time, p, tracks))
             requested = cache.request({one for some in needed for one in some.items()}, pool)
             with watch("wait for frames"):
-                frames = {i: requested[i, whole].result() for i, whole in needed[0].items()}
-            depth, layers = _render_image(job, image, views[done], frames)
+                sweeps = {i: requested[i, whole].result() for i, whole in needed[0].items()}
+            depth, layers = _render_image(job, image, views[done], sweeps)
             if writing:
                 shares.append(writing.result())
             writing = pool.submit(_write, image, depth, layers, watch)
@@ -284,10 +284,10 @@ def _apart(images: list[ImageToRender]) -> list[ImageToRender]:
 
 
 def _render_image(
-    job: _Job, image: ImageToRender, view: View, frames: dict[int, Frame]
+    job: _Job, image: ImageToRender, view: View, sweeps: dict[int, RenderSweep]
 ) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
     p, names = image.files.parameters.render, image.files.parameters.output.layers
-    trajectory, tracks, read = job.trajectory, job.tracks, frames.__getitem__
+    trajectory, tracks, read = job.trajectory, job.tracks, sweeps.__getitem__
     with job.watch("draw"):
         depth = compose_depth(view, trajectory, read, p, job.threads, job.renderer, tracks)
     if not names:

@@ -11,8 +11,8 @@ from docdepth.config import RenderParameters
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.backends import Renderer
-from docdepth.render.frame import Frame
 from docdepth.render.render_list import render_list
+from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.sightings import boxes_in_view
 from docdepth.render.view import View
 
@@ -23,7 +23,7 @@ NEAR = 0.1
 def compose_depth(
     view: View,
     trajectory: Trajectory,
-    frames: Callable[[int], Frame],
+    sweeps: Callable[[int], RenderSweep],
     parameters: RenderParameters | None = None,
     threads: int = 0,
     renderer: Renderer | None = None,
@@ -31,7 +31,7 @@ def compose_depth(
 ) -> NDArray[np.float32]:
     """Render the depth map of one image from many sweeps (paper V-B).
 
-    :func:`~docdepth.render.scene.render_depth` does the same without explicit frames.
+    :func:`~docdepth.render.scene.render_depth` does the same without explicit sweeps.
 
     Parameters
     ----------
@@ -39,16 +39,16 @@ def compose_depth(
         The camera, where it is, and when; within the trajectory.
     trajectory : Trajectory
         Poses and times of all sweeps.
-    frames : callable
-        Returns the :class:`Frame` of a sweep by its index. Only those of
-        :func:`~docdepth.render.selection.needed_frames` are asked for.
+    sweeps : callable
+        Returns the :class:`RenderSweep` of a sweep by its index. Only those of
+        :func:`~docdepth.render.selection.needed_sweeps` are asked for.
     parameters : RenderParameters, optional
     threads : int
         0 takes all cores. The result does not depend on it.
     renderer : Renderer, optional
         What draws; the CPU if absent.
     tracks : Tracks, optional
-        Of the frames' objects. Objects without a track are drawn where the nearest sweep saw them.
+        Of the sweeps' objects. Objects without a track are drawn where the nearest sweep saw them.
         Used by triangles only.
 
     Returns
@@ -59,13 +59,13 @@ def compose_depth(
     Raises
     ------
     InputError
-        A frame was prepared for another ``primitive``.
+        A sweep was prepared for another ``primitive``.
     BackendError
         The renderer failed.
     """
     p, tracks, camera = parameters or RenderParameters(), tracks or Tracks(), view.camera
     core = (renderer or Renderer()).core
-    drawn = render_list(view, trajectory, frames, p, tracks)
+    drawn = render_list(view, trajectory, sweeps, p, tracks)
     depth: NDArray[np.float32]
     if p.primitive == "splats":
         depth = core.render_splats(
@@ -88,7 +88,7 @@ def compose_depth(
             objects=drawn.objects,
             boxes=boxes_in_view(view, trajectory, tracks) if tracks else [],
             visibility_sweeps=drawn.visibility,
-            nearest_frames=len(frames(trajectory.nearest(view.time)).parts),
+            nearest_frames=len(sweeps(trajectory.nearest(view.time)).parts),
             threads=threads,
         )
     # The nearest depth wins, so cutting the map at the far plane is cutting the points.

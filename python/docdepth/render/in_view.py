@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.selection import DYNAMIC_FRAMES
+from docdepth.render.selection import DYNAMIC_SWEEPS
 from docdepth.render.sightings import SOFT_SECONDS, object_radius, within_image
 from docdepth.render.view import View
 
@@ -85,7 +85,7 @@ def _by_camera(views: Sequence[View]) -> list[_Images]:
 
 def _times(track: Track, trajectory: Trajectory, images: Sequence[_Images]) -> NDArray[np.int64]:
     """Times of the images that may show a track, ascending [ns]."""
-    stamps, reach = trajectory.times, DYNAMIC_FRAMES + 1
+    stamps, reach = trajectory.times, DYNAMIC_SWEEPS + 1
     # A track is drawn only if one of the sweeps around the image saw it.
     begin, end = np.searchsorted(stamps, track.times[[0, -1]])
     low, high = stamps[max(begin - reach, 0)], stamps[min(end + reach, len(stamps) - 1)]

@@ -38,8 +38,8 @@ from docdepth.config import Layer, RenderParameters
 from docdepth.errors import InputError
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.frame import Frame
 from docdepth.render.render_list import RenderList, render_list
+from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.view import View
 
 LAYERS: tuple[str, ...] = get_args(Layer)
@@ -63,7 +63,7 @@ def compose_layers(
     depth: NDArray[np.float32],
     view: View,
     trajectory: Trajectory,
-    frames: Callable[[int], Frame],
+    sweeps: Callable[[int], RenderSweep],
     parameters: RenderParameters | None = None,
     threads: int = 0,
     tracks: Tracks | None = None,
@@ -80,7 +80,7 @@ def compose_layers(
         agree or not.
     depth : ndarray of float32, shape (h, w)
         Metres, NaN = none.
-    view, trajectory, frames, parameters, threads, tracks
+    view, trajectory, sweeps, parameters, threads, tracks
         The arguments that :func:`~docdepth.render.depth_map.compose_depth` was given.
 
     Returns
@@ -100,7 +100,7 @@ def compose_layers(
             f"depth must be float32 of shape ({camera.height}, {camera.width}) as the camera's "
             f"image, got {depth.dtype} {depth.shape}"
         )
-    drawn = render_list(view, trajectory, frames, p, tracks or Tracks())
+    drawn = render_list(view, trajectory, sweeps, p, tracks or Tracks())
     found = _gather(names, np.ascontiguousarray(depth), view, drawn, p, threads)
     delays = (trajectory.times[drawn.sweeps] - np.int64(view.time)).astype(np.float64) * 1e-9
     number = found["sweep"]

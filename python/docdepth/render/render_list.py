@@ -13,8 +13,8 @@ from docdepth.config import RenderParameters
 from docdepth.errors import InputError
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.frame import Frame, Part
-from docdepth.render.selection import drawn_frames
+from docdepth.render.render_sweep import Part, RenderSweep
+from docdepth.render.selection import drawn_sweeps
 from docdepth.render.sightings import SightedObject, sighted_objects
 from docdepth.render.view import View
 
@@ -54,7 +54,7 @@ class RenderList(NamedTuple):
 def render_list(
     view: View,
     trajectory: Trajectory,
-    frames: Callable[[int], Frame],
+    sweeps: Callable[[int], RenderSweep],
     p: RenderParameters,
     tracks: Tracks,
 ) -> RenderList:
@@ -63,17 +63,18 @@ def render_list(
     Raises
     ------
     InputError
-        A frame was prepared for another ``primitive``.
+        A sweep was prepared for another ``primitive``.
     """
     splats = p.primitive == "splats"
     kind = _core.Frame if splats else _core.MeshFrame
-    drawn = drawn_frames(trajectory, view.time, p, tracks)
+    drawn = drawn_sweeps(trajectory, view.time, p, tracks)
 
     def placed(index: int) -> list[Part]:
-        parts = frames(index).parts
+        parts = sweeps(index).parts
         if not isinstance(parts[0][0], kind):
             raise InputError(
-                f"frame {index} was not made for {p.primitive}; give Frame the same parameters"
+                f"sweep {index} was not made for {p.primitive}; give RenderSweep the same "
+                "parameters"
             )
         T_camera_sweep = view.T_camera_world @ trajectory.poses[index]
         return [(core, T_camera_sweep @ T_lidar_sensor) for core, T_lidar_sensor in parts]
@@ -86,12 +87,12 @@ def render_list(
     ]
     moving = drawn.dynamic if splats else drawn.sighted
     objects = (
-        [] if splats else sighted_objects(view, trajectory, frames, drawn, tracks, len(static))
+        [] if splats else sighted_objects(view, trajectory, sweeps, drawn, tracks, len(static))
     )
     return RenderList(
         static,
         around,
         objects,
-        sum(len(frames(i).parts) for i in drawn.static[: p.visibility_sweeps]),
-        [i for i in (*drawn.static, *moving) for _ in frames(i).parts],
+        sum(len(sweeps(i).parts) for i in drawn.static[: p.visibility_sweeps]),
+        [i for i in (*drawn.static, *moving) for _ in sweeps(i).parts],
     )

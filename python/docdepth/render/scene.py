@@ -22,10 +22,10 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.sweeps import AnySweep, lidar_frame
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.frame import Frame, prepare_sweep
-from docdepth.render.frame_cache import FrameCache
 from docdepth.render.layers import check_layers, compose_layers
-from docdepth.render.selection import needed_frames
+from docdepth.render.render_sweep import RenderSweep, prepare_sweep
+from docdepth.render.selection import needed_sweeps
+from docdepth.render.sweep_cache import SweepCache
 from docdepth.render.view import View
 
 
@@ -89,7 +89,7 @@ class Scene:
         self._start()
 
     def _start(self) -> None:
-        self._cache = FrameCache(self._prepare)
+        self._cache = SweepCache(self._prepare)
         self._reading = Lock()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -105,12 +105,12 @@ class Scene:
     def __repr__(self) -> str:
         return f"<Scene: {len(self)} sweeps, {len(self.tracks)} tracks>"
 
-    def frames_at(self, time: int, threads: int = 0) -> dict[int, Frame]:
-        """Prepare all frames that the image taken at ``time`` [ns] needs.
+    def sweeps_at(self, time: int, threads: int = 0) -> dict[int, RenderSweep]:
+        """Prepare all sweeps that the image taken at ``time`` [ns] needs.
 
         Returns
         -------
-        dict of int to Frame
+        dict of int to RenderSweep
             By the index of their sweep.
 
         Raises
@@ -118,12 +118,12 @@ class Scene:
         InputError
             The arrays of a sweep are wrong.
         """
-        needed = needed_frames(self.trajectory, time, self.parameters.render, self.tracks)
+        needed = needed_sweeps(self.trajectory, time, self.parameters.render, self.tracks)
         with ThreadPoolExecutor(thread_count(threads)) as executor:
             requested = self._cache.request(needed.items(), executor)
-        return {i: frame.result() for (i, _), frame in requested.items()}
+        return {i: sweep.result() for (i, _), sweep in requested.items()}
 
-    def _prepare(self, index: int, whole: bool) -> Frame:
+    def _prepare(self, index: int, whole: bool) -> RenderSweep:
         with self._reading:  # datasets need not be safe to read from several threads
             sweep, classes = self.sweeps[index], self.labels[index]
         classid = np.asarray(classes.classid if hasattr(classes, "classid") else classes)
@@ -182,8 +182,8 @@ def render_depth(
     if renderer is not None and not isinstance(renderer, Renderer):
         raise InputError(f"renderer must be docdepth.Renderer(name), not {type(renderer).__name__}")
     view = _view(scene, camera, index, time)
-    frames = scene.frames_at(view.time, threads)
-    return _drawn(scene, view, frames, threads, renderer)
+    sweeps = scene.sweeps_at(view.time, threads)
+    return _drawn(scene, view, sweeps, threads, renderer)
 
 
 def render_layers(
@@ -220,23 +220,23 @@ def render_layers(
     p = scene.parameters.render
     check_layers(names, p)
     view = _view(scene, camera, index, time)
-    frames = scene.frames_at(view.time, threads)
+    sweeps = scene.sweeps_at(view.time, threads)
     if depth is None:
-        depth = _drawn(scene, view, frames, threads)
+        depth = _drawn(scene, view, sweeps, threads)
     return compose_layers(
-        names, depth, view, scene.trajectory, frames.__getitem__, p, threads, scene.tracks
+        names, depth, view, scene.trajectory, sweeps.__getitem__, p, threads, scene.tracks
     )
 
 
 def _drawn(
     scene: Scene,
     view: View,
-    frames: dict[int, Frame],
+    sweeps: dict[int, RenderSweep],
     threads: int,
     renderer: Renderer | None = None,
 ) -> NDArray[np.float32]:
     p, tracks = scene.parameters.render, scene.tracks
-    return compose_depth(view, scene.trajectory, frames.__getitem__, p, threads, renderer, tracks)
+    return compose_depth(view, scene.trajectory, sweeps.__getitem__, p, threads, renderer, tracks)
 
 
 def _view(scene: Scene, camera: CameraStream, index: int | None, time: int | None) -> View:

@@ -17,7 +17,7 @@ from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.track_sweeps import track_sweeps
 
-DYNAMIC_FRAMES = 4
+DYNAMIC_SWEEPS = 4
 """Triangles: sweeps around an image that tell what moves and where nothing is. An object hidden by
 a post in the nearest is seen by the next ones."""
 
@@ -26,7 +26,7 @@ STEP_GROWTH = 0.22
 far sweeps differ little from each other: drawing all takes twice the time for 3 % less error."""
 
 
-class DrawnFrames(NamedTuple):
+class DrawnSweeps(NamedTuple):
     """Indices of the sweeps of an image, in the order in which the core numbers them.
 
     Attributes
@@ -55,22 +55,22 @@ class DrawnFrames(NamedTuple):
         return dict.fromkeys(self.tracked, False) | dict.fromkeys(self.static + self.dynamic, True)
 
 
-def drawn_frames(
+def drawn_sweeps(
     trajectory: Trajectory,
     time: int,
     parameters: RenderParameters | None = None,
     tracks: Tracks | None = None,
-) -> DrawnFrames:
+) -> DrawnSweeps:
     """Select the sweeps of the image taken at ``time`` [ns]."""
     p = parameters or RenderParameters()
-    static, dynamic = static_frames(trajectory, time, p).tolist(), _dynamic(trajectory, time, p)
+    static, dynamic = static_sweeps(trajectory, time, p).tolist(), _dynamic(trajectory, time, p)
     if p.primitive == "splats" or not tracks:
-        return DrawnFrames(static, dynamic, [])
+        return DrawnSweeps(static, dynamic, [])
     tracked = [i for i in track_sweeps(trajectory, time, tracks) if i not in {*static, *dynamic}]
-    return DrawnFrames(static, dynamic, tracked)
+    return DrawnSweeps(static, dynamic, tracked)
 
 
-def needed_frames(
+def needed_sweeps(
     trajectory: Trajectory,
     time: int,
     parameters: RenderParameters | None = None,
@@ -84,7 +84,7 @@ def needed_frames(
         Whether a sweep is needed whole, or only what is near vehicles
         (:func:`~docdepth.render.track_sweeps.near_vehicles`).
     """
-    return drawn_frames(trajectory, time, parameters, tracks).needed
+    return drawn_sweeps(trajectory, time, parameters, tracks).needed
 
 
 def times_needed(
@@ -103,15 +103,15 @@ def times_needed(
     """
     arc, times = trajectory.arc_length, trajectory.times
     here, there = trajectory.arc_length_at([first, last]).tolist()
-    begin = min(_window(arc, here, parameters)[0], trajectory.nearest(first) - DYNAMIC_FRAMES)
-    end = max(_window(arc, there, parameters)[1], trajectory.nearest(last) + DYNAMIC_FRAMES + 1)
+    begin = min(_window(arc, here, parameters)[0], trajectory.nearest(first) - DYNAMIC_SWEEPS)
+    end = max(_window(arc, there, parameters)[1], trajectory.nearest(last) + DYNAMIC_SWEEPS + 1)
     low, high = int(times[max(begin, 0)]), int(times[min(end, len(times)) - 1])
     for track in tracks.between(first, last):  # further sweeps of a vehicle
         low, high = min(low, int(track.times[0])), max(high, int(track.times[-1]))
     return low, high
 
 
-def static_frames(
+def static_sweeps(
     trajectory: Trajectory, time: int, parameters: RenderParameters | None = None
 ) -> NDArray[np.int64]:
     """Select the sweeps whose static points are drawn into the image taken at ``time`` [ns].
@@ -139,7 +139,7 @@ def static_frames(
     return np.array(select(trajectory, time, here, p), dtype=np.int64)
 
 
-def dynamic_frame(trajectory: Trajectory, time: int) -> int:
+def dynamic_sweep(trajectory: Trajectory, time: int) -> int:
     """Index of the sweep whose dynamic points are drawn: the nearest in time to ``time`` [ns]."""
     return trajectory.nearest(time)
 
@@ -197,10 +197,10 @@ def _roundest(first: int, last: int) -> float:
 
 
 def _dynamic(trajectory: Trajectory, time: int, p: RenderParameters) -> list[int]:
-    nearest = dynamic_frame(trajectory, time)
+    nearest = dynamic_sweep(trajectory, time)
     if p.primitive == "splats":
         return [nearest]
-    first = max(nearest - DYNAMIC_FRAMES, 0)
-    around = np.arange(first, min(nearest + DYNAMIC_FRAMES + 1, len(trajectory)))
+    first = max(nearest - DYNAMIC_SWEEPS, 0)
+    around = np.arange(first, min(nearest + DYNAMIC_SWEEPS + 1, len(trajectory)))
     delay = np.abs(trajectory.times[around] - np.int64(time))
-    return [int(i) for i in around[np.argsort(delay, kind="stable")[:DYNAMIC_FRAMES]]]
+    return [int(i) for i in around[np.argsort(delay, kind="stable")[:DYNAMIC_SWEEPS]]]

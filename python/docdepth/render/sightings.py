@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.frame import Frame
-from docdepth.render.selection import DrawnFrames
+from docdepth.render.render_sweep import RenderSweep
+from docdepth.render.selection import DrawnSweeps
 from docdepth.render.track_sweeps import lidar_range, seen_to_its_top, sweeps_of_track
 from docdepth.render.view import View
 
@@ -86,8 +86,8 @@ class _Seen(NamedTuple):
 def sighted_objects(
     view: View,
     trajectory: Trajectory,
-    frames: Callable[[int], Frame],
-    drawn: DrawnFrames,
+    sweeps: Callable[[int], RenderSweep],
+    drawn: DrawnSweeps,
     tracks: Tracks,
     first_number: int,
 ) -> list[SightedObject]:
@@ -98,16 +98,16 @@ def sighted_objects(
     seen: dict[int, list[_Seen]] = {}
     number = first_number
     for sweep in drawn.sighted:
-        objects = frames(sweep).objects
+        objects = sweeps(sweep).objects
         for owner, instance in enumerate(objects.instances, 1):
             away = abs(objects.times[owner - 1] - view.time)
             seen.setdefault(instance, []).append(_Seen(number, sweep, owner, away))
-        number += len(frames(sweep).parts)
+        number += len(sweeps(sweep).parts)
     found: list[SightedObject] = []
     strays = [one for one in seen.pop(0, []) if one.sweep == drawn.dynamic[0]]
     for one in strays:
         T_camera_lidar = view.T_camera_world @ trajectory.poses[one.sweep]
-        placed = _sightings(frames(one.sweep), one, T_camera_lidar)
+        placed = _sightings(sweeps(one.sweep), one, T_camera_lidar)
         found.append((0, placed, [], placed))
     for instance in sorted(seen):
         if not any(one.sweep in drawn.dynamic for one in seen[instance]):
@@ -120,7 +120,7 @@ def sighted_objects(
             [
                 sighting
                 for one in some
-                for sighting in _sightings(frames(one.sweep), one, T_camera_object)
+                for sighting in _sightings(sweeps(one.sweep), one, T_camera_object)
             ]
             for some in (near, far, (near + far)[:MOST_RAYS])
         )
@@ -159,15 +159,15 @@ def _holds(T_camera_object: Floats, extent: Triple, places: Floats) -> bool:
     return bool(inside.any())
 
 
-def _sightings(frame: Frame, seen: _Seen, T_camera_object: Floats) -> list[Sighting]:
+def _sightings(sweep: RenderSweep, seen: _Seen, T_camera_object: Floats) -> list[Sighting]:
     """What each LiDAR of a sweep saw of an object, placed where the object is now.
 
     What is not followed stays in the frame of the sweep, whose ``T_object_lidar`` is the identity.
     """
     found = []
-    T_camera_lidar = T_camera_object @ frame.objects.T_object_lidar[seen.owner - 1]
-    for k in frame.seen_by(seen.owner):
-        core, T_lidar_sensor = frame.parts[k]
+    T_camera_lidar = T_camera_object @ sweep.objects.T_object_lidar[seen.owner - 1]
+    for k in sweep.seen_by(seen.owner):
+        core, T_lidar_sensor = sweep.parts[k]
         found.append((core, seen.owner, T_camera_lidar @ T_lidar_sensor, seen.number + k))
     return found
 
@@ -218,7 +218,7 @@ def _is_known(track: Track, time: int) -> bool:
 
 
 def _chosen(
-    seen: list[_Seen], drawn: DrawnFrames, trajectory: Trajectory, track: Track, time: int
+    seen: list[_Seen], drawn: DrawnSweeps, trajectory: Trajectory, track: Track, time: int
 ) -> tuple[list[_Seen], list[_Seen]]:
     """The views of an object from the sweeps around the image, and from others."""
     around = sorted((view for view in seen if view.sweep in drawn.dynamic), key=_away)

@@ -29,10 +29,10 @@ Part: TypeAlias = tuple[Any, NDArray[np.float64]]
 ``T_lidar_sensor`` of the LiDAR that measured it."""
 
 
-class Frame:
+class RenderSweep:
     """A sweep prepared for rendering: static and dynamic points apart, neighbours together.
 
-    Prepare a sweep once and use the frame for all images that need it;
+    Prepare a sweep once and use it for all images that need it;
     :class:`~docdepth.render.scene.Scene` does so.
 
     Parameters
@@ -139,7 +139,7 @@ def prepare_sweep(
     tracks: Tracks | None = None,
     whole: bool = True,
     is_drawn: Callable[[int, int], bool] | None = None,
-) -> Frame:
+) -> RenderSweep:
     """Prepare a classified sweep for rendering, or what of it is near vehicles.
 
     Parameters
@@ -172,7 +172,7 @@ def prepare_sweep(
     time, pose = int(trajectory.times[index]), trajectory.poses[index]
     objects = objects_of(points, classid, time, pose, frame.instance, tracks, late, is_drawn)
     velocity = trajectory.velocity(index)
-    return Frame(points, classid, parameters, late, frame.sensor_rig, velocity, objects)
+    return RenderSweep(points, classid, parameters, late, frame.sensor_rig, velocity, objects)
 
 
 def _checked(
