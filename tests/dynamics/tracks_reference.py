@@ -7,7 +7,7 @@ F = np.float32
 
 def dynamic_voxels(detections, tracked, times):
     """For each sweep the voxels of 1 m that hold dynamic objects up to 0.3 s away, by key."""
-    detections = [objects_of(*arrays) for arrays in detections]
+    detections = [dynamic_objects(*arrays) for arrays in detections]
     result = []
     for t in times:
         voxels, moves = [], []
@@ -23,7 +23,7 @@ def dynamic_voxels(detections, tracked, times):
     return result
 
 
-def objects_of(numbers, areas, boxes, places, normals, _borders, _times):
+def dynamic_objects(numbers, areas, boxes, places, normals, _borders, _times):
     ends = np.cumsum(numbers[:, 3]).astype(int)
     return [
         {

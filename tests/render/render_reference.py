@@ -8,7 +8,7 @@ from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.moving_objects import objects_of
+from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.selection import dynamic_sweep, static_sweeps
 from docdepth.render.view import View
@@ -46,7 +46,7 @@ def followed(points, classid, index, trajectory, track, parameters=None, time_of
     """The frame of a sweep whose dynamic points are all of one track."""
     instance = np.where(classid >= 100, track.id, 0).astype(np.uint16)
     pose, time = trajectory.poses[index], int(trajectory.times[index])
-    of = objects_of(points, classid, time, pose, instance, Tracks([track]), time_offset)
+    of = dynamic_objects(points, classid, time, pose, instance, Tracks([track]), time_offset)
     return RenderSweep(points, classid, parameters, time_offset, objects=of)
 
 

@@ -16,8 +16,8 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.render import backends
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.layers import AGREED, compose_layers
+from docdepth.render.object_views import RISE, VEHICLE_HEIGHT, boxes_in_view
 from docdepth.render.render_sweep import RenderSweep
-from docdepth.render.sightings import RISE, VEHICLE_HEIGHT, boxes_in_view
 from docdepth.render.track_sweeps import seen_to_its_top
 from docdepth.render.view import View
 

@@ -13,10 +13,10 @@ from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
+from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.render.in_view import TracksInView
-from docdepth.render.moving_objects import objects_of
+from docdepth.render.object_views import SOFT_SECONDS, _in_view
 from docdepth.render.render_sweep import RenderSweep
-from docdepth.render.sightings import SOFT_SECONDS, _in_view
 from docdepth.render.view import View
 
 CAMERA = small_camera(focal=600)  # 15 degrees wide; the LiDAR sees 69
@@ -53,17 +53,17 @@ def test_pixels_are_the_same_without_what_no_image_shows(kind: str) -> None:
         classid = np.maximum(classid, other_class)
         stamp, pose = int(trajectory.times[i]), trajectory.poses[i]
         is_drawn = shown.draws if cropped else None
-        of = objects_of(points, classid, stamp, pose, instance.astype(np.uint16), tracks)
-        part = objects_of(
+        of = dynamic_objects(points, classid, stamp, pose, instance.astype(np.uint16), tracks)
+        part = dynamic_objects(
             points, classid, stamp, pose, instance.astype(np.uint16), tracks, None, is_drawn
         )
-        np.testing.assert_array_equal(part.owner, of.owner)
+        np.testing.assert_array_equal(part.object_index, of.object_index)
         return RenderSweep(points, classid, TRIANGLES, objects=part)
 
     whole = [frame(i, False) for i in range(30)]
     cropped = [frame(i, True) for i in range(30)]
     drawn = np.array(
-        [dict(zip(f.objects.instances, f.objects.drawn.tolist(), strict=True)) for f in cropped]
+        [dict(zip(f.objects.instances, f.objects.visible.tolist(), strict=True)) for f in cropped]
     )
     assert not any(of[7] for of in drawn)
     assert all(of[6] for of in drawn[:12])

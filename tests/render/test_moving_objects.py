@@ -12,15 +12,15 @@ from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.moving_objects import TOUCH, objects_of
-from docdepth.render.render_sweep import RenderSweep
-from docdepth.render.selection import drawn_sweeps
-from docdepth.render.sightings import (
-    MOST_SIGHTINGS,
+from docdepth.render.dynamic_objects import TOUCH, dynamic_objects
+from docdepth.render.object_views import (
+    MOST_VIEWS,
     SOFT_SECONDS,
     boxes_in_view,
-    sighted_objects,
+    object_views,
 )
+from docdepth.render.render_sweep import RenderSweep
+from docdepth.render.selection import drawn_sweeps
 from docdepth.render.track_sweeps import (
     MOST_TRACK_SWEEPS,
     near_vehicles,
@@ -61,7 +61,7 @@ def test_a_box_that_moves_and_turns_is_held_to_a_millimetre():
     )
     points = (world @ inverse(ego).T)[:, :3].astype(np.float32)
     classid, instance = np.full(8, 100, np.uint16), np.full(8, 3, np.uint16)
-    of = objects_of(points, classid, stamp, ego, instance, Tracks([track]), late)
+    of = dynamic_objects(points, classid, stamp, ego, instance, Tracks([track]), late)
     assert of.instances == (3,)
     assert of.times[0] == pytest.approx(stamp + 1e9 * late.astype(float).mean(), abs=10)
     held = np.c_[points + of.displacement, np.ones(8)] @ of.T_object_lidar[0].T
@@ -81,7 +81,7 @@ def test_objects_of_a_sweep_equal_a_plain_loop():
     classid = rng.choice([0, 50, 100, 251], 4000).astype(np.uint16)
     instance = rng.choice([0, 1, 2, 5, 9], 4000, p=[0.8, 0.05, 0.05, 0.05, 0.05]).astype(np.uint16)
     stamp, pose = int(trajectory.times[2]), trajectory.poses[2]
-    of = objects_of(points, classid, stamp, pose, instance, tracks)
+    of = dynamic_objects(points, classid, stamp, pose, instance, tracks)
     carried = 0
     for i in range(len(points)):
         expected = int(instance[i]) if instance[i] in tracks else 0
@@ -93,13 +93,15 @@ def test_objects_of_a_sweep_equal_a_plain_loop():
                     expected, carried = k, carried + (classid[i] >= 100)
                     break
         if classid[i] < 100:
-            assert of.owner[i] == 0
+            assert of.object_index[i] == 0
         else:
-            assert of.instances[of.owner[i] - 1] == expected
+            assert of.instances[of.object_index[i] - 1] == expected
     assert carried > 20
     shuffled = rng.permutation(4000)
-    again = objects_of(points[shuffled], classid[shuffled], stamp, pose, instance[shuffled], tracks)
-    np.testing.assert_array_equal(again.owner, of.owner[shuffled])
+    again = dynamic_objects(
+        points[shuffled], classid[shuffled], stamp, pose, instance[shuffled], tracks
+    )
+    np.testing.assert_array_equal(again.object_index, of.object_index[shuffled])
     assert again.instances == of.instances
 
 
@@ -135,7 +137,7 @@ def test_sightings_are_placed_as_plain_matrices_say(kind):
     drawn = drawn_sweeps(trajectory, time, TRIANGLES)
     T_camera_world = AXES @ inverse(trajectory.interpolate(time)[0])
     view = View(small_camera(), T_camera_world, time)
-    objects = sighted_objects(view, trajectory, frames.__getitem__, drawn, Tracks([track]), 100)
+    objects = object_views(view, trajectory, frames.__getitem__, drawn, Tracks([track]), 100)
     ((instance, around, others, rays),) = objects
     ((T_camera_box, size, velocity),) = boxes_in_view(view, trajectory, Tracks([track]))
     assert size == (*track.size[:2], 4.2 if kind == "vehicle" else 2.2)
@@ -144,22 +146,22 @@ def test_sightings_are_placed_as_plain_matrices_say(kind):
     assert instance == 6
     if kind == "person":
         near = [i for i in drawn.dynamic if abs(trajectory.times[i] - time) <= SOFT_SECONDS * 1e9]
-        assert [drawn.sighted[number - 100] for *_, number in around] == near
+        assert [drawn.with_objects[number - 100] for *_, number in around] == near
         assert not others
         assert len(rays) == len(near)
     else:
         assert [number - 100 for *_, number in around] == list(range(4))
-        assert 0 < len(others) <= MOST_SIGHTINGS - 4
-    for core, owner, T_camera_sensor, number in around + others:
-        sweep = drawn.sighted[number - 100]
+        assert 0 < len(others) <= MOST_VIEWS - 4
+    for core, object_index, T_camera_sensor, number in around + others:
+        sweep = drawn.with_objects[number - 100]
         assert core is frames[sweep].parts[0][0]
-        assert owner == 1
+        assert object_index == 1
         T_object_then = inverse(track.pose_at(int(trajectory.times[sweep])))
         expected = T_camera_world @ track.pose_at(time) @ T_object_then @ trajectory.poses[sweep]
         np.testing.assert_allclose(T_camera_sensor, expected, atol=1e-9)
     behind = AXES @ np.diag((-1.0, -1, 1, 1)) @ inverse(trajectory.interpolate(time)[0])
     view = view._replace(T_camera_world=behind)
-    assert not sighted_objects(view, trajectory, frames.__getitem__, drawn, Tracks([track]), 100)
+    assert not object_views(view, trajectory, frames.__getitem__, drawn, Tracks([track]), 100)
 
 
 def test_what_later_sweeps_saw_of_a_car_is_drawn_where_no_ray_looked():
@@ -218,7 +220,7 @@ def test_through_a_window_the_car_is_not_drawn_where_rays_pass():
     assert (np.isnan(depth[window]) | (np.abs(depth[window] - wall) < 0.1)).all()
 
 
-def test_strays_stay_where_the_nearest_sweep_saw_them():
+def test_unassigned_points_stay_where_the_nearest_sweep_saw_them():
     rng = np.random.default_rng(0)
     trajectory = Trajectory(straight(3).times, straight(3, spacing=0.0).poses)
     points, classid = wall_and_box(1, trajectory, np.array((12.0, 1.0)))
@@ -286,8 +288,8 @@ def test_a_vehicle_is_drawn_from_the_further_sweeps_of_its_own_track_alone():
         ]
         drawn = drawn_sweeps(trajectory, time, TRIANGLES)
         drawn = drawn._replace(static=drawn.static[:1], tracked=[30, *own])
-        of = sighted_objects(view, trajectory, frames.__getitem__, drawn, Tracks([track]), 0)
-        others = {drawn.sighted[number] for *_, number in of[0][2]}
+        of = object_views(view, trajectory, frames.__getitem__, drawn, Tracks([track]), 0)
+        others = {drawn.with_objects[number] for *_, number in of[0][2]}
         assert others == wanted - {*drawn.dynamic}
     assert len(own) == 2
     assert 30 not in own

@@ -10,8 +10,8 @@ from docdepth.config import RenderParameters
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.track import Tracks
 from docdepth.render.depth_map import compose_depth
+from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.render.layers import compose_layers
-from docdepth.render.moving_objects import objects_of
 from docdepth.render.render_sweep import RenderSweep
 
 PLACES = ((0.0, 0.0, 0.0), (0.4, 1.3, -0.8))
@@ -45,7 +45,7 @@ def scene_of(trajectory, track, places, shown=range(9)):
         points, classid = (np.concatenate(of) for of in zip(*seen, strict=True))
         index = np.repeat(np.arange(len(places), dtype=np.uint8), [len(of) for of, _ in seen])
         instance = np.where(classid == 100, track.id, 0).astype(np.uint16)
-        objects = objects_of(points, classid, int(time), pose, instance, Tracks([track]))
+        objects = dynamic_objects(points, classid, int(time), pose, instance, Tracks([track]))
         rig = SensorRig(index, T) if len(places) > 1 else None
         frames.append(RenderSweep(points, classid, sensor_rig=rig, objects=objects))
     return frames

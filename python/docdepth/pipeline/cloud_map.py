@@ -14,7 +14,7 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.run_state import require
 from docdepth.pipeline.stage import Progress, progress_callback
-from docdepth.render.moving_objects import objects_of
+from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.visualization.image_views import track_color
 from docdepth.visualization.pictures import GROUND_COLOR, STATIC_COLOR
 
@@ -140,14 +140,14 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress | None = 
         kept = (classid < DYNAMIC) & np.isfinite(record.points).all(axis=1)
         points = record.points[kept].astype(np.float64)
         world.add(points @ pose[:3, :3].T + pose[:3, 3], classid[kept] < STATIC)
-        found = objects_of(
+        found = dynamic_objects(
             record.points, classid, int(trajectory.times[k]), pose,
             record.instance, tracks, record.time_offset,
         )  # fmt: skip
         for number, of in enumerate(found.instances):
             if not of:
                 continue
-            own = found.owner == number + 1
+            own = found.object_index == number + 1
             points = record.points[own].astype(np.float64)
             if found.displacement is not None:
                 points += found.displacement[own]

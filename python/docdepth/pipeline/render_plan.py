@@ -21,8 +21,8 @@ from docdepth.pipeline.graph import Parts, render_parts
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.run_inputs import RunCamera
 from docdepth.render.layers import check_layers
+from docdepth.render.object_views import GONE
 from docdepth.render.selection import times_needed
-from docdepth.render.sightings import GONE
 from docdepth.render.view import View
 
 

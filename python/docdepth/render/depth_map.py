@@ -11,9 +11,9 @@ from docdepth.config import RenderParameters
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.backends import Renderer
+from docdepth.render.object_views import boxes_in_view
 from docdepth.render.render_list import render_list
 from docdepth.render.render_sweep import RenderSweep
-from docdepth.render.sightings import boxes_in_view
 from docdepth.render.view import View
 
 NEAR = 0.1

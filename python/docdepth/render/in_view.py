@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.object_views import SOFT_SECONDS, object_radius, within_image
 from docdepth.render.selection import DYNAMIC_SWEEPS
-from docdepth.render.sightings import SOFT_SECONDS, object_radius, within_image
 from docdepth.render.view import View
 
 Floats: TypeAlias = NDArray[np.float64]

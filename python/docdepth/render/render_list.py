@@ -13,9 +13,9 @@ from docdepth.config import RenderParameters
 from docdepth.errors import InputError
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.render.object_views import ObjectViews, object_views
 from docdepth.render.render_sweep import Part, RenderSweep
 from docdepth.render.selection import drawn_sweeps
-from docdepth.render.sightings import SightedObject, sighted_objects
 from docdepth.render.view import View
 
 PartAround: TypeAlias = tuple[Any, NDArray[np.float64], float]
@@ -31,7 +31,7 @@ class RenderList(NamedTuple):
         Those whose static points are drawn.
     around : list of PartAround
         Those around the image, the nearest in time first.
-    objects : list of SightedObject
+    objects : list of ObjectViews
         Triangles only.
     visibility : int
         So many of ``static`` tell what is visible. Triangles only.
@@ -41,7 +41,7 @@ class RenderList(NamedTuple):
 
     static: list[Part]
     around: list[PartAround]
-    objects: list[SightedObject]
+    objects: list[ObjectViews]
     visibility: int
     sweeps: list[int]
 
@@ -85,10 +85,8 @@ def render_list(
         for i in drawn.dynamic
         for part in placed(i)
     ]
-    moving = drawn.dynamic if splats else drawn.sighted
-    objects = (
-        [] if splats else sighted_objects(view, trajectory, sweeps, drawn, tracks, len(static))
-    )
+    moving = drawn.dynamic if splats else drawn.with_objects
+    objects = [] if splats else object_views(view, trajectory, sweeps, drawn, tracks, len(static))
     return RenderList(
         static,
         around,

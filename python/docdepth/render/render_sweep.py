@@ -17,7 +17,7 @@ from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.moving_objects import SweepObjects, objects_of
+from docdepth.render.dynamic_objects import DynamicObjects, dynamic_objects
 from docdepth.render.track_sweeps import near_vehicles
 
 ISOLATED_SIZE_DEG = 0.1
@@ -52,16 +52,16 @@ class RenderSweep:
     velocity : array_like of float64, shape (3,), optional
         Velocity of the LiDAR in its own frame, m/s (:meth:`Trajectory.velocity`). Together with
         ``time_offset`` it gives each return its own ray origin.
-    objects : SweepObjects, optional
+    objects : DynamicObjects, optional
         To which object each dynamic point belongs
-        (:func:`~docdepth.render.moving_objects.objects_of`). If absent, none is followed. Used by
-        triangles only.
+        (:func:`~docdepth.render.dynamic_objects.dynamic_objects`). If absent, none is followed.
+        Used by triangles only.
 
     Attributes
     ----------
     parts : list of Part
         One for each LiDAR.
-    objects : SweepObjects
+    objects : DynamicObjects
         Of the points that are drawn. Triangles only.
 
     Raises
@@ -71,7 +71,7 @@ class RenderSweep:
     """
 
     parts: list[Part]
-    objects: SweepObjects
+    objects: DynamicObjects
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class RenderSweep:
         time_offset: NDArray[np.float32] | None = None,
         sensor_rig: SensorRig | None = None,
         velocity: ArrayLike | None = None,
-        objects: SweepObjects | None = None,
+        objects: DynamicObjects | None = None,
     ) -> None:
         points, classid = _checked(points, classid)
         if time_offset is not None and time_offset.shape != (len(points),):
@@ -101,10 +101,10 @@ class RenderSweep:
             sensor_rig = rig.with_ego_motion(velocity, time_offset)
         if sensor_rig is not None:
             sensor_rig = sensor_rig.select(drawn)
-        objects = objects or objects_of(points, classid, time_offset=time_offset)
-        if objects.owner.shape != (len(points),):
+        objects = objects or dynamic_objects(points, classid, time_offset=time_offset)
+        if objects.object_index.shape != (len(points),):
             raise InputError(
-                f"objects are of {len(objects.owner)} points, but there are {len(points)}"
+                f"objects are of {len(objects.object_index)} points, but there are {len(points)}"
             )
         self.objects = objects.select(drawn)
         self._triangulate(points.compress(drawn, axis=0), classid[drawn], sensor_rig)
@@ -120,13 +120,15 @@ class RenderSweep:
         meshes = ScanMesh(points, sensor_rig=sensor_rig).parts
         self.parts = [_part(mesh, classid, self.objects) for mesh in meshes]
         # Rows of other LiDARs are NaN.
-        owners = [self.objects.owner[np.isfinite(mesh.view.points[:, 0])] for mesh in meshes]
+        indices = [
+            self.objects.object_index[np.isfinite(mesh.view.points[:, 0])] for mesh in meshes
+        ]
         count = len(self.objects.instances) + 1
-        self._returns = np.array([np.bincount(of, minlength=count) for of in owners])
+        self._returns = np.array([np.bincount(of, minlength=count) for of in indices])
 
-    def seen_by(self, owner: int) -> list[int]:
+    def seen_by(self, object_index: int) -> list[int]:
         """The parts whose LiDARs measured an object, that of most returns first."""
-        returns = self._returns[:, owner]
+        returns = self._returns[:, object_index]
         order = np.argsort(-returns, kind="stable")
         return [k for k in order.tolist() if returns[k]]
 
@@ -155,7 +157,7 @@ def prepare_sweep(
         False: only the points near vehicles
         (:func:`~docdepth.render.track_sweeps.near_vehicles`).
     is_drawn : callable, optional
-        That of :func:`~docdepth.render.moving_objects.objects_of`.
+        That of :func:`~docdepth.render.dynamic_objects.dynamic_objects`.
 
     Raises
     ------
@@ -170,7 +172,7 @@ def prepare_sweep(
     points, classid, late = frame.points, frame.classid, frame.time_offset
     assert classid is not None
     time, pose = int(trajectory.times[index]), trajectory.poses[index]
-    objects = objects_of(points, classid, time, pose, frame.instance, tracks, late, is_drawn)
+    objects = dynamic_objects(points, classid, time, pose, frame.instance, tracks, late, is_drawn)
     velocity = trajectory.velocity(index)
     return RenderSweep(points, classid, parameters, late, frame.sensor_rig, velocity, objects)
 
@@ -201,7 +203,7 @@ def _within_crop(
     return within | (np.isfinite(squared) & (classid >= DYNAMIC))
 
 
-def _part(mesh: LidarMesh, classid: NDArray[np.uint16], objects: SweepObjects) -> Part:
+def _part(mesh: LidarMesh, classid: NDArray[np.uint16], objects: DynamicObjects) -> Part:
     """The mesh of one LiDAR as the core draws it; rows of other LiDARs are NaN and left out."""
     points, ray_origins = mesh.view.points, mesh.view.ray_origins()
     triangles, isolated = mesh.core.triangles, mesh.core.isolated
@@ -217,7 +219,7 @@ def _part(mesh: LidarMesh, classid: NDArray[np.uint16], objects: SweepObjects) -
     displacement = objects.displacement
     if displacement is not None:
         displacement = displacement.copy()
-        moved = np.flatnonzero(objects.owner)
+        moved = np.flatnonzero(objects.object_index)
         displacement[moved] = displacement[moved] @ turn
     core = _core.MeshFrame(
         points,
@@ -226,11 +228,11 @@ def _part(mesh: LidarMesh, classid: NDArray[np.uint16], objects: SweepObjects) -
         mesh.core.discontinuity,
         isolated,
         float(np.radians(ISOLATED_SIZE_DEG)),
-        objects.owner,
+        objects.object_index,
         motion,
         objects.time_offset,
         displacement,
         ray_origins,
-        objects.drawn,
+        objects.visible,
     )
     return core, mesh.view.T_lidar_sensor

@@ -44,7 +44,7 @@ class DrawnSweeps(NamedTuple):
     tracked: list[int]
 
     @property
-    def sighted(self) -> list[int]:
+    def with_objects(self) -> list[int]:
         """Sweeps that dynamic objects are drawn from: those around the image, then others."""
         others = [i for i in self.static if i not in self.dynamic]
         return self.dynamic + others + self.tracked

@@ -24,7 +24,7 @@ SOFT_SECONDS = 0.12
 """Sweeps farther in time from the image tell nothing about what is not rigid [s]. A step of a
 person takes half a second, in which a leg swings forth and back."""
 
-MOST_SIGHTINGS = 24
+MOST_VIEWS = 24
 """Sweeps that an object is drawn from. Rings of one sweep lie up to a degree apart; two dozen, each
 with rings elsewhere on the object, leave gaps of a pixel."""
 
@@ -63,14 +63,14 @@ MOST_RAYS = 8
 """Sweeps whose rays tell where an object ends: those around the image and as many others."""
 
 Floats: TypeAlias = NDArray[np.float64]
-Sighting: TypeAlias = tuple[Any, int, Floats, int]
+ObjectView: TypeAlias = tuple[Any, int, Floats, int]
 """A ``_core.MeshFrame``, the number of the object in it, ``T_camera_sensor``, and the number of the
 sweep."""
 Triple: TypeAlias = tuple[float, float, float]
 PlacedBox: TypeAlias = tuple[Floats, Triple, Triple]
 """``T_camera_box``; length, width and height [m]; velocity in the frame of the camera [m/s]."""
-SightedObject: TypeAlias = tuple[int, list[Sighting], list[Sighting], list[Sighting]]
-"""Instance, sightings of sweeps around the image and of others, and those whose rays tell where the
+ObjectViews: TypeAlias = tuple[int, list[ObjectView], list[ObjectView], list[ObjectView]]
+"""Instance, views of sweeps around the image and of others, and those whose rays tell where the
 object ends."""
 
 
@@ -79,35 +79,35 @@ class _Seen(NamedTuple):
 
     number: int
     sweep: int
-    owner: int
+    object_index: int
     away: int
 
 
-def sighted_objects(
+def object_views(
     view: View,
     trajectory: Trajectory,
     sweeps: Callable[[int], RenderSweep],
     drawn: DrawnSweeps,
     tracks: Tracks,
     first_number: int,
-) -> list[SightedObject]:
+) -> list[ObjectViews]:
     """The argument ``objects`` of the core's renderers.
 
-    The LiDARs of the sweeps ``drawn.sighted`` are numbered from ``first_number`` on.
+    The LiDARs of the sweeps ``drawn.with_objects`` are numbered from ``first_number`` on.
     """
     seen: dict[int, list[_Seen]] = {}
     number = first_number
-    for sweep in drawn.sighted:
+    for sweep in drawn.with_objects:
         objects = sweeps(sweep).objects
-        for owner, instance in enumerate(objects.instances, 1):
-            away = abs(objects.times[owner - 1] - view.time)
-            seen.setdefault(instance, []).append(_Seen(number, sweep, owner, away))
+        for object_index, instance in enumerate(objects.instances, 1):
+            away = abs(objects.times[object_index - 1] - view.time)
+            seen.setdefault(instance, []).append(_Seen(number, sweep, object_index, away))
         number += len(sweeps(sweep).parts)
-    found: list[SightedObject] = []
-    strays = [one for one in seen.pop(0, []) if one.sweep == drawn.dynamic[0]]
-    for one in strays:
+    found: list[ObjectViews] = []
+    unassigned = [one for one in seen.pop(0, []) if one.sweep == drawn.dynamic[0]]
+    for one in unassigned:
         T_camera_lidar = view.T_camera_world @ trajectory.poses[one.sweep]
-        placed = _sightings(sweeps(one.sweep), one, T_camera_lidar)
+        placed = _views_of(sweeps(one.sweep), one, T_camera_lidar)
         found.append((0, placed, [], placed))
     for instance in sorted(seen):
         if not any(one.sweep in drawn.dynamic for one in seen[instance]):
@@ -118,9 +118,9 @@ def sighted_objects(
         near, far = _chosen(seen[instance], drawn, trajectory, tracks[instance], view.time)
         around, others, rays = (
             [
-                sighting
+                placed
                 for one in some
-                for sighting in _sightings(sweeps(one.sweep), one, T_camera_object)
+                for placed in _views_of(sweeps(one.sweep), one, T_camera_object)
             ]
             for some in (near, far, (near + far)[:MOST_RAYS])
         )
@@ -159,16 +159,16 @@ def _holds(T_camera_object: Floats, extent: Triple, places: Floats) -> bool:
     return bool(inside.any())
 
 
-def _sightings(sweep: RenderSweep, seen: _Seen, T_camera_object: Floats) -> list[Sighting]:
+def _views_of(sweep: RenderSweep, seen: _Seen, T_camera_object: Floats) -> list[ObjectView]:
     """What each LiDAR of a sweep saw of an object, placed where the object is now.
 
     What is not followed stays in the frame of the sweep, whose ``T_object_lidar`` is the identity.
     """
     found = []
-    T_camera_lidar = T_camera_object @ sweep.objects.T_object_lidar[seen.owner - 1]
-    for k in sweep.seen_by(seen.owner):
+    T_camera_lidar = T_camera_object @ sweep.objects.T_object_lidar[seen.object_index - 1]
+    for k in sweep.seen_by(seen.object_index):
         core, T_lidar_sensor = sweep.parts[k]
-        found.append((core, seen.owner, T_camera_lidar @ T_lidar_sensor, seen.number + k))
+        found.append((core, seen.object_index, T_camera_lidar @ T_lidar_sensor, seen.number + k))
     return found
 
 
@@ -239,7 +239,7 @@ def _chosen(
         and view.sweep not in drawn.tracked
         and lidar_range(track, trajectory, stamp[view.sweep]) <= COARSER * away
     ]
-    room = MOST_SIGHTINGS - len(around) - len(further)
+    room = MOST_VIEWS - len(around) - len(further)
     if len(others) > room:
         spread = np.linspace(0, len(others) - 1, room).round().astype(int)
         others = [others[i] for i in spread.tolist()]

@@ -22,12 +22,12 @@ TOUCH = 0.2
 
 
 @dataclass(frozen=True)
-class SweepObjects:
+class DynamicObjects:
     """The dynamic points of a sweep by object.
 
     Attributes
     ----------
-    owner : ndarray of uint16, shape (N,)
+    object_index : ndarray of uint16, shape (N,)
         0 of static points, else the number of the point's object in this sweep, from 1 on.
     instances : tuple of int
         Of objects 1, 2, ...: the id of its track, or 0 of the points that are not followed.
@@ -41,27 +41,29 @@ class SweepObjects:
         Seconds from the stamp to each measurement.
     displacement : ndarray of float32, shape (N, 3), optional
         Moves each point from where it was measured to where it is at the time of its object [m].
-    drawn : ndarray of bool, shape (objects,), optional
+    visible : ndarray of bool, shape (objects,), optional
         Which objects images draw; all if absent. The others are not placed.
     """
 
-    owner: NDArray[np.uint16]
+    object_index: NDArray[np.uint16]
     instances: tuple[int, ...]
     times: tuple[int, ...]
     T_object_lidar: NDArray[np.float64]
     motion: NDArray[np.float32]
     time_offset: NDArray[np.float32] | None = None
     displacement: NDArray[np.float32] | None = None
-    drawn: NDArray[np.bool_] | None = None
+    visible: NDArray[np.bool_] | None = None
 
-    def select(self, rows: NDArray[np.bool_]) -> SweepObjects:
+    def select(self, rows: NDArray[np.bool_]) -> DynamicObjects:
         """The objects of some points."""
         late = None if self.time_offset is None else self.time_offset[rows]
         moved = None if self.displacement is None else self.displacement.compress(rows, axis=0)
-        return replace(self, owner=self.owner[rows], time_offset=late, displacement=moved)
+        return replace(
+            self, object_index=self.object_index[rows], time_offset=late, displacement=moved
+        )
 
 
-def objects_of(
+def dynamic_objects(
     points: NDArray[np.float32],
     classid: NDArray[np.uint16],
     time: int = 0,
@@ -70,7 +72,7 @@ def objects_of(
     tracks: Tracks | None = None,
     time_offset: NDArray[np.float32] | None = None,
     is_drawn: Callable[[int, int], bool] | None = None,
-) -> SweepObjects:
+) -> DynamicObjects:
     """Divide the dynamic points of a sweep into objects, each held at one time.
 
     A sweep takes a tenth of a second, in which a car moves by metres. Each point is moved with its
@@ -105,13 +107,13 @@ def objects_of(
         if instance is not None:
             known = np.isin(instance[rows], tracks.ids)
             ids[known] = instance[rows][known]
-        _carry_strays(ids, world, time, tracks)
+        _assign_to_tracks(ids, world, time, tracks)
     instances, number = np.unique(ids, return_inverse=True)
-    owner = np.zeros(len(points), np.uint16)
-    owner[rows] = number + 1
+    object_index = np.zeros(len(points), np.uint16)
+    object_index[rows] = number + 1
     count = len(instances)
     times: list[int] = []
-    drawn = np.ones(count, np.bool_)
+    visible = np.ones(count, np.bool_)
     motion, T_object_lidar = np.zeros((count, 4), np.float32), np.repeat(np.eye(4)[None], count, 0)
     displacement = np.zeros(points.shape, np.float32) if instances.any() else None
     for k, of in enumerate(instances.tolist()):
@@ -119,23 +121,23 @@ def objects_of(
         late = float(delay[own].mean())
         times.append(int(time) + round(late * 1e9))
         motion[k, 3] = late
-        drawn[k] = not of or not is_drawn or is_drawn(of, times[k])
-        if not of or not drawn[k] or displacement is None:
+        visible[k] = not of or not is_drawn or is_drawn(of, times[k])
+        if not of or not visible[k] or displacement is None:
             continue
         track = tracks[of]
         T_object_lidar[k] = inverse(track.pose_at(times[k])) @ pose
         motion[k, :3] = track.velocity_at(times[k]) @ pose[:3, :3]
         moved = _held(world[own], late - delay[own], track, times[k])
         displacement[rows[own]] = (moved - world[own]) @ pose[:3, :3]
-    return SweepObjects(
-        owner,
+    return DynamicObjects(
+        object_index,
         tuple(instances.tolist()),
         tuple(times),
         T_object_lidar,
         motion,
         None if time_offset is None else time_offset.astype(np.float32),
         displacement,
-        drawn,
+        visible,
     )
 
 
@@ -152,17 +154,17 @@ def _held(
     return np.asarray(centre + np.einsum("nij,nj->ni", turn, world - then))
 
 
-def _carry_strays(
+def _assign_to_tracks(
     ids: NDArray[np.int64], world: NDArray[np.float64], time: int, tracks: Tracks
 ) -> None:
     """Give dynamic points without an instance to the track whose box they lie in or touch."""
-    strays = np.flatnonzero(ids == 0)
+    unassigned = np.flatnonzero(ids == 0)
     for track in tracks.between(time, time):
-        if not len(strays):
+        if not len(unassigned):
             return
         T = inverse(track.pose_at(time))
-        local = world[strays] @ T[:3, :3].T + T[:3, 3]
+        local = world[unassigned] @ T[:3, :3].T + T[:3, 3]
         half = 0.5 * track.size + TOUCH
         inside = (np.abs(local - (0, 0, 0.5 * track.size[2])) <= half).all(axis=1)
-        ids[strays[inside]] = track.id
-        strays = strays[~inside]
+        ids[unassigned[inside]] = track.id
+        unassigned = unassigned[~inside]
