@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from things import CAR, POLE, WALL, Thing, detections_of, parked_at, straight
+from things import CAR, POLE, WALL, Thing, detections_of, parked_at
 
-from docdepth.dynamics.tracking import Detections, PointStays, track_objects
-from docdepth.dynamics.voting import Votes
+from docdepth.dynamics.tracking import Detections
+from docdepth.dynamics.voting import OccupancyIntervals, Votes
 from docdepth.errors import InputError
 from docdepth.geometry.scan_mesh import ScanMesh
 
@@ -22,8 +22,8 @@ def test_detections_are_the_objects_of_their_sweep():
     T[:3, 3] = 3, -2, 1
     ends = np.arange(400, dtype=np.int32)
     free = rng.random(400) < 0.5
-    stays, mesh = PointStays(free, ends, ends), ScanMesh(points)
-    made = Detections(points, ground, objects, moving, stays, mesh, T)
+    occupancy, mesh = OccupancyIntervals(free, ends, ends), ScanMesh(points)
+    made = Detections(points, ground, objects, moving, occupancy, mesh, T)
     numbers, areas, boxes, places, normals, borders, times = made.arrays
     assert list(numbers[:, 0]) == sorted(set(objects[~ground]))
     for (first, count, dynamic, _, earliest, _, _, _, *stands), area, box in zip(
@@ -78,11 +78,8 @@ def test_borders_tell_where_an_object_ends_and_where_it_is_hidden():
 def test_wrong_objects_are_refused():
     points, ground = np.ones((3, 3), np.float32), np.zeros(3, bool)
     objects, moving = np.array([0, 1, 1], np.uint32), np.zeros(3, bool)
-    stays, mesh = PointStays(moving, *np.zeros((2, 3), np.int32)), ScanMesh(points)
+    occupancy, mesh = OccupancyIntervals(moving, *np.zeros((2, 3), np.int32)), ScanMesh(points)
     with pytest.raises(ValueError, match="cluster_objects"):
-        Detections(points, ground, objects[::-1].copy(), moving, stays, mesh, np.eye(4))
-    one = Detections(points, ground, objects, moving, stays, mesh, np.eye(4))
-    with pytest.raises(InputError, match="one of each"):
-        track_objects([one], straight(2))
+        Detections(points, ground, objects[::-1].copy(), moving, occupancy, mesh, np.eye(4))
     with pytest.raises(InputError, match="order"):
-        PointStays.of(Votes(*np.zeros((2, 3), np.uint16)), np.arange(2), 2)
+        Votes(*np.zeros((2, 3), np.uint16)).occupancy_by_sweep(np.arange(2), 2)

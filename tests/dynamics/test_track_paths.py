@@ -12,10 +12,12 @@ from things import (
     parked_at,
     ranges_of,
     straight,
+    tracking_of,
     waits,
 )
 
-from docdepth.dynamics.tracking import TRACK_PARAMETERS, Detections, PointStays, track_objects
+from docdepth.dynamics.tracking import TRACK_PARAMETERS, Detections
+from docdepth.dynamics.voting import OccupancyIntervals
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.trajectory import Trajectory
 
@@ -28,7 +30,7 @@ def test_a_pedestrian_whose_legs_vanish_behind_a_hedge_stays_upright():
 
     walker = Thing(PERSON, lambda i: (6 + 0.15 * i, 3), range(40), seen=above)
     detections, _ = detections_of([walker], 40)
-    (track,) = track_objects(detections, straight(40)).tracks
+    (track,) = tracking_of(detections, straight(40)).tracks
     np.testing.assert_array_equal(track.poses[:, :3, 2], [[0, 0, 1]] * len(track))
 
 
@@ -51,11 +53,11 @@ def track_on_ground(size, place, count, slope=0.0, hidden=lambda i: 0.0):
         of_box = np.arange(len(cloud)) < np.count_nonzero(box)
         objects = np.where(of_box, 0, np.arange(len(cloud))).astype(np.uint32)
         here = np.full(len(cloud), i, np.int32)
-        stays, mesh = PointStays(of_box, here, here), ScanMesh(cloud)
-        detections.append(Detections(cloud, ~of_box, objects, of_box, stays, mesh, np.eye(4)))
+        occupancy, mesh = OccupancyIntervals(of_box, here, here), ScanMesh(cloud)
+        detections.append(Detections(cloud, ~of_box, objects, of_box, occupancy, mesh, np.eye(4)))
     poses = np.repeat(np.eye(4)[None], count, 0)
     trajectory = Trajectory(np.arange(count) * 100_000_000, poses)
-    (track,) = track_objects(detections, trajectory).tracks
+    (track,) = tracking_of(detections, trajectory).tracks
     return track, np.array(heights)[track.times // 100_000_000]
 
 
@@ -104,10 +106,10 @@ def path_of(place, count, lost=()):
         cloud = measured(ranges, np.isfinite(ranges) & (i not in lost), rng)
         none, whole = np.zeros(len(cloud), bool), np.zeros(len(cloud), np.uint32)
         ends = np.full(len(cloud), i, np.int32)
-        stays, mesh = PointStays(~none, ends, ends), ScanMesh(cloud)
-        detections.append(Detections(cloud, none, whole, ~none, stays, mesh, np.eye(4)))
+        occupancy, mesh = OccupancyIntervals(~none, ends, ends), ScanMesh(cloud)
+        detections.append(Detections(cloud, none, whole, ~none, occupancy, mesh, np.eye(4)))
     poses = np.repeat(np.eye(4)[None], count, 0)
-    found = track_objects(detections, Trajectory(np.arange(count) * 100_000_000, poses))
+    found = tracking_of(detections, Trajectory(np.arange(count) * 100_000_000, poses))
     (track,) = found.tracks
     assert track.kind == "vehicle"
     return track, found.sweeps
@@ -131,7 +133,7 @@ def test_a_car_that_is_lost_is_where_its_motion_predicts_it(monkeypatch):
 
 def test_the_box_of_a_standing_object_does_not_move():
     car = Thing(CAR, waits((15, 3), 20), range(50))
-    found = track_objects(detections_of([car], 50)[0], straight(50)).sweeps
+    found = tracking_of(detections_of([car], 50)[0], straight(50)).sweeps
     assert not any(moves for sweep in found[:18] for _, moves in sweep.box_tracks)
     assert all(moves for sweep in found[28:] for _, moves in sweep.box_tracks)
     assert all(len(sweep.boxes) for sweep in found)
@@ -144,7 +146,7 @@ def test_the_box_of_a_standing_object_does_not_move():
 )
 def test_a_path_is_as_exact_as_it_states(place, count):
     """Sweeps in a row err alike; counted as independent they claim a third of their deviation."""
-    (track,) = track_objects(
+    (track,) = tracking_of(
         detections_of([Thing(CAR, place, range(30))], count)[0], straight(count)
     ).tracks
     sweeps = track.times // 100_000_000
@@ -193,10 +195,11 @@ def test_a_lorry_that_overtakes_is_measured_at_different_times():
         hit = np.isfinite(ranges)
         cloud = (measured(ranges, hit, rng) + 8 * moved[hit]).astype(np.float32)
         none, here = np.zeros(len(cloud), bool), np.full(len(cloud), i, np.int32)
-        whole, stays = np.zeros(len(cloud), np.uint32), PointStays(~none, here, here)
+        whole, occupancy = np.zeros(len(cloud), np.uint32), OccupancyIntervals(~none, here, here)
         times = late[hit].astype(np.float32)
-        detections.append(Detections(cloud, none, whole, ~none, stays, ScanMesh(cloud), T, times))
-    (track,) = track_objects(detections, straight(count)).tracks
+        mesh = ScanMesh(cloud)
+        detections.append(Detections(cloud, none, whole, ~none, occupancy, mesh, T, times))
+    (track,) = tracking_of(detections, straight(count)).tracks
     assert len(track) == count
     off = track.poses[:, 0, 3] - truth[:, 0]
     assert np.abs(off - np.median(off)).max() < 0.08  # 0.2 m as if all were measured at once
@@ -212,7 +215,7 @@ def test_what_stands_beside_a_van_makes_it_no_larger():
     bush = Thing((1.2, 3.0, 3.0), parked_at(17.2, 0))
     beside = [i for i in range(count) if abs(van.at(i)[1]) < 3.8]
     detections, _ = detections_of([van, bush], count, joined={(0, 1): beside}, drive=stands)
-    (track,) = track_objects(detections, stands).tracks
+    (track,) = tracking_of(detections, stands).tracks
     np.testing.assert_allclose(track.size[:2], (5, 2.2), atol=0.2)  # else 7.4 and 3.8
     truth = [van.at(i) for i in (track.times // 100_000_000).tolist()]
     np.testing.assert_allclose(track.poses[:, :2, 3], truth, atol=0.2)
@@ -232,10 +235,10 @@ def tracks_by_petals(at, count, share, seed, size=CAR):
             petals.append(measured(ranges, met, rng))
         cloud, offsets = np.vstack(petals), np.repeat(times, [len(petal) for petal in petals])
         here, car = np.full(len(cloud), i, np.int32), np.ones(len(cloud), bool)
-        first, stays = np.zeros(len(cloud), np.uint32), PointStays(car, here, here)
-        seen = cloud, ~car, first, car, stays, ScanMesh(cloud), there.poses[i]
+        first, occupancy = np.zeros(len(cloud), np.uint32), OccupancyIntervals(car, here, here)
+        seen = cloud, ~car, first, car, occupancy, ScanMesh(cloud), there.poses[i]
         detections.append(Detections(*seen, offsets.astype(np.float32)))
-    return track_objects(detections, there).tracks
+    return tracking_of(detections, there).tracks
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -270,7 +273,7 @@ def test_where_a_sweep_shows_little_the_sweeps_around_tell_where_the_surface_is(
 
     car = Thing(CAR, lambda i: (8 + 1.2 * i, 4), range(40), seen=every_twentieth_once)
     detections, _ = detections_of([car], 40)
-    (track,) = track_objects(detections, straight(40)).tracks
+    (track,) = tracking_of(detections, straight(40)).tracks
     row = int(np.flatnonzero(track.times == 2_000_000_000)[0])
     assert track.points[row] < 12
     around = min(track.surface_deviations[[row - 1, row + 1]])

@@ -9,23 +9,23 @@ from things import (
     POLE,
     WALL,
     Thing,
+    Tracking,
     detections_of,
     parked_at,
     passes,
     rosette,
     straight,
     tracked,
+    tracking_of,
     waits,
 )
 from tracks_reference import dynamic_voxels as reference_voxels
 
 from docdepth.dynamics import tracking
+from docdepth.dynamics.track_labels import label_by_tracks
 from docdepth.dynamics.tracking import (
     Detections,
     TrackedSweep,
-    Tracking,
-    apply_tracks,
-    follow_tracks,
     track_objects,
 )
 from docdepth.dynamics.voting import Votes
@@ -172,7 +172,7 @@ def test_shrubs_along_which_a_lost_track_goes_on_are_static():
     shrub = Thing((2.5, 1.5, 1.5), lambda i: tuple(at(i) + off[i]) if i > 20 else None)
     shrub.stay = lambda i, count: (False, 20, count - 1)
     detections, rows = detections_of([car, shrub], 60)
-    found = track_objects(detections, straight(60))
+    found = tracking_of(detections, straight(60))
     (track,) = found.tracks
     sweeps = track.times // 100_000_000
     known = sweeps[track.deviations <= 0.5][-1]
@@ -223,7 +223,7 @@ def test_a_track_does_not_go_on_with_a_bush_that_stood_there_all_along(place, hi
     walker = Thing(PERSON, lambda i: (8 + 0.12 * i, 3) if i < 20 else None, range(20))
     bush = Thing((0.8, 0.6, 1.5), lambda i: None if 20 <= i < 20 + hidden else place)
     detections, _ = detections_of([walker, bush], 45)
-    (track,) = track_objects(detections, straight(45)).tracks
+    (track,) = tracking_of(detections, straight(45)).tracks
     assert len(track) == 20
 
 
@@ -232,14 +232,14 @@ def test_a_car_seen_once_does_not_go_on_as_one_that_comes_into_view_later():
     first = Thing(CAR, lambda i: (10, 8) if i == 2 else None, [2])
     later = Thing(CAR, lambda i: (12 + 0.8 * (i - 10), 4) if i >= 10 else None, range(10, 30))
     detections, _ = detections_of([first, later], 30)
-    (track,) = track_objects(detections, straight(30)).tracks
+    (track,) = tracking_of(detections, straight(30)).tracks
     assert track.times[0] == 10 * 100_000_000
 
 
 def test_a_car_is_tracked_by_two_sweeps_a_second():
     detections, _ = detections_of([Thing(CAR, passes(4), range(30))], 30)
     slow = Trajectory(straight(30).times * 5, straight(30).poses)
-    (track,) = track_objects(detections, slow).tracks
+    (track,) = tracking_of(detections, slow).tracks
     assert len(track) == 30
     np.testing.assert_allclose(track.velocities[:, 0], 8.0 / 5, atol=0.1)
 
@@ -277,11 +277,13 @@ def test_points_in_a_predicted_box_are_dynamic_unless_votes_or_ground_say_otherw
     classid = np.array([50, 50, 50, 0, 50], np.uint16)
     alone = np.arange(5, dtype=np.uint32)
     found = TrackedSweep(box_tracks=np.array([[4, 1]], np.uint32), boxes=box)
-    classes, instance = apply_tracks(points, alone, Votes(static, dynamic), classid, found, T, 20)
+    classes, instance = label_by_tracks(
+        points, alone, Votes(static, dynamic), classid, found, T, 20
+    )
     assert list(classes) == [100, 100, 50, 0, 50]
     assert list(instance) == [4, 4, 0, 0, 0]
     stands = found._replace(box_tracks=np.array([[4, 0]], np.uint32))
-    classes, _ = apply_tracks(points, alone, Votes(static, dynamic), classid, stands, T, 20)
+    classes, _ = label_by_tracks(points, alone, Votes(static, dynamic), classid, stands, T, 20)
     assert list(classes) == list(classid)
 
 
@@ -299,12 +301,12 @@ def test_an_always_occupied_rest_of_a_tracked_object_stays_static(always, key_fr
     found = TrackedSweep(np.array([[0, 3, 1]], np.uint32))
     whole = np.zeros(100, np.uint32)
     votes = Votes(static, dynamic)
-    classes, instance = apply_tracks(points, whole, votes, classid, found, np.eye(4), key_frames)
+    classes, instance = label_by_tracks(points, whole, votes, classid, found, np.eye(4), key_frames)
     np.testing.assert_array_equal(instance, np.where(classes == 100, 3, 0))
     assert (classes[:40] == 100).all()
     assert (classes[40:] == (100 if moves else 50)).all()
     standing = (whole + 50).astype(np.uint16)
-    waits, _ = apply_tracks(points, whole, votes, standing, found, np.eye(4), key_frames)
+    waits, _ = label_by_tracks(points, whole, votes, standing, found, np.eye(4), key_frames)
     assert (waits == 100).all()  # none of it moves now: it is known from another time
 
 
@@ -335,7 +337,7 @@ def test_of_a_lorry_a_rosette_is_enough_to_know_its_side(seed):
     drive = Trajectory(level.times, poses)
     lorry = Thing(LORRY, lambda i: (1.6 * i - 25, 10, 1.9), range(40), rosette(seed, LORRY, 0.5))
     detections, _ = detections_of([lorry], 40, seed, drive=drive)
-    (track,) = track_objects(detections, drive).tracks
+    (track,) = tracking_of(detections, drive).tracks
     assert len(track) >= 39
     assert np.ptp(track.poses[:, 1, 3]) < 0.03
     # It leaves; how far it is along its side is known worse and worse, but not where its side is.
@@ -356,7 +358,7 @@ def test_a_lorry_is_tracked_though_every_other_sweep_sees_its_lower_part_only():
         seen=lambda i, points: points[:, 2] < (1.7 if i % 2 else 0.9),
     )
     detections, _ = detections_of([lorry], 40, drive=drive)
-    (track,) = track_objects(detections, drive).tracks
+    (track,) = tracking_of(detections, drive).tracks
     assert len(track) == 40
 
 
@@ -367,7 +369,7 @@ def test_what_the_lidar_sees_of_its_own_vehicle_is_not_tracked():
     cyclist = Thing((1.7, 0.6, 1.7), lambda i: (ahead[i], 2.2), range(40))
     for things, count in (((rack, cyclist), 1), ((cyclist,), 1), ((rack,), 0)):
         detections, _ = detections_of(things, 40)
-        assert len(track_objects(detections, straight(40)).tracks) == count
+        assert len(tracking_of(detections, straight(40)).tracks) == count
 
 
 def test_a_thing_beside_a_lidar_that_stands_is_tracked():
@@ -375,7 +377,7 @@ def test_a_thing_beside_a_lidar_that_stands_is_tracked():
     there = Trajectory(straight(40).times, np.repeat(straight(1).poses, 40, 0))
     things = [Thing(PERSON, lambda i: (1 + max(0, i - 35) * 0.5, 2.0), range(36, 40))]
     detections, _ = detections_of(things, 40, drive=there)
-    assert len(track_objects(detections, there).tracks) == 1
+    assert len(tracking_of(detections, there).tracks) == 1
 
 
 def test_a_bin_that_a_pedestrian_leaves_is_not_part_of_him():
@@ -444,10 +446,10 @@ def test_tracks_do_not_depend_on_threads_or_files(seed):
     rng = np.random.default_rng(seed)
     detections, _ = detections_of(random_things(rng, 30), 30, seed)
     again = [Detections.of(seen.arrays) for seen in detections]
-    one, two = (track_objects(detections, straight(30), threads) for threads in (1, 2))
+    one, two = (tracking_of(detections, straight(30), threads) for threads in (1, 2))
     assert len(one.tracks) >= 3
     same_tracking(one, two)
-    same_tracking(one, track_objects(again, straight(30)))
+    same_tracking(one, tracking_of(again, straight(30)))
     claimed = [set(sweep.dynamic.tolist()) for sweep in one.sweeps]
     times = straight(30).times * 1e-9
     voxels = reference_voxels([seen.arrays for seen in detections], claimed, times)
@@ -462,7 +464,7 @@ def test_a_drive_of_which_few_sweeps_are_held(monkeypatch):
     detections, _ = detections_of(random_things(np.random.default_rng(0), 60)[:8], count)
     saved = [seen.arrays for seen in detections]
     monkeypatch.setattr(tracking, "_HELD_SWEEPS", count)
-    right = track_objects(detections, straight(count))
+    right = tracking_of(detections, straight(count))
     assert len(right.tracks) > 3
     for held, reads_a_sweep in ((1, 7), (3, 7), (20, 5), (count, 3)):
         monkeypatch.setattr(tracking, "_HELD_SWEEPS", held)
@@ -472,7 +474,7 @@ def test_a_drive_of_which_few_sweeps_are_held(monkeypatch):
             reads.append(sweep)
             return Detections.of(saved[sweep])
 
-        tracks = follow_tracks(read, straight(count), sweeps.append)
+        tracks = track_objects(read, straight(count), sweeps.append)
         same_tracking(Tracking(sweeps, tracks), right)
         assert len(reads) <= reads_a_sweep * count
 
@@ -483,10 +485,12 @@ def test_a_few_points_in_a_dynamic_voxel_are_dynamic():
     hedge = Thing((1.6, 0.6, 1.7), parked_at(9.5, 3.4))
     for things, moves in (((walker,), True), ((walker, hedge), False)):
         detections, _ = detections_of(things, 30)
-        found = track_objects(detections, straight(30)).sweeps[15]
+        found = tracking_of(detections, straight(30)).sweeps[15]
         few = np.float32([(9.5, 3.0, 0.5), (9.5, 3.0, 1.4), (14.0, 3.0, 0.5)])
         place = TrackedSweep(voxels=found.voxels)
         none, alone = np.zeros(3, np.uint16), np.arange(3, dtype=np.uint32)
         static = np.uint16([0, 3, 0])  # many more say that it stands
-        classid, _ = apply_tracks(few, alone, Votes(static, none), none + 50, place, np.eye(4), 20)
+        classid, _ = label_by_tracks(
+            few, alone, Votes(static, none), none + 50, place, np.eye(4), 20
+        )
         assert list(classid) == [100 if moves else 50, 50, 50]

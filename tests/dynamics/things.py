@@ -1,9 +1,13 @@
 """Boxes around a LiDAR that drives ahead, and what trackers are given of them."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from docdepth.dynamics.tracking import Detections, PointStays, track_objects
+from docdepth.dynamics.tracking import Detections, TrackedSweep, track_objects
+from docdepth.dynamics.voting import OccupancyIntervals
 from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 
 MEMORY = 30  # sweeps: for so long key frames remember a place
@@ -122,7 +126,7 @@ def detections_of(things, count, seed=0, joined=None, drive=None):
         none = np.zeros(len(cloud), bool)
         objects, flags = np.array(first, np.uint32), np.array(moving, bool)
         once, *ends = np.array(stays, np.int32).reshape(-1, 3).T
-        seen = PointStays(once > 0, *(np.ascontiguousarray(end) for end in ends))
+        seen = OccupancyIntervals(once > 0, *(np.ascontiguousarray(end) for end in ends))
         detections.append(Detections(cloud, none, objects, flags, seen, ScanMesh(cloud), T))
         rows.append(firsts)
     return detections, rows
@@ -135,10 +139,24 @@ def straight(count):
     return Trajectory(np.arange(count) * 100_000_000, poses)
 
 
+class Tracking(NamedTuple):
+    """What tracks found in each sweep, and the tracks."""
+
+    sweeps: list[TrackedSweep]
+    tracks: list[Track]
+
+
+def tracking_of(detections, trajectory, threads=0):
+    """Track the objects of detections that are all in memory."""
+    sweeps = []
+    tracks = track_objects(detections.__getitem__, trajectory, sweeps.append, threads)
+    return Tracking(sweeps, tracks)
+
+
 def tracked(things, count, **more):
     """For each thing the sweeps in which only tracks make it dynamic."""
     detections, rows = detections_of(things, count, **more)
-    found = track_objects(detections, straight(count)).sweeps
+    found = tracking_of(detections, straight(count)).sweeps
     return [
         [i for i in range(count) if k in rows[i] and rows[i][k] in found[i].dynamic]
         for k in range(len(things))

@@ -15,14 +15,13 @@ from docdepth.dynamics import voting
 from docdepth.dynamics.classes import Labels, classify
 from docdepth.dynamics.clustering import cluster_objects
 from docdepth.dynamics.key_frames import KeyFrames
+from docdepth.dynamics.track_labels import label_by_tracks
 from docdepth.dynamics.tracking import (
     Detections,
-    PointStays,
     TakeSweep,
     TrackedSweep,
-    apply_tracks,
-    follow_tracks,
     local_poses,
+    track_objects,
 )
 from docdepth.dynamics.voting import KeyFrame, Votes
 from docdepth.geometry.lidar_frame import LidarFrame
@@ -132,18 +131,18 @@ class SweepClassifier:
             classid = classify(ground, votes, self._parameters, points, mesh, objects)
         with self._watch("detections"):
             moving, pose = classid >= DYNAMIC, self._local_poses[index]
-            stays = PointStays.of(votes, self.key_frames[index], index)
+            occupancy = votes.occupancy_by_sweep(self.key_frames[index], index)
             detections = Detections(
-                points, ground, objects, moving, stays, mesh, pose, frame.time_offset
+                points, ground, objects, moving, occupancy, mesh, pose, frame.time_offset
             )
         return Evidence(Labels(classid, votes), objects), detections
 
     def track(
         self, read: Callable[[int], Detections], take: TakeSweep, threads: int = 0
     ) -> list[Track]:
-        """Track objects through the drive, as :func:`follow_tracks` does."""
+        """Track objects through the drive, as :func:`track_objects` does."""
         with self._watch("tracks"):
-            return follow_tracks(read, self._trajectory, take, threads)
+            return track_objects(read, self._trajectory, take, threads)
 
     def add_tracks(
         self, index: int, frame: LidarFrame, evidence: Evidence, result: TrackedSweep
@@ -154,5 +153,5 @@ class SweepClassifier:
             return replace(labels, instance=np.zeros(len(objects), np.uint16))
         votes, pose = labels.votes, self._local_poses[index]
         voted = len(self.key_frames[index])
-        found = apply_tracks(frame.points, objects, votes, labels.classid, result, pose, voted)
+        found = label_by_tracks(frame.points, objects, votes, labels.classid, result, pose, voted)
         return Labels(found[0], votes, found[1])

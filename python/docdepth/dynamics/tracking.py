@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import docdepth._core as _core
-from docdepth.dynamics.clustering import OBJECT_PARAMETERS
-from docdepth.dynamics.voting import NEVER, Votes
-from docdepth.errors import InputError
-from docdepth.geometry.points import DYNAMIC, STATIC, check_sweep
+from docdepth.dynamics.voting import OccupancyIntervals
+from docdepth.geometry.points import check_sweep
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.track import MAX_TRACKS, Kind, Track
 from docdepth.geometry.trajectory import Trajectory
@@ -22,15 +20,6 @@ log = logging.getLogger(__name__)
 
 TRACK_PARAMETERS = _core.TrackParameters()
 """Constants of :func:`track_objects`: the defaults of the C++ structure."""
-
-MAX_OCCUPIED_SHARE = 0.8
-"""The rest of an object that moves in part stays static above this share of points that were always
-observed occupied: it is another object that touches the first [-]."""
-
-ALWAYS_OCCUPIED = 8
-"""A point was always observed occupied if no key frame found it free, and so many found it
-occupied. Half of the key frames suffice where these are fewer than twice as many."""
-
 
 PERSON_SIZE = (2.2, 1.3, 2.2)
 """A person or cyclist is at most this long, wide and high [m]."""
@@ -43,9 +32,6 @@ MAX_CYCLING = 14.0
 
 MIN_VEHICLE_HEIGHT = 0.6
 """Lower things are no vehicle [m]."""
-
-BOX_MARGIN = 0.5
-"""A dynamic point without an object belongs to the box of a track up to this distance [m]."""
 
 MIN_SIZE = 0.1
 """Least side of a box [m]."""
@@ -88,49 +74,8 @@ class TrackedSweep(NamedTuple):
         return self.members[self.members[:, 2] > 0, 0]
 
 
-class Tracking(NamedTuple):
-    """What :func:`track_objects` finds in a drive.
-
-    Attributes
-    ----------
-    sweeps : sequence of TrackedSweep
-        One for each sweep; it may read them when they are asked for.
-    tracks : list of Track
-        Track ``k`` of the sweeps is ``tracks[k - 1]``.
-    """
-
-    sweeps: Sequence[TrackedSweep]
-    tracks: list[Track]
-
-
 TakeSweep = Callable[[TrackedSweep], None]
 """Takes what tracks found in a sweep."""
-
-
-class PointStays(NamedTuple):
-    """When the place of each point of a sweep was occupied, as far as votes tell.
-
-    Attributes
-    ----------
-    once : ndarray of bool, shape (N,)
-        It was free at another time, and occupied in one stretch of time only.
-    first, last : ndarray of int32, shape (N,)
-        The first and the last sweep that found it occupied.
-    """
-
-    once: NDArray[np.bool_]
-    first: NDArray[np.int32]
-    last: NDArray[np.int32]
-
-    @classmethod
-    def of(cls, votes: Votes, key_frames: NDArray[np.int64], sweep: int) -> PointStays:
-        """From the votes of key frames on a sweep, which found all its points occupied itself."""
-        if votes.stays is None:
-            raise InputError("tracking needs votes with their order; vote again")
-        index = np.full(NEVER + 1, sweep, np.int32)
-        index[: len(key_frames)] = key_frames
-        first = np.minimum(index[votes.stays.first], sweep, dtype=np.int32)
-        return cls(votes.stays.once, first, np.maximum(index[votes.stays.last], sweep))
 
 
 class Detections:
@@ -145,7 +90,8 @@ class Detections:
         From :func:`cluster_objects`.
     moving : ndarray of bool, shape (N,)
         Points that the votes on this sweep make dynamic.
-    stays : PointStays
+    occupancy : OccupancyIntervals
+        By sweep.
     mesh : ScanMesh
         Of these points; tells the normals.
     T_world_lidar : ndarray of float64, shape (4, 4)
@@ -165,14 +111,23 @@ class Detections:
         ground: NDArray[np.bool_],
         objects: NDArray[np.uint32],
         moving: NDArray[np.bool_],
-        stays: PointStays,
+        occupancy: OccupancyIntervals,
         mesh: ScanMesh,
         T_world_lidar: NDArray[np.float64],
         time_offset: NDArray[np.float32] | None = None,
     ) -> None:
         points, ground = check_sweep(points, ground)
         self._core = _core.Detections(
-            points, ground, objects, moving, *stays, mesh.core, T_world_lidar, time_offset
+            points,
+            ground,
+            objects,
+            moving,
+            occupancy.occupied_once,
+            occupancy.first,
+            occupancy.last,
+            mesh.core,
+            T_world_lidar,
+            time_offset,
         )
 
     @property
@@ -196,8 +151,8 @@ def local_poses(trajectory: Trajectory) -> NDArray[np.float64]:
 
 
 def track_objects(
-    detections: Sequence[Detections], trajectory: Trajectory, threads: int = 0
-) -> Tracking:
+    read: Callable[[int], Detections], trajectory: Trajectory, take: TakeSweep, threads: int = 0
+) -> list[Track]:
     """Track dynamic objects through the drive, to find them also where votes do not.
 
     Tracks start at objects that the votes make dynamic and go forward and backward in time. An
@@ -221,45 +176,15 @@ def track_objects(
 
     Parameters
     ----------
-    detections : sequence of Detections
-        Of every sweep, in order.
-    trajectory : Trajectory
-        Of the LiDAR; one pose a sweep.
-    threads : int
-        0 for all cores. The result does not depend on it.
-
-    Returns
-    -------
-    Tracking
-
-    Raises
-    ------
-    InputError
-        The numbers of detections and poses differ.
-    """
-    if len(detections) != len(trajectory):
-        raise InputError(
-            f"{len(detections)} detections and {len(trajectory)} poses; give one of each"
-        )
-    sweeps: list[TrackedSweep] = []
-    tracks = follow_tracks(detections.__getitem__, trajectory, sweeps.append, threads)
-    return Tracking(sweeps, tracks)
-
-
-def follow_tracks(
-    read: Callable[[int], Detections], trajectory: Trajectory, take: TakeSweep, threads: int = 0
-) -> list[Track]:
-    """As :func:`track_objects`, of a drive that does not fit into memory.
-
-    Parameters
-    ----------
     read : callable
         Gives the detections of a sweep. It is called from one thread, four or five times a sweep:
-        those of few sweeps are held at once.
+        those of few sweeps are held at once, since a drive may not fit into memory.
     trajectory : Trajectory
+        Of the LiDAR; one pose a sweep.
     take : callable
         Called with what is found in each sweep, in order.
     threads : int
+        0 for all cores. The result does not depend on it.
 
     Returns
     -------
@@ -314,108 +239,3 @@ def _kind(size: NDArray[np.float64], speed: float, rigid: bool) -> Kind:
     if length <= PERSON_SIZE[0] and width <= PERSON_SIZE[1] and height <= PERSON_SIZE[2]:
         return "person" if height >= MIN_PERSON_HEIGHT and speed <= MAX_CYCLING else "other"
     return "vehicle" if rigid and height >= MIN_VEHICLE_HEIGHT else "other"
-
-
-def apply_tracks(
-    points: NDArray[np.float32],
-    objects: NDArray[np.uint32],
-    votes: Votes,
-    classid: NDArray[np.uint16],
-    result: TrackedSweep,
-    T_world_lidar: NDArray[np.float64],
-    key_frames: int,
-) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-    """Add to the classes of a sweep what tracks found in it, and tell which track each point is of.
-
-    Parameters
-    ----------
-    points : ndarray of float32, shape (N, 3)
-        The deskewed sweep, LiDAR frame, metres.
-    objects : ndarray of uint32, shape (N,)
-        From :func:`cluster_objects`.
-    votes : Votes
-    classid : ndarray of uint16, shape (N,)
-        By the votes on this sweep.
-    result : TrackedSweep
-        Of this sweep.
-    T_world_lidar : ndarray of float64, shape (4, 4)
-        From :func:`local_poses`.
-    key_frames : int
-        How many key frames voted on this sweep.
-
-    Returns
-    -------
-    classid, instance : ndarray of uint16, shape (N,)
-        The instance is the track of each dynamic point, 0 if it is of none.
-    """
-    moving, ground = classid >= DYNAMIC, classid < STATIC
-    always = min(ALWAYS_OCCUPIED, key_frames / 2)
-    occupied = (votes.static >= always) & (votes.dynamic == 0)
-    moving[_tracked_rows(objects, result.dynamic, occupied, moving)] = True
-    static, dynamic = votes.static, votes.dynamic
-    inside = _core.add_points_inside(
-        points,
-        ground,
-        static,
-        dynamic,
-        T_world_lidar,
-        result.boxes[result.box_tracks[:, 1] > 0],
-        result.voxels,
-        moving,
-        OBJECT_PARAMETERS,
-    ).view(np.bool_)
-    every = _core.add_isolated_points(
-        points, ground, objects, static, dynamic, inside, OBJECT_PARAMETERS
-    )
-    classid = np.where(every, np.uint16(DYNAMIC), classid)
-    return classid, _instances(points, objects, classid >= DYNAMIC, result, T_world_lidar)
-
-
-def _instances(
-    points: NDArray[np.float32],
-    objects: NDArray[np.uint32],
-    dynamic: NDArray[np.bool_],
-    result: TrackedSweep,
-    T_world_lidar: NDArray[np.float64],
-) -> NDArray[np.uint16]:
-    """The track of each dynamic point: that of its object, else that of the nearest box."""
-    track_of = np.zeros(len(objects), np.uint32)
-    first, tracks, _ = result.members.T
-    track_of[first[::-1]] = tracks[::-1]  # the longest track has the lowest number
-    instance = np.where(dynamic, track_of[objects], 0)
-    loose = np.flatnonzero(dynamic & (instance == 0))
-    if len(loose) and len(result.boxes):
-        places = points[loose] @ T_world_lidar[:3, :3].T + T_world_lidar[:3, 3]
-        T = result.boxes[:, :12].reshape(-1, 3, 4)
-        inside = np.einsum("kij,nj->kni", T[:, :, :3], places) + T[:, None, :, 3]
-        off = np.abs(inside) - result.boxes[:, None, 12:]
-        distance = np.linalg.norm(np.maximum(off, 0), axis=2)
-        nearest = distance.argmin(axis=0)
-        near = distance[nearest, np.arange(len(loose))] <= BOX_MARGIN
-        instance[loose[near]] = result.box_tracks[nearest[near], 0]
-    return np.where(instance <= MAX_TRACKS, instance, 0).astype(np.uint16)
-
-
-def _tracked_rows(
-    objects: NDArray[np.uint32],
-    tracked: NDArray[np.uint32],
-    occupied: NDArray[np.bool_],
-    moving: NDArray[np.bool_],
-) -> NDArray[np.intp]:
-    """Rows of tracked objects that become dynamic: all that are not yet, or none of an object.
-
-    Where a part of an object moves by votes, the rest stays static if nearly all of it was always
-    observed occupied.
-    """
-    rows = np.flatnonzero(_rows_of(tracked, objects) & ~moving)
-    of, count = objects[rows], len(objects)
-    of_object = np.bincount(of, minlength=count)
-    stays = np.bincount(of, occupied[rows], count) > MAX_OCCUPIED_SHARE * of_object
-    return rows[~(stays[of] & _rows_of(objects[moving], objects)[rows])]
-
-
-def _rows_of(some: NDArray[np.uint32], objects: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """Whether each row belongs to one of some objects."""
-    among = np.zeros(len(objects), bool)
-    among[some] = True
-    return among[objects]

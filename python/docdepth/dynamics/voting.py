@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,23 +23,24 @@ NEVER = 65535
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Stays(ShortRepr):
-    """What the votes on the points of a sweep say in order of time.
+class OccupancyIntervals(ShortRepr):
+    """When the place of each point of a sweep was occupied, as far as votes tell.
 
     Attributes
     ----------
-    once : ndarray of bool, shape (N,)
+    occupied_once : ndarray of bool, shape (N,)
         The place was free at some time, and was occupied in one stretch of time only, around the
         sweep: something arrived there, left or passed. Twigs and fences are found free and occupied
         in turn.
-    first, last : ndarray of uint16, shape (N,)
-        The first and the last key frame that found the place occupied, by its number among those
-        that voted; :data:`NEVER` if none did.
+    first, last : ndarray of uint16 or int32, shape (N,)
+        The first and the last that found the place occupied: of votes the number of the key frame
+        among those that voted, :data:`NEVER` if none did; of
+        :meth:`Votes.occupancy_by_sweep` the sweep.
     """
 
-    once: NDArray[np.bool_]
-    first: NDArray[np.uint16]
-    last: NDArray[np.uint16]
+    occupied_once: NDArray[np.bool_]
+    first: NDArray[Any]
+    last: NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -51,13 +53,29 @@ class Votes(ShortRepr):
         Key frames that measured a surface at the point.
     dynamic : ndarray of uint16, shape (N,)
         Key frames that looked through the point.
-    stays : Stays, optional
+    occupancy : OccupancyIntervals, optional
         Not kept in frames.
     """
 
     static: NDArray[np.uint16]
     dynamic: NDArray[np.uint16]
-    stays: Stays | None = None
+    occupancy: OccupancyIntervals | None = None
+
+    def occupancy_by_sweep(self, key_frames: NDArray[np.int64], sweep: int) -> OccupancyIntervals:
+        """When the points were occupied, by sweeps; ``sweep`` found all of them occupied itself.
+
+        Raises
+        ------
+        InputError
+            The votes were kept without their order.
+        """
+        if self.occupancy is None:
+            raise InputError("tracking needs votes with their order; vote again")
+        once, first, last = self.occupancy.occupied_once, self.occupancy.first, self.occupancy.last
+        index = np.full(NEVER + 1, sweep, np.int32)
+        index[: len(key_frames)] = key_frames
+        first = np.minimum(index[first], sweep, dtype=np.int32)
+        return OccupancyIntervals(once, first, np.maximum(index[last], sweep))
 
 
 class KeyFrame:
@@ -175,7 +193,8 @@ def vote(
     views = [len(frame._views) for frame in key_frames]
     number = np.full(NEVER + 1, NEVER, np.uint16)
     number[: sum(views)] = np.repeat(np.arange(len(views)), views)
-    return Votes(static, dynamic, Stays(once.view(np.bool_), number[first], number[last]))
+    occupancy = OccupancyIntervals(once.view(np.bool_), number[first], number[last])
+    return Votes(static, dynamic, occupancy)
 
 
 def _range_image(
