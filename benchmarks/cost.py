@@ -26,6 +26,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from results import add_results_argument, publish
+
 STAGES = {"run_odometry": "odometry", "run_classify": "classify", "run_render": "render"}
 Times = dict[str, tuple[float, float]]
 """Processor and wall seconds by stage; ``all`` includes start and end of the process."""
@@ -138,6 +140,7 @@ def main() -> None:
         "--set", action="append", default=[], metavar="NAME=VALUE", help="measured as default, set"
     )
     parser.add_argument("--job", help=argparse.SUPPRESS)
+    add_results_argument(parser)
     options = parser.parse_args()
     if options.job:
         if options.job in PEERS:
@@ -162,26 +165,26 @@ def main() -> None:
         for name, (job, code, settings) in jobs.items():
             turns[-1][name], sweeps = run_child(job, options, code, settings)
             print(f"turn {turn + 1}: {name}", file=sys.stderr)
-    print_table(turns, sweeps)
+    publish([table(turns, sweeps)], options.results)
 
 
-def print_table(turns: list[dict[str, Times]], sweeps: int) -> None:
+HEADER = ("", "stage", "processor ms a sweep", "wall", "processor, KISS-ICP = 1", "wall")
+
+
+def table(turns: list[dict[str, Times]], sweeps: int) -> Any:
     """Medians per sweep [ms], and of the ratios to KISS-ICP's registration in the same turn."""
-    print(f"{sweeps} sweeps, {len(turns)} turns; medians")
-    print("| | stage | processor ms a sweep | wall | processor, KISS-ICP = 1 | wall |")
-    print("| --- | --- | --- | --- | --- | --- |")
+    from docdepth.evaluation.tables import Table
+
+    rows = []
     for name in turns[0]:
         for stage in turns[0][name]:
-            row = [name, stage]
-            for clock in (0, 1):
-                spent = [turn[name][stage][clock] for turn in turns]
-                row.append(f"{1e3 * statistics.median(spent) / sweeps:.0f}")
-            for clock in (0, 1):
-                ratio = [
-                    turn[name][stage][clock] / turn["KISS-ICP"]["odometry"][clock] for turn in turns
-                ]
-                row.append(f"{statistics.median(ratio):.2f}")
-            print("| " + " | ".join(row) + " |")
+            spent = [turn[name][stage] for turn in turns]
+            peer = [turn["KISS-ICP"]["odometry"] for turn in turns]
+            ms = [f"{1e3 * statistics.median(s[k] for s in spent) / sweeps:.0f}" for k in (0, 1)]
+            ratios = [[s[k] / p[k] for s, p in zip(spent, peer, strict=True)] for k in (0, 1)]
+            rows.append((name, stage, *ms, *(f"{statistics.median(r):.2f}" for r in ratios)))
+    title = f"Cost of a run: {sweeps} sweeps, medians of {len(turns)} turns"
+    return Table(title, HEADER, tuple(rows))
 
 
 if __name__ == "__main__":

@@ -23,12 +23,14 @@ from typing import Any
 
 import numpy as np
 import yaml
+from results import add_results_argument, publish
 from scenes.endless import EndlessRecording
 
 from docdepth.cli import keep_memory, take_one_blas_thread
 from docdepth.config import Parameters
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.frame_range import FrameRange
+from docdepth.evaluation.tables import Table
 from docdepth.geometry.points import DYNAMIC
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
@@ -53,15 +55,23 @@ def main() -> None:
     parser.add_argument("--poses", choices=("exact", "estimated"), default="estimated")
     parser.add_argument("--stages", nargs="+", choices=STAGES, default=list(STAGES))
     parser.add_argument("--stage", choices=STAGES, help=argparse.SUPPRESS)
+    add_results_argument(parser)
     options = parser.parse_args()
     if options.stage:
         return run_stage(options)
     names = ("sensor", "columns", "seed", "tiles", "poses")
     same = [f"--{name}={getattr(options, name)}" for name in names]
+    lines = []
     for frames in options.frames:
         for stage in options.stages:
             about = [str(options.out), f"--frames={frames}", f"--stage={stage}", *same]
-            subprocess.run([sys.executable, __file__, *about], check=True)
+            command = [sys.executable, __file__, *about]
+            done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+            print(done.stdout, end="", file=sys.stderr, flush=True)
+            lines.append(json.loads(done.stdout))
+    header = tuple(dict.fromkeys(name for line in lines for name in line))
+    rows = tuple(tuple(str(line.get(name, "")) for name in header) for line in lines)
+    publish([Table("Drives of any length", header, rows)], options.results)
 
 
 def run_stage(options: argparse.Namespace) -> None:
@@ -132,14 +142,13 @@ def alone(options: argparse.Namespace, run: RunFolder) -> dict[str, Any]:
     begin = max(last - END, 0)
     part, run = (
         FrameRange(whole, f"{begin}:"),
-        RunFolder(options.out / f"{options.frames[0]}_alone"),
+        RunFolder(run.path.with_name(f"{run.path.name}_alone")),
     )
     estimate(options, run, part)
     run_classify(run)
     run_render(run, list(part.cameras.values()))
-    return {"IoU last": iou(whole, run, last, begin)} | {
-        f"{k} last": v for k, v in depth(whole, run, last).items()
-    }
+    figures = {"IoU": iou(whole, run, last, begin), **depth(whole, run, last)}
+    return {f"{name} last": value for name, value in figures.items()}
 
 
 def iou(recording: EndlessRecording, run: RunFolder, first: int, begin: int = 0) -> float:
@@ -178,14 +187,7 @@ def depth(recording: EndlessRecording, run: RunFolder, first: int) -> dict[str, 
     }
 
 
-_STAGES = {
-    "read": read,
-    "odometry": odometry,
-    "classify": classify,
-    "render": render,
-    "judge": judge,
-    "alone": alone,
-}
+_STAGES = dict(zip(STAGES, (read, odometry, classify, render, judge, alone), strict=True))
 
 
 if __name__ == "__main__":

@@ -22,6 +22,8 @@ import traceback
 import warnings
 from pathlib import Path
 
+from results import add_results_argument, publish
+
 MEMORY = 2 << 30  # bytes more than the readers and their libraries take
 SLOWEST = 2.0  # seconds of the processor for one file
 LONGEST = 8192  # bytes of a file
@@ -85,6 +87,7 @@ def main() -> None:
     parser.add_argument("readers", nargs="*")
     parser.add_argument("--seconds", type=int, default=60, help="for each reader")
     parser.add_argument("--here", action="store_true", help="one reader, in this process")
+    add_results_argument(parser)
     given = parser.parse_args()
     if given.here:
         return fuzz(given.readers[0], given.out, given.seconds)
@@ -95,7 +98,7 @@ def main() -> None:
     writers = Path(__file__).parents[1] / "tests/datasets"  # write the bags that are changed
     known = os.environ.get("PYTHONPATH")
     env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [str(writers), known]))}
-    file = given.out / "figures.json"
+    file, figures = given.out / "figures.json", {}
     for name in given.readers or READERS:
         out = given.out / name
         command = [sys.executable, __file__, str(out), name, "--seconds", str(given.seconds)]
@@ -111,10 +114,13 @@ def main() -> None:
         if done.returncode:
             (out / "end.txt").write_text(done.stderr[-4000:])
         file.write_text(json.dumps(figures, indent=1))
-        print(name, figures[name], flush=True)
+        print(name, figures[name], file=sys.stderr, flush=True)
         if done.returncode:
             print(done.stderr[-1000:], file=sys.stderr)
-    return None
+    from docdepth.evaluation.tables import Table
+
+    rows = [(name, f"{f['executions']:,}", str(len(f["finds"]))) for name, f in figures.items()]
+    publish([Table("Changed files", ("reader", "executions", "finds"), tuple(rows))], given.results)
 
 
 if __name__ == "__main__":

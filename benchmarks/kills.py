@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from compare_runs import differences
+from results import add_results_argument, publish
 
 PARTS = ("traj_odometry.ply", "tracks.csv", "calib.json", "traj_camera.ply", "tracks_kitti.txt")
 """Results beside frames, labels and depth maps."""
@@ -144,6 +145,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--log", type=Path, help="make the run itself, and count its steps here")
+    add_results_argument(parser)
     given = parser.parse_args()
     if given.log:
         from docdepth.pipeline.run import run
@@ -153,8 +155,18 @@ def main() -> int:
         return 0
     given.out.mkdir(parents=True)
     figures = torture(given.drive, given.out, given.kills, given.seed, given.threads)
+    from docdepth.evaluation.tables import Table
+
     (given.out / "figures.json").write_text(json.dumps(figures, indent=1))
-    print(json.dumps({k: v for k, v in figures.items() if k != "steps at each kill"}, indent=1))
+    once, more = figures["steps"], figures["done more often"]
+    rows = [
+        ("undisturbed", *map(str, once.values())),
+        ("done more often", *map(str, more.values())),
+    ]
+    note = f"{len(figures['files that differ'])} files differ, "
+    note += f"{len(figures['files that are not whole'])} are not whole."
+    title = f"A run that was killed {figures['kills']} times"
+    publish([Table(title, ("", *once), tuple(rows), note)], given.results)
     return bool(figures["files that differ"])
 
 

@@ -6,26 +6,28 @@
 Makes the drives that are missing in DRIVES, by default city and motorway by HDL-64 and a crossing
 by XT-32, with raw sweeps and a time for each point. The error is that of the motion from sweep to
 sweep. ``--late`` adds random errors to the stamps, as if a computer stamped the sweeps when they
-arrive. ``--lost`` leaves out sweeps in the middle, without a gap in the stamps. It runs on older
-versions, too: ``PYTHONPATH=OTHER/python python benchmarks/odometry.py DRIVES``.
+arrive. ``--lost`` leaves out sweeps in the middle, without a gap in the stamps.
 """
 
 from __future__ import annotations
 
 import argparse
-import inspect
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scenes  # noqa: F401  adds its scenes
+from results import add_results_argument, publish
 
 from docdepth.datasets import Sweep, open_dataset
+from docdepth.evaluation.tables import Table, number
 from docdepth.geometry.se3 import inverse
 from docdepth.odometry.odometry import estimate_poses
 from docdepth.synthetic import write_drive
 
+HEADER = ("drive", "seed", "mm a sweep", "largest", "degrees", "ms of the processor a sweep")
 CELLS = ("city:HDL-64", "crossing:XT-32", "highway:HDL-64")
 
 
@@ -58,11 +60,9 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=50)
     parser.add_argument("--late", type=float, default=0, help="error of the stamps [ms]")
     parser.add_argument("--lost", type=int, default=0, help="sweeps lost in the middle")
+    add_results_argument(parser)
     options = parser.parse_args()
-    # Earlier versions ran passes in processes, whose time would be missing.
-    threads = {"threads": 1} if "threads" in inspect.signature(estimate_poses).parameters else {}
-    print("| drive | seed | mm, mean square | largest | degrees | ms of the processor a sweep |")
-    print("| --- | --- | --- | --- | --- | --- |")
+    rows = []
     for cell in options.cells:
         scene, lidar = cell.split(":")
         for seed in options.seeds:
@@ -73,18 +73,18 @@ def main() -> None:
             drive = open_dataset(folder / "sequences" / "00")
             dataset = Disturbed(drive, options.late, options.lost)
             start = time.process_time()
-            poses = estimate_poses(dataset, **threads)
+            poses = estimate_poses(dataset, threads=1)
             spent = 1e3 * (time.process_time() - start) / len(poses)
             steps, exact = (inverse(p[:-1]) @ p[1:] for p in (poses, np.asarray(dataset.poses)))
             error = inverse(exact) @ steps
             mm = 1e3 * np.linalg.norm(error[:, :3, 3], axis=1)
             cosine = (np.trace(error[:, :3, :3], axis1=1, axis2=2) - 1) / 2
             turn = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-            print(
-                f"| {scene}, {lidar} | {seed} | {np.sqrt((mm**2).mean()):.1f} | {mm.max():.0f} "
-                f"| {np.sqrt((turn**2).mean()):.3f} | {spent:.0f} |",
-                flush=True,
-            )
+            figures = (np.sqrt((mm**2).mean()), mm.max(), np.sqrt((turn**2).mean()), spent)
+            digits = zip(figures, (1, 0, 3, 0), strict=True)
+            rows.append((f"{scene}, {lidar}", str(seed), *(number(*pair) for pair in digits)))
+            print(*rows[-1], file=sys.stderr, flush=True)
+    publish([Table("Odometry on raw synthetic drives", HEADER, tuple(rows))], options.results)
 
 
 if __name__ == "__main__":

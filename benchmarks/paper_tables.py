@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 import two_lidars
+from results import add_results_argument, publish
 
 from docdepth import run
 from docdepth.config import parameters
@@ -254,6 +255,7 @@ def main(arguments: Sequence[str] | None = None) -> Table | None:
     parser.add_argument("--frames", type=int, help="sweeps of a stand-in")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--threads", type=int, default=0)
+    add_results_argument(parser)
     args = parser.parse_args(arguments)
     if args.table == "completion" and args.data and not args.raw:
         parser.error("completion needs --raw KITTI_RAW beside --data ANNOTATED")
@@ -263,7 +265,7 @@ def main(arguments: Sequence[str] | None = None) -> Table | None:
                          "--presets", *args.presets])  # fmt: skip
         return None
     found = TABLES[args.table](args)
-    print(found)
+    publish([found], args.results)
     return found
 
 

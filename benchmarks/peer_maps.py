@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from docdepth.errors import InputError
 from docdepth.evaluation.label_counts import LabelCounts, ignored, moving
 from docdepth.evaluation.nearest import nearest_neighbors
-from docdepth.evaluation.tables import percent, plain, ratio
+from docdepth.evaluation.tables import percent, ratio
 
 # Above this number of cells the grid of :func:`_crop` would need too much memory.
 _MAX_CELLS = 200_000_000
@@ -54,11 +53,6 @@ class PreservationRejection:
     def f1(self) -> float:
         """Harmonic mean of PR and RR, 0..1."""
         return ratio(2 * self.pr * self.rr, self.pr + self.rr) / 100
-
-    def as_dict(self) -> dict[str, float]:
-        """Metrics and counts by name."""
-        metrics = {"pr": self.pr, "rr": self.rr, "f1": self.f1}
-        return {**metrics, "static": self.static, "dynamic": self.dynamic}
 
 
 def nearest_neighbor_protocol(
@@ -196,15 +190,6 @@ class MapResult:
     voxel_size: float
     nearest: LabelCounts
     voxels: PreservationRejection
-
-    def as_dict(self) -> dict[str, Any]:
-        """All metrics by name, ready for JSON; None replaces NaN."""
-        result = {
-            "poses": self.poses,
-            "nearest_neighbor": {"distance": self.distance, **self.nearest.as_dict()},
-            "voxels": {"voxel_size": self.voxel_size, **self.voxels.as_dict()},
-        }
-        return dict(plain(result))
 
 
 class MapEvaluation:

@@ -17,7 +17,6 @@ BeautyMap (Jia et al., RA-L 2024) has no package: give a clone of its repository
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from pathlib import Path
 import numpy as np
 from peer_classifiers import Drive, beautymap, dufomap
 from peer_maps import MapEvaluation, MapResult
+from results import add_results_argument, publish
 
 from docdepth.datasets import Dataset, open_dataset, usable_points
 from docdepth.errors import DocDepthError
@@ -99,10 +99,6 @@ class Row:
     labels: LabelResult
     maps: MapResult
 
-    def as_dict(self) -> dict:
-        parts = {"labels": self.labels.as_dict(), "maps": self.maps.as_dict()}
-        return {"method": self.name, "seconds_per_sweep": self.seconds, **parts}
-
 
 def evaluate(name: str, drive: Drive, dynamic: Callable[[int], np.ndarray], seconds: float) -> Row:
     """Metrics of a method by all protocols."""
@@ -151,7 +147,7 @@ def main(arguments: list[str] | None = None) -> list[Row]:
     )
     parser.add_argument("--threads", type=int, default=0, help="0 uses all cores")
     parser.add_argument("--beautymap", type=Path, help="a clone of BeautyMap's repository")
-    parser.add_argument("--json", action="store_true")
+    add_results_argument(parser)
     args = parser.parse_args(arguments)
     if args.run:
         drive = drive_of_run(args.run, args.recording)
@@ -166,7 +162,7 @@ def main(arguments: list[str] | None = None) -> list[Row]:
     if args.beautymap:
         found, seconds = beautymap(drive, args.beautymap)
         rows.append(evaluate("BeautyMap", drive, found.__getitem__, seconds))
-    print(json.dumps([row.as_dict() for row in rows], indent=1) if args.json else table(rows))
+    publish([table(rows)], args.results)
     return rows
 
 

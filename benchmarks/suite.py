@@ -35,6 +35,7 @@ import numpy as np
 from cells import Cell, ExactDrive, add_cell_arguments, cells_of
 from ip_basic import ip_basic
 from numpy.typing import NDArray
+from results import add_results_argument, publish
 
 from docdepth._core import __version__
 from docdepth.config import Parameters, parameters, parse_settings
@@ -239,6 +240,7 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--set", action="append", default=[], metavar="STAGE.NAME=VALUE")
     parser.add_argument("--trials", type=Path, help="YAML, NAME: {stage.parameter: value}")
     parser.add_argument("--jobs", type=int, default=1, help="trials of a cell at a time")
+    add_results_argument(parser)
     args = parser.parse_args(arguments)
     args.depth |= args.own
     if not args.sensors:
@@ -267,7 +269,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, Row]]:
         write_atomically(out / "table.md", lambda stream, t=text: stream.write(t))
         for line in whole.rows[-len(cells[cell.name]) :]:
             print("  ".join(line), file=sys.stderr, flush=True)
-    print(whole)
+    publish([whole], args.results)
     return cells
 
 

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from cells import Cell, add_cell_arguments, cells_of
+from results import add_results_argument, publish
 
 from docdepth.config import Parameters, parameters, parse_settings
 from docdepth.errors import DocDepthError
@@ -110,6 +111,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, Any]]:
     add_cell_arguments(parser, images=0)
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--set", action="append", default=[], metavar="STAGE.NAME=VALUE")
+    add_results_argument(parser)
     args = parser.parse_args(arguments)
     args.sensors = args.sensors or list(sensors())
     p = parameters(args.preset, parse_settings(args.set))
@@ -121,7 +123,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, Any]]:
         text = whole.markdown().encode()
         write_atomically(out / "table.md", lambda stream, t=text: stream.write(t))
         print("  ".join(whole.rows[-1]), file=sys.stderr, flush=True)
-    print(whole)
+    publish([whole], args.results)
     return cells
 
 

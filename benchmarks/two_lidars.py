@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from results import add_results_argument, publish
 
 from docdepth import run
 from docdepth.config import parameters
@@ -192,13 +193,16 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--frames", type=int, default=30)
     parser.add_argument("--every", type=int, default=5)
     parser.add_argument("--seed", type=int, default=7)
+    add_results_argument(parser)
     args = parser.parse_args(arguments)
+    tables = []
     for name in args.scenes:
         sequences = write_rig(args.drives / f"rig_{name}", name, args.frames, args.seed)
         drive = Drive(scene(name, args.seed), sensor(SENSOR), args.frames, args.seed)
         for preset in args.presets:
             rows = judge(sequences, args.out / f"{name}_{preset}", preset, args.every, drive)
-            print(Table(f"{name}, {preset}", HEADER, tuple(rows)), flush=True)
+            tables.append(Table(f"{name}, {preset}", HEADER, tuple(rows)))
+    publish(tables, args.results)
 
 
 def judge(

@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 
 from cells import FRAMES, SUITE
+from results import add_results_argument, publish
 
 from docdepth import run
 from docdepth.errors import DocDepthError
@@ -57,6 +58,7 @@ def main() -> None:
     parser.add_argument("--sensors", nargs="+", default=list(sensors()), choices=list(sensors()))
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--poses", action="store_true", help="exact poses instead of odometry")
+    add_results_argument(parser)
     args = parser.parse_args()
     rows = []
     for sensor in args.sensors:
@@ -68,7 +70,7 @@ def main() -> None:
             figures = measured(drive, args.out / name, args.poses)
             rows.append((scene, sensor, *figures))
             print(*rows[-1], file=sys.stderr, flush=True)
-    print(Table(f"The whole chain, seed {args.seed}", HEADER, tuple(rows)))
+    publish([Table(f"The whole chain, seed {args.seed}", HEADER, tuple(rows))], args.results)
 
 
 if __name__ == "__main__":

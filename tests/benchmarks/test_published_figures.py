@@ -1,8 +1,4 @@
-"""Figures that the docs print, measured again: one cell of each kind, and the real drives.
-
-The docs are read, so a table that changes without its figures, or figures that change without their
-table, fail.
-"""
+"""Figures of benchmarks/RESULTS.md, measured again: one cell of each kind, and the real drives."""
 
 from __future__ import annotations
 
@@ -15,16 +11,16 @@ import pytest
 from command_line import cli
 
 ROOT = Path(__file__).parents[2]
-MEASUREMENTS = (ROOT / "docs" / "measurements.md").read_text(encoding="utf-8")
+MEASURED = ROOT / "benchmarks" / "measured"
 
 pytestmark = pytest.mark.slow
 
 
-def row(heading: str, name: str) -> list[str]:
-    """Cells of a row of the tables below a heading."""
-    section = MEASUREMENTS.split(f"## {heading}\n", 1)[1].split("\n## ", 1)[0]
-    (line,) = (line for line in section.splitlines() if line.startswith(f"| {name} |"))
-    return [cell.strip() for cell in line.strip("|").split("|")[1:]]
+def row(file: str, name: str, table: int = 0) -> list[str]:
+    """Cells of a row of a stored table."""
+    content = json.loads((MEASURED / f"{file}.json").read_text(encoding="utf-8"))
+    (cells,) = (cells for cells in content["tables"][table]["rows"] if cells[0] == name)
+    return cells[1:]
 
 
 def numbers(cell: str) -> list[float]:
@@ -44,12 +40,11 @@ def test_labels_of_a_synthetic_drive(folders) -> None:
 
     cell = ["--scenes", "residential", "--sensors", "VLP-16"]
     found = suite.main([*folders, *cell])["residential_VLP-16"]["default"]
-    heading = "Labels on synthetic drives that no parameter was chosen on"
-    f1, precision = numbers(row(heading, "VLP-16")[4])
+    f1, precision = numbers(row("labels", "VLP-16")[4])
     assert found["f1"] == pytest.approx(f1, abs=0.003)
     assert found["precision"] == pytest.approx(precision, abs=0.005)
-    waiting = [line for line in MEASUREMENTS.splitlines() if line.startswith("| residential | 99")]
-    assert found["seen_to_move"] == pytest.approx(numbers(waiting[0])[6], abs=4)
+    waiting = numbers(row("labels", "residential", 1)[3])[0]
+    assert found["seen_to_move"] == pytest.approx(waiting, abs=4)
 
 
 def test_labels_by_wide_beams(folders) -> None:
@@ -58,7 +53,7 @@ def test_labels_by_wide_beams(folders) -> None:
 
     cell = ["--scenes", "residential", "--sensors", "XT-32", "--beam-width", "0.15"]
     found = suite.main([*folders, *cell])["residential_XT-32"]["default"]
-    f1, precision = numbers(row("Beams with a width", "XT-32, residential")[0])
+    f1, precision = numbers(row("wide_beams", "XT-32, residential")[0])
     assert found["f1"] == pytest.approx(f1, abs=0.003)
     assert found["precision"] == pytest.approx(precision, abs=0.005)
 
@@ -68,8 +63,7 @@ def test_depth_of_a_synthetic_drive(folders) -> None:
 
     cell = ["--depth", "--scenes", "residential", "--sensors", "XT-32"]
     found = suite.main([*folders, *cell])["residential_XT-32"]["default"]
-    heading = "Depth on synthetic drives that no parameter was chosen on"
-    density, mae, shifts, near, far = map(float, row(heading, "XT-32, residential")[:5])
+    density, mae, shifts, near, far = map(float, row("depth", "XT-32, residential")[:5])
     assert found["density"] == pytest.approx(density, abs=0.5)
     assert found["mae"] == pytest.approx(mae, abs=0.01)
     assert found["shifts"] == pytest.approx(shifts, abs=0.03)
@@ -83,7 +77,7 @@ def test_moving_objects_by_own_classes_and_tracks(folders) -> None:
 
     cell = ["--own", "--scenes", "city", "--sensors", "HDL-64"]
     found = suite.main([*folders, *cell])["city_HDL-64"]["default"]
-    shifts, density, rmse = map(float, row("Depth by own classes and tracks", "HDL-64, city")[-3:])
+    shifts, density, rmse = map(float, row("depth_own", "HDL-64, city")[-3:])
     assert found["moving_shifts"] == pytest.approx(shifts, abs=0.03)
     assert found["moving_density"] == pytest.approx(density, abs=0.5)
     assert found["moving_rmse"] == pytest.approx(rmse, abs=0.04)
@@ -94,8 +88,7 @@ def test_labels_of_drive_0005(drive_0005, tmp_path) -> None:
     assert made.exit_code == 0, made.output
     printed = cli("evaluate", "labels", tmp_path / "run", "--labels", drive_0005, "--json")
     found = json.loads(printed.stdout)
-    heading = "Labels on KITTI raw drive 0005, on which parameters were chosen"
-    sa, da, f1, precision, iou = map(float, row(heading, "`default`"))
+    sa, da, f1, precision, iou = map(float, row("labels_0005", "`default`"))
     assert found["sa"] == pytest.approx(sa, abs=0.02)
     assert found["da"] == pytest.approx(da, abs=0.03)
     assert found["f1"] == pytest.approx(f1, abs=0.0003)
@@ -107,9 +100,7 @@ def test_held_out_sweeps_of_drive_9001(drive_9001, tmp_path) -> None:
     made = cli("run", drive_9001, "-o", tmp_path / "run")
     assert made.exit_code == 0, made.output
     found = json.loads(cli("evaluate", "held-out", tmp_path / "run", "--json").stdout)
-    density, errors, near, far, _ = row(
-        "Real drives, by sweeps that were left out", "9001, `default`"
-    )
+    density, errors, near, far, _ = row("held_out", "9001, `default`")
     mae, rmse = numbers(errors)
     assert found["all"]["density"] == pytest.approx(float(density), abs=0.3)
     assert found["all"]["mae"] == pytest.approx(mae, abs=0.01)
@@ -117,6 +108,6 @@ def test_held_out_sweeps_of_drive_9001(drive_9001, tmp_path) -> None:
     assert found["all"]["too_near"] == pytest.approx(float(near), abs=0.1)
     assert found["all"]["too_far"] == pytest.approx(float(far), abs=0.1)
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    printed = re.search(r"depth: ([0-9.]+) % of the returns of left-out sweeps", readme)
+    printed = re.search(r"([0-9.]+) % of the returns of left-out sweeps", readme)
     wrong = found["all"]["too_near"] + found["all"]["too_far"]
     assert wrong == pytest.approx(float(printed[1]), abs=0.15)
