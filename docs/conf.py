@@ -24,7 +24,11 @@ CHAPTERS = {
         "notebooks/README",
     ),
     "Look up": ("docs/python", "docs/parameters", "docs/formats"),
-    "Understand": ("docs/method", "docs/measurements", "docs/decisions"),
+    "Understand": ("docs/method", "docs/architecture", "docs/accuracy", "benchmarks/RESULTS"),
+    "Decisions": (
+        "docs/adr/README",
+        *(f"docs/adr/{page.stem}" for page in sorted((ROOT / "docs/adr").glob("0*.md"))),
+    ),
     "Project": ("CONTRIBUTING", "CHANGELOG", "SECURITY"),
 }
 PAGES = ["README.md", *(f"{page}.md" for pages in CHAPTERS.values() for page in pages)]

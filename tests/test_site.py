@@ -27,7 +27,9 @@ def test_the_site_has_every_page_and_every_public_name(tmp_path: Path) -> None:
     assert built.returncode == 0, built.stderr[-3000:]
 
     assert (site / "index.html").is_file()
-    for page in (ROOT / "docs").glob("*.md"):
-        assert (site / "docs" / f"{page.stem}.html").is_file(), f"{page.name} is in no chapter"
+    for page in (ROOT / "docs").rglob("*.md"):
+        assert (site / page.relative_to(ROOT).with_suffix(".html")).is_file(), (
+            f"{page.name} is in no chapter"
+        )
     described = set(re.findall(r'id="docdepth\.(\w+)"', (site / "docs/python.html").read_text()))
     assert described == set(docdepth.__all__) - {"__version__"}

@@ -60,8 +60,8 @@ def test_the_counts_see_what_they_count(tmp_path: Path):
         TopologicalSorter(House(tmp_path).imports()).prepare()
 
 
-def test_rooms_import_only_rooms_above_them_on_the_map_of_contributors():
-    text = (HOUSE.root / "CONTRIBUTING.md").read_text(encoding="utf-8")
+def test_rooms_import_only_rooms_above_them_on_the_page_of_architecture():
+    text = (HOUSE.root / "docs" / "architecture.md").read_text(encoding="utf-8")
     rows = [line for line in text.splitlines() if line.startswith("| `")]
     order = [name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[1])]
     assert set(order) == HOUSE.rooms()
