@@ -125,7 +125,7 @@ def back_of_box(camera, trajectory, track, time):
 
 
 @pytest.mark.parametrize("kind", ["vehicle", "person"])
-def test_sightings_are_placed_as_plain_matrices_say(kind):
+def test_object_views_are_placed_as_plain_matrices_say(kind):
     trajectory = straight(40, spacing=0.5)
     track = moving_track(trajectory, (10.5, -1, -1), (4, 0.5, 0), (1, 1.6, 1.4), of=6, kind=kind)
     where = [track.poses[i, :2, 3] - (0.5, 0) for i in range(40)]

@@ -174,7 +174,7 @@ def test_bad_input_is_refused():
 
 @pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
 @pytest.mark.parametrize("time", [0, 130_000_000, 200_000_000, 260_000_000, 500_000_000])
-def test_needed_frames_are_those_that_are_asked_for(parameters, time):
+def test_needed_sweeps_are_those_that_are_asked_for(parameters, time):
     trajectory, frames, _ = drive(np.random.default_rng(7), 130_000_000, parameters)
     asked = set()
 

@@ -112,7 +112,7 @@ def asked_scene(count=60, render=TRIANGLES):
 
 
 @pytest.mark.parametrize("render", [PAPER, TRIANGLES])
-def test_frames_are_made_when_needed_and_forgotten_when_not(render):
+def test_sweeps_are_made_when_needed_and_forgotten_when_not(render):
     near = render.model_copy(update={"ahead": 5.0, "behind": 2.0})
     scene, camera = asked_scene(render=near), camera_of([1_000_000_000, 1_020_000_000, 10**9 * 4])
     needed = [set(needed_sweeps(scene.trajectory, int(t), near)) for t in camera.times]
@@ -125,7 +125,7 @@ def test_frames_are_made_when_needed_and_forgotten_when_not(render):
     assert sorted(scene.sweeps.asked) == sorted(needed[0]) + sorted(needed[1] - needed[0])
     render_depth(scene, camera, 2)
     assert set(scene.sweeps_at(int(camera.times[2]))) == needed[2]
-    assert {i for i, _ in scene._cache._frames} == needed[2]
+    assert {i for i, _ in scene._cache._sweeps} == needed[2]
 
 
 def test_images_from_many_threads():
