@@ -12,10 +12,10 @@ from docdepth.config import DynamicsParameters
 from docdepth.dynamics.clustering import classify_objects, cluster_objects
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
+from docdepth.geometry.checks import ShortRepr
 from docdepth.geometry.points import DYNAMIC, GROUND, STATIC, check_sweep
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.track import Track
-from docdepth.geometry.values import ShortRepr
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 import docdepth._core as _core
 from docdepth.config import DynamicsParameters
 from docdepth.errors import InputError
+from docdepth.geometry.checks import ShortRepr
 from docdepth.geometry.points import check_sweep
 from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
 from docdepth.geometry.se3 import check_rigid
 from docdepth.geometry.sensor_rig import SensorRig, lidar_views
-from docdepth.geometry.values import ShortRepr
 
 NEVER = 65535
 """Stands for a key frame where there was none."""

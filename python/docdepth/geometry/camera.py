@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import CalibrationError, InputError
-from docdepth.geometry.values import ShortRepr, float_array
+from docdepth.geometry.checks import ShortRepr, float_array
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
+from docdepth.geometry.checks import ShortRepr
 from docdepth.geometry.points import STATIC
 from docdepth.geometry.sensor_rig import SensorRig
-from docdepth.geometry.values import ShortRepr
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import InputError
+from docdepth.geometry.checks import ShortRepr, float_array
 from docdepth.geometry.se3 import check_rigid, inverse
-from docdepth.geometry.values import ShortRepr, float_array
 
 _MOST_SENSORS = 256  # index is uint8
 _AXIS_RANGE = 1e-3  # metres from the axis; nearer points have no direction

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import InputError
+from docdepth.geometry.checks import ShortRepr, float_array, nanoseconds
 from docdepth.geometry.se3 import check_rigid, rotation_exp, rotation_log
-from docdepth.geometry.values import ShortRepr, float_array, nanoseconds
 
 _JITTER = 0.05  # metres; poses of a standing sensor differ by less
 _KEPT = 256  # an image asks for the same few times again and again; bounded as in track.py

@@ -71,13 +71,13 @@ class _Points(NamedTuple):
         return self.rows(slice(None, None, max(1, -(-len(self.points) // most))))
 
 
-def first_motion(sweeps: ThinnedSweeps, frames: range) -> NDArray[np.float64] | None:
-    """Motion (4, 4) in one sweep's duration at the first of these frames.
+def first_motion(sweeps: ThinnedSweeps, indices: range) -> NDArray[np.float64] | None:
+    """Motion (4, 4) in one sweep's duration at the first of these sweeps.
 
     Parameters
     ----------
     sweeps : ThinnedSweeps
-    frames : range
+    indices : range
         The first :data:`FIRST_SWEEPS` of them are read.
 
     Returns
@@ -85,21 +85,21 @@ def first_motion(sweeps: ThinnedSweeps, frames: range) -> NDArray[np.float64] | 
     ndarray of float64, shape (4, 4), or None
         None if there are fewer than two sweeps, or too few of their points rise above the road.
     """
-    found = _search(sweeps, frames)
+    found = _search(sweeps, indices)
     return None if found is None else found[0]
 
 
 def checked_motion(
-    sweeps: ThinnedSweeps, frames: range, motion: NDArray[np.float64]
+    sweeps: ThinnedSweeps, indices: range, motion: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """A motion, or the first motion of these frames if far more points agree with that.
+    """A motion, or the first motion of these sweeps if far more points agree with that.
 
     Only points that are higher than any lorry are asked.
 
     Parameters
     ----------
     sweeps : ThinnedSweeps
-    frames : range
+    indices : range
     motion : ndarray of float64, shape (4, 4)
         What is taken for the motion in one sweep's duration.
 
@@ -108,7 +108,7 @@ def checked_motion(
     ndarray of float64, shape (4, 4), or None
         None if there are too few such points.
     """
-    found = _search(sweeps, frames, only_high=True)
+    found = _search(sweeps, indices, only_high=True)
     if found is None:
         return None
     other, points = found
@@ -117,10 +117,10 @@ def checked_motion(
 
 
 def _search(
-    sweeps: ThinnedSweeps, frames: range, only_high: bool = False
+    sweeps: ThinnedSweeps, indices: range, only_high: bool = False
 ) -> tuple[NDArray[np.float64], list[_Points]] | None:
-    """The first motion of these frames, and the points by which it was judged."""
-    whole = _timed([sweeps[k] for k in frames[:FIRST_SWEEPS]])
+    """The first motion of these sweeps, and the points by which it was judged."""
+    whole = _timed([sweeps[k] for k in indices[:FIRST_SWEEPS]])
     rising = [s.rows(rising_rows(s.points.astype(np.float64), _COLUMN)) for s in whole]
     if len(rising) < 2 or min(len(s.points) for s in rising) < FEWEST_POINTS:
         return None

@@ -25,9 +25,9 @@ from docdepth.config import OdometryParameters, Parameters, given
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.mounts import LEVEL_DEG, ground_of
 from docdepth.errors import InputError
+from docdepth.geometry.checks import ShortRepr
 from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.geometry.values import ShortRepr
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.first_motion import FIRST_SWEEPS, first_motion
 from docdepth.odometry.loop_closure import close_loops
