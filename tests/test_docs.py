@@ -19,6 +19,7 @@ from docdepth.cli import app
 from docdepth.config import Parameters, parameters, parse_settings
 from docdepth.datasets import open_dataset
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.render_sweep import RenderSweep
@@ -245,7 +246,10 @@ def test_the_recipe_for_far_scenes_draws_far_sweeps(primitive: Any) -> None:
             distance = 40.0 + spacing * index
             side = -distance * (right + 100 * index / 15000)  # 100 pixels beside the last board
             points = np.stack([np.full(up.shape, 40.0), side, distance * up], -1).reshape(-1, 3)
-            return RenderSweep(points.astype(np.float32), np.full(len(points), 50, np.uint16), p)
+            rows = np.arange(len(points), dtype=np.uint32)
+            classid = np.full(len(points), 50, np.uint16)
+            frame = LidarFrame(points.astype(np.float32), rows, "", len(rows), classid=classid)
+            return RenderSweep(frame, p)
 
         depth = compose_depth(View.at(camera, T_camera_lidar, trajectory, 0), trajectory, board, p)
         return set(np.unique(depth[np.isfinite(depth)].round(-1)).tolist())

@@ -13,6 +13,7 @@ from docdepth.dynamics import voting
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.geometry.sensor_rig import SensorRig, lidar_views
@@ -82,7 +83,9 @@ def test_ray_origins_follow_a_driving_lidar():
         standing.with_ego_motion((20, 0, 0), time_offset[:3])
     # A frame that is told both begins there, too.
     classid, p = np.full(len(points), 50, np.uint16), parameters("default").render
-    told = RenderSweep(points, classid, p, time_offset=time_offset, velocity=(20, 0, 0))
+    rows = np.arange(len(points), dtype=np.uint32)
+    frame = LidarFrame(points, rows, "", len(rows), classid=classid)
+    told = RenderSweep(replace(frame, time_offset=time_offset), p, velocity=(20, 0, 0))
     camera = Camera(np.array([[200.0, 0, 160], [0, 200, 60], [0, 0, 1]]), 320, 120)
     trajectory = Trajectory(np.array([0, 1]), np.repeat(np.eye(4)[None], 2, axis=0))
     right = np.eye(4)  # looks to the right, where the panel is
@@ -90,9 +93,9 @@ def test_ray_origins_follow_a_driving_lidar():
     moving = standing.with_ego_motion((20, 0, 0), time_offset)
     view = View.at(camera, right, trajectory, 0)
     drawn = [
-        compose_depth(view, trajectory, lambda _, frame=frame: frame, p)
-        for frame in (told, RenderSweep(points, classid, p, sensor_rig=moving),
-                      RenderSweep(points, classid, p))
+        compose_depth(view, trajectory, lambda _, sweep=sweep: sweep, p)
+        for sweep in (told, RenderSweep(replace(frame, sensor_rig=moving), p),
+                      RenderSweep(frame, p))
     ]  # fmt: skip
     np.testing.assert_array_equal(drawn[0], drawn[1])
     assert (drawn[0] != drawn[2])[np.isfinite(drawn[0])].any()

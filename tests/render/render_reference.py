@@ -6,6 +6,7 @@ import numpy as np
 
 from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.dynamic_objects import dynamic_objects
@@ -42,12 +43,23 @@ def moving_track(trajectory, position, velocity, size, of=1, kind="vehicle"):
     return Track(of, kind, trajectory.times, poses, velocities, size, points, exact, exact)
 
 
+def frame_of(points, classid, time_offset=None, sensor_rig=None, instance=None):
+    """A sweep with classes."""
+    rows = np.arange(len(points), dtype=np.uint32)
+    return LidarFrame(points, rows, "", len(rows), time_offset, sensor_rig, classid, instance)
+
+
+def render_sweep(points, classid, parameters=None, velocity=None, objects=None, **more):
+    """A sweep with classes, ready to be drawn."""
+    return RenderSweep(frame_of(points, classid, **more), parameters, velocity, objects)
+
+
 def followed(points, classid, index, trajectory, track, parameters=None, time_offset=None):
     """The frame of a sweep whose dynamic points are all of one track."""
     instance = np.where(classid >= 100, track.id, 0).astype(np.uint16)
     pose, time = trajectory.poses[index], int(trajectory.times[index])
-    of = dynamic_objects(points, classid, time, pose, instance, Tracks([track]), time_offset)
-    return RenderSweep(points, classid, parameters, time_offset, objects=of)
+    frame = frame_of(points, classid, time_offset, instance=instance)
+    return RenderSweep(frame, parameters, None, dynamic_objects(frame, time, pose, Tracks([track])))
 
 
 def reference(camera, clouds):
@@ -106,7 +118,7 @@ def drive(rng, camera_time, parameters, n=6):
     trajectory = Trajectory(trajectory.times, poses)
     sweeps = [scattered(rng, 4000) for _ in range(n)]
     classes = [rng.choice([0, 50, 99, 100, 251], size=4000).astype(np.uint16) for _ in range(n)]
-    frames = [RenderSweep(s, c, parameters) for s, c in zip(sweeps, classes, strict=True)]
+    frames = [render_sweep(s, c, parameters) for s, c in zip(sweeps, classes, strict=True)]
 
     T_camera_world = AXES @ np.linalg.inv(trajectory.interpolate(camera_time)[0])
     clouds = []

@@ -9,14 +9,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from render_reference import AXES, TRIANGLES, at, drive, small_camera, straight
+from render_reference import AXES, TRIANGLES, at, drive, render_sweep, small_camera, straight
 
 import docdepth._core as _core
 from docdepth.config import RenderParameters
 from docdepth.errors import BackendError
 from docdepth.render import backends
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.render_sweep import RenderSweep
 
 TIME = 130_000_000
 SOFTWARE = ("llvmpipe", "softpipe", "swrast")
@@ -63,7 +62,7 @@ def test_each_context_draws_what_the_cpu_draws(gl):
                 view = at(small_camera(width, height, focal), AXES, trajectory, time)
                 depth = assert_drawn_alike(gl, *view, frames.__getitem__, parameters)
                 assert np.isfinite(depth).any()
-    empty = RenderSweep(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
+    empty = render_sweep(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
     view = at(small_camera(), AXES, straight(1), 0)
     assert np.isnan(assert_drawn_alike(gl, *view, lambda _: empty, parameters)).all()
 

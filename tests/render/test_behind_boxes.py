@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from render_reference import AXES, TRIANGLES, followed, moving_track, straight
+from render_reference import AXES, TRIANGLES, followed, moving_track, render_sweep, straight
 
 from docdepth.errors import BackendError
 from docdepth.geometry.camera import Camera
@@ -17,7 +17,6 @@ from docdepth.render import backends
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.layers import AGREED, compose_layers
 from docdepth.render.object_views import RISE, VEHICLE_HEIGHT, boxes_in_view
-from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.track_sweeps import seen_to_its_top
 from docdepth.render.view import View
 
@@ -70,7 +69,7 @@ def scene(
         points = (ray * np.where(hit, near, far)[:, None]).astype(np.float32)
         classid = np.where(hit, 100, 50).astype(np.uint16)
         frame = followed(points, classid, i, trajectory, track, TRIANGLES)
-        frames.append(frame if tracked else RenderSweep(points, classid, TRIANGLES))
+        frames.append(frame if tracked else render_sweep(points, classid, TRIANGLES))
     return {
         "view": View.at(CAMERA, AXES, trajectory, round(image * 1e8)),
         "trajectory": trajectory,

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, TRIANGLES, at, small_camera
+from render_reference import AXES, TRIANGLES, at, render_sweep, small_camera
 
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.render_sweep import RenderSweep
 
 BOX, WALL, GAP = 8.0, 40.0, 8 * np.tan(np.radians(1.0))
 CAMERA = np.array([0.35, -0.25, -0.15])
@@ -38,7 +37,7 @@ def frame(origin, top, wall_top, behind=False):
         points, index = np.concatenate([back, points]), np.append(np.zeros(len(back)), index + 1)
     rig = SensorRig(index.astype(np.uint8), np.repeat(np.eye(4)[None], 1 + behind, 0))
     classid = np.full(len(points), 50, np.uint16)
-    return RenderSweep(points.astype(np.float32), classid, TRIANGLES, sensor_rig=rig)
+    return render_sweep(points.astype(np.float32), classid, TRIANGLES, sensor_rig=rig)
 
 
 def seen(origins, top, wall_elevation, behind=False):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from render_reference import AXES, TRIANGLES, at, moving_track, small_camera, straight
+from render_reference import AXES, TRIANGLES, at, frame_of, moving_track, small_camera, straight
 from test_moving_objects import wall_and_box
 
 from docdepth.geometry.se3 import inverse, rotation_exp
@@ -53,12 +53,11 @@ def test_pixels_are_the_same_without_what_no_image_shows(kind: str) -> None:
         classid = np.maximum(classid, other_class)
         stamp, pose = int(trajectory.times[i]), trajectory.poses[i]
         is_drawn = shown.draws if cropped else None
-        of = dynamic_objects(points, classid, stamp, pose, instance.astype(np.uint16), tracks)
-        part = dynamic_objects(
-            points, classid, stamp, pose, instance.astype(np.uint16), tracks, None, is_drawn
-        )
+        sweep = frame_of(points, classid, instance=instance.astype(np.uint16))
+        of = dynamic_objects(sweep, stamp, pose, tracks)
+        part = dynamic_objects(sweep, stamp, pose, tracks, is_drawn)
         np.testing.assert_array_equal(part.object_index, of.object_index)
-        return RenderSweep(points, classid, TRIANGLES, objects=part)
+        return RenderSweep(sweep, TRIANGLES, objects=part)
 
     whole = [frame(i, False) for i in range(30)]
     cropped = [frame(i, True) for i in range(30)]

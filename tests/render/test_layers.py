@@ -12,6 +12,7 @@ from render_reference import (
     drive,
     followed,
     moving_track,
+    render_sweep,
     small_camera,
     straight,
 )
@@ -21,7 +22,6 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Tracks
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.layers import _CONFIDENCE, LAYERS, compose_layers, confidence
-from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.selection import static_sweeps
 from docdepth.render.view import View
 
@@ -219,7 +219,7 @@ def test_error_falls_as_confidence_rises(preset):
         if i not in frames:
             sweep = drive.sweep(i)
             classid = np.where(sweep.moving, 100, 50).astype(np.uint16)
-            frames[i] = RenderSweep(sweep.points, classid, preset)
+            frames[i] = render_sweep(sweep.points, classid, preset)
         return frames[i]
 
     time = int(drive.camera_times[8])

@@ -6,7 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from render_reference import AXES, TRIANGLES, at, followed, moving_track, small_camera, straight
+from render_reference import (
+    AXES,
+    TRIANGLES,
+    at,
+    followed,
+    frame_of,
+    moving_track,
+    render_sweep,
+    small_camera,
+    straight,
+)
 
 from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import Track, Tracks
@@ -19,7 +29,6 @@ from docdepth.render.object_views import (
     boxes_in_view,
     object_views,
 )
-from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.selection import drawn_sweeps
 from docdepth.render.track_sweeps import (
     MOST_TRACK_SWEEPS,
@@ -61,7 +70,8 @@ def test_a_box_that_moves_and_turns_is_held_to_a_millimetre():
     )
     points = (world @ inverse(ego).T)[:, :3].astype(np.float32)
     classid, instance = np.full(8, 100, np.uint16), np.full(8, 3, np.uint16)
-    of = dynamic_objects(points, classid, stamp, ego, instance, Tracks([track]), late)
+    frame = frame_of(points, classid, late, instance=instance)
+    of = dynamic_objects(frame, stamp, ego, Tracks([track]))
     assert of.instances == (3,)
     assert of.times[0] == pytest.approx(stamp + 1e9 * late.astype(float).mean(), abs=10)
     held = np.c_[points + of.displacement, np.ones(8)] @ of.T_object_lidar[0].T
@@ -81,7 +91,7 @@ def test_objects_of_a_sweep_equal_a_plain_loop():
     classid = rng.choice([0, 50, 100, 251], 4000).astype(np.uint16)
     instance = rng.choice([0, 1, 2, 5, 9], 4000, p=[0.8, 0.05, 0.05, 0.05, 0.05]).astype(np.uint16)
     stamp, pose = int(trajectory.times[2]), trajectory.poses[2]
-    of = dynamic_objects(points, classid, stamp, pose, instance, tracks)
+    of = dynamic_objects(frame_of(points, classid, instance=instance), stamp, pose, tracks)
     carried = 0
     for i in range(len(points)):
         expected = int(instance[i]) if instance[i] in tracks else 0
@@ -98,9 +108,8 @@ def test_objects_of_a_sweep_equal_a_plain_loop():
             assert of.instances[of.object_index[i] - 1] == expected
     assert carried > 20
     shuffled = rng.permutation(4000)
-    again = dynamic_objects(
-        points[shuffled], classid[shuffled], stamp, pose, instance[shuffled], tracks
-    )
+    frame = frame_of(points[shuffled], classid[shuffled], instance=instance[shuffled])
+    again = dynamic_objects(frame, stamp, pose, tracks)
     np.testing.assert_array_equal(again.object_index, of.object_index[shuffled])
     assert again.instances == of.instances
 
@@ -227,7 +236,7 @@ def test_unassigned_points_stay_where_the_nearest_sweep_saw_them():
     order = rng.permutation(len(points))
     depths = []
     for some in (np.arange(len(points)), order):
-        frame = RenderSweep(points[some], classid[some], TRIANGLES)
+        frame = render_sweep(points[some], classid[some], TRIANGLES)
         asked = (
             *at(small_camera(), AXES, trajectory, 130_000_000),
             lambda _, f=frame: f,
@@ -304,11 +313,12 @@ def test_near_a_vehicle_its_neighbours_are_kept_also_across_the_seam():
     points = np.concatenate([points, box])
     of_box = np.arange(len(points)) >= 5000
     classid = np.where(of_box, 100, 50).astype(np.uint16)
-    kept = near_vehicles(points, classid, of_box.astype(np.uint16), Tracks([track]))
+    frame = frame_of(points, classid, instance=of_box.astype(np.uint16))
+    kept = near_vehicles(frame, Tracks([track]))
     across, up = np.abs(points[:, 1] / points[:, 0]), points[:, 2] / -points[:, 0]
     behind = points[:, 0] < 0
     assert kept[of_box].all()
     assert kept[behind & (across < 0.12) & (np.abs(up) < 0.12)].all()
     assert not kept[~behind].any()
     assert not kept[across > 0.2].any()
-    assert not near_vehicles(points, classid, None, Tracks([track])).any()
+    assert not near_vehicles(replace(frame, instance=None), Tracks([track])).any()

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import at
+from render_reference import at, render_sweep
 
 import docdepth._core as _core
 from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.render_sweep import RenderSweep
 
 F = np.float32
 TURN = 65536
@@ -179,7 +178,7 @@ def test_bars_of_a_fence_are_where_most_sweeps_measured_them():
         for pose in poses:
             ranges = fence_and_wall(directions, pose[0, 3])
             points = (directions * ranges[:, None])[(ranges > 0) & (ranges < 80)].astype(F)
-            frames.append(RenderSweep(points, np.full(len(points), 50, np.uint16), parameters))
+            frames.append(render_sweep(points, np.full(len(points), 50, np.uint16), parameters))
         depth = compose_depth(*at(camera, AXES, trajectory, 0), frames.__getitem__, parameters, 1)
         known = np.isfinite(depth)
         drawn[case] = known.mean()

@@ -14,6 +14,7 @@ from render_reference import (
     at,
     drive,
     reference,
+    render_sweep,
     small_camera,
     straight,
 )
@@ -23,7 +24,6 @@ from docdepth.errors import CalibrationError, ConfigError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.selection import dynamic_sweep, needed_sweeps, static_sweeps
 
 
@@ -57,14 +57,14 @@ def test_equals_plain_numpy_pixel_for_pixel(seed, sizes):
     assert np.isfinite(one).mean() > 0
 
 
-def frame_of(points, classid=50):
+def one_point(points, classid=50):
     points = np.asarray(points, dtype=np.float32).reshape(-1, 3)
-    return RenderSweep(points, np.full(len(points), classid, np.uint16), PAPER)
+    return render_sweep(points, np.full(len(points), classid, np.uint16), PAPER)
 
 
 def test_a_single_splat_is_an_upright_ellipse_of_constant_depth():
     camera = Camera(np.array([[100.0, 0, 40], [0, 100, 30], [0, 0, 1]]), 81, 61)
-    depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame_of([10, 0, 0]), PAPER)
+    depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: one_point([10, 0, 0]), PAPER)
     h = round(50 / np.log(100))  # 11 pixels high
     rows, columns = np.nonzero(np.isfinite(depth))
     assert (rows.min(), rows.max()) == (30 - h // 2, 30 + h // 2)
@@ -85,7 +85,7 @@ def test_near_moving_wall_hides_far_static_wall():
     near = wall(8.0)[np.abs(side.ravel()) < 2]
     points = np.concatenate([wall(20.0), near]).astype(np.float32)
     classid = np.repeat(np.array([50, 100], np.uint16), [side.size, len(near)])
-    frame = RenderSweep(points, classid, PAPER)
+    frame = render_sweep(points, classid, PAPER)
     depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame, PAPER)
     assert set(np.unique(depth)) == {8.0, 20.0}
     assert (depth[:, 60:100] == 8.0).all()
@@ -98,7 +98,7 @@ def test_points_behind_too_near_or_centred_outside_are_not_drawn():
     for point in ([-5, 0, 0], [0.1, 0, 0], [5, 5, 0], [5, -5, 0], [5, 0, 3], [5, 0, -3]):
         depth = compose_depth(
             *at(camera, AXES, straight(1), 0),
-            lambda _, p=point: frame_of(p),
+            lambda _, p=point: one_point(p),
             PAPER,
         )
         assert np.isnan(depth).all(), point
@@ -110,7 +110,7 @@ def test_moving_points_come_from_the_sweep_nearest_in_time_only():
 
     def frames(i):
         asked.append(i)
-        return frame_of([20 + i, 0, 0], classid=100)
+        return one_point([20 + i, 0, 0], classid=100)
 
     depth = compose_depth(*at(small_camera(), AXES, trajectory, 160_000_000), frames, PAPER)
     # Sweep 2 stands at 2 m and sees its point at 22 m; the camera stands at 1.6 m.
@@ -139,7 +139,7 @@ def test_a_standing_ego_is_drawn_from_the_sweep_nearest_in_time():
 
 @pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
 def test_no_points_give_no_depth(parameters):
-    empty = RenderSweep(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
+    empty = render_sweep(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
     assert np.isnan(
         compose_depth(*at(small_camera(), AXES, straight(2), 0), lambda _: empty, parameters)
     ).all()
@@ -147,23 +147,23 @@ def test_no_points_give_no_depth(parameters):
 
 def test_bad_input_is_refused():
     with pytest.raises(InputError, match="float32"):
-        RenderSweep(np.zeros((3, 3)), np.zeros(3, np.uint16))
+        render_sweep(np.zeros((3, 3)), np.zeros(3, np.uint16))
     with pytest.raises(InputError, match="one for each point"):
-        RenderSweep(np.zeros((3, 3), np.float32), np.zeros(2, np.uint16))
+        render_sweep(np.zeros((3, 3), np.float32), np.zeros(2, np.uint16))
     with pytest.raises(InputError, match="outside the trajectory"):
         compose_depth(
             *at(small_camera(), AXES, straight(2), -1),
-            lambda _: frame_of([5, 0, 0]),
+            lambda _: one_point([5, 0, 0]),
             PAPER,
         )
     with pytest.raises(InputError, match="not made for triangles"):
         compose_depth(
             *at(small_camera(), AXES, straight(2), 0),
-            lambda _: frame_of([5, 0, 0]),
+            lambda _: one_point([5, 0, 0]),
             TRIANGLES,
         )
     with pytest.raises(InputError, match="time_offset"):
-        RenderSweep(
+        render_sweep(
             np.zeros((3, 3), np.float32),
             np.zeros(3, np.uint16),
             time_offset=np.zeros(2, np.float32),
@@ -195,7 +195,7 @@ def test_the_crop_leaves_dynamic_points(parameters):
     unusable = [[np.inf, 1, 0], [np.nan, 0, 1], [1e30, 0, 0]]
     points = np.concatenate([board, unusable]).astype(np.float32)
     for classid, drawn in ((50, False), (99, False), (100, True)):
-        frame = RenderSweep(points, np.full(len(points), classid, np.uint16), near)
+        frame = render_sweep(points, np.full(len(points), classid, np.uint16), near)
         depth = compose_depth(*at(small_camera(), AXES, straight(1), 0), lambda _, f=frame: f, near)
         assert np.isfinite(depth).any() == drawn
         np.testing.assert_allclose(depth[np.isfinite(depth)], 20, rtol=1e-5)
@@ -222,7 +222,7 @@ def test_equals_plain_numpy_on_real_sweeps():
     trajectory = straight(len(sweeps), spacing=5.0)
     # Every tenth point is dynamic, so that both sizes occur.
     classes = [np.where(np.arange(len(s)) % 10, 50, 100).astype(np.uint16) for s in sweeps]
-    frames = [RenderSweep(s, c, PAPER) for s, c in zip(sweeps, classes, strict=True)]
+    frames = [render_sweep(s, c, PAPER) for s, c in zip(sweeps, classes, strict=True)]
     time = 20_000_000
     T_camera_world = AXES @ np.linalg.inv(trajectory.interpolate(time)[0])
     clouds = []
@@ -244,7 +244,7 @@ def test_scenes_of_700_metres(primitive):
     far = np.stack([np.full(y.shape, 690.0), y, z], axis=-1).reshape(-1, 3).astype(np.float32)
     beyond = far + np.float32([30, 200, 0])
     points = np.concatenate([far, beyond])
-    frame = RenderSweep(points, np.full(len(points), 50, np.uint16), parameters)
+    frame = render_sweep(points, np.full(len(points), 50, np.uint16), parameters)
     camera = Camera(np.array([[700.0, 0, 300], [0, 700, 60], [0, 0, 1]]), 601, 121)
     depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame, parameters)
     wall = depth[30:90, 270:330]

@@ -11,6 +11,7 @@ from render_reference import (
     drive,
     followed,
     moving_track,
+    render_sweep,
     small_camera,
     straight,
 )
@@ -18,7 +19,6 @@ from render_reference import (
 from docdepth.geometry.track import Tracks
 from docdepth.render import frame as frame_module
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.selection import STEP_GROWTH, static_sweeps
 
 
@@ -54,7 +54,7 @@ def test_triangles_of_a_plane_are_that_plane_without_cracks(planes):
     hit = ranges < 60
     points = (directions * ranges[:, None])[hit].astype(np.float32)
     camera = small_camera()
-    frame = RenderSweep(points, np.full(len(points), 50, np.uint16), TRIANGLES)
+    frame = render_sweep(points, np.full(len(points), 50, np.uint16), TRIANGLES)
     depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame, TRIANGLES)
     rays = pixel_rays(camera)
     exact, plane = meet(rays.reshape(-1, 3), planes)
@@ -161,7 +161,7 @@ def test_a_moving_box_is_drawn_where_it_was_at_the_time_of_the_image(is_followed
         classid = np.where(on_box[seen], 100, 50).astype(np.uint16)
         times = None if time_offset is None else np.full(len(points), time_offset, np.float32)
         if not is_followed:
-            return RenderSweep(points, classid, TRIANGLES, time_offset=times)
+            return render_sweep(points, classid, TRIANGLES, time_offset=times)
         return followed(points, classid, index, trajectory, track, TRIANGLES, times)
 
     frames = [frame(i) for i in range(4)]
@@ -218,7 +218,7 @@ def test_other_sweeps_fill_the_part_of_a_moving_box_behind_a_post():
     assert hidden.sum() > 50
     assert (np.abs(depth[hidden] - box_at) < 0.05).mean() > 0.95
     assert (np.abs(depth[inside] - box_at) < 0.05).mean() > 0.95
-    frames[:] = [RenderSweep(*seen(i), TRIANGLES) for i in range(7)]
+    frames[:] = [render_sweep(*seen(i), TRIANGLES) for i in range(7)]
     alone = compose_depth(*asked)
     assert not (np.abs(alone[hidden] - box_at) < 0.05).mean() > 0.9
 
@@ -255,7 +255,7 @@ def test_a_moving_box_ends_close_to_its_last_ring():
 def test_an_isolated_return_is_a_small_diamond(monkeypatch):
     camera = small_camera()
     monkeypatch.setattr(frame_module, "ISOLATED_SIZE_DEG", 3.0)
-    frame = RenderSweep(np.array([[10, 0, 0]], np.float32), np.array([50], np.uint16), TRIANGLES)
+    frame = render_sweep(np.array([[10, 0, 0]], np.float32), np.array([50], np.uint16), TRIANGLES)
     depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame, TRIANGLES)
     u, v = np.meshgrid(np.arange(160) - camera.K[0, 2], np.arange(60) - camera.K[1, 2])
     half = np.radians(3.0)

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from render_reference import AXES, PAPER, TRIANGLES, at, small_camera, straight
+from render_reference import AXES, PAPER, TRIANGLES, at, render_sweep, small_camera, straight
 
 from command_line import cli
 from docdepth.config import Parameters, parameters
@@ -20,7 +20,6 @@ from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.scene import Scene, render_depth, render_layers
 from docdepth.render.selection import needed_sweeps
 
@@ -148,7 +147,7 @@ def test_plain_arrays_are_a_scene():
     trajectory, camera = straight(4), camera_of([130_000_000])
     for values in (parameters("default"), parameters("paper")):
         frames = [
-            RenderSweep(p[u], c[u], values.render)
+            render_sweep(p[u], c[u], values.render)
             for p, c, u in zip(points, classes, usable, strict=True)
         ]
         expected = compose_depth(

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, PAPER, TRIANGLES, at, followed, moving_track, straight
+from render_reference import (
+    AXES,
+    PAPER,
+    TRIANGLES,
+    at,
+    followed,
+    moving_track,
+    render_sweep,
+    straight,
+)
 
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Tracks
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.layers import AGREED, CONTRADICTED, NOT_LOOKED_AT, compose_layers
-from docdepth.render.render_sweep import RenderSweep
 
 GROUND, WALL = -1.7, 25.0
 LOW, HIGH = -22.0, 6.0  # field of view [deg]
@@ -61,7 +69,7 @@ def street(post=0.0, n=4):
     sweeps = [sweep(float(i), post) for i in range(n)]
     static = [np.full(len(points), 50, np.uint16) for points, _ in sweeps]
     frames = [
-        RenderSweep(points, c, TRIANGLES) for (points, _), c in zip(sweeps, static, strict=True)
+        render_sweep(points, c, TRIANGLES) for (points, _), c in zip(sweeps, static, strict=True)
     ]
     return sweeps, frames, straight(n)
 
@@ -112,7 +120,7 @@ def test_rays_long_before_or_after_the_image_do_not_count():
     classid = np.full(len(points), 50, np.uint16)
     late = np.where(left, 0.12, 0.08).astype(np.float32)
     exact, _ = ranges_to(pixel_rays(CAMERA), 0.0, None)
-    frame = RenderSweep(points, classid, TRIANGLES, time_offset=late)
+    frame = render_sweep(points, classid, TRIANGLES, time_offset=late)
     found = seen_of(exact, [frame], straight(1), time=0)
     columns = np.arange(CAMERA.width)
     middle = slice(25, 60)
@@ -226,7 +234,7 @@ def test_a_moving_box_is_compared_with_rays_that_move_with_it():
 
 
 def test_splats_have_no_such_layer():
-    frame = RenderSweep(np.ones((3, 3), np.float32), np.full(3, 50, np.uint16), PAPER)
+    frame = render_sweep(np.ones((3, 3), np.float32), np.full(3, 50, np.uint16), PAPER)
     depth = np.full((CAMERA.height, CAMERA.width), np.nan, np.float32)
     with pytest.raises(InputError, match="leave the layer seen out"):
         compose_layers(

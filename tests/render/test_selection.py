@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, PAPER, TRIANGLES, at, moving_track, small_camera
+from render_reference import AXES, PAPER, TRIANGLES, at, moving_track, render_sweep, small_camera
 
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
-from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.selection import (
     STEP_GROWTH,
     _roundest,
@@ -101,7 +100,7 @@ class Watched(Trajectory):
 @pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
 def test_an_image_costs_the_same_however_long_the_drive_is(parameters):
     trajectory = random_drive(np.random.default_rng(9), 500)
-    empty = RenderSweep(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
+    empty = render_sweep(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
     watched = Watched(trajectory.times, trajectory.poses)
     object.__setattr__(watched, "kept", trajectory.arc_length)
     object.__setattr__(watched, "poses", trajectory.poses.view(Whole))

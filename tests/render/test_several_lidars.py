@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, at, moving_track, small_camera, straight
+from render_reference import AXES, at, frame_of, moving_track, render_sweep, small_camera, straight
 
 from docdepth.config import RenderParameters
 from docdepth.geometry.sensor_rig import SensorRig
@@ -45,9 +45,10 @@ def scene_of(trajectory, track, places, shown=range(9)):
         points, classid = (np.concatenate(of) for of in zip(*seen, strict=True))
         index = np.repeat(np.arange(len(places), dtype=np.uint8), [len(of) for of, _ in seen])
         instance = np.where(classid == 100, track.id, 0).astype(np.uint16)
-        objects = dynamic_objects(points, classid, int(time), pose, instance, Tracks([track]))
         rig = SensorRig(index, T) if len(places) > 1 else None
-        frames.append(RenderSweep(points, classid, sensor_rig=rig, objects=objects))
+        frame = frame_of(points, classid, sensor_rig=rig, instance=instance)
+        objects = dynamic_objects(frame, int(time), pose, Tracks([track]))
+        frames.append(RenderSweep(frame, objects=objects))
     return frames
 
 
@@ -114,4 +115,4 @@ def test_the_lidar_with_most_returns_of_an_object_comes_first():
     for share, order in ((0.0, [2]), (0.3, [2, 0]), (0.7, [0, 2]), (1.0, [0])):
         index = np.arange(len(points), dtype=np.uint8) % 3
         index[rows] = np.where(np.arange(len(rows)) < share * len(rows), 0, 2)
-        assert RenderSweep(points, classid, sensor_rig=SensorRig(index, T)).seen_by(1) == order
+        assert render_sweep(points, classid, sensor_rig=SensorRig(index, T)).seen_by(1) == order

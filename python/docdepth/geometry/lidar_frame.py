@@ -54,8 +54,8 @@ class LidarFrame(ShortRepr):
         return len(self.points)
 
     @property
-    def ground(self) -> NDArray[np.bool_]:
-        """Which points are ground, by their classes, (N,).
+    def classes(self) -> NDArray[np.uint16]:
+        """``classid``, which must be there.
 
         Raises
         ------
@@ -64,7 +64,12 @@ class LidarFrame(ShortRepr):
         """
         if self.classid is None:
             raise InputError(f"sweep {self.name} has no classes")
-        return np.asarray(self.classid < STATIC)
+        return self.classid
+
+    @property
+    def ground(self) -> NDArray[np.bool_]:
+        """Which points are ground, by :attr:`classes`, (N,)."""
+        return np.asarray(self.classes < STATIC)
 
     def select(self, rows: NDArray[np.bool_]) -> LidarFrame:
         """The frame with some of its points."""

@@ -140,10 +140,7 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress | None = 
         kept = (classid < DYNAMIC) & np.isfinite(record.points).all(axis=1)
         points = record.points[kept].astype(np.float64)
         world.add(points @ pose[:3, :3].T + pose[:3, 3], classid[kept] < STATIC)
-        found = dynamic_objects(
-            record.points, classid, int(trajectory.times[k]), pose,
-            record.instance, tracks, record.time_offset,
-        )  # fmt: skip
+        found = dynamic_objects(record, int(trajectory.times[k]), pose, tracks)
         for number, of in enumerate(found.instances):
             if not of:
                 continue

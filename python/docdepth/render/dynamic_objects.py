@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import Track, Tracks
@@ -64,13 +65,10 @@ class DynamicObjects:
 
 
 def dynamic_objects(
-    points: NDArray[np.float32],
-    classid: NDArray[np.uint16],
+    frame: LidarFrame,
     time: int = 0,
     T_world_lidar: NDArray[np.float64] | None = None,
-    instance: NDArray[np.uint16] | None = None,
     tracks: Tracks | None = None,
-    time_offset: NDArray[np.float32] | None = None,
     is_drawn: Callable[[int, int], bool] | None = None,
 ) -> DynamicObjects:
     """Divide the dynamic points of a sweep into objects, each held at one time.
@@ -80,24 +78,21 @@ def dynamic_objects(
 
     Parameters
     ----------
-    points : ndarray of float32, shape (N, 3)
-        LiDAR frame, deskewed with the motion of the LiDAR [m].
-    classid : ndarray of uint16, shape (N,)
+    frame : LidarFrame
+        With classes. Its points are deskewed with the motion of the LiDAR alone. Where it has
+        instances, they are ids of ``tracks``.
     time : int
         Stamp of the sweep [ns].
     T_world_lidar : ndarray of float64, shape (4, 4)
         Pose at the stamp. It and ``time`` matter for tracks only.
-    instance : ndarray of uint16, shape (N,), optional
-        Id of the track of each point, 0 = none.
     tracks : Tracks, optional
-    time_offset : ndarray of float32, shape (N,), optional
-        Seconds from the stamp to each measurement.
     is_drawn : callable, optional
         Whether images draw what was seen of a track, given its id, at a time [ns]; they draw all
         tracks if absent.
     """
+    points, instance, time_offset = frame.points, frame.instance, frame.time_offset
     tracks = tracks or Tracks()
-    rows = np.flatnonzero(classid >= DYNAMIC)
+    rows = np.flatnonzero(frame.classes >= DYNAMIC)
     ids = np.zeros(len(rows), np.int64)
     delay = np.zeros(len(rows)) if time_offset is None else time_offset[rows].astype(np.float64)
     pose = np.eye(4) if T_world_lidar is None else T_world_lidar

@@ -37,21 +37,15 @@ class RenderSweep:
 
     Parameters
     ----------
-    points : ndarray of float32, shape (N, 3)
-        Metres, LiDAR frame, deskewed to the sweep's time. Points that are not finite are left out.
-    classid : ndarray of uint16, shape (N,)
-        Class of each point: ground below 50, static below 100, dynamic from 100 on.
+    frame : LidarFrame
+        With classes. Points that are not finite are left out. Times and the sensor rig are used by
+        triangles only; each of several LiDARs gets a mesh and rays of its own.
     parameters : RenderParameters, optional
         ``primitive`` and ``crop`` are used; give the same to
         :func:`~docdepth.render.depth_map.compose_depth`.
-    time_offset : ndarray of float32, shape (N,), optional
-        Seconds from the sweep's time to each measurement. Used by triangles only.
-    sensor_rig : SensorRig, optional
-        Where each point was measured from; the origin if absent. Each of several LiDARs gets a mesh
-        and rays of its own. Used by triangles only.
     velocity : array_like of float64, shape (3,), optional
-        Velocity of the LiDAR in its own frame, m/s (:meth:`Trajectory.velocity`). Together with
-        ``time_offset`` it gives each return its own ray origin.
+        Velocity of the LiDAR in its own frame, m/s (:meth:`Trajectory.velocity`). Together with the
+        times it gives each return its own ray origin.
     objects : DynamicObjects, optional
         To which object each dynamic point belongs
         (:func:`~docdepth.render.dynamic_objects.dynamic_objects`). If absent, none is followed.
@@ -75,20 +69,13 @@ class RenderSweep:
 
     def __init__(
         self,
-        points: NDArray[np.float32],
-        classid: NDArray[np.uint16],
+        frame: LidarFrame,
         parameters: RenderParameters | None = None,
-        time_offset: NDArray[np.float32] | None = None,
-        sensor_rig: SensorRig | None = None,
         velocity: ArrayLike | None = None,
         objects: DynamicObjects | None = None,
     ) -> None:
-        points, classid = _checked(points, classid)
-        if time_offset is not None and time_offset.shape != (len(points),):
-            raise InputError(
-                f"time_offset must have shape ({len(points)},), one for each point; "
-                f"got {time_offset.shape}"
-            )
+        points, classid = _checked(frame)
+        time_offset, sensor_rig = frame.time_offset, frame.sensor_rig
         p = parameters or RenderParameters()
         drawn = _within_crop(points, classid, p.crop)
         if p.primitive == "splats":
@@ -101,7 +88,7 @@ class RenderSweep:
             sensor_rig = rig.with_ego_motion(velocity, time_offset)
         if sensor_rig is not None:
             sensor_rig = sensor_rig.select(drawn)
-        objects = objects or dynamic_objects(points, classid, time_offset=time_offset)
+        objects = objects or dynamic_objects(frame)
         if objects.object_index.shape != (len(points),):
             raise InputError(
                 f"objects are of {len(objects.object_index)} points, but there are {len(points)}"
@@ -164,23 +151,15 @@ def prepare_sweep(
     InputError
         A shape or dtype is wrong, or the sweep has no classes.
     """
-    if frame.classid is None:
-        raise InputError(f"sweep {frame.name} has no classes")
     if not whole:
-        near = near_vehicles(frame.points, frame.classid, frame.instance, tracks or Tracks())
-        frame = frame.select(near)
-    points, classid, late = frame.points, frame.classid, frame.time_offset
-    assert classid is not None
+        frame = frame.select(near_vehicles(frame, tracks or Tracks()))
     time, pose = int(trajectory.times[index]), trajectory.poses[index]
-    objects = dynamic_objects(points, classid, time, pose, frame.instance, tracks, late, is_drawn)
-    velocity = trajectory.velocity(index)
-    return RenderSweep(points, classid, parameters, late, frame.sensor_rig, velocity, objects)
+    objects = dynamic_objects(frame, time, pose, tracks, is_drawn)
+    return RenderSweep(frame, parameters, trajectory.velocity(index), objects)
 
 
-def _checked(
-    points: NDArray[np.float32], classid: NDArray[np.uint16]
-) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-    points, classid = np.asarray(points), np.asarray(classid)
+def _checked(frame: LidarFrame) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
+    points, classid = np.asarray(frame.points), np.asarray(frame.classes)
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
         raise InputError(
             f"points must be float32 of shape (N, 3), got {points.dtype} {points.shape}"
@@ -189,6 +168,11 @@ def _checked(
         raise InputError(
             f"classid must be uint16 of shape ({len(points)},), one for each point; "
             f"got {classid.dtype} {classid.shape}"
+        )
+    if frame.time_offset is not None and frame.time_offset.shape != (len(points),):
+        raise InputError(
+            f"time_offset must have shape ({len(points)},), one for each point; "
+            f"got {frame.time_offset.shape}"
         )
     return np.ascontiguousarray(points), np.ascontiguousarray(classid)
 

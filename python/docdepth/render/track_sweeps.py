@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track, Tracks
@@ -111,19 +112,15 @@ def _reach(track: Track, trajectory: Trajectory, sweep: NDArray[np.int64]) -> Fl
     return np.asarray(met[:, 2] - places[:, 2])
 
 
-def near_vehicles(
-    points: NDArray[np.float32],
-    classid: NDArray[np.uint16],
-    instance: NDArray[np.uint16] | None,
-    tracks: Tracks,
-) -> NDArray[np.bool_]:
+def near_vehicles(frame: LidarFrame, tracks: Tracks) -> NDArray[np.bool_]:
     """Which points of a sweep lie on or beside a vehicle as the LiDAR sees it; shape (N,)."""
+    points, instance = frame.points, frame.instance
     kept = np.zeros(len(points), np.bool_)
     if instance is None:
         return kept
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
-    own = np.where(classid >= DYNAMIC, instance, 0)
+    own = np.where(frame.classes >= DYNAMIC, instance, 0)
     for of in np.unique(own[own > 0]).tolist():
         if of not in tracks or tracks[of].kind != "vehicle":
             continue
