@@ -17,7 +17,7 @@ from render_reference import (
 )
 
 from docdepth.geometry.track import Tracks
-from docdepth.render import frame as frame_module
+from docdepth.render import render_sweep as render_sweep_module
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.selection import STEP_GROWTH, static_sweeps
 
@@ -254,7 +254,7 @@ def test_a_moving_box_ends_close_to_its_last_ring():
 
 def test_an_isolated_return_is_a_small_diamond(monkeypatch):
     camera = small_camera()
-    monkeypatch.setattr(frame_module, "ISOLATED_SIZE_DEG", 3.0)
+    monkeypatch.setattr(render_sweep_module, "ISOLATED_SIZE_DEG", 3.0)
     frame = render_sweep(np.array([[10, 0, 0]], np.float32), np.array([50], np.uint16), TRIANGLES)
     depth = compose_depth(*at(camera, AXES, straight(1), 0), lambda _: frame, TRIANGLES)
     u, v = np.meshgrid(np.arange(160) - camera.K[0, 2], np.arange(60) - camera.K[1, 2])

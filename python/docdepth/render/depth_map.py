@@ -66,31 +66,19 @@ def compose_depth(
     p, tracks, camera = parameters or RenderParameters(), tracks or Tracks(), view.camera
     core = (renderer or Renderer()).core
     drawn = render_list(view, trajectory, sweeps, p, tracks)
+    K, width, height = camera.K, camera.width, camera.height
     depth: NDArray[np.float32]
     if p.primitive == "splats":
         depth = core.render_splats(
-            K=camera.K,
-            width=camera.width,
-            height=camera.height,
-            static_frames=drawn.static,
-            dynamic_frames=drawn.dynamic,
-            static_size=p.static_size,
-            dynamic_size=p.dynamic_size,
-            threads=threads,
+            K, width, height, drawn.static, drawn.dynamic, p.static_size, p.dynamic_size, threads
         )
     else:
+        boxes = boxes_in_view(view, trajectory, tracks) if tracks else []
+        nearest = len(sweeps(trajectory.nearest(view.time)).parts)
         depth = core.render_meshes(
-            K=camera.K,
-            width=camera.width,
-            height=camera.height,
-            static_frames=drawn.static,
-            shutter_frames=drawn.around,
-            objects=drawn.objects,
-            boxes=boxes_in_view(view, trajectory, tracks) if tracks else [],
-            visibility_sweeps=drawn.visibility,
-            nearest_frames=len(sweeps(trajectory.nearest(view.time)).parts),
-            threads=threads,
-        )
+            K, width, height, drawn.static, drawn.objects, drawn.visibility,
+            threads, drawn.around, boxes, nearest,
+        )  # fmt: skip
     # The nearest depth wins, so cutting the map at the far plane is cutting the points.
     depth[depth > p.max_depth] = np.nan
     return depth

@@ -121,31 +121,17 @@ def _gather(
     threads: int,
 ) -> dict[str, NDArray[Any]]:
     """The layers of the core; ``sweep`` is the number of a part."""
-    camera = view.camera
+    K, width, height = view.camera.K, view.camera.width, view.camera.height
     if p.primitive == "splats":
+        sizes = p.static_size, p.dynamic_size
         return _core.splat_layers(
-            K=camera.K,
-            width=camera.width,
-            height=camera.height,
-            static_frames=drawn.static,
-            dynamic_frames=drawn.dynamic,
-            static_size=p.static_size,
-            dynamic_size=p.dynamic_size,
-            depth=depth,
-            threads=threads,
+            K, width, height, drawn.static, drawn.dynamic, *sizes, depth, threads
         )
+    seen = "seen" in names or "confidence" in names
     return _core.mesh_layers(
-        K=camera.K,
-        width=camera.width,
-        height=camera.height,
-        static_frames=drawn.static,
-        shutter_frames=drawn.around,
-        objects=drawn.objects,
-        visibility_sweeps=drawn.visibility,
-        seen="seen" in names or "confidence" in names,
-        depth=depth,
-        threads=threads,
-    )
+        K, width, height, drawn.static, drawn.objects, drawn.visibility,
+        depth, threads, drawn.around, seen,
+    )  # fmt: skip
 
 
 def check_layers(names: Sequence[str], parameters: RenderParameters) -> None:
