@@ -48,7 +48,7 @@ from docdepth.geometry.se3 import inverse
 from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import stage_key
 from docdepth.render.scene import Scene, render_depth
-from docdepth.tuning import LabelJudge, Trial, read_trials, tune
+from docdepth.tuning import Judge, Trial, read_trials, tune
 
 
 def _splats(share: float) -> dict[str, Any]:
@@ -79,7 +79,8 @@ def label_rows(
 ) -> dict[str, Row]:
     """Metrics of the classes of each trial."""
     run, sequence = cell.run(), cell.sequence()
-    outcomes = tune(run.path, LabelJudge(sequence), trials, out / cell.name, jobs, threads)
+    judge = Judge("labels", sequence)
+    outcomes = tune([run.path], [judge], trials, out / cell.name, jobs, threads)
     rows = {}
     for outcome in outcomes:
         row = {name: outcome.metric(name) for name in ("sa", "da", "f1", "precision", "iou")}

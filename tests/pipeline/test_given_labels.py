@@ -286,7 +286,7 @@ def test_parameters_of_classes_cannot_be_tuned(root, other, tmp_path):
     ended = cli("tune", tmp_path / "run", "-o", tmp_path / "out",
                 "--vary", "dynamics.tolerance=0.1,0.2")  # fmt: skip
     assert ended.exit_code == 2
-    assert "are given (--labels), not found" in str(ended.exception)
+    assert "are given, not found" in str(ended.exception)
 
 
 def test_rows_of_tracks_are_cut_to_the_letter(tmp_path):

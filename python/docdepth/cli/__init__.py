@@ -22,7 +22,8 @@ from docdepth.cli import (
     stages,
     status,
     support,
-    truth,
+    synth,
+    tune,
 )
 from docdepth.cli.failures import STOPPED, report
 from docdepth.cli.terminal import Quiet, Verbose, app, out, print_any_path, set_volume
@@ -39,7 +40,8 @@ __all__ = [
     "stages",
     "status",
     "support",
-    "truth",
+    "synth",
+    "tune",
 ]
 
 

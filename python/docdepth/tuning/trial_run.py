@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 from docdepth.config import Parameters
@@ -15,11 +14,10 @@ from docdepth.pipeline.classify import run_classify
 from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.render import run_render
 from docdepth.pipeline.run_inputs import known_poses, open_recording, register, run_cameras
-from docdepth.tuning.judges import Judge
+from docdepth.tuning.judge import Judge
 
-_RESULTS = ("frames", "labels", "cameras", "depth", "layers", "report")
-_NOTES = ("ground", "tracks")
-"""Folders that a trial shares with the run. Odometry's checkpoints belong to its parameters."""
+_NOT_SHARED = ("run.yaml", "lock", "records", "odometry", "map")
+"""Odometry's checkpoints belong to its parameters; records and run.yaml are copied."""
 
 
 def make_trial(
@@ -42,18 +40,10 @@ def make_trial(
         Folder of the trial; begun anew unless ``key`` made it.
     source : RunFolder
         The run.
-    parameters : Parameters
     varied : set of str
         Dotted names of what the trial sets; they win over the own settings of a camera.
     key : str
-        Hash of everything that the results depend on.
-    judge : Judge
-    threads : int
-        0 uses all cores.
-
-    Returns
-    -------
-    RunFolder
+        Hash of everything that the score depends on.
     """
     trial = RunFolder(path)
     if trial.manifest.get("trial") != key:
@@ -63,7 +53,7 @@ def make_trial(
         recording = open_recording(inputs)
         run_odometry(trial, recording, known_poses(inputs, recording), threads=threads)
     run_classify(trial, threads)
-    if judge.needs_maps:
+    if judge.by == "depth":
         recording = open_recording(inputs) if inputs.get("dataset") else RunDataset(path)
         if not trial.cameras:
             register(trial, list(recording.cameras.values()))
@@ -79,10 +69,13 @@ def _begin(
     """A copy of a run with other parameters, whose results are links."""
     shutil.rmtree(path, ignore_errors=True)
     root = source.path.resolve()
-    for file in _shared_files(root, source.notes.resolve()):
-        link = path / file.relative_to(root)
-        link.parent.mkdir(parents=True, exist_ok=True)
-        link.symlink_to(file)
+    notes = source.notes.resolve()
+
+    def not_shared(folder: str, names: list[str]) -> list[str]:
+        top = Path(folder) in (root, notes)
+        return [name for name in names if top and name in _NOT_SHARED]
+
+    shutil.copytree(root, path, copy_function=os.symlink, ignore=not_shared)
     records = source.notes / "records"
     trial = RunFolder(path)
     if records.is_dir():
@@ -100,13 +93,3 @@ def _begin(
         }
     trial.save()  # last: without it, the trial is begun anew
     return trial
-
-
-def _shared_files(root: Path, notes: Path) -> Iterator[Path]:
-    for folder in [*(root / name for name in _RESULTS), *(notes / name for name in _NOTES)]:
-        for inside, _, names in os.walk(folder):
-            yield from (Path(inside) / name for name in names)
-    for folder in (root, notes):
-        for file in folder.iterdir() if folder.is_dir() else ():
-            if file.is_file() and file.name not in ("run.yaml", "lock"):
-                yield file

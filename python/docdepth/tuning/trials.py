@@ -35,6 +35,28 @@ class Trial:
     settings: dict[str, Any]
     given: str = field(default="", compare=False)
 
+    def refused(self, why: str) -> ConfigError:
+        """The error for this trial, which says where it was given."""
+        return ConfigError(f"{self.given or f'trial {self.name!r}'}: {why}")
+
+    def parameters(self, base: Parameters) -> Parameters:
+        """Parameters of the run, or of a preset, with the settings of the trial.
+
+        Raises
+        ------
+        ConfigError
+            A name is unknown, or a value is out of range.
+        """
+        settings = dict(self.settings)
+        preset = settings.pop("preset", None)
+        try:
+            if preset is None:
+                return replaced(base, settings)
+            output = {f"output.{name}": value for name, value in base.output.model_dump().items()}
+            return parameters(preset, output | settings)
+        except ConfigError as error:
+            raise self.refused(str(error)) from None
+
 
 def grid(axes: Mapping[str, Sequence[Any]], given: str = "") -> list[Trial]:
     """All combinations of the given values.
@@ -56,33 +78,6 @@ def grid(axes: Mapping[str, Sequence[Any]], given: str = "") -> list[Trial]:
     return trials
 
 
-def parse_axes(assignments: Sequence[str]) -> dict[str, list[Any]]:
-    """Turn ``["dynamics.tolerance=0.1,0.2"]`` into the axes of a :func:`grid`.
-
-    Raises
-    ------
-    ConfigError
-        An assignment has no equals sign or no value, or its values are no YAML.
-    """
-    axes: dict[str, list[Any]] = {}
-    for assignment in assignments:
-        name, equals, text = assignment.partition("=")
-        if not equals:
-            raise ConfigError(f"--vary {assignment!r}: write stage.name=value,value")
-        try:
-            values = read_yaml(f"[{text}]")
-        except (yaml.YAMLError, ValueError, RecursionError):
-            values = None
-        if not values:
-            raise ConfigError(
-                f"--vary {assignment!r}: the values {text!r} cannot be read; write numbers, words "
-                "or lists such as [50, 3] with commas between them"
-            )
-        known = axes.setdefault(name.strip(), [])
-        known += [value for k, value in enumerate(values) if value not in known + values[:k]]
-    return axes
-
-
 def read_trials(path: Path) -> list[Trial]:
     """Read trials from a YAML file of lines ``NAME: {stage.parameter: value}``.
 
@@ -102,60 +97,6 @@ def read_trials(path: Path) -> list[Trial]:
         Trial(str(name), dict(settings or {}), f"{path}, trial {str(name)!r}")
         for name, settings in tree.items()
     ]
-
-
-def parameters_of(base: Parameters, trial: Trial) -> Parameters:
-    """Parameters of a trial: those of the run, or of a preset, with the settings of the trial.
-
-    Raises
-    ------
-    ConfigError
-        A name is unknown, or a value is out of range.
-    """
-    settings = dict(trial.settings)
-    preset = settings.pop("preset", None)
-    try:
-        if preset is not None:
-            output = {f"output.{name}": value for name, value in base.output.model_dump().items()}
-            return parameters(preset, output | settings)
-        return replaced(base, settings)
-    except ConfigError as error:
-        raise refused(trial, str(error)) from None
-
-
-def check_stages(trial: Trial, stages: Sequence[str], what: str) -> None:
-    """Refuse parameters that cannot change what the judge looks at.
-
-    Parameters
-    ----------
-    trial : Trial
-    stages : sequence of str
-        Whose parameters can.
-    what : str
-        The judge looks at: ``labels`` or ``depth``.
-
-    Raises
-    ------
-    ConfigError
-    """
-    for name in trial.settings:
-        stage = name.partition(".")[0]
-        if stage == "output":
-            raise refused(
-                trial,
-                f"{name} changes the files that are written, not the depth in them; leave it out",
-            )
-        if name != "preset" and stage not in stages:
-            raise refused(
-                trial,
-                f"{name} does not change {what}; judge by true depth (--depth DIR) or by sweeps "
-                "that are left out (--held-out N)",
-            )
-
-
-def refused(trial: Trial, why: str) -> ConfigError:
-    """The error for a trial, which says where it was given."""
-    return ConfigError(f"{trial.given or f'trial {trial.name!r}'}: {why}")
 
 
 def _is_set(settings: Any) -> bool:

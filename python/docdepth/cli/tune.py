@@ -1,0 +1,157 @@
+"""The verb that tries many parameter sets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+import yaml
+
+from docdepth._parameter_text import read_yaml
+from docdepth.cli.options import OneCamera, Threads
+from docdepth.cli.progress import progress_bars
+from docdepth.cli.terminal import app, out, verb
+from docdepth.errors import ConfigError, MissingExtraError
+
+if TYPE_CHECKING:
+    from docdepth.tuning import Judge
+
+LabelJudgeFolders = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--labels",
+        metavar="DIR",
+        help="Judge by true labels, as evaluate labels does: parameters of odometry, ground and "
+        "dynamics. One for each run, in the same order.",
+    ),
+]
+DepthJudgeFolders = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--depth",
+        metavar="DIR",
+        help="Judge by true depth maps, as evaluate depth does. One for each run.",
+    ),
+]
+HeldOutSweeps = Annotated[
+    int | None,
+    typer.Option(
+        "--held-out",
+        min=1,
+        metavar="N",
+        help="Judge by every N-th sweep, left out of the depth that it judges, as evaluate "
+        "held-out does: needs no truth. Chosen with N = 10 if no other judge is.",
+    ),
+]
+
+
+@verb(app)
+def tune(
+    runs: Annotated[
+        list[Path], typer.Argument(metavar="RUN...", help="Run folders, one or several drives.")
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", metavar="OUT", help="Folder for the results: table, CSV and plot."
+        ),
+    ],
+    label_folders: LabelJudgeFolders = None,
+    depth_folders: DepthJudgeFolders = None,
+    every: HeldOutSweeps = None,
+    camera: OneCamera = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="STAGE.NAME=A,B,C",
+            help="Values to try of a parameter of odometry, ground, dynamics or render; repeated, "
+            "all are combined.",
+        ),
+    ] = None,
+    trials: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="YAML of parameter sets, one a line: NAME: {stage.name: value}."
+        ),
+    ] = None,
+    jobs: Annotated[
+        int, typer.Option(min=1, max=1024, metavar="N", help="Parameter sets to try at a time.")
+    ] = 1,
+    threads: Threads = 0,
+) -> None:
+    """Make runs again with many parameter sets, score each, write a table, CSV and a plot.
+
+    Only what the parameters change is made again, in folders of its own: the runs stay as they are.
+    The same command continues a search that was interrupted. The table and the plot show the means
+    over several runs, tune.csv each run.
+
+      docdepth tune RUN -o out --vary render.behind=5,15
+      docdepth tune RUN1 RUN2 RUN3 -o out --vary render.behind=5,15
+      docdepth tune RUN --labels DIR -o out --vary dynamics.tolerance=0.1,0.2
+    """
+    from docdepth import tuning
+
+    judges = _judges(len(runs), label_folders, depth_folders, every, camera)
+    if bool(vary) == bool(trials):
+        raise ConfigError("say what to vary: --vary STAGE.NAME=A,B or --trials FILE")
+    sets = tuning.read_trials(trials) if trials else tuning.grid(parse_axes(vary or []), "--vary")
+    with progress_bars() as progress:
+        told = partial(progress, "trials")
+        outcomes = tuning.tune(runs, judges, sets, output, jobs, threads, told)
+    by = judges[0].by
+    table = tuning.table(outcomes, by)
+    out.print(str(table), soft_wrap=True, markup=False)
+    (output / "tune.md").write_text(table.markdown(), encoding="utf-8")
+    try:
+        tuning.plot(outcomes, by, output / "tune.png")
+    except MissingExtraError as error:
+        out.print(f"no plot: {error}", markup=False)
+
+
+def parse_axes(assignments: Sequence[str]) -> dict[str, list[Any]]:
+    """Turn ``["dynamics.tolerance=0.1,0.2"]`` into the axes of a grid."""
+    axes: dict[str, list[Any]] = {}
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        if not equals:
+            raise ConfigError(f"--vary {assignment!r}: write stage.name=value,value")
+        try:
+            values = read_yaml(f"[{text}]")
+        except (yaml.YAMLError, ValueError, RecursionError):
+            values = None
+        if not values:
+            raise ConfigError(
+                f"--vary {assignment!r}: the values {text!r} cannot be read; write numbers, words "
+                "or lists such as [50, 3] with commas between them"
+            )
+        known = axes.setdefault(name.strip(), [])
+        known += [value for k, value in enumerate(values) if value not in known + values[:k]]
+    return axes
+
+
+def _judges(
+    count: int,
+    labels: list[Path] | None,
+    depth: list[Path] | None,
+    every: int | None,
+    camera: str | None,
+) -> list[Judge]:
+    """The judge that the options choose, for each run."""
+    from docdepth.tuning import Judge
+
+    if sum(bool(option) for option in (labels, depth, every)) > 1:
+        raise ConfigError("choose one judge: --labels DIR, --depth DIR or --held-out N")
+    truths = labels or depth
+    if truths and len(truths) != count:
+        raise ConfigError(
+            f"{count} runs and {len(truths)} folders of truth: name one for each run, in the same "
+            "order"
+        )
+    if labels and camera is not None:
+        raise ConfigError("labels are the same for every camera; leave --camera out")
+    if truths:
+        return [Judge("labels" if labels else "depth", folder, camera) for folder in truths]
+    return [Judge(camera=camera, every=every or 10)] * count
