@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import docdepth
-from docdepth.evaluation.causes import causes
+from docdepth.diagnostics.error_sources import find_error_sources
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.io.tracks import read_tracks
 
@@ -297,7 +297,7 @@ def test_labels_and_depth_are_those_of_a_run(drive: Path, finished: tuple[Path, 
 def test_figures_take_a_run_or_its_path(finished: tuple[Path, str]) -> None:
     run = docdepth.RunFolder.open(finished[0])
     assert docdepth.RunFolder.open(run) is run
-    figures = [causes(one) for one in (run, run.path, str(run.path))]
+    figures = [find_error_sources(one) for one in (run, run.path, str(run.path))]
     assert len({str(found) for found in figures}) == 1
     held_out = [evaluate_held_out(one, every=2) for one in (run, run.path, str(run.path))]
     assert len({str(found.as_dict()) for found in held_out}) == 1

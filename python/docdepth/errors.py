@@ -6,9 +6,10 @@ A remedy is a sentence. What it names of Python stands in backticks, as in ``lea
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -49,7 +50,9 @@ def _copy(kind: type[DocDepthError], args: tuple[Any, ...], rest: dict[str, Any]
 
 
 def _sentence(text: str, remedy: str) -> str:
-    return "; ".join(part for part in (text, remedy) if part)
+    if not text.endswith("?"):
+        return "; ".join(part for part in (text, remedy) if part)
+    return f"{text} {remedy[:1].upper()}{remedy[1:]}".rstrip()
 
 
 class InputError(DocDepthError, ValueError):
@@ -126,26 +129,26 @@ class Finding:
     ----------
     code : str
         Kind of problem, for programs.
-    severity : {"error", "warning", "note"}
-        With an error a run would fail or give nothing of use. A note is unusual, but no problem.
     subject : str
-        What it is about: a camera, a recording, a file.
+        What it is about: a camera, a recording, a file; empty where the text names it.
     text : str
         What is wrong with it, with values.
     remedy : str
         What to do.
+    severity : {"error", "warning", "note"}
+        With an error a run would fail or give nothing of use. A note is unusual, but no problem.
     """
 
     code: str
-    severity: Literal["error", "warning", "note"]
     subject: str
     text: str
     remedy: str = ""
+    severity: Literal["error", "warning", "note"] = "warning"
 
     @classmethod
     def of(cls, error: DocDepthError) -> Finding:
         """What an error tells."""
-        return cls(error.code, "error", "", error.text, error.remedy)
+        return cls(error.code, "", error.text, error.remedy, "error")
 
     def __str__(self) -> str:
         sentence = _sentence(self.text, self.remedy)
@@ -212,3 +215,38 @@ def raise_together(errors: Iterable[DocDepthError]) -> None:
         raise known[0]
     if known:
         raise SeveralProblems(known)
+
+
+@contextmanager
+def collected(findings: list[Finding]) -> Iterator[None]:
+    """Add an error that is raised inside to findings, and go on."""
+    try:
+        yield
+    except DocDepthError as error:
+        findings += map(Finding.of, single_errors(error))
+
+
+def in_order(findings: Iterable[Finding]) -> list[Finding]:
+    """Findings, each once: errors first, then warnings, then notes."""
+    order = ("error", "warning", "note")
+    return list(dict.fromkeys(sorted(findings, key=lambda found: order.index(found.severity))))
+
+
+def raise_findings(findings: Iterable[Finding]) -> None:
+    """Raise the errors among findings, all in one message.
+
+    Raises
+    ------
+    DatasetError
+        For one error its sentence, for several :class:`SeveralProblems`.
+    """
+    errors = (found for found in findings if found.severity == "error")
+    raise_together(
+        DatasetError(replace(one, remedy=""), one.remedy, code=one.code) for one in errors
+    )
+
+
+def log_findings(log: logging.Logger, findings: Iterable[Finding]) -> None:
+    """Log each as a warning."""
+    for found in findings:
+        log.warning("%s", found)

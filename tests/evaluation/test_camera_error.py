@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from docdepth.datasets import CameraStream
+from docdepth.diagnostics.calibration import RunEdges
+from docdepth.diagnostics.map_edges import edges_of_map
 from docdepth.evaluation import camera_error as module
 from docdepth.evaluation.camera_error import camera_error, changed, difference
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.calibration_check import RunEdges
-from docdepth.pipeline.map_edges import edges_of_map
 
 K = np.array([[400.0, 0, 310], [0, 420, 120], [0, 0, 1]])
 CAMERA = Camera(K, 620, 240)

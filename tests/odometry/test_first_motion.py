@@ -17,7 +17,7 @@ from docdepth.datasets import Sweep
 from docdepth.geometry.se3 import inverse, se3_exp
 from docdepth.odometry.first_motion import FIRST_SWEEPS, first_motion
 from docdepth.odometry.odometry import estimate_poses
-from docdepth.odometry.pose_checks import warn_of_other_motion
+from docdepth.odometry.pose_checks import find_other_motion
 from docdepth.odometry.sweeps import FINE_SAMPLING, ThinnedSweeps
 from docdepth.synthetic import write_drive
 from exact_drive import Drive
@@ -122,16 +122,14 @@ def test_a_field_tells_nothing(tmp_path: Path) -> None:
     assert found(drive) is None
 
 
-def test_poses_that_follow_lorries_are_named(road, caplog) -> None:
+def test_poses_that_follow_lorries_are_named(road) -> None:
     """As registration finds them that starts from their speed; the right ones are not named."""
     dataset = road("highway", "XT-32")
     exact = np.asarray(dataset.poses)
     follows = np.repeat(np.eye(4)[None], len(exact), axis=0)
     follows[:, 0, 3] = 0.35 * np.arange(len(exact))
     parameters = OdometryParameters()
-    caplog.clear()
-    warn_of_other_motion(dataset, exact, parameters)
-    assert not caplog.records
-    warn_of_other_motion(dataset, follows, parameters)
-    assert len(caplog.records) == 1
-    assert re.search(r"moves by 2\.[678] m a sweep, but its poses by 0\.[34] m", caplog.text)
+    assert find_other_motion(dataset, exact, parameters) == []
+    (found,) = find_other_motion(dataset, follows, parameters)
+    assert found.code == "poses-follow-traffic"
+    assert re.search(r"moves by 2\.[678] m a sweep, but its poses by 0\.[34] m", found.text)

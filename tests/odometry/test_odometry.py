@@ -22,7 +22,7 @@ from docdepth.io.poses import read_poses
 from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.deskewing import centred_motion, deskew
 from docdepth.odometry.odometry import estimate_poses, register_drive
-from docdepth.odometry.pose_checks import warn_of_misfit
+from docdepth.odometry.pose_checks import find_misfit
 from docdepth.odometry.sweeps import ThinnedSweeps
 from docdepth.pipeline import run_odometry
 from exact_drive import MOTION, Drive, pose_errors
@@ -347,7 +347,7 @@ def test_standing_still_gives_no_warning(caplog: pytest.LogCaptureFixture) -> No
 
 
 @pytest.mark.parametrize("what", ["half as long", "inverse", "in another order", "right"])
-def test_poses_that_do_not_fit_the_sweeps(what: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_poses_that_do_not_fit_the_sweeps(what: str) -> None:
     drive = Drive(10)
     poses = drive.exact.copy()
     if what == "half as long":
@@ -357,15 +357,14 @@ def test_poses_that_do_not_fit_the_sweeps(what: str, caplog: pytest.LogCaptureFi
     elif what == "in another order":
         poses = poses[np.random.default_rng(1).permutation(10)]
     deskewed = register_drive(drive, poses=drive.exact).sweeps
-    warn_of_misfit(lambda k: deskewed[k].points, poses)
-    said = [text for text in caplog.messages if text.startswith("the poses do not fit the sweeps")]
-    assert len(said) == len(caplog.messages) == (what != "right")
+    found = find_misfit(lambda k: deskewed[k].points, poses)
+    assert [f.code for f in found] == ["poses-misfit"] * (what != "right")
 
 
 @pytest.mark.parametrize("count", [1, 3, 4])
 def test_short_drives_have_nothing_that_could_misfit(count: int) -> None:
     points = np.zeros((100, 3), np.float32)
-    warn_of_misfit(lambda _: points, np.repeat(np.eye(4)[None], count, axis=0))
+    assert find_misfit(lambda _: points, np.repeat(np.eye(4)[None], count, axis=0)) == []
 
 
 def test_sweeps_without_points_in_range_are_told_once(caplog: pytest.LogCaptureFixture) -> None:

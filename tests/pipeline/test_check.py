@@ -13,12 +13,18 @@ import pytest
 
 from docdepth.config import parameters
 from docdepth.datasets import open_dataset
-from docdepth.errors import CalibrationError, DatasetError, OdometryError, SeveralProblems
+from docdepth.errors import (
+    CalibrationError,
+    DatasetError,
+    Finding,
+    OdometryError,
+    SeveralProblems,
+    raise_findings,
+)
 from docdepth.odometry.odometry import register_drive
 from docdepth.pipeline import check_resources
 from docdepth.pipeline.check import check_inputs, report_inputs
 from docdepth.pipeline.check_resources import check_image_size
-from docdepth.pipeline.problems import Problem, raise_problems
 
 
 def source(dataset: Path, **values: Any) -> dict[str, Any]:
@@ -26,12 +32,12 @@ def source(dataset: Path, **values: Any) -> dict[str, Any]:
     return {"dataset": str(dataset), **named, **values}
 
 
-def problems(dataset: Path, output: Path | None = None, **values: Any) -> list[Problem]:
+def problems(dataset: Path, output: Path | None = None, **values: Any) -> list[Finding]:
     return check_inputs(source(dataset, **values), parameters(), output)
 
 
-def texts(found: list[Problem], severity: str) -> str:
-    return "\n".join(p.text for p in found if p.severity == severity)
+def texts(found: list[Finding], severity: str) -> str:
+    return "\n".join(str(p) for p in found if p.severity == severity)
 
 
 @pytest.fixture
@@ -56,7 +62,7 @@ def edit_calibration(sequence: Path, name: str, change: Any) -> None:
 
 def test_a_good_drive_has_no_problem(drive: Path, tmp_path: Path) -> None:
     report = report_inputs(source(drive), parameters(), tmp_path / "run")
-    assert report.problems == []
+    assert report.findings == []
     assert report.summary.startswith("5 sweeps of ")
     assert "image_2 (4 images); by estimate 0." in report.summary
     assert not (tmp_path / "run").exists()
@@ -96,12 +102,17 @@ def test_errors_of_the_recording_and_of_other_files_come_together(
 
 
 def test_problems_are_raised_as_one_error() -> None:
-    error, other = Problem("error", "a.bin is empty"), Problem("error", "b.bin is empty")
-    raise_problems([Problem("warning", "small")])
-    with pytest.raises(DatasetError, match=r"^a.bin is empty$"):
-        raise_problems([error])
-    with pytest.raises(SeveralProblems, match=r"^2 problems:\n  a.bin is empty\n  b.bin is empty$"):
-        raise_problems([error, other])
+    error = Finding("empty", "a.bin", "it is empty", "copy it", "error")
+    other = Finding("empty", "", "b.bin is empty", severity="error")
+    raise_findings([Finding("small", "", "small")])
+    with pytest.raises(DatasetError) as raised:
+        raise_findings([error])
+    assert (raised.value.code, raised.value.remedy) == ("empty", "copy it")
+    assert str(raised.value) == "a.bin: it is empty; copy it"
+    with pytest.raises(SeveralProblems) as several:
+        raise_findings([error, other])
+    lines = "2 problems:\n  a.bin: it is empty; copy it\n  b.bin is empty"
+    assert str(several.value) == lines
 
 
 @pytest.mark.parametrize(
@@ -143,7 +154,7 @@ def test_a_partial_sweep_is_told_though_it_is_not_opened(
     copy: Path, share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The last one often, where a copy was interrupted."""
-    monkeypatch.setattr("docdepth.pipeline.check_sweeps.sample", lambda count, most=0: [0])
+    monkeypatch.setattr("docdepth.diagnostics.sweeps.sample", lambda count, most=0: [0])
     rewrite(copy / "velodyne" / "000004.bin", lambda rows: rows[: int(share * len(rows))])
     assert "000004.bin (frame 4) has" in texts(problems(copy), "warning")
 
@@ -196,7 +207,7 @@ def test_images_of_another_size_are_found_before_they_are_needed(copy: Path) -> 
 def test_every_image_that_is_odd_is_opened(
     copy: Path, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("docdepth.pipeline.check_cameras.sample", lambda count, most=0: [0])
+    monkeypatch.setattr("docdepth.diagnostics.cameras.sample", lambda count, most=0: [0])
     suffix = "jpg" if what == "half a jpg" else "png"
     image = np.random.default_rng(0).integers(0, 255, (375, 1242, 3), np.uint8)
     for file in (copy / "image_2").glob("*.png"):
@@ -388,14 +399,13 @@ def test_a_clock_that_jumps_back_or_sweeps_of_two_lidars(copy: Path) -> None:
     assert "0.001 s lie between frames 2 and 3, usually 0.10 s; did the clock" in text
 
 
-def test_poses_that_do_not_fit_the_sweeps(
-    copy: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_poses_that_do_not_fit_the_sweeps(copy: Path, tmp_path: Path) -> None:
     """Poses in millimetres lead out of all that sweeps overlap."""
     poses = open_dataset(copy).poses
     assert poses is not None
     for factor in (1, 1000):
         poses[:, :3, 3] *= factor
         np.save(tmp_path / "poses.npy", poses)
-        assert texts(problems(copy, poses=str(tmp_path / "poses.npy")), "error") == ""
-        assert ("the poses do not fit the sweeps" in caplog.text) == (factor > 1)
+        found = problems(copy, poses=str(tmp_path / "poses.npy"))
+        assert texts(found, "error") == ""
+        assert any(f.code == "poses-misfit" for f in found) == (factor > 1)

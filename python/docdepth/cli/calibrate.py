@@ -157,7 +157,7 @@ def calibrate(
 
 def _check_run(run: Path, camera: str | None, output: Path | None, as_json: bool) -> None:
     """Print what depth edges say about the calibration of a run."""
-    from docdepth.pipeline.calibration_check import check_calibration
+    from docdepth.evaluation.camera_error import check_calibration
     from docdepth.pipeline.depth_files import encode_image
 
     with progress_bars() as progress:

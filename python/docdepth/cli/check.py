@@ -25,7 +25,8 @@ from docdepth.cli.options import (
     listed,
     output_of,
 )
-from docdepth.cli.terminal import app, err, out, verb
+from docdepth.cli.summary import show_findings
+from docdepth.cli.terminal import app, out, verb
 
 
 @verb(app)
@@ -77,10 +78,7 @@ def check(
         "frames": frames,
     }
     report = report_inputs(source, parameters(preset, changes), output)  # type: ignore[arg-type]
-    for problem in report.problems:
-        colour = "red" if problem.severity == "error" else "yellow"
-        err.print(f"{problem.severity}:", style=colour, end=" ")
-        err.print(problem.text, soft_wrap=True, markup=False)
-    if any(problem.severity == "error" for problem in report.problems):
+    show_findings(report.findings)
+    if any(found.severity == "error" for found in report.findings):
         raise typer.Exit(2)
     out.print(f"ok: {report.summary}", soft_wrap=True, markup=False)

@@ -13,9 +13,9 @@ import typer
 from docdepth.cli.names import MODES, one_of
 from docdepth.cli.options import Json, OneCamera, RunPath, Threads
 from docdepth.cli.progress import progress_bars
-from docdepth.cli.summary import show
+from docdepth.cli.summary import show, show_findings
 from docdepth.cli.terminal import app, err, out, verb
-from docdepth.errors import RunError
+from docdepth.errors import Finding, RunError
 
 if TYPE_CHECKING:
     from docdepth.evaluation import Table
@@ -238,8 +238,8 @@ def held_out(
     Poses that jitter and sweeps that are not motion compensated are named. Returns cannot tell
     where the camera is and when it looked. Where images can, it says what a wrong camera adds.
     """
+    from docdepth.diagnostics.error_sources import find_error_sources
     from docdepth.evaluation.camera_error import camera_error
-    from docdepth.evaluation.causes import causes
     from docdepth.evaluation.error_page import HeldOutPage
     from docdepth.evaluation.held_out import evaluate_held_out
     from docdepth.evaluation.left_out import LeftOut
@@ -262,18 +262,19 @@ def held_out(
             page.look if page else None,
         )  # fmt: skip
         folder = RunFolder.open(run)
-        found = causes(folder, lambda done, total: progress("poses and times", done, total))
+        sources = find_error_sources(
+            folder, lambda done, total: progress("poses and times", done, total)
+        )
         wrong = camera_error(
             folder, camera, max_range, lambda done, total: progress("camera", done, total)
         )
-    result = replace(result, found=tuple(found.lines))
+    findings = sources.findings
     if wrong:
-        lines = (*found.lines, wrong.line)
-        result = replace(result, found=lines, camera_mae=wrong.mae, camera_wrong=wrong.wrong)
+        findings.append(Finding("camera", "", wrong.line))
+        result = replace(result, camera_mae=wrong.mae, camera_wrong=wrong.wrong)
+    result = replace(result, found=tuple(map(str, findings)))
     show(result, as_json)
-    for line in result.found:
-        err.print("warning:", style="yellow", end=" ")
-        err.print(line, soft_wrap=True, markup=False)
+    show_findings(findings)
     _write(page, html, [result.table()], result.found)
     _keep(folder, camera, result.table())
 

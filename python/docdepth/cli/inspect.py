@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -14,11 +15,10 @@ from docdepth.cli.options import (
     Json,
     PosesFile,
 )
-from docdepth.cli.summary import show_json
-from docdepth.cli.terminal import app, err, out, verb
-
-if TYPE_CHECKING:
-    from docdepth.inspection.inspection import Inspection
+from docdepth.cli.remedies import as_commands
+from docdepth.cli.summary import show_findings, show_json
+from docdepth.cli.terminal import app, out, verb
+from docdepth.errors import Finding
 
 
 @verb(app)
@@ -43,12 +43,13 @@ def inspect(
 
       docdepth inspect drive.mcap -o drive.html
     """
-    from docdepth.inspection.inspect import inspect_recording
-    from docdepth.inspection.pictures import pictures_of
+    from docdepth.diagnostics.recording_pictures import pictures_of
+    from docdepth.diagnostics.recording_report import inspect_recording
     from docdepth.pipeline.given_poses import poses_entry
     from docdepth.pipeline.run_inputs import known_poses, open_recording
     from docdepth.pipeline.stage import recorded_warnings
     from docdepth.visualization.inspection_page import write_inspection
+    from docdepth.visualization.inspection_text import inspection_lines
     from docdepth.visualization.page import check_page
 
     check_page(output)
@@ -59,31 +60,20 @@ def inspect(
         "calibration": None if calibration is None else str(calibration),
         "frames": frames,
     }
-    with recorded_warnings() as logged:  # these are printed when they are found
+    with recorded_warnings() as logged:  # readers' notices are printed at once
         drive = open_recording(source)
         given = known_poses(source, drive)
-        result = inspect_recording(drive, given, opening=list(logged))
-        pictures = list(pictures_of(drive, result))
-    findings: list[tuple[str, str]] = [(p.severity, p.text) for p in result.problems]
-    findings += [("note", text) for text in result.notes]
-    write_inspection(output, result.figures, findings, pictures)
+    notices = [Finding("notice", "", text) for text in logged]
+    result = inspect_recording(drive, given, notices)
+    pictures = list(pictures_of(drive, result))
+    said = [(found.severity, as_commands(str(found))) for found in result.findings]
+    write_inspection(output, result.figures, said, pictures)
     if as_json:
-        show_json({**result.figures, "findings": [
-            {"severity": severity, "text": text} for severity, text in findings
-        ]})  # fmt: skip
+        show_json({**result.figures, "findings": [asdict(found) for found in result.findings]})
     else:
-        _show(result, [finding for finding in findings if finding[1] not in logged])
+        for line in inspection_lines(result.figures):
+            out.print(line, soft_wrap=True, markup=False, highlight=False)
+        show_findings(found for found in result.findings if found not in notices)
         out.print(f"pictures: {output}", soft_wrap=True, markup=False)
-    if any(severity == "error" for severity, _ in findings):
+    if any(found.severity == "error" for found in result.findings):
         raise typer.Exit(2)
-
-
-def _show(result: Inspection, findings: list[tuple[str, str]]) -> None:
-    from docdepth.visualization.inspection_text import inspection_lines
-
-    for line in inspection_lines(result.figures):
-        out.print(line, soft_wrap=True, markup=False, highlight=False)
-    for severity, text in findings:
-        colour = {"error": "red", "warning": "yellow"}.get(severity, "cyan")
-        err.print(f"{severity}:", style=colour, end=" ")
-        err.print(text, soft_wrap=True, markup=False)

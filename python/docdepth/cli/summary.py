@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from docdepth.cli.terminal import out, volume
+from docdepth.cli.remedies import as_commands
+from docdepth.cli.terminal import err, out, volume
 
 if TYPE_CHECKING:
+    from docdepth.errors import Finding
     from docdepth.io.run_folder import RunFolder
 
 
@@ -18,6 +21,14 @@ def show(result: Any, as_json: bool) -> None:
     if as_json:
         return show_json(result.as_dict())
     out.print(str(result.table()), soft_wrap=True, markup=False)
+
+
+def show_findings(findings: Iterable[Finding]) -> None:
+    """Print findings, a line each."""
+    for found in findings:
+        colour = {"error": "red", "warning": "yellow"}.get(found.severity, "cyan")
+        err.print(f"{found.severity}:", style=colour, end=" ")
+        err.print(as_commands(str(found)), soft_wrap=True, markup=False)
 
 
 def show_json(value: Any) -> None:

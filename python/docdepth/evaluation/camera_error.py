@@ -1,4 +1,4 @@
-"""What a wrong camera does to depth, as far as the images of a run tell.
+"""Whether the camera of a run is right, and what a wrong one does to depth.
 
 Returns that were left out are looked at from the LiDAR, so they say nothing about the camera. The
 images do: depth edges lie beside the edges that they show. The change that brings both together
@@ -15,14 +15,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.diagnostics.calibration import (
+    IMAGES,
+    CalibrationCheck,
+    RunEdges,
+    compare,
+    edges_of_images,
+)
+from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError, DatasetError, RunError
 from docdepth.evaluation.depth_metrics import RELATIVE_ERROR
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.calibration_check import IMAGES, compare, edges_of_run
-from docdepth.pipeline.sanity import sampled
+from docdepth.io.tracks import tracks_in
+from docdepth.pipeline.run_inputs import recorded_camera
+from docdepth.pipeline.run_state import require
 
 
 @dataclass(frozen=True)
@@ -94,9 +103,66 @@ def camera_error(
         return None
     name = folder.depth_folder(camera)
     files = list(maps_in(folder.path / "depth" / name).values())
-    maps = (read_depth(files[k]) for k in sampled(len(files), IMAGES))
+    maps = (read_depth(files[k]) for k in spread(len(files), IMAGES))
     mae, wrong = difference(maps, found.stream.camera, check.fit.change, max_depth)
     return CameraError(check.verdict, mae, wrong)
+
+
+def check_calibration(
+    run: Path | str | RunFolder,
+    camera: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> CalibrationCheck:
+    """Compare depth edges of a run with the edges of its images.
+
+    Edges in boxes of moving objects do not count.
+
+    Parameters
+    ----------
+    run : Path, str or RunFolder
+        With depth maps, and images in its recording.
+    camera : str, optional
+        Its name; needed if the run has several.
+    progress : callable, optional
+        Called with the number of compared images and the number of all.
+
+    Raises
+    ------
+    RunError
+        The run has no depth maps, or they are out of date.
+    DatasetError
+        The recording has no images, or a file cannot be read.
+    CalibrationError
+        The run draws splats, there are too few edges to tell, or they fit by chance only.
+    """
+    return compare(edges_of_run(run, camera, progress))
+
+
+def edges_of_run(
+    run: Path | str | RunFolder,
+    camera: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> RunEdges:
+    """Read what :func:`check_calibration` compares; its parameters and errors."""
+    folder = RunFolder.open(run)
+    name = folder.depth_folder(camera)
+    if folder.parameters.render.primitive == "splats":
+        raise CalibrationError(
+            f"{folder.path} draws splats, which reach over the edges of things; compare a run with "
+            "render.primitive=triangles, as preset default has"
+        )
+    require(folder, f"render {folder.camera_in(name)}")
+    stream = recorded_camera(folder, name)
+    if stream is None or not stream.images:
+        raise DatasetError(f"{folder.path}: its recording has no images to compare depth with")
+    maps = maps_in(folder.path / "depth" / name)
+    indices = [k for k, image in enumerate(stream.names) if image in maps]
+    tracks = tracks_in(folder.path)
+    depth = {k: maps[stream.names[k]] for k in indices}
+    return edges_of_images(
+        folder.path, stream, indices, lambda k: read_depth(depth[k]), folder.trajectory(), tracks,
+        progress,
+    )  # fmt: skip
 
 
 def difference(

@@ -61,8 +61,9 @@ class HeldOutResult:
     left_out : str
         What was left out, in words.
     found : tuple of str
-        What is wrong with poses, motion compensation or the camera, see :mod:`.causes` and
-        :mod:`.camera_error`; empty if nothing was found or looked for.
+        What is wrong with poses, motion compensation or the camera, see
+        :mod:`docdepth.diagnostics.error_sources` and :mod:`.camera_error`; empty if nothing was
+        found or looked for.
     camera_mae, camera_wrong : float
         What a wrong camera adds, as far as the images tell: mean absolute difference of the maps
         [m], and pixels that it puts more than 5 % off [%]. NaN if nothing was found or looked for.

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import CameraStream
+from docdepth.diagnostics.map_edges import pixels_of_tracks
+from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.evaluation.followed_points import Window, follow, predicted, smooth_pose
 from docdepth.geometry.se3 import inverse, rotation_exp, rotation_log
@@ -24,10 +26,8 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
-from docdepth.pipeline.map_edges import pixels_of_tracks
 from docdepth.pipeline.run_inputs import open_cameras, open_recording, recorded_camera
 from docdepth.pipeline.run_state import require
-from docdepth.pipeline.sanity import sampled
 
 Floats = NDArray[np.float64]
 
@@ -168,7 +168,7 @@ def _windows(
         inside = times[first] - margin >= trajectory.times[0] and last < len(times)
         if free and inside and times[last] + margin <= trajectory.times[-1]:
             starts += [(first, last)] if stream.names[first] in maps else []
-    chosen = [starts[k] for k in sampled(len(starts), _MOST_WINDOWS)]
+    chosen = [starts[k] for k in spread(len(starts), _MOST_WINDOWS)]
     windows = []
     for done, (first, last) in enumerate(chosen, 1):
         time = int(times[first])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -13,16 +14,18 @@ from numpy.typing import NDArray
 
 from docdepth.datasets import Dataset, whole_of
 from docdepth.datasets.mounts import Mounted
-from docdepth.errors import InputError, OdometryError
+from docdepth.errors import InputError, OdometryError, log_findings
 from docdepth.evaluation.tables import Table, number, plain
 from docdepth.geometry.se3 import inverse, nearest_rotation
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.poses import read_timed_poses
 from docdepth.io.run_folder import RunFolder
-from docdepth.odometry.pose_checks import move_upwards, warn_of_camera
+from docdepth.odometry.pose_checks import find_camera_poses, move_upwards
 from docdepth.pipeline.given_poses import file_of_poses, poses_entry, read_given_poses
 from docdepth.pipeline.run_inputs import open_recording
 from docdepth.pipeline.run_state import require
+
+log = logging.getLogger(__name__)
 
 Floats = NDArray[np.float64]
 
@@ -190,7 +193,7 @@ def evaluate_trajectories(run: Path | str | RunFolder, poses: Path | str) -> Tra
     timed = None if file is None else _of_other_rate(file, recording)
     truth = timed or Trajectory(made.times, read_given_poses(entry, recording))
     if not move_upwards(made.poses):
-        warn_of_camera(truth.poses)
+        log_findings(log, find_camera_poses(truth.poses))
     return compare_trajectories(truth, made, str(source.get("poses") or "small_gicp"))
 
 

@@ -24,7 +24,7 @@ from docdepth.concurrency import thread_count
 from docdepth.config import OdometryParameters, Parameters, given
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.mounts import LEVEL_DEG, ground_of
-from docdepth.errors import InputError
+from docdepth.errors import Finding, InputError, log_findings
 from docdepth.geometry.checks import ShortRepr
 from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.trajectory import Trajectory
@@ -36,8 +36,10 @@ from docdepth.odometry.places import KEPT_SWEEPS
 from docdepth.odometry.pose_checks import (
     check_given_poses,
     check_period,
-    warn_of_jumps,
-    warn_of_other_motion,
+    find_camera_poses,
+    find_jumps,
+    find_no_motion,
+    find_other_motion,
 )
 from docdepth.odometry.pose_graph import check_solver
 from docdepth.odometry.registration_log import Found, RegistrationLog
@@ -65,10 +67,13 @@ class Odometry(ShortRepr):
     sweeps : sequence of LidarFrame
         Item ``i`` reads sweep ``i`` once and deskews it. It has a row for each row of the input;
         rows without a usable return stay as they are.
+    findings : tuple of Finding
+        What looks wrong with the poses; each is logged as well.
     """
 
     trajectory: Trajectory
     sweeps: DeskewedSweeps
+    findings: tuple[Finding, ...] = ()
 
 
 def register_drive(
@@ -117,14 +122,17 @@ def register_drive(
             f"docdepth.Dataset; it is {type(dataset).__name__}"
         )
     if poses is not None:
-        known = level_world(dataset, check_given_poses(dataset, poses, settings))
+        checked = check_given_poses(dataset, poses)
+        findings = [*find_no_motion(dataset, checked, settings), *find_camera_poses(checked)]
+        known = level_world(dataset, checked)
     else:
         known = estimate_poses(dataset, settings, progress, checkpoint, threads)
-        warn_of_other_motion(dataset, known, settings)
+        findings = find_other_motion(dataset, known, settings)
     trajectory = Trajectory(dataset.times, known)
-    warn_of_jumps(trajectory)
+    findings += find_jumps(trajectory)
+    log_findings(log, findings)
     motions = centred_motion(known, dataset.times)
-    return Odometry(trajectory, DeskewedSweeps(dataset, motions.__getitem__))
+    return Odometry(trajectory, DeskewedSweeps(dataset, motions.__getitem__), tuple(findings))
 
 
 def level_world(dataset: Dataset, poses: NDArray[np.float64]) -> NDArray[np.float64]:

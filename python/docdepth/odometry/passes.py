@@ -218,5 +218,5 @@ def _warn_of_disagreement(disagreeing: int, count: int) -> None:
     log.warning(
         "%d of %d sweeps were registered more than %g m from where the motion led; perhaps the "
         "LiDAR sees little that stands still, traffic goes along, or times are wrong; poses may be "
-        "metres off: look at them, or bring better ones (--poses)", disagreeing, count, _DISAGREES,
+        "metres off: look at them, or bring better ones (`poses`)", disagreeing, count, _DISAGREES,
     )  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 import docdepth._core as _core
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset
-from docdepth.errors import InputError, OdometryError
+from docdepth.errors import Finding, InputError, OdometryError
 from docdepth.geometry.se3 import check_rigid, inverse
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.deskewing import centred_motion
@@ -19,8 +18,6 @@ from docdepth.odometry.first_motion import FIRST_SWEEPS, checked_motion, first_m
 from docdepth.odometry.level_ground import split_level_ground
 from docdepth.odometry.registration import FEWEST_POINTS
 from docdepth.odometry.sweeps import FINE_SAMPLING, ThinnedSweeps
-
-log = logging.getLogger(__name__)
 
 _MOVING = 0.15  # metres from sweep to sweep; smaller steps may be errors of registration
 _SAME_POSE = 1e-3  # metres, and entries of rotations; poses that differ less are one pose
@@ -39,13 +36,8 @@ _PERIODS = (0.005, 5.0)  # seconds between sweeps
 _JUMP = 1.0  # metres by which the step from sweep to sweep changes; a vehicle cannot do that
 
 
-def check_given_poses(
-    dataset: Dataset, poses: ArrayLike, parameters: OdometryParameters
-) -> NDArray[np.float64]:
+def check_given_poses(dataset: Dataset, poses: ArrayLike) -> NDArray[np.float64]:
     """Check the poses that a user brings for a drive; see :func:`register_drive`.
-
-    Logs a warning if all poses are the same though the sweeps move, or if they look like poses of a
-    camera.
 
     Returns
     -------
@@ -61,25 +53,45 @@ def check_given_poses(
         raise OdometryError(f"poses must be (n, 4, 4) matrices T_world_lidar, got {given.shape}")
     if len(given) != len(dataset):
         raise OdometryError(
-            f"there are {len(given)} poses for {len(dataset)} sweeps; bring one pose a sweep"
+            f"there are {len(given)} poses for {len(dataset)} sweeps",
+            "bring one pose a sweep",
+            code="number-of-poses",
         )
     try:
         check_rigid(given)
     except InputError as error:
         raise OdometryError(str(error)) from None
-    if len(given) > 1 and np.ptp(given, axis=0).max() < _SAME_POSE:
-        _warn_of_motion(dataset, parameters)
-    warn_of_camera(given)
     return given
 
 
-def warn_of_camera(poses: NDArray[np.float64]) -> None:
-    """Log a warning if poses look like those of a camera."""
-    if move_upwards(poses):
-        log.warning(
-            "along the poses the LiDAR moves upwards (z), not forwards (x): if they are poses of "
-            "a camera, say which: --poses CAMERA:FILE"
-        )
+def find_no_motion(
+    dataset: Dataset, poses: NDArray[np.float64], parameters: OdometryParameters
+) -> list[Finding]:
+    """Whether all poses are the same though the sweeps move."""
+    if len(poses) < 2 or np.ptp(poses, axis=0).max() >= _SAME_POSE:
+        return []
+    sweeps, n = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, FIRST_SWEEPS), len(dataset)
+    found = []
+    for frames in (range(n), range(n // 2, n)):
+        motion = first_motion(sweeps, frames)
+        step = 0.0 if motion is None else float(np.linalg.norm(motion[:3, 3]))
+        if step > _MOVING:
+            text = (
+                f"all poses are the same, yet near frame {frames[0]} the LiDAR moves by {step:.2f} "
+                "m a sweep"
+            )
+            remedy = "give T_world_lidar of each sweep, or no poses"
+            found.append(Finding("poses-stand", "", text, remedy))
+    return found
+
+
+def find_camera_poses(poses: NDArray[np.float64]) -> list[Finding]:
+    """Whether poses look like those of a camera."""
+    if not move_upwards(poses):
+        return []
+    text = "along the poses the LiDAR moves upwards (z), not forwards (x)"
+    remedy = "if they are poses of a camera, say which: `poses='CAMERA:FILE'`"
+    return [Finding("poses-of-camera", "", text, remedy)]
 
 
 def check_period(dataset: Dataset) -> float:
@@ -95,7 +107,8 @@ def check_period(dataset: Dataset) -> float:
     if not _PERIODS[0] < period < _PERIODS[1]:
         raise OdometryError(
             f"{dataset.path}: sweeps are {period:.3g} s apart; a LiDAR takes 0.05 to 0.2 s. Are "
-            "the times in seconds?"
+            "the times in seconds?",
+            code="sweep-period",
         )
     return period
 
@@ -107,23 +120,10 @@ def move_upwards(poses: NDArray[np.float64]) -> bool:
     return bool(len(steps) and np.median(steps[:, 2]) > 2 * np.median(steps[:, 0]))
 
 
-def _warn_of_motion(dataset: Dataset, parameters: OdometryParameters) -> None:
-    """Log a warning if the sweeps move; the poses do not."""
-    sweeps, n = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, FIRST_SWEEPS), len(dataset)
-    for frames in (range(n), range(n // 2, n)):
-        motion = first_motion(sweeps, frames)
-        step = 0.0 if motion is None else np.linalg.norm(motion[:3, 3])
-        if step > _MOVING:
-            log.warning(
-                "all poses are the same, yet near frame %d the LiDAR moves by %.2f m a sweep; "
-                "give T_world_lidar of each sweep, or no poses", frames[0], step,
-            )  # fmt: skip
-
-
-def warn_of_other_motion(
+def find_other_motion(
     dataset: Dataset, poses: NDArray[np.float64], parameters: OdometryParameters
-) -> None:
-    """Log a warning if points higher than any lorry show that, on a road, poses follow traffic."""
+) -> list[Finding]:
+    """Whether points higher than any lorry show that, on a road, poses follow traffic."""
     sweeps, last = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, FIRST_SWEEPS), len(poses) - 1
     compared = 0
     for k in np.unique(np.linspace(0, last, _PLACES + 2)[1:-1].astype(int)).tolist():
@@ -134,31 +134,34 @@ def warn_of_other_motion(
         if checked is None:
             continue
         if np.linalg.norm((checked - motion)[:3, 3]) > _OTHER:
-            log.warning(
-                "near frame %d the LiDAR moves by %.1f m a sweep, but its poses by %.1f m: they "
-                "follow traffic, and labels and depth will be wrong; begin at another frame "
-                "(--frames), or bring better poses (--poses)",
-                k, np.linalg.norm(checked[:3, 3]), np.linalg.norm(motion[:3, 3]),
-            )  # fmt: skip
-            return
+            seen, followed = (np.linalg.norm(T[:3, 3]) for T in (checked, motion))
+            text = (
+                f"near frame {k} the LiDAR moves by {seen:.1f} m a sweep, but its poses by "
+                f"{followed:.1f} m: they follow traffic, and labels and depth will be wrong"
+            )
+            remedy = "begin at another frame (`frames`), or bring better poses (`poses`)"
+            return [Finding("poses-follow-traffic", "", text, remedy)]
         compared += 1
         if compared == _ENOUGH:
-            return
+            break
+    return []
 
 
-def warn_of_misfit(
+def find_misfit(
     points: Callable[[int], NDArray[np.float32]],
     poses: NDArray[np.float64],
     parameters: OdometryParameters | None = None,
-) -> None:
-    """Log a warning if sweeps do not lie where the sweeps before them, and the poses, say."""
+) -> list[Finding]:
+    """Whether sweeps lie elsewhere than the sweeps before them, and the poses, say."""
     moved = misfit(points, poses, parameters)
-    if moved is not None and moved > _MISFIT:
-        log.warning(
-            "the poses do not fit the sweeps: these lie %.1f m from where the sweeps before them "
-            "are; the poses may belong to another frame or order of sweeps, or the sweeps may not "
-            "follow each other", moved,
-        )  # fmt: skip
+    if moved is None or moved <= _MISFIT:
+        return []
+    text = (
+        f"the poses do not fit the sweeps: these lie {moved:.1f} m from where the sweeps before "
+        "them are; the poses may belong to another frame or order of sweeps, or the sweeps may not "
+        "follow each other"
+    )
+    return [Finding("poses-misfit", "", text)]
 
 
 def misfit(
@@ -225,16 +228,18 @@ def _thinned(points: NDArray[np.float32], parameters: OdometryParameters) -> NDA
     return np.asarray(thinned, np.float64)
 
 
-def warn_of_jumps(trajectory: Trajectory) -> None:
-    """Log a warning where the step from one sweep to the next changes by metres."""
+def find_jumps(trajectory: Trajectory) -> list[Finding]:
+    """Where the step from one sweep to the next changes by metres."""
     if len(trajectory) < 3:
-        return
+        return []
     seconds = np.diff(trajectory.times) * 1e-9
     velocity = np.diff(trajectory.poses[:, :3, 3], axis=0) / seconds[:, None]
     change = np.linalg.norm(np.diff(velocity, axis=0), axis=1) * float(np.median(seconds))
     worst = int(np.argmax(change))
-    if change[worst] > _JUMP:
-        log.warning(
-            "the trajectory jumps: at frame %d the step from sweep to sweep changes by %.1f m; "
-            "check the poses and times around it", worst + 1, change[worst],
-        )  # fmt: skip
+    if change[worst] <= _JUMP:
+        return []
+    text = (
+        f"the trajectory jumps: at frame {worst + 1} the step from sweep to sweep changes by "
+        f"{change[worst]:.1f} m"
+    )
+    return [Finding("trajectory-jumps", "", text, "check the poses and times around it")]

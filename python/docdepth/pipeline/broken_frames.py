@@ -15,11 +15,10 @@ from typing import Any
 
 from docdepth.datasets import CameraStream, Dataset, FrameRange
 from docdepth.datasets.images import file_of
+from docdepth.diagnostics.sweeps import check_sweep
 from docdepth.errors import DatasetError, DocDepthError
 from docdepth.io.manifest import SKIPPED, skipped_frames
 from docdepth.io.run_folder import stage_key
-from docdepth.pipeline.check_sweeps import check_sweep
-from docdepth.pipeline.problems import Findings
 
 log = logging.getLogger(__name__)
 
@@ -91,7 +90,7 @@ def _check_sweep(recording: Dataset, index: int) -> None:
     """Raise what would stop a run at a sweep."""
     sweep = recording.sweep(index)
     files = recording.sweep_files(index)
-    check_sweep(sweep, f"{files[0] if files else sweep.name} (frame {index})", Findings())
+    check_sweep(sweep, f"{files[0] if files else sweep.name} (frame {index})")
 
 
 def _problem(read: Callable[[], object]) -> str:

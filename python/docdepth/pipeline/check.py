@@ -7,7 +7,6 @@ sweeps takes seconds.
 from __future__ import annotations
 
 import os
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,21 +17,20 @@ import numpy as np
 from docdepth.config import Parameters
 from docdepth.datasets import CameraStream, Dataset, Sweep, usable_points
 from docdepth.datasets.times import read_times
-from docdepth.errors import Collector, DatasetError
+from docdepth.diagnostics.cameras import check_camera
+from docdepth.diagnostics.sweeps import check_sweeps
+from docdepth.errors import DatasetError, DocDepthError, Finding, collected, in_order
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.depth import check_format
 from docdepth.io.poses import read_poses
-from docdepth.odometry.pose_checks import warn_of_misfit
-from docdepth.pipeline.check_cameras import check_camera
+from docdepth.odometry.pose_checks import find_misfit
 from docdepth.pipeline.check_resources import check_resources, estimate, gigabytes
-from docdepth.pipeline.check_sweeps import check_sweeps
 from docdepth.pipeline.given_poses import (
     file_of_poses,
     read_given_poses,
     refuse_poses_of_a_camera,
 )
 from docdepth.pipeline.label_folder import LabelFolder
-from docdepth.pipeline.problems import Findings, Problem
 from docdepth.pipeline.run_inputs import known_poses, open_inputs, open_upright
 from docdepth.render.layers import check_layers
 
@@ -43,19 +41,19 @@ class Report:
 
     Attributes
     ----------
-    problems : list of Problem
+    findings : list of Finding
         Errors first; empty if all is well.
     summary : str
         Sweeps, cameras, memory and disk by estimate; empty if the recording cannot be opened.
     """
 
-    problems: list[Problem]
+    findings: list[Finding]
     summary: str
 
 
 def check_inputs(
     source: dict[str, Any], parameters: Parameters, output: Path | None = None
-) -> list[Problem]:
+) -> list[Finding]:
     """Find all problems of the inputs of a run.
 
     Parameters
@@ -68,34 +66,36 @@ def check_inputs(
 
     Returns
     -------
-    list of Problem
+    list of Finding
         Errors first; empty if all is well.
     """
-    return report_inputs(source, parameters, output).problems
+    return report_inputs(source, parameters, output).findings
 
 
 def report_inputs(
     source: dict[str, Any], parameters: Parameters, output: Path | None = None
 ) -> Report:
     """:func:`check_inputs` with a summary of the inputs."""
-    found = Findings()
+    found: list[Finding] = []
     opened = None
-    with found.collected():
-        opened = open_inputs(source)
+    try:
+        opened = open_upright(dict(source))
+    except DocDepthError:
+        with collected(found):  # where sweeps cannot be read, the checks below name them
+            opened = open_inputs(source)
     if opened is not None:
-        with suppress(DatasetError):  # sweeps that cannot be read are named below
-            opened = open_upright(dict(source))
         report = check_opened(source, *opened, parameters, output)
-        if source.get("poses") and all(p.severity != "error" for p in report.problems):
-            recording = opened[0]
-            poses = read_given_poses(str(source["poses"]), recording)
-            warn_of_misfit(lambda k: recording.sweep(k).points, poses, parameters.odometry)
-        return report
-    _check_files_of_options(source, found)
-    _check_parameters(parameters, found)
+        if not source.get("poses") or any(f.severity == "error" for f in report.findings):
+            return report
+        recording = opened[0]
+        poses = read_given_poses(str(source["poses"]), recording)
+        misfit = find_misfit(lambda k: recording.sweep(k).points, poses, parameters.odometry)
+        return Report([*report.findings, *misfit], report.summary)
+    found += _check_files_of_options(source)
+    found += _check_parameters(parameters)
     if output is not None:
-        _check_output(output, [], Path(source["dataset"]), found)
-    return Report(found.all(), "")
+        found += _check_output(output, [], Path(source["dataset"]))
+    return Report(in_order(found), "")
 
 
 def check_opened(
@@ -118,75 +118,80 @@ def check_opened(
     jobs : int
         Processes that will share the work.
     """
-    found = Findings()
-    _check_parameters(parameters, found)
+    found = _check_parameters(parameters)
     has_poses = bool(source.get("poses"))
-    with found.collected():
+    with collected(found):
         poses = known_poses(source, recording)
         if poses is not None and has_poses:
             refuse_poses_of_a_camera(str(source["poses"]), recording, poses, parameters.odometry)
     files = [recording.sweep_files(k) for k in range(len(recording))]
-    sweeps = check_sweeps(recording, files, parameters, found, has_poses)
+    sweeps, of_sweeps = check_sweeps(recording, files, parameters, has_poses)
+    found += of_sweeps
     if source.get("labels"):
-        _check_labels(Path(source["labels"]), recording, sweeps, found)
+        found += _check_labels(Path(source["labels"]), recording, sweeps)
     for stream in cameras:
-        check_camera(recording, stream, sweeps, found)
+        found += check_camera(recording, stream, sweeps)
     if output is not None:
         folders = sorted({file.parent for file in files[0]}) if files else []
-        _check_output(output, folders, recording.path, found)
+        found += _check_output(output, folders, recording.path)
     points = np.array([len(sweep.points) for sweep in sweeps.values()] or [0])
     needed = estimate(points, len(files), cameras, parameters, jobs)
-    check_resources(needed, cameras, output, found)
+    found += check_resources(needed, cameras, output)
     seen = ", ".join(f"{s.name} ({len(s.names)} images)" for s in cameras) or "none"
     summary = (
         f"{len(recording)} sweeps of {np.median(points):.0f} points, cameras {seen}; by estimate "
         f"{gigabytes(needed.memory)} of memory and {gigabytes(needed.disk)} on disk"
     )
-    return Report(found.all(), summary)
+    return Report(in_order(found), summary)
 
 
-def _check_labels(
-    folder: Path, recording: Dataset, sweeps: dict[int, Sweep], found: Collector
-) -> None:
+def _check_labels(folder: Path, recording: Dataset, sweeps: dict[int, Sweep]) -> list[Finding]:
     """Labels of every sweep are there, and those of some sweeps fit."""
+    found: list[Finding] = []
     names = next(iter(recording.lidars.values())).names
-    with found.collected():
+    with collected(found):
         given = LabelFolder(folder)
         given.check(names)
         for frame, sweep in sweeps.items():
             points = sweep.points
             returns = partial(np.flatnonzero, usable_points(points))
             given.check_count(sweep.name, frame, len(points), returns)
+    return found
 
 
-def _check_files_of_options(source: dict[str, Any], found: Collector) -> None:
+def _check_files_of_options(source: dict[str, Any]) -> list[Finding]:
     """Files that options name, where the recording itself cannot be opened."""
-    with found.collected():
+    found: list[Finding] = []
+    with collected(found):
         if source["camera_times"]:
             read_times(Path(source["camera_times"]))
-    with found.collected():
+    with collected(found):
         if source.get("calibration"):
             read_camera_calibration(Path(source["calibration"]))
-    with found.collected():
+    with collected(found):
         if source.get("labels"):
             LabelFolder(Path(source["labels"]))
-    with found.collected():
+    with collected(found):
         if source["poses"] and (poses := file_of_poses(str(source["poses"]))):
             read_poses(poses)
+    return found
 
 
-def _check_parameters(parameters: Parameters, found: Collector) -> None:
+def _check_parameters(parameters: Parameters) -> list[Finding]:
     """What only the last stage would refuse, and packages that are missing."""
+    found: list[Finding] = []
     for format in parameters.output.format:
-        with found.collected():
+        with collected(found):
             check_format(format, parameters.output.scale, parameters.render.max_depth)
-    with found.collected():
+    with collected(found):
         check_layers(parameters.output.layers, parameters.render)
+    return found
 
 
-def _check_output(output: Path, sweeps: list[Path], recording: Path, found: Collector) -> None:
-    """Refuse a run folder that cannot be written to, or that lies in the recording."""
-    with found.collected():
+def _check_output(output: Path, sweeps: list[Path], recording: Path) -> list[Finding]:
+    """Whether a run folder can be written to, and lies outside the recording."""
+    found: list[Finding] = []
+    with collected(found):
         if output.is_symlink() and not output.exists():
             raise DatasetError(
                 f"{output} is a link to {output.readlink()}, which is missing; name another folder"
@@ -203,3 +208,4 @@ def _check_output(output: Path, sweeps: list[Path], recording: Path, found: Coll
                 raise DatasetError(
                     f"{output} lies in the recording ({folder}); name another folder for the run"
                 )
+    return found

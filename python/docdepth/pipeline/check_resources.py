@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from docdepth.config import Parameters
 from docdepth.datasets import CameraStream
-from docdepth.errors import CalibrationError
+from docdepth.errors import CalibrationError, Finding, collected
 from docdepth.pipeline.memory import BASE, PER_PIXEL, memory_of_run
-from docdepth.pipeline.problems import Findings
 
 _FRAME_BYTES = 29  # of a point in frames/*.ply
 _PICTURE_BYTES = 0.3  # of a pixel in report/*.jpg
@@ -67,29 +66,31 @@ def estimate(
 
 
 def check_resources(
-    needed: Estimate, cameras: Sequence[CameraStream], output: Path | None, found: Findings
-) -> None:
+    needed: Estimate, cameras: Sequence[CameraStream], output: Path | None
+) -> list[Finding]:
     """Compare an estimate with what the machine has."""
-    before = len(found.errors)
+    found: list[Finding] = []
     for stream in cameras:
-        with found.collected():
+        with collected(found):
             check_image_size(stream.camera.width, stream.camera.height, stream.name)
     memory = available_memory()
-    if len(found.errors) == before and memory is not None and needed.memory > memory:
-        found.error(
+    if not found and memory is not None and needed.memory > memory:
+        text = (
             f"the run needs {gigabytes(needed.memory)} of memory for these sweeps and images by "
-            f"estimate, {gigabytes(memory)} are free; give --memory or fewer --jobs, or end "
-            "other programs"
+            f"estimate, {gigabytes(memory)} are free"
         )
+        remedy = "give `memory` or fewer `jobs`, or end other programs"
+        found.append(Finding("memory", "", text, remedy, "error"))
     if output is None:
-        return
+        return found
     existing = next(p for p in [output.absolute(), *output.absolute().parents] if p.is_dir())
     free = shutil.disk_usage(existing).free + _used(output)
     if needed.disk > free:
-        found.error(
-            f"{output}: the run writes {gigabytes(needed.disk)} by estimate, "
-            f"{gigabytes(free)} are free there; make room or name another disk"
+        text = (
+            f"the run writes {gigabytes(needed.disk)} by estimate, {gigabytes(free)} are free there"
         )
+        found.append(Finding("disk", str(output), text, "make room or name another disk", "error"))
+    return found
 
 
 def check_image_size(width: int, height: int, name: str = "the image") -> None:
@@ -104,7 +105,9 @@ def check_image_size(width: int, height: int, name: str = "the image") -> None:
     if memory is not None and needed > memory:
         raise CalibrationError(
             f"{name}: {width} x {height} pixels need {gigabytes(needed)} of memory by estimate, "
-            f"{gigabytes(memory)} are free; give a smaller image size"
+            f"{gigabytes(memory)} are free",
+            "give a smaller image size",
+            code="memory",
         )
 
 

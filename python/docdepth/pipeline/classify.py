@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.concurrency import Watch, unwatched
+from docdepth.diagnostics.results import check_classes, count_classes
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.scheduling import Told, Work, classify_sweeps
 from docdepth.dynamics.sweep_classifier import Evidence, SweepClassifier
@@ -41,7 +42,6 @@ from docdepth.pipeline.graph import classify_parts, label_files
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.kept_tracks import are_kept, keep_tracking, kept_sweeps, kept_tracks
 from docdepth.pipeline.memory import parameters_within_budget
-from docdepth.pipeline.sanity import count_classes, warn_of_classes
 from docdepth.pipeline.stage import Progress, Stopwatch, progress_callback, stage
 from docdepth.pipeline.workers import Worker, Workers
 
@@ -107,7 +107,7 @@ def run_classify(
                 store, trajectory, p.dynamics, tell, threads, watch, share
             )
             store.write_tracks()
-            warn_of_classes(store.counts)
+            profile.add(check_classes(store.counts))
             run.remove_tree(run.notes / _EVIDENCE)
             remove_outdated(run, ground_key, key)
 
@@ -204,7 +204,8 @@ class _FrameStore:
     Attributes
     ----------
     counts : ndarray of int64, shape (3,)
-        Points of the sweeps that were written, from :func:`docdepth.pipeline.sanity.count_classes`.
+        Points of the sweeps that were written, from
+        :func:`docdepth.diagnostics.results.count_classes`.
     """
 
     def __init__(

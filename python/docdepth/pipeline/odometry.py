@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import Dataset, Sweep
 from docdepth.datasets.tolerance import reading_a_frame
+from docdepth.diagnostics.sweeps import find_lonely_returns
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.points import usable_points
 from docdepth.io.frames import write_trajectory
@@ -18,10 +19,9 @@ from docdepth.io.manifest import WITHOUT_FRAMES
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.odometry.blooming import blooming_points
 from docdepth.odometry.odometry import Odometry, register_drive
-from docdepth.odometry.pose_checks import warn_of_misfit
+from docdepth.odometry.pose_checks import find_misfit
 from docdepth.pipeline.graph import odometry_parts
 from docdepth.pipeline.input_files import InputFiles
-from docdepth.pipeline.sanity import warn_of_viewpoint
 from docdepth.pipeline.stage import Profile, Progress, is_outdated, progress_callback, stage
 
 log = logging.getLogger(__name__)
@@ -78,6 +78,7 @@ def run_odometry(
                     checkpoint,
                     threads,
                 )
+            profile.findings += odometry.findings
             if first.sensor_rig is not None:
                 run.write_sensors(first.sensor_rig, key)
             indices = np.arange(len(dataset))
@@ -85,9 +86,9 @@ def run_odometry(
             _write_frames(run, odometry, left, key, profile, progress)
             _remove_old_frames(run, key)
             with profile.watch("check"):
-                warn_of_viewpoint(run.points, lambda i: run.frame(i).sensor_rig, len(dataset))
-                poses = odometry.trajectory.poses
-                warn_of_misfit(run.points, poses, run.parameters.odometry)
+                rig, poses = lambda i: run.frame(i).sensor_rig, odometry.trajectory.poses
+                profile.add(find_lonely_returns(run.points, rig, len(dataset)))
+                profile.add(find_misfit(run.points, poses, run.parameters.odometry))
 
 
 _CHECKPOINTS = "odometry"
@@ -143,8 +144,9 @@ def _write_frames(
                 usable &= ~_ghost_returns(dataset, measured, blooming_deg)
             if not usable.any():
                 raise DatasetError(
-                    f"{dataset.path}: sweep {measured.name} (frame {index}) holds no usable "
-                    "point; leave it out by --on-error skip"
+                    f"{dataset.path}: sweep {measured.name} (frame {index}) holds no usable point",
+                    "leave it out by `on_error='skip'`",
+                    code="empty-sweep",
                 )
             frame = deskewed.select(usable)
         with watch("write"):

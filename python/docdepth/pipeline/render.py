@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
+from docdepth.diagnostics.calibration import edges_of_images, judge
+from docdepth.diagnostics.results import check_density
+from docdepth.errors import Finding
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.pipeline.calibration_check import edges_of_images, judge
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render
 from docdepth.pipeline.run_inputs import (
@@ -27,7 +29,6 @@ from docdepth.pipeline.run_inputs import (
     register,
 )
 from docdepth.pipeline.run_state import require
-from docdepth.pipeline.sanity import warn_of_density
 from docdepth.pipeline.stage import Profile, Progress, Stopwatch, progress_callback, stage
 from docdepth.pipeline.workers import Worker, Workers
 from docdepth.render.backends import Renderer
@@ -177,7 +178,9 @@ def _render_cameras(
         for files, profile in zip(plan.files, profiles, strict=True):
             files.describe()
             profile.more["density"] = float(np.mean(files.shares()))
-            profile.more["calibration"] = _judge_maps(plan, files)
+            profile.add(check_density(files.shares(), files.stream.name))
+            profile.more["calibration"], found = _check_calibration(plan, files)
+            profile.add(found)
     return left_out
 
 
@@ -190,12 +193,11 @@ def _names_left_out(plan: RenderPlan, several: bool) -> list[str]:
     ]
 
 
-def _judge_maps(plan: RenderPlan, files: DepthFiles) -> str | None:
-    """Warn of depth maps that cannot be right; what images say about the calibration."""
+def _check_calibration(plan: RenderPlan, files: DepthFiles) -> tuple[str | None, list[Finding]]:
+    """What images say about the calibration."""
     stream, done = files.stream, sorted(files.coverage)
-    warn_of_density(files.shares(), stream.name)
     if not stream.images or files.parameters.render.primitive == "splats":
-        return None  # splats reach over edges
+        return None, []  # splats reach over edges
     path, tracks = files.run.path, plan.tracks
     return judge(edges_of_images(path, stream, done, files.depth, plan.trajectory, tracks))
 

@@ -19,6 +19,8 @@ from docdepth.errors import (
     DocDepthError,
     OdometryError,
     RunError,
+    log_findings,
+    raise_findings,
 )
 from docdepth.io.manifest import SKIPPED, skipped_frames
 from docdepth.io.run_folder import RunFolder
@@ -31,7 +33,6 @@ from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.kept_frames import choose_kept, delete_frames, keeps_only_results
 from docdepth.pipeline.memory import keep_budget, parameters_within_budget, within_memory
 from docdepth.pipeline.odometry import run_odometry
-from docdepth.pipeline.problems import raise_problems
 from docdepth.pipeline.render import run_render
 from docdepth.pipeline.run_inputs import (
     known_poses,
@@ -318,7 +319,7 @@ def _all_problems(source: dict[str, Any], parameters: Parameters, output: Path) 
     try:
         yield
     except DocDepthError:
-        raise_problems(check_inputs(source, parameters, output))
+        raise_findings(check_inputs(source, parameters, output))
         raise
 
 
@@ -347,11 +348,10 @@ def _check(folder: RunFolder, recording: Dataset, jobs: int) -> None:
     streams = [camera.stream for camera in cameras]
     values = parameters_within_budget(folder)
     report = check_opened(source, recording, streams, values, folder.path, jobs)
-    raise_problems(report.problems)
-    folder.manifest["warnings"] = [problem.text for problem in report.problems]
+    raise_findings(report.findings)
+    folder.manifest["warnings"] = [str(found) for found in report.findings]
     folder.manifest["estimate"] = report.summary
-    for problem in report.problems:
-        log.warning("%s", problem.text)
+    log_findings(log, report.findings)
 
 
 def _make(

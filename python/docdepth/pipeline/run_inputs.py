@@ -33,8 +33,8 @@ from docdepth.datasets.images import read_image_of
 from docdepth.datasets.mounts import LEVEL_DEG, Mounted, ground_of
 from docdepth.datasets.times import read_times
 from docdepth.datasets.tolerance import broken_frames_tolerated, first_readable
-from docdepth.datasets.viewpoint import LEAST_IN_TRIANGLES, find_viewpoint
-from docdepth.errors import CalibrationError, DatasetError
+from docdepth.diagnostics.sweeps import find_sensor_origin
+from docdepth.errors import CalibrationError, DatasetError, log_findings
 from docdepth.geometry.camera import Camera
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.manifest import SKIPPED
@@ -155,22 +155,12 @@ def find_looks_from(recording: Dataset, begun: dict[str, Any] | None = None) -> 
     if begun:
         found: list[Any] | None = begun.get("looks_from")
         return None if recording.sweep(0).sensor_rig is not None else found
-    viewpoint = None if recording.name == "run" else find_viewpoint(recording)
-    if viewpoint is None or viewpoint.share < LEAST_IN_TRIANGLES:
+    viewpoint, found = find_sensor_origin(recording)
+    if viewpoint is None:
         return None  # if returns lack neighbours, a run warns of it
-    several = len(viewpoint.places) > 1
-    log.warning(
-        "%s: seen from the origin, %.0f %% of the returns have neighbours in their sweep, from %s "
-        "%.0f %%: rays are taken to begin there. %s",
-        recording.path, 100 * viewpoint.at_origin,
-        " and ".join("[{:g}, {:g}, {:g}]".format(*place) for place in viewpoint.places),
-        100 * viewpoint.share,
-        "Its points are of several LiDARs, one after the other; bring them as several if you can"
-        if several
-        else "Say by looks_from in docdepth.yaml where the LiDAR is if you know it, and bring "
-        "several LiDARs as several",
-    )  # fmt: skip
-    return [list(place) for place in viewpoint.places] if several else list(viewpoint.places[0])
+    log_findings(log, found)
+    places = viewpoint.places
+    return [list(place) for place in places] if len(places) > 1 else list(places[0])
 
 
 def find_up(recording: Dataset, begun: dict[str, Any] | None = None) -> list[float] | None:

@@ -7,13 +7,16 @@ import re
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from docdepth.errors import Finding, log_findings
 from docdepth.io.run_folder import RunFolder, stage_key
+
+log = logging.getLogger(__name__)
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how many frames are done and how many there are."""
@@ -68,7 +71,7 @@ def stage(run: RunFolder, name: str, parts: dict[str, Any], all_frames: int) -> 
     """A stage of a run that has something to do.
 
     Its parameters, and what else it is made of, are noted in run.yaml when it begins. When it ends,
-    so is its profile. Warnings of docdepth are kept there, too.
+    so is its profile. Findings are kept there, and notices that docdepth logs meanwhile.
 
     Parameters
     ----------
@@ -109,14 +112,24 @@ class Profile:
         Of the watch's seconds, where stages share one.
     more : dict
         Further entries of the stage in run.yaml.
+    findings : list of Finding
+        What looks wrong with the results.
     """
 
     def __init__(self) -> None:
         self.watch, self.frames, self.share = Stopwatch(), 0, 1.0
         self.more: dict[str, object] = {}
+        self.findings: list[Finding] = []
 
-    def state(self, before: dict[str, Any], warnings: list[str]) -> dict[str, Any]:
+    def add(self, findings: Iterable[Finding]) -> None:
+        """Keep findings of a check, and log them."""
+        known = list(findings)
+        log_findings(log, known)
+        self.findings += known
+
+    def state(self, before: dict[str, Any], notices: list[str]) -> dict[str, Any]:
         """Entries of the stage, those of earlier commands added."""
+        found = map(str, self.findings)
         wall = self.share * self.watch.wall()
         return {
             "frames": self.frames,
@@ -125,7 +138,7 @@ class Profile:
             "total_frames": before.get("total_frames", 0) + self.frames,
             "total_seconds": round(before.get("total_seconds", 0.0) + wall, 3),
             "peak_memory_mb": max(self.watch.peak_memory_mb(), before.get("peak_memory_mb", 0)),
-            "warnings": list(dict.fromkeys([*before.get("warnings", []), *warnings])),
+            "warnings": list(dict.fromkeys([*before.get("warnings", []), *found, *notices])),
             **self.more,
         }
 

@@ -17,7 +17,7 @@ def inspection_lines(figures: Figures) -> Iterator[str]:
     Parameters
     ----------
     figures : dict
-        Groups of figures by name, of :class:`docdepth.inspection.inspection.Inspection`.
+        Groups of figures by name, of :class:`docdepth.diagnostics.inspection.Inspection`.
     """
     recording = figures["recording"]
     yield f"{recording['path']}, read as {recording['format']}"

@@ -1,11 +1,12 @@
-"""Results that cannot be right are warned of once; those that are right are silent."""
+"""Results that cannot be right are found; those that are right are not."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from docdepth.pipeline import sanity
+from docdepth.diagnostics.results import check_classes, check_density, count_classes
+from docdepth.diagnostics.sweeps import find_lonely_returns, spread
 
 
 def _hall(height: float = 0.0) -> np.ndarray:
@@ -21,45 +22,41 @@ def _hall(height: float = 0.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("height", "wrong"), [(0.0, False), (1.9, True)])
-def test_points_that_were_not_seen_from_their_origin(height, wrong, caplog):
+def test_points_that_were_not_seen_from_their_origin(height, wrong):
     # In the vehicle's frame rings overlap; a wall of its own keeps each ring's place uncertain.
     points = _hall(height)
     points += np.random.default_rng(0).normal(0, 0.02, points.shape).astype(np.float32)
     if wrong:  # and merged with another LiDAR beside it
         points = np.concatenate([points, points[:, [1, 0, 2]] + np.float32([3, 1, -1.2])])
-    sanity.warn_of_viewpoint(lambda _: points, lambda _: None, 9)
-    warned = [r for r in caplog.records if "have neighbours" in r.message]
-    assert len(warned) == wrong
-    if wrong:
-        assert "looks_from" in warned[0].message
+    found = find_lonely_returns(lambda _: points, lambda _: None, 9)
+    assert [f.code for f in found] == ["lonely-returns"] * wrong
 
 
 @pytest.mark.parametrize(
-    ("count", "message"),
+    ("count", "codes"),
     [
-        ((1000, 400, 30), None),
-        ((1000, 3, 30), "only 0.3 % of the points are ground"),
-        ((1000, 400, 400), "67 % of the points above the ground are called dynamic"),
-        ((0, 0, 0), None),
+        ((1000, 400, 30), []),
+        ((1000, 3, 30), ["no-ground"]),
+        ((1000, 400, 400), ["much-dynamic"]),
+        ((0, 0, 0), []),
     ],
 )
-def test_classes_that_cannot_be(count, message, caplog):
-    sanity.warn_of_classes(np.multiply(count, 20))
-    assert [r.message.startswith(message) for r in caplog.records] == ([True] if message else [])
+def test_classes_that_cannot_be(count, codes):
+    assert [found.code for found in check_classes(np.multiply(count, 20))] == codes
 
 
 def test_classes_are_counted():
     classid = np.array([0, 0, 50, 100, 100, 100], np.uint16)
-    assert sanity.count_classes(classid).tolist() == [6, 2, 3]
+    assert count_classes(classid).tolist() == [6, 2, 3]
 
 
 @pytest.mark.parametrize(("coverage", "warned"), [([0.6, 0.7], 0), ([0.01, 0.0, 0.02], 1), ([], 0)])
-def test_maps_that_are_all_but_empty(coverage, warned, caplog):
-    sanity.warn_of_density(coverage, "image_02")
-    assert len(caplog.records) == warned
-    assert all("only 1.0 % of the pixels of image_02" in r.message for r in caplog.records)
+def test_maps_that_are_all_but_empty(coverage, warned):
+    found = check_density(coverage, "image_02")
+    assert [f.code for f in found] == ["empty-maps"] * warned
+    assert all("only 1.0 % of the pixels of image_02" in f.text for f in found)
 
 
 @pytest.mark.parametrize(("count", "most", "chosen"), [(3, 5, [0, 1, 2]), (100, 3, [0, 49, 99])])
 def test_samples_are_spread(count, most, chosen):
-    assert sanity.sampled(count, most) == chosen
+    assert spread(count, most) == chosen

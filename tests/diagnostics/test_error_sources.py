@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from docdepth.config import Parameters
-from docdepth.evaluation.causes import Causes, causes
+from docdepth.diagnostics.error_sources import ErrorSources, find_error_sources
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.frames import write_trajectory
@@ -54,18 +54,19 @@ def run_of(path: Path, drives, skew: bool, times: bool = False, off: float = 0.0
 
 def test_right_sweeps_and_poses_are_not_blamed(tmp_path, drives) -> None:
     for times in (False, True):
-        found = causes(run_of(tmp_path / str(times), drives, skew=False, times=times))
-        assert found.lines == []
+        found = find_error_sources(run_of(tmp_path / str(times), drives, skew=False, times=times))
+        assert found.findings == []
         assert found.jitter < 0.01
-        assert min(found.misfit, key=found.misfit.get) == "as they are"
+        assert min(found.residual, key=found.residual.get) == "as they are"
 
 
 def test_poses_that_jitter_are_named_with_the_size_of_it(tmp_path, drives) -> None:
     seen = []
-    found = causes(run_of(tmp_path / "run", drives, False, off=0.05), lambda *d: seen.append(d))
+    found = find_error_sources(
+        run_of(tmp_path / "run", drives, False, off=0.05), lambda *d: seen.append(d)
+    )
     assert 0.03 < found.jitter < 0.08
-    (line,) = found.lines
-    assert line.startswith("the poses jitter")
+    assert [f.code for f in found.findings] == ["jitter"]
     assert seen[-1][0] == seen[-1][1] == len(seen)
 
 
@@ -73,10 +74,10 @@ def test_poses_that_jitter_are_named_with_the_size_of_it(tmp_path, drives) -> No
     ("times", "way"), [(False, "turns clockwise"), (True, "once more by their times")]
 )
 def test_sweeps_without_motion_compensation_are_named(tmp_path, drives, times, way) -> None:
-    found = causes(run_of(tmp_path / "run", drives, skew=True, times=times))
-    (line,) = found.lines
-    assert "not motion compensated" in line
-    assert way in line
+    found = find_error_sources(run_of(tmp_path / "run", drives, skew=True, times=times))
+    (finding,) = found.findings
+    assert finding.code == "motion-compensation"
+    assert way in finding.text
 
 
 def test_a_standing_vehicle_and_a_short_drive_tell_nothing(tmp_path, drives) -> None:
@@ -84,14 +85,14 @@ def test_a_standing_vehicle_and_a_short_drive_tell_nothing(tmp_path, drives) -> 
     drive = drives[True][0]
     standing = np.repeat(np.eye(4)[None], SWEEPS, axis=0)
     write_trajectory(run.trajectory_path, Trajectory(drive.times, standing), np.arange(SWEEPS))
-    assert causes(run).misfit == {}
+    assert find_error_sources(run).residual == {}
     short = Trajectory(drive.times[:4], drive.poses[:4])
     write_trajectory(run.trajectory_path, short, np.arange(4))
-    found = causes(run)
+    found = find_error_sources(run)
     assert np.isnan(found.jitter)
-    assert found.lines == []
+    assert found.findings == []
 
 
 def test_small_differences_are_no_cause() -> None:
-    assert Causes(0.019, {"as they are": 0.030, "moved": 0.028}).lines == []
-    assert len(Causes(0.021, {"as they are": 0.030, "moved": 0.026}).lines) == 2
+    assert ErrorSources(0.019, {"as they are": 0.030, "moved": 0.028}).findings == []
+    assert len(ErrorSources(0.021, {"as they are": 0.030, "moved": 0.026}).findings) == 2

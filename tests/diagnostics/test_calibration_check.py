@@ -13,15 +13,15 @@ import pytest
 from command_line import cli
 from docdepth.config import parameters
 from docdepth.datasets import CameraStream
+from docdepth.diagnostics import calibration
+from docdepth.diagnostics.calibration import RunEdges, compare, edges_of_images, judge
+from docdepth.diagnostics.map_edges import edges_of_map, pixels_of_tracks
 from docdepth.errors import CalibrationError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline import calibration_check
-from docdepth.pipeline.calibration_check import RunEdges, compare, edges_of_images, judge
-from docdepth.pipeline.map_edges import edges_of_map, pixels_of_tracks
 
 K = np.array([[400.0, 0, 310], [0, 400, 120], [0, 0, 1]])
 CAMERA = Camera(K, 620, 240)
@@ -147,19 +147,23 @@ def test_images_from_one_place_count_once(monkeypatch) -> None:
     assert waiting.names == ["000000"]
     with pytest.raises(CalibrationError, match="take a drive that moves"):
         compare(waiting)
-    assert judge(waiting) is None
+    assert judge(waiting) == (None, [])
     crawling = images_along([0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4], monkeypatch)
     assert crawling.names == ["000000", "000003", "000006", "000007"]
 
 
-def test_a_run_warns_of_a_wrong_calibration(caplog) -> None:
-    assert "agrees with the images" in judge(made())
-    assert caplog.text == ""
-    assert "degrees to the left" in judge(made((0, 0.5, 0)))
-    assert "front: the calibration is off" in caplog.text
-    caplog.clear()
-    assert "by chance only" in judge(made(unrelated=True))
-    assert "by chance only" in caplog.text
+def test_a_run_finds_a_wrong_calibration() -> None:
+    verdict, found = judge(made())
+    assert verdict is not None
+    assert "agrees with the images" in verdict
+    assert found == []
+    verdict, (finding,) = judge(made((0, 0.5, 0)))
+    assert verdict == finding.text
+    assert (finding.code, finding.subject) == ("calibration-off", "front")
+    assert "degrees to the left" in finding.text
+    verdict, (finding,) = judge(made(unrelated=True))
+    assert verdict == finding.text
+    assert finding.code == "by-chance"
 
 
 def test_edges_lie_between_near_and_far_and_point_away_from_the_near() -> None:
@@ -199,8 +203,8 @@ def test_the_verb(finished, tmp_path, monkeypatch) -> None:
     ended = cli("calibrate", "--check", run)
     assert ended.exit_code == 2
     assert "has 4 images" in str(ended.exception)
-    monkeypatch.setattr(calibration_check, "_FEWEST_IMAGES", 3)
-    monkeypatch.setattr(calibration_check, "_FEWEST_EDGES", 100)
+    monkeypatch.setattr(calibration, "_FEWEST_IMAGES", 3)
+    monkeypatch.setattr(calibration, "_FEWEST_EDGES", 100)
     ended = cli("calibrate", "--check", run, "-o", tmp_path / "check")
     assert ended.exit_code == 0, ended.output
     assert "the calibration" in ended.output

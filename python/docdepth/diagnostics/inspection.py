@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import Sweep
+from docdepth.diagnostics.poses import Window
+from docdepth.errors import Finding
 from docdepth.geometry.ground_plane import GroundPlane
-from docdepth.inspection.pose_figures import Window
-from docdepth.pipeline.problems import Problem
 
 
 @dataclass
@@ -22,10 +22,8 @@ class Inspection:
     ----------
     figures : dict
         Of the recording, its sweeps, LiDARs, points, poses and cameras, ready for JSON.
-    problems : list of Problem
-        Errors first; empty if all is well.
-    notes : list of str
-        What is unusual, but no problem.
+    findings : list of Finding
+        Errors, then warnings, then notes on what is unusual, but no problem.
     sweeps : dict of int to Sweep
         Those that were opened, by frame.
     poses : ndarray of float64, shape (n, 4, 4), or None
@@ -36,9 +34,16 @@ class Inspection:
     """
 
     figures: dict[str, Any] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
     sweeps: dict[int, Sweep] = field(default_factory=dict)
     poses: NDArray[np.float64] | None = None
     windows: list[Window] = field(default_factory=list)
     ground: GroundPlane | None = None
+
+    def add(self, code: str, subject: str, text: str, remedy: str = "") -> None:
+        """Add a warning."""
+        self.findings.append(Finding(code, subject, text, remedy))
+
+    def note(self, code: str, text: str, remedy: str = "") -> None:
+        """Add what is unusual, but no problem."""
+        self.findings.append(Finding(code, "", text, remedy, "note"))

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, Dataset
+from docdepth.diagnostics.sweeps import sample
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.deskewing import centred_motion, deskew
-from docdepth.pipeline.check_sweeps import sample
 
 PAIRS = 8
 """Pairs of a sweep and an image that are compared."""

@@ -12,10 +12,9 @@ from docdepth.datasets import CameraStream, Dataset, Sweep, usable_points
 from docdepth.datasets.files import is_there, settings_file, unreadable
 from docdepth.datasets.images import ImageSource, file_of
 from docdepth.datasets.tolerance import reading_a_frame
-from docdepth.errors import Collector, DatasetError
-from docdepth.pipeline.alignment import find_misalignment
-from docdepth.pipeline.check_sweeps import sample, tell_broken
-from docdepth.pipeline.problems import Findings
+from docdepth.diagnostics.alignment import find_misalignment
+from docdepth.diagnostics.sweeps import of_broken, sample
+from docdepth.errors import Collector, DatasetError, Finding, collected
 
 _IMAGES = 6  # that are opened
 _TAIL = 64  # bytes at the end of an image that hold its mark
@@ -34,40 +33,39 @@ _REACHED = 0.3  # share of them that the sweeps reach
 
 
 def check_camera(
-    recording: Dataset, stream: CameraStream, sweeps: dict[int, Sweep], found: Findings
-) -> None:
+    recording: Dataset, stream: CameraStream, sweeps: dict[int, Sweep]
+) -> list[Finding]:
     """Check one camera of a recording against sweeps that were read."""
-    before = len(found.errors)
-    _check_images(stream, found)
-    with found.collected():
-        _check_times(recording, stream, found)
-    warned = len(found.warnings)
-    _check_intrinsics(stream, found)
-    _check_extrinsics(recording, stream, sweeps, found)
-    sound = len(found.warnings) == warned  # else edges would tell the same in other words
-    if sound and stream.images and len(found.errors) == before:
-        with found.collected():
+    found = _check_images(stream)
+    with collected(found):
+        found += _check_times(recording, stream)
+    where = _extrinsics_of(recording)
+    geometry = [*_check_intrinsics(stream), *_check_extrinsics(stream, sweeps, where)]
+    found += geometry
+    broken = any(one.severity == "error" for one in found)
+    if stream.images and not geometry and not broken:  # edges would tell the same in other words
+        with collected(found):
             misfit = find_misalignment(recording, stream)
             if misfit:
-                found.warn(
-                    f"{stream.name}: {misfit}; check {_extrinsics_of(recording)}, the intrinsics, "
-                    "and the times of the images"
-                )
+                remedy = f"check {where}, the intrinsics, and the times of the images"
+                found.append(Finding("misaligned", stream.name, misfit, remedy))
+    return found
 
 
-def _check_images(stream: CameraStream, found: Findings) -> None:
+def _check_images(stream: CameraStream) -> list[Finding]:
     """All images are files with content; some can be opened and fit the camera."""
+    found: list[Finding] = []
     for image in stream.images:
         try:
             empty = image.stat().st_size == 0
         except OSError:
             empty = True
         if empty:
-            with found.collected(), reading_a_frame():
+            with collected(found), reading_a_frame():
                 if image.is_file():
                     raise DatasetError(f"{image} is empty; copy the image again or remove it")
                 raise unreadable(file_of(image), "put the image back")
-            return
+            return found
     sampled = sample(len(stream.images), _IMAGES) if stream.images else []
     size = stream.camera.width, stream.camera.height
     odd = [k for k, image in enumerate(stream.images) if _is_odd(image, size)]
@@ -75,7 +73,7 @@ def _check_images(stream: CameraStream, found: Findings) -> None:
     for index in opened:
         with broken.collected():
             stream.rectified_image(index)
-    tell_broken(broken, len(opened), found)
+    return found + of_broken(broken, len(opened))
 
 
 def _is_odd(image: ImageSource, size: tuple[int, int]) -> bool:
@@ -91,7 +89,7 @@ def _is_odd(image: ImageSource, size: tuple[int, int]) -> bool:
     return head.startswith(b"\xff\xd8") and b"\xff\xd9" not in tail
 
 
-def _check_times(recording: Dataset, stream: CameraStream, found: Findings) -> None:
+def _check_times(recording: Dataset, stream: CameraStream) -> list[Finding]:
     times = recording.times
     inside = (stream.times >= times[0]) & (stream.times <= times[-1])
     spans = (
@@ -103,80 +101,80 @@ def _check_times(recording: Dataset, stream: CameraStream, found: Findings) -> N
     if not inside.any():
         raise DatasetError(
             f"none of the {len(stream.names)} images of {stream.name} lies between the first and "
-            f"the last sweep ({spans}); are camera and LiDAR on one clock? See --camera-times"
+            f"the last sweep ({spans}); are camera and LiDAR on one clock?",
+            "give other times by `camera_times`",
+            code="image-times",
         )
     outside = int((~inside).sum())
-    if outside > max(2, _OUTSIDE * len(inside)):
-        found.warn(
-            f"{stream.name}: {outside} of {len(inside)} images lie outside the sweeps and get no "
-            f"depth map ({spans}); see --camera-times if the clocks differ"
-        )
+    if outside <= max(2, _OUTSIDE * len(inside)):
+        return []
+    text = (
+        f"{outside} of {len(inside)} images lie outside the sweeps and get no depth map ({spans})"
+    )
+    remedy = "if the clocks differ, give other times by `camera_times`"
+    return [Finding("images-outside", stream.name, text, remedy)]
 
 
 def _seconds(time: np.int64) -> str:
     return f"{int(time) / 1e9:.3f}"
 
 
-def _check_intrinsics(stream: CameraStream, found: Findings) -> None:
-    camera = stream.camera
+def _check_intrinsics(stream: CameraStream) -> list[Finding]:
+    found, camera = [], stream.camera
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
     size = f"{camera.width} x {camera.height}"
     for name, length, focal in (("wide", camera.width, fx), ("high", camera.height, fy)):
         field = float(np.degrees(2 * np.arctan(length / (2 * focal))))
         if not field < _FIELDS_DEG[1] or (name == "wide" and field < _FIELDS_DEG[0]):
-            found.warn(
-                f"{stream.name}: the field of view is {field:.0f} degrees {name} (focal length "
-                f"{focal:.1f} pixels, image {size}); is the image size right? Is K in pixels?"
+            text = (
+                f"the field of view is {field:.0f} degrees {name} (focal length {focal:.1f} "
+                f"pixels, image {size}); is the image size right? Is K in pixels?"
             )
+            found.append(Finding("field-of-view", stream.name, text))
     if not 1 / _FOCAL_RATIO < fx / fy < _FOCAL_RATIO:
-        found.warn(
-            f"{stream.name}: focal lengths {fx:.1f} and {fy:.1f} pixels differ more than pixels of "
-            "a camera do; check K"
-        )
+        text = f"focal lengths {fx:.1f} and {fy:.1f} pixels differ more than pixels of a camera do"
+        found.append(Finding("focal-lengths", stream.name, text, "check K"))
     across, down = cx / camera.width, cy / camera.height
     resized = max(across, down) < _RESIZED[0] or min(across, down) > _RESIZED[1]
     if resized and 1 / _SAME_SCALE < across / down < _SAME_SCALE:
-        found.warn(
-            f"{stream.name}: the principal point ({cx:.1f}, {cy:.1f}) is the centre of an image of "
-            f"{2 * cx:.0f} x {2 * cy:.0f} pixels, but images have {size}; were they resized? Then "
-            "scale K, too"
+        text = (
+            f"the principal point ({cx:.1f}, {cy:.1f}) is the centre of an image of {2 * cx:.0f} x "
+            f"{2 * cy:.0f} pixels, but images have {size}; were they resized?"
         )
+        found.append(Finding("resized", stream.name, text, "then scale K, too"))
     elif not all(_CENTRE[0] < c < _CENTRE[1] for c in (across, down)):
-        found.warn(
-            f"{stream.name}: the principal point ({cx:.1f}, {cy:.1f}) lies far from the centre of "
-            f"the {size} image; is the image size right?"
+        text = (
+            f"the principal point ({cx:.1f}, {cy:.1f}) lies far from the centre of the {size} "
+            "image; is the image size right?"
         )
+        found.append(Finding("principal-point", stream.name, text))
+    return found
 
 
-def _check_extrinsics(
-    recording: Dataset, stream: CameraStream, sweeps: dict[int, Sweep], found: Findings
-) -> None:
-    """Warn of an implausible place or direction."""
-    where = _extrinsics_of(recording)
+def _check_extrinsics(stream: CameraStream, sweeps: dict[int, Sweep], where: str) -> list[Finding]:
+    """Implausible places and directions."""
+    found, name = [], stream.name
     distance = float(np.linalg.norm(stream.T_camera_lidar[:3, 3]))
     if distance > _LEVER_ARM:
-        found.warn(
-            f"{stream.name}: camera and LiDAR are {distance:.1f} m apart; is {where} in metres?"
-        )
+        text = f"camera and LiDAR are {distance:.1f} m apart; is {where} in metres?"
+        found.append(Finding("lever-arm", name, text))
     down_deg = float(np.degrees(np.arccos(np.clip(-stream.T_camera_lidar[1, 2], -1, 1))))
     if down_deg > _DOWN_DEG:
-        found.warn(
-            f"{stream.name}: the y axis of the image points {down_deg:.0f} degrees away from down "
-            f"in the frame of the LiDAR; {where} takes points of the LiDAR (x forward, y left, z "
-            "up) to the camera (x right, y down, z forward): are its axes in this order, is it the "
-            "inverse, or was a quaternion read as x y z w that is w x y z?"
+        text = (
+            f"the y axis of the image points {down_deg:.0f} degrees away from down in the frame of "
+            f"the LiDAR; {where} takes points of the LiDAR (x forward, y left, z up) to the camera "
+            "(x right, y down, z forward): are its axes in this order, is it the inverse, or was a "
+            "quaternion read as x y z w that is w x y z?"
         )
+        found.append(Finding("not-upright", name, text))
     seen, columns = _seen(stream, sweeps)
     if sweeps and seen < _FEWEST_SEEN:
-        found.warn(
-            f"{stream.name}: {100 * seen:.1f} % of the points of the sweeps fall into the image; "
-            f"check {where}"
-        )
+        text = f"{100 * seen:.1f} % of the points of the sweeps fall into the image"
+        found.append(Finding("few-points-seen", name, text, f"check {where}"))
     elif sweeps and columns < _REACHED:
-        found.warn(
-            f"{stream.name}: sweeps reach {100 * columns:.0f} % of the width of the image; "
-            f"check {where}"
-        )
+        text = f"sweeps reach {100 * columns:.0f} % of the width of the image"
+        found.append(Finding("few-columns-seen", name, text, f"check {where}"))
+    return found
 
 
 def _seen(stream: CameraStream, sweeps: dict[int, Sweep]) -> tuple[float, float]:

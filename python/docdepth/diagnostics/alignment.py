@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, Dataset
+from docdepth.diagnostics.alignment_views import View, edge_strength, scores_of, views_of
 from docdepth.geometry.se3 import matrix_to_quaternion, quaternion_to_matrix, rotation_exp
-from docdepth.pipeline.alignment_views import View, edge_strength, scores_of, views_of
 
 Scores = NDArray[np.float64]
 Change = tuple[float, float, float, float, float, float]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.errors import Finding
 from docdepth.geometry.se3 import (
     inverse,
     matrix_to_quaternion,
@@ -100,7 +103,7 @@ def misfit(given: Poses, measured: Poses) -> float:
 
 def explain_misfit(
     windows: Sequence[Window], cameras: dict[str, Poses] | None = None
-) -> str | None:
+) -> Finding | None:
     """What the poses are instead, where they do not fit the sweeps and something else does.
 
     Parameters
@@ -111,26 +114,27 @@ def explain_misfit(
 
     Returns
     -------
-    str or None
-        A sentence with its remedy; None where the poses fit, and where nothing explains them.
+    Finding or None
+        None where the poses fit, and where nothing explains them.
     """
     moving = [w for w in windows if w.better and _size(w.measured) > _LEAST_MOTION]
     if not moving or all(_fits(w.given, w.measured) for w in moving):
         return None
     before = sum(misfit(w.given, w.measured) for w in moving)
-    best, best_text = before, None
-    for text, change in _changes(cameras or {}, moving).items():
+    best, explained = before, None
+    for (code, text, remedy), change in _changes(cameras or {}, moving).items():
         changed = [change(w.given) for w in moving]
         after = sum(misfit(p, w.measured) for p, w in zip(changed, moving, strict=True))
         fits = all(_fits(p, w.measured) for p, w in zip(changed, moving, strict=True))
-        if fits and after < (_CLEARLY * before if best_text is None else _BETTER * best):
-            best, best_text = after, text
-    if best_text is None:
+        if fits and after < (_CLEARLY * before if explained is None else _BETTER * best):
+            best, explained = after, Finding(code, "", text, remedy)
+    if explained is None:
         return None
-    return (
-        f"{best_text} (they then differ from the motion of {len(moving[0].given)} sweeps by "
-        f"{best / len(moving):.2f} m, now by {before / len(moving):.2f} m)"
+    text = (
+        f"{explained.text} (so read, they differ from the motion of {len(moving[0].given)} sweeps "
+        f"by {best / len(moving):.2f} m, now by {before / len(moving):.2f} m)"
     )
+    return replace(explained, text=text)
 
 
 def rotations_are_missing(poses: Poses) -> bool:
@@ -163,42 +167,55 @@ def _fits(given: Poses, measured: Poses) -> bool:
     return misfit(given, measured) < _FIT[0] + _FIT[1] * _length(_motion(measured))
 
 
-def _changes(cameras: dict[str, Poses], windows: Sequence[Window]) -> dict[str, Any]:
-    """Sentences, and what makes right poses of those that they are true of."""
-    changes: dict[str, Any] = {
-        "the poses are T_lidar_world; give their inverses T_world_lidar": inverse,
-        "the poses have quaternions in the order w x y z; write x y z w": _reordered,
-    }
+def _changes(
+    cameras: dict[str, Poses], windows: Sequence[Window]
+) -> dict[tuple[str, str, str], Callable[[Poses], Poses]]:
+    """What poses may be (code, text, remedy), and what makes right ones of them."""
+    changes: dict[tuple[str, str, str], Callable[[Poses], Poses]] = {
+        ("inverse-poses", "the poses are T_lidar_world", "give their inverses"): inverse,
+        (
+            "quaternion-order", "the poses have quaternions in the order w x y z", "write x y z w"
+        ): _reordered,
+    }  # fmt: skip
     for name, T in cameras.items():
-        text = (
-            f"the poses are of the camera {name}, not of the LiDAR; say --poses {name}:FILE, or "
-            "let docdepth estimate them"
-        )
-        changes[text] = lambda poses, T=T: poses @ T
-    changes[
-        "the poses are of a camera's frame (x right, y down, z ahead); calibrate the camera and "
-        "say --poses CAMERA:FILE"
-    ] = lambda poses: poses @ _OPTICAL
+        text = f"the poses are of the camera {name}, not of the LiDAR"
+        remedy = f"say `poses={name + ':FILE'!r}`, or let docdepth estimate them"
+        changes["poses-of-camera", text, remedy] = partial(_turned, T=T)
+    text = "the poses are of a camera's frame (x right, y down, z ahead)"
+    remedy = "calibrate the camera and say `poses='CAMERA:FILE'`"
+    changes["poses-of-camera", text, remedy] = partial(_turned, T=_OPTICAL)
     for axis, name in enumerate("xyz"):
         S = np.eye(4)
         S[axis, axis] = -1
-        changes[
-            f"poses and points are mirror images of each other (wrong handedness): change the sign "
-            f"of {name} of the points or of the poses"
-        ] = lambda poses, S=S: S @ poses @ S
+        text = "poses and points are mirror images of each other (wrong handedness)"
+        remedy = f"change the sign of {name} of the points or of the poses"
+        changes["handedness", text, remedy] = partial(_mirrored, mirror=S)
     for angle in (90, -180, -90):
         T = np.eye(4)
         T[:3, :3] = rotation_exp(np.radians([0.0, 0, angle]))
-        changes[
+        text = (
             f"the poses are of a frame that is turned by {-angle} degrees about z against that of "
-            "the points; multiply them from the right by T_frame_lidar"
-        ] = lambda poses, T=T: poses @ T
+            "the points"
+        )
+        remedy = "multiply them from the right by T_frame_lidar"
+        changes["turned-frame", text, remedy] = partial(_turned, T=T)
     scale = _scale(windows)
     if scale is not None:
         unit = next((u for s, u in _UNITS.items() if 0.8 < scale / s < 1.25), "another unit")
-        changes[f"positions of the poses are in {unit}, 1 m of the sweeps is {scale:.3g}; give "
-                "metres"] = lambda poses: _scaled(poses, 1 / scale)  # fmt: skip
+        text = f"positions of the poses are in {unit}, 1 m of the sweeps is {scale:.3g}"
+        changes["unit-of-poses", text, "give metres"] = partial(_scaled, factor=1 / scale)
     return changes
+
+
+def _turned(poses: Poses, T: Poses) -> Poses:
+    """Poses of another frame of the vehicle."""
+    result: Poses = poses @ T
+    return result
+
+
+def _mirrored(poses: Poses, mirror: Poses) -> Poses:
+    result: Poses = mirror @ poses @ mirror
+    return result
 
 
 def _reordered(poses: Poses) -> Poses:

@@ -8,17 +8,17 @@ import scenes  # noqa: F401  adds its scenes
 from drives import Recorded, right_poses, turned
 
 from docdepth.datasets import usable_points
-from docdepth.geometry.ground_plane import find_ground, level_turn
-from docdepth.geometry.se3 import inverse
-from docdepth.inspection.lidar_figures import (
+from docdepth.diagnostics.lidar_figures import (
     beams_by_elevation,
     horizontal_field,
     shared_rays,
     spacing,
 )
-from docdepth.inspection.overlap import share_on
-from docdepth.inspection.pose_figures import Window, explain_misfit, pose_figures, windows_of
-from docdepth.inspection.sweep_figures import ego_body, row_shares
+from docdepth.diagnostics.overlap import share_on
+from docdepth.diagnostics.poses import Window, explain_misfit, pose_figures, windows_of
+from docdepth.diagnostics.sweep_figures import ego_body, row_shares
+from docdepth.geometry.ground_plane import find_ground, level_turn
+from docdepth.geometry.se3 import inverse
 from walled_yard import pose, scan
 
 

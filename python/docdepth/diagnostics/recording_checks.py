@@ -1,17 +1,18 @@
-"""What the figures of a recording mean: warnings, each with its remedy, and notes."""
+"""What the figures of a recording mean."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import Dataset, image_streams, usable_points
-from docdepth.inspection.inspection import Inspection
-from docdepth.inspection.pose_figures import Window, explain_misfit, rotations_are_missing
-from docdepth.pipeline.problems import Findings
+from docdepth.diagnostics.inspection import Inspection
+from docdepth.diagnostics.poses import Window, explain_misfit, rotations_are_missing
+from docdepth.errors import Finding
 
 MOVING = 0.05
 """Metres a sweep, by registration; less may be its errors."""
@@ -71,32 +72,33 @@ def camera_figures(recording: Dataset) -> list[dict[str, Any]]:
     return figures
 
 
-def judge(recording: Dataset, result: Inspection, found: Findings) -> None:
-    """Warn of what the figures show; what a run checks by itself is warned of already."""
-    where, figures = str(recording.path), result.figures
+def check_figures(recording: Dataset, result: Inspection) -> None:
+    """Add what the figures show; what a run checks by itself is found already."""
+    where, figures, ego = str(recording.path), result.figures, result.figures["ego"]
     if not result.sweeps:
         return
-    _judge_up(where, result, found)
-    _judge_rows(where, figures["rows"], result, found)
-    _judge_lidars(where, figures["lidars"], found)
-    _judge_times(where, result, found)
-    _judge_world(where, result, found)
-    if figures["ego"] is not None:
-        ego = figures["ego"]
+    _check_up(where, result)
+    _check_rows(where, figures["rows"], result)
+    _check_lidars(where, figures["lidars"], result)
+    _check_times(where, result)
+    _check_world(where, result)
+    if ego is not None:
         mirrored = " and its mirror images below the ground" if ego["mirrored"] else ""
-        result.notes.append(
-            f"{ego['points']} points a sweep stay with the LiDAR: its vehicle{mirrored}. To leave "
-            "them out, say in docdepth.yaml (least and greatest x, y and z in metres) "
-            f"ego_boxes: {ego['boxes_m']}"
+        result.note(
+            "own-vehicle",
+            f"{ego['points']} points a sweep stay with the LiDAR: its vehicle{mirrored}",
+            "to leave them out, say in docdepth.yaml (least and greatest x, y and z in metres) "
+            f"ego_boxes: {ego['boxes_m']}",
         )
 
 
-def _judge_up(where: str, result: Inspection, found: Findings) -> None:
+def _check_up(where: str, result: Inspection) -> None:
     ground = result.ground
     if ground is None:
-        result.notes.append(
+        result.note(
+            "up-unknown",
             "the ground is not one plane, or lies another way in each sweep, as seen by a "
-            "hand-held LiDAR: which way is up is not known"
+            "hand-held LiDAR: which way is up is not known",
         )
         return
     if ground.tilt_deg <= _TILT_DEG:
@@ -106,76 +108,93 @@ def _judge_up(where: str, result: Inspection, found: Findings) -> None:
     if axis != 2 or ground.up[2] < 0:
         like = f", and {'-' if ground.up[axis] < 0 else ''}{'xyz'[axis]} is nearly up"
     camera = " as in a camera's frame" if axis == 1 and ground.up[1] < 0 else ""
-    found.warn(
-        f"{where}: z of the points is {ground.tilt_deg:.0f} degrees from the ground's normal{like}"
-        f"{camera}; a run turns them so that z is up. If what is taken for the ground is a "
-        "wall, say up: [x, y, z] in docdepth.yaml"
+    result.add(
+        "tilted",
+        where,
+        f"z of the points is {ground.tilt_deg:.0f} degrees from the ground's normal{like}{camera}; "
+        "a run turns them so that z is up",
+        "if what is taken for the ground is a wall, say up: [x, y, z] in docdepth.yaml",
     )
 
 
-def _judge_rows(where: str, rows: dict[str, float], result: Inspection, found: Findings) -> None:
+def _check_rows(where: str, rows: dict[str, float], result: Inspection) -> None:
     if rows["at_origin"] > _FEW_ROWS:
-        result.notes.append(
+        result.note(
+            "rows-at-origin",
             f"up to {100 * rows['at_origin']:.1f} % of the rows of a sweep are points at the "
-            "origin; they are no returns and are left out"
+            "origin; they are no returns and are left out",
         )
     if rows["not_finite"] > _FEW_ROWS:
-        result.notes.append(
+        result.note(
+            "rows-not-finite",
             f"up to {100 * rows['not_finite']:.1f} % of the rows of a sweep are not finite; they "
-            "are left out"
+            "are left out",
         )
     if rows["close"] > _CLOSE:
-        result.notes.append(
+        result.note(
+            "rows-close",
             f"{100 * rows['close']:.1f} % of the points are nearer than half a metre, of the "
-            "vehicle or the LiDAR itself; they are left out"
+            "vehicle or the LiDAR itself; they are left out",
         )
     if rows["one_place"] > _ONE_PLACE:
-        found.warn(
-            f"{where}: {100 * rows['one_place']:.1f} % of the rows of a sweep are in one place "
-            "that is not the origin: no returns that were moved along with the points; remove "
-            "them before points are transformed"
+        result.add(
+            "rows-in-one-place",
+            where,
+            f"{100 * rows['one_place']:.1f} % of the rows of a sweep are in one place that is not "
+            "the origin: no returns that were moved along with the points",
+            "remove them before points are transformed",
         )
 
 
-def _judge_lidars(where: str, lidars: list[dict[str, Any]], found: Findings) -> None:
+def _check_lidars(where: str, lidars: list[dict[str, Any]], result: Inspection) -> None:
     for lidar in lidars:
         name, same_ray, same_point = (lidar[k] for k in ("name", "same_ray", "same_point"))
         if same_point > _SAME_POINT:
-            found.warn(
-                f"{where}: {100 * same_point:.0f} % of the points of {name} come twice; a packet "
-                "or a second return was written again: remove the copies"
+            result.add(
+                "repeated-points",
+                where,
+                f"{100 * same_point:.0f} % of the points of {name} come twice; a packet or a "
+                "second return was written again",
+                "remove the copies",
             )
         elif same_ray > _SAME_RAY:
-            found.warn(
-                f"{where}: {100 * same_ray:.0f} % of the points of {name} share their ray with "
-                "another point, so the LiDAR records two returns; keep the strongest or the last "
-                "of each ray, or set the LiDAR to one return"
+            result.add(
+                "two-returns",
+                where,
+                f"{100 * same_ray:.0f} % of the points of {name} share their ray with another "
+                "point, so the LiDAR records two returns",
+                "keep the strongest or the last of each ray, or set the LiDAR to one return",
             )
 
 
-def _judge_times(where: str, result: Inspection, found: Findings) -> None:
+def _check_times(where: str, result: Inspection) -> None:
     times, lidars = result.figures["point_times"], result.figures["lidars"]
     if times is None:
         if not result.figures["sweeps"]["motion_compensated"]:
-            result.notes.append("points have no times: sweeps are used as they were measured")
+            result.note("no-times", "points have no times: sweeps are used as they were measured")
         return
     first, last = times["span"]
     if times["span_s"] is not None and not _SPAN[0] < last - first < _SPAN[1]:
-        found.warn(
-            f"{where}: points of a sweep are measured within {last - first:.2f} of the time "
-            "between sweeps; are sweeps missing or cut? Look at the stamps, and say "
-            "point_time_unit in docdepth.yaml if the unit is wrong"
+        result.add(
+            "span-of-times",
+            where,
+            f"points of a sweep are measured within {last - first:.2f} of the time between sweeps; "
+            "are sweeps missing or cut?",
+            "look at the stamps, and say point_time_unit in docdepth.yaml if the unit is wrong",
         )
     wide = bool(lidars) and lidars[0]["field_of_view_deg"]["horizontal"] > _WIDE_DEG
     if wide and times["turn_deg"] > _TURN_DEG:
-        found.warn(
-            f"{where}: points that follow each other in time are {times['turn_deg']:.0f} degrees "
-            "apart (median), so times are not of their points; drop rows and their times together"
+        result.add(
+            "times-of-other-points",
+            where,
+            f"points that follow each other in time are {times['turn_deg']:.0f} degrees apart "
+            "(median), so times are not of their points",
+            "drop rows and their times together",
         )
 
 
-def _judge_world(where: str, result: Inspection, found: Findings) -> None:
-    """Warn if the points are in the world, where the LiDAR moves and its points do not."""
+def _check_world(where: str, result: Inspection) -> None:
+    """Whether the points are in the world, where the LiDAR moves and its points do not."""
     if not result.windows:
         return
     middles = np.array(
@@ -183,25 +202,23 @@ def _judge_world(where: str, result: Inspection, found: Findings) -> None:
     )
     wandered = float(np.linalg.norm(middles[-1] - middles[0]))
     if max(window.step for window in result.windows) < MOVING and wandered > _WANDERS:
-        found.warn(
-            f"{where}: points stay in their place from sweep to sweep, yet their middle moves by "
-            f"{wandered:.0f} m: they are in the world, not in the LiDAR's frame. Say frame: world "
-            "and poses in docdepth.yaml; a VIEWPOINT of zeros is no pose"
+        result.add(
+            "in-the-world",
+            where,
+            f"points stay in their place from sweep to sweep, yet their middle moves by "
+            f"{wandered:.0f} m: they are in the world, not in the LiDAR's frame",
+            "say frame: world and poses in docdepth.yaml; a VIEWPOINT of zeros is no pose",
         )
 
 
-def judge_poses(
-    recording: Dataset, poses: NDArray[np.float64], windows: Sequence[Window], found: Findings
-) -> bool:
-    """Warn of poses that are something else; True if there is something to warn of."""
-    before = len(found.warnings)
+def check_poses(
+    recording: Dataset, poses: NDArray[np.float64], windows: Sequence[Window]
+) -> list[Finding]:
+    """What poses are instead, where they are something else."""
+    where, found = str(recording.path), []
     if rotations_are_missing(poses):
-        found.warn(
-            f"{recording.path}: all poses have the same rotation, though their path turns; give "
-            "rotations as well as positions"
-        )
+        text = "all poses have the same rotation, though their path turns"
+        found.append(Finding("no-rotations", where, text, "give rotations as well as positions"))
     cameras = {name: stream.T_camera_lidar for name, stream in recording.cameras.items()}
-    text = explain_misfit(windows, cameras)
-    if text is not None:
-        found.warn(f"{recording.path}: {text}")
-    return len(found.warnings) > before
+    misfit = explain_misfit(windows, cameras)
+    return found if misfit is None else [*found, replace(misfit, subject=where)]

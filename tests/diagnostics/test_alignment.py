@@ -12,8 +12,8 @@ import scenes  # noqa: F401  adds its scenes
 import yaml
 
 from docdepth.datasets import CameraStream, Dataset, open_dataset
+from docdepth.diagnostics.alignment import find_misalignment
 from docdepth.geometry.se3 import matrix_to_quaternion, quaternion_to_matrix, rotation_exp
-from docdepth.pipeline.alignment import find_misalignment
 
 BETTER = "depth edges of the sweeps fit the images better when"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,21 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import CameraStream
-from docdepth.errors import CalibrationError, DatasetError
+from docdepth.diagnostics.alignment import Change, in_words
+from docdepth.diagnostics.edge_fit import EdgeFit, Edges, displaced, fit_edges, profiles
+from docdepth.diagnostics.map_edges import edges_of_map, pixels_of_tracks
+from docdepth.diagnostics.sweeps import spread
+from docdepth.errors import CalibrationError, Finding
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.depth import maps_in, read_depth
-from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import tracks_in
-from docdepth.pipeline.alignment import Change, in_words
-from docdepth.pipeline.edge_fit import EdgeFit, Edges, displaced, fit_edges, profiles
-from docdepth.pipeline.map_edges import edges_of_map, pixels_of_tracks
-from docdepth.pipeline.run_inputs import recorded_camera
-from docdepth.pipeline.run_state import require
-from docdepth.pipeline.sanity import sampled
-
-log = logging.getLogger(__name__)
 
 Floats = NDArray[np.float64]
 
@@ -123,38 +115,8 @@ class CalibrationCheck:
         }
 
 
-def check_calibration(
-    run: Path | str | RunFolder,
-    camera: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> CalibrationCheck:
-    """Compare depth edges of a run with the edges of its images.
-
-    Edges in boxes of moving objects do not count.
-
-    Parameters
-    ----------
-    run : Path, str or RunFolder
-        With depth maps, and images in its recording.
-    camera : str, optional
-        Its name; needed if the run has several.
-    progress : callable, optional
-        Called with the number of compared images and the number of all.
-
-    Raises
-    ------
-    RunError
-        The run has no depth maps, or they are out of date.
-    DatasetError
-        The recording has no images, or a file cannot be read.
-    CalibrationError
-        The run draws splats, there are too few edges to tell, or they fit by chance only.
-    """
-    return compare(edges_of_run(run, camera, progress))
-
-
 def compare(found: RunEdges) -> CalibrationCheck:
-    """What :func:`check_calibration` says of edges that were read.
+    """What depth edges and image edges say about the calibration.
 
     Raises
     ------
@@ -166,7 +128,9 @@ def compare(found: RunEdges) -> CalibrationCheck:
         raise CalibrationError(
             f"{found.path} has {len(found.edges)} images from places {APART} m apart, with "
             f"{found.count} depth edges of standing things; {_FEWEST_IMAGES} such images with "
-            f"{_FEWEST_EDGES} edges are needed to judge a calibration: take a drive that moves"
+            f"{_FEWEST_EDGES} edges are needed to judge a calibration",
+            "take a drive that moves",
+            code="few-edges",
         )
     samples = [
         profiles(edges, image, stream.camera)
@@ -177,25 +141,24 @@ def compare(found: RunEdges) -> CalibrationCheck:
         raise CalibrationError(
             f"depth edges of {found.path} fit the images of {stream.name} by chance only: the "
             "calibration is off by more than two degrees, the images are of another drive or "
-            "time, or they are too dark or blurred to tell"
+            "time, or they are too dark or blurred to tell",
+            code="by-chance",
         )
     worst = int(np.argmax(fit.gains))
     picture = _picture(found.images[worst], found.edges[worst], fit, stream)
     return CalibrationCheck(fit, found.count, len(found.edges), found.names[worst], picture)
 
 
-def judge(found: RunEdges) -> str | None:
-    """The verdict in words; None where there are too few edges. Warns where it is bad."""
+def judge(found: RunEdges) -> tuple[str | None, list[Finding]]:
+    """The verdict in words, None where there are too few edges; and what is bad."""
     if not found.enough:
-        return None
+        return None, []
     try:
         result = compare(found)
     except CalibrationError as error:
-        log.warning("%s", error)
-        return str(error)
-    if not result.agrees:
-        log.warning("%s: %s", found.stream.name, result.verdict)
-    return result.verdict
+        return error.text, [Finding(error.code, "", error.text, error.remedy)]
+    name, verdict = found.stream.name, result.verdict
+    return verdict, [] if result.agrees else [Finding("calibration-off", name, verdict)]
 
 
 @dataclass(frozen=True)
@@ -231,33 +194,6 @@ class RunEdges:
         return len(self.edges) >= _FEWEST_IMAGES and self.count >= _FEWEST_EDGES
 
 
-def edges_of_run(
-    run: Path | str | RunFolder,
-    camera: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> RunEdges:
-    """Read what :func:`check_calibration` compares; its parameters and errors."""
-    folder = RunFolder.open(run)
-    name = folder.depth_folder(camera)
-    if folder.parameters.render.primitive == "splats":
-        raise CalibrationError(
-            f"{folder.path} draws splats, which reach over the edges of things; compare a run with "
-            "render.primitive=triangles, as preset default has"
-        )
-    require(folder, f"render {folder.camera_in(name)}")
-    stream = recorded_camera(folder, name)
-    if stream is None or not stream.images:
-        raise DatasetError(f"{folder.path}: its recording has no images to compare depth with")
-    maps = maps_in(folder.path / "depth" / name)
-    indices = [k for k, image in enumerate(stream.names) if image in maps]
-    tracks = tracks_in(folder.path)
-    depth = {k: maps[stream.names[k]] for k in indices}
-    return edges_of_images(
-        folder.path, stream, indices, lambda k: read_depth(depth[k]), folder.trajectory(), tracks,
-        progress,
-    )  # fmt: skip
-
-
 def edges_of_images(
     run: Path,
     stream: CameraStream,
@@ -283,12 +219,12 @@ def edges_of_images(
     tracks : Tracks
         Moving objects.
     progress : callable, optional
-        As for :func:`check_calibration`.
+        Called with the number of compared images and the number of all.
     """
     times = stream.times[list(indices)]
     poses = trajectory.interpolate(times)
     apart = Trajectory(times, poses).subsample(APART)
-    chosen = [int(apart[k]) for k in sampled(len(apart), IMAGES)]
+    chosen = [int(apart[k]) for k in spread(len(apart), IMAGES)]
     images, edges = [], []
     for done, k in enumerate(chosen, 1):
         image = stream.rectified_image(indices[k])

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import CameraStream, Dataset, usable_points
+from docdepth.diagnostics.inspection import Inspection
 from docdepth.errors import DocDepthError
 from docdepth.geometry.ground_plane import GroundPlane, level_turn
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.inspection.inspection import Inspection
 from docdepth.visualization.overlays import COLOR_NAMES, clouds_in_plane, points_on_image
 from docdepth.visualization.pictures import Picture
 
@@ -39,13 +39,13 @@ def pictures_of(recording: Dataset, result: Inspection) -> Iterator[tuple[Pictur
     try:
         yield from _sweeps_over_each_other(recording, result)
     except DocDepthError as error:
-        result.notes.append(f"no picture of sweeps over each other: {error}")
+        result.note("no-picture", f"no picture of sweeps over each other: {error}")
     yield from _from_the_side(result)
     for name in list(recording.cameras)[:_MOST_CAMERAS]:
         try:
             yield from _on_image(recording, recording.cameras[name], result)
         except DocDepthError as error:
-            result.notes.append(f"no picture of {name}: {error}")
+            result.note("no-picture", f"no picture of {name}: {error}")
 
 
 def _sweeps_over_each_other(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.point_times import sweep_seconds
+from docdepth.errors import Finding
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
@@ -32,7 +33,7 @@ _CLEARLY = 0.9  # of the distance as it is: another compensation has to lie this
 
 
 @dataclass(frozen=True)
-class Causes:
+class ErrorSources:
     """What the sweeps of a run say about its poses and its motion compensation.
 
     Attributes
@@ -40,40 +41,42 @@ class Causes:
     jitter : float
         By how far poses are off their neighbours, in the median of the sweeps [m]: where a sweep
         lies when it is aligned with those before and those after it. NaN where nothing can be said.
-    misfit : dict of str to float
+    residual : dict of str to float
         Median distance between sweeps some metres apart [m]: ``as they are``, and if the points
         were moved by the motion during a sweep. Empty where the vehicle stands.
     """
 
     jitter: float
-    misfit: dict[str, float]
+    residual: dict[str, float]
 
     @property
-    def lines(self) -> list[str]:
-        """What is wrong, in words; empty if nothing is."""
+    def findings(self) -> list[Finding]:
+        """What is wrong; empty if nothing is."""
         found = []
         if self.jitter > _JITTER:
-            found.append(
+            text = (
                 f"the poses jitter: sweeps lie {100 * self.jitter:.0f} cm from where the sweeps "
-                "before and after them say; use other poses, or docdepth's own"
+                "before and after them say"
             )
-        best = min(self.misfit, key=lambda name: self.misfit[name], default=_AS_IS)
-        if best != _AS_IS and self.misfit[best] < _CLEARLY * self.misfit[_AS_IS]:
-            found.append(
+            found.append(Finding("jitter", "", text, "use other poses, or docdepth's own"))
+        best = min(self.residual, key=lambda name: self.residual[name], default=_AS_IS)
+        if best != _AS_IS and self.residual[best] < _CLEARLY * self.residual[_AS_IS]:
+            text = (
                 f"the sweeps are not motion compensated as they should be: points of sweeps some "
-                f"metres apart lie {100 * self.misfit[_AS_IS]:.1f} cm from each other, and "
-                f"{100 * self.misfit[best]:.1f} cm {best}; check motion_compensated and the times "
-                "of points"
+                f"metres apart lie {100 * self.residual[_AS_IS]:.1f} cm from each other, and "
+                f"{100 * self.residual[best]:.1f} cm {best}"
             )
+            remedy = "check motion_compensated and the times of points"
+            found.append(Finding("motion-compensation", "", text, remedy))
         return found
 
 
 _AS_IS = "as they are"
 
 
-def causes(
+def find_error_sources(
     run: Path | str | RunFolder, progress: Callable[[int, int], None] | None = None
-) -> Causes:
+) -> ErrorSources:
     """Look for errors of poses and of motion compensation in the sweeps of a run.
 
     Parameters
@@ -98,13 +101,13 @@ def causes(
     for done, index in enumerate(chosen, 1):
         shift = _shift(sweeps, trajectory, index)
         shifts += [] if shift is None else [shift]
-        pair = _misfits(sweeps, trajectory, index)
+        pair = _residuals(sweeps, trajectory, index)
         pairs += [pair] if pair else []
         if progress:
             progress(done, len(chosen))
     jitter = float(np.median(np.linalg.norm(shifts, axis=1))) if shifts else np.nan
     names = pairs[0] if pairs else {}
-    return Causes(jitter, {n: float(np.median([pair[n] for pair in pairs])) for n in names})
+    return ErrorSources(jitter, {n: float(np.median([pair[n] for pair in pairs])) for n in names})
 
 
 class _Sweeps:
@@ -152,7 +155,7 @@ def _shift(sweeps: _Sweeps, trajectory: Trajectory, index: int) -> Floats | None
     return np.asarray(np.mean(found, axis=0))
 
 
-def _misfits(sweeps: _Sweeps, trajectory: Trajectory, index: int) -> dict[str, float]:
+def _residuals(sweeps: _Sweeps, trajectory: Trajectory, index: int) -> dict[str, float]:
     """Distance of two sweeps, as they are and moved by the motion during a sweep [m]."""
     other = _partner(trajectory, index)
     if other is None:

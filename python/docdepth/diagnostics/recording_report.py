@@ -6,7 +6,7 @@ sweeps takes seconds. What a run checks when it starts is checked by the same fu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -15,24 +15,26 @@ from numpy.typing import NDArray
 from docdepth.config import Parameters
 from docdepth.datasets import Dataset, FrameRange, Sweep, usable_points, whole_of
 from docdepth.datasets.recording import Recording
-from docdepth.errors import DocDepthError
+from docdepth.diagnostics import recording_checks
+from docdepth.diagnostics.cameras import check_camera
+from docdepth.diagnostics.inspection import Inspection
+from docdepth.diagnostics.lidar_figures import lidar_figures
+from docdepth.diagnostics.overlap import share_on
+from docdepth.diagnostics.poses import Window, pose_figures, windows_of
+from docdepth.diagnostics.sweep_figures import ego_body, row_shares, time_figures
+from docdepth.diagnostics.sweeps import check_sweeps, find_lonely_returns, find_sensor_origin
+from docdepth.errors import DocDepthError, Finding, collected, in_order
 from docdepth.geometry.ground_plane import find_ground
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.inspection import findings
-from docdepth.inspection.inspection import Inspection
-from docdepth.inspection.lidar_figures import lidar_figures
-from docdepth.inspection.overlap import share_on
-from docdepth.inspection.pose_figures import Window, pose_figures, windows_of
-from docdepth.inspection.sweep_figures import ego_body, row_shares, time_figures
 from docdepth.odometry.odometry import estimate_poses
-from docdepth.odometry.pose_checks import check_given_poses, warn_of_jumps, warn_of_misfit
-from docdepth.pipeline.check_cameras import check_camera
-from docdepth.pipeline.check_sweeps import check_sweeps
-from docdepth.pipeline.problems import Findings
-from docdepth.pipeline.run_inputs import find_looks_from
-from docdepth.pipeline.sanity import warn_of_viewpoint
-from docdepth.pipeline.stage import recorded_warnings
+from docdepth.odometry.pose_checks import (
+    check_given_poses,
+    find_camera_poses,
+    find_jumps,
+    find_misfit,
+    find_no_motion,
+)
 
 _WINDOW = 6  # sweeps that are registered with each other
 _LEAST_TRAVEL = 5.0  # metres; on a shorter drive the traffic beside the vehicle stays with it, too
@@ -43,7 +45,7 @@ _PARAMETERS = Parameters()
 def inspect_recording(
     recording: Dataset,
     poses: NDArray[np.float64] | None = None,
-    opening: Sequence[str] = (),
+    opening: Iterable[Finding] = (),
 ) -> Inspection:
     """Look at a recording.
 
@@ -52,33 +54,32 @@ def inspect_recording(
     recording : Dataset
     poses : ndarray of float64, shape (n, 4, 4), optional
         ``T_world_lidar`` of another SLAM; those of the recording if left out.
-    opening : sequence of str
-        Warnings of opening the recording.
+    opening : iterable of Finding
+        Of opening the recording.
 
     Returns
     -------
     Inspection
     """
-    result, found = Inspection(), Findings()
-    for text in opening:
-        found.warn(text)
+    result = Inspection(findings=list(opening))
     given = recording.poses if poses is None else poses
-    with recorded_warnings() as logged:
-        files = [recording.sweep_files(k) for k in range(len(recording))]
-        result.sweeps = check_sweeps(recording, files, _PARAMETERS, found, given is not None)
-        _look_at_sweeps(recording, result)
-        if given is not None:
-            with found.collected():
-                result.poses = check_given_poses(recording, given, _PARAMETERS.odometry)
-        result.windows = _register(recording, result)
-        _look_at_poses(recording, result, "file" if poses is not None else "recording", found)
-        for stream in recording.cameras.values():
-            check_camera(recording, stream, result.sweeps, found)
-    for text in logged:
-        found.warn(text)
-    result.figures["cameras"] = findings.camera_figures(recording)
-    findings.judge(recording, result, found)
-    result.problems = found.all()
+    files = [recording.sweep_files(k) for k in range(len(recording))]
+    result.sweeps, found = check_sweeps(recording, files, _PARAMETERS, given is not None)
+    result.findings += found
+    _look_at_sweeps(recording, result)
+    if given is not None:
+        with collected(result.findings):
+            checked = check_given_poses(recording, given)
+            result.findings += find_no_motion(recording, checked, _PARAMETERS.odometry)
+            result.findings += find_camera_poses(checked)
+            result.poses = checked
+    result.windows = _register(recording, result)
+    _look_at_poses(recording, result, "file" if poses is not None else "recording")
+    for stream in recording.cameras.values():
+        result.findings += check_camera(recording, stream, result.sweeps)
+    result.figures["cameras"] = recording_checks.camera_figures(recording)
+    recording_checks.check_figures(recording, result)
+    result.findings = in_order(result.findings)
     return result
 
 
@@ -92,7 +93,7 @@ def _look_at_sweeps(recording: Dataset, result: Inspection) -> None:
         "cameras": list(recording.cameras),
         "poses": recording.poses is not None,
     }
-    figures["sweeps"] = findings.stamp_figures(recording.times)
+    figures["sweeps"] = recording_checks.stamp_figures(recording.times)
     if not sweeps:
         return
     period = figures["sweeps"]["period_s"]
@@ -130,9 +131,8 @@ def _register(recording: Dataset, result: Inspection) -> list[Window]:
         try:
             measured = estimate_poses(part, threads=1, passes=1)
         except DocDepthError as error:
-            result.notes.append(
-                f"frames {frames.start} to {frames.stop - 1} are not registered: {error}"
-            )
+            text = f"frames {frames.start} to {frames.stop - 1} are not registered: {error}"
+            result.note("not-registered", text)
             continue
         given = measured if poses is None else poses[frames.start : frames.stop]
         first, last = (recording.sweep(k).points for k in (frames[0], frames[-1]))
@@ -141,7 +141,7 @@ def _register(recording: Dataset, result: Inspection) -> list[Window]:
     return windows
 
 
-def _look_at_poses(recording: Dataset, result: Inspection, source: str, found: Findings) -> None:
+def _look_at_poses(recording: Dataset, result: Inspection, source: str) -> None:
     """Figures of the poses, checks that a run makes of them, and the body of the vehicle."""
     poses, figures = result.poses, result.figures
     figures["poses"] = None
@@ -151,19 +151,28 @@ def _look_at_poses(recording: Dataset, result: Inspection, source: str, found: F
     ]
     if poses is not None:
         figures["poses"] = {"source": source, **pose_figures(poses, recording.times)}
-        warn_of_jumps(Trajectory(recording.times, poses))
-        wrong = not result.sweeps or findings.judge_poses(recording, poses, result.windows, found)
-        if not wrong and np.ptp(poses, axis=0).any():
-            with found.collected():
-                warn_of_misfit(lambda k: recording.sweep(k).points, poses, _PARAMETERS.odometry)
+        found = find_jumps(Trajectory(recording.times, poses))
+        if result.sweeps:
+            wrong = recording_checks.check_poses(recording, poses, result.windows)
+            found += wrong
+            if not wrong and np.ptp(poses, axis=0).any():
+                with collected(found):
+                    found += find_misfit(
+                        lambda k: recording.sweep(k).points, poses, _PARAMETERS.odometry
+                    )
+        result.findings += found
     figures["ego"] = None
     fastest = max((window.step for window in result.windows), default=0.0)
     travelled = fastest * len(recording) > _LEAST_TRAVEL
-    if fastest > findings.MOVING and travelled and result.sweeps:
+    if fastest > recording_checks.MOVING and travelled and result.sweeps:
         figures["ego"] = ego_body([s.points for s in result.sweeps.values()], result.ground)
-    if result.sweeps and find_looks_from(recording) is None:
+    if not result.sweeps:
+        return
+    viewpoint, found = find_sensor_origin(recording)
+    result.findings += found
+    if viewpoint is None:
         keys = list(result.sweeps)
-        warn_of_viewpoint(
+        result.findings += find_lonely_returns(
             lambda i: _usable(result.sweeps[keys[i]]),
             lambda i: _usable_rig(result.sweeps[keys[i]]),
             len(keys),
