@@ -1,9 +1,10 @@
-# make demo   install what is missing and turn a synthetic drive into depth maps
-# make test   install what is missing and run the checks of continuous integration
-# make docs   install what is missing and build the site into build/site
+# make demo       install what is missing and turn a synthetic drive into depth maps
+# make test       install what is missing; style, types, C++ tests and the fast Python tests
+# make test-all   the same with sanitizers, slow tests, notebooks and the site
+# make docs       install what is missing and build the site into build/site
 #
 # The first of them builds the C++ core, which takes about two minutes. Tests on real recordings run
-# only where DOCDEPTH_KITTI_RAW names them; make test ends with a list of what it has left out.
+# only where DOCDEPTH_KITTI_RAW names them; the tests end with a list of what they have left out.
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 PYTHON ?= python3
@@ -12,12 +13,26 @@ BIN := $(VENV)/bin
 SYSTEM := g++ make python3-venv python3-dev libeigen3-dev libnanoflann-dev doctest-dev \
           libosmesa6 libegl1 libgl1-mesa-dri libgl1 libgomp1 libusb-1.0-0
 
-.PHONY: demo test docs install dev lint cpp-test pytest stubs format wheel clean system
+.PHONY: demo test test-all docs install dev lint cpp-test sanitize pytest pytest-all stubs format \
+        wheel clean system
 
 demo: install
 	$(BIN)/docdepth demo -o demo
 
-test: lint cpp-test pytest
+# One part after the other; at the end stands how long each took.
+define run
+	@took=""; trap 'printf "$$took"' EXIT; \
+	for part in $(1); do \
+	  begin=$$SECONDS; $(MAKE) --no-print-directory $$part; \
+	  took+="$$part: $$((SECONDS - begin)) s\n"; \
+	done
+endef
+
+test:
+	$(call run,dev lint cpp-test pytest)
+
+test-all:
+	$(call run,dev lint cpp-test sanitize pytest-all docs)
 
 # System packages by apt, where there is one; elsewhere CMake fetches the headers it needs.
 system:
@@ -33,37 +48,57 @@ system:
 $(BIN)/python: | system
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --upgrade pip
+	$(BIN)/pip install --quiet scikit-build-core pybind11 cmake ninja
 
 SOURCES := pyproject.toml CMakeLists.txt $(shell find cmake cpp python -type f \
              -name '*.[cht]*' -o -name '*.py' -path 'python/*')
 
 # pip says nothing while it compiles, which takes a minute or two: show the packages that it collects
 # and the files that the compiler is at. The whole log is kept beside the environment.
-define install
-	@echo "installing docdepth[$(1)]: packages, then the C++ core, about two minutes"
-	@$(BIN)/pip install --verbose '.[$(1)]' 2>&1 | tee $(VENV)/install.log | sed -unE \
+define progress
+	2>&1 | tee $(VENV)/$(1).log | sed -unE \
 	  -e 's/^ *Collecting ([A-Za-z0-9_.-]+).*/  package \1/p' \
 	  -e 's,^ *(\[[0-9]+/[0-9]+\]) Building CXX object .*\.dir/(.*)\.o$$,  \1 \2,p' \
 	  -e 's/^ *Successfully installed .*(docdepth-[0-9.]+).*/installed \1/p' \
 	  -e 's/^ *(ERROR|error:)/\1/p' \
-	  || { tail -n 40 $(VENV)/install.log; exit 1; }
+	  || { tail -n 40 $(VENV)/$(1).log; exit 1; }
 endef
 
 # A marker each, so that nothing is built again while no source has changed.
 $(VENV)/installed: $(SOURCES) | $(BIN)/python
-	$(call install,synth)
+	@echo "installing docdepth[synth]: packages, then the C++ core, about two minutes"
+	@$(BIN)/pip install --verbose '.[synth]' $(call progress,install)
 	@touch $@
 
 $(VENV)/documented: $(SOURCES) | $(BIN)/python
-	$(call install,docs)
+	@echo "installing docdepth[docs]: packages, then the C++ core, about two minutes"
+	@$(BIN)/pip install --verbose '.[docs]' $(call progress,install)
 	@touch $@
 
-$(VENV)/developed: $(SOURCES) | $(BIN)/python
-	$(call install,dev)
+# Packages of the tools come down while the C++ core and its tests compile, in one build tree.
+BUILD := build/release
+LAUNCHER := $(if $(shell command -v ccache),-C cmake.define.CMAKE_CXX_COMPILER_LAUNCHER=ccache)
+$(VENV)/packages: pyproject.toml | $(BIN)/python
+	@echo "installing packages of docdepth[dev]"
+	@$(BIN)/python .ci/requirements.py dev > $(VENV)/requirements.txt
+	@$(BIN)/pip install --no-compile -r $(VENV)/requirements.txt $(call progress,packages)
+	@touch $@
+
+$(VENV)/built: $(SOURCES) | $(BIN)/python
+	@echo "building the C++ core and its tests, about two minutes"
+	@rm -rf $(BUILD)/wheel
+	@$(BIN)/pip wheel --verbose --no-deps --no-build-isolation --wheel-dir $(BUILD)/wheel \
+	  -C build-dir=$(BUILD) -C cmake.define.DOCDEPTH_TESTS=ON -C cmake.define.DOCDEPTH_WERROR=ON \
+	  $(LAUNCHER) . $(call progress,build)
+	@touch $@
+
+$(VENV)/developed: $(VENV)/packages $(VENV)/built
+	@$(BIN)/pip install --quiet --no-index --no-deps --force-reinstall $(BUILD)/wheel/docdepth-*.whl
 	@touch $@ $(VENV)/installed $(VENV)/documented
 
 install: $(VENV)/installed
-dev: $(VENV)/developed
+dev:
+	@$(MAKE) --silent -j2 $(VENV)/developed
 
 lint: dev
 	$(BIN)/ruff check .
@@ -71,20 +106,26 @@ lint: dev
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run --Werror $$(git ls-files '*.cpp' '*.hpp')
 
-CMAKE := $(BIN)/cmake -S . -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) -DDOCDEPTH_WERROR=ON
+cpp-test: dev
+	$(BUILD)/docdepth_tests
 
 # The C++ tests under the address and undefined behaviour sanitizers, with the assertions of Eigen.
 # With -O2 they take twice as long to compile.
-cpp-test: dev
-	$(CMAKE) -B build/sanitize -DDOCDEPTH_PYTHON=OFF -DDOCDEPTH_TESTS=ON -DDOCDEPTH_SANITIZE=ON \
+sanitize: dev
+	$(BIN)/cmake -S . -B build/sanitize -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
+	  -DDOCDEPTH_WERROR=ON -DDOCDEPTH_PYTHON=OFF -DDOCDEPTH_TESTS=ON -DDOCDEPTH_SANITIZE=ON \
 	  -DDOCDEPTH_BENCHMARKS=ON -DCMAKE_BUILD_TYPE=RelWithDebInfo \
-	  -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1"
+	  -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1" $(patsubst -C cmake.define.%,-D%,$(LAUNCHER))
 	$(BIN)/cmake --build build/sanitize
 	build/sanitize/docdepth_tests
 
-# A process a core; a file's tests share their drives, so they stay together.
+# A process a core.
+PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal --durations 10
 pytest: dev
-	$(BIN)/python -m pytest -m "slow or not slow" -n auto --dist loadfile --durations 10
+	$(PYTEST) -m "not slow"
+
+pytest-all: dev
+	$(PYTEST) -m "slow or not slow"
 
 # The site; what it warns of is an error.
 docs: $(VENV)/documented
