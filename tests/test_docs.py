@@ -1,10 +1,9 @@
-"""The documentation says what is there: links, commands, parameters and snippets."""
+"""Commands, options, parameters and snippets of the documentation are those of the code."""
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
-import json
 import re
 import shlex
 from collections.abc import Iterator
@@ -15,15 +14,10 @@ import numpy as np
 import pytest
 import typer
 
+import docdepth
 from docdepth.cli import app
-from docdepth.config import Parameters, parameters, parse_settings
+from docdepth.config import Parameters
 from docdepth.datasets import open_dataset
-from docdepth.geometry.camera import Camera
-from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.depth_map import compose_depth
-from docdepth.render.render_sweep import RenderSweep
-from docdepth.render.view import View
 
 ROOT = Path(__file__).parent.parent
 README = ROOT / "README.md"
@@ -39,8 +33,6 @@ PAGES = [
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"!?\[[^]]*\]\(([^)\s]+)\)")
 _CODE = re.compile(r"`([^`\n]+)`")
-
-pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 
 def _prose(page: Path) -> str:
@@ -61,19 +53,8 @@ def _command_lines(page: Path) -> Iterator[list[str]]:
             yield shlex.split(line, comments=True)
 
 
-@pages
-def test_a_page_has_one_title(page: Path) -> None:
-    titles = re.findall(r"^# .+", _FENCE.sub("", page.read_text(encoding="utf-8")), re.MULTILINE)
-    assert len(titles) == 1
-
-
-def test_readme_is_short() -> None:
-    assert len(README.read_text(encoding="utf-8").splitlines()) <= 90
-
-
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=lambda page: page.name)
-def test_relative_links_resolve(page: Path) -> None:
-    for link in _LINK.findall(_prose(page)):
+def test_relative_links_resolve() -> None:
+    for page, link in ((p, link) for p in PAGES for link in _LINK.findall(_prose(p))):
         target, _, anchor = link.partition("#")
         if link.startswith("http"):
             continue
@@ -88,16 +69,9 @@ def _anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w -]", "", title.lower()).strip().replace(" ", "-") for title in titles}
 
 
-def test_every_picture_is_used() -> None:
-    used = {Path(link).name for page in PAGES for link in _LINK.findall(_prose(page))}
-    pictures = {p.name for p in (ROOT / "docs").iterdir() if p.suffix in (".png", ".jpg", ".svg")}
-    assert pictures <= used
-
-
-@pages
-def test_commands_and_options_exist(page: Path) -> None:
+def test_commands_and_options_exist() -> None:
     root = typer.main.get_command(app)
-    for program, *words in _command_lines(page):
+    for page, (program, *words) in ((p, line) for p in PAGES for line in _command_lines(p)):
         line = shlex.join([program, *words])
         if program == "python":
             known = _options_of_script(ROOT / words[0])
@@ -127,8 +101,7 @@ def _command(group: Any, words: list[str]) -> Any:
     return _command(verbs[words[0]], words[1:]) if words[0] in verbs else None
 
 
-@pages
-def test_options_in_the_text_exist(page: Path) -> None:
+def test_options_in_the_text_exist() -> None:
     def every(command: Any) -> Iterator[str]:
         for parameter in command.params:
             yield from parameter.opts
@@ -137,13 +110,12 @@ def test_options_in_the_text_exist(page: Path) -> None:
 
     sources = "".join(f.read_text(encoding="utf-8") for f in (ROOT / "benchmarks").glob("*.py"))
     known = {*every(typer.main.get_command(app)), *re.findall(r'"(--[\w-]+)"', sources)}
-    for code in _CODE.findall(_prose(page)):
+    for page, code in ((p, code) for p in PAGES for code in _CODE.findall(_prose(p))):
         if code.startswith("--"):
             assert code.split()[0].partition("=")[0] in known, f"{page.name}: {code}"
 
 
-@pages
-def test_parameters_in_the_text_exist(page: Path) -> None:
+def test_parameters_in_the_text_exist() -> None:
     known = {
         f"{stage}.{name}"
         for stage, group in Parameters()
@@ -151,9 +123,10 @@ def test_parameters_in_the_text_exist(page: Path) -> None:
         for name in group.model_dump()
     }
     stages = "|".join(sorted({name.partition(".")[0] for name in known}))
-    text = page.read_text(encoding="utf-8")
-    named = re.findall(rf"(?:`|--set |--vary )((?:{stages})\.\w+)(?:`|=)", text)
-    assert set(named) <= known
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        named = re.findall(rf"(?:`|--set |--vary )((?:{stages})\.\w+)(?:`|=)", text)
+        assert set(named) <= known, page.name
 
 
 def test_page_of_parameters_is_current() -> None:
@@ -179,8 +152,6 @@ def test_names_of_the_method_are_in_the_files_that_it_links_to() -> None:
 
 
 def test_public_names_are_on_the_page_of_python() -> None:
-    import docdepth
-
     page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"^\| `(\w+)", page, re.MULTILINE))
     assert listed == set(docdepth.__all__) - {"__version__"}
@@ -218,90 +189,11 @@ def test_snippets_of_the_readme_run(
     assert len(list((tmp_path / "run" / "depth").glob("*.png"))) == 4
 
 
-def _recipe_of_far_scenes() -> tuple[dict[str, Any], float]:
-    """Settings and scale of the command in the section on far scenes."""
-    text = (ROOT / "docs" / "quickstart.md").read_text(encoding="utf-8")
-    section = text.split("## Far scenes")[1].split("\n## ")[0]
-    words = shlex.split(_FENCE.findall(section)[0][1])
-    settings = [words[k + 1] for k, word in enumerate(words) if word == "--set"]
-    return parse_settings(settings), float(words[words.index("--scale") + 1])
-
-
-@pytest.mark.parametrize("primitive", ["splats", "triangles"])
-def test_the_recipe_for_far_scenes_draws_far_sweeps(primitive: Any) -> None:
-    """Each sweep, one per 50 m, sees a board of its own 40 m ahead; none hides another."""
-    settings, scale = _recipe_of_far_scenes()
-    spacing, sweeps = 50.0, 14
-    poses = np.repeat(np.eye(4)[None], sweeps, axis=0)
-    poses[:, 0, 3] = spacing * np.arange(sweeps)
-    trajectory = Trajectory(np.arange(sweeps) * 10**9, poses)
-    right, up = np.meshgrid(np.linspace(-0.002, 0.002, 30), np.linspace(-0.002, 0.002, 30))
-    camera = Camera(np.array([[15000.0, 0, 60], [0, 15000, 50], [0, 0, 1]]), 1500, 101)
-    T_camera_lidar = np.array([[0, -1.0, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-
-    def drawn(values: dict[str, Any]) -> set[float]:
-        p = parameters("default", {"render.primitive": primitive, **values}).render
-
-        def board(index: int) -> RenderSweep:
-            distance = 40.0 + spacing * index
-            side = -distance * (right + 100 * index / 15000)  # 100 pixels beside the last board
-            points = np.stack([np.full(up.shape, 40.0), side, distance * up], -1).reshape(-1, 3)
-            rows = np.arange(len(points), dtype=np.uint32)
-            classid = np.full(len(points), 50, np.uint16)
-            frame = LidarFrame(points.astype(np.float32), rows, "", len(rows), classid=classid)
-            return RenderSweep(frame, p)
-
-        depth = compose_depth(View.at(camera, T_camera_lidar, trajectory, 0), trajectory, board, p)
-        return set(np.unique(depth[np.isfinite(depth)].round(-1)).tolist())
-
-    far = drawn(settings)
-    assert max(far) > 500, "of the farthest sweeps, some are drawn"
-    assert len(far) > 5, "and those on the way"
-    assert max(far) * scale < 2**16, "and fits into a PNG"
-    for name in ("render.ahead", "render.max_depth"):
-        less = {key: value for key, value in settings.items() if key != name}
-        assert max(drawn(less)) < 300, f"{name} is needed"
-
-
 def _with(text: str, replaced: dict[str, str]) -> str:
     for old, new in replaced.items():
         assert old in text, f"the snippet no longer holds {old}"
         text = text.replace(old, new)
     return text
-
-
-def _rows(text: str) -> Iterator[list[str]]:
-    """Cells of the rows of all tables of a text."""
-    for line in text.splitlines():
-        if line.startswith("| ") and not line.startswith("| ---"):
-            yield [cell.strip() for cell in line[1:-1].split("|")]
-
-
-def _measured(name: str) -> dict[str, list[str]]:
-    """Rows of the first table of a benchmark by their names."""
-    content = json.loads((ROOT / "benchmarks" / "measured" / f"{name}.json").read_text("utf-8"))
-    return {row[0]: row for row in content["tables"][0]["rows"]}
-
-
-def test_the_short_table_of_accuracy_holds_the_means_of_what_was_measured() -> None:
-    page = (ROOT / "docs" / "accuracy.md").read_text(encoding="utf-8")
-    short = {row[0]: row[1:] for row in _rows(page.split("\n## ")[1])}
-    labels, depth = _measured("labels"), _measured("depth")
-    for sensor in ("HDL-64", "OS1-128", "XT-32", "VLP-16", "Avia"):
-        cells = [[float(value) for value in cell.split("/")] for cell in labels[sensor][1:6]]
-        f1, precision = np.mean(cells, axis=0)
-        assert float(short[sensor][0]) == pytest.approx(f1, abs=6e-4)
-        assert float(short[sensor][1]) == pytest.approx(precision, abs=6e-4)
-        assert float(short[sensor][2]) == float(labels[sensor][6].split(",")[2])
-        scenes = ("city", "crossing", "residential")
-        rows = [depth[name] for scene in scenes if (name := f"{sensor}, {scene}") in depth]
-        if rows:
-            wrong = np.mean([float(row[4]) + float(row[5]) for row in rows])
-            interior = np.mean([float(row[6].split(",")[0]) for row in rows])
-            density = np.mean([float(row[1]) for row in rows])
-            assert float(short[sensor][3]) == pytest.approx(wrong, abs=0.006)
-            assert float(short[sensor][4]) == pytest.approx(interior, abs=6e-4)
-            assert float(short[sensor][5]) == pytest.approx(density, abs=0.06)
 
 
 def test_page_of_results_is_current() -> None:
