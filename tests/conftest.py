@@ -1,6 +1,7 @@
 """Shared fixtures: real recordings where there are any, and made-up ones."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 
 from command_line import cli
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.odometry import first_motion
+from true_drive import write_true_drive
 from walled_yard import scan, straight
 
 _NO_RECORDINGS = "DOCDEPTH_KITTI_RAW is not set: no real recordings"
@@ -57,15 +60,21 @@ def drive_9001(kitti: Path) -> Path:
     return kitti / "2011_09_26_drive_9001_sync"
 
 
+@pytest.fixture(scope="session", autouse=True)
+def square_mounts() -> Iterator[None]:
+    """Seek first motions in four directions: in all 36 they are most of the time of a small run.
+
+    Tests of the odometry seek them in all.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(first_motion, "_DIRECTIONS", first_motion._DIRECTIONS[::9])
+        yield
+
+
 @pytest.fixture(scope="session")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Five sweeps of a synthetic street."""
-    pytest.importorskip("embreex")
-    from docdepth.synthetic import write_drive
-
-    root = tmp_path_factory.mktemp("drive")
-    write_drive(root, scene="city", sensor="VLP-16", frames=5, seed=1)
-    return root / "sequences" / "00"
+    """Five small sweeps of a street, with their truth."""
+    return write_true_drive(tmp_path_factory.mktemp("drive") / "sequences" / "00")
 
 
 @pytest.fixture(scope="session")

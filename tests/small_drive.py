@@ -8,17 +8,17 @@ import numpy as np
 from walled_yard import scan, straight
 
 SWEEPS, WIDTH, HEIGHT = 4, 96, 40
-_TR = "0 -1 0 0.02 0 0 -1 -0.06 1 0 0 -0.3"
+SPARSE = 7  # one ray of so many is measured
+TR = "0 -1 0 0.02 0 0 -1 -0.06 1 0 0 -0.3"
 
 
 def write_small_drive(folder: Path, sweeps: int = SWEEPS, images: bool = True) -> Path:
     """Write a KITTI odometry sequence with two cameras; returns its folder."""
     folder.mkdir(parents=True)
-    trajectory = straight(sweeps, 0.5)
-    for k, pose in enumerate(trajectory.poses):
-        write_sweep(folder, k, scan(pose, box_x=-8 + 1.5 * k)[0])
+    for k, pose in enumerate(straight(sweeps, 0.5).poses):
+        write_sweep(folder, k, scan(pose, -8 + 1.5 * k, SPARSE)[0])
     rows = [f"P{n}: 60 0 48 {-30 * (n - 2)} 0 60 20 0 0 0 1 0" for n in (2, 3)]
-    (folder / "calib.txt").write_text("\n".join([*rows, f"Tr: {_TR}"]) + "\n")
+    (folder / "calib.txt").write_text("\n".join([*rows, f"Tr: {TR}"]) + "\n")
     (folder / "times.txt").write_text("".join(f"{k / 10:.6f}\n" for k in range(sweeps)))
     for n in (2, 3) if images else ():
         (folder / f"image_{n}").mkdir()
@@ -29,8 +29,8 @@ def write_small_drive(folder: Path, sweeps: int = SWEEPS, images: bool = True) -
 
 def write_sweep(folder: Path, k: int, points: np.ndarray) -> None:
     (folder / "velodyne").mkdir(exist_ok=True)
-    rows = np.zeros((len(points[::7]), 4), np.float32)
-    rows[:, :3] = points[::7]
+    rows = np.zeros((len(points), 4), np.float32)
+    rows[:, :3] = points
     rows.tofile(folder / "velodyne" / f"{k:06d}.bin")
 
 

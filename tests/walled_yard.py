@@ -12,24 +12,28 @@ def pose(x=0.0, y=0.0, yaw=0.0):
     return T
 
 
-def scan(T_world_lidar, box_x):
+ELEVATION, AZIMUTH = np.meshgrid(
+    np.radians(np.arange(-15, 3, 0.4)), np.radians(np.arange(-180, 180, 0.25)), indexing="ij"
+)
+RAYS = np.stack(
+    [np.cos(ELEVATION) * np.cos(AZIMUTH), np.cos(ELEVATION) * np.sin(AZIMUTH), np.sin(ELEVATION)],
+    axis=-1,
+).reshape(-1, 3)
+
+
+def scan(T_world_lidar, box_x, every=1):
     """A spinning sensor in a walled yard with a box (2 m cube at y = 5) on flat ground.
 
-    Returns points in the sensor's frame and what each one hit: 0 ground, 1 wall, 2 box.
+    Returns points of each ``every``-th ray in the sensor's frame, and what each one hit: 0 ground,
+    1 wall, 2 box.
     """
-    elevation, azimuth = np.meshgrid(
-        np.radians(np.arange(-15, 3, 0.4)), np.radians(np.arange(-180, 180, 0.25)), indexing="ij"
-    )
-    lidar = np.stack(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ],
-        -1,
-    ).reshape(-1, 3)
-    u = lidar @ T_world_lidar[:3, :3].T
-    origin = T_world_lidar[:3, 3]
+    lidar = RAYS[::every]
+    distance, what = cast(T_world_lidar[:3, 3], lidar @ T_world_lidar[:3, :3].T, box_x)
+    return (lidar * distance[:, None]).astype(np.float32), what
+
+
+def cast(origin, u, box_x):
+    """Distance along rays u (n, 3) from a place in the yard, and what each one hits."""
     with np.errstate(divide="ignore", invalid="ignore"):
         wall = np.minimum.reduce(
             [np.where(s * u[:, k] > 0, (s * 25 - origin[k]) / u[:, k], np.inf)
@@ -44,8 +48,7 @@ def scan(T_world_lidar, box_x):
         leave = np.nanmin(np.maximum(low, high), axis=1)
         box = np.where((enter < leave) & (enter > 0), enter, np.inf)
     hits = np.stack([floor, wall, box])
-    what = hits.argmin(0)
-    return (lidar * hits.min(0)[:, None]).astype(np.float32), what
+    return hits.min(0), hits.argmin(0)
 
 
 def straight(n, step, dt=100_000_000):

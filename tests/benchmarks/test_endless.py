@@ -3,11 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scenes.endless import EndlessDrive
 from scenes.endless_street import PIECE, TILE, EndlessStreet, endless_road
 
 from docdepth.synthetic import sensor
 from docdepth.synthetic.casting import Rays
+
+pytestmark = pytest.mark.slow
 
 FIRST_MOVING = 252
 

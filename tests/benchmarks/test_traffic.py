@@ -13,6 +13,8 @@ from docdepth import synthetic
 from docdepth.synthetic import Drive, Speeds
 from docdepth.synthetic.actors import rounded
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("embreex")
 
 FRAMES = {"arrivals": 150, "overtaking": 90, "queue": 140}

@@ -1,4 +1,4 @@
-"""What the command line offers: help, names, completion, configuration files, JSON, silence."""
+"""What the command line understands: names, completion, configuration files, JSON, silence."""
 
 from __future__ import annotations
 
@@ -9,59 +9,13 @@ import subprocess
 import sys
 
 import pytest
-import typer
 import yaml
 
 from command_line import cli
-from docdepth.cli import app
 from docdepth.cli.config_file import read_config
-from docdepth.cli.names import DATASETS, FORMATS, LAYERS, PRESETS, RENDERERS, SCENE_NAMES
+from docdepth.cli.names import SCENE_NAMES
 from docdepth.config import Parameters, parameters
 from docdepth.io.run_folder import RunFolder
-
-
-def commands(group=None, path=()):
-    group = group or typer.main.get_command(app)
-    yield " ".join(path), group
-    for name, child in getattr(group, "commands", {}).items():
-        yield from commands(child, (*path, name))
-
-
-@pytest.mark.parametrize(("name", "command"), [pytest.param(n, c, id=n) for n, c in commands()])
-def test_every_option_says_what_it_is_for(name, command):
-    assert command.help
-    for parameter in command.params:
-        assert parameter.help, f"{name} {parameter.name}"
-        assert len(parameter.help.split()) >= 3, f"{name} {parameter.name}: {parameter.help}"
-
-
-@pytest.mark.parametrize("words", [["-h"], ["run", "-h"], ["evaluate", "-h"], ["render", "--help"]])
-def test_help_has_a_short_name(docdepth, words):
-    ended = docdepth(*words)
-    assert ended.code == 0
-    assert "Usage: docdepth" in ended.out
-
-
-def test_what_a_reader_needs_first_is_listed_first(docdepth):
-    listed = docdepth().out
-    places = [
-        listed.index(f" {name} ") for name in ("demo", "check", "run", "evaluate", "classify")
-    ]
-    assert places == sorted(places)
-
-
-@pytest.mark.parametrize(
-    ("verb", "names"),
-    [
-        ("run", [*DATASETS, *FORMATS, *LAYERS, *PRESETS, *RENDERERS]),
-        ("synth", [*SCENE_NAMES, "HDL-64", "VLP-16"]),
-        ("evaluate depth", ["valid", "kitti"]),
-    ],
-)
-def test_help_lists_the_values(docdepth, monkeypatch, verb, names):
-    monkeypatch.setenv("COLUMNS", "300")
-    text = docdepth(*verb.split(), "-h").out
-    assert [name for name in names if name not in text] == []
 
 
 @pytest.mark.parametrize(
@@ -69,11 +23,7 @@ def test_help_lists_the_values(docdepth, monkeypatch, verb, names):
     [
         (["synth", "out", "--scene", "town"], "'town' is unknown; there are"),
         (["synth", "out", "--sensor", "VLP16"], "did you mean VLP-16?"),
-        (["run", "d", "-o", "r", "--dataset", "kiti"], "'kiti' is unknown; there are kitti_raw"),
         (["run", "d", "-o", "r", "--layers", "class,tiem"], "did you mean time?"),
-        (["run", "d", "-o", "r", "--renderer", "opengl"], "'opengl' is unknown"),
-        (["evaluate", "depth", "r", "--depth", "d", "--mode", "x"], "there are valid, kitti"),
-        (["parameters", "rendr"], "did you mean render?"),
         (["video", "r", "--fps", "1e9"], "1000"),
     ],
 )
@@ -113,11 +63,6 @@ def test_completion_knows_verbs_options_and_values():
     assert complete("docdepth synth --scene ") == list(SCENE_NAMES)
     assert complete("docdepth run --format png,exr") == ["png,exr-half", "png,exr"]
     assert "--image-size" in complete("docdepth run --im")
-
-
-def test_completion_can_be_installed(docdepth):
-    ended = docdepth("-h")
-    assert "--install-completion" in ended.out
 
 
 def test_parameters_are_listed(docdepth):

@@ -27,6 +27,8 @@ def copied(drive, tmp_path):
     """A finished synthetic drive in tmp_path / "d"."""
     folder = tmp_path / "d" / "sequences" / "00"
     shutil.copytree(drive, folder)
+    about = {"scene": "city", "sensor": "VLP-16", "seed": 1, "frames": 5}
+    (folder / "docdepth.yaml").write_text(yaml.safe_dump(about | {"motion_compensated": True}))
     return folder
 
 

@@ -86,6 +86,7 @@ def test_the_laser_of_each_point_is_found():
     assert (kitti_lidar.sensor_rig(strange).index < 64).all()
 
 
+@pytest.mark.slow
 def test_depth_is_better_than_as_if_seen_from_the_origin(drive, tmp_path):
     dataset, blind = open_dataset(drive), open_dataset(drive)
     see = blind.sweep
@@ -101,6 +102,7 @@ def test_depth_is_better_than_as_if_seen_from_the_origin(drive, tmp_path):
     assert error["lasers"].too_far < 0.85 * error["origin"].too_far
 
 
+@pytest.mark.slow
 def test_azimuth_tells_when_a_compensated_sweep_saw_each_point(drive):
     sweep = open_dataset(drive).sweep(3)
     exact = Drive(scene("city", 5), sensor("HDL-64"), 8, 5).sweep(3).relative_time
@@ -112,6 +114,7 @@ def test_azimuth_tells_when_a_compensated_sweep_saw_each_point(drive):
     assert np.corrcoef(sweep.relative_time, exact)[0, 1] > 0.99
 
 
+@pytest.mark.slow
 def test_times_of_points_are_kept_with_a_compensated_run_and_move_none(drive, tmp_path):
     dataset = open_dataset(drive)
     run = RunFolder.create(tmp_path / "run", {}, parameters())
@@ -136,6 +139,7 @@ def test_a_drive_may_say_where_its_lidar_looks_from(tmp_path):
             open_dataset(folder)
 
 
+@pytest.mark.slow
 def test_a_new_place_of_the_lidar_makes_odometry_run_again(tmp_path):
     folder = write_drive(tmp_path / "drive", "city", "XT-32", frames=3, images=False)
     dataset = open_dataset(folder)

@@ -37,6 +37,7 @@ def cloud() -> tuple[np.ndarray, np.ndarray, list[tuple[float, float, float]]]:
     return together, np.cumsum([len(own) for own in points]), places
 
 
+@pytest.mark.slow
 def test_returns_are_given_to_their_lidars(cloud) -> None:
     """Two that see no common place need not be told apart, but the returns of most are right."""
     points, ends, places = cloud
@@ -52,6 +53,7 @@ def test_returns_are_given_to_their_lidars(cloud) -> None:
     assert told > own - 0.003 > whole + 0.01
 
 
+@pytest.mark.slow
 def test_a_lidar_in_the_bumper_is_told_from_those_on_the_roof(cloud) -> None:
     points, ends, places = cloud
     blocks = np.linspace(0, len(points), 33).astype(int).tolist()
@@ -80,6 +82,7 @@ class Recording:
         return Sweep(self.points[index:], f"{index}", int(self.times[index]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lidar", range(5))
 def test_a_single_lidar_is_one(cloud, lidar) -> None:
     points, ends, places = cloud
@@ -90,6 +93,7 @@ def test_a_single_lidar_is_one(cloud, lidar) -> None:
     assert find_viewpoint(Recording(shifted)) is None, "seen from where it is"
 
 
+@pytest.mark.slow
 def test_a_recording_has_the_rig_that_was_found(cloud) -> None:
     points, _, places = cloud
     mounted = Mounted(Recording(points), looks_from=places)

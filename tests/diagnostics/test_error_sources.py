@@ -15,6 +15,8 @@ from docdepth.io.frames import write_trajectory
 from docdepth.io.labels import classes_of_labels
 from docdepth.io.run_folder import RunFolder
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("embreex")
 SWEEPS = 20
 

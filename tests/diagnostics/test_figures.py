@@ -53,6 +53,7 @@ def test_a_wall_alone_and_a_cloud_without_a_plane_are_no_ground() -> None:
     assert find_ground([]) is None
 
 
+@pytest.mark.slow
 def test_the_bank_of_a_road_is_no_ground() -> None:
     """A bank beside a motorway is as large as the road, from which the ground falls on its side."""
     pytest.importorskip("embreex")

@@ -208,6 +208,7 @@ def test_confidence_of_points_grows_with_agreement():
         confidence(Votes(static, dynamic[:-1]))
 
 
+@pytest.mark.slow
 def test_sure_points_are_wrong_less_often(monkeypatch):
     """A crossing seen by few beams: the higher the confidence, the fewer points are wrong."""
     pytest.importorskip("embreex")

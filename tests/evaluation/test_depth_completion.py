@@ -53,7 +53,7 @@ def test_an_annotated_drive_of_other_images(finished, annotated):
 
 @pytest.mark.parametrize("with_intrinsics", [True, False])
 def test_the_cropped_selection(finished, drive, tmp_path, with_intrinsics):
-    """Maps of 1216 x 352 pixels of several drives and cameras in one folder, as KITTI has them."""
+    """Cropped maps of several drives and cameras in one folder, as KITTI has them."""
     selection, name = tmp_path / "val_selection_cropped", drive.name
     (selection / "groundtruth_depth").mkdir(parents=True)
     (selection / "intrinsics").mkdir()
@@ -63,15 +63,15 @@ def test_the_cropped_selection(finished, drive, tmp_path, with_intrinsics):
         depth = np.nan_to_num(np.load(drive / "depth_2" / f"{k:06d}.npy"), posinf=0)
         steps = np.round(depth * 256).astype(np.uint16)
         outside = steps.copy()
-        outside[23:, 13:-13] = 0  # KITTI crops the lower middle
+        outside[8:, 8:-8] = 0  # KITTI crops the lower middle
         cv2.imwrite(str(whole / f"{k:06d}.png"), steps - outside if k in (1, 2) else 0 * steps)
         if k in (1, 2):
             file = f"{name}_groundtruth_depth_{k:06d}_image_2.png"
-            cv2.imwrite(str(selection / "groundtruth_depth" / file), steps[23:, 13:-13])
+            cv2.imwrite(str(selection / "groundtruth_depth" / file), steps[8:, 8:-8])
             other = f"2011_09_26_drive_0002_sync_groundtruth_depth_{k:010d}_image_02.png"
-            cv2.imwrite(str(selection / "groundtruth_depth" / other), steps[:352, :1216])
+            cv2.imwrite(str(selection / "groundtruth_depth" / other), steps[:32, :80])
             if with_intrinsics:
-                text = "721.5377 0 596.5593 0 721.5377 149.854 0 0 1"
+                text = "60 0 40 0 60 12 0 0 1"
                 (selection / "intrinsics" / f"{name}_image_{k:06d}_image_2.txt").write_text(text)
     found, same = evaluate_depth(finished[0], selection), evaluate_depth(finished[0], whole)
     assert found.images == 2

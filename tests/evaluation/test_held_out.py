@@ -16,19 +16,16 @@ from docdepth.errors import InputError, RunError
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.run_inputs import recorded_camera
+from true_drive import write_true_drive
 
-pytest.importorskip("embreex")
-
-LEFT_OUT = 3  # with 7 sweeps, one of them
+LENGTH = 7
+LEFT_OUT = 3  # one of them
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    from docdepth.synthetic import write_drive
-
     root = tmp_path_factory.mktemp("held_out")
-    write_drive(root, scene="city", sensor="XT-32", frames=7, seed=1)
-    sequence = root / "sequences" / "00"
+    sequence = write_true_drive(root / "sequences" / "00", LENGTH)
     result = CliRunner().invoke(app, ["run", str(sequence), "-o", str(root / "run")])
     assert result.exit_code == 0, result.output
     return root / "run"

@@ -21,6 +21,8 @@ from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 from docdepth.io.run_folder import RunFolder
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("embreex")
 scipy_spatial = pytest.importorskip("scipy.spatial")
 

@@ -167,6 +167,7 @@ def run(dataset, path):
     return folder
 
 
+@pytest.mark.slow
 def test_a_sweep_of_both(two):
     dataset = open_dataset(two)
     sweep = dataset.sweep(3)
@@ -207,6 +208,7 @@ def test_each_lidar_votes_from_its_own_place(vote_model):
     assert votes.dynamic[2] == 0  # hidden by the wall
 
 
+@pytest.mark.slow
 def test_votes_are_those_of_both_apart(two):
     dataset = open_dataset(two)
     sweep, other = dataset.sweep(2), dataset.sweep(6)
@@ -241,6 +243,7 @@ def test_a_run_of_both(two, tmp_path):
     assert right.too_near + right.too_far < less.too_near + less.too_far
 
 
+@pytest.mark.slow
 def test_inconsistent_lidars_are_named(two, tmp_path):
     broken = tmp_path / "00"
     shutil.copytree(two, broken)

@@ -68,6 +68,7 @@ def road(tmp_path_factory: pytest.TempPathFactory):
     return dataset
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [0, 40, 90, 180, -90])
 @pytest.mark.parametrize("sensor", ["VLP-16", "XT-32"])
 def test_any_side_of_the_lidar_may_look_ahead(road, sensor: str, degrees: float) -> None:
@@ -76,6 +77,7 @@ def test_any_side_of_the_lidar_may_look_ahead(road, sensor: str, degrees: float)
         assert error(dataset, dataset.poses, degrees, first) < 0.3
 
 
+@pytest.mark.slow
 def test_a_drive_by_a_lidar_that_looks_back(road) -> None:
     """From the first sweep on; it stood at the speed of a motorway."""
     dataset = road("highway", "XT-32")
@@ -85,6 +87,7 @@ def test_a_drive_by_a_lidar_that_looks_back(road) -> None:
     assert np.linalg.norm(found - exact @ turned.turn.T, axis=1).max() < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [0, 180])
 @pytest.mark.parametrize("first", [0, 9, 18])
 def test_a_rosette_between_lorries(road, degrees: float, first: int) -> None:
@@ -93,8 +96,7 @@ def test_a_rosette_between_lorries(road, degrees: float, first: int) -> None:
     assert error(dataset, dataset.poses, degrees, first) < 0.25
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.06])
-@pytest.mark.parametrize("speed", [-0.8, 0.0, 1.1, 3.5])
+@pytest.mark.parametrize(("speed", "turn"), [(0.0, 0.0), (3.5, 0.06)])
 def test_a_known_motion(speed: float, turn: float) -> None:
     drive = Drive(5, motion=se3_exp(np.array([0.0, 0.0, turn]), np.array([speed, 0.0, 0.0])))
     assert error(drive, drive.exact) < 0.05
@@ -122,6 +124,7 @@ def test_a_field_tells_nothing(tmp_path: Path) -> None:
     assert found(drive) is None
 
 
+@pytest.mark.slow
 def test_poses_that_follow_lorries_are_named(road) -> None:
     """As registration finds them that starts from their speed; the right ones are not named."""
     dataset = road("highway", "XT-32")

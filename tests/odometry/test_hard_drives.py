@@ -13,6 +13,8 @@ from docdepth.odometry.registration import Registration
 from docdepth.synthetic import write_drive
 from exact_drive import Drive, pose_errors
 
+pytestmark = pytest.mark.slow
+
 
 def registered(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     """Poses of a written drive, estimated and exact."""

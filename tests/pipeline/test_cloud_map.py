@@ -86,8 +86,9 @@ def test_the_map_of_a_run(finished, tmp_path):
         cloud, _ = read_vertices(path)
         assert path.stem.endswith(tracks[number].kind)
         high = np.argmax(cloud["z"])
-        shade = np.array([cloud[c][high] for c in ("blue", "green", "red")]) / track_color(number)
-        assert np.ptp(shade[np.array(track_color(number)) > 60]) < 0.02, "the colour of its track"
+        colour, bright = np.array(track_color(number)), np.array(track_color(number)) > 60
+        shade = np.array([cloud[c][high] for c in ("blue", "green", "red")])[bright]
+        assert np.ptp(shade / colour[bright]) < 0.02, "the colour of its track"
         assert cloud["points"].sum() >= objects[number]
         # In the frame of its box, most of it lies in the box.
         outside = np.abs(np.column_stack([cloud["x"], cloud["y"]])) - tracks[number].size[:2] / 2

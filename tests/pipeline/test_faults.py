@@ -56,6 +56,7 @@ def test_a_disk_that_fills_up_again_and_again(drive: Path, whole: Path, tmp_path
     assert results(tmp_path / "run") == results(whole)
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_written(drive: Path, whole: Path, tmp_path: Path) -> None:
     """Read-only, as a disk with errors becomes."""
     if subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:
@@ -111,6 +112,7 @@ def wait_for(path: Path) -> None:
     raise AssertionError(f"{path} does not appear")
 
 
+@pytest.mark.slow
 def test_a_second_process_is_told_and_leaves_the_run_alone(
     drive: Path, whole: Path, tmp_path: Path
 ) -> None:
@@ -139,6 +141,7 @@ def test_a_second_process_is_told_and_leaves_the_run_alone(
     assert results(tmp_path / "run") == results(whole)
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_a_clean_state(drive: Path, whole: Path, tmp_path: Path) -> None:
     process = start(drive, tmp_path / "run")
     wait_for(tmp_path / "run" / "frames" / "frame_000001.ply")

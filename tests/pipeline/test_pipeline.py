@@ -20,6 +20,7 @@ from docdepth.pipeline import classify as classes
 from docdepth.pipeline import depth_files
 from docdepth.visualization import pictures as visualize
 from docdepth.visualization.video import sweep_from_above
+from small_drive import HEIGHT, WIDTH
 
 FRAMES = 5
 
@@ -34,7 +35,7 @@ def test_outputs_of_a_run(drive, finished):
     for name in inside:
         depth = cv2.imread(str(run / "depth" / f"{name}.png"), cv2.IMREAD_UNCHANGED)
         assert depth.dtype == np.uint16
-        assert depth.shape == (375, 1242)
+        assert depth.shape == (HEIGHT, WIDTH)
         assert (depth > 0).mean() > 0.2
         assert (run / "report" / f"{name}.jpg").is_file()
     tracks = {track.id for track in read_tracks(run / "tracks.csv")}
@@ -165,11 +166,11 @@ def test_video_of_a_run(drive, finished, tmp_path, monkeypatch):
     for name in names:
         whole, frame = reader.read()
         assert whole
-        assert frame.shape == (750, 1242, 3)
+        assert frame.shape == (2 * HEIGHT, WIDTH, 3)
         image = cv2.imread(str(drive / "image_2" / f"{name}.png"))
-        assert np.abs(frame[:375].astype(int) - image).mean() < 12
+        assert np.abs(frame[:HEIGHT].astype(int) - image).mean() < 12
         colours = visualize.colorize(read_depth(run / "depth" / f"{name}.png"))
-        assert np.abs(frame[375:].astype(int) - colours).mean() < 12
+        assert np.abs(frame[HEIGHT:].astype(int) - colours).mean() < 12
     before = (run / "report" / "video.webm").read_bytes()
     with monkeypatch.context() as patch:  # a full disk, as OpenCV tells it: not at all
         patch.setattr(cv2.VideoWriter, "write", lambda *_: None)
@@ -225,11 +226,11 @@ def test_distorted_images_are_rectified_under_the_depth(drive, finished, tmp_pat
     distorted = tmp_path / "drive"
     shutil.copytree(drive, distorted)
     (distorted / "image_2" / "distortion.txt").write_text("-0.3 0.1 0 0.001")
-    image = np.zeros((375, 1242, 3), np.uint8)
+    image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     K, k = camera.camera.K, np.array([-0.3, 0.1, 0, 0.001])
     ray = np.array([[0.6, 0.1, 1.0]])  # one bright point, where the lens puts it
     (u, v) = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), K, k)[0].ravel().round().astype(int)
-    image[v - 3 : v + 4, u - 3 : u + 4] = 255
+    image[v - 1 : v + 2, u - 1 : u + 2] = 255
     path = distorted / "image_2" / "000001.png"
     cv2.imwrite(str(path), image)
     stream = open_dataset(distorted).cameras["image_2"]
@@ -238,7 +239,7 @@ def test_distorted_images_are_rectified_under_the_depth(drive, finished, tmp_pat
     straight = K @ ray[0]
     assert abs(column - straight[0]) < 1.5
     assert abs(row - straight[1]) < 1.5
-    assert abs(column - u) > 20
+    assert abs(column - u) > 2
 
     run = tmp_path / "run"
     shutil.copytree(finished[0], run)
@@ -265,7 +266,7 @@ def test_virtual_camera_beside_the_run(drive, finished, tmp_path):
     times.write_text("".join(f"{t // 10**9}.{t % 10**9:09d}\n" for t in inside))
     pose = tmp_path / "pose.txt"
     np.savetxt(pose, np.linalg.inv(stream.T_camera_lidar))
-    mounted = ("--K", K, "--size", "1242x375", "--format", "npy")
+    mounted = ("--K", K, "--size", f"{WIDTH}x{HEIGHT}", "--format", "npy")
     result = cli("render", run, "--pose", pose, *mounted, "--camera-times", times, "--name", "twin")
     assert result.exit_code == 0, result.output
     # Where a camera of the rig is, it sees what that sees.

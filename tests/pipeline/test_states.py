@@ -26,7 +26,7 @@ from docdepth.pipeline.run import continue_run, render_again, run
 from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.pipeline.run_state import require, states
 from docdepth.pipeline.virtual_camera import virtual_camera
-from small_drive import SWEEPS, write_image, write_small_drive, write_sweep
+from small_drive import SPARSE, SWEEPS, write_image, write_small_drive, write_sweep
 from walled_yard import scan, straight
 
 VIRTUAL = virtual_camera("0,0,1", "40,40,32,16", "64x32")
@@ -167,7 +167,7 @@ def change_input(world: World, number: int) -> None:
     world.version += 1
     k = number % SWEEPS
     if number % 3 == 0:
-        points = scan(straight(SWEEPS, 0.5).poses[k], box_x=world.version)[0]
+        points = scan(straight(SWEEPS, 0.5).poses[k], world.version, SPARSE)[0]
         write_sweep(world.drive, k, points)
     elif number % 3 == 1:
         write_image(world.drive / "image_2" / f"{k:06d}.png", seed=world.version + 50)

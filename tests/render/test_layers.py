@@ -204,6 +204,7 @@ def test_confidence_equals_its_formula():
             assert found[v, u] == pytest.approx(expected, abs=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", [TRIANGLES, PAPER])
 def test_error_falls_as_confidence_rises(preset):
     """A synthetic crossing with exact classes and depth, not among those of the fit."""
