@@ -16,7 +16,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.render import backends
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.layers import AGREED, compose_layers
-from docdepth.render.object_views import RISE, VEHICLE_HEIGHT, boxes_in_view
+from docdepth.render.object_views import HEIGHT_MARGIN, VEHICLE_HEIGHT, boxes_in_view
 from docdepth.render.track_sweeps import seen_to_its_top
 from docdepth.render.view import View
 
@@ -238,7 +238,7 @@ def test_a_lidar_that_is_tilted_downhill_looks_less_high(slope, speed, known):
     track = moving_track(level, (6, 0, -1.7), (speed, 0, 0), (4, 2, 2.2))
     assert seen_to_its_top(track, tilted) == known
     (box,) = boxes_in_view(VIEW, tilted, Tracks([track]))
-    np.testing.assert_allclose(box[1], (4, 2, 2.2 + RISE if known else VEHICLE_HEIGHT))
+    np.testing.assert_allclose(box[1], (4, 2, 2.2 + HEIGHT_MARGIN if known else VEHICLE_HEIGHT))
 
 
 def test_the_box_of_an_object_is_there_before_the_lidar_sees_it():

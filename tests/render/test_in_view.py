@@ -15,7 +15,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.render.in_view import TracksInView
-from docdepth.render.object_views import SOFT_SECONDS, _in_view
+from docdepth.render.object_views import MAX_NONRIGID_SECONDS, _in_view
 from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.view import View
 
@@ -117,7 +117,7 @@ def test_nothing_that_an_image_draws_is_left_out() -> None:
             and _in_view(CAMERA, view.T_camera_world @ track.pose_at(view.time), track)
         ]
         for stamp in track.times.tolist():
-            near = any(abs(stamp - time) <= SOFT_SECONDS * 1e9 for time in times)
+            near = any(abs(stamp - time) <= MAX_NONRIGID_SECONDS * 1e9 for time in times)
             if near or (times and track.kind == "vehicle"):
                 assert shown.draws(number, stamp)
                 drawn += 1

@@ -24,8 +24,8 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.dynamic_objects import TOUCH, dynamic_objects
 from docdepth.render.object_views import (
+    MAX_NONRIGID_SECONDS,
     MOST_VIEWS,
-    SOFT_SECONDS,
     boxes_in_view,
     object_views,
 )
@@ -154,7 +154,11 @@ def test_object_views_are_placed_as_plain_matrices_say(kind):
     np.testing.assert_allclose(velocity, T_camera_world[:3, :3] @ (4, 0.5, 0))
     assert instance == 6
     if kind == "person":
-        near = [i for i in drawn.dynamic if abs(trajectory.times[i] - time) <= SOFT_SECONDS * 1e9]
+        near = [
+            i
+            for i in drawn.dynamic
+            if abs(trajectory.times[i] - time) <= MAX_NONRIGID_SECONDS * 1e9
+        ]
         assert [drawn.with_objects[number - 100] for *_, number in around] == near
         assert not others
         assert len(rays) == len(near)

@@ -21,7 +21,7 @@ from docdepth.pipeline.graph import Parts, render_parts
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.run_inputs import RunCamera
 from docdepth.render.layers import check_layers
-from docdepth.render.object_views import GONE
+from docdepth.render.object_views import EXTRAPOLATION_NS
 from docdepth.render.selection import times_needed
 from docdepth.render.view import View
 
@@ -72,7 +72,11 @@ class RenderPlan:
         """The tracks with which some images, in order of time, are drawn."""
         first, last, drawing = images[0].time, images[-1].time, images[0].files.parameters.render
         low, high = times_needed(self.trajectory, first, last, drawing, self.tracks)
-        return Tracks(self.tracks.between(min(low, first - GONE), max(high, last + GONE)))
+        return Tracks(
+            self.tracks.between(
+                min(low, first - EXTRAPOLATION_NS), max(high, last + EXTRAPOLATION_NS)
+            )
+        )
 
 
 def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:

@@ -122,7 +122,7 @@ def dynamic_objects(
         track = tracks[of]
         T_object_lidar[k] = inverse(track.pose_at(times[k])) @ pose
         motion[k, :3] = track.velocity_at(times[k]) @ pose[:3, :3]
-        moved = _held(world[own], late - delay[own], track, times[k])
+        moved = _at_time(world[own], late - delay[own], track, times[k])
         displacement[rows[own]] = (moved - world[own]) @ pose[:3, :3]
     return DynamicObjects(
         object_index,
@@ -136,7 +136,7 @@ def dynamic_objects(
     )
 
 
-def _held(
+def _at_time(
     world: NDArray[np.float64], earlier: NDArray[np.float64], track: Track, time: int
 ) -> NDArray[np.float64]:
     """Points measured ``earlier`` seconds before ``time``, as the object is at ``time``."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.object_views import SOFT_SECONDS, object_radius, within_image
+from docdepth.render.object_views import MAX_NONRIGID_SECONDS, object_radius, within_image
 from docdepth.render.selection import DYNAMIC_SWEEPS
 from docdepth.render.view import View
 
@@ -53,7 +53,7 @@ class TracksInView:
             return bool(len(times))
         if track.kind == "vehicle":
             return True
-        reach = round(SOFT_SECONDS * 1e9)
+        reach = round(MAX_NONRIGID_SECONDS * 1e9)
         first = int(np.searchsorted(times, np.int64(time - reach)))
         return first < len(times) and int(times[first]) <= time + reach
 

@@ -20,44 +20,44 @@ from docdepth.render.selection import DrawnSweeps
 from docdepth.render.track_sweeps import lidar_range, seen_to_its_top, sweeps_of_track
 from docdepth.render.view import View
 
-SOFT_SECONDS = 0.12
-"""Sweeps farther in time from the image tell nothing about what is not rigid [s]. A step of a
-person takes half a second, in which a leg swings forth and back."""
+MAX_NONRIGID_SECONDS = 0.12
+"""Sweeps farther in time from the image are not used for objects that are not rigid [s]: a walking
+leg moves noticeably beyond this."""
 
 MOST_VIEWS = 24
 """Sweeps that an object is drawn from. Rings of one sweep lie up to a degree apart; two dozen, each
 with rings elsewhere on the object, leave gaps of a pixel."""
 
-MAX_DEVIATION = 0.1
-"""Where the surface of an object is known worse than this across itself, other sweeps would blur it
-[m]."""
+MAX_SURFACE_DEVIATION = 0.1
+"""Largest standard deviation of the surface across itself at which other sweeps are used [m];
+otherwise they blur the object."""
 
-MAX_SHIFT = 0.15
-"""Where its place is known worse than this share of its length, other sweeps would draw too much
-beside it."""
+MAX_POSITION_DEVIATION = 0.15
+"""Largest standard deviation of the position, as a share of the object's length, at which other
+sweeps are used [-]; otherwise they smear its outline."""
 
-FAR = 30.0
+MAX_VEHICLE_RANGE = 30.0
 """Vehicles farther than this are drawn from the sweeps around the image alone [m]."""
 
-COARSER = 1.25
-"""Sweeps that saw a vehicle from so many times farther show less of it than those around the
-image."""
+MAX_RANGE_RATIO = 1.25
+"""Sweeps that saw a vehicle from a larger multiple of the present range are not used [-]: they show
+less of it than those around the image."""
 
-GONE = 2_500_000_000
-"""For so long before it is first seen, and after it is last seen, the box of an object goes on as
-it did [ns]: the object comes over a hill, or into the view of a narrow LiDAR. The box may be metres
-off by then. That costs a few pixels, of those only at which no ray looked."""
+EXTRAPOLATION_NS = 2_500_000_000
+"""Boxes are extrapolated so long before the first and after the last observation [ns]: the object
+comes over a hill, or into the view of a narrow LiDAR. The box may be metres off by then. That costs
+a few pixels, of those only at which no ray looked."""
 
-REACH = 1.0
+BOX_MARGIN = 1.0
 """An object may reach this far beyond the box of its track [m]."""
 
 VEHICLE_HEIGHT, PERSON_HEIGHT = 4.2, 2.2
 """Road vehicles, and persons or cyclists, are no higher above the ground [m]: bridges on European
 roads let 4.2 to 4.5 m pass."""
 
-RISE = 0.4
-"""The box of a vehicle may lie so much too low [m]: where the road bends upwards, a van that is
-seen from the front alone is followed 0.4 m below its place."""
+HEIGHT_MARGIN = 0.4
+"""The box of a vehicle may lie this much too low [m]: where the road bends upwards, a van that is
+seen from the front alone is tracked 0.4 m below its position."""
 
 MOST_RAYS = 8
 """Sweeps whose rays tell where an object ends: those around the image and as many others."""
@@ -74,13 +74,13 @@ ObjectViews: TypeAlias = tuple[int, list[ObjectView], list[ObjectView], list[Obj
 object ends."""
 
 
-class _Seen(NamedTuple):
-    """An object in one sweep, ``away`` from the image in time [ns]."""
+class _Observation(NamedTuple):
+    """An object in one sweep, and how far the sweep is from the image in time [ns]."""
 
     number: int
     sweep: int
     object_index: int
-    away: int
+    time_distance: int
 
 
 def object_views(
@@ -95,13 +95,15 @@ def object_views(
 
     The LiDARs of the sweeps ``drawn.with_objects`` are numbered from ``first_number`` on.
     """
-    seen: dict[int, list[_Seen]] = {}
+    seen: dict[int, list[_Observation]] = {}
     number = first_number
     for sweep in drawn.with_objects:
         objects = sweeps(sweep).objects
         for object_index, instance in enumerate(objects.instances, 1):
-            away = abs(objects.times[object_index - 1] - view.time)
-            seen.setdefault(instance, []).append(_Seen(number, sweep, object_index, away))
+            time_distance = abs(objects.times[object_index - 1] - view.time)
+            seen.setdefault(instance, []).append(
+                _Observation(number, sweep, object_index, time_distance)
+            )
         number += len(sweeps(sweep).parts)
     found: list[ObjectViews] = []
     unassigned = [one for one in seen.pop(0, []) if one.sweep == drawn.dynamic[0]]
@@ -124,7 +126,7 @@ def object_views(
             ]
             for some in (near, far, (near + far)[:MOST_RAYS])
         )
-        if around:  # of what is not rigid those within SOFT_SECONDS
+        if around:  # of what is not rigid those within MAX_NONRIGID_SECONDS
             found.append((instance, around, others, rays))
     return found
 
@@ -132,18 +134,18 @@ def object_views(
 def boxes_in_view(view: View, trajectory: Trajectory, tracks: Tracks) -> list[PlacedBox]:
     """Objects that the camera may see: where they are, how large each may be, and how fast.
 
-    A box that holds the camera or the LiDAR is none: the vehicle itself is there.
+    A box that contains the camera or the LiDAR is none: the vehicle itself is there.
     """
     found = []
     T_camera_world = view.T_camera_world
     lidar = T_camera_world @ trajectory.interpolate(view.time)[0][:, 3]
     own = np.stack([np.zeros(3), lidar[:3]])
-    for track in tracks.between(view.time - GONE, view.time + GONE):
+    for track in tracks.between(view.time - EXTRAPOLATION_NS, view.time + EXTRAPOLATION_NS):
         if track.deviation_at(view.time) > track.size[:2].max():
             continue  # it is more likely elsewhere than there
         T_camera_object = T_camera_world @ track.pose_at(view.time)
         extent = _extent(track, trajectory)
-        if _in_view(view.camera, T_camera_object, track) and not _holds(
+        if _in_view(view.camera, T_camera_object, track) and not _contains(
             T_camera_object, extent, own
         ):
             x, y, z = (T_camera_world[:3, :3] @ track.velocity_at(view.time)).tolist()
@@ -151,15 +153,15 @@ def boxes_in_view(view: View, trajectory: Trajectory, tracks: Tracks) -> list[Pl
     return found
 
 
-def _holds(T_camera_object: Floats, extent: Triple, places: Floats) -> bool:
-    """Whether a box, whose origin is the middle of its bottom, holds one of some places (n, 3)."""
+def _contains(T_camera_object: Floats, extent: Triple, places: Floats) -> bool:
+    """Whether a box contains one of some places (n, 3); its origin is the middle of its bottom."""
     x, y, z = ((places - T_camera_object[:3, 3]) @ T_camera_object[:3, :3]).T
     length, width, height = extent
     inside = (np.abs(x) <= length / 2) & (np.abs(y) <= width / 2) & (z >= 0) & (z <= height)
     return bool(inside.any())
 
 
-def _views_of(sweep: RenderSweep, seen: _Seen, T_camera_object: Floats) -> list[ObjectView]:
+def _views_of(sweep: RenderSweep, seen: _Observation, T_camera_object: Floats) -> list[ObjectView]:
     """What each LiDAR of a sweep saw of an object, placed where the object is now.
 
     What is not followed stays in the frame of the sweep, whose ``T_object_lidar`` is the identity.
@@ -179,7 +181,7 @@ def _extent(track: Track, trajectory: Trajectory) -> Triple:
     if not seen_to_its_top(track, trajectory):
         height = max(height, PERSON_HEIGHT if person else VEHICLE_HEIGHT)
     elif not person:
-        height += RISE
+        height += HEIGHT_MARGIN
     return length, width, height
 
 
@@ -191,7 +193,7 @@ def _in_view(camera: Camera, T_camera_object: Floats, track: Track) -> bool:
 
 def object_radius(track: Track) -> float:
     """No part of an object lies farther from the middle of its box [m]."""
-    return float(np.linalg.norm(track.size)) / 2 + REACH
+    return float(np.linalg.norm(track.size)) / 2 + BOX_MARGIN
 
 
 def within_image(camera: Camera, places: Floats, radius: float) -> NDArray[np.bool_]:
@@ -212,32 +214,36 @@ def _is_known(track: Track, time: int) -> bool:
     """Whether the place of an object is known so well that other sweeps can draw it."""
     length = float(track.size[:2].max())
     return (
-        track.surface_deviation_at(time) <= MAX_DEVIATION
-        and track.deviation_at(time) <= MAX_SHIFT * length
+        track.surface_deviation_at(time) <= MAX_SURFACE_DEVIATION
+        and track.deviation_at(time) <= MAX_POSITION_DEVIATION * length
     )
 
 
 def _chosen(
-    seen: list[_Seen], drawn: DrawnSweeps, trajectory: Trajectory, track: Track, time: int
-) -> tuple[list[_Seen], list[_Seen]]:
-    """The views of an object from the sweeps around the image, and from others."""
-    around = sorted((view for view in seen if view.sweep in drawn.dynamic), key=_away)
+    observations: list[_Observation],
+    drawn: DrawnSweeps,
+    trajectory: Trajectory,
+    track: Track,
+    time: int,
+) -> tuple[list[_Observation], list[_Observation]]:
+    """The observations of an object by the sweeps around the image, and by others, to draw."""
+    around = sorted((one for one in observations if one.sweep in drawn.dynamic), key=_time_distance)
     if track.kind != "vehicle":
-        return [view for view in around if view.away <= SOFT_SECONDS * 1e9], []
-    away = lidar_range(track, trajectory, time)
-    if not _is_known(track, time) or away > FAR:
+        return [one for one in around if one.time_distance <= MAX_NONRIGID_SECONDS * 1e9], []
+    distance = lidar_range(track, trajectory, time)
+    if not _is_known(track, time) or distance > MAX_VEHICLE_RANGE:
         return around, []
-    stamp = {view.sweep: int(trajectory.times[view.sweep]) for view in seen}
-    known = [view for view in seen if _is_known(track, stamp[view.sweep])]
-    others = sorted((view for view in known if view.sweep not in drawn.dynamic), key=_away)
+    stamp = {one.sweep: int(trajectory.times[one.sweep]) for one in observations}
+    known = [one for one in observations if _is_known(track, stamp[one.sweep])]
+    others = sorted((one for one in known if one.sweep not in drawn.dynamic), key=_time_distance)
     own = set(sweeps_of_track(track, trajectory, time))
-    further = [view for view in others if view.sweep in own]
+    further = [one for one in others if one.sweep in own]
     others = [
-        view
-        for view in others
-        if view.sweep not in own
-        and view.sweep not in drawn.tracked
-        and lidar_range(track, trajectory, stamp[view.sweep]) <= COARSER * away
+        one
+        for one in others
+        if one.sweep not in own
+        and one.sweep not in drawn.tracked
+        and lidar_range(track, trajectory, stamp[one.sweep]) <= MAX_RANGE_RATIO * distance
     ]
     room = MOST_VIEWS - len(around) - len(further)
     if len(others) > room:
@@ -246,5 +252,5 @@ def _chosen(
     return around, others + further
 
 
-def _away(view: _Seen) -> int:
-    return view.away
+def _time_distance(one: _Observation) -> int:
+    return one.time_distance
