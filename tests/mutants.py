@@ -38,6 +38,7 @@ FAULTS = {
         "share {{> ~ <}}= kMeanFreeShare * count",
         "off.x() < half.x() {{+ ~ -}} its.x()",
         "float(count.dynamic) {{> ~ <}} kMinDynamicSampleShare",
+        "(votes.static {{>= ~ <}} always)",
     ],
     "tests/dynamics/test_voting.py": [
         "(before {{> ~ <}} 0.0f ? 1 : 0)",
@@ -46,7 +47,6 @@ FAULTS = {
         "corners[i][0] - corners[0][0] > turn / {{2 ~ 8}}",
         'value {{+ ~ -}} _ROUNDING, "right"',
     ],
-    "tests/dynamics/test_objects.py": ["(votes.static {{>= ~ <}} always)"],
     "tests/render/test_render.py": [
         "(camera.fy * y) / z + camera.cy) {{+ ~ -}} 0.5f",
         "std::floor(sigma{{ + 0.5 ~ }})",

@@ -21,7 +21,7 @@ def test_figures_and_a_page_with_pictures(drive: Path, tmp_path: Path) -> None:
     page = tmp_path / "drive.html"
     result = cli("inspect", drive, "-o", page)
     assert result.exit_code == 0, result.output
-    for part in ("16 beams; sees 360", ": 10 a second, 100 ms apart", f"pictures: {page}"):
+    for part in ("26 beams; sees 360", ": 10 a second, 100 ms apart", f"pictures: {page}"):
         assert part in result.output
     assert re.search(
         r"ground +1\.\d+ m below the origin; z is [0-2]\S* degrees from", result.output

@@ -112,7 +112,23 @@ WRONG_POSES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG_POSES)
+_SLOW = {
+    "camera",
+    "turned",
+    "half",
+    "rotations",
+    "shuffled",
+    "upside down",
+    "copies",
+    "two returns",
+}
+
+
+def _named(kinds: dict[str, Any]) -> list[Any]:
+    return [pytest.param(n, marks=[pytest.mark.slow] if n in _SLOW else []) for n in kinds]
+
+
+@pytest.mark.parametrize("name", _named(WRONG_POSES))
 def test_wrong_poses_are_told(name: str) -> None:
     change, code = WRONG_POSES[name]
     result = inspect_recording(Recorded(poses=None, cameras=camera()), change(right_poses()))
@@ -180,7 +196,7 @@ WRONG_POINTS: dict[str, tuple[Any, str]] = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG_POINTS)
+@pytest.mark.parametrize("name", _named(WRONG_POINTS))
 def test_wrong_points_are_told(name: str) -> None:
     change, code = WRONG_POINTS[name]
     result = inspect_recording(Recorded(poses=None, change=change))
@@ -271,7 +287,7 @@ def test_a_synthetic_drive_has_no_warning(drive: Path) -> None:
     recording = open_dataset(drive)
     result = inspect_recording(recording)
     assert warnings_of(result) == []
-    assert result.figures["lidars"][0]["beams"] == 16
+    assert result.figures["lidars"][0]["beams"] == 26
     captions = [caption for _, caption in pictures_of(recording, result)]
     assert sum("by the given poses" in caption for caption in captions) == 1
     on_images = [caption for caption in captions if "on image" in caption]
