@@ -16,8 +16,9 @@ import numpy as np
 
 from docdepth import Parameters, open_dataset
 from docdepth.cli.config_file import read_config
-from docdepth.datasets import kitti_files, ros_images, ros_points
+from docdepth.datasets import kitti_files
 from docdepth.datasets.cloud_files import RowFormat, read_cloud, read_viewpoint
+from docdepth.datasets.formats.bag import ros_images, ros_points
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.pose_tables import poses_of_matrices, read_pose_table
 from docdepth.datasets.settings import RecordingSettings, read_settings
@@ -261,7 +262,7 @@ _TRACKS = ",".join(COLUMNS) + "\n" + "\n".join(
     f"{k},{k * 10**8},1,vehicle,1,2,3,0.1,0,4,2,1.5,1,0,0,0.1,50" for k in range(3)
 )  # fmt: skip
 _SETTINGS = (
-    "motion_compensated: false\nlooks_from: [0, 0, 1.7]\nup: [0, 0, 1]\nstamp: middle\n"
+    "motion_compensated: false\nsensor_origin: [0, 0, 1.7]\nup: [0, 0, 1]\nstamp: middle\n"
     "point_time_unit: ns\nsweep_duration: 0.1\nego_boxes: [[-1, 1], [-1, 1], [-2, 0]]\n"
     "poses: poses.txt\n"
 )

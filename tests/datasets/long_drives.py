@@ -14,8 +14,8 @@ from old_pandas import write_table
 from vehicles import microseconds
 from writers import Written, doubles, truncate, writes
 
-from docdepth.datasets.mulran import _T_VEHICLE_THEIRS as T_VEHICLE_OUSTER
-from docdepth.datasets.pandaset import T_camera_lidar
+from docdepth.datasets.formats.mulran import _T_VEHICLE_THEIRS as T_VEHICLE_OUSTER
+from docdepth.datasets.formats.pandaset import T_camera_lidar
 from docdepth.geometry.se3 import inverse, matrix_to_quaternion, poses_from, rotation_exp
 
 T_IMU_CAMERA0 = poses_from([rotation_exp([1.2, -1.3, 1.1])], [[1.5, 0.3, -0.8]])[0]

@@ -75,7 +75,7 @@ def test_clouds_of_rows_with_padding(tmp_path: Path) -> None:
 def test_livox_messages(tmp_path: Path, kind: str, package: str) -> None:
     from rosbags.typesys import get_types_from_msg
 
-    from docdepth.datasets.bag_file import _DEFINITIONS
+    from docdepth.datasets.formats.bag.bag_file import _DEFINITIONS
 
     path = place(tmp_path, kind)
     with BagWriter(path, kind) as bag:
@@ -109,7 +109,7 @@ def test_packets_of_a_hesai_are_those_of_a_capture(tmp_path: Path, kind: str) ->
     pytest.importorskip("dpkt")
     from rosbags.typesys import get_types_from_msg
 
-    from docdepth.datasets.bag_file import _DEFINITIONS
+    from docdepth.datasets.formats.bag.bag_file import _DEFINITIONS
 
     path = place(tmp_path, kind)
     names = [f"pandar_msgs/msg/{name}" for name in ("PandarPacket", "PandarScan")]

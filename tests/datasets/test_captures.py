@@ -28,9 +28,10 @@ from captures import (
 from conformance import check
 from made_up import DRIVE
 
-from docdepth.datasets import hesai, open_dataset, ouster, usable_points
+from docdepth.datasets import open_dataset, usable_points
 from docdepth.datasets.base import LidarStream
 from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.formats.pcap import hesai, ouster
 from docdepth.errors import DatasetError
 
 
@@ -209,7 +210,7 @@ def test_a_truncated_capture_gives_what_is_whole(tmp_path: Path) -> None:
 def test_real_packets_in_a_capture_are_the_bag_s(recordings: Path, tmp_path: Path) -> None:
     """The packets of four messages, written one after the other, cut anew behind the LiDAR."""
     pytest.importorskip("rosbags")
-    from docdepth.datasets.bag_file import BagFile
+    from docdepth.datasets.formats.bag.bag_file import BagFile
 
     path = recordings / "nebula" / "vlp16" / "1673400471837873222"
     packets = [

@@ -11,7 +11,13 @@ from conformance import check
 from formats import WRITERS, Written
 from made_up import DISTORTION, DRIVE, K
 
-from docdepth.datasets import Dataset, format_names, open_dataset, usable_points
+from docdepth.datasets import (
+    Dataset,
+    experimental_formats,
+    format_names,
+    open_dataset,
+    usable_points,
+)
 from docdepth.errors import DocDepthError
 
 
@@ -27,7 +33,10 @@ def test_loader(what: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> 
     dataset = open_dataset(written.path)
     check(dataset, name)
     assert open_dataset(written.path, dataset=name).times.tolist() == dataset.times.tolist()
-    assert [r for r in caplog.records if r.name.startswith("docdepth.datasets")] == []
+    said = [r.getMessage() for r in caplog.records if r.name.startswith("docdepth.datasets")]
+    experimental = name in experimental_formats()
+    assert len(said) == 2 * experimental, "one line each time it is opened"
+    assert all(f"the reader of {name} is experimental" in line for line in said)
     _check_content(dataset, written)
 
 

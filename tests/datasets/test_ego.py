@@ -67,6 +67,6 @@ def test_what_is_no_box(what, wrong, tmp_path):
 
 def test_an_entry_that_kitti_raw_does_not_take(tmp_path):
     path = WRITERS["kitti_raw"][1](tmp_path).path
-    said(path, looks_from=[0, 0, 1])
-    with pytest.raises(DatasetError, match="looks_from is unknown; there are ego_boxes"):
+    said(path, sensor_origin=[0, 0, 1])
+    with pytest.raises(DatasetError, match="sensor_origin is unknown; there are ego_boxes"):
         open_dataset(path)

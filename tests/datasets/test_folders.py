@@ -13,7 +13,7 @@ from made_up import DRIVE, START
 from writers import WRITERS, folder_rows, settings, write_beside, write_pcd
 
 from docdepth.datasets import open_dataset
-from docdepth.datasets.folder import cloud_files
+from docdepth.datasets.formats.cloud_folder import cloud_files
 from docdepth.datasets.stamps import time_of_name, times_of_files
 from docdepth.errors import DatasetError, DocDepthError
 from docdepth.geometry.se3 import poses_from, rotation_exp
@@ -307,11 +307,11 @@ def test_labels_beside_the_sweeps(folder: Path) -> None:
 
 
 def test_where_the_lidar_looks_from(folder: Path) -> None:
-    change(folder, looks_from=[0.1, 0, 0.2])
+    change(folder, sensor_origin=[0.1, 0, 0.2])
     rig = open_dataset(folder).sweep(1).sensor_rig
     np.testing.assert_array_equal(rig.T_lidar_sensor[0, :3, 3], [0.1, 0, 0.2])
-    change(folder, looks_from=[0, 0, 1e4])
-    with pytest.raises(DatasetError, match=r"looks_from must be \[x, y, z\] in metres"):
+    change(folder, sensor_origin=[0, 0, 1e4])
+    with pytest.raises(DatasetError, match=r"sensor_origin must be \[x, y, z\] in metres"):
         open_dataset(folder)
 
 
@@ -353,9 +353,9 @@ def test_where_the_lidar_looks_from(folder: Path) -> None:
             {
                 "times": None,
                 "lidars": {n: {"sweeps": ".", "times": "stamps.txt"} for n in "ab"},
-                "looks_from": [0, 0, 1],
+                "sensor_origin": [0, 0, 1],
             },
-            "looks_from is of one LiDAR, but there are 2.*docdepth.yaml",
+            "sensor_origin is of one LiDAR, but there are 2.*docdepth.yaml",
         ),
     ],
 )

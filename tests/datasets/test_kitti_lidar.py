@@ -8,7 +8,7 @@ import yaml
 
 from docdepth.config import parameters
 from docdepth.datasets import kitti_lidar, open_dataset
-from docdepth.datasets.mounts import ground_of
+from docdepth.datasets.up_axis import ground_of
 from docdepth.errors import DatasetError
 from docdepth.evaluation.runs import evaluate_depth
 from docdepth.io.run_folder import RunFolder
@@ -129,13 +129,13 @@ def test_a_drive_may_say_where_its_lidar_looks_from(tmp_path):
     assert open_dataset(folder).sweep(1).sensor_rig is None
     file = folder / "docdepth.yaml"
     about = yaml.safe_load(file.read_text())
-    file.write_text(yaml.safe_dump(about | {"looks_from": [0.1, 0, 0.2]}))
+    file.write_text(yaml.safe_dump(about | {"sensor_origin": [0.1, 0, 0.2]}))
     found = open_dataset(folder).sweep(1).sensor_rig
     assert found is not None
     np.testing.assert_array_equal(found.T_lidar_sensor[0, :3, 3], [0.1, 0, 0.2])
     for wrong in ("here", [1, 2], [1, 2, "x"], [0, 0, 1e4]):
-        file.write_text(yaml.safe_dump(about | {"looks_from": wrong}))
-        with pytest.raises(DatasetError, match=r"docdepth\.yaml: looks_from"):
+        file.write_text(yaml.safe_dump(about | {"sensor_origin": wrong}))
+        with pytest.raises(DatasetError, match=r"docdepth\.yaml: sensor_origin"):
             open_dataset(folder)
 
 
@@ -147,7 +147,8 @@ def test_a_new_place_of_the_lidar_makes_odometry_run_again(tmp_path):
     run_odometry(run, dataset, dataset.poses)
     assert run.frame(1).sensor_rig is None
     file = folder / "docdepth.yaml"
-    file.write_text(yaml.safe_dump(yaml.safe_load(file.read_text()) | {"looks_from": [0, 0, 0.5]}))
+    about = yaml.safe_load(file.read_text()) | {"sensor_origin": [0, 0, 0.5]}
+    file.write_text(yaml.safe_dump(about))
     moved = open_dataset(folder)
     run_odometry(run, moved, moved.poses)
     found = run.frame(1).sensor_rig

@@ -19,8 +19,8 @@ from docdepth.datasets.merged_lidars import (
     lidar_ends,
     rig_in_order,
 )
-from docdepth.datasets.mounts import Mounted
-from docdepth.datasets.viewpoint import find_viewpoint
+from docdepth.datasets.sensor_origin import estimate_sensor_origin
+from docdepth.datasets.up_axis import LevelledRecording
 from docdepth.geometry.scan_mesh import share_in_triangles
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.synthetic import Drive, scene
@@ -87,22 +87,22 @@ class Recording:
 def test_a_single_lidar_is_one(cloud, lidar) -> None:
     points, ends, places = cloud
     own = points[np.append(0, ends)[lidar] : ends[lidar]]
-    found = find_viewpoint(Recording(own))
+    found = estimate_sensor_origin(Recording(own))
     assert found is None or len(found.places) == 1
     shifted = own - np.array(places[lidar], np.float32)
-    assert find_viewpoint(Recording(shifted)) is None, "seen from where it is"
+    assert estimate_sensor_origin(Recording(shifted)) is None, "seen from where it is"
 
 
 @pytest.mark.slow
 def test_a_recording_has_the_rig_that_was_found(cloud) -> None:
     points, _, places = cloud
-    mounted = Mounted(Recording(points), looks_from=places)
+    mounted = LevelledRecording(Recording(points), sensor_origin=places)
     for index in (1, 0, 1):
         rig = mounted.sweep(index).sensor_rig
         np.testing.assert_array_equal(rig.T_lidar_sensor[:, :3, 3], places)
         ends = lidar_ends(points[index:], places)
         np.testing.assert_array_equal(rig.index, rig_in_order(places, ends).index)
-    found = find_viewpoint(Recording(points))
+    found = estimate_sensor_origin(Recording(points))
     assert found is not None
     assert found.share > 0.9 > found.at_origin
     assert np.abs(np.array(found.places) - np.mean(places, axis=0)).max() < 2.5

@@ -12,7 +12,7 @@ from formats import WRITERS
 from made_up import DRIVE
 
 from docdepth.datasets import open_dataset
-from docdepth.datasets.pandaset import T_camera_lidar, read_table
+from docdepth.datasets.formats.pandaset import T_camera_lidar, read_table
 from docdepth.errors import DatasetError, DocDepthError
 from docdepth.geometry.se3 import inverse
 

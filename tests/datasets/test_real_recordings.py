@@ -14,9 +14,9 @@ from scipy.optimize import least_squares
 from vehicles import nuscenes_tables
 
 from docdepth.datasets import Sweep, open_dataset, usable_points
-from docdepth.datasets.hesai import DESIGNED
+from docdepth.datasets.formats.pcap.hesai import DESIGNED
 from docdepth.datasets.point_times import TimeSample, find_point_times
-from docdepth.datasets.viewpoint import find_viewpoint
+from docdepth.datasets.sensor_origin import estimate_sensor_origin
 from docdepth.errors import DatasetError
 from docdepth.geometry.se3 import se3_exp
 from docdepth.geometry.sensor_rig import lidar_views
@@ -248,7 +248,7 @@ def test_a_real_scene_of_dgp(recordings: Path) -> None:
 
 def test_the_lidars_of_a_real_merged_cloud_are_told_apart(recordings: Path) -> None:
     """One sits in the bumper, the others on the roof, in the order of the points."""
-    found = find_viewpoint(open_dataset(recordings / "dgp"))
+    found = estimate_sensor_origin(open_dataset(recordings / "dgp"))
     assert found is not None
     places = np.array(found.places)
     assert len(places) >= 3

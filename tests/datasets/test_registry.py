@@ -10,7 +10,7 @@ import yaml
 from writers import WRITERS
 
 from docdepth.datasets import Format, format_names, open_dataset, registry
-from docdepth.datasets.kitti_raw import KittiRaw
+from docdepth.datasets.formats.kitti_raw import KittiRaw
 from docdepth.errors import DatasetError
 
 

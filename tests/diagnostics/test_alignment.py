@@ -176,7 +176,7 @@ def test_sweeps_in_the_frame_of_the_vehicle_say_nothing(crossing: Path, tmp_path
     shifted = replace(stream, T_camera_lidar=stream.T_camera_lidar @ T)
     assert find_misalignment(recording, turned(shifted, pan=3)) is None
     # Told where the LiDAR is, they do.
-    about = yaml.safe_load((copy / "docdepth.yaml").read_text()) | {"looks_from": place.tolist()}
+    about = yaml.safe_load((copy / "docdepth.yaml").read_text()) | {"sensor_origin": place.tolist()}
     (copy / "docdepth.yaml").write_text(yaml.safe_dump(about))
     recording = open_dataset(copy)
     recording.poses = None

@@ -8,7 +8,7 @@ import pytest
 
 from docdepth.config import parameters
 from docdepth.datasets import open_dataset
-from docdepth.datasets.run import RunDataset
+from docdepth.datasets.formats.docdepth_run import RunDataset
 from docdepth.dynamics import voting
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels

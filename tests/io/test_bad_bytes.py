@@ -15,9 +15,10 @@ import pytest
 
 from docdepth import Parameters
 from docdepth.cli.config_file import read_config
-from docdepth.datasets import LidarStream, ros_images, ros_points
-from docdepth.datasets.bag import BagLidar
+from docdepth.datasets import LidarStream
 from docdepth.datasets.cloud_files import RowFormat, read_cloud
+from docdepth.datasets.formats.bag import ros_images, ros_points
+from docdepth.datasets.formats.bag.bag_recording import BagLidar
 from docdepth.datasets.pose_tables import read_pose_table
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import read_times
@@ -33,16 +34,16 @@ from docdepth.errors import (
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.arrays import ArrayError, read_array, read_arrays
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.depth import encode_depth, read_depth
 from docdepth.io.frames import read_frame, read_trajectory, write_frame
 from docdepth.io.frames import write_trajectory as write_ply
 from docdepth.io.labels import read_classes
+from docdepth.io.npy import ArrayError, read_array, read_arrays
 from docdepth.io.poses import read_poses, read_tum
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import COLUMNS, read_tracks
-from docdepth.io.trees import parse_json, parse_yaml
+from docdepth.io.yaml_json import parse_json, parse_yaml
 from docdepth.pipeline.run_state import states
 
 FRAME = LidarFrame(

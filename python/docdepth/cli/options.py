@@ -17,6 +17,7 @@ from docdepth.cli.names import (
     one_of,
     some_of,
 )
+from docdepth.datasets import experimental_formats
 from docdepth.io.manifest import KEPT
 
 if TYPE_CHECKING:
@@ -35,7 +36,8 @@ DatasetName = Annotated[
     str | None,
     typer.Option(
         "--dataset",
-        help=f"Format of the recording: {', '.join(DATASETS)}; guessed if absent.",
+        help=f"Format of the recording: {', '.join(DATASETS)}; guessed if absent. "
+        f"Experimental, never tried on a real recording: {', '.join(experimental_formats())}.",
         **one_of(DATASETS),
     ),
 ]

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from docdepth.datasets.base import CameraStream, Dataset, ImageStream, LidarStream, Sweep
 from docdepth.datasets.format import Format
-from docdepth.datasets.frame_range import FrameRange, whole_of
+from docdepth.datasets.frame_range import FrameRange, full_recording
 from docdepth.datasets.image_streams import image_streams
-from docdepth.datasets.registry import find_recordings, format_names, open_dataset
+from docdepth.datasets.registry import (
+    experimental_formats,
+    find_recordings,
+    format_names,
+    open_dataset,
+)
 from docdepth.geometry.points import usable_points
 
 __all__ = [
@@ -17,10 +22,11 @@ __all__ = [
     "ImageStream",
     "LidarStream",
     "Sweep",
+    "experimental_formats",
     "find_recordings",
     "format_names",
+    "full_recording",
     "image_streams",
     "open_dataset",
     "usable_points",
-    "whole_of",
 ]

@@ -15,7 +15,7 @@ from docdepth.datasets.files import unreadable
 from docdepth.datasets.point_format import foreign_format
 from docdepth.errors import DamagedFileError, DatasetError, InputError, MissingExtraError, RunError
 from docdepth.geometry.se3 import poses_from, quaternion_to_matrix
-from docdepth.io.arrays import ArrayError, read_array
+from docdepth.io.npy import ArrayError, read_array
 from docdepth.io.pcd import PcdError, PcdHeader, read_pcd, read_pcd_header
 from docdepth.io.ply import read_vertices
 

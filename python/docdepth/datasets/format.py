@@ -28,6 +28,8 @@ class Format:
         ``open(path, image_size)`` opens it; ``image_size`` is width and height in pixels, or None.
     found_below : bool
         Whether it is looked for in folders below the one that is given.
+    experimental : bool
+        Its reader was tried on made-up drives only, never on a real recording.
     """
 
     name: str
@@ -35,3 +37,4 @@ class Format:
     recognises: Callable[[Path], bool]
     open: Callable[[Path, tuple[int, int] | None], Dataset]
     found_below: bool = True
+    experimental: bool = False

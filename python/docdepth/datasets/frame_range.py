@@ -149,6 +149,6 @@ def _parse(frames: str, count: int, path: Path) -> range:
     return chosen
 
 
-def whole_of(recording: Dataset) -> Dataset:
+def full_recording(recording: Dataset) -> Dataset:
     """The recording that this is a part of, or itself."""
     return recording.whole if isinstance(recording, FrameRange) else recording

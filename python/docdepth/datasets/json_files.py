@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.files import read_bytes
 from docdepth.errors import DatasetError, InputError
 from docdepth.geometry.se3 import poses_from, quaternion_to_matrix
-from docdepth.io.trees import parse_json
+from docdepth.io.yaml_json import parse_json
 
 
 def read_json(file: Path, remedy: str) -> Any:

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import LidarStream
 from docdepth.datasets.files import is_there, read_bytes, read_image, read_lines, unreadable
 from docdepth.datasets.point_format import foreign_format
-from docdepth.datasets.tolerance import (
+from docdepth.datasets.readable_frames import (
     are_broken_frames_tolerated,
     first_readable,
     readable,
-    reading_a_frame,
+    suggest_skipping,
 )
 from docdepth.errors import CalibrationError, Collector, DatasetError
 from docdepth.geometry.se3 import are_rotations, nearest_rotation, poses_from
@@ -49,7 +49,7 @@ def find_sweeps(folder: Path, problems: Collector) -> list[Path]:
     sizes = np.array([_file_size(file) for file in files], np.int64)
     kinds = (sizes < 0, sizes == 0, (sizes > 0) & (sizes % _POINT_BYTES > 0))
     for frames in (np.flatnonzero(kind).tolist() for kind in kinds):
-        few = reading_a_frame if 2 * len(frames) <= len(files) else nullcontext
+        few = suggest_skipping if 2 * len(frames) <= len(files) else nullcontext
         with problems.collected(), few():
             if frames:
                 first = frames[0]

@@ -26,8 +26,8 @@ from docdepth.datasets.point_times import (
     median_period,
 )
 from docdepth.datasets.pose_tables import whole_poses
-from docdepth.datasets.rejoined import RejoinedLidar, joined, rejoin
-from docdepth.datasets.tolerance import readable
+from docdepth.datasets.readable_frames import readable
+from docdepth.datasets.resampled import ResampledLidar, joined_columns, resample
 from docdepth.errors import DatasetError
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.se3 import inverse
@@ -39,14 +39,14 @@ _TOGETHER = 0.75  # of a sweep: LiDARs whose stamps are farther apart did not me
 
 
 @dataclass(frozen=True)
-class RecordingFacts:
+class RecordingOptions:
     """What files may not tell of a recording; ``docdepth.yaml`` does.
 
     Attributes
     ----------
     motion_compensated : bool, optional
         None: not said, taken as False.
-    looks_from : tuple of float, optional
+    sensor_origin : tuple of float, optional
         Where the rays of a single LiDAR begin, metres in the frame of its points.
     unit, instant : str, optional
         Of the times of points, see :func:`~.point_times.find_point_times`.
@@ -55,13 +55,13 @@ class RecordingFacts:
     ego_boxes : sequence of six numbers
         Boxes around the vehicle itself, see :func:`~.ego.without_ego`.
     sweep_duration : float, optional
-        Seconds of a sweep: those of the recording are joined or cut, see :mod:`.rejoined`.
+        Seconds of a sweep: those of the recording are joined or cut, see :mod:`.resampled`.
     up : tuple of float, optional
         Direction that points up, LiDAR frame.
     """
 
     motion_compensated: bool | None = None
-    looks_from: tuple[float, float, float] | None = None
+    sensor_origin: tuple[float, float, float] | None = None
     unit: Unit | None = None
     instant: Instant | None = None
     world: bool = False
@@ -96,7 +96,7 @@ class Recording(DatasetRepr):
     poses : ndarray of float64, shape (n, 4, 4), optional
         ``T_world_lidar`` of each sweep; NaN where it is not known, which is kept as
         ``partial_poses`` for ranges of frames.
-    facts : RecordingFacts
+    options : RecordingOptions
     uncalibrated : dict of ImageStream
         Cameras whose K or place is not known; ``docdepth calibrate`` finds it.
     labels : callable, optional
@@ -115,23 +115,23 @@ class Recording(DatasetRepr):
         lidars: Sequence[LidarReader],
         cameras: dict[str, CameraStream],
         poses: NDArray[np.float64] | None = None,
-        facts: RecordingFacts | None = None,
+        options: RecordingOptions | None = None,
         labels: Callable[[int], NDArray[np.uint32] | None] | None = None,
         uncalibrated: dict[str, ImageStream] | None = None,
     ) -> None:
         self.name, self.path, self.cameras = name, path, cameras
         self.uncalibrated = uncalibrated or {}
         self._labels = labels
-        self._facts = facts or RecordingFacts()
-        if len(lidars) > 1 and self._facts.looks_from is not None:
+        self._options = options or RecordingOptions()
+        if len(lidars) > 1 and self._options.sensor_origin is not None:
             raise DatasetError(
-                f"{path}: looks_from is of one LiDAR, but there are {len(lidars)}, whose places "
+                f"{path}: sensor_origin is of one LiDAR, but there are {len(lidars)}, whose places "
                 "are known; leave it out of docdepth.yaml"
             )
-        self.up = self._facts.up
+        self.up = self._options.up
         self._take(lidars, poses)
-        if self._facts.sweep_duration is not None:
-            self._rejoin(self._facts.sweep_duration, poses)
+        if self._options.sweep_duration is not None:
+            self._resample(self._options.sweep_duration, poses)
 
     def _take(self, lidars: Sequence[LidarReader], poses: NDArray[np.float64] | None) -> None:
         """All that follows from the sweeps of the LiDARs."""
@@ -147,15 +147,15 @@ class Recording(DatasetRepr):
         self._is_kitti_lidar = False
         self._look_at_points()
 
-    def _rejoin(self, duration: float, poses: NDArray[np.float64] | None) -> None:
+    def _resample(self, duration: float, poses: NDArray[np.float64] | None) -> None:
         """Sweeps of this duration [s] in place of those of the recording."""
-        if self._facts.motion_compensated or self._facts.world:
+        if self._options.motion_compensated or self._options.world:
             raise DatasetError(
                 f"{self.path}: sweep_duration joins sweeps as they were measured, but these are "
                 "motion compensated or in the world; leave it out of docdepth.yaml"
             )
-        lidars, poses = rejoin(self._readers, poses, duration, self._point_times, self.path)
-        self._facts = replace(self._facts, unit=None, instant=None)
+        lidars, poses = resample(self._readers, poses, duration, self._point_times, self.path)
+        self._options = replace(self._options, unit=None, instant=None)
         self._take(lidars, poses)
 
     def __len__(self) -> int:
@@ -177,13 +177,13 @@ class Recording(DatasetRepr):
             np.concatenate([part.points for part in parts]),
             self._readers[0].stream.names[index],
             int(self.times[index]),
-            joined([part.cloud.intensity for part in parts]),
+            joined_columns([part.cloud.intensity for part in parts]),
             self._relative_time(parts),
             self._rig(parts),
-            self._facts.motion_compensated or False,
-            joined([part.cloud.ring for part in parts]),
+            self._options.motion_compensated or False,
+            joined_columns([part.cloud.ring for part in parts]),
         )
-        return without_ego(sweep, self._facts.ego_boxes)
+        return without_ego(sweep, self._options.ego_boxes)
 
     def sweep_files(self, index: int) -> list[Path]:
         """The files of sweep ``index`` of each LiDAR, and the one that masks some of it."""
@@ -191,25 +191,25 @@ class Recording(DatasetRepr):
         files = self._readers[0].files(index)
         for reader, partners in zip(self._readers[1:], self._partners, strict=True):
             files = files + (reader.files(int(partners[index])) if partners[index] >= 0 else [])
-        masks = [settings_file(self.path)] if self._facts.ego_boxes else []
+        masks = [settings_file(self.path)] if self._options.ego_boxes else []
         return list(dict.fromkeys(files + masks))
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``; None without a file."""
         index, reader = range(len(self))[index], self._readers[0]
-        if not isinstance(reader, RejoinedLidar):
+        if not isinstance(reader, ResampledLidar):
             return self._measured_labels(index)
         found = [
             None if labels is None else labels[piece.rows]
             for piece in reader.pieces(index)
             for labels in [self._measured_labels(piece.index)]
         ]
-        if len(self._readers) > 1 and joined(found) is not None:
+        if len(self._readers) > 1 and joined_columns(found) is not None:
             raise DatasetError(
                 f"{self.path} (frame {index}): labels of several LiDARs cannot be divided by "
                 "sweep_duration; leave it out of docdepth.yaml"
             )
-        return joined(found)
+        return joined_columns(found)
 
     def _measured_labels(self, own: int) -> NDArray[np.uint32] | None:
         """Labels of a sweep as it was recorded."""
@@ -241,7 +241,7 @@ class Recording(DatasetRepr):
             read = readable(reader.read, indices, len(stamps))
             indices, clouds = list(read), list(read.values())
             points = [self._in_lidar_frame(c, k) for c, k in zip(clouds, indices, strict=True)]
-            if len(self._readers) == 1 and self._facts.looks_from is None:
+            if len(self._readers) == 1 and self._options.sensor_origin is None:
                 self._is_kitti_lidar = kitti_lidar.is_kitti_lidar(points)
             samples = [
                 TimeSample(cloud.times, usable_points(own), int(stamps[k]))
@@ -249,10 +249,10 @@ class Recording(DatasetRepr):
                 if cloud.times is not None
             ]
             where = f"{self.path}, {reader.stream.name}" if number else str(self.path)
-            facts = self._facts
-            found = find_point_times(samples, self._period, where, facts.unit, facts.instant)
+            options = self._options
+            found = find_point_times(samples, self._period, where, options.unit, options.instant)
             self._point_times.append(found)
-            if not samples and facts.motion_compensated is None:
+            if not samples and options.motion_compensated is None:
                 log.warning(
                     "%s: points have no times, so sweeps are not deskewed; say in docdepth.yaml "
                     "motion_compensated: true if they are already, else false",
@@ -280,7 +280,7 @@ class Recording(DatasetRepr):
     def _in_lidar_frame(self, cloud: Cloud, own: int) -> NDArray[np.float32]:
         """Points in the frame of the LiDAR that measured them, float32 (N, 3)."""
         points = cloud.points
-        if self._facts.world:
+        if self._options.world:
             pose = cloud.T_world_lidar
             if pose is None:
                 if self.poses is None:
@@ -296,7 +296,7 @@ class Recording(DatasetRepr):
 
     def _relative_time(self, parts: Sequence[_Part]) -> NDArray[np.float32] | None:
         if len(parts) == 1 and parts[0].relative_time is None:
-            if self._facts.motion_compensated and self._is_kitti_lidar:
+            if self._options.motion_compensated and self._is_kitti_lidar:
                 return kitti_lidar.azimuth_relative_time(parts[0].points)
             return None
         if all(part.relative_time is None and part.late == 0 for part in parts):
@@ -311,8 +311,8 @@ class Recording(DatasetRepr):
     def _rig(self, parts: Sequence[_Part]) -> SensorRig | None:
         if len(self._readers) == 1:
             points = parts[0].points
-            if self._facts.looks_from is not None:
-                return SensorRig.single(self._facts.looks_from, len(points))
+            if self._options.sensor_origin is not None:
+                return SensorRig.single(self._options.sensor_origin, len(points))
             return kitti_lidar.sensor_rig(points) if self._is_kitti_lidar else None
         poses = np.stack([reader.stream.T_lidar_sensor for reader in self._readers])
         numbers = np.array([part.number for part in parts], np.uint8)

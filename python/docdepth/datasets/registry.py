@@ -7,31 +7,29 @@ import os
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
-from docdepth.datasets import (
+from docdepth.datasets.base import Dataset
+from docdepth.datasets.cloud_files import READERS
+from docdepth.datasets.files import FILE
+from docdepth.datasets.format import ENTRY_POINTS, Format
+from docdepth.datasets.formats import (
     argoverse2,
-    bag,
     boreas,
+    cloud_folder,
     dgp,
+    docdepth_run,
     dynamic_map,
-    folder,
     helipr,
-    hesai,
     kitti_360,
     kitti_odometry,
     kitti_raw,
     mulran,
     nclt,
     nuscenes,
-    ouster,
     pandaset,
-    run,
-    velodyne,
     waymo,
 )
-from docdepth.datasets.base import Dataset
-from docdepth.datasets.cloud_files import READERS
-from docdepth.datasets.files import FILE
-from docdepth.datasets.format import ENTRY_POINTS, Format
+from docdepth.datasets.formats.bag import bag_recording
+from docdepth.datasets.formats.pcap import hesai, ouster, velodyne
 from docdepth.datasets.frame_range import FrameRange
 from docdepth.errors import DatasetError
 
@@ -47,7 +45,7 @@ _OWN: tuple[Format, ...] = (
     kitti_odometry.SEMANTIC_KITTI,
     kitti_odometry.KITTI_ODOMETRY,
     kitti_360.FORMAT,
-    run.FORMAT,
+    docdepth_run.FORMAT,
     nuscenes.FORMAT,
     argoverse2.FORMAT,
     dgp.FORMAT,
@@ -60,9 +58,9 @@ _OWN: tuple[Format, ...] = (
     ouster.FORMAT,
     hesai.FORMAT,
     velodyne.FORMAT,
-    bag.FORMAT,
+    bag_recording.FORMAT,
     dynamic_map.FORMAT,
-    folder.FORMAT,
+    cloud_folder.FORMAT,
 )
 
 
@@ -105,12 +103,23 @@ def open_dataset(
     try:
         place, found = _find_recording(path, wanted)
         recording = found.open(place, image_size)
+        if found.experimental:
+            log.warning(
+                "%s: the reader of %s is experimental: it was never tried on a real recording; "
+                "compare what docdepth inspect says with the documents of the data set",
+                place, found.name,
+            )  # fmt: skip
     except OSError as error:
         raise DatasetError(
             f"{error.filename or path} cannot be read ({error.strerror}); "
             "check that it is there and that you may read it"
         ) from None
     return FrameRange(recording, frames) if frames else recording
+
+
+def experimental_formats() -> tuple[str, ...]:
+    """Names of docdepth's formats whose readers were never tried on a real recording."""
+    return tuple(known.name for known in _OWN if known.experimental)
 
 
 def find_recordings(root: Path, dataset: str | None = None) -> list[Path]:

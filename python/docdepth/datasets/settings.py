@@ -15,11 +15,11 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from docdepth.datasets.files import is_there, read_lines, settings_file
 from docdepth.datasets.point_times import Instant, Unit
-from docdepth.datasets.recording import RecordingFacts
+from docdepth.datasets.recording import RecordingOptions
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.geometry.camera import Camera, camera_of
 from docdepth.geometry.se3 import check_rigid, nearest_rigid
-from docdepth.io.trees import parse_yaml
+from docdepth.io.yaml_json import parse_yaml
 
 _WHOLE = 1e-9  # of a rotation's numbers; larger errors come of missing digits
 _WORDS = {"Input should be": "it must be", "a valid boolean": "true or false", "a valid": "a"}
@@ -139,7 +139,7 @@ class RecordingSettings(EgoSettings):
     ----------
     motion_compensated : bool, optional
         Whether the sweeps are deskewed already.
-    looks_from : (float, float, float), optional
+    sensor_origin : (float, float, float), optional
         Where the rays of the LiDAR begin, metres in the frame of its points.
     up : (float, float, float), optional
         Direction that points up, in the frame of the points.
@@ -154,18 +154,18 @@ class RecordingSettings(EgoSettings):
     """
 
     motion_compensated: bool | None = None
-    looks_from: tuple[float, float, float] | None = None
+    sensor_origin: tuple[float, float, float] | None = None
     up: tuple[float, float, float] | None = None
     stamp: Instant | None = None
     point_time_unit: Unit | None = None
     sweep_duration: float | None = Field(None, ge=0.01, le=10)
     poses: str | None = None
 
-    def facts(self, world: bool = False) -> RecordingFacts:
+    def options(self, world: bool = False) -> RecordingOptions:
         """What a recording wants to know of it."""
-        return RecordingFacts(
+        return RecordingOptions(
             self.motion_compensated,
-            self.looks_from,
+            self.sensor_origin,
             self.point_time_unit,
             self.stamp,
             world,
@@ -177,9 +177,11 @@ class RecordingSettings(EgoSettings):
     def check(self, file: Path) -> None:
         """Refuse what is no box and no place."""
         super().check(file)
-        place = self.looks_from
+        place = self.sensor_origin
         if place is not None and not all(abs(x) < _MOST_METRES for x in place):
-            raise DatasetError(f"{file}: looks_from must be [x, y, z] in metres, got {list(place)}")
+            raise DatasetError(
+                f"{file}: sensor_origin must be [x, y, z] in metres, got {list(place)}"
+            )
         check_up(self.up, file)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import CameraStream, Dataset, Sweep, usable_points
 from docdepth.datasets.files import is_there, settings_file, unreadable
 from docdepth.datasets.images import ImageSource, file_of
-from docdepth.datasets.tolerance import reading_a_frame
+from docdepth.datasets.readable_frames import suggest_skipping
 from docdepth.diagnostics.alignment import find_misalignment
 from docdepth.diagnostics.sweeps import of_broken, sample
 from docdepth.errors import Collector, DatasetError, Finding, collected
@@ -61,7 +61,7 @@ def _check_images(stream: CameraStream) -> list[Finding]:
         except OSError:
             empty = True
         if empty:
-            with collected(found), reading_a_frame():
+            with collected(found), suggest_skipping():
                 if image.is_file():
                     raise DatasetError(f"{image} is empty; copy the image again or remove it")
                 raise unreadable(file_of(image), "put the image back")

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from docdepth.config import Parameters
 from docdepth.datasets import Dataset, Sweep, usable_points
-from docdepth.datasets.tolerance import reading_a_frame
-from docdepth.datasets.viewpoint import LEAST_IN_TRIANGLES, Viewpoint, find_viewpoint
+from docdepth.datasets.readable_frames import suggest_skipping
+from docdepth.datasets.sensor_origin import LEAST_IN_TRIANGLES, SensorOrigin, estimate_sensor_origin
 from docdepth.errors import Collector, DatasetError, Finding, OdometryError, collected
 from docdepth.geometry.scan_mesh import share_in_triangles
 from docdepth.geometry.sensor_rig import SensorRig
@@ -92,7 +92,7 @@ def check_sweeps(
 
 def of_broken(broken: Collector, count: int) -> list[Finding]:
     """Which of so many frames are broken; if most are, none can be left out."""
-    few = reading_a_frame if 2 * len(broken.errors) <= count else nullcontext
+    few = suggest_skipping if 2 * len(broken.errors) <= count else nullcontext
     found: list[Finding] = []
     for error in broken.errors:
         with collected(found), few():
@@ -139,14 +139,14 @@ def find_lonely_returns(
             "",
             f"only {100 * np.median(shares):.0f} % of the returns have neighbours in their sweep: "
             "the points may be merged of several LiDARs, or be in the vehicle's frame",
-            "say with looks_from in docdepth.yaml where the LiDAR is",
+            "say with sensor_origin in docdepth.yaml where the LiDAR is",
         )
     ]
 
 
-def find_sensor_origin(recording: Dataset) -> tuple[Viewpoint | None, list[Finding]]:
+def find_sensor_origin(recording: Dataset) -> tuple[SensorOrigin | None, list[Finding]]:
     """Where rays begin if they clearly do not begin at the origin, and that they do."""
-    viewpoint = None if recording.name == "run" else find_viewpoint(recording)
+    viewpoint = None if recording.name == "run" else estimate_sensor_origin(recording)
     if viewpoint is None or viewpoint.share < LEAST_IN_TRIANGLES:
         return None, []
     places = " and ".join("[{:g}, {:g}, {:g}]".format(*place) for place in viewpoint.places)
@@ -158,7 +158,7 @@ def find_sensor_origin(recording: Dataset) -> tuple[Viewpoint | None, list[Findi
     remedy = (
         "its points are of several LiDARs, one after the other; bring them as several if you can"
         if len(viewpoint.places) > 1
-        else "say by looks_from in docdepth.yaml where the LiDAR is if you know it, and bring "
+        else "say by sensor_origin in docdepth.yaml where the LiDAR is if you know it, and bring "
         "several LiDARs as several"
     )
     return viewpoint, [Finding("sensor-origin", str(recording.path), text, remedy)]

@@ -12,7 +12,7 @@ from docdepth.errors import DamagedFileError
 from docdepth.evaluation.class_names import class_name
 from docdepth.evaluation.pixels import Mask
 from docdepth.geometry.camera import below_horizon
-from docdepth.io.arrays import ArrayError, read_arrays
+from docdepth.io.npy import ArrayError, read_arrays
 from docdepth.io.run_folder import RunFolder
 
 CONFIDENCES = (0.5, 0.8, 0.95)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
-from docdepth.io.arrays import ArrayError, read_array
 from docdepth.io.depth import maps_in, read_depth
+from docdepth.io.npy import ArrayError, read_array
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.release import INSIDE
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets import Dataset, whole_of
-from docdepth.datasets.mounts import Mounted
+from docdepth.datasets import Dataset, full_recording
+from docdepth.datasets.up_axis import LevelledRecording
 from docdepth.errors import InputError, OdometryError, log_findings
 from docdepth.evaluation.tables import Table, number, plain
 from docdepth.geometry.se3 import inverse, nearest_rotation
@@ -199,11 +199,11 @@ def evaluate_trajectories(run: Path | str | RunFolder, poses: Path | str) -> Tra
 
 def _of_other_rate(file: Path, recording: Dataset) -> Trajectory | None:
     """The poses of a file with times that has no pose for each sweep; None of any other file."""
-    whole = whole_of(recording)
+    whole = full_recording(recording)
     times, poses = read_timed_poses(file)
     if times is None or len(poses) == len(whole):
         return None
-    if isinstance(whole, Mounted):
+    if isinstance(whole, LevelledRecording):
         poses = poses @ inverse(whole.T_level_lidar)
     try:
         return Trajectory(times, poses)

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError, DatasetError, InputError
-from docdepth.io.arrays import ArrayError, read_array, read_arrays
 from docdepth.io.atomic import write_atomically
 from docdepth.io.exr import encode_exr, import_exr, read_exr
 from docdepth.io.images import decode_image
-from docdepth.io.trees import parse_json
+from docdepth.io.npy import ArrayError, read_array, read_arrays
+from docdepth.io.yaml_json import parse_json
 
 FORMATS = {  # from the least to the most exact
     "png": ".png",  # uint16, metres times a scale, 0 = none

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from docdepth.errors import RunError
 from docdepth.io.atomic import Written
-from docdepth.io.trees import parse_json
+from docdepth.io.yaml_json import parse_json
 
 FileState = Literal["whole", "damaged", "missing", "unknown"]
 """``unknown``: docdepth did not write the file, or its record is lost."""

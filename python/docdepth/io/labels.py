@@ -21,8 +21,8 @@ from docdepth.geometry.points import (
     STATIC,
     STATIC_LABEL,
 )
-from docdepth.io.arrays import ArrayError, read_array
 from docdepth.io.atomic import WriteFile, write_atomically
+from docdepth.io.npy import ArrayError, read_array
 from docdepth.io.pcd import PcdError, read_pcd
 
 LABEL_FORMATS = ("label", "classid", "pcd")

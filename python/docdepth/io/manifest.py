@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from docdepth.io.file_records import is_file_name
-from docdepth.io.trees import parse_yaml
+from docdepth.io.yaml_json import parse_yaml
 
 SKIPPED = "skipped"
 """Entry of ``source``: broken frames that the run leaves out. ``sweeps`` by number, ``images`` by

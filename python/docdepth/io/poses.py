@@ -23,8 +23,8 @@ from docdepth.geometry.se3 import (
     quaternion_to_matrix,
 )
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.arrays import ArrayError, read_array
 from docdepth.io.frames import read_trajectory
+from docdepth.io.npy import ArrayError, read_array
 
 log = logging.getLogger(__name__)
 

@@ -37,7 +37,7 @@ from docdepth.io.manifest import (
 )
 from docdepth.io.recorded_folder import NOTES, RecordedFolder, move_aside
 from docdepth.io.sensors import read_sensors, sensors_bytes
-from docdepth.io.trees import parse_json
+from docdepth.io.yaml_json import parse_json
 
 log = logging.getLogger(__name__)
 

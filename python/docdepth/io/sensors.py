@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError
 from docdepth.geometry.sensor_rig import SensorRig
-from docdepth.io.arrays import ArrayError, read_arrays
 from docdepth.io.atomic import npz_bytes
+from docdepth.io.npy import ArrayError, read_arrays
 
 _NAMES = ("T_lidar_sensor", "lateral_offset", "lidar_id")
 

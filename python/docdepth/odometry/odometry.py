@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from docdepth.concurrency import thread_count
 from docdepth.config import OdometryParameters, Parameters, given
 from docdepth.datasets.base import Dataset
-from docdepth.datasets.mounts import LEVEL_DEG, ground_of
+from docdepth.datasets.up_axis import LEVEL_DEG, ground_of
 from docdepth.errors import Finding, InputError, log_findings
 from docdepth.geometry.checks import ShortRepr
 from docdepth.geometry.ground_plane import level_turn

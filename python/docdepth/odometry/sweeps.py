@@ -14,7 +14,7 @@ import docdepth._core as _core
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset, Sweep
 from docdepth.datasets.point_times import sweep_seconds
-from docdepth.datasets.tolerance import reading_a_frame
+from docdepth.datasets.readable_frames import suggest_skipping
 from docdepth.errors import InputError, OdometryError
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import check_points
@@ -140,7 +140,7 @@ class ThinnedSweeps:
         if index not in self._recent:
             if len(self._recent) == self._kept:
                 del self._recent[next(iter(self._recent))]
-            with reading_a_frame():
+            with suggest_skipping():
                 sweep = self._dataset.sweep(index)
             self._recent[index] = self._thinned(sweep)
         return self._recent[index]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError
-from docdepth.io.arrays import ArrayError, read_next_array, skip_next_array
+from docdepth.io.npy import ArrayError, read_next_array, skip_next_array
 from docdepth.io.run_folder import RunFolder
 
 Offsets = NDArray[np.int64]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from docdepth._core import __version__
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
-from docdepth.datasets.tolerance import reading_a_frame
+from docdepth.datasets.readable_frames import suggest_skipping
 from docdepth.errors import DatasetError
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
@@ -157,7 +157,7 @@ class DepthFiles:
             if self.run.key(path) != key:
                 self.run.write(path, lambda out: out.write(content), key)
 
-        with reading_a_frame():
+        with suggest_skipping():
             image = self.stream.rectified_image(index)
         picture = encode_image(overlay(depth, image), ".jpg")
         write(self._picture(index), picture)

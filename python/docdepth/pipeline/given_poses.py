@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters
-from docdepth.datasets import Dataset, FrameRange, whole_of
-from docdepth.datasets.mounts import Mounted
+from docdepth.datasets import Dataset, FrameRange, full_recording
+from docdepth.datasets.up_axis import LevelledRecording
 from docdepth.errors import DatasetError, OdometryError
 from docdepth.geometry.se3 import inverse
 from docdepth.io.poses import read_poses, read_poses_at
@@ -59,13 +59,13 @@ def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
                 "--poses out to have them estimated"
             )
         return recording.poses
-    whole = whole_of(recording)
+    whole = full_recording(recording)
     camera, file = _divided(entry)
     of_part = _are_of_part(Path(file), recording)
     poses = read_poses_at(Path(file), recording.times if of_part else whole.times)
     if camera:
         poses = _of_lidar(poses, camera, whole)
-    elif isinstance(whole, Mounted):
+    elif isinstance(whole, LevelledRecording):
         poses = poses @ inverse(whole.T_level_lidar)
     if isinstance(recording, FrameRange) and len(poses) == len(whole):
         return poses[recording.indices]

@@ -12,7 +12,7 @@ from docdepth.datasets.base import CameraStream, Dataset
 from docdepth.datasets.images import ImageSource, file_of
 from docdepth.errors import DatasetError
 from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.io.trees import parse_json
+from docdepth.io.yaml_json import parse_json
 
 _Known = dict[str, list[int | str]]
 

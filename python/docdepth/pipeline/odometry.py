@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import Dataset, Sweep
-from docdepth.datasets.tolerance import reading_a_frame
+from docdepth.datasets.readable_frames import suggest_skipping
 from docdepth.diagnostics.sweeps import find_lonely_returns
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.points import usable_points
@@ -136,7 +136,7 @@ def _write_frames(
     for index in left:
         report(total - len(left) + profile.frames, total)
         with watch("deskew"):
-            with reading_a_frame():
+            with suggest_skipping():
                 measured = dataset.sweep(index)
             deskewed = odometry.sweeps.deskewed(index, measured)
             usable = usable_points(deskewed.points)

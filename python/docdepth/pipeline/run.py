@@ -11,7 +11,7 @@ from typing import Any
 
 from docdepth.config import Parameters, replaced
 from docdepth.datasets.base import Dataset
-from docdepth.datasets.run import RunDataset
+from docdepth.datasets.formats.docdepth_run import RunDataset
 from docdepth.errors import (
     ConfigError,
     DamagedFileError,

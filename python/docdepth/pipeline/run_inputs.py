@@ -25,14 +25,14 @@ from docdepth.datasets import (
     Dataset,
     FrameRange,
     ImageStream,
+    full_recording,
     image_streams,
     open_dataset,
-    whole_of,
 )
 from docdepth.datasets.images import read_image_of
-from docdepth.datasets.mounts import LEVEL_DEG, Mounted, ground_of
+from docdepth.datasets.readable_frames import broken_frames_tolerated, first_readable
 from docdepth.datasets.times import read_times
-from docdepth.datasets.tolerance import broken_frames_tolerated, first_readable
+from docdepth.datasets.up_axis import LEVEL_DEG, LevelledRecording, ground_of
 from docdepth.diagnostics.sweeps import find_sensor_origin
 from docdepth.errors import CalibrationError, DatasetError, log_findings
 from docdepth.geometry.camera import Camera
@@ -141,7 +141,7 @@ def note_broken(
 def _part(recording: Dataset, source: dict[str, Any]) -> Dataset:
     """The sweeps of a recording that the run is of, in a frame whose z is up."""
     if source.get("up") or source.get("looks_from"):
-        recording = Mounted(recording, source.get("up"), source.get("looks_from"))
+        recording = LevelledRecording(recording, source.get("up"), source.get("looks_from"))
     return kept_part(recording, source)
 
 
@@ -177,7 +177,7 @@ def find_up(recording: Dataset, begun: dict[str, Any] | None = None) -> list[flo
     list of float, or None
         Unit vector for ``source``; None if z is up, or if it is not known.
     """
-    whole = whole_of(recording)
+    whole = full_recording(recording)
     told = getattr(whole, "up", None)
     if told is not None:
         up = np.array(told, np.float64) / np.linalg.norm(told)
@@ -257,7 +257,7 @@ def open_cameras(
         There is no such camera, or its times are broken.
     """
     size = parse_size(source.get("image_size"))
-    whole = whole_of(recording)
+    whole = full_recording(recording)
     streams = [whole.cameras[name] for name in _camera_names(wanted, whole)]
     if size:
         streams = [

@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 from docdepth.config import Parameters
-from docdepth.datasets.run import RunDataset
+from docdepth.datasets.formats.docdepth_run import RunDataset
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.classify import run_classify
 from docdepth.pipeline.odometry import run_odometry

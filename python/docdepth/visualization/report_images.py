@@ -18,8 +18,8 @@ from docdepth.geometry.camera import Camera, below_horizon
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.arrays import ArrayError, read_arrays
 from docdepth.io.depth import described_maps, maps_in, read_depth
+from docdepth.io.npy import ArrayError, read_arrays
 from docdepth.io.run_folder import RunFolder
 from docdepth.visualization.image_views import draw_tracks, view_of_layer, view_of_points
 from docdepth.visualization.page import embedded

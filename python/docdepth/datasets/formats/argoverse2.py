@@ -1,0 +1,204 @@
+"""Logs of Argoverse 2's sensor dataset, through pyarrow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import CameraStream, LidarStream
+from docdepth.datasets.cloud import Cloud, cloud_from_fields
+from docdepth.datasets.files import unreadable
+from docdepth.datasets.format import Format
+from docdepth.datasets.json_files import pose_of
+from docdepth.datasets.kitti_files import image_files, in_order
+from docdepth.datasets.recording import Recording
+from docdepth.datasets.settings import RecordingSettings, read_settings
+from docdepth.datasets.stamps import times_of_names
+from docdepth.errors import CalibrationError, DatasetError, MissingExtraError
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import inverse
+
+_LIDARS = {"up_lidar": (0, 32), "down_lidar": (32, 64)}
+"""Lasers of the two LiDARs, which stand on each other."""
+
+_DOWNLOAD = "download the log again"
+_COLUMNS = ("x", "y", "z", "intensity", "laser_number", "offset_ns")
+
+
+@dataclass(frozen=True)
+class ArgoverseLidar:
+    """One of the two LiDARs of a log, whose sweeps are in one file.
+
+    Attributes
+    ----------
+    stream : LidarStream
+    sweeps : list of Path
+    T_ego_sensor : ndarray of float64, shape (4, 4)
+    """
+
+    stream: LidarStream
+    sweeps: list[Path]
+    T_ego_sensor: NDArray[np.float64]
+
+    def read(self, index: int) -> Cloud:
+        """Own sweep ``index``, in the frame of the LiDAR."""
+        where = f"{self.sweeps[index]} (frame {index})"
+        table = read_feather(self.sweeps[index], where)
+        lacking = [name for name in _COLUMNS if name not in table]
+        if lacking:
+            raise DatasetError(f"{where} has no column {lacking[0]}; {_DOWNLOAD}")
+        first, end = _LIDARS[self.stream.name]
+        laser = table["laser_number"]
+        kept = (laser >= first) & (laser < end)
+        rows = np.empty(int(kept.sum()), [(name, table[name].dtype) for name in _COLUMNS])
+        for name in _COLUMNS:
+            rows[name] = table[name][kept]
+        cloud = cloud_from_fields(rows, where)
+        T = inverse(self.T_ego_sensor)
+        points = cloud.points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
+        return Cloud(points.astype(np.float32), cloud.intensity, cloud.ring, cloud.times)
+
+    def files(self, index: int) -> list[Path]:
+        """Its file."""
+        return [self.sweeps[index]]
+
+
+class Argoverse2(Recording):
+    """A log of Argoverse 2: two LiDARs on each other, nine cameras, poses.
+
+    Sweeps are compensated for the motion of the vehicle, to the start of the sweep. The LiDAR frame
+    has the axes of the vehicle and the place of the upper LiDAR.
+
+    Parameters
+    ----------
+    path : Path
+        The log, with ``sensors``, ``calibration`` and ``city_SE3_egovehicle.feather``.
+    image_size : (int, int), optional
+        Not used: the calibration tells the size.
+    """
+
+    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
+        settings, _ = read_settings(path, RecordingSettings, {"motion_compensated": True})
+        sweeps = in_order((path / "sensors" / "lidar").glob("*.feather"))
+        remedy = "names are nanoseconds; download the log again"
+        times = times_of_names(sweeps, 1, remedy)
+        names = [file.stem for file in sweeps]
+        places = _places(path / "calibration" / "egovehicle_SE3_sensor.feather")
+        T_ego_lidar = np.eye(4)
+        T_ego_lidar[:3, 3] = places["up_lidar"][:3, 3]
+        lidars: list[ArgoverseLidar] = []
+        for name in _LIDARS:
+            T_ego_sensor = places[name] if lidars else T_ego_lidar
+            stream = LidarStream(name, times, names, _exact(inverse(T_ego_lidar) @ T_ego_sensor))
+            lidars.append(ArgoverseLidar(stream, sweeps, T_ego_sensor))
+        cameras = _cameras(path, places, T_ego_lidar, lidars[0].stream)
+        poses = _poses(path / "city_SE3_egovehicle.feather", times, names) @ T_ego_lidar
+        super().__init__("argoverse2", path, lidars, cameras, poses, settings.options())
+
+
+def read_feather(file: Path, where: str) -> dict[str, NDArray[Any]]:
+    """Columns of a Feather file by name.
+
+    Raises
+    ------
+    DatasetError
+        The file is missing or damaged.
+    MissingExtraError
+        pyarrow is not installed.
+    """
+    try:
+        import pyarrow
+        from pyarrow import feather
+    except ImportError:
+        raise MissingExtraError(
+            "Feather files need pyarrow: pip install 'docdepth[argoverse]'"
+        ) from None
+    if not file.is_file():
+        raise unreadable(file, _DOWNLOAD)
+    try:
+        table = feather.read_table(file, memory_map=False)
+    except (pyarrow.ArrowException, OSError) as error:
+        raise DatasetError(f"{where} is no whole Feather file ({error}); {_DOWNLOAD}") from None
+    return {name: table[name].to_numpy() for name in table.column_names}
+
+
+def _exact(T: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The identity where rounding alone parts a transform from it."""
+    return np.eye(4) if np.abs(T - np.eye(4)).max() < 1e-12 else T
+
+
+def _places(file: Path) -> dict[str, NDArray[np.float64]]:
+    """``T_ego_sensor`` of each sensor."""
+    table = read_feather(file, str(file))
+    found = {
+        str(name): _pose(table, k, f"{file}, {name}") for k, name in enumerate(table["sensor_name"])
+    }
+    for name in _LIDARS:
+        if name not in found:
+            raise CalibrationError(f"{file} has no {name}; {_DOWNLOAD}")
+    return found
+
+
+def _pose(table: dict[str, NDArray[Any]], row: int, where: str) -> NDArray[np.float64]:
+    try:
+        quaternion = [table[name][row] for name in ("qw", "qx", "qy", "qz")]
+        return pose_of(quaternion, [table[name][row] for name in ("tx_m", "ty_m", "tz_m")], where)
+    except KeyError as error:
+        raise DatasetError(f"{where} has no column {error}; {_DOWNLOAD}") from None
+
+
+def _poses(file: Path, times: NDArray[np.int64], names: list[str]) -> NDArray[np.float64]:
+    """``T_city_ego`` at each sweep."""
+    table = read_feather(file, str(file))
+    row_of = {int(time): row for row, time in enumerate(table["timestamp_ns"])}
+    for frame, time in enumerate(times.tolist()):
+        if time not in row_of:
+            raise DatasetError(f"{file} has no pose of sweep {names[frame]} (frame {frame})")
+    return np.stack([_pose(table, row_of[time], f"{file}, {time}") for time in times.tolist()])
+
+
+def _cameras(
+    path: Path,
+    places: dict[str, NDArray[np.float64]],
+    T_ego_lidar: NDArray[np.float64],
+    lidar: LidarStream,
+) -> dict[str, CameraStream]:
+    """Cameras with intrinsics; those without images fire with the sweeps."""
+    file = path / "calibration" / "intrinsics.feather"
+    table = read_feather(file, str(file))
+    cameras = {}
+    for row, name in enumerate(str(name) for name in table["sensor_name"]):
+        if name not in places:
+            raise CalibrationError(f"{file}: {name} has no extrinsics; {_DOWNLOAD}")
+        fx, fy, cx, cy = (float(table[c][row]) for c in ("fx_px", "fy_px", "cx_px", "cy_px"))
+        images = image_files(path / "sensors" / "cameras" / name)
+        cameras[name] = CameraStream(
+            name,
+            Camera(
+                np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+                int(table["width_px"][row]),
+                int(table["height_px"][row]),
+            ),
+            inverse(places[name]) @ T_ego_lidar,
+            times_of_names(images, 1, "names are nanoseconds") if images else lidar.times,
+            [image.stem for image in images] or lidar.names,
+            images,
+        )
+    return cameras
+
+
+def _recognises(path: Path) -> bool:
+    return any((path / "sensors" / "lidar").glob("*.feather"))
+
+
+FORMAT = Format(
+    "argoverse2",
+    "a log of Argoverse 2 with sensors/lidar/*.feather, calibration and "
+    "city_SE3_egovehicle.feather",
+    _recognises,
+    Argoverse2,
+)

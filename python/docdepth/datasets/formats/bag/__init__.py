@@ -1,0 +1,1 @@
+"""Recordings of ROS: bags of version 1 and 2, and MCAP files."""

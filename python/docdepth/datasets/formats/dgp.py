@@ -1,0 +1,235 @@
+"""Scenes in Toyota's Dataset Governance Policy (DGP), such as DDAD."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import CameraStream, LidarStream
+from docdepth.datasets.cloud import Cloud, cloud_from_fields
+from docdepth.datasets.format import Format
+from docdepth.datasets.json_files import pose_of, read_json
+from docdepth.datasets.kitti_files import check_increasing
+from docdepth.datasets.recording import Recording
+from docdepth.datasets.settings import RecordingSettings, read_settings
+from docdepth.errors import CalibrationError, DatasetError
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import inverse
+from docdepth.io.npy import ArrayError, read_arrays
+
+_COPY = "copy the scene again"
+_MICROSECOND = 1000  # ns
+# Some scenes count ten microseconds a microsecond, which puts them beyond this year.
+_LAST_YEAR = 2100
+
+
+@dataclass(frozen=True)
+class Datum:
+    """A sweep or an image of a scene.
+
+    Attributes
+    ----------
+    name : str
+        Of the sensor.
+    kind : str
+        ``point_cloud`` or ``image``.
+    time : int
+        Nanoseconds.
+    file : Path
+    entry : dict
+        What the scene says of it.
+    """
+
+    name: str
+    kind: str
+    time: int
+    file: Path
+    entry: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class DgpLidar:
+    """A sensor with point clouds.
+
+    Attributes
+    ----------
+    stream : LidarStream
+    data : list of Datum
+    """
+
+    stream: LidarStream
+    data: list[Datum]
+
+    def read(self, index: int) -> Cloud:
+        """Own sweep ``index``."""
+        file, entry = self.data[index].file, self.data[index].entry
+        where = f"{file} (frame {index})"
+        try:
+            table = read_arrays(file)["data"]
+        except (OSError, ArrayError, KeyError) as error:
+            raise DatasetError(f"{where} is no sweep of DGP ({error}); {_COPY}") from None
+        columns = [str(name).lower() for name in entry.get("point_format", [])]
+        if table.ndim != 2 or table.shape[1] != len(columns):
+            raise DatasetError(
+                f"{where} has shape {table.shape}, but the scene says {' '.join(columns)}; {_COPY}"
+            )
+        rows = np.empty(len(table), [(name, table.dtype) for name in columns])
+        for k, name in enumerate(columns):
+            rows[name] = table[:, k]
+        return cloud_from_fields(rows, where)
+
+    def files(self, index: int) -> list[Path]:
+        """Its file."""
+        return [self.data[index].file]
+
+
+class DgpScene(Recording):
+    """A scene of DGP: LiDARs, cameras, and a pose of each sweep.
+
+    Parameters
+    ----------
+    path : Path
+        Folder with ``scene_*.json``, ``calibration`` and the data. DDAD's points are of several
+        LiDARs in the vehicle's frame, one after the other; a run finds where they are.
+    image_size : (int, int), optional
+        Not used: the scene tells the size.
+    """
+
+    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
+        settings, _ = read_settings(path, RecordingSettings)
+        file = _scene_file(path)
+        scene = read_json(file, _COPY)
+        try:
+            data = list(_data(path, scene, file))
+            keys = {str(sample["calibration_key"]) for sample in scene["samples"]}
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise DatasetError(f"{file} is no scene of DGP ({error!r}); {_COPY}") from None
+        if len(keys) != 1:
+            raise CalibrationError(f"{file} has {len(keys)} calibrations; docdepth reads one")
+        calibration = _Calibration(path / "calibration" / f"{keys.pop()}.json")
+        names = list(dict.fromkeys(datum.name for datum in data))
+        by_name = {n: sorted((d for d in data if d.name == n), key=lambda d: d.time) for n in names}
+        lidars: list[DgpLidar] = []
+        cameras = {}
+        for name, own in by_name.items():
+            if own[0].kind == "point_cloud":
+                first = lidars[0].stream.name if lidars else name
+                T = inverse(calibration.place(first)) @ calibration.place(name)
+                stems = [d.file.stem for d in own]
+                T = T if lidars else np.eye(4)
+                lidars.append(DgpLidar(LidarStream(name, _times(own, file), stems, T), own))
+        if not lidars:
+            raise DatasetError(f"{file} has no point clouds; {_COPY}")
+        T_ego_lidar = calibration.place(lidars[0].stream.name)
+        for name, own in by_name.items():
+            if own[0].kind == "image":
+                cameras[name] = _camera(name, own, calibration, T_ego_lidar, file)
+        poses = [_pose(d.entry["pose"], f"{file}, {d.file.name}") for d in lidars[0].data]
+        super().__init__("dgp", path, lidars, cameras, np.stack(poses), settings.options())
+
+
+class _Calibration:
+    """Intrinsics and extrinsics of a scene's sensors."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self._entries = read_json(file, _COPY)
+
+    def _of(self, what: str, name: str) -> dict[str, Any]:
+        try:
+            found = self._entries[what][self._entries["names"].index(name)]
+            return dict(found)
+        except (KeyError, ValueError, IndexError, TypeError, AttributeError):
+            raise CalibrationError(f"{self.file} has no {what} of {name}; {_COPY}") from None
+
+    def place(self, name: str) -> NDArray[np.float64]:
+        """``T_ego_sensor`` (4, 4)."""
+        return _pose(self._of("extrinsics", name), f"{self.file}, {name}")
+
+    def camera(self, name: str, width: int, height: int) -> Camera:
+        """The camera of a sensor."""
+        known = self._of("intrinsics", name)
+        if known.get("skew"):
+            raise CalibrationError(f"{self.file}: {name} has skew; rectify its images")
+        K = [[known["fx"], 0, known["cx"]], [0, known["fy"], known["cy"]], [0, 0, 1]]
+        return Camera(np.array(K, np.float64), width, height)
+
+
+def _data(path: Path, scene: dict[str, Any], file: Path) -> Iterator[Datum]:
+    """Sweeps and images in the order of the scene."""
+    for entry in scene["data"]:
+        for kind in ("point_cloud", "image"):
+            if kind in entry["datum"]:
+                about = entry["datum"][kind]
+                time = _nanoseconds(str(entry["id"]["timestamp"]), file)
+                yield Datum(
+                    str(entry["id"]["name"]), kind, time, path / str(about["filename"]), about
+                )
+
+
+def _nanoseconds(text: str, file: Path) -> int:
+    """Time since 1970 of a date."""
+    try:
+        date = datetime.datetime.fromisoformat(text.removesuffix("Z"))
+    except ValueError:
+        raise DatasetError(f"{file}: {text!r} is no time; {_COPY}") from None
+    since = date - datetime.datetime(1970, 1, 1)
+    microseconds = (since.days * 86400 + since.seconds) * 10**6 + since.microseconds
+    return microseconds * (_MICROSECOND // 10 if date.year > _LAST_YEAR else _MICROSECOND)
+
+
+def _times(data: list[Datum], file: Path) -> NDArray[np.int64]:
+    times = np.array([datum.time for datum in data], np.int64)
+    check_increasing(times, [datum.file.name for datum in data], file)
+    return times
+
+
+def _camera(
+    name: str,
+    data: list[Datum],
+    calibration: _Calibration,
+    T_ego_lidar: NDArray[np.float64],
+    file: Path,
+) -> CameraStream:
+    images = [datum.file for datum in data]
+    return CameraStream(
+        name,
+        calibration.camera(name, int(data[0].entry["width"]), int(data[0].entry["height"])),
+        inverse(calibration.place(name)) @ T_ego_lidar,
+        _times(data, file),
+        [image.stem for image in images],
+        images if images[0].is_file() else [],
+    )
+
+
+def _pose(entry: dict[str, Any], where: str) -> NDArray[np.float64]:
+    try:
+        q, t = entry["rotation"], entry["translation"]
+        return pose_of([q[f"q{a}"] for a in "wxyz"], [t[a] for a in "xyz"], where)
+    except (KeyError, TypeError) as error:
+        raise DatasetError(f"{where} is no pose ({error!r}); {_COPY}") from None
+
+
+def _scene_file(path: Path) -> Path:
+    files = sorted(path.glob("scene_*.json"))
+    if len(files) != 1:
+        raise DatasetError(f"{path} has {len(files)} files scene_*.json; a scene has one; {_COPY}")
+    return files[0]
+
+
+def _recognises(path: Path) -> bool:
+    return (path / "calibration").is_dir() and any(path.glob("scene_*.json"))
+
+
+FORMAT = Format(
+    "dgp",
+    "a scene of DGP (DDAD) with scene_*.json, calibration and point_cloud",
+    _recognises,
+    DgpScene,
+)

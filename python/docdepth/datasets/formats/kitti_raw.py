@@ -1,0 +1,216 @@
+"""KITTI raw recordings, synchronised ("sync"), as unpacked from cvlibs.net."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets import kitti_files, kitti_lidar
+from docdepth.datasets.base import CameraStream, DatasetRepr, Sweep
+from docdepth.datasets.ego import without_ego
+from docdepth.datasets.files import is_there, read_lines, settings_file
+from docdepth.datasets.format import Format
+from docdepth.datasets.formats.kitti_oxts import read_oxts
+from docdepth.datasets.kitti_files import Calibration
+from docdepth.datasets.pose_tables import whole_poses
+from docdepth.datasets.settings import EgoSettings, read_settings
+from docdepth.datasets.times import read_times_of
+from docdepth.errors import CalibrationError, Collector
+from docdepth.geometry.camera import camera_of
+
+_EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' of the drive again"
+_CALIBRATION = "unpack the 'calibration' archive of that date beside its drives"
+
+
+class KittiRaw(DatasetRepr):
+    """A drive ``DATE/DATE_drive_NNNN_sync`` with the calibration in ``DATE``.
+
+    A sweep is one revolution of the LiDAR, clockwise seen from above. It starts backwards and faces
+    forward after half its duration, when KITTI takes the stamp. Points come laser by laser and
+    carry no time, so their time is computed from the azimuth. Poses are those of GPS and IMU, in
+    ``oxts``. SemanticKITTI labels are read from ``labels/NAME.label``.
+
+    Parameters
+    ----------
+    path : Path
+        The drive.
+    image_size : (int, int), optional
+        Width and height in pixels, for a calibration without ``S_rect``.
+
+    Raises
+    ------
+    DatasetError, CalibrationError
+        A file is missing, truncated or contradicts another one.
+    """
+
+    name = "kitti_raw"
+
+    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
+        self.path = Path(path)
+        velodyne, problems = self.path / "velodyne_points", Collector()
+        self._ego_boxes: list[list[float]] = []
+        with problems.collected():
+            self._ego_boxes = read_settings(self.path, EgoSettings)[0].ego_boxes
+        self._sweeps = kitti_files.find_sweeps(velodyne / "data", problems)
+        self.times = np.arange(len(self._sweeps))
+        with problems.collected():
+            self.times = _read_times(velodyne / "timestamps.txt", self._sweeps)
+        self.lidars = kitti_files.lidars(self._sweeps, self.times)
+        self.cameras = self._read_cameras(image_size, problems)
+        problems.raise_errors()
+
+    def __len__(self) -> int:
+        return len(self._sweeps)
+
+    def sweep(self, index: int) -> Sweep:
+        """Sweep ``index`` as it is on disk."""
+        file = self._sweeps[index]
+        points, intensity = kitti_files.read_sweep(file, index)
+        relative_time = kitti_lidar.azimuth_relative_time(points)
+        sensor_rig = kitti_lidar.sensor_rig(points) if self._is_kitti_lidar else None
+        sweep = Sweep(
+            points, file.stem, int(self.times[index]), intensity, relative_time, sensor_rig
+        )
+        return without_ego(sweep, self._ego_boxes)
+
+    def sweep_files(self, index: int) -> list[Path]:
+        """The file of sweep ``index``, and the one that masks some of it."""
+        return [self._sweeps[index], *([settings_file(self.path)] if self._ego_boxes else [])]
+
+    def _read_cameras(
+        self, image_size: tuple[int, int] | None, problems: Collector
+    ) -> dict[str, CameraStream]:
+        return _cameras(self.path, self._sweeps, self.times, image_size, problems)
+
+    @cached_property
+    def partial_poses(self) -> NDArray[np.float64] | None:
+        """``T_world_lidar`` (n, 4, 4), NaN for sweeps without a pose; None without any."""
+        return read_oxts(self.path, self.times)
+
+    @cached_property
+    def poses(self) -> NDArray[np.float64] | None:
+        """``T_world_lidar`` (n, 4, 4) if every sweep has a pose."""
+        return whole_poses(self.partial_poses, self.path)
+
+    @cached_property
+    def _is_kitti_lidar(self) -> bool:
+        return kitti_lidar.is_kitti_lidar(kitti_files.points_of_each(self._sweeps))
+
+    @cached_property
+    def up(self) -> tuple[float, float, float] | None:
+        """Which way is up in the LiDAR frame: KITTI's own LiDAR stands upright."""
+        return (0.0, 0.0, 1.0) if self._is_kitti_lidar else None
+
+    def labels(self, index: int) -> NDArray[np.uint32] | None:
+        """Labels of every point of sweep ``index``; None without a file."""
+        sweep = self._sweeps[index]
+        return kitti_files.read_labels(self.path / "labels" / f"{sweep.stem}.label", [sweep], index)
+
+
+def _read_times(table: Path, files: list[Path]) -> NDArray[np.int64]:
+    """Nanoseconds since 1970 of each file, from lines like ``2011-09-26 13:02:25.951199337``."""
+    return read_times_of(files, table, "stamps", _EXPORT)
+
+
+def _cameras(
+    drive: Path,
+    sweeps: list[Path],
+    sweep_times: NDArray[np.int64],
+    image_size: tuple[int, int] | None,
+    problems: Collector,
+) -> dict[str, CameraStream]:
+    T_camera0_lidar = T_rectified_camera0 = np.eye(4)
+    with problems.collected():
+        lidar_file = Calibration(drive.parent / "calib_velo_to_cam.txt", _CALIBRATION)
+        T_camera0_lidar = lidar_file.transform_of("R", "T")
+    try:
+        camera_file = Calibration(drive.parent / "calib_cam_to_cam.txt", _CALIBRATION)
+    except CalibrationError as error:
+        problems.errors.append(error)
+        return {}
+    with problems.collected():
+        T_rectified_camera0 = camera_file.transform_of("R_rect_00")
+
+    streams: dict[str, CameraStream] = {}
+    numbers = [n for n in ("00", "01", "02", "03") if f"P_rect_{n}" in camera_file]
+    for number in numbers:
+        with problems.collected():
+            P = camera_file.matrix(f"P_rect_{number}", 3, 4)
+            folder = drive / f"image_{number}"
+            images = kitti_files.image_files(folder / "data")
+            width, height = image_size_of(camera_file, number, images, image_size)
+            times, names = image_times(folder, images, sweeps, sweep_times)
+            streams[folder.name] = CameraStream(
+                name=folder.name,
+                camera=camera_of(P[:, :3], (width, height), f"{camera_file.file}: P_rect_{number}"),
+                T_camera_lidar=kitti_files.camera_offset(P) @ T_rectified_camera0 @ T_camera0_lidar,
+                times=times,
+                names=names,
+                images=images,
+            )
+    with problems.collected():
+        if not numbers:
+            raise CalibrationError(f"{camera_file.file} has no camera (P_rect_NN); {_CALIBRATION}")
+    return streams
+
+
+def image_times(
+    folder: Path, images: list[Path], sweeps: list[Path], sweep_times: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], list[str]]:
+    """Times and names of the images; of the sweeps where the camera has no table."""
+    table = folder / "timestamps.txt"
+    if images:
+        return _read_times(table, images), [image.stem for image in images]
+    if is_there(table):
+        names = [f"{k:010d}" for k in range(len(read_lines(table, _EXPORT)))]
+        return _read_times(table, [Path(name) for name in names]), names
+    return sweep_times, [sweep.stem for sweep in sweeps]
+
+
+def image_size_of(
+    calibration: Calibration, number: str, images: list[Path], asked: tuple[int, int] | None
+) -> tuple[int, int]:
+    """Size of the rectified images from all that tell it, which must agree."""
+    known: list[tuple[str, tuple[int, int]]] = []
+    if images:
+        known.append((str(images[0]), kitti_files.image_size(images)))
+    name = f"S_rect_{number}"
+    if name in calibration:
+        width, height = calibration.matrix(name, 2)
+        known.append((f"{calibration.file} ({name})", (round(width), round(height))))
+    if asked is not None:
+        known.append(("the image size asked for", asked))
+    if not known:
+        raise CalibrationError(
+            f"{calibration.file} has no '{name}:' and image_{number} has no images: "
+            "say how large they are (--image-size 1242x375)"
+        )
+    source, size = known[0]
+    for other, claimed in known[1:]:
+        if claimed != size:
+            raise CalibrationError(
+                f"image_{number}: {source} is {size[0]} x {size[1]} but {other} is "
+                f"{claimed[0]} x {claimed[1]} pixels; use the calibration of these images"
+            )
+    return size
+
+
+def lies_in_kitti_360(drive: Path) -> bool:
+    """Whether a drive lies where KITTI-360 has its own; they are laid out alike."""
+    folder = drive.absolute().parent
+    return (
+        folder.name == "data_3d_raw"
+        or (folder.parent / "calibration" / "perspective.txt").is_file()
+    )
+
+
+FORMAT = Format(
+    "kitti_raw",
+    "a drive DATE/DATE_drive_NNNN_sync with velodyne_points/data/*.bin and "
+    "velodyne_points/timestamps.txt, and DATE/calib_*.txt beside it",
+    lambda path: (path / "velodyne_points" / "data").is_dir() and not lies_in_kitti_360(path),
+    KittiRaw,
+)

@@ -1,0 +1,112 @@
+"""Sequences of MulRan: the sweeps of an Ouster OS1-64, and the vehicle's poses."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.files import is_there
+from docdepth.datasets.format import Format
+from docdepth.datasets.pose_tables import (
+    poses_at,
+    poses_of_angles,
+    poses_of_matrices,
+    read_pose_table,
+    rows_around,
+)
+from docdepth.datasets.settings import read_settings
+from docdepth.datasets.stamped_files import NANOSECOND, StampedLidar, packed, stamped_lidar
+from docdepth.datasets.yaml_cameras import CameraRecordingSettings, LidarRecording
+from docdepth.geometry.se3 import inverse
+
+log = logging.getLogger(__name__)
+
+_ROWS = packed(x="f4", y="f4", z="f4", intensity="f4")
+_BEAMS, _COLUMNS = 64, 1024  # all of a revolution are in a file, beam by beam in each column
+_REVOLUTION = 100_000_000  # ns
+# Of MulRan's calibration: the LiDAR, which looks backwards, in the frame of the vehicle.
+_T_VEHICLE_THEIRS = poses_of_angles(
+    np.array([[1.7042, -0.021, 1.8047]]), np.radians([[0.0001, 0.0003, 179.6654]])
+)[0]
+_T_LIDAR_THEIRS = np.diag([-1.0, -1, 1, 1])  # docdepth has x ahead
+
+
+def turned(rows: NDArray[Any], where: str) -> Cloud:
+    """The points of a sweep, x ahead, with beams and times if it is whole.
+
+    Times are nanoseconds since the first column. Both follow from the place in the file; a sweep
+    that lacks rows has neither.
+    """
+    points = np.stack([-rows["x"], -rows["y"], rows["z"]], axis=1)
+    if len(rows) != _BEAMS * _COLUMNS:
+        return Cloud(points, rows["intensity"].copy())
+    place = np.arange(len(rows))
+    times = place // _BEAMS * (_REVOLUTION // _COLUMNS)
+    return Cloud(points, rows["intensity"].copy(), (place % _BEAMS).astype(np.uint16), times)
+
+
+class MulRan(LidarRecording):
+    """A sequence of MulRan.
+
+    Parameters
+    ----------
+    path : Path
+        Folder with ``sensor_data/Ouster/STAMP.bin`` or ``Ouster/STAMP.bin``, and
+        ``global_pose.csv`` if there is one.
+    image_size : (int, int), optional
+        Width and height of cameras that ``docdepth.yaml`` describes without images.
+    """
+
+    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
+        usual = {"motion_compensated": False, "point_time_unit": "ns"}
+        settings, file = read_settings(path, CameraRecordingSettings, usual)
+        lidar = stamped_lidar("ouster", _sweeps(path), NANOSECOND, _ROWS, turned)
+        _warn_of_short(lidar)
+        poses = _poses(path / "global_pose.csv", lidar.stream.times)
+        super().__init__("mulran", path, lidar, poses, settings, file, image_size)
+
+
+def _poses(file: Path, times: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    """``T_world_lidar``; None without the file."""
+    if not is_there(file):
+        return None
+    stamps, rows = read_pose_table(file, (12,), "copy global_pose.csv of MulRan again")
+    stamps, rows = rows_around(stamps, rows, times)
+    T = _T_VEHICLE_THEIRS @ inverse(_T_LIDAR_THEIRS)
+    return poses_at(stamps, poses_of_matrices(rows, file) @ T, times, file)
+
+
+def _warn_of_short(lidar: StampedLidar) -> None:
+    whole = _BEAMS * _COLUMNS * _ROWS.itemsize
+    short = [file for file in lidar.sweeps if file.stat().st_size != whole]
+    if short:
+        log.warning(
+            "%s, and %d more of %d sweeps: not %d x %d rows, so their points have no times and are "
+            "not deskewed",
+            short[0], len(short) - 1, len(lidar.sweeps), _BEAMS, _COLUMNS,
+        )  # fmt: skip
+
+
+def _sweeps(path: Path) -> Path:
+    """Folder of the sweeps."""
+    whole = path / "sensor_data" / "Ouster"
+    return whole if whole.is_dir() else path / "Ouster"
+
+
+def _recognises(path: Path) -> bool:
+    """Ouster's sweeps alone; HeLiPR has them in a folder LiDAR, beside those of others."""
+    return path.name != "LiDAR" and any(_sweeps(path).glob("*.bin"))
+
+
+FORMAT = Format(
+    "mulran",
+    "a sequence of MulRan with sensor_data/Ouster/*.bin (or Ouster/*.bin) and global_pose.csv",
+    _recognises,
+    MulRan,
+    experimental=True,
+)

@@ -1,0 +1,249 @@
+"""Scenes of nuScenes, from its tables in JSON.
+
+The devkit is not needed. A root holds many scenes; the path of one is ``ROOT/SCENE``, such as
+``nuscenes/scene-0061``, though there is no such folder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import CameraStream, LidarStream
+from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.files import read_bytes
+from docdepth.datasets.format import Format
+from docdepth.datasets.json_files import pose_of, read_json
+from docdepth.datasets.kitti_files import check_increasing
+from docdepth.datasets.recording import Recording
+from docdepth.datasets.settings import RecordingSettings, read_settings
+from docdepth.errors import CalibrationError, DatasetError
+from docdepth.geometry.camera import camera_of
+from docdepth.geometry.se3 import inverse
+
+_UNPACK = "unpack the metadata of nuScenes again"
+_COLUMNS = 5  # x y z intensity ring
+_MICROSECOND = 1000  # ns
+_MOST_NAMED = 8  # scenes in an error
+# nuScenes' LiDAR has x to the right and y ahead, docdepth x ahead and y to the left.
+_T_LIDAR_THEIRS = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+_Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Tables:
+    """The tables of a version of nuScenes.
+
+    Attributes
+    ----------
+    folder : Path
+        ``ROOT/v1.0-mini`` or the like.
+    """
+
+    folder: Path
+
+    def rows(self, name: str) -> list[_Row]:
+        """All rows of a table."""
+        rows = read_json(self.folder / f"{name}.json", _UNPACK)
+        if not isinstance(rows, list) or not all(isinstance(r, dict) for r in rows):
+            raise DatasetError(f"{self.folder / name}.json is no table of nuScenes; {_UNPACK}")
+        return rows
+
+    def by_token(self, name: str, tokens: Iterable[str]) -> dict[str, _Row]:
+        """Rows of these tokens."""
+        wanted = set(tokens)
+        found = {row["token"]: row for row in self.rows(name) if row.get("token") in wanted}
+        lacking = sorted(wanted - found.keys())
+        if lacking:
+            raise DatasetError(f"{self.folder / name}.json lacks {lacking[0]}; {_UNPACK}")
+        return found
+
+    @cached_property
+    def scenes(self) -> dict[str, str]:
+        """Token of each scene by its name."""
+        return {row["name"]: row["token"] for row in self.rows("scene")}
+
+
+@dataclass(frozen=True)
+class NuScenesLidar:
+    """LIDAR_TOP of a scene.
+
+    Attributes
+    ----------
+    stream : LidarStream
+    sweeps : list of Path
+    """
+
+    stream: LidarStream
+    sweeps: list[Path]
+
+    def read(self, index: int) -> Cloud:
+        """Own sweep ``index``, x ahead."""
+        file = self.sweeps[index]
+        content = read_bytes(file, "unpack the sweeps of nuScenes again")
+        if not content or len(content) % (4 * _COLUMNS):
+            raise DatasetError(
+                f"{file} (frame {index}) has {len(content)} bytes, which is not a multiple of "
+                f"{4 * _COLUMNS} (x y z intensity ring as float32): it is truncated; unpack it "
+                "again"
+            )
+        rows = np.frombuffer(content, "<f4").reshape(-1, _COLUMNS)
+        points = np.stack([rows[:, 1], -rows[:, 0], rows[:, 2]], axis=1)
+        return Cloud(points, rows[:, 3].copy(), rows[:, 4].astype(np.uint16))
+
+    def files(self, index: int) -> list[Path]:
+        """Its file."""
+        return [self.sweeps[index]]
+
+
+class NuScenes(Recording):
+    """A scene of nuScenes: LIDAR_TOP at 20 Hz with samples and sweeps, and its cameras.
+
+    Sweeps are compensated for the motion of the vehicle, to the end of the revolution. The LiDAR
+    frame is turned to x ahead, y left.
+
+    Parameters
+    ----------
+    path : Path
+        ``ROOT/SCENE``, or ROOT where it holds one scene.
+    image_size : (int, int), optional
+        Not used: the tables tell the size.
+    """
+
+    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
+        root = path if path.is_dir() else path.parent
+        settings, _ = read_settings(root, RecordingSettings, {"motion_compensated": True})
+        tables, scene = _find_scene(root, None if path == root else path.name)
+        channels = _channels(tables, scene)
+        if "LIDAR_TOP" not in channels:
+            raise DatasetError(f"{tables.folder}: scene {scene} has no LIDAR_TOP; {_UNPACK}")
+        rows = [row for channel in channels.values() for row in channel]
+        places = tables.by_token(
+            "calibrated_sensor", {row["calibrated_sensor_token"] for row in rows}
+        )
+        lidar = channels["LIDAR_TOP"]
+        place = places[lidar[0]["calibrated_sensor_token"]]
+        T_ego_lidar = _pose(place, tables, "calibrated_sensor") @ inverse(_T_LIDAR_THEIRS)
+        ego = tables.by_token("ego_pose", {row["ego_pose_token"] for row in lidar})
+        T_world_ego = [_pose(ego[row["ego_pose_token"]], tables, "ego_pose") for row in lidar]
+        cameras = {
+            name: _camera(root, name, rows, places, tables, T_ego_lidar)
+            for name, rows in channels.items()
+            if name.startswith("CAM")
+        }
+        super().__init__(
+            "nuscenes",
+            root,
+            [_lidar(root, lidar, tables)],
+            cameras,
+            np.stack(T_world_ego) @ T_ego_lidar,
+            settings.options(),
+        )
+
+
+def _find_scene(root: Path, name: str | None) -> tuple[Tables, str]:
+    """The tables that hold a scene, and its token."""
+    versions = [Tables(folder) for folder in _versions(root)]
+    scenes = {scene: tables for tables in reversed(versions) for scene in tables.scenes}
+    if name is None and len(scenes) == 1:
+        (name,) = scenes
+    if name not in scenes:
+        some = sorted(scenes)[:_MOST_NAMED]
+        more = f" and {len(scenes) - len(some)} more" if len(scenes) > len(some) else ""
+        raise DatasetError(
+            f"{root} has {len(scenes)} scenes of nuScenes"
+            f"{'' if name is None else f', but no {name}'}; name one of "
+            f"{', '.join(str(root / scene) for scene in some)}{more}"
+        )
+    return scenes[name], scenes[name].scenes[name]
+
+
+def _channels(tables: Tables, scene: str) -> dict[str, list[_Row]]:
+    """Rows of ``sample_data`` of a scene by sensor, in the order of time."""
+    samples = {row["token"] for row in tables.rows("sample") if row["scene_token"] == scene}
+    rows = [row for row in tables.rows("sample_data") if row["sample_token"] in samples]
+    places = tables.by_token("calibrated_sensor", {row["calibrated_sensor_token"] for row in rows})
+    sensors = tables.by_token("sensor", {place["sensor_token"] for place in places.values()})
+    channels: dict[str, list[_Row]] = {}
+    for row in sorted(rows, key=lambda row: int(row["timestamp"])):
+        place = places[row["calibrated_sensor_token"]]
+        channels.setdefault(sensors[place["sensor_token"]]["channel"], []).append(row)
+    return channels
+
+
+def _lidar(root: Path, rows: list[_Row], tables: Tables) -> NuScenesLidar:
+    files = [root / row["filename"] for row in rows]
+    lacking = [file for file in files if not file.is_file()]
+    if lacking:
+        raise DatasetError(
+            f"{lacking[0]} is missing, and {len(lacking) - 1} more of {len(files)} sweeps; unpack "
+            "samples and sweeps of LIDAR_TOP"
+        )
+    names = [file.name.removesuffix(".pcd.bin") for file in files]
+    return NuScenesLidar(LidarStream("LIDAR_TOP", _times(rows, names, tables), names), files)
+
+
+def _camera(
+    root: Path,
+    name: str,
+    rows: list[_Row],
+    places: dict[str, _Row],
+    tables: Tables,
+    T_ego_lidar: NDArray[np.float64],
+) -> CameraStream:
+    place = places[rows[0]["calibrated_sensor_token"]]
+    K = np.array(place["camera_intrinsic"], np.float64)
+    if K.shape != (3, 3):
+        raise CalibrationError(
+            f"{tables.folder / 'calibrated_sensor.json'}: {name} has no intrinsics; {_UNPACK}"
+        )
+    images = [root / row["filename"] for row in rows]
+    names = [image.stem for image in images]
+    return CameraStream(
+        name,
+        camera_of(
+            K,
+            (int(rows[0]["width"]), int(rows[0]["height"])),
+            f"{tables.folder / 'calibrated_sensor.json'}, {name}",
+        ),
+        inverse(_pose(place, tables, "calibrated_sensor")) @ T_ego_lidar,
+        _times(rows, names, tables),
+        names,
+        images if images[0].is_file() else [],
+    )
+
+
+def _times(rows: list[_Row], names: list[str], tables: Tables) -> NDArray[np.int64]:
+    times = np.array([int(row["timestamp"]) for row in rows], np.int64) * _MICROSECOND
+    check_increasing(times, names, tables.folder / "sample_data.json")
+    return times
+
+
+def _pose(row: _Row, tables: Tables, table: str) -> NDArray[np.float64]:
+    where = f"{tables.folder / table}.json, {row['token']}"
+    return pose_of(row["rotation"], row["translation"], where)
+
+
+def _versions(root: Path) -> list[Path]:
+    return sorted(file.parent for file in root.glob("v1.0-*/sample_data.json"))
+
+
+def _recognises(path: Path) -> bool:
+    """A root, or a scene that may be in it."""
+    return bool(_versions(path if path.is_dir() else path.parent)) and not path.is_file()
+
+
+FORMAT = Format(
+    "nuscenes",
+    "ROOT/SCENE of nuScenes, such as nuscenes/scene-0061, where ROOT holds v1.0-mini, samples and "
+    "sweeps",
+    _recognises,
+    NuScenes,
+)

@@ -1,0 +1,243 @@
+"""Sequences of PandaSet, whose sweeps are tables of pandas in the frame of the world."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import pickle
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import CameraStream, LidarStream
+from docdepth.datasets.cloud import Cloud, cloud_from_fields
+from docdepth.datasets.files import read_bytes
+from docdepth.datasets.format import Format
+from docdepth.datasets.json_files import pose_of, read_json
+from docdepth.datasets.kitti_files import check_increasing, image_files, image_size, in_order
+from docdepth.datasets.recording import Recording
+from docdepth.datasets.settings import RecordingSettings, read_settings
+from docdepth.errors import CalibrationError, DatasetError, MissingExtraError
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import inverse
+
+_COPY = "unpack the sequence again"
+_SPINNING = 0  # column d of the LiDAR on the roof; 1 is the one that looks ahead
+_SIZE = (1920, 1080)  # pixels
+_FRONT = "front_camera"
+# Pandar64 has x to the left and y backwards, docdepth x ahead and y to the left.
+_T_LIDAR_THEIRS = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+# From Pandar64 to each camera, of PandaSet's static calibration: quaternion w x y z, metres.
+_EXTRINSICS = {
+    "back_camera": (
+        (0.713789231075861, 0.7003585531940812, -0.001595758695393934, -0.0005330311533742299),
+        (-0.0004217634029916384, -0.21683144949675118, -1.0553445472201475),
+    ),
+    "front_camera": (
+        (0.016213200031258722, 0.0030578899383849464, 0.7114721800418571, -0.7025205466606356),
+        (0.0002585796504896516, -0.03907777167811011, -0.0440125762408362),
+    ),
+    "front_left_camera": (
+        (0.33540022607039827, 0.3277491469609924, -0.6283486651480494, 0.6206973014480826),
+        (-0.25842240863267835, -0.3070654284505582, -0.9244245686318884),
+    ),
+    "front_right_camera": (
+        (0.3537633879725252, 0.34931795852655334, 0.6120314641083645, -0.6150170047424814),
+        (0.2546935700219631, -0.24929449717803095, -0.8686597280810242),
+    ),
+    "left_camera": (
+        (0.5050391917998245, 0.49253073152800625, -0.4989265501075421, 0.503409565706149),
+        (0.23864835336611942, -0.2801448284013492, -0.5376795959387791),
+    ),
+    "right_camera": (
+        (0.5087448402081216, 0.4947520981649951, 0.4977829953071897, -0.49860920419297333),
+        (-0.23097163411257893, -0.30843497058841024, -0.6850441215571058),
+    ),
+}
+# What the pickle of a table of numbers is made of. Others could run programs.
+_HARMLESS = {
+    "pandas": {
+        *("DataFrame", "BlockManager", "Index", "RangeIndex", "_new_Index"),
+        *("Int64Index", "UInt64Index", "Float64Index", "new_block", "_unpickle_block"),
+    },
+    "numpy": {"_reconstruct", "_frombuffer", "ndarray", "dtype", "scalar"},
+    "builtins": {"slice"},
+    "_codecs": {"encode"},
+}
+
+
+def T_camera_lidar(name: str) -> NDArray[np.float64]:
+    """The place of a camera, (4, 4)."""
+    return pose_of(*_EXTRINSICS[name], name) @ inverse(_T_LIDAR_THEIRS)
+
+
+@dataclass(frozen=True)
+class PandaLidar:
+    """The Pandar64 of a sequence.
+
+    Attributes
+    ----------
+    stream : LidarStream
+    sweeps : list of Path
+    """
+
+    stream: LidarStream
+    sweeps: list[Path]
+
+    def read(self, index: int) -> Cloud:
+        """Own sweep ``index``, in the world."""
+        where = f"{self.sweeps[index]} (frame {index})"
+        table = read_table(self.sweeps[index], where)
+        lacking = [name for name in "xyzitd" if name not in table]
+        if lacking:
+            raise DatasetError(f"{where} has no column {lacking[0]}; {_COPY}")
+        kept = table["d"] == _SPINNING
+        rows = np.empty(int(kept.sum()), [(name, "f8") for name in "xyzit"])
+        for name in "xyzit":
+            rows[name] = table[name][kept]
+        return cloud_from_fields(rows, where)
+
+    def files(self, index: int) -> list[Path]:
+        """Its file."""
+        return [self.sweeps[index]]
+
+
+class PandaSet(Recording):
+    """A sequence of PandaSet: Pandar64 and six cameras.
+
+    Sweeps are compensated for the motion of the vehicle. They are stamped when the front camera
+    fires, in the middle of a revolution, and have the LiDAR's pose of then, which follows from that
+    of the camera. The poses that come with the sweeps are of another place on the vehicle. Points
+    of the LiDAR that looks ahead are left out: nothing tells clearly where it sits.
+
+    Parameters
+    ----------
+    path : Path
+        Folder with ``lidar`` and ``camera``.
+    image_size : (int, int), optional
+        Not used: images are 1920 x 1080.
+    """
+
+    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
+        settings, _ = read_settings(path, RecordingSettings, {"motion_compensated": True})
+        front = path / "camera" / _FRONT
+        sweeps = in_order((path / "lidar").glob("*.pkl.gz"))
+        names = [sweep.name.removesuffix(".pkl.gz") for sweep in sweeps]
+        times = _times(front / "timestamps.json", len(sweeps), "sweeps")
+        file = front / "poses.json"
+        entries = _entries(file, len(sweeps), "sweeps")
+        poses = [_pose(entry, f"{file}, entry {k}") for k, entry in enumerate(entries)]
+        cameras = {
+            name: _camera(path / "camera" / name)
+            for name in _EXTRINSICS
+            if (path / "camera" / name).is_dir()
+        }
+        super().__init__(
+            "pandaset",
+            path,
+            [PandaLidar(LidarStream("pandar64", times, names), sweeps)],
+            cameras,
+            np.stack(poses) @ T_camera_lidar(_FRONT),
+            settings.options(world=True),
+        )
+
+
+def read_table(file: Path, where: str) -> dict[str, NDArray[Any]]:
+    """Columns of a zipped pickle of a table of pandas, without running what else may be in it.
+
+    Raises
+    ------
+    DatasetError
+        The file is missing, damaged, or holds something else.
+    MissingExtraError
+        pandas is not installed.
+    """
+    try:
+        from pandas import DataFrame
+        from pandas.compat.pickle_compat import Unpickler
+    except ImportError:
+        raise MissingExtraError(
+            "sweeps of PandaSet need pandas: pip install 'docdepth[pandaset]'"
+        ) from None
+
+    class Careful(Unpickler):  # type: ignore[misc]
+        def find_class(self, module: str, name: str) -> Any:
+            if name not in _HARMLESS.get(module.partition(".")[0], ()):
+                raise pickle.UnpicklingError(f"it asks for {module}.{name}, which no table needs")
+            return super().find_class(module, name)
+
+    content = read_bytes(file, _COPY)
+    try:
+        table = Careful(io.BytesIO(gzip.decompress(content))).load()
+    except (OSError, EOFError, zlib.error, pickle.UnpicklingError) as error:
+        raise DatasetError(f"{where} is no whole table of pandas ({error}); {_COPY}") from None
+    except Exception as error:  # a damaged pickle may fail in any way
+        raise DatasetError(f"{where} is damaged ({error!r}); {_COPY}") from None
+    if not isinstance(table, DataFrame):
+        raise DatasetError(f"{where} holds no table of pandas; {_COPY}")
+    return {str(name): table[name].to_numpy() for name in table.columns}
+
+
+def _entries(file: Path, count: int, what: str) -> list[Any]:
+    """A list of JSON with an entry for each sweep or image."""
+    entries = read_json(file, _COPY)
+    if not isinstance(entries, list) or len(entries) != count or not count:
+        found = len(entries) if isinstance(entries, list) else "no list of"
+        raise DatasetError(f"{file} has {found} entries for {count} {what}; {_COPY}")
+    return entries
+
+
+def _times(file: Path, count: int, what: str) -> NDArray[np.int64]:
+    try:
+        seconds = np.array([float(entry) for entry in _entries(file, count, what)])
+    except (TypeError, ValueError):
+        raise DatasetError(f"{file} must be seconds; {_COPY}") from None
+    times = np.round(seconds * 1e9).astype(np.int64)
+    check_increasing(times, [f"entry {k}" for k in range(count)], file)
+    return times
+
+
+def _pose(entry: Any, where: str) -> NDArray[np.float64]:
+    try:
+        heading, position = entry["heading"], entry["position"]
+        quaternion: Sequence[float] = [heading[axis] for axis in "wxyz"]
+        return pose_of(quaternion, [position[axis] for axis in "xyz"], where)
+    except (KeyError, TypeError) as error:
+        raise DatasetError(f"{where} is no pose ({error!r}); {_COPY}") from None
+
+
+def _camera(folder: Path) -> CameraStream:
+    file = folder / "intrinsics.json"
+    known = read_json(file, _COPY)
+    try:
+        fx, fy, cx, cy = (float(known[name]) for name in ("fx", "fy", "cx", "cy"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise CalibrationError(f"{file} has no fx, fy, cx, cy ({error!r}); {_COPY}") from None
+    images = image_files(folder)
+    stamps = folder / "timestamps.json"
+    count = len(images) or len(read_json(stamps, _COPY))
+    return CameraStream(
+        folder.name,
+        Camera(
+            np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+            *(image_size(images) if images else _SIZE),
+        ),
+        T_camera_lidar(folder.name),
+        _times(stamps, count, "images"),
+        [image.stem for image in images] or [f"{k:02d}" for k in range(count)],
+        images,
+    )
+
+
+FORMAT = Format(
+    "pandaset",
+    "a sequence of PandaSet with lidar/*.pkl.gz and camera/front_camera",
+    lambda path: any((path / "lidar").glob("*.pkl.gz")),
+    PandaSet,
+    experimental=True,
+)

@@ -1,0 +1,1 @@
+"""Packets of Hesai's, Velodyne's and Ouster's LiDARs, captured from the network."""

@@ -1,0 +1,196 @@
+"""Captures of Ouster LiDARs (``.pcap`` with metadata in JSON), through ouster-sdk."""
+
+from __future__ import annotations
+
+import os
+import threading
+import warnings
+import weakref
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from docdepth.datasets.base import LidarStream
+from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.format import Format
+from docdepth.datasets.kitti_files import check_increasing
+from docdepth.datasets.recording import Recording
+from docdepth.datasets.settings import RecordingSettings, read_settings
+from docdepth.errors import DatasetError, MissingExtraError
+from docdepth.io.poses import read_poses_at
+
+_MICROSECOND = 1000  # ns
+_MILLIMETRE = 1e-3
+_VALID = 1  # bit of a column's status
+_SAME_CLOCK = 3_600_000_000_000  # ns between host and LiDAR; more, and the LiDAR counts since boot
+
+
+class OusterSettings(RecordingSettings):
+    """What ``docdepth.yaml`` beside a capture may say.
+
+    Attributes
+    ----------
+    metadata : str, optional
+        File of the sensor's metadata; found by its name if left out.
+    """
+
+    metadata: str | None = None
+
+
+class OusterCapture:
+    """The frames of a capture, read from any thread, and opened again in another process.
+
+    Stamps are when the first packet of a frame arrived; where the LiDAR keeps Unix time, they are
+    moved to its clock. Times of points count from the first column that is there.
+
+    Parameters
+    ----------
+    path : Path
+    metadata : Path
+
+    Attributes
+    ----------
+    stream : LidarStream
+    """
+
+    def __init__(self, path: Path, metadata: Path) -> None:
+        self.path, self.metadata = path, metadata
+        self._lock = threading.Lock()
+        self._source: Any = None
+        self._opened_by = 0
+        with self._lock:
+            arrived = np.array(self._open().full_index, np.int64).reshape(-1, 2)[:, 0]
+        if not len(arrived):
+            raise DatasetError(
+                f"{path} holds no frame that fits {metadata}: it is empty, or the metadata is of "
+                "another sensor, session or port; say metadata: FILE in docdepth.yaml"
+            )
+        times = arrived * _MICROSECOND + self._clock_offset(arrived * _MICROSECOND)
+        names = [str(time) for time in times.tolist()]
+        check_increasing(times, names, path)
+        self.stream = LidarStream("ouster", times, names)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_lock": None, "_source": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lock = threading.Lock()
+
+    @property
+    def height(self) -> float:
+        """Metres of the lasers' centre above the origin of the sensor's frame."""
+        with self._lock:
+            info = self._open().sensor_info[0]
+            return float(info.lidar_to_sensor_transform[2, 3]) * _MILLIMETRE
+
+    def read(self, index: int) -> Cloud:
+        """Own sweep ``index``: a row for each pixel, zeros where nothing returned."""
+        from ouster.sdk import core
+
+        where = f"{self.path} (frame {index})"
+        with self._lock:
+            source = self._open()
+            frame = _frame(source, index, where)
+            points = core.XYZLut(source.sensor_info[0])(frame).astype(np.float32)
+        rows, columns = points.shape[:2]
+        valid = (frame.status & _VALID) > 0
+        if not valid.any():
+            raise DatasetError(f"{where} has no valid column; leave it out with --frames")
+        points[:, ~valid] = 0
+        late = np.where(valid, frame.timestamp - frame.timestamp[valid].min(), 0).astype(np.int64)
+        name = next((n for n in ("REFLECTIVITY", "SIGNAL") if n in list(frame.fields)), None)
+        brightness = None if name is None else np.array(frame.field(name), np.float32).ravel()
+        ring = np.repeat(np.arange(rows, dtype=np.uint16), columns)
+        return Cloud(points.reshape(-1, 3), brightness, ring, np.tile(late, rows))
+
+    def files(self, index: int) -> list[Path]:
+        """The capture and its metadata."""
+        return [self.path, self.metadata]
+
+    def _clock_offset(self, arrived: np.ndarray[Any, np.dtype[np.int64]]) -> int:
+        """Nanoseconds from the host's clock to the LiDAR's; 0 where that is not Unix time."""
+        offsets = []
+        with self._lock:
+            for k in sorted({0, len(arrived) // 2, len(arrived) - 1}):
+                frame = _frame(self._open(), k, f"{self.path} (frame {k})")
+                valid = (frame.status & _VALID) > 0
+                if valid.any():
+                    offsets.append(int(frame.timestamp[valid].min()) - int(arrived[k]))
+        offset = int(np.median(offsets)) if offsets else 0
+        return offset if abs(offset) < _SAME_CLOCK else 0
+
+    def _open(self) -> Any:
+        """The source of this process; the lock is held."""
+        if self._source is None or self._opened_by != os.getpid():
+            self._source, self._opened_by = _open_source(self.path, self.metadata), os.getpid()
+            weakref.finalize(self, self._source.close)
+        return self._source
+
+
+def _open_source(path: Path, metadata: Path) -> Any:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            from ouster.sdk import open_source
+    except ImportError:
+        raise MissingExtraError(
+            "Ouster captures need ouster-sdk: pip install 'docdepth[ouster]', by itself: it wants "
+            "another rosbags than bags do"
+        ) from None
+    try:
+        source = open_source(str(path), index=True, meta=[str(metadata)])
+    except Exception as error:  # the SDK raises RuntimeError, ValueError and its own
+        raise DatasetError(
+            f"{path} with {metadata} is no capture that ouster-sdk opens ({error}); copy both again"
+        ) from error
+    if len(source.sensor_info) != 1:
+        raise DatasetError(
+            f"{path} holds {len(source.sensor_info)} LiDARs; docdepth reads captures of one"
+        )
+    return source
+
+
+def _frame(source: Any, index: int, where: str) -> Any:
+    try:
+        (frame,) = source[index]
+    except Exception as error:
+        raise DatasetError(f"{where} cannot be decoded ({error}); copy the capture again") from None
+    return frame
+
+
+def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
+    settings, file = read_settings(path, OusterSettings)
+    metadata = file.parent / settings.metadata if settings.metadata else _metadata_of(path, file)
+    if not metadata.is_file():
+        raise DatasetError(f"{metadata} is missing; say metadata: FILE in {file}")
+    capture = OusterCapture(path, metadata)
+    options = settings.options()
+    place = options.sensor_origin or (0.0, 0.0, capture.height)
+    poses = None
+    if settings.poses:
+        poses = read_poses_at(file.parent / settings.poses, capture.stream.times)
+    return Recording("ouster", path, [capture], {}, poses, replace(options, sensor_origin=place))
+
+
+def _metadata_of(path: Path, file: Path) -> Path:
+    """The JSON beside a capture whose name is the longest that the capture's begins with."""
+    beside = sorted(path.parent.glob("*.json"))
+    fitting = [one for one in beside if path.stem.startswith(one.stem)]
+    if not fitting:
+        listed = ", ".join(one.name for one in beside) or "none"
+        raise DatasetError(
+            f"{path} has no metadata of its name beside it (JSON files there: {listed}); say "
+            f"metadata: FILE in {file}"
+        )
+    return max(fitting, key=lambda one: len(one.stem))
+
+
+def _recognises(path: Path) -> bool:
+    """A capture with JSON beside it; others are Velodyne's."""
+    return path.suffix.lower() == ".pcap" and path.is_file() and any(path.parent.glob("*.json"))
+
+
+FORMAT = Format("ouster", "an Ouster capture .pcap with its metadata .json", _recognises, _open)

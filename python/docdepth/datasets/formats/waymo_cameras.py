@@ -1,0 +1,157 @@
+"""Cameras of the Waymo Open Dataset: JPEG images within a Parquet file, rolling shutters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import CameraStream, LidarStream
+from docdepth.datasets.formats.parquet_rows import ParquetRows
+from docdepth.datasets.images import StoredImage
+from docdepth.errors import CalibrationError, DatasetError
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import inverse, nearest_rigid, poses_from
+from docdepth.io.images import decode_image
+
+CAMERAS = {1: "FRONT", 2: "FRONT_LEFT", 3: "FRONT_RIGHT", 4: "SIDE_LEFT", 5: "SIDE_RIGHT"}
+FRONT = 1
+FRAME, CAMERA = "key.frame_timestamp_micros", "key.camera_name"
+REMEDY = "download the component of the segment again"
+
+# Waymo's cameras look along x and have z up; ours look along z and have y down.
+_T_OPTICAL_THEIRS = poses_from([np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])], [[0, 0, 0]])[0]
+_IMAGE = "[CameraImageComponent].image"
+_SHUTTER = "[CameraImageComponent].rolling_shutter_params"
+_INTRINSIC = "[CameraCalibrationComponent].intrinsic"
+_EDGE = 0.5  # Waymo's pixel 0 begins at 0; ours has its centre there
+
+
+def pose_of_row(numbers: Any, where: str) -> NDArray[np.float64]:
+    """A transform (4, 4) of 16 numbers, row by row.
+
+    Raises
+    ------
+    DatasetError
+        They are none.
+    """
+    values = np.array(numbers.as_py() if hasattr(numbers, "as_py") else numbers, np.float64)
+    if values.shape != (16,) or not np.isfinite(values).all():
+        raise DatasetError(f"{where} has no transform of 16 numbers; {REMEDY}")
+    T = values.reshape(4, 4)
+    rigid = nearest_rigid(T)
+    if np.abs(rigid - T).max() > 1e-3:
+        raise DatasetError(f"{where} is no rotation and translation; {REMEDY}")
+    return np.asarray(rigid)
+
+
+def nanoseconds(seconds: Any) -> int:
+    """Of a time in seconds, to the microsecond: doubles hold no more."""
+    return int(np.rint(float(seconds) * 1e6)) * 1000
+
+
+@dataclass(frozen=True)
+class _ReadImage:
+    """Reads one image when it is called."""
+
+    rows: ParquetRows
+    key: tuple[int, int]
+    where: str
+
+    def __call__(self) -> NDArray[np.uint8]:
+        (content,) = self.rows.read(self.key, (_IMAGE,), self.where)
+        data = np.frombuffer(content.as_py() or b"", np.uint8)
+        image = decode_image(data, cv2.IMREAD_COLOR)
+        if image is None:
+            raise DatasetError(f"{self.where} is no image; {REMEDY}")
+        return np.asarray(image, np.uint8)
+
+
+def read_cameras(
+    calibration: Path, images: Path, T_vehicle_lidar: NDArray[np.float64], lidar: LidarStream
+) -> dict[str, CameraStream]:
+    """The cameras of a segment; those without images fire with the sweeps.
+
+    The time of an image is that of its middle column or row: halfway between trigger and the end
+    of the readout.
+
+    Parameters
+    ----------
+    calibration : Path
+        Of the component ``camera_calibration``; without it there are no cameras.
+    images : Path
+        Of ``camera_image``; may be missing.
+    T_vehicle_lidar : ndarray of float64, shape (4, 4)
+    lidar : LidarStream
+
+    Raises
+    ------
+    DatasetError, CalibrationError
+        A file is damaged.
+    """
+    if not calibration.is_file():
+        return {}
+    rows = ParquetRows(calibration, (CAMERA,), REMEDY)
+    taken = _Images(images) if images.is_file() else None
+    cameras = {}
+    for (number,) in sorted(rows.rows):
+        if number not in CAMERAS:
+            continue
+        name, where = CAMERAS[number], f"{calibration}, {CAMERAS[number]}"
+        camera, distortion, T_vehicle_camera = _calibration(rows, number, where)
+        stream = taken.of(number) if taken is not None else ([], [], [])
+        times, names, files = stream if len(stream[0]) else (lidar.times, lidar.names, [])
+        cameras[name] = CameraStream(
+            name,
+            camera,
+            _T_OPTICAL_THEIRS @ inverse(T_vehicle_camera) @ T_vehicle_lidar,
+            np.asarray(times, np.int64),
+            list(names),
+            files,
+            distortion,
+        )
+    return cameras
+
+
+class _Images:
+    """The images of all cameras: when they were taken, and where they are."""
+
+    def __init__(self, file: Path) -> None:
+        self._rows = ParquetRows(file, (FRAME, CAMERA), REMEDY)
+
+    def of(self, number: int) -> tuple[list[int], list[str], list[StoredImage]]:
+        """Times, names and images of a camera."""
+        times, names, images = [], [], []
+        columns = (f"{_SHUTTER}.camera_trigger_time", f"{_SHUTTER}.camera_readout_done_time")
+        for key in sorted(key for key in self._rows.rows if key[1] == number):
+            where = f"{self._rows.file}, {CAMERAS[number]} of {key[0]}"
+            begin, end = (one.as_py() for one in self._rows.read(key, columns, where))
+            if begin is None or end is None:
+                raise DatasetError(f"{where} has no times of its shutter; {REMEDY}")
+            times.append(nanoseconds(begin + 0.5 * (end - begin)))
+            names.append(str(key[0]))
+            read = _ReadImage(self._rows, (key[0], key[1]), where)
+            images.append(StoredImage(self._rows.file, f"{CAMERAS[number]}_{key[0]}.jpg", read))
+        return times, names, images
+
+
+def _calibration(
+    rows: ParquetRows, number: int, where: str
+) -> tuple[Camera, NDArray[np.float64], NDArray[np.float64]]:
+    """Camera, distortion and ``T_vehicle_camera``, whose camera looks along x."""
+    names = ("f_u", "f_v", "c_u", "c_v", "k1", "k2", "p1", "p2", "k3")
+    prefix = "[CameraCalibrationComponent]"
+    columns = tuple(f"{_INTRINSIC}.{name}" for name in names) + (
+        f"{prefix}.width", f"{prefix}.height", f"{prefix}.extrinsic.transform",
+    )  # fmt: skip
+    *numbers, extrinsic = rows.read((number,), columns, where)
+    values = [one.as_py() for one in numbers]
+    if any(value is None or not np.isfinite(value) for value in values):
+        raise CalibrationError(f"{where} lacks intrinsics; {REMEDY}")
+    fu, fv, cu, cv, *lens, width, height = values
+    K = np.array([[fu, 0, cu - _EDGE], [0, fv, cv - _EDGE], [0, 0, 1]])
+    return Camera(K, int(width), int(height)), np.array(lens), pose_of_row(extrinsic, where)

@@ -1,0 +1,261 @@
+"""Sweeps of another duration than the recording's: joined or cut by the times of their points."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import LidarStream
+from docdepth.datasets.cloud import Cloud, LidarReader
+from docdepth.datasets.point_times import LONGEST, PointTimes, TimeSample
+from docdepth.datasets.pose_tables import continue_ends
+from docdepth.errors import DatasetError
+from docdepth.geometry.points import usable_points
+from docdepth.geometry.trajectory import Trajectory
+
+_LEAST = 0.5  # of the duration that measured sweeps must cover; a rest is no sweep
+_KEPT = 4  # clouds beyond those of one sweep that stay in memory for the next one
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Rows of a measured sweep that belong to a joined one.
+
+    Attributes
+    ----------
+    index : int
+        Of the measured sweep.
+    rows : ndarray of int64, shape (n,)
+    """
+
+    index: int
+    rows: NDArray[np.int64]
+
+
+@dataclass
+class ResampledLidar:
+    """A LiDAR whose points are divided into sweeps from ``starts[k]`` to ``starts[k] + duration``.
+
+    Points keep the order in which they were recorded. Every point is in the one sweep of its own
+    time; rows without a return, whose times mean nothing, may be anywhere.
+
+    Attributes
+    ----------
+    measured : LidarReader
+        Its sweeps as they were recorded.
+    point_times : PointTimes
+        How their points count times.
+    starts : ndarray of int64, shape (m,)
+        Nanoseconds.
+    duration : int
+        Nanoseconds.
+    """
+
+    measured: LidarReader
+    point_times: PointTimes
+    starts: NDArray[np.int64]
+    duration: int
+    _clouds: OrderedDict[int, tuple[Cloud, NDArray[np.int64]]] = field(default_factory=OrderedDict)
+    _lock: Any = field(default_factory=threading.Lock)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_lock": None, "_clouds": OrderedDict()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lock = threading.Lock()
+
+    def span(self) -> tuple[int, int]:
+        """Nanoseconds from the stamp to the first and the last point, of a few sweeps."""
+        stamps = self.measured.stream.times
+        late = [
+            self._late(self.measured.read(own), int(stamps[own]), own)
+            for own in sorted({0, len(stamps) // 2, len(stamps) - 1})
+        ]
+        return min(int(own.min()) for own in late), max(int(own.max()) for own in late)
+
+    @property
+    def stream(self) -> LidarStream:
+        """Stamps are the starts of its sweeps."""
+        names = [str(start) for start in self.starts.tolist()]
+        return replace(self.measured.stream, times=self.starts, names=names)
+
+    def read(self, index: int) -> Cloud:
+        """Sweep ``index``; times of its points are nanoseconds on the clock of the stamps."""
+        clouds, times, no_rows = [], [], np.zeros(0, np.int64)
+        for piece, cloud, own in self._pieces(index):
+            rows = piece.rows
+            clouds.append(_part_of(cloud, rows))
+            times.append(own[rows])
+        if not clouds:  # a LiDAR beside the first one may pause
+            nearest = int(np.abs(self.measured.stream.times - self.starts[index]).argmin())
+            clouds, times = [_part_of(self._read(nearest, _KEPT)[0], no_rows)], [no_rows]
+        return Cloud(
+            np.concatenate([cloud.points for cloud in clouds]),
+            joined_columns([cloud.intensity for cloud in clouds]),
+            joined_columns([cloud.ring for cloud in clouds]),
+            np.concatenate(times),
+        )
+
+    def pieces(self, index: int) -> list[Piece]:
+        """The measured sweeps that sweep ``index`` is made of."""
+        return [piece for piece, _, _ in self._pieces(index)]
+
+    def files(self, index: int) -> list[Path]:
+        """The files of all sweeps that may hold points of it."""
+        files = [file for own in self._near(index) for file in self.measured.files(own)]
+        return list(dict.fromkeys(files))
+
+    def _near(self, index: int) -> range:
+        """Measured sweeps that may hold points of a sweep: no point is farther from its stamp."""
+        stamps, start = self.measured.stream.times, int(self.starts[index])
+        reach = int(LONGEST * self.point_times.period)
+        first = int(np.searchsorted(stamps, start - reach))
+        return range(first, int(np.searchsorted(stamps, start + self.duration + reach, "right")))
+
+    def _pieces(self, index: int) -> list[tuple[Piece, Cloud, NDArray[np.int64]]]:
+        start, found = int(self.starts[index]), []
+        near = self._near(index)
+        for own in near:
+            cloud, times = self._read(own, len(near) + _KEPT)
+            rows = np.flatnonzero((times >= start) & (times < start + self.duration))
+            if len(rows):
+                found.append((Piece(own, rows), cloud, times))
+        return found
+
+    def _read(self, own: int, most: int) -> tuple[Cloud, NDArray[np.int64]]:
+        """A measured sweep, and nanoseconds of its points; sweeps in turn share most of them."""
+        with self._lock:
+            if own in self._clouds:
+                self._clouds.move_to_end(own)
+                return self._clouds[own]
+        cloud = self.measured.read(own)
+        stamp = int(self.measured.stream.times[own])
+        times = stamp + self._late(cloud, stamp, own)
+        with self._lock:
+            self._clouds[own] = cloud, times
+            while len(self._clouds) > most:
+                self._clouds.popitem(last=False)
+        return cloud, times
+
+    def _late(self, cloud: Cloud, stamp: int, own: int) -> NDArray[np.int64]:
+        """Nanoseconds from the stamp to each point."""
+        relative = None
+        if cloud.times is not None:
+            sample = TimeSample(cloud.times, usable_points(cloud.points), stamp)
+            relative = self.point_times.relative(sample)
+        if relative is None:
+            where = self.measured.files(own)[0]
+            raise DatasetError(
+                f"{where} (frame {own}): points have no times of this sweep, which sweep_duration "
+                "needs; leave it out of docdepth.yaml"
+            )
+        shares = np.nan_to_num(relative, nan=0.0).astype(np.float64)
+        return np.rint(shares * self.point_times.period).astype(np.int64)
+
+
+def resample(
+    lidars: Sequence[LidarReader],
+    poses: NDArray[np.float64] | None,
+    duration: float,
+    point_times: Sequence[PointTimes | None],
+    path: Path,
+) -> tuple[list[ResampledLidar], NDArray[np.float64] | None]:
+    """LiDARs with sweeps of another duration, and poses at the new stamps.
+
+    Parameters
+    ----------
+    lidars : sequence of LidarReader
+        The sweeps of all are those of the first one's times.
+    poses : ndarray of float64, shape (n, 4, 4), optional
+        Of the measured sweeps; NaN where they are not known.
+    duration : float
+        Seconds.
+    point_times : sequence of PointTimes or None
+        Of each LiDAR.
+    path : Path
+        The recording, for errors.
+
+    Raises
+    ------
+    DatasetError
+        Times of points are not known, or there is less than half of a sweep.
+    """
+    nanoseconds = round(duration * 1e9)
+    starts = None
+    result: list[ResampledLidar] = []
+    for lidar, known in zip(lidars, point_times, strict=True):
+        if known is None:
+            raise DatasetError(
+                f"{path}, {lidar.stream.name}: points have no times, which sweep_duration needs; "
+                "leave it out of docdepth.yaml"
+            )
+        found = ResampledLidar(lidar, known, np.zeros(0, np.int64), nanoseconds)
+        if starts is None:
+            starts = sweep_starts(lidar.stream.times, found.span(), nanoseconds)
+        result.append(replace(found, starts=starts))
+    if starts is None or not len(starts):
+        raise DatasetError(f"{path} is shorter than a sweep of {duration:g} s")
+    if poses is None:
+        return result, None
+    known_poses = np.isfinite(poses).all(axis=(1, 2))
+    moved = np.full((len(starts), 4, 4), np.nan)
+    if known_poses.any():
+        trajectory = Trajectory(lidars[0].stream.times[known_poses], poses[known_poses])
+        inside = trajectory.covers(starts)
+        moved[inside] = trajectory.interpolate(starts[inside])
+        moved = continue_ends(moved, trajectory.times, trajectory.poses, starts)
+    return result, moved
+
+
+def sweep_starts(
+    stamps: NDArray[np.int64], span: tuple[int, int], duration: int
+) -> NDArray[np.int64]:
+    """Starts of sweeps of a duration, one after the other, where the LiDAR measured.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (n,)
+        Nanoseconds of the measured sweeps.
+    span : (int, int)
+        Nanoseconds from the stamp to the first and to the last point of a sweep.
+    duration : int
+        Nanoseconds.
+
+    Returns
+    -------
+    ndarray of int64, shape (m,)
+        Sweeps that were measured for less than half of their duration, as at the end and in gaps,
+        are left out.
+    """
+    first, last = stamps + span[0], stamps + span[1]
+    begin = max(int(first.min()), 0)  # runs keep no stamps before zero
+    starts = begin + duration * np.arange(-(-int(last.max() - begin) // duration), dtype=np.int64)
+    covered = np.zeros(len(starts))
+    pause = int(np.median(np.diff(stamps))) if len(stamps) > 1 else 0
+    for a, b in zip(first.tolist(), np.maximum(last, first + pause).tolist(), strict=True):
+        for k in range(max((a - begin) // duration, 0), int(-(-(b - begin) // duration))):
+            if k < len(starts):
+                covered[k] += min(b, int(starts[k]) + duration) - max(a, int(starts[k]))
+    return starts[covered >= _LEAST * duration]
+
+
+def _part_of(cloud: Cloud, rows: NDArray[np.int64]) -> Cloud:
+    return Cloud(
+        cloud.points[rows],
+        None if cloud.intensity is None else cloud.intensity[rows],
+        None if cloud.ring is None else cloud.ring[rows],
+    )
+
+
+def joined_columns(columns: Sequence[NDArray[Any] | None]) -> NDArray[Any] | None:
+    """One column of several; None unless all are there."""
+    present = [column for column in columns if column is not None]
+    return np.concatenate(present) if len(present) == len(columns) else None
