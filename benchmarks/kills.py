@@ -36,8 +36,8 @@ AGAIN = "inserted into the map"
 def count_steps(log: Path) -> None:
     """Have this process add a line to a file for each step that it begins."""
     from docdepth.dynamics import scheduling
-    from docdepth.odometry import registration
-    from docdepth.pipeline import classify, odometry, render
+    from docdepth.odometry import odometry, registration
+    from docdepth.pipeline import classify, render
 
     descriptor = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
 
@@ -53,7 +53,7 @@ def count_steps(log: Path) -> None:
 
     counted(registration.Registration, "align", "registered")
     counted(registration.Registration, "insert", AGAIN)
-    counted(odometry, "_frame", "deskewed")
+    counted(odometry.DeskewedSweeps, "deskewed", "deskewed")
     counted(classify, "label_chunk", "ground of a chunk")
     counted(scheduling.SweepClassifier, "vote", "voted")
     counted(scheduling.SweepClassifier, "track", "tracked")
