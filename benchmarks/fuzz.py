@@ -95,9 +95,11 @@ def main() -> None:
 
     if unknown := set(given.readers) - READERS.keys():
         parser.error(f"unknown reader {', '.join(unknown)}; there are {', '.join(READERS)}")
-    writers = Path(__file__).parents[1] / "tests/datasets"  # write the bags that are changed
+    tests = Path(__file__).parents[1] / "tests"  # they write what is changed
     known = os.environ.get("PYTHONPATH")
-    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [str(writers), known]))}
+    env = os.environ | {
+        "PYTHONPATH": os.pathsep.join(filter(None, [str(tests), str(tests / "datasets"), known]))
+    }
     file, figures = given.out / "figures.json", {}
     for name in given.readers or READERS:
         out = given.out / name

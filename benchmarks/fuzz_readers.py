@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import io
-import json
 import struct
+import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 
-from docdepth import Parameters, open_dataset
+from docdepth import open_dataset, run
 from docdepth.cli.config_file import read_config
 from docdepth.datasets import kitti_files
 from docdepth.datasets.cloud_files import RowFormat, read_cloud, read_viewpoint
@@ -24,11 +24,10 @@ from docdepth.datasets.pose_tables import poses_of_matrices, read_pose_table
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import read_times
 from docdepth.errors import DocDepthError
-from docdepth.geometry.camera import Camera
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.calibration import read_camera_calibration, write_calibration
+from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.depth import encode_depth, read_depth
 from docdepth.io.frames import read_frame, read_trajectory, write_frame
 from docdepth.io.frames import write_trajectory as write_ply_trajectory
@@ -36,7 +35,7 @@ from docdepth.io.labels import read_classes
 from docdepth.io.pcd import write_pcd
 from docdepth.io.poses import read_poses, read_timed_poses, write_kitti, write_tum
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import COLUMNS, read_tracks
+from docdepth.io.tracks import read_tracks
 from docdepth.pipeline.run_state import states
 
 _POINTS = np.random.default_rng(3).normal(0, 20, (6, 3)).astype(np.float32)
@@ -48,6 +47,19 @@ _FRAME = LidarFrame(
     np.zeros(6, np.float32), SensorRig.single((0, 0, 1), 6),
     *(np.arange(6, dtype=np.uint16) for _ in range(4)),
 )  # fmt: skip
+
+
+@cache
+def sample_run() -> Path:
+    """A run of a tiny drive (tests/small_drive.py); its files are changed, too."""
+    from small_drive import write_small_drive
+
+    root = Path(tempfile.mkdtemp())
+    return run(write_small_drive(root / "drive"), root / "run", camera="image_2").path
+
+
+def _of_run(*names: str) -> Callable[[Path], list[bytes]]:
+    return lambda folder: [(sample_run() / name).read_bytes() for name in names]
 
 
 @dataclass(frozen=True)
@@ -234,13 +246,6 @@ def _read_bag(path: Path) -> None:
 # ---- calibration, poses, tables
 
 
-def _calibrations(folder: Path) -> list[bytes]:
-    camera = Camera(np.array([[60.0, 0, 48], [0, 60, 20], [0, 0, 1]]), 96, 40)
-    more: dict[str, object] = {"T_camera_lidar": np.eye(4).tolist(), "camera": "front"}
-    write_calibration(folder, camera, np.eye(4), more=more)
-    return [(folder / name).read_bytes() for name in ("calib.json", "calib_lidar_ref_cam.txt")]
-
-
 def _read_kitti(path: Path) -> None:
     calibration = Calibration(path, "restore it")
     for name in ("P2", "Tr"):
@@ -258,9 +263,6 @@ def _read_poses(path: Path) -> None:
 
 _TIMES = "0.1\n1317000000.123456789\n2011-09-26 13:02:25.951199337\n"
 _TABLE = "stamp,x,y\n" + "\n".join(f"{10**18 + k} 1 0 0 {k} 0 1 0 0 0 0 1 0" for k in range(3))
-_TRACKS = ",".join(COLUMNS) + "\n" + "\n".join(
-    f"{k},{k * 10**8},1,vehicle,1,2,3,0.1,0,4,2,1.5,1,0,0,0.1,50" for k in range(3)
-)  # fmt: skip
 _SETTINGS = (
     "motion_compensated: false\nsensor_origin: [0, 0, 1.7]\nup: [0, 0, 1]\nstamp: middle\n"
     "point_time_unit: ns\nsweep_duration: 0.1\nego_boxes: [[-1, 1], [-1, 1], [-2, 0]]\n"
@@ -274,34 +276,9 @@ _CONFIG = (
 # ---- run folders
 
 
-def _run(folder: Path) -> list[bytes]:
-    run = RunFolder.create(folder / "run", _SOURCE, Parameters())
-    run.cameras["front"] = {"folder": "", "settings": {"render.ahead": 40}}
-    run.cameras["roof"] = {"folder": "roof", "settings": {}, "virtual": {"size": [8, 8]}}
-    run.set_stage("odometry", state="done", key="abc", all_frames=2, total_seconds=1.5)
-    run.set_stage("render front", state="running", left_out=["1"], warnings=["text"])
-    return [(folder / "run" / "run.yaml").read_bytes()]
-
-
-_SOURCE = {
-    "dataset": None, "name": None, "camera": None, "poses": None, "camera_times": None,
-    "image_size": None, "frames": "0:4",
-}  # fmt: skip
-
-
 def _read_run(path: Path) -> None:
     _tolerant(read_config, path)
     states(RunFolder.open(path.parent))
-
-
-def _records(folder: Path) -> list[bytes]:
-    run = RunFolder.create(folder / "run", _SOURCE, Parameters())
-    run.write_frame(0, _FRAME, {"odometry": "abc"})
-    run.write(run.path / "run.txt", lambda out: out.write(b"text"), {"render": "1"})
-    kept = sorted((folder / "run" / ".docdepth" / "records").iterdir())
-    made_of = json.dumps({"odometry": {"version": 2, "sweeps": "x"}}).encode()
-    inputs = json.dumps({"sweeps": {"a.bin": [1, 2]}}).encode()
-    return [*(file.read_bytes() for file in kept), made_of, inputs]
 
 
 def _read_records(path: Path) -> None:
@@ -313,7 +290,7 @@ def _read_records(path: Path) -> None:
     for name in ("records/frames.jsonl", "records/run.jsonl", "made_of.json", "inputs.json"):
         (notes / name).parent.mkdir(parents=True, exist_ok=True)
         (notes / name).write_bytes(content)
-    (root / "run.yaml").write_bytes(_RUN_YAML)
+    (root / "run.yaml").write_bytes((sample_run() / "run.yaml").read_bytes())
     run = RunFolder.open(root)
     states(run)
     InputFiles(run).changed()
@@ -322,18 +299,8 @@ def _read_records(path: Path) -> None:
         run.records(root / "frames").state(name)
 
 
-def _run_yaml() -> bytes:
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as folder:
-        return _run(Path(folder))[0]
-
-
-_RUN_YAML = _run_yaml()
-
-
 def _rig(folder: Path) -> list[bytes]:
-    run = RunFolder.create(folder / "run", _SOURCE, Parameters())
+    run = RunFolder(folder)
     run.write_sensors(SensorRig.single((0, 0, 1), 6), {})
     depth = np.full((4, 6), 3.0, np.float32)
     return [run.sensors_path.read_bytes(), encode_depth(depth, "npz")]
@@ -353,11 +320,6 @@ def _read_image(path: Path) -> None:
         other = path.with_suffix(suffix)
         other.write_bytes(path.read_bytes())
         _tolerant(lambda p: read_depth(p, 256.0), other)
-
-
-def _images(folder: Path) -> list[bytes]:
-    depth = np.full((4, 6), 3.0, np.float32)
-    return [encode_depth(depth, "png"), encode_depth(depth, "tiff")]
 
 
 def _labels(folder: Path) -> list[bytes]:
@@ -386,27 +348,31 @@ READERS = {
                 _TIMES.encode(), _TABLE.encode(),
             ],
         ),
-        Reader("calib.json", "calib.json", read_camera_calibration, _calibrations),
+        Reader("calib.json", "calib.json", read_camera_calibration, _of_run("calib.json")),
         Reader(
             "calib.txt", "calib.txt", _read_kitti,
             _texts("P2: 60 0 48 -30 0 60 20 0 0 0 1 0\nTr: 0 -1 0 0.02 0 0 -1 -0.06 1 0 0 -0.3\n"),
         ),
-        Reader("tracks", "tracks.csv", read_tracks, _texts(_TRACKS)),
+        Reader("tracks", "tracks.csv", read_tracks, _of_run("tracks.csv")),
         Reader(
             "docdepth.yaml", "docdepth.yaml", lambda p: read_settings(p.parent, RecordingSettings),
             _texts(_SETTINGS),
         ),
         Reader("parameters", "settings.yaml", read_config, _texts(_CONFIG)),
-        Reader("run.yaml", "run.yaml", _read_run, _run),
-        Reader("records", "content", _read_records, _records),
+        Reader("run.yaml", "run.yaml", _read_run, _of_run("run.yaml")),
+        Reader(
+            "records", "content", _read_records,
+            _of_run(*(f".docdepth/{name}" for name in (
+                "records/frames.jsonl", "records/run.jsonl", "made_of.json", "inputs.json"
+            ))),
+        ),
         Reader(
             "message", "message", _read_message,
             _bytes(_message_bytes(False), _message_bytes(True)),
         ),
         Reader("ros1", "a.bag", _read_bag, _bag("ros1", ".bag")),
         Reader("mcap", "a.mcap", _read_bag, _bag("mcap", ".mcap")),
-        Reader("depth", "a.img", _read_image, _images),
+        Reader("depth", "a.img", _read_image, _of_run("depth/000001.png")),
     )
 }  # fmt: skip
-"""By name. ``image`` files are OpenCV's business, so ``depth`` mostly tests that."""
-assert cv2.__version__
+"""By name."""

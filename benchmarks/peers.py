@@ -9,9 +9,6 @@ with poses from --poses, deskewed with the motion of these poses unless --raw is
 
 All methods label all points, so labels are compared point by point. The cleaned map that remains is
 also evaluated by the 5 cm protocol of DynamicMap_Benchmark and by ERASOR's voxels.
-
-BeautyMap (Jia et al., RA-L 2024) has no package: give a clone of its repository with --beautymap
-(pip install dztimer fire tqdm). It sees 40 m far, with the sizes that its authors give for KITTI.
 """
 
 from __future__ import annotations
@@ -23,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from peer_classifiers import Drive, beautymap, dufomap
+from peer_classifiers import Drive, dufomap
 from peer_maps import MapEvaluation, MapResult
 from results import add_results_argument, publish
 
@@ -146,7 +143,6 @@ def main(arguments: list[str] | None = None) -> list[Row]:
         help="DUFOMap's inflation of unknown space [voxels]",
     )
     parser.add_argument("--threads", type=int, default=0, help="0 uses all cores")
-    parser.add_argument("--beautymap", type=Path, help="a clone of BeautyMap's repository")
     add_results_argument(parser)
     args = parser.parse_args(arguments)
     if args.run:
@@ -159,9 +155,6 @@ def main(arguments: list[str] | None = None) -> list[Row]:
     for d_p in args.d_p:
         found, seconds = dufomap(drive, d_p, args.d_s, args.resolution, args.threads)
         rows.append(evaluate(f"DUFOMap d_p={d_p}", drive, found.__getitem__, seconds))
-    if args.beautymap:
-        found, seconds = beautymap(drive, args.beautymap)
-        rows.append(evaluate("BeautyMap", drive, found.__getitem__, seconds))
     publish([table(rows)], args.results)
     return rows
 
