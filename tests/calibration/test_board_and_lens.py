@@ -85,7 +85,7 @@ def test_k_needs_images_of_this_board():
     with pytest.raises(CalibrationError, match="at least 3 images"):
         estimate_lens(BOARD, corners[:2], SIZE)
     noise = np.random.default_rng(0).normal(0, 20, (8, 24, 2))
-    with pytest.raises(CalibrationError, match=r"misses the corners by.*--lens"):
+    with pytest.raises(CalibrationError, match=r"misses the corners by.*`model`"):
         estimate_lens(BOARD, [c + n for c, n in zip(corners, noise, strict=True)], SIZE)
 
 

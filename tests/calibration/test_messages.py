@@ -86,7 +86,7 @@ def test_a_wall_behind_the_board_and_a_box(exact_pairs):
     found, _, not_used = find_all(with_other(exact_pairs, 3, pair("pose3", T, wall=0.04)))
     assert len(found) == 7
     assert "a wall or person less than 15 cm from the board" in not_used["pose3"]
-    assert "--box" in not_used["pose3"]
+    assert "`boxes`" in not_used["pose3"]
     corners = BOARD.outline @ T[:3, :3].T + T[:3, 3]
     box = np.stack([corners.min(axis=0) - 0.02, corners.max(axis=0) + 0.02], axis=1)
     boxed = with_other(exact_pairs, 3, pair("pose3", T, wall=0.04, box=box))
@@ -97,7 +97,7 @@ def test_a_wall_behind_the_board_and_a_box(exact_pairs):
 
 def test_walls_behind_all_boards():
     walled = [pair(f"pose{k}", T, wall=0.04) for k, T in enumerate(all_poses()[:5])]
-    with pytest.raises(CalibrationError, match=r"15 cm or more in front of walls.*\(--box\)"):
+    with pytest.raises(CalibrationError, match=r"15 cm or more in front of walls.*\(`boxes`\)"):
         find_all(walled)
 
 
@@ -173,10 +173,10 @@ def test_a_lens_of_another_kind_is_told_by_the_corners_near_the_border(caplog):
     assert caplog.text == "", "less may be blur"
     module._warn_of_lens(names, [*usual, (1.8, 0.01)], LENS, True)
     assert "corners of d miss by 1.8 px, usual are 0.2 px" in caplog.text
-    assert "try --lens fisheye" in caplog.text
+    assert "try `model='fisheye'`" in caplog.text
     caplog.clear()
     module._warn_of_lens(names, [*usual, (1.8, 0.01)], LENS, False)
-    assert "have them estimated (--lens)" in caplog.text
+    assert "have them estimated (`model`)" in caplog.text
 
 
 def test_a_turned_board_is_no_other_board(exact_pairs):

@@ -145,5 +145,5 @@ def test_a_box_of_one_image(tmp_path, monkeypatch):
     found, _ = board_pairs(recording, stream, BOARD, {"000002": box})
     assert [p.sweep.may_be_board is not None for p in found] == [False, False, True, False]
     assert not found[2].sweep.may_be_board.any()
-    with pytest.raises(CalibrationError, match="--box names pose7, but front has no such image"):
+    with pytest.raises(CalibrationError, match="`boxes` names pose7, but front has no such image"):
         board_pairs(recording, stream, BOARD, {"pose7": box})

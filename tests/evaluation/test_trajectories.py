@@ -140,7 +140,7 @@ def test_a_run_against_exact_poses(finished, drive: Path, tmp_path: Path, caplog
     assert not caplog.records
     cameras = drive / "poses.txt"  # as KITTI's are
     assert evaluate_trajectories(run, cameras).rpe.rmse > 0.5
-    assert "say which: --poses CAMERA:FILE" in caplog.text
+    assert "say which: `poses='CAMERA:FILE'`" in caplog.text
     assert evaluate_trajectories(run, f"image_0:{cameras}").rpe.rmse < 0.1
     with pytest.raises(OdometryError, match=r"nowhere\.txt is missing"):
         evaluate_trajectories(run, tmp_path / "nowhere.txt")

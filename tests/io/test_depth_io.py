@@ -130,7 +130,7 @@ def test_deep_scenes_fit_a_png_of_another_scale(tmp_path: Path) -> None:
         read_depth(tmp_path / "a.png")
     check_format("png", 64, 700)
     check_format("npy", 256, 700)
-    with pytest.raises(InputError, match=r"700 m, .* 256\.00 m; take --scale 64,"):
+    with pytest.raises(InputError, match=r"700 m, .* 256\.00 m; take `scale=64`,"):
         check_format("png", 256, 700)
 
 

@@ -151,7 +151,7 @@ def test_pcd_round_trip(tmp_path):
         (("drive", "kitti.txt", "--to", "tum"), "kitti.txt is there; name another"),
         (("drive", "plain", "--to", "label"), "plain is there; name another"),
         (("drive", "out", "--to", "kitti", "--camera", "front"), "no camera 'front'; it has image"),
-        (("drive", "out", "--to", "label", "--camera", "image_2"), "--camera is for poses"),
+        (("drive", "out", "--to", "label", "--camera", "image_2"), "`camera` is for poses"),
         (("none", "out", "--to", "tum"), "none is not there"),
         (("unclassified", "out", "--to", "classid"), "classify of .* is missing"),
     ],

@@ -108,7 +108,7 @@ def test_poses_of_a_camera_given_as_the_lidar_s_are_refused(drive, tmp_path):
     file = drive / "poses.txt"
     refused = cli("run", drive, "-o", tmp_path / "run", "--poses", file)
     assert refused.exit_code == 2
-    assert f"say which camera: --poses image_2:{file}" in str(refused.exception)
+    assert f"say which camera: `poses='image_2:{file}'`" in str(refused.exception)
     assert not (tmp_path / "run" / "frames").exists()
     assert cli("check", drive, "--poses", f"image_2:{file}").exit_code == 0
     assert cli("check", drive, "--poses", drive.parent / "lidar.txt").exit_code == 0

@@ -80,9 +80,9 @@ def test_a_budget_shortens_chunks_of_ground_or_says_what_is_needed(drive: Path) 
     fits = within_memory("2G", long, [], values)
     assert 50 <= fits.ground.chunk_length < values.ground.chunk_length
     assert memory_of_run(120_000, 5000, [], fits) <= 2e9
-    with pytest.raises(ConfigError, match=r"--memory 1G: the run needs 1\.\d\d GB by estimate"):
+    with pytest.raises(ConfigError, match=r"`memory='1G'`: the run needs 1\.\d\d GB by estimate"):
         within_memory("1G", long, [], values)
-    with pytest.raises(ConfigError, match="or fewer --jobs"):
+    with pytest.raises(ConfigError, match="or fewer `jobs`"):
         within_memory("2G", long, [], values, jobs=3)
 
 
@@ -96,7 +96,7 @@ def test_sizes() -> None:
 
 
 def test_a_run_that_would_need_more_does_not_begin(drive: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="--memory 100M: the run needs 0"):
+    with pytest.raises(ConfigError, match="`memory='100M'`: the run needs 0"):
         run(drive, tmp_path / "run", memory="100M")
     assert not (tmp_path / "run").exists()
 

@@ -293,7 +293,7 @@ def test_a_png_that_cannot_hold_the_range_is_refused_at_once(finished, tmp_path)
     shutil.copytree(finished[0], run)
     result = cli("render", run, "--set", "render.max_depth=700")
     assert result.exit_code == 2
-    assert "--scale 64" in str(result.exception)
+    assert "`scale=64`" in str(result.exception)
     assert len(list((run / "depth").glob("*.png"))) == FRAMES - 1
     assert cli("render", run, "--set", "render.max_depth=250").exit_code == 0
 

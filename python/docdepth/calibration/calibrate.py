@@ -198,7 +198,7 @@ def find(
     if lens is not None and (lens.width, lens.height) != size:
         raise CalibrationError(
             f"K is of images of {lens.width}x{lens.height} pixels, these have {size[0]}x{size[1]}; "
-            "say K of this size, or have it estimated (--lens)"
+            "say K of this size, or have it estimated (`model`)"
         )
     known = lens or estimate_lens(board, [corners for _, corners in in_image], size, model)[0]
     seen, misfits = _seen_boards(board, in_image, known)
@@ -261,6 +261,6 @@ def _warn_of_lens(
         log.warning(
             "the corners of %s miss by %.1f px, usual are %.1f px: %s",
             names[worst], pixels[worst], usual,
-            f"a {lens.model} lens does not take them so; try --lens {other}" if estimated
-            else "K and distortion do not hold there; have them estimated (--lens)",
+            f"a {lens.model} lens does not take them so; try `model={other!r}`" if estimated
+            else "K and distortion do not hold there; have them estimated (`model`)",
         )  # fmt: skip

@@ -137,7 +137,7 @@ def _first_extrinsic(board: Board, seen: Sequence[SeenBoard], progress: Progress
         f"boards on a flat, free patch of {board.width} x {board.height} m. Are the sizes of board "
         "and squares right, in metres, and K? Do columns and width come before rows and height? Do "
         "images and sweeps belong together? The board must stand "
-        f"{100 * PAST:.0f} cm or more in front of walls and people; else say where it is (--box)"
+        f"{100 * PAST:.0f} cm or more in front of walls and people; else say where it is (`boxes`)"
     )
 
 
@@ -185,7 +185,7 @@ def why_missing(board: Board, sweep: BoardSweep, expected: Floats) -> str:
     if (np.abs(height[around]) < PAST).mean() > 0.3:
         return (
             f"a wall or person less than {100 * PAST:.0f} cm from the board hides its edges; hold "
-            "it free, or say where it is (--box)"
+            "it free, or say where it is (`boxes`)"
         )
     return "what stands there is not of the board's size, or not flat"
 

@@ -131,6 +131,6 @@ def estimate_lens(
     if not np.isfinite(K).all() or error > _MOST_ERROR:
         raise CalibrationError(
             f"a {model} lens misses the corners by {error:.1f} px (at most {_MOST_ERROR}); is it "
-            "the right model (--lens), and the right number of corners?"
+            "the right model (`model`), and the right number of corners?"
         )
     return Lens(model, np.asarray(K, np.float64), distortion, *size), float(error)

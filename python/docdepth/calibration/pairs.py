@@ -69,7 +69,7 @@ def board_pairs(
     unknown = sorted(boxes.keys() - {"", *stream.names})
     if unknown:
         raise CalibrationError(
-            f"--box names {unknown[0]}, but {stream.name} has no such image; there are "
+            f"`boxes` names {unknown[0]}, but {stream.name} has no such image; there are "
             f"{', '.join(stream.names[:5])}{' and more' if len(stream.names) > 5 else ''}"
         )
     stills = _are_stills(recording.times)
@@ -209,7 +209,7 @@ def _check_count(
             raise CalibrationError(
                 f"{image} shows a checkerboard of {count[0]}x{count[1]} inner corners, not "
                 f"{board.columns}x{board.rows}; count the points where four squares meet, not the "
-                "squares (--corners)"
+                "squares (`corners`)"
             )
 
 

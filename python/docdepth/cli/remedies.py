@@ -11,11 +11,11 @@ _VERBS = {
     "inspect_recording": "inspect",
     "calibrate": "calibrate",
     "evaluate_held_out": "evaluate held-out",
-    "backends": "doctor",
+    "available": "doctor",
 }
 """Verbs of functions."""
 
-_OPTIONS = {"output": "-o"}
+_OPTIONS = {"output": "-o", "model": "--lens", "boxes": "--box"}
 """Options with other names than their arguments in Python."""
 
 

@@ -122,12 +122,12 @@ def explain_misfit(
         return None
     before = sum(misfit(w.given, w.measured) for w in moving)
     best, explained = before, None
-    for (code, text, remedy), change in _changes(cameras or {}, moving).items():
+    for candidate, change in _changes(cameras or {}, moving).items():
         changed = [change(w.given) for w in moving]
         after = sum(misfit(p, w.measured) for p, w in zip(changed, moving, strict=True))
         fits = all(_fits(p, w.measured) for p, w in zip(changed, moving, strict=True))
         if fits and after < (_CLEARLY * before if explained is None else _BETTER * best):
-            best, explained = after, Finding(code, "", text, remedy)
+            best, explained = after, candidate
     if explained is None:
         return None
     text = (
@@ -169,27 +169,28 @@ def _fits(given: Poses, measured: Poses) -> bool:
 
 def _changes(
     cameras: dict[str, Poses], windows: Sequence[Window]
-) -> dict[tuple[str, str, str], Callable[[Poses], Poses]]:
-    """What poses may be (code, text, remedy), and what makes right ones of them."""
-    changes: dict[tuple[str, str, str], Callable[[Poses], Poses]] = {
-        ("inverse-poses", "the poses are T_lidar_world", "give their inverses"): inverse,
-        (
-            "quaternion-order", "the poses have quaternions in the order w x y z", "write x y z w"
+) -> dict[Finding, Callable[[Poses], Poses]]:
+    """What poses may be instead, and what makes right ones of them."""
+    changes: dict[Finding, Callable[[Poses], Poses]] = {
+        Finding("inverse-poses", "", "the poses are T_lidar_world", "give their inverses"): inverse,
+        Finding(
+            "quaternion-order", "", "the poses have quaternions in the order w x y z",
+            "write x y z w",
         ): _reordered,
     }  # fmt: skip
     for name, T in cameras.items():
         text = f"the poses are of the camera {name}, not of the LiDAR"
         remedy = f"say `poses={name + ':FILE'!r}`, or let docdepth estimate them"
-        changes["poses-of-camera", text, remedy] = partial(_turned, T=T)
+        changes[Finding("poses-of-camera", "", text, remedy)] = partial(_turned, T=T)
     text = "the poses are of a camera's frame (x right, y down, z ahead)"
     remedy = "calibrate the camera and say `poses='CAMERA:FILE'`"
-    changes["poses-of-camera", text, remedy] = partial(_turned, T=_OPTICAL)
+    changes[Finding("poses-of-camera", "", text, remedy)] = partial(_turned, T=_OPTICAL)
     for axis, name in enumerate("xyz"):
         S = np.eye(4)
         S[axis, axis] = -1
         text = "poses and points are mirror images of each other (wrong handedness)"
         remedy = f"change the sign of {name} of the points or of the poses"
-        changes["handedness", text, remedy] = partial(_mirrored, mirror=S)
+        changes[Finding("handedness", "", text, remedy)] = partial(_mirrored, mirror=S)
     for angle in (90, -180, -90):
         T = np.eye(4)
         T[:3, :3] = rotation_exp(np.radians([0.0, 0, angle]))
@@ -198,12 +199,14 @@ def _changes(
             "the points"
         )
         remedy = "multiply them from the right by T_frame_lidar"
-        changes["turned-frame", text, remedy] = partial(_turned, T=T)
+        changes[Finding("turned-frame", "", text, remedy)] = partial(_turned, T=T)
     scale = _scale(windows)
     if scale is not None:
         unit = next((u for s, u in _UNITS.items() if 0.8 < scale / s < 1.25), "another unit")
         text = f"positions of the poses are in {unit}, 1 m of the sweeps is {scale:.3g}"
-        changes["unit-of-poses", text, "give metres"] = partial(_scaled, factor=1 / scale)
+        changes[Finding("unit-of-poses", "", text, "give metres")] = partial(
+            _scaled, factor=1 / scale
+        )
     return changes
 
 

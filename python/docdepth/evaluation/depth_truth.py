@@ -67,7 +67,9 @@ class DepthTruth:
         camera, made = run.camera_in(depth_folder), maps_in(run.path / "depth" / depth_folder)
         if not made:
             raise DatasetError(
-                f"{run.path}/depth has no depth maps; run: docdepth render {run.path}"
+                f"{run.path}/depth has no depth maps",
+                f"make them: `docdepth.run(..., {str(run.path)!r})`",
+                code="no-maps",
             )
         self._K = run.calibration(depth_folder)[0].K
         self._intrinsics: str | None = None

@@ -77,8 +77,8 @@ class LeftOut:
         if number not in views or (self.lidar is not None and len(views) < 2):
             raise InputError(
                 f"sweep {frame.name} has returns of LiDAR {', '.join(map(str, views))}; LiDAR "
-                f"{self.lidar} cannot be left out. LiDARs count from 0, as docdepth inspect lists "
-                "them"
+                f"{self.lidar} cannot be left out. LiDARs count from 0",
+                "`docdepth.diagnostics.recording_report.inspect_recording()` lists them",
             )
         if self.beams is None and self.sectors is None:
             return views[number]

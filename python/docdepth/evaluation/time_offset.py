@@ -222,7 +222,8 @@ def offset_of(
     if abs(state[0]) > _FARTHEST:
         raise CalibrationError(
             f"{path}: the clocks of camera and LiDAR differ by more than {_FARTHEST:g} s, or the "
-            "calibration is wrong; compare the stamps (docdepth inspect)"
+            "calibration is wrong",
+            "compare the stamps (`docdepth.diagnostics.recording_report.inspect_recording()`)",
         )
     if not scatter < WORST_ERROR:
         raise CalibrationError(

@@ -122,7 +122,7 @@ def read_camera_calibration(file: Path) -> CameraCalibration:
     CalibrationError
         A file is missing or damaged.
     """
-    remedy = "name calib.json of docdepth calibrate, or a text file of a 4x4 matrix"
+    remedy = "name calib.json of `docdepth.calibration.calibrate()`, or a text file of a 4x4 matrix"
     if file.suffix != ".json":
         return CameraCalibration(_read(file, _extrinsic, remedy))
     camera, distortion, entries, T = _read(file, _camera_and_place, remedy)

@@ -141,10 +141,10 @@ def check_format(format: str, scale: float, max_depth: float) -> None:
     """
     if format == "png" and max_depth > png_range(scale):
         most = 2.0 ** np.floor(np.log2(_PNG_MOST / max_depth))
-        remedy = f"take --scale {most:g}, "
+        remedy = f"take `scale={most:g}`, "
         raise InputError(
             f"render.max_depth is {max_depth:g} m, a PNG of metres x {scale:g} holds no more than "
-            f"{png_range(scale):.2f} m; {remedy}another --format (exr, tiff, npy) or a smaller "
+            f"{png_range(scale):.2f} m; {remedy}another `format` (exr, tiff, npy) or a smaller "
             "render.max_depth"
         )
     if format in ("exr", "exr-half"):

@@ -94,8 +94,9 @@ class LoggedRegistration:
             pose, covariance = self._registration.align(guess) if usable else (guess, unknown)
             if not np.isfinite(pose).all():
                 raise OdometryError(
-                    f"frame {index} could not be registered; bring poses (--poses) or try another "
-                    "odometry.voxel_size"
+                    f"frame {index} could not be registered",
+                    "bring poses (`poses`) or try another odometry.voxel_size",
+                    code="not-registered",
                 )
             found = Found(pose, covariance, usable)
             self._log.add(found)

@@ -67,7 +67,7 @@ class VoxelCloud:
         if len(cells) and np.abs(cells).max() >= half:
             raise InputError(
                 f"the map reaches farther than {half * self._voxel / 1000:.0f} km from its "
-                "beginning; take larger voxels (--voxel)"
+                "beginning; take larger voxels (`voxel`)"
             )
         rows = np.empty(len(points), _ROW)
         rows["key"] = (cells + half) @ (1 << 2 * _BITS, 1 << _BITS, 1)

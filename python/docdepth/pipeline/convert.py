@@ -69,7 +69,7 @@ def convert(
     """
     if to in DEPTH_FORMATS:
         if camera is not None:
-            raise ConfigError(f"--camera is for poses; {to} holds the depth of every camera")
+            raise ConfigError(f"`camera` is for poses; {to} holds the depth of every camera")
         return write_release(RunFolder.open(source), output, progress)
     if output.exists() and not (
         to in LABEL_FORMATS and output.is_dir() and not any(output.iterdir())
@@ -79,7 +79,7 @@ def convert(
         times, poses = _poses(source, dataset, camera)
         return _write_poses(source, output, to, times, poses)
     if camera is not None:
-        raise ConfigError(f"--camera is for poses; {to} are labels of the LiDAR's points")
+        raise ConfigError(f"`camera` is for poses; {to} are labels of the LiDAR's points")
     if _is_pose_file(source):
         raise ConfigError(f"{source} is a file; labels are those of a run or a recording")
     sweeps, trajectory, count = _sweeps(source, dataset, to)
@@ -107,8 +107,8 @@ def _poses(
     recording = open_dataset(source, dataset)
     if recording.poses is None:
         raise DatasetError(
-            f"{source} has no poses of its own; estimate them by docdepth run {source} -o RUN, and "
-            "convert RUN"
+            f"{source} has no poses of its own",
+            f"estimate them by `docdepth.run({str(source)!r}, RUN)`, and convert RUN",
         )
     poses = recording.poses
     if camera is None and recording.name == "run":
@@ -155,7 +155,7 @@ def _write_poses(
     elif times is None:
         raise ConfigError(
             f"{source} has no times, which {to} needs; convert the run or the recording, or say "
-            "--to kitti or npy"
+            "`to='kitti'` or npy"
         )
     elif to == "tum":
         write_tum(output, Trajectory(times, poses))
@@ -179,8 +179,8 @@ def _sweeps(
         return _of_run(run, len(recording)), recording.poses, len(recording)
     if recording.labels(0) is None:
         raise DatasetError(
-            f"{source} has no labels of its own; find classes by docdepth run {source} -o RUN, and "
-            "convert RUN"
+            f"{source} has no labels of its own",
+            f"find classes by `docdepth.run({str(source)!r}, RUN)`, and convert RUN",
         )
     return _of_recording(recording), recording.poses, len(recording)
 

@@ -55,8 +55,8 @@ def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
     if entry == OWN:
         if recording.poses is None:
             raise DatasetError(
-                f"{recording.path} has no poses of its own; give a file by --poses FILE, or leave "
-                "--poses out to have them estimated"
+                f"{recording.path} has no poses of its own",
+                "give a file by `poses=FILE`, or leave `poses` out to have them estimated",
             )
         return recording.poses
     whole = full_recording(recording)
@@ -104,8 +104,9 @@ def refuse_poses_of_a_camera(
     if off[0] is not None and off[1] is not None and off[0] > max(_WRONG, _TIMES * off[1]):
         raise OdometryError(
             f"{entry} holds poses of a camera: as those of the LiDAR, sweeps lie {off[0]:.2f} m "
-            f"from those before them, as those of {name} {off[1]:.2f} m; say which camera: "
-            f"--poses {name}:{entry}"
+            f"from those before them, as those of {name} {off[1]:.2f} m",
+            f"say which camera: `poses={f'{name}:{entry}'!r}`",
+            code="poses-of-camera",
         )
 
 
@@ -120,7 +121,8 @@ def _of_lidar(poses: NDArray[np.float64], camera: str, recording: Dataset) -> ND
     if camera not in recording.cameras:
         known = ", ".join(recording.cameras) or "none"
         raise DatasetError(
-            f"--poses {camera}:...: {recording.path} has no camera {camera!r}; it has {known}"
+            f"`poses={camera + ':...'!r}`: {recording.path} has no camera {camera!r}; it has "
+            f"{known}"
         )
     T = recording.cameras[camera].T_camera_lidar
     of_lidar: NDArray[np.float64] = inverse(T) @ poses @ T

@@ -42,7 +42,7 @@ class LabelFolder:
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
             what = "not a folder" if folder.exists() else "not there"
-            raise DatasetError(f"{folder} is {what}; --labels names a folder of label files")
+            raise DatasetError(f"{folder} is {what}; `labels` names a folder of label files")
         below = (folder / name for name in ("labels", "pcd"))
         self.folder = next((f for f in below if f.is_dir()), folder)
         if not self.label_files():
@@ -106,8 +106,8 @@ class LabelFolder:
         if not _fits(trajectory, theirs):
             log.warning(
                 "%s are of other poses than this run has and are not used: moving objects are "
-                "drawn from the nearest sweep alone; give these poses, too: --poses %s",
-                self._tracks, self._trajectory,
+                "drawn from the nearest sweep alone; give these poses, too: `poses=%r`",
+                self._tracks, str(self._trajectory),
             )  # fmt: skip
             return None
         return cut_tracks(self._tracks, trajectory.times)

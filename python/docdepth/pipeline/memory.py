@@ -125,8 +125,8 @@ def within_memory(
     needed = memory_of_run(points, count, cameras, parameters, jobs)
     if needed > memory:
         raise ConfigError(
-            f"--memory {budget}: the run needs {needed / 1e9:.2f} GB by estimate, even with chunks "
-            f"of ground of {length:g} m; give more memory" + ", or fewer --jobs" * (jobs > 1)
+            f"`memory={budget!r}`: the run needs {needed / 1e9:.2f} GB by estimate, even with "
+            f"chunks of ground of {length:g} m; give more memory" + ", or fewer `jobs`" * (jobs > 1)
         )
     return parameters
 
@@ -158,5 +158,5 @@ def bytes_of(size: str) -> int:
     """
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([kMGT]?)B?", size.strip())
     if found is None:
-        raise ConfigError(f"--memory {size}: give a size, for example 4G or 800M")
+        raise ConfigError(f"`memory={size!r}`: give a size, for example 4G or 800M")
     return int(float(found[1]) * 1000 ** " kMGT".index(found[2] or " "))

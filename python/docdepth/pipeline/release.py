@@ -54,7 +54,9 @@ def write_release(run: RunFolder, output: Path, progress: Progress | None = None
         found = maps_in(run.path / "depth" / str(entry["folder"]))
         maps += [(camera, image, path) for image, path in found.items()]
     if not maps:
-        raise DatasetError(f"{run.path} has no depth maps; run: docdepth render {run.path}")
+        raise DatasetError(
+            f"{run.path} has no depth maps", f"make them: `docdepth.run(..., {str(run.path)!r})`"
+        )
     for done, (camera, image, path) in enumerate(maps, 1):
         write_depth(drive / INSIDE / camera / f"{image}.png", read_depth(path), "png", PNG_SCALE)
         if progress:

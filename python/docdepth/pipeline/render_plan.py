@@ -125,6 +125,8 @@ def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:
     if not inside.any():
         raise DatasetError(
             f"none of the {len(stream.names)} images of {stream.name} lies between the first and "
-            "the last sweep; are camera and LiDAR on one clock? See --camera-times"
+            "the last sweep; are camera and LiDAR on one clock?",
+            "give other times by `camera_times`",
+            code="image-times",
         )
     return inside

@@ -105,7 +105,9 @@ def _longest_first(root: Path, output: Path, options: dict[str, Any]) -> list[Pa
     if not found:
         raise DatasetError(f"there is no recording below {root}; name another folder")
     if root in found:
-        raise ConfigError(f"{root} is a recording itself; run it alone: docdepth run {root} -o RUN")
+        raise ConfigError(
+            f"{root} is a recording itself", f"run it alone: `docdepth.run({str(root)!r}, RUN)`"
+        )
     lengths = {place: _length(place, options) for place in found}
     return sorted(found, key=lambda place: -lengths[place])
 

@@ -77,8 +77,8 @@ class Renderer:
                 self._threads.core = _core.GlRenderer(library, int(device or -1))
             except _core.GlError as error:
                 raise BackendError(
-                    f"renderer {self.name} is not available: {error}; --renderer cpu always is, "
-                    "and docdepth doctor lists all"
+                    f"renderer {self.name} is not available: {error}",
+                    "`renderer='cpu'` always is; `docdepth.render.backends.available()` lists all",
                 ) from None
         return self._threads.core
 

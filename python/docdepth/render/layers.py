@@ -148,7 +148,7 @@ def check_layers(names: Sequence[str], parameters: RenderParameters) -> None:
         if parameters.primitive == "splats" and name in names:
             raise InputError(
                 f"{reason}; leave the layer {name} out, or draw triangles "
-                "(--set render.primitive=triangles)"
+                "(render.primitive=triangles)"
             )
 
 

@@ -160,8 +160,8 @@ def _make_room(out: Path, folder: Path, about: dict[str, Any], force: bool) -> N
         return
     if there is not None:
         raise DatasetError(
-            f"{out} holds a synthetic drive ({described(there)}); "
-            "choose another folder, or replace it with --force"
+            f"{out} holds a synthetic drive ({described(there)})",
+            "choose another folder, or replace it with `force=True`",
         )
     names = sorted(entry.name for entry in out.iterdir())
     listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

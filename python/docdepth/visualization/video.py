@@ -67,8 +67,8 @@ def write_video(
     missing = [name for name in names if name not in maps]
     if missing or not names:
         raise RunError(
-            f"{depths} lacks {missing[0] if missing else 'all'} of its depth maps; "
-            f"run: docdepth render {run.path}"
+            f"{depths} lacks {missing[0] if missing else 'all'} of its depth maps",
+            f"make them: `docdepth.run(..., {str(run.path)!r})`",
         )
     if fps is None:
         pause = np.diff([times[name] for name in names]) * 1e-9
