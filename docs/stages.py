@@ -12,7 +12,7 @@ import numpy as np
 import docdepth
 from docdepth.synthetic import write_drive
 from docdepth.visualization import pictures
-from docdepth.visualization.geometries import class_colors, vote_colors
+from docdepth.visualization.drive_scene import class_colors, vote_colors
 
 FRAMES, SHOWN = 20, 5
 WIDTH, LENGTH = 26.0, 34.0  # of the street from above [m]

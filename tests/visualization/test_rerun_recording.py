@@ -15,7 +15,7 @@ from docdepth.errors import MissingExtraError, RunError
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import read_tracks
-from docdepth.visualization.geometries import instance_colors
+from docdepth.visualization.drive_scene import instance_colors
 from docdepth.visualization.pictures import colorize
 from docdepth.visualization.rerun_recording import _layout, _Log, write_rerun
 

@@ -17,15 +17,14 @@ from docdepth.geometry.camera import Camera
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import read_tracks
 from docdepth.visualization import viewer
-from docdepth.visualization.geometries import (
+from docdepth.visualization.drive_scene import (
     CameraView,
     back_project,
     class_colors,
     instance_colors,
-    run_geometries,
-    scene_geometries,
     vote_colors,
 )
+from docdepth.visualization.geometries import run_geometries, scene_geometries
 from small_drive import HEIGHT, WIDTH
 
 CAMERA = Camera(np.array([(100.0, 0, 20), (0, 110, 15), (0, 0, 1)]), 40, 30)

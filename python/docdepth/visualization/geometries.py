@@ -1,130 +1,34 @@
-"""Open3D geometries of a run: points, boxes of tracks, trajectory, cameras with image and depth."""
+"""A scene of a drive as geometries of Open3D."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import InputError, MissingExtraError
-from docdepth.geometry.camera import Camera
-from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
-from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
-from docdepth.visualization.image_views import BOX_EDGES, box_corners, track_color
-from docdepth.visualization.pictures import (
-    DYNAMIC_COLOR,
-    STATIC_COLOR,
-    TRACK_COLORS,
-    Picture,
-    colorize,
-    colors_of_classes,
+from docdepth.visualization.drive_scene import (
+    CameraView,
+    Coloring,
+    back_project,
+    camera_views,
+    class_colors,
+    sweep_scene,
 )
-
-Coloring: TypeAlias = Literal["class", "votes", "instance"]
-"""What the colour of a point says."""
+from docdepth.visualization.image_views import BOX_EDGES, box_corners, track_color
+from docdepth.visualization.pictures import Picture, colorize
 
 # Length of a drawn camera frustum [m].
 _FRUSTUM = 2.0
-_UNKNOWN_COLOR = (90, 90, 90)  # BGR, of points without votes or instance
 _TRAJECTORY_COLOR = (1.0, 0.75, 0.0)
 _CAMERA_COLOR = (0.1, 0.5, 1.0)
-
-
-@dataclass(frozen=True)
-class CameraView:
-    """A camera in the world, with or without a depth map.
-
-    Attributes
-    ----------
-    camera : Camera
-    T_world_camera : ndarray of float64, shape (4, 4)
-    depth : ndarray of float32, shape (h, w), optional
-        Metres along the optical axis; NaN = none.
-    image : ndarray of uint8, shape (h, w, 3), optional
-        Rectified, BGR; colours the points of the depth map.
-    """
-
-    camera: Camera
-    T_world_camera: NDArray[np.float64]
-    depth: NDArray[np.float32] | None = None
-    image: NDArray[np.uint8] | None = None
-
-
-def back_project(camera: Camera, depth: NDArray[np.float32]) -> NDArray[np.float64]:
-    """3D points of the pixels with depth.
-
-    Parameters
-    ----------
-    camera : Camera
-    depth : ndarray of float32, shape (h, w)
-        Metres along the optical axis; NaN = none.
-
-    Returns
-    -------
-    ndarray of float64, shape (k, 3)
-        Camera frame [m], row by row.
-    """
-    if depth.shape != (camera.height, camera.width):
-        raise InputError(
-            f"depth {depth.shape} does not fit the camera, {camera.height} x {camera.width}"
-        )
-    v, u = np.nonzero(np.isfinite(depth))
-    z = depth[v, u].astype(np.float64)
-    fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
-    return np.column_stack([(u - cx) / fx * z, (v - cy) / fy * z, z])
-
-
-def class_colors(classid: NDArray[np.uint16]) -> NDArray[np.float64]:
-    """RGB colour of each point by its class, float64 (N, 3), 0..1."""
-    return colors_of_classes(classid)[:, ::-1] / 255
-
-
-def vote_colors(
-    votes_static: NDArray[np.uint16], votes_dynamic: NDArray[np.uint16]
-) -> NDArray[np.float64]:
-    """RGB colour of each point by its votes: from the static grey to the dynamic orange.
-
-    Points without votes are dark. float64 (N, 3), 0..1.
-    """
-    count = votes_static.astype(np.float64) + votes_dynamic
-    share = (votes_dynamic / np.maximum(count, 1))[:, None]
-    colors = (1 - share) * STATIC_COLOR + share * DYNAMIC_COLOR
-    return np.asarray(np.where(count[:, None] > 0, colors, _UNKNOWN_COLOR)[:, ::-1] / 255)
-
-
-def instance_colors(instance: NDArray[np.uint16]) -> NDArray[np.float64]:
-    """RGB colour of each point by its track, dark without one; float64 (N, 3), 0..1."""
-    colors = np.array(TRACK_COLORS)[instance % len(TRACK_COLORS)]
-    return np.asarray(np.where(instance[:, None] > 0, colors, _UNKNOWN_COLOR)[:, ::-1] / 255)
-
-
-def point_colors(
-    record: LidarFrame, classid: NDArray[np.uint16], color: Coloring
-) -> NDArray[np.float64]:
-    """RGB colour of each point of a frame, float64 (N, 3), 0..1.
-
-    Raises
-    ------
-    InputError
-        The frame has no votes or no instances.
-    """
-    if color == "class":
-        return class_colors(classid)
-    if color == "votes" and record.votes_static is not None and record.votes_dynamic is not None:
-        return vote_colors(record.votes_static, record.votes_dynamic)
-    if color == "instance" and record.instance is not None:
-        return instance_colors(record.instance)
-    raise InputError(f"frame {record.name} has no {color}: its classes are of another method")
 
 
 def scene_geometries(
@@ -211,60 +115,24 @@ def run_geometries(
     color: Coloring = "class",
     stream: CameraStream | None = None,
 ) -> dict[str, Any]:
-    """Geometries of a run folder: see :func:`view_run` for the arguments."""
+    """Geometries of a sweep of a run: see :func:`view_run` for the arguments."""
     trajectory = run.trajectory()
     count = len(trajectory)
     frame = count // 2 if frame is None else frame
     if not 0 <= frame < count:
         raise InputError(f"{run.path} has sweeps 0 to {count - 1}, not {frame}")
-    merged, classes, colors = [], [], []
-    for k in range(max(frame - around, 0), min(frame + around + 1, count)):
-        record, classid = run.classified_frame(k)
-        pose = trajectory.poses[k]
-        # Moving objects of other sweeps would leave trails.
-        kept = np.ones(len(classid), bool) if k == frame else classid < DYNAMIC
-        merged.append((record.points[kept] @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32))
-        classes.append(classid[kept])
-        colors.append(point_colors(record, classid, color)[kept])
-    views = _camera_view(run, trajectory, frame, camera, stream) if depth else []
+    scene = sweep_scene(run, trajectory, frame, color, tracks_in(run.path), around)
+    time = int(trajectory.times[frame])
+    views = camera_views(run, trajectory, camera, stream, time) if depth else ()
+    T = scene.T_world_lidar
     return scene_geometries(
-        np.concatenate(merged),
-        np.concatenate(classes),
+        (scene.points @ T[:3, :3].T + T[:3, 3]).astype(np.float32),
+        scene.classid,
         trajectory.poses,
-        views,
-        np.concatenate(colors),
-        _tracks_at(run, int(trajectory.times[frame])),
+        [view for _, view in views],
+        scene.colors,
+        scene.boxes,
     )
-
-
-def _tracks_at(run: RunFolder, time: int) -> list[tuple[Track, NDArray[np.float64]]]:
-    shown = tracks_in(run.path).between(time, time)
-    return [(track, track.pose_at(time)) for track in shown]
-
-
-def _camera_view(
-    run: RunFolder,
-    trajectory: Trajectory,
-    frame: int,
-    camera: str | None,
-    stream: CameraStream | None,
-) -> list[CameraView]:
-    """A camera at its image nearest to the sweep, with the depth map; none without depth maps."""
-    if not maps_in(run.path / "depth") and not run.cameras:
-        return []
-    folder = run.depth_folder(camera)
-    pinhole, T_camera_lidar, _ = run.calibration(folder)
-    depths = run.path / "depth" / folder
-    files, maps = maps_in(depths), described_maps(depths)
-    times = {name: time for name, (time, _) in maps.items() if name in files}
-    if not times:
-        return []
-    nearest = min(times, key=lambda name: abs(times[name] - int(trajectory.times[frame])))
-    pose = trajectory.interpolate(times[nearest])[0] @ inverse(T_camera_lidar)
-    image = None
-    if stream is not None and nearest in stream.names:
-        image = stream.rectified_image(stream.names.index(nearest))
-    return [CameraView(pinhole, pose, read_depth(files[nearest]), image)]
 
 
 def _cloud(o3d: Any, points: NDArray[Any], colors: NDArray[np.float64]) -> Any:

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import MissingExtraError, RunError
-from docdepth.geometry.se3 import inverse, matrix_to_quaternion
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import matrix_to_quaternion
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
-from docdepth.visualization.geometries import Coloring, point_colors
+from docdepth.visualization.drive_scene import CameraView, Coloring, camera_views, sweep_scene
 from docdepth.visualization.image_views import track_color
-from docdepth.visualization.pictures import colorize
+from docdepth.visualization.pictures import Picture, colorize
 
 _DEPTH_STEPS = 65535  # of a depth image
 _PLANE = 2.0  # where in its frustum an image stands [m]
@@ -49,6 +49,10 @@ class _Log(NamedTuple):
         place = T_world_entity[:3, 3] - self.origin
         moved = self.rerun.Transform3D(translation=place, mat3x3=T_world_entity[:3, :3])
         self.stream.log(entity, moved)
+
+    def picture(self, entity: str, picture: Picture) -> None:
+        colors = self.rerun.Image(np.ascontiguousarray(picture[:, :, ::-1]))
+        self.stream.log(entity, colors.compress(jpeg_quality=85))
 
 
 def write_rerun(
@@ -104,7 +108,11 @@ def write_rerun(
             _log_sweep(log, run, k, color, tracks)
             if progress:
                 progress("rerun", k + 1, len(trajectory))
-        _log_images(log, run, camera, stream)
+        for k, (time, view) in enumerate(camera_views(run, trajectory, camera, stream)):
+            if k == 0:
+                _log_pinhole(log, view.camera)
+            log.at(time)
+            _log_camera(log, view, run.parameters.render.max_depth)
         log.stream.flush()
         log.stream.disconnect()
         os.replace(part, path)
@@ -136,63 +144,51 @@ def _layout(log: _Log, run: RunFolder, stream: CameraStream | None) -> Any:
 
 
 def _log_sweep(log: _Log, run: RunFolder, index: int, color: Coloring, tracks: Tracks) -> None:
-    time = int(log.trajectory.times[index])
-    record, classid = run.classified_frame(index)
-    colors = np.rint(255 * point_colors(record, classid, color)).astype(np.uint8)
+    scene = sweep_scene(run, log.trajectory, index, color, tracks)
+    colors = np.rint(255 * scene.colors).astype(np.uint8)
     dots = log.rerun.Radius.ui_points(_POINT)
-    log.at(time)
-    log.pose("world/lidar", log.trajectory.poses[index])
+    log.at(int(log.trajectory.times[index]))
+    log.pose("world/lidar", scene.T_world_lidar)
     log.stream.log(
-        "world/lidar/points", log.rerun.Points3D(record.points, colors=colors, radii=dots)
+        "world/lidar/points", log.rerun.Points3D(scene.points, colors=colors, radii=dots)
     )
-    there = [(track, track.pose_at(time)) for track in tracks.between(time, time)]
-    centres = [T[:3, 3] - log.origin + T[:3, 2] * track.size[2] / 2 for track, T in there]
-    turns = [matrix_to_quaternion(T[:3, :3]) for _, T in there]
+    centres = [T[:3, 3] - log.origin + T[:3, 2] * track.size[2] / 2 for track, T in scene.boxes]
+    turns = [matrix_to_quaternion(T[:3, :3]) for _, T in scene.boxes]
+    there = [track for track, _ in scene.boxes]
     boxes = log.rerun.Boxes3D(
         centers=np.reshape(centres, (-1, 3)),
-        half_sizes=np.reshape([track.size / 2 for track, _ in there], (-1, 3)),
+        half_sizes=np.reshape([track.size / 2 for track in there], (-1, 3)),
         quaternions=np.reshape(turns, (-1, 4)),
-        colors=np.reshape([track_color(track.id)[::-1] for track, _ in there], (-1, 3)),
-        labels=[f"{track.kind} {track.id}" for track, _ in there],
+        colors=np.reshape([track_color(track.id)[::-1] for track in there], (-1, 3)),
+        labels=[f"{track.kind} {track.id}" for track in there],
     )
     log.stream.log("world/tracks", boxes)
 
 
-def _log_images(log: _Log, run: RunFolder, camera: str | None, stream: CameraStream | None) -> None:
-    """The depth maps of a camera, and its images where there are any."""
-    if not run.cameras:
-        return
-    rerun, folder = log.rerun, run.depth_folder(camera)
-    pinhole, T_camera_lidar, _ = run.calibration(folder)
-    depths = run.path / "depth" / folder
-    maps = described_maps(depths)
-    steps = _DEPTH_STEPS / run.parameters.render.max_depth
-    view = rerun.Pinhole(
-        image_from_camera=pinhole.K, width=pinhole.width, height=pinhole.height,
+def _log_pinhole(log: _Log, camera: Camera) -> None:
+    rerun = log.rerun
+    pinhole = rerun.Pinhole(
+        image_from_camera=camera.K, width=camera.width, height=camera.height,
         camera_xyz=rerun.ViewCoordinates.RDF, image_plane_distance=_PLANE,
     )  # fmt: skip
-    log.stream.log("world/camera", view, static=True)
-    for name, file in maps_in(depths).items():
-        if name not in maps:
-            continue
-        time = maps[name][0]
-        log.at(time)
-        log.pose("world/camera", log.trajectory.interpolate([time])[0] @ inverse(T_camera_lidar))
-        metres = read_depth(file)
-        depth = np.rint(np.nan_to_num(metres) * steps).clip(0, _DEPTH_STEPS)
-        # Near is yellow as in all pictures: so the range is given backwards, in steps.
-        far = (_FAR * steps, 0)
-        shown = rerun.DepthImage(
-            depth.astype(np.uint16), meter=steps, colormap="viridis", depth_range=far
-        )
-        log.stream.log("world/camera/depth", shown)
-        picture = np.ascontiguousarray(colorize(metres)[:, :, ::-1])
-        log.stream.log("depth", rerun.Image(picture).compress(jpeg_quality=85))
-        if stream is not None and name in stream.names:
-            image = stream.rectified_image(stream.names.index(name))
-            if image is not None:
-                colors = rerun.Image(np.ascontiguousarray(image[:, :, ::-1]))
-                log.stream.log("world/camera/image", colors.compress(jpeg_quality=85))
+    log.stream.log("world/camera", pinhole, static=True)
+
+
+def _log_camera(log: _Log, view: CameraView, max_depth: float) -> None:
+    """A depth map and, if there is one, its image."""
+    rerun, steps = log.rerun, _DEPTH_STEPS / max_depth
+    log.pose("world/camera", view.T_world_camera)
+    if view.depth is None:
+        return
+    depth = np.rint(np.nan_to_num(view.depth) * steps).clip(0, _DEPTH_STEPS)
+    # Near is yellow as in all pictures: so the range is given backwards, in steps.
+    shown = rerun.DepthImage(
+        depth.astype(np.uint16), meter=steps, colormap="viridis", depth_range=(_FAR * steps, 0)
+    )
+    log.stream.log("world/camera/depth", shown)
+    log.picture("depth", colorize(view.depth))
+    if view.image is not None:
+        log.picture("world/camera/image", view.image)
 
 
 def _rerun_module() -> Any:

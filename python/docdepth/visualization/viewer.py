@@ -20,7 +20,8 @@ from docdepth.errors import BackendError, InputError, RunError
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
-from docdepth.visualization.geometries import Coloring, open3d_module, run_geometries
+from docdepth.visualization.drive_scene import Coloring
+from docdepth.visualization.geometries import open3d_module, run_geometries
 from docdepth.visualization.image_views import write_text
 
 Scene: TypeAlias = tuple[dict[str, Any], NDArray[np.float64]]

@@ -1,0 +1,221 @@
+"""What a view in 3D shows of a run: points with colours, boxes of tracks, cameras with depth.
+
+Each viewer, Open3D and rerun, draws this description.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import CameraStream
+from docdepth.errors import InputError
+from docdepth.geometry.camera import Camera
+from docdepth.geometry.lidar_frame import LidarFrame
+from docdepth.geometry.points import DYNAMIC
+from docdepth.geometry.se3 import inverse
+from docdepth.geometry.track import Track, Tracks
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.depth import described_maps, maps_in, read_depth
+from docdepth.io.run_folder import RunFolder
+from docdepth.visualization.pictures import (
+    DYNAMIC_COLOR,
+    STATIC_COLOR,
+    TRACK_COLORS,
+    colors_of_classes,
+)
+
+Coloring: TypeAlias = Literal["class", "votes", "instance"]
+"""What the colour of a point says."""
+
+
+_UNKNOWN_COLOR = (90, 90, 90)  # BGR, of points without votes or instance
+
+
+@dataclass(frozen=True)
+class SweepScene:
+    """A sweep with what moves around it.
+
+    Attributes
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        LiDAR frame [m].
+    classid : ndarray of uint16, shape (N,)
+    colors : ndarray of float64, shape (N, 3)
+        RGB, 0..1.
+    T_world_lidar : ndarray of float64, shape (4, 4)
+    boxes : list of (Track, ndarray of float64, shape (4, 4))
+        Tracks at the time of the sweep, and ``T_world_object``.
+    """
+
+    points: NDArray[np.float32]
+    classid: NDArray[np.uint16]
+    colors: NDArray[np.float64]
+    T_world_lidar: NDArray[np.float64]
+    boxes: list[tuple[Track, NDArray[np.float64]]]
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """A camera in the world, with or without a depth map.
+
+    Attributes
+    ----------
+    camera : Camera
+    T_world_camera : ndarray of float64, shape (4, 4)
+    depth : ndarray of float32, shape (h, w), optional
+        Metres along the optical axis; NaN = none.
+    image : ndarray of uint8, shape (h, w, 3), optional
+        Rectified, BGR; colours the points of the depth map.
+    """
+
+    camera: Camera
+    T_world_camera: NDArray[np.float64]
+    depth: NDArray[np.float32] | None = None
+    image: NDArray[np.uint8] | None = None
+
+
+def sweep_scene(
+    run: RunFolder,
+    trajectory: Trajectory,
+    index: int,
+    color: Coloring,
+    tracks: Tracks,
+    around: int = 0,
+) -> SweepScene:
+    """A sweep of a run, and the static points of ``around`` sweeps before and after.
+
+    Raises
+    ------
+    InputError
+        The run has no votes or no instances.
+    RunError
+        A sweep is missing or not classified.
+    """
+    T_world_lidar, time = trajectory.poses[index], int(trajectory.times[index])
+    points, classes, colors = [], [], []
+    for k in range(max(index - around, 0), min(index + around + 1, len(trajectory))):
+        sweep, classid = run.classified_frame(k)
+        if k == index:
+            kept, moved = np.ones(len(classid), np.bool_), sweep.points
+        else:  # moving objects of other sweeps would leave trails
+            kept = classid < DYNAMIC
+            T = inverse(T_world_lidar) @ trajectory.poses[k]
+            moved = (sweep.points @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+        points.append(moved[kept])
+        classes.append(classid[kept])
+        colors.append(point_colors(sweep, classid, color)[kept])
+    boxes = [(track, track.pose_at(time)) for track in tracks.between(time, time)]
+    return SweepScene(
+        np.concatenate(points), np.concatenate(classes), np.concatenate(colors),
+        T_world_lidar, boxes,
+    )  # fmt: skip
+
+
+def camera_views(
+    run: RunFolder,
+    trajectory: Trajectory,
+    camera: str | None = None,
+    stream: CameraStream | None = None,
+    nearest: int | None = None,
+) -> Iterator[tuple[int, CameraView]]:
+    """A camera at the time [ns] of each of its depth maps, or of the one nearest to a time.
+
+    Parameters
+    ----------
+    run : RunFolder
+    trajectory : Trajectory
+    camera : str, optional
+        Needed if the run has several.
+    stream : CameraStream, optional
+        The camera; its images are read.
+    nearest : int, optional
+        A time [ns].
+    """
+    if not maps_in(run.path / "depth") and not run.cameras:
+        return
+    folder = run.depth_folder(camera)
+    pinhole, T_camera_lidar, _ = run.calibration(folder)
+    depths = run.path / "depth" / folder
+    files, maps = maps_in(depths), described_maps(depths)
+    times = {name: maps[name][0] for name in files if name in maps}
+    if nearest is not None and times:
+        name = min(times, key=lambda name: abs(times[name] - nearest))
+        times = {name: times[name]}
+    for name, time in times.items():
+        pose = trajectory.interpolate([time])[0] @ inverse(T_camera_lidar)
+        image = None
+        if stream is not None and name in stream.names:
+            image = stream.rectified_image(stream.names.index(name))
+        yield time, CameraView(pinhole, pose, read_depth(files[name]), image)
+
+
+def back_project(camera: Camera, depth: NDArray[np.float32]) -> NDArray[np.float64]:
+    """3D points of the pixels with depth.
+
+    Parameters
+    ----------
+    camera : Camera
+    depth : ndarray of float32, shape (h, w)
+        Metres along the optical axis; NaN = none.
+
+    Returns
+    -------
+    ndarray of float64, shape (k, 3)
+        Camera frame [m], row by row.
+    """
+    if depth.shape != (camera.height, camera.width):
+        raise InputError(
+            f"depth {depth.shape} does not fit the camera, {camera.height} x {camera.width}"
+        )
+    v, u = np.nonzero(np.isfinite(depth))
+    z = depth[v, u].astype(np.float64)
+    fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
+    return np.column_stack([(u - cx) / fx * z, (v - cy) / fy * z, z])
+
+
+def class_colors(classid: NDArray[np.uint16]) -> NDArray[np.float64]:
+    """RGB colour of each point by its class, float64 (N, 3), 0..1."""
+    return colors_of_classes(classid)[:, ::-1] / 255
+
+
+def vote_colors(
+    votes_static: NDArray[np.uint16], votes_dynamic: NDArray[np.uint16]
+) -> NDArray[np.float64]:
+    """RGB colour of each point by its votes: from the static grey to the dynamic orange.
+
+    Points without votes are dark. float64 (N, 3), 0..1.
+    """
+    count = votes_static.astype(np.float64) + votes_dynamic
+    share = (votes_dynamic / np.maximum(count, 1))[:, None]
+    colors = (1 - share) * STATIC_COLOR + share * DYNAMIC_COLOR
+    return np.asarray(np.where(count[:, None] > 0, colors, _UNKNOWN_COLOR)[:, ::-1] / 255)
+
+
+def instance_colors(instance: NDArray[np.uint16]) -> NDArray[np.float64]:
+    """RGB colour of each point by its track, dark without one; float64 (N, 3), 0..1."""
+    colors = np.array(TRACK_COLORS)[instance % len(TRACK_COLORS)]
+    return np.asarray(np.where(instance[:, None] > 0, colors, _UNKNOWN_COLOR)[:, ::-1] / 255)
+
+
+def point_colors(
+    record: LidarFrame, classid: NDArray[np.uint16], color: Coloring
+) -> NDArray[np.float64]:
+    """RGB colour of each point of a frame, float64 (N, 3), 0..1.
+
+    Raises
+    ------
+    InputError
+        The frame has no votes or no instances.
+    """
+    if color == "class":
+        return class_colors(classid)
+    if color == "votes" and record.votes_static is not None and record.votes_dynamic is not None:
+        return vote_colors(record.votes_static, record.votes_dynamic)
+    if color == "instance" and record.instance is not None:
+        return instance_colors(record.instance)
+    raise InputError(f"frame {record.name} has no {color}: its classes are of another method")
