@@ -52,6 +52,7 @@ def test_synth_does_not_touch_a_folder_of_the_user(docdepth, tmp_path, force):
     assert contents(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_force_replaces_a_synthetic_drive_and_keeps_other_files(docdepth, copied, tmp_path):
     folder = copied
     (folder / "velodyne" / "mine.txt").write_text("mine")
@@ -69,6 +70,7 @@ def test_force_does_not_take_a_recording_for_a_synthetic_drive(docdepth, copied,
     assert contents(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_an_interrupted_drive_is_made_whole_by_the_same_call(tmp_path):
     def stop(done, total):
         if done == 2:

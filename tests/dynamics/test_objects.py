@@ -121,6 +121,7 @@ def test_the_rig_of_a_sweep_is_used(yard):
         np.testing.assert_array_equal(a.classid, b.classid)
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_continues_and_ends_the_same(street, few_votes, tmp_path, monkeypatch):
     trajectory, sweeps, _ = street
     p = parameters("default", few_votes)
