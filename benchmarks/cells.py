@@ -20,6 +20,7 @@ from docdepth.errors import RunError
 from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
+from docdepth.io.inputs import RunInputs
 from docdepth.io.labels import classes_of_labels
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import TRACKS, read_tracks
@@ -72,13 +73,8 @@ class Cell:
         """Run folder of the drive with exact poses, ready for the classification."""
         sequence, p = self.sequence(), parameters or Parameters()
         path = path or self.folder / "run"
-        run, source = RunFolder(path), {"poses": "exact"}
-        if run.manifest:
-            # Trials fill up their parameters from those of the run: these must be today's.
-            run.manifest |= {"source": source, "parameters": p.model_dump()}
-            run.save()
-        else:
-            run = RunFolder.create(path, source, p)
+        run, inputs = RunFolder(path), RunInputs(recording=sequence, poses="dataset")
+        run.start(inputs, p, force=True)
         dataset = open_dataset(sequence)
         run_odometry(run, dataset, dataset.poses)
         return run

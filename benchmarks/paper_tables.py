@@ -38,6 +38,7 @@ from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
 from docdepth.evaluation.tables import Table, number
 from docdepth.geometry.se3 import inverse
 from docdepth.io.depth import maps_in, read_depth, write_depth
+from docdepth.io.inputs import RunInputs
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry
 from docdepth.pipeline.release import INSIDE, write_release
@@ -72,7 +73,7 @@ def done(drive: Path, out: Path, preset: str, changes: dict[str, Any] | None = N
 
 def labelled(drive: Path, out: Path, preset: str, frames: str) -> RunFolder:
     """A run of some frames by docdepth's own odometry, up to its labels."""
-    folder = RunFolder.create(out, {"frames": frames}, parameters(preset))
+    folder = RunFolder.create(out, RunInputs(recording=drive, frames=frames), parameters(preset))
     run_odometry(folder, open_dataset(drive, frames=frames))
     run_classify(folder)
     return folder
@@ -186,9 +187,9 @@ def cost(args: argparse.Namespace) -> Table:
 
 def densities(made: RunFolder) -> tuple[float, float, int]:
     """Share of pixels with depth, with a return of the nearest sweep, and the number of maps."""
-    recording = open_dataset(made.manifest["source"]["dataset"])
+    recording = open_dataset(made.inputs.recording)
     camera = next(name for name, entry in made.cameras.items() if "virtual" not in entry)
-    maps, stream = maps_in(made.path / "depth" / made.cameras[camera]["folder"]), None
+    maps, stream = maps_in(made.path / "depth" / made.cameras[camera].folder), None
     stream = recording.cameras[camera]
     trajectory, dense, sparse = made.trajectory(), [], []
     for name, path in maps.items():

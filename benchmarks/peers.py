@@ -49,11 +49,11 @@ def drive_of_run(run: Path, recording: Path) -> Drive:
 
     return Drive(
         poses=folder.trajectory().poses @ view(0).T_lidar_sensor,
-        source=str(folder.manifest["source"].get("poses") or "small_gicp, deskewed"),
+        source=folder.inputs.poses or "small_gicp, deskewed",
         points=lambda index: view(index).points,
         labels=labels,
         dynamic=lambda index: folder.classified_frame(index)[1] >= DYNAMIC,
-        seconds=folder.stage("classify").get("wall_seconds", float("nan")),
+        seconds=folder.stage("classify").wall_seconds,
     )
 
 

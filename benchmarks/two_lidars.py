@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from results import add_results_argument, publish
 
@@ -38,6 +37,7 @@ from docdepth.evaluation.tables import Table, number
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.io.frames import write_frame
+from docdepth.io.manifest import RunManifest
 from docdepth.io.run_folder import RunFolder
 from docdepth.synthetic import Drive, Sensor, scene, sensor, write_drive
 
@@ -124,9 +124,8 @@ def with_second(made: Path, rig: Path, judged: Path) -> Path:
         assert all_points.sensor_rig is not None
         second = all_points.select(all_points.sensor_rig.index == 1)
         write_frame(RunFolder(judged).frame_path(index), joined(own, second))
-    kept = {"source": {}, "stages": {}, "cameras": source.cameras}
-    kept["parameters"] = source.manifest["parameters"]
-    (judged / "run.yaml").write_text(yaml.safe_dump(kept))
+    kept = RunManifest(cameras=source.cameras, parameters=source.parameters)
+    (judged / "run.yaml").write_bytes(kept.text())
     return judged
 
 

@@ -163,7 +163,7 @@ def test_any_value_is_accepted_or_refused_in_a_sentence(about):
     ],
 )
 def test_a_broken_run_file_is_named(tree, message, tmp_path):
-    manifest = {"source": {}, "parameters": tree, "stages": {}}
+    manifest = {"parameters": tree, "stages": {}}
     (tmp_path / "run.yaml").write_text(yaml.safe_dump(manifest))
     with pytest.raises(ConfigError, match=rf"^{tmp_path / 'run.yaml'}: .*{message}"):
         _ = RunFolder.open(tmp_path).parameters

@@ -244,7 +244,7 @@ def test_the_format_of_a_recording_has_one_name(drive: Path, tmp_path: Path) -> 
     with pytest.raises(TypeError, match="unexpected keyword argument 'format'"):
         docdepth.open_dataset(drive, format="folder")  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="unexpected keyword argument 'layout'"):
-        docdepth.run(drive, tmp_path / "run", layout="folder")  # type: ignore[call-arg]
+        docdepth.run(drive, tmp_path / "run", layout="folder")
 
 
 def test_objects_of_arrays_can_be_compared_and_are_keys(sweeps, labels) -> None:

@@ -8,7 +8,8 @@ The public names, by stage:
 - ground (IV-A): :func:`grow_ground`
 - dynamics (IV-B, IV-C): :func:`classify_drive`, :class:`Labels`
 - depth maps (V): :class:`Scene`, :func:`render_depth`, :func:`render_layers`, :class:`Renderer`
-- files: :func:`run`, :class:`RunFolder`, :func:`read_depth`, :func:`write_depth`
+- files: :func:`run`, :class:`RunInputs`, :class:`Execution`, :class:`RunFolder`,
+  :func:`read_depth`, :func:`write_depth`
 - parameters and errors: :func:`parameters`, :class:`Parameters`, :class:`DocDepthError`
 
 Everything else is internal and may change without notice.
@@ -27,8 +28,10 @@ from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import grow_ground
 from docdepth.io.depth import read_depth, write_depth
+from docdepth.io.inputs import RunInputs
 from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.odometry import Odometry, register_drive
+from docdepth.pipeline.execution import Execution
 from docdepth.pipeline.run import run
 from docdepth.render.backends import Renderer
 from docdepth.render.scene import Scene, render_depth, render_layers
@@ -40,12 +43,14 @@ __all__ = [
     "CameraStream",
     "Dataset",
     "DocDepthError",
+    "Execution",
     "Labels",
     "LidarStream",
     "Odometry",
     "Parameters",
     "Renderer",
     "RunFolder",
+    "RunInputs",
     "Scene",
     "SensorRig",
     "Sweep",

@@ -8,7 +8,6 @@ import sys
 
 import numpy as np
 import pytest
-import yaml
 
 from command_line import cli
 from docdepth.errors import DatasetError
@@ -154,8 +153,8 @@ def test_no_image_inside_the_sweeps(drive, finished, tmp_path):
     times = tmp_path / "times.txt"
     times.write_text("1000\n2000\n")
     folder = RunFolder(run)
-    folder.manifest["source"]["camera_times"] = str(times)
-    (run / "run.yaml").write_text(yaml.safe_dump(folder.manifest))
+    folder.manifest.inputs = folder.inputs.but(camera_times=times)
+    folder.save()
     result = cli("render", run)
     assert result.exit_code == 2
     assert isinstance(result.exception, DatasetError)

@@ -41,7 +41,7 @@ def test_names_are_understood_with_dash_or_underline_and_any_capitals(drive, tmp
     )  # fmt: skip
     assert result.exit_code == 0, result.output
     folder = RunFolder.open(tmp_path / "run")
-    assert folder.manifest["source"]["name"] == "kitti_odometry"
+    assert folder.inputs.dataset == "kitti_odometry"
     assert folder.parameters.output.format == ("npy", "exr-half")
 
 
@@ -118,7 +118,7 @@ class TestConfig:
         assert result.exit_code == 0, result.output
         one, two = RunFolder.open(first), RunFolder.open(second)
         assert one.parameters == two.parameters
-        assert one.manifest["source"] == two.manifest["source"]
+        assert one.inputs == two.inputs
         for path in sorted((first / "depth").glob("*.npy")):
             assert path.read_bytes() == (second / "depth" / path.name).read_bytes()
 
@@ -129,7 +129,7 @@ class TestConfig:
         tree["parameters"]["dynamics"]["tolerance"] = 0.3
         given = read_config(self.write(tmp_path, tree))
         assert given.settings == {"dynamics.tolerance": 0.3}
-        assert given.source["dataset"]
+        assert given.run_inputs is not None
 
     def test_an_explicit_value_stays_with_another_preset(self, tmp_path):
         given = read_config(self.write(tmp_path, {"dynamics": {"coarse_radius": 80}}))
@@ -141,7 +141,7 @@ class TestConfig:
             ({"odometry": {"max_rage": 80}}, "max_rage"),
             ({"odometry": {"max_range": -1}}, "odometry.max_range"),
             ({"preset": "best"}, "best"),
-            ({"source": {"dataset": 3}, "parameters": {}}, "damaged run.yaml"),
+            ({"inputs": {"recording": 3}, "parameters": {}}, "damaged run.yaml"),
             ("text", "holds no parameters"),
         ],
     )

@@ -36,7 +36,7 @@ def test_contents_stay_compared_by_the_same_command_without_the_option(docdepth,
     assert docdepth("run", drive, "-o", tmp_path / "run", "--hash-inputs").code == 0
     ended = docdepth("run", drive, "-o", tmp_path / "run")
     assert ended.code == 0, ended.err
-    assert RunFolder.open(tmp_path / "run").manifest["source"]["hash_inputs"] is True
+    assert RunFolder.open(tmp_path / "run").inputs.hash_inputs is True
 
 
 @pytest.mark.parametrize("verb", ["run", "render"])
@@ -55,7 +55,7 @@ def test_a_recording_that_was_moved_is_asked_for_and_remembered(docdepth, copies
 def test_one_command_takes_back_all_changes_of_a_stage(finished):
     folder = RunFolder.open(finished[0])
     values = replaced(folder.parameters, {"render.ahead": 700.0, "render.crop": 700.0})
-    folder.manifest["parameters"] = values.model_dump(mode="json")
+    folder.manifest.parameters = values
     (sentence,) = changes_since_start(folder)
     assert sentence.startswith("render.ahead is 700.0, was 80.0, render.crop is 700.0, was 300.0")
     assert sentence.endswith("--set render.ahead=80.0 --set render.crop=300.0")

@@ -93,7 +93,7 @@ def test_depth_is_better_than_as_if_seen_from_the_origin(drive, tmp_path):
     blind.sweep = lambda k: replace(see(k), sensor_rig=None)
     error = {}
     for way, data in {"lasers": dataset, "origin": blind}.items():
-        run = RunFolder.create(tmp_path / way, {}, parameters())
+        run = RunFolder.create(tmp_path / way, None, parameters())
         run_odometry(run, data, data.poses)
         run_classify(run)
         run_render(run, data.cameras["image_2"])
@@ -117,7 +117,7 @@ def test_azimuth_tells_when_a_compensated_sweep_saw_each_point(drive):
 @pytest.mark.slow
 def test_times_of_points_are_kept_with_a_compensated_run_and_move_none(drive, tmp_path):
     dataset = open_dataset(drive)
-    run = RunFolder.create(tmp_path / "run", {}, parameters())
+    run = RunFolder.create(tmp_path / "run", None, parameters())
     run_odometry(run, dataset, dataset.poses)
     frame, sweep = run.frame(3), dataset.sweep(3)
     np.testing.assert_array_equal(frame.points, sweep.points[frame.index])
@@ -143,7 +143,7 @@ def test_a_drive_may_say_where_its_lidar_looks_from(tmp_path):
 def test_a_new_place_of_the_lidar_makes_odometry_run_again(tmp_path):
     folder = write_drive(tmp_path / "drive", "city", "XT-32", frames=3, images=False)
     dataset = open_dataset(folder)
-    run = RunFolder.create(tmp_path / "run", {}, parameters())
+    run = RunFolder.create(tmp_path / "run", None, parameters())
     run_odometry(run, dataset, dataset.poses)
     assert run.frame(1).sensor_rig is None
     file = folder / "docdepth.yaml"

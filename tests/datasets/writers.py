@@ -148,7 +148,7 @@ def _run(root: Path) -> Written:
     from docdepth.pipeline import run_odometry
 
     recording = open_dataset(_odometry(root / "drive").path)
-    run = RunFolder.create(root / "run", {}, parameters())
+    run = RunFolder.create(root / "run", None, parameters())
     run_odometry(run, recording, DRIVE.poses)
     return Written(run.path, lambda: truncate(run.frame_path(2)), {"poses"}, tolerance=np.inf)
 

@@ -36,7 +36,7 @@ def drives():
 def run_of(path: Path, drives, skew: bool, times: bool = False, off: float = 0.0) -> RunFolder:
     """A run with these sweeps as they are, and poses that are ``off`` by so many metres."""
     drive, sweeps = drives[skew]
-    run = RunFolder.create(path, {}, Parameters())
+    run = RunFolder.create(path, None, Parameters())
     run.save()
     poses = drive.poses.copy()
     away = np.random.default_rng(1).normal(size=(SWEEPS, 3))

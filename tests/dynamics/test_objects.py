@@ -59,7 +59,7 @@ def test_a_box_that_waits_is_dynamic_in_the_whole_drive(street, few_votes):
 
 def folder_of(path, trajectory, sweeps, p):
     """A run whose odometry is done."""
-    run = RunFolder.create(path, {}, p)
+    run = RunFolder.create(path, None, p)
     for i, points in enumerate(sweeps):
         record = LidarFrame(points, np.arange(len(points), dtype=np.uint32), f"{i:06d}",
                              len(points))  # fmt: skip

@@ -160,7 +160,7 @@ def two(tmp_path_factory):
 
 
 def run(dataset, path):
-    folder = RunFolder.create(path, {}, parameters(settings={"output.layers": ["time"]}))
+    folder = RunFolder.create(path, None, parameters(settings={"output.layers": ["time"]}))
     run_odometry(folder, dataset, dataset.poses)
     run_classify(folder)
     run_render(folder, dataset.cameras["image_2"])

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 
 from docdepth import Parameters
 from docdepth.cli.config_file import read_config
@@ -54,7 +55,6 @@ FRAME = LidarFrame(
     sensor_rig=SensorRig.single((0, 0, 1), 2),
 )
 POSES = np.repeat(np.eye(4)[None], 3, axis=0)
-SOURCE = {"dataset": None, "name": None, "camera": None}
 
 
 def written(path: Path, content: bytes | str) -> Path:
@@ -63,7 +63,7 @@ def written(path: Path, content: bytes | str) -> Path:
 
 
 def new_run(folder: Path) -> RunFolder:
-    run = RunFolder.create(folder / "run", SOURCE, Parameters())
+    run = RunFolder.create(folder / "run", None, Parameters())
     run.save()
     return run
 
@@ -346,9 +346,12 @@ def test_notes_that_name_themselves_end(tmp_path: Path) -> None:
 @pytest.mark.parametrize("folder", ["../../out", "/tmp", "..", 3, None, "a/b"])
 def test_a_camera_lies_in_the_run(tmp_path: Path, folder: object) -> None:
     run = new_run(tmp_path)
-    run.cameras["front"] = {"folder": folder, "settings": {}}
     run.write(run.path / "labels" / "a.label", lambda stream: stream.write(b"1"), {})
     run.save()
+    for file in (run.path / "run.yaml", run.notes / "run.yaml"):
+        tree = yaml.safe_load(file.read_text())
+        tree["cameras"]["front"] = {"folder": folder, "settings": {}}
+        file.write_text(yaml.safe_dump(tree))
     with pytest.raises(RunError, match=r"run\.yaml is missing or damaged"):
         RunFolder.open(run.path)
 

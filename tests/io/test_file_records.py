@@ -87,7 +87,7 @@ def test_records_of_earlier_runs_are_let_go(tmp_path: Path) -> None:
 
 
 def test_a_trajectory_is_read_once_and_anew_when_it_is_written_anew(tmp_path: Path) -> None:
-    run = RunFolder.create(tmp_path / "run", {}, Parameters())
+    run = RunFolder.create(tmp_path / "run", None, Parameters())
     for count in (3, 5, 5):
         poses = np.repeat(np.eye(4)[None], count, 0)
         poses[:, 0, 3] = np.random.default_rng(count).random(count)

@@ -21,6 +21,7 @@ from docdepth.io.frames import (
     write_frame,
     write_trajectory,
 )
+from docdepth.io.inputs import RunInputs
 from docdepth.io.run_folder import RunFolder, stage_key
 
 
@@ -119,12 +120,12 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
 
 
 def test_another_run_is_not_overwritten(tmp_path):
-    source = {"dataset": "a", "camera": None}
+    source = RunInputs(recording=tmp_path / "a")
     RunFolder.create(tmp_path / "run", source, parameters()).save()
     RunFolder.create(tmp_path / "run", source, parameters())  # the same one goes on
-    with pytest.raises(RunError, match=r"another run: its dataset is 'a', not 'b'"):
-        RunFolder.create(tmp_path / "run", {**source, "dataset": "b"}, parameters())
-    with_poses = {**source, "poses": "dataset"}
+    with pytest.raises(RunError, match=r"another run: its recording is '.*/a', not '.*/b'"):
+        RunFolder.create(tmp_path / "run", source.but(recording=tmp_path / "b"), parameters())
+    with_poses = source.but(poses="dataset")
     with pytest.raises(RunError, match="its poses is not given, not 'dataset'"):
         RunFolder.create(tmp_path / "run", with_poses, parameters())
     RunFolder.create(tmp_path / "posed", with_poses, parameters()).save()
@@ -145,10 +146,10 @@ def test_a_run_that_another_command_starts_is_no_foreign_folder(tmp_path, monkey
     path = tmp_path / "run"
     (path / ".docdepth/records").mkdir(parents=True)
     (path / ".run.yaml.part").touch()
-    RunFolder.create(path, {}, parameters())
+    RunFolder.create(path, None, parameters())
     (path / ".run.yaml.part").rename(path / "run.yaml")
     with pytest.raises(RunError, match="holds no run"):
-        RunFolder.create(path, {}, parameters())
+        RunFolder.create(path, None, parameters())
     listed = Path.iterdir
 
     def recorded_meanwhile(folder):
@@ -157,11 +158,11 @@ def test_a_run_that_another_command_starts_is_no_foreign_folder(tmp_path, monkey
         return iter(files)
 
     monkeypatch.setattr(Path, "iterdir", recorded_meanwhile)
-    RunFolder.create(path, {}, parameters())
+    RunFolder.create(path, None, parameters())
 
 
 def test_calibration_round_trip_and_missing(tmp_path):
-    run = RunFolder.create(tmp_path / "run", {}, parameters())
+    run = RunFolder.create(tmp_path / "run", None, parameters())
     with pytest.raises(CalibrationError, match=r"calib\.json is missing"):
         run.calibration()
     camera = Camera(np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]]), 1242, 375)

@@ -102,7 +102,7 @@ def test_ghost_returns_take_no_part_in_a_run(tmp_path):
     folder = write_drive(tmp_path, frames=3, seed=3, blooming_deg=BLOOMING_DEG, images=False)
     settings = {"odometry.blooming_deg": BLOOMING_DEG, "dynamics.time_spacing": 0}
     dataset = open_dataset(folder)
-    run = RunFolder.create(tmp_path / "run", {}, parameters("default", settings))
+    run = RunFolder.create(tmp_path / "run", None, parameters("default", settings))
     run_odometry(run, dataset, dataset.poses)
     run_classify(run)
     for k in range(3):
@@ -114,6 +114,6 @@ def test_ghost_returns_take_no_part_in_a_run(tmp_path):
     assert ghost.any()
 
     dataset.sweep = lambda k: replace(sweep, intensity=None)
-    other = RunFolder.create(tmp_path / "other", {}, parameters("default", settings))
+    other = RunFolder.create(tmp_path / "other", None, parameters("default", settings))
     with pytest.raises(ConfigError, match="no intensity"):
         run_odometry(other, dataset, dataset.poses)

@@ -289,7 +289,7 @@ def test_a_sweep_can_be_thinned_before_it_is_deskewed() -> None:
 def test_a_run_reads_each_sweep_once(tmp_path: Path) -> None:
     """And once more the first, for where its sensors sit."""
     drive = Drive(5)
-    run = RunFolder.create(tmp_path / "run", {}, Parameters())
+    run = RunFolder.create(tmp_path / "run", None, Parameters())
     run_odometry(run, drive, drive.exact)
     assert drive.read == [0, *range(5)]
     deskewed = register_drive(drive, poses=drive.exact).sweeps[3]

@@ -21,15 +21,15 @@ from docdepth.errors import (
     SeveralProblems,
     raise_findings,
 )
+from docdepth.io.inputs import RunInputs
 from docdepth.odometry.odometry import register_drive
 from docdepth.pipeline import check_resources
 from docdepth.pipeline.check import check_inputs, report_inputs
 from docdepth.pipeline.check_resources import check_image_size
 
 
-def source(dataset: Path, **values: Any) -> dict[str, Any]:
-    named = dict.fromkeys(("name", "camera", "poses", "camera_times", "image_size"))
-    return {"dataset": str(dataset), **named, **values}
+def source(dataset: Path, **values: Any) -> RunInputs:
+    return RunInputs(recording=dataset, **values)
 
 
 def problems(dataset: Path, output: Path | None = None, **values: Any) -> list[Finding]:
@@ -359,7 +359,8 @@ def test_frames_are_opened_and_poses_cut(drive: Path, tmp_path: Path) -> None:
     given = source(
         drive, frames="1:3", poses=tmp_path / "poses.txt", camera_times=tmp_path / "times.txt"
     )
-    recording, streams = open_inputs(given)
+    opened = open_inputs(given)
+    recording, streams = opened.recording, opened.cameras
     poses = known_poses(given, recording)
     assert len(recording) == 2
     assert poses is not None
@@ -376,7 +377,7 @@ def test_maps_of_other_times_are_named_like_the_files_of_the_sequence(
     for image in (copy / "image_2").glob("*.png"):
         image.unlink()
     (tmp_path / "times.txt").write_text("0.05\n0.15\n")
-    _, streams = open_inputs(source(copy, camera_times=tmp_path / "times.txt"))
+    streams = open_inputs(source(copy, camera_times=tmp_path / "times.txt")).cameras
     assert streams[0].names == ["000000", "000001"]
 
 

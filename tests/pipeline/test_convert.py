@@ -166,7 +166,7 @@ def test_what_cannot_be_converted(root, tmp_path, monkeypatch, arguments, messag
         from docdepth.config import Parameters
         from docdepth.pipeline import run_odometry
 
-        run = RunFolder.create(tmp_path / "unclassified", {}, Parameters())
+        run = RunFolder.create(tmp_path / "unclassified", None, Parameters())
         run_odometry(run, open_dataset(root / "drive"), POSES)
     ended = cli("convert", *arguments)
     assert ended.exit_code == 2

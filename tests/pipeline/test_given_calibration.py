@@ -16,6 +16,7 @@ from docdepth.errors import CalibrationError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.io.calibration import read_camera_calibration, write_calibration
+from docdepth.io.inputs import RunInputs
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.run_inputs import open_cameras, open_inputs, open_recording
@@ -52,9 +53,8 @@ def run(drive: Path, output: Path, *more: object):
     return cli("run", drive, "-o", output, "--poses", drive.parent / "poses.txt", *more)
 
 
-def source(drive: Path, **more: object) -> dict[str, object]:
-    named = dict.fromkeys(("name", "camera", "poses", "camera_times", "image_size"))
-    return {"dataset": str(drive), **named, **more}
+def source(drive: Path, **more: object) -> RunInputs:
+    return RunInputs(recording=drive, **more)
 
 
 def test_maps_are_those_of_a_recording_with_this_calibration(drive, calibration, tmp_path):
@@ -81,7 +81,7 @@ def test_a_run_goes_on_with_its_calibration(drive, calibration, tmp_path):
     output, options = tmp_path / "run", ("--camera", "image_2", "--calibration")
     assert run(drive, output, *options, calibration).exit_code == 0
     manifest = yaml.safe_load((output / "run.yaml").read_text())
-    assert manifest["source"]["calibration"] == str(calibration)
+    assert manifest["inputs"]["calibration"] == str(calibration)
     kept = {file: file.stat().st_mtime_ns for file in (output / "depth").iterdir()}
     assert run(drive, output, *options, calibration).exit_code == 0
     assert cli("run", output).exit_code == 0
@@ -105,7 +105,7 @@ def rotated() -> np.ndarray:
 def test_a_run_without_the_option_has_no_entry(drive, tmp_path):
     """Runs that were started before there was one go on."""
     assert run(drive, tmp_path / "run").exit_code == 0
-    assert "calibration" not in RunFolder.open(tmp_path / "run").manifest["source"]
+    assert RunFolder.open(tmp_path / "run").inputs.calibration is None
 
 
 def test_a_text_file_gives_the_extrinsic_alone(drive, calibration, tmp_path):
@@ -135,7 +135,7 @@ def test_the_extrinsic_may_stand_beside_k(drive, tmp_path):
     write(tmp_path / "c", more={"camera": "image_3"})
     given = source(drive, calibration=str(tmp_path / "c" / "calib.json"), frames="1:3")
     recording = open_recording(given)
-    (stream,) = open_cameras(given, recording, "image_3")
+    (stream,) = open_cameras(given, recording, ["image_3"])
     np.testing.assert_array_equal(stream.T_camera_lidar, T)
     np.testing.assert_array_equal(stream.camera.K, K)
 
@@ -181,7 +181,7 @@ def test_a_camera_that_nobody_has_calibrated(tmp_path, calibration, caplog):
         open_inputs(source(folder))
     assert "front has no K" in caplog.text
     # The only camera takes a calibration of another name.
-    _, (stream,) = open_inputs(source(folder, calibration=str(calibration)))
+    (stream,) = open_inputs(source(folder, calibration=str(calibration))).cameras
     assert stream.name == "front"
     np.testing.assert_array_equal(stream.camera.K, K)
     np.testing.assert_array_equal(stream.T_camera_lidar, T)
@@ -189,6 +189,6 @@ def test_a_camera_that_nobody_has_calibrated(tmp_path, calibration, caplog):
     entries = json.loads(calibration.read_text())
     entries |= {"dist": [0.1, 0.0, 0.0, 0.0], "model": "fisheye"}
     calibration.write_text(json.dumps(entries))
-    _, (stream,) = open_inputs(source(folder, calibration=str(calibration)))
+    (stream,) = open_inputs(source(folder, calibration=str(calibration))).cameras
     assert stream.model == "fisheye"
     assert stream.rectified_image(0) is not None

@@ -87,7 +87,7 @@ def test_the_stage_says_so_and_goes_on(root, other, tmp_path):
     output = tmp_path / "run"
     assert run(root, output, "--labels", other).exit_code == 0
     manifest = yaml.safe_load((output / "run.yaml").read_text())
-    assert manifest["source"]["labels"] == str(other)
+    assert manifest["inputs"]["labels"] == str(other)
     assert manifest["stages"]["classify"]["labels"] == str(other)
     assert manifest["stages"]["classify"]["tracks"] is False
     kept = {file: file.stat().st_mtime_ns for file in (output / "depth").iterdir()}
@@ -169,7 +169,7 @@ def test_render_takes_labels_and_classify_takes_them_back(root, other, tmp_path)
     assert (output / "tracks.csv").exists()
     assert cli("render", output, "--labels", other).exit_code == 0
     assert cli("classify", output).exit_code == 0
-    assert "labels" not in RunFolder.open(output).manifest["source"]
+    assert RunFolder.open(output).inputs.labels is None
     assert cli("render", output).exit_code == 0
     assert maps(output) == maps(root / "own")
     for ours, theirs in zip(classes(output), classes(root / "own"), strict=True):
@@ -250,7 +250,7 @@ def test_labels_without_anything_dynamic_are_named(root, tmp_path, caplog):
         np.save(tmp_path / f"{k:06d}.npy", np.arange(points(root, k)) % 2)
     assert run(root, tmp_path / "run", "--labels", tmp_path).exit_code == 0
     assert f"no point of {tmp_path} is dynamic" in caplog.text
-    assert "is dynamic" in RunFolder.open(tmp_path / "run").stage("classify")["warnings"][0]
+    assert "is dynamic" in RunFolder.open(tmp_path / "run").stage("classify").warnings[0]
 
 
 def test_tracks_of_other_poses_are_not_used(root, tmp_path, caplog):
@@ -263,7 +263,7 @@ def test_tracks_of_other_poses_are_not_used(root, tmp_path, caplog):
     assert moved.exit_code == 0
     assert "are of other poses than this run has" in caplog.text
     entry = RunFolder.open(tmp_path / "run").stage("classify")
-    assert "are of other poses" in entry["warnings"][0]
+    assert "are of other poses" in entry.warnings[0]
     assert not (tmp_path / "run" / "tracks.csv").exists()
     # With its poses, as the message says, they are.
     again = cli("run", root / "drive", "-o", tmp_path / "again", "--labels", tmp_path / "theirs",
@@ -278,7 +278,7 @@ def test_labels_of_a_longer_drive(root, tmp_path):
     np.testing.assert_array_equal(
         folder.frame(0).classid >= 100, classes(root / "own")[1][0] >= 100
     )
-    assert folder.stage("classify")["tracks"] is True
+    assert folder.stage("classify").tracks is True
 
 
 def test_parameters_of_classes_cannot_be_tuned(root, other, tmp_path):

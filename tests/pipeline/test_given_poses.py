@@ -11,9 +11,10 @@ from command_line import cli
 from docdepth.datasets import FrameRange, open_dataset
 from docdepth.errors import DatasetError, OdometryError
 from docdepth.geometry.se3 import inverse
+from docdepth.io.inputs import RunInputs
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.given_poses import poses_entry, read_given_poses
+from docdepth.pipeline.given_poses import read_given_poses
 from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.pipeline.run_state import states
 from small_drive import SWEEPS, write_small_drive
@@ -32,13 +33,12 @@ def drive(tmp_path_factory) -> Path:
     return folder
 
 
-def source(drive: Path, **more: object) -> dict[str, object]:
-    named = dict.fromkeys(("name", "camera", "poses", "camera_times", "image_size"))
-    return {"dataset": str(drive), **named, **more}
+def source(drive: Path, **more: object) -> RunInputs:
+    return RunInputs(recording=drive, **more)
 
 
 def poses_of(drive: Path, given: Path | str, **more: object) -> np.ndarray:
-    entries = source(drive, poses=poses_entry(given), **more)
+    entries = source(drive, poses=given, **more)
     poses = known_poses(entries, open_recording(entries))
     assert poses is not None
     return poses
@@ -50,7 +50,7 @@ def test_those_of_the_recording_are_taken(drive, tmp_path):
     run = tmp_path / "run"
     assert cli("run", drive, "-o", run, "--poses", "dataset").exit_code == 0
     np.testing.assert_allclose(RunFolder.open(run).trajectory().poses, POSES, atol=1e-9)
-    assert RunFolder.open(run).manifest["source"]["poses"] == "dataset"
+    assert RunFolder.open(run).inputs.poses == "dataset"
     assert {state.state for state in states(RunFolder.open(run))} == {"done"}
     # The same inputs by run.yaml, and brought up to date without any.
     assert cli("run", "--config", run / "run.yaml", "-o", run).exit_code == 0

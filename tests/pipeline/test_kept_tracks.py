@@ -16,7 +16,7 @@ KEY = {"classify": "1"}
 
 @pytest.fixture
 def run(tmp_path):
-    return RunFolder.create(tmp_path / "run", {}, Parameters())
+    return RunFolder.create(tmp_path / "run", None, Parameters())
 
 
 def arrays_of(rng):

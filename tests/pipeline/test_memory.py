@@ -150,8 +150,8 @@ def test_the_formula_tells_what_a_run_takes(drive_0005: Path, tmp_path: Path) ->
     sweeps, out = 40, tmp_path / "run"
     command = [sys.executable, "-m", "docdepth", "run", str(drive_0005), "-o", str(out)]
     subprocess.run([*command, "-q", "--frames", f"0:{sweeps}"], check=True, env=os.environ)
-    manifest = RunFolder.open(out).manifest["stages"]
-    taken = 1e6 * max(stage["peak_memory_mb"] for stage in manifest.values())
+    manifest = RunFolder.open(out).manifest.stages
+    taken = 1e6 * max(stage.peak_memory_mb for stage in manifest.values())
     recording = open_dataset(drive_0005)
     points = len(recording.sweep(0).points)
     cameras = [recording.cameras["image_02"]]

@@ -29,8 +29,8 @@ def test_outputs_of_a_run(drive, finished):
     run, output = finished
     names = [p.stem for p in sorted((drive / "image_2").glob("*.png"))]
     inside = [p.stem for p in sorted((run / "depth").glob("*.png"))]
-    left_out = RunFolder(run).stage("render image_2")["left_out"]
-    assert sorted(inside + left_out) == names
+    left_out = RunFolder(run).stage("render image_2").left_out
+    assert sorted([*inside, *left_out]) == names
     assert inside
     for name in inside:
         depth = cv2.imread(str(run / "depth" / f"{name}.png"), cv2.IMREAD_UNCHANGED)
@@ -244,7 +244,7 @@ def test_distorted_images_are_rectified_under_the_depth(drive, finished, tmp_pat
     run = tmp_path / "run"
     shutil.copytree(finished[0], run)
     folder = RunFolder(run)
-    folder.manifest["source"]["dataset"] = str(distorted)
+    folder.manifest.inputs = folder.inputs.but(recording=distorted)
     folder.save()
     assert cli("render", run).exit_code == 0
     known = json.loads((run / "depth" / "depth.json").read_text())["camera"]

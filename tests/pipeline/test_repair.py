@@ -313,9 +313,9 @@ def test_resumed_runs_tell_what_they_took_in_all(root):
     stage = RunFolder.open(root / "run").stage("render image_2")
     assert again(root).exit_code == 0
     after = RunFolder.open(root / "run").stage("render image_2")
-    assert (after["frames"], after["total_frames"]) == (1, SWEEPS + 1)
-    assert after["all_frames"] == SWEEPS
-    assert after["total_seconds"] > stage["total_seconds"]
+    assert (after.frames, after.total_frames) == (1, SWEEPS + 1)
+    assert after.all_frames == SWEEPS
+    assert after.total_seconds > stage.total_seconds
 
 
 def test_one_command_at_a_time(root):
@@ -396,7 +396,7 @@ def test_warnings_reach_the_terminal_the_run_and_the_report(root, caplog):
         if "all poses are the same" in record.getMessage()
     ]
     assert said
-    assert said[0] in RunFolder.open(root / "run").stage("odometry")["warnings"]
+    assert said[0] in RunFolder.open(root / "run").stage("odometry").warnings
     page = (root / "run" / "report" / "index.html").read_text()
     assert "<li><b>odometry</b>" in page
     assert "all poses are the same" in page
@@ -406,9 +406,7 @@ def test_warnings_of_the_inputs_are_kept(root, caplog):
     stamps = root / "drive" / "times.txt"
     stamps.write_text("0.0\n0.1\n0.2\n0.6\n")
     assert again(root).exit_code == 0
-    (text,) = [
-        t for t in RunFolder.open(root / "run").manifest["warnings"] if "sweeps missing" in t
-    ]
+    (text,) = [t for t in RunFolder.open(root / "run").manifest.warnings if "sweeps missing" in t]
     assert "0.40 s lie between frames 2 and 3" in text
     assert text in caplog.messages
     assert "sweeps missing" in (root / "run" / "report" / "index.html").read_text()

@@ -7,6 +7,7 @@ import os
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import get_args
 from unittest.mock import Mock
 
 import pytest
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 
 from docdepth.config import replaced
 from docdepth.errors import DocDepthError, RunError
-from docdepth.io.manifest import KEPT
+from docdepth.io.manifest import Keep
 from docdepth.io.poses import write_kitti
 from docdepth.io.recorded_folder import RecordedFolder
 from docdepth.io.run_folder import RunFolder
@@ -23,7 +24,7 @@ from docdepth.pipeline import run_classify, run_odometry
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.kept_frames import keeps_only_results
 from docdepth.pipeline.run import continue_run, render_again, run
-from docdepth.pipeline.run_inputs import known_poses, open_recording
+from docdepth.pipeline.run_inputs import known_poses, recording_of
 from docdepth.pipeline.run_state import require, states
 from docdepth.pipeline.virtual_camera import virtual_camera
 from small_drive import SPARSE, SWEEPS, write_image, write_small_drive, write_sweep
@@ -73,10 +74,10 @@ class World:
             threads=1,
         )
         for name, entry in folder.cameras.items():
-            if "virtual" in entry:
-                render_again(made, entry["settings"], virtual=(name, entry["virtual"]), threads=1)
-            elif name != "image_2" or entry["settings"]:
-                render_again(made, entry["settings"], name, threads=1)
+            if entry.virtual is not None:
+                render_again(made, entry.settings, virtual=(name, entry.virtual), threads=1)
+            elif name != "image_2" or entry.settings:
+                render_again(made, entry.settings, name, threads=1)
         return made
 
     def products(self) -> list[Path]:
@@ -116,10 +117,10 @@ def stage_again(world: World, number: int) -> None:
         return
     folder = RunFolder.open(world.run)
     values = replaced(folder.parameters, change)
-    folder.manifest["parameters"] = values.model_dump(mode="json")
+    folder.manifest.parameters = values
     if stage == "odometry":
-        recording = open_recording(folder.manifest["source"])
-        run_odometry(folder, recording, known_poses(folder.manifest["source"], recording))
+        recording = recording_of(folder)
+        run_odometry(folder, recording, known_poses(folder.inputs, recording))
     else:
         require(folder, "odometry")
         run_classify(folder, threads=1)
@@ -187,7 +188,7 @@ def lay_own_file(world: World, number: int) -> None:
 
 def keep(world: World, number: int) -> None:
     """Frames as well, or only the results."""
-    world.make(KEPT[number % 2])
+    world.make(get_args(Keep)[number % 2])
 
 
 def kill(world: World, number: int) -> None:

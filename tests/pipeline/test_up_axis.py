@@ -67,7 +67,7 @@ def level(tmp_path_factory) -> RunFolder:
 @pytest.mark.parametrize("degrees", [(0, 20, 0), (45, 0, 0), (0, 90, 0), (180, 0, 0)])
 def test_a_mount_that_leans_changes_no_result(level, tmp_path, degrees):
     run = run_of(mounted(tmp_path / "drive", degrees))
-    up = np.array(run.manifest["source"]["up"])
+    up = np.array(run.manifest.derived.up)
     np.testing.assert_allclose(up, turn(degrees)[:3, 2], atol=0.02)
     assert abs(ground_share(run) - ground_share(level)) < 0.01
     assert ground_share(level) > 0.3
@@ -100,9 +100,8 @@ def test_a_level_frame_stays_as_it_is(tmp_path, degrees):
 
 
 def test_a_level_run_is_of_the_sweeps_bit_for_bit(level):
-    source = level.manifest["source"]
-    assert "up" not in source
-    sweep = open_dataset(Path(source["dataset"])).sweep(1)
+    assert level.manifest.derived.up is None
+    sweep = open_dataset(level.inputs.recording).sweep(1)
     np.testing.assert_array_equal(level.frame(1).points, sweep.points)
     np.testing.assert_array_equal(level.trajectory().poses, POSES)
 
@@ -113,9 +112,9 @@ def test_up_that_is_told_is_taken(tmp_path):
     about.write_text(yaml.safe_dump({"up": [0, 0, 5]}))
     assert find_up(open_dataset(drive)) is None
     about.write_text(yaml.safe_dump({"up": [0, -2, 0]}))
-    assert find_up(open_dataset(drive)) == [0, -1, 0]
+    assert find_up(open_dataset(drive)) == (0, -1, 0)
     run = run_of(drive)
-    assert run.manifest["source"]["up"] == [0, -1, 0]
+    assert run.manifest.derived.up == (0, -1, 0)
     about.write_text(yaml.safe_dump({"up": [0, 0, 1]}))
     other = cli("run", drive, "-o", run.path, "--poses", drive.parent / "drive.txt")
     assert other.exit_code == 2
@@ -129,7 +128,7 @@ def test_up_that_is_told_is_taken(tmp_path):
 def test_what_was_found_holds_for_the_whole_run(tmp_path):
     drive = mounted(tmp_path / "drive", (30, 0, 0))
     run = run_of(drive)
-    assert run_of(drive).manifest["source"] == run.manifest["source"]
+    assert run_of(drive).manifest.derived == run.manifest.derived
     assert "done" in cli("status", run.path).stdout
     poses = tmp_path / "again.txt"
     assert cli("convert", run.path, poses, "--to", "kitti").exit_code == 0
@@ -203,12 +202,12 @@ def test_a_run_of_points_in_the_frame_of_the_vehicle(tmp_path, caplog):
     rig = run.frame(0).sensor_rig
     assert rig is not None
     assert (np.abs(rig.T_lidar_sensor[0, :3, 3] - PLACE) < (0.3, 0.3, 0.8)).all()
-    assert run.manifest["source"]["looks_from"] == rig.T_lidar_sensor[0, :3, 3].tolist()
+    assert run.manifest.derived.sensor_origin == tuple(rig.T_lidar_sensor[0, :3, 3])
     assert "rays are taken to begin there" in caplog.text
-    assert run_of(drive).manifest["source"] == run.manifest["source"]
+    assert run_of(drive).manifest.derived == run.manifest.derived
     (drive / "docdepth.yaml").write_text(yaml.safe_dump({"sensor_origin": PLACE.tolist()}))
     other = cli("run", drive, "-o", run.path, "--poses", drive.parent / "drive.txt")
-    assert "looks_from" in str(other.exception)
+    assert "sensor_origin" in str(other.exception)
 
 
 def test_nothing_is_found_where_returns_have_no_neighbours_from_anywhere():

@@ -64,7 +64,7 @@ def test_two_processes_make_what_one_makes_though_one_is_killed(
         told.append((stage, done, total))
 
     folder = run(drive, "run", camera="all", jobs=2, progress=progress)
-    assert any("died" in text for text in folder.stage("render image_2")["warnings"])
+    assert any("died" in text for text in folder.stage("render image_2").warnings)
     assert results(tmp_path / "run") == results(whole)
     assert {state.state for state in states(folder, verify=True)} == {"done"}
     assert not (folder.path / ".docdepth" / "parts").exists()
@@ -74,8 +74,8 @@ def test_two_processes_make_what_one_makes_though_one_is_killed(
         assert (done[0], done[-1]) == (0, total)
         assert len(set(done)) > 3  # chunk by chunk
     profile = folder.stage("classify")
-    assert profile["seconds"]["vote"] > 0  # of the workers
-    assert profile["peak_memory_mb"] > 0
+    assert profile.seconds["vote"] > 0  # of the workers
+    assert profile.peak_memory_mb > 0
 
 
 @pytest.mark.parametrize("metres", [1.0, 3.0, 5.0])
@@ -120,7 +120,7 @@ def refuse(worker: Worker, chunk: list[int]) -> None:
 
 
 def begun(path: Path) -> RunFolder:
-    folder = RunFolder.create(path, {}, Parameters())
+    folder = RunFolder.create(path, None, Parameters())
     folder.notes.mkdir(parents=True)
     folder.save()
     return folder
@@ -237,7 +237,7 @@ def test_chunks_are_even_and_hold_each_frame_once() -> None:
 
 def test_each_job_is_counted_in_the_memory_that_a_run_needs(drive: Path, tmp_path: Path) -> None:
     told = [
-        float(re.findall(r"([\d.]+) GB of memory", folder.manifest["estimate"])[0])
+        float(re.findall(r"([\d.]+) GB of memory", folder.manifest.estimate)[0])
         for folder in (
             run(drive, tmp_path / f"{jobs}", camera="all", jobs=jobs, dry_run=True)
             for jobs in (1, 4)

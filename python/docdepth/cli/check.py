@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from docdepth.cli.options import (
-    CalibrationFile,
-    CameraNames,
-    CameraTimes,
-    DatasetName,
     Formats,
-    Frames,
-    GivenLabels,
-    ImageSize,
     LayerNames,
-    PosesFile,
     PresetName,
     Scale,
     Settings,
     changes_of,
-    listed,
     output_of,
+    with_options,
 )
 from docdepth.cli.summary import show_findings
 from docdepth.cli.terminal import app, out, verb
+from docdepth.io.inputs import RunInputs
 
 
 @verb(app)
+@with_options(inputs=RunInputs, but=("on_error", "hash_inputs"))
 def check(
     recording: Annotated[
         Path,
@@ -43,14 +37,8 @@ def check(
             "-o", "--output", metavar="RUN", help="Run folder: is there room, may you write there?"
         ),
     ] = None,
-    dataset: DatasetName = None,
-    camera: CameraNames = None,
-    frames: Frames = None,
-    poses: PosesFile = None,
-    camera_times: CameraTimes = None,
-    calibration: CalibrationFile = None,
-    labels: GivenLabels = None,
-    image_size: ImageSize = None,
+    *,
+    inputs: dict[str, Any],
     preset: PresetName = "default",
     settings: Settings = None,
     format: Formats = None,
@@ -63,21 +51,10 @@ def check(
     """
     from docdepth.config import parameters
     from docdepth.pipeline.check import report_inputs
-    from docdepth.pipeline.given_poses import poses_entry
 
     changes = changes_of(settings) | output_of(format, scale, layers)
-    source = {
-        "dataset": str(recording),
-        "name": dataset,
-        "camera": listed(camera),
-        "poses": poses_entry(poses),
-        "camera_times": None if camera_times is None else str(camera_times),
-        "calibration": None if calibration is None else str(calibration),
-        "labels": None if labels is None else str(labels),
-        "image_size": image_size,
-        "frames": frames,
-    }
-    report = report_inputs(source, parameters(preset, changes), output)  # type: ignore[arg-type]
+    given = RunInputs(recording=recording, **inputs)
+    report = report_inputs(given, parameters(preset, changes), output)  # type: ignore[arg-type]
     show_findings(report.findings)
     if any(found.severity == "error" for found in report.findings):
         raise typer.Exit(2)

@@ -8,20 +8,19 @@ from typing import Annotated, Any
 
 import typer
 
-from docdepth.cli.options import (
-    CalibrationFile,
-    DatasetName,
-    Frames,
-    Json,
-    PosesFile,
-)
+from docdepth.cli.options import Json, with_options
 from docdepth.cli.remedies import as_commands
 from docdepth.cli.summary import show_findings, show_json
 from docdepth.cli.terminal import app, out, verb
 from docdepth.errors import Finding
+from docdepth.io.inputs import RunInputs
 
 
 @verb(app)
+@with_options(
+    inputs=RunInputs,
+    but=("camera", "camera_times", "labels", "image_size", "on_error", "hash_inputs"),
+)
 def inspect(
     recording: Annotated[
         Path, typer.Argument(metavar="RECORDING", help="A recording: its folder, or a bag.")
@@ -30,10 +29,8 @@ def inspect(
         Path,
         typer.Option("-o", "--output", metavar="PAGE", help="Page to write, with pictures."),
     ] = Path("inspect.html"),
-    dataset: DatasetName = None,
-    frames: Frames = None,
-    poses: PosesFile = None,
-    calibration: CalibrationFile = None,
+    *,
+    inputs: dict[str, Any],
     as_json: Json = False,
 ) -> None:
     """Tell what a recording holds, and which frames, poses and times look wrong.
@@ -45,7 +42,6 @@ def inspect(
     """
     from docdepth.diagnostics.recording_pictures import pictures_of
     from docdepth.diagnostics.recording_report import inspect_recording
-    from docdepth.pipeline.given_poses import poses_entry
     from docdepth.pipeline.run_inputs import known_poses, open_recording
     from docdepth.pipeline.stage import recorded_warnings
     from docdepth.visualization.inspection_page import write_inspection
@@ -53,16 +49,10 @@ def inspect(
     from docdepth.visualization.page import check_page
 
     check_page(output)
-    source: dict[str, Any] = {
-        "dataset": str(recording),
-        "name": dataset,
-        "poses": poses_entry(poses),
-        "calibration": None if calibration is None else str(calibration),
-        "frames": frames,
-    }
+    chosen = RunInputs(recording=recording, **inputs)
     with recorded_warnings() as logged:  # readers' notices are printed at once
-        drive = open_recording(source)
-        given = known_poses(source, drive)
+        drive = open_recording(chosen)
+        given = known_poses(chosen, drive)
     notices = [Finding("notice", "", text) for text in logged]
     result = inspect_recording(drive, given, notices)
     pictures = list(pictures_of(drive, result))

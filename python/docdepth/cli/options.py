@@ -2,26 +2,140 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable, Sequence
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import typer
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 from docdepth.cli.names import (
     DATASETS,
     FORMATS,
     LAYERS,
-    ON_ERROR,
     PRESETS,
     RENDERERS,
     one_of,
     some_of,
 )
 from docdepth.datasets import experimental_formats
-from docdepth.io.manifest import KEPT
+from docdepth.io.inputs import RunInputs
+from docdepth.pipeline.execution import Execution
 
 if TYPE_CHECKING:
     from docdepth.io.run_folder import RunFolder
+
+_CHOICES = {"dataset": DATASETS, "renderer": RENDERERS}
+"""Names that some fields take, beside those whose type lists them."""
+
+
+def option(model: type[BaseModel], name: str) -> Any:
+    """The option of a field of a model: its name, help, metavar, limits and completion."""
+    field = model.model_fields[name]
+    said = field.description or ""
+    more: dict[str, Any] = {"metavar": (field.json_schema_extra or {}).get("metavar") or None}  # type: ignore[union-attr]
+    if name in _CHOICES:
+        said += f" One of {', '.join(_CHOICES[name])}."
+        if name == "dataset":
+            said += f" Never tried on a real recording: {', '.join(experimental_formats())}."
+        more = one_of(_CHOICES[name])
+    elif choices := _literal(field):
+        more = one_of(choices)
+    limits = {type(limit).__name__: limit for limit in field.metadata}
+    if "Ge" in limits:
+        more |= {"min": limits["Ge"].ge, "max": limits["Le"].le}
+    return typer.Option(f"--{name.replace('_', '-')}", help=said, **more)
+
+
+def _literal(field: FieldInfo) -> tuple[str, ...]:
+    """The words of a field that takes one of some."""
+    for kind in (field.annotation, *get_args(field.annotation)):
+        if get_origin(kind) is Literal:
+            return get_args(kind)
+    return ()
+
+
+def _type(field: FieldInfo) -> Any:
+    """What the command line reads for a field; None if it is not given."""
+    if field.annotation in (bool, int):
+        return field.annotation
+    kinds = get_args(field.annotation)
+    if any(get_args(kind)[:1] == (Path,) for kind in kinds):
+        return Path | None
+    return list[str] | None if any(get_origin(kind) is tuple for kind in kinds) else str | None
+
+
+def _default(field: FieldInfo) -> bool | int | None:
+    """What an option is where it is not given, as the help shows it."""
+    return field.default if isinstance(field.default, int) else None
+
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def with_options(
+    *, but: Sequence[str] = (), **models: type[BaseModel]
+) -> Callable[[_Function], _Function]:
+    """Give a verb an option for each described field of some models.
+
+    Parameters
+    ----------
+    but : sequence of str
+        Fields without an option.
+    **models
+        By the argument of the verb, which gets the values of the options that were given.
+    """
+    fields = {
+        argument: {
+            name: field
+            for name, field in model.model_fields.items()
+            if field.description and not field.is_required() and name not in but
+        }
+        for argument, model in models.items()
+    }
+
+    def decorate(function: _Function) -> _Function:
+        @wraps(function)
+        def call(**values: Any) -> Any:
+            for argument, of_model in fields.items():
+                every = {name: values.pop(name) for name in of_model}
+                values[argument] = {
+                    name: v for name, v in every.items() if v not in (_default(of_model[name]), [])
+                }
+            return function(**values)
+
+        hints = get_type_hints(function, include_extras=True)
+        parameters: list[inspect.Parameter] = []
+        for parameter in inspect.signature(function).parameters.values():
+            kind = inspect.Parameter.KEYWORD_ONLY
+            if parameter.name not in fields:
+                hint = hints[parameter.name]
+                parameters.append(parameter.replace(kind=kind, annotation=hint))
+                continue
+            model = models[parameter.name]
+            for name, field in fields[parameter.name].items():
+                hint = Annotated[_type(field), option(model, name)]
+                parameters.append(
+                    inspect.Parameter(name, kind, default=_default(field), annotation=hint)
+                )
+        call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        call.__annotations__ = {p.name: p.annotation for p in parameters}
+        return call  # type: ignore[return-value]
+
+    return decorate
+
 
 RunPath = Annotated[
     Path, typer.Argument(metavar="RUN", help="Run folder, as docdepth run -o made it.")
@@ -32,15 +146,12 @@ Output = Annotated[
         "-o", "--output", metavar="RUN", help="Run folder: created, or continued if it is there."
     ),
 ]
-DatasetName = Annotated[
-    str | None,
-    typer.Option(
-        "--dataset",
-        help=f"Format of the recording: {', '.join(DATASETS)}; guessed if absent. "
-        f"Experimental, never tried on a real recording: {', '.join(experimental_formats())}.",
-        **one_of(DATASETS),
-    ),
-]
+GivenLabels = Annotated[Path | None, option(RunInputs, "labels")]
+DatasetName = Annotated[str | None, option(RunInputs, "dataset")]
+Frames = Annotated[str | None, option(RunInputs, "frames")]
+CameraNames = Annotated[list[str] | None, option(RunInputs, "camera")]
+Threads = Annotated[int, option(Execution, "threads")]
+RendererName = Annotated[str, option(Execution, "renderer")]
 PresetName = Annotated[
     str,
     typer.Option(
@@ -68,97 +179,6 @@ ConfigFile = Annotated[
         "run, whose recording and camera are then taken too. Options win over the file.",
     ),
 ]
-Frames = Annotated[
-    str | None,
-    typer.Option(
-        "--frames",
-        metavar="A:B",
-        help="Take sweeps A to B-1 of the recording only, counted from 0; all if absent.",
-    ),
-]
-PosesFile = Annotated[
-    str | None,
-    typer.Option(
-        "--poses",
-        metavar="FILE",
-        help="Poses of the LiDAR from your own SLAM, one per sweep: TUM, KITTI, PLY or NPY. "
-        "CAMERA:FILE for those of a camera, dataset for the recording's own; estimated if absent.",
-    ),
-]
-CameraTimes = Annotated[
-    Path | None,
-    typer.Option(
-        "--camera-times",
-        metavar="FILE",
-        help="Times of the images in seconds, one per line; those of the recording if absent.",
-    ),
-]
-CalibrationFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--calibration",
-        metavar="FILE",
-        help="calib.json of docdepth calibrate, or a text file with the 4x4 matrix T_camera_lidar: "
-        "taken in place of the recording's own calibration.",
-    ),
-]
-GivenLabels = Annotated[
-    Path | None,
-    typer.Option(
-        "--labels",
-        metavar="DIR",
-        help="Draw with the classes of another method: a folder of NAME.label (SemanticKITTI), "
-        "NAME.npy (classid) or NAME.pcd for each sweep, or a run. Nothing is classified then.",
-    ),
-]
-ImageSize = Annotated[
-    str | None,
-    typer.Option(
-        "--image-size",
-        metavar="WxH",
-        help="Size of the images in pixels, for a recording without images that does not tell "
-        "it, for example 1242x375.",
-    ),
-]
-OnError = Annotated[
-    str | None,
-    typer.Option(
-        "--on-error",
-        help="What to do about broken sweeps and images. stop: name them and end. skip: read all "
-        "before the run begins and leave out broken ones. As the run began if absent, else stop.",
-        **one_of(ON_ERROR),
-    ),
-]
-Keep = Annotated[
-    str | None,
-    typer.Option(
-        "--keep",
-        help="What stays once all is done. results: all but the frames, which are four fifths of "
-        "the bytes; view, map and render need them. frames: these as well; they are made again if "
-        "they were deleted. As the run began if absent, else frames.",
-        **one_of(KEPT),
-    ),
-]
-HashInputs = Annotated[
-    bool,
-    typer.Option(
-        "--hash-inputs",
-        help="Tell by their content whether sweeps and images have changed, not by size and time; "
-        "reads the whole recording once.",
-    ),
-]
-Force = Annotated[
-    bool,
-    typer.Option(
-        "--force",
-        help="Continue a run that was started with other inputs or parameters; what they change "
-        "is made again.",
-    ),
-]
-DryRun = Annotated[
-    bool,
-    typer.Option("--dry-run", help="Check all inputs and tell what would be made; make nothing."),
-]
 Settings = Annotated[
     list[str] | None,
     typer.Option(
@@ -168,37 +188,6 @@ Settings = Annotated[
         "docdepth parameters lists all.",
     ),
 ]
-Threads = Annotated[
-    int,
-    typer.Option(
-        min=0, max=256, metavar="N", help="Threads to use; 0 takes every core. Same result."
-    ),
-]
-Jobs = Annotated[
-    int,
-    typer.Option(
-        min=1,
-        max=1024,
-        metavar="N",
-        help="Processes of this machine that share the work after odometry. Same result.",
-    ),
-]
-Memory = Annotated[
-    str | None,
-    typer.Option(
-        metavar="SIZE",
-        help="Most memory of all processes together, for example 4G: ground grows in chunks short "
-        "enough, or the run says before it starts what it would need. Same result.",
-    ),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Dask scheduler (tcp://HOST:8786) whose workers share the work instead. They must see "
-        "recording and run folder under the same paths.",
-    ),
-]
 AllBelow = Annotated[
     Path | None,
     typer.Option(
@@ -206,23 +195,6 @@ AllBelow = Annotated[
         metavar="ROOT",
         help="Run every recording below this folder, the longest first, each into a folder of its "
         "own below -o. One that fails does not stop the others.",
-    ),
-]
-RendererName = Annotated[
-    str,
-    typer.Option(
-        "--renderer",
-        help=f"What draws: {', '.join(RENDERERS)}; all draw the same.",
-        **one_of(RENDERERS),
-    ),
-]
-CameraNames = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--camera",
-        metavar="NAME[,NAME...]",
-        help="Cameras to draw, as the recording names them (image_02), all, or none for poses and "
-        "labels alone; the left colour camera if absent.",
     ),
 ]
 OneCamera = Annotated[
@@ -301,16 +273,6 @@ Json = Annotated[
 ]
 
 
-def listed(names: list[str] | None) -> str | list[str] | None:
-    """Names from repeated options or commas; a single name as a string."""
-    from docdepth.errors import ConfigError
-
-    every = [name.strip() for text in names or [] for name in text.split(",")]
-    if "" in every:
-        raise ConfigError("--camera holds an empty name; write NAME or NAME,NAME")
-    return every[0] if len(every) == 1 else every or None
-
-
 def changes_of(settings: list[str] | None) -> dict[str, Any]:
     from docdepth.config import parse_settings
 
@@ -339,7 +301,7 @@ def reopen(path: Path, changes: dict[str, Any], *stages: str) -> RunFolder:
     check_stages(changes, *stages)
     folder = RunFolder.open(path)
     values = replaced(folder.parameters, changes)
-    folder.manifest["parameters"] = values.model_dump(mode="json")
+    folder.manifest.parameters = values
     return folder
 
 

@@ -9,31 +9,17 @@ import typer
 
 from docdepth.cli.options import (
     AllBelow,
-    CalibrationFile,
     CameraNames,
-    CameraTimes,
     ChosenPreset,
     ConfigFile,
-    DatasetName,
-    DryRun,
-    Force,
     Formats,
-    Frames,
     GivenLabels,
-    HashInputs,
-    ImageSize,
-    Jobs,
     Json,
-    Keep,
     LayerNames,
-    Memory,
-    OnError,
     Output,
-    PosesFile,
     RendererName,
     RunPath,
     Scale,
-    Scheduler,
     Settings,
     Threads,
     VirtualIntrinsics,
@@ -43,20 +29,25 @@ from docdepth.cli.options import (
     VirtualTimes,
     changes_of,
     check_stages,
-    listed,
     output_of,
     reopen,
+    with_options,
 )
 from docdepth.cli.progress import progress_bars
 from docdepth.cli.status import show_states
 from docdepth.cli.summary import show_json, show_summary
 from docdepth.cli.terminal import app, out, verb
+from docdepth.config import Parameters
+from docdepth.errors import ConfigError
+from docdepth.io.inputs import RunInputs, names_in
+from docdepth.pipeline.execution import Execution
 
 if TYPE_CHECKING:
     from docdepth.io.run_folder import RunFolder
 
 
 @verb(app)
+@with_options(inputs=RunInputs, execution=Execution)
 def run(
     recording: Annotated[
         Path | None,
@@ -70,29 +61,14 @@ def run(
     output: Output = None,
     every: AllBelow = None,
     config: ConfigFile = None,
-    dataset: DatasetName = None,
-    camera: CameraNames = None,
-    frames: Frames = None,
-    poses: PosesFile = None,
-    camera_times: CameraTimes = None,
-    calibration: CalibrationFile = None,
-    labels: GivenLabels = None,
-    image_size: ImageSize = None,
+    *,
+    inputs: dict[str, Any],
     preset: ChosenPreset = None,
     settings: Settings = None,
     format: Formats = None,
     scale: Scale = None,
     layers: LayerNames = None,
-    threads: Threads = 0,
-    jobs: Jobs = 1,
-    scheduler: Scheduler = None,
-    memory: Memory = None,
-    renderer: RendererName = "cpu",
-    on_error: OnError = None,
-    keep: Keep = None,
-    hash_inputs: HashInputs = False,
-    force: Force = False,
-    dry_run: DryRun = False,
+    execution: dict[str, Any],
     as_json: Json = False,
 ) -> None:
     """Turn a recording into a depth map for every camera image: all stages.
@@ -105,52 +81,51 @@ def run(
 
       docdepth run --all 2011_09_26 -o runs --jobs 8
     """
-    from docdepth.cli.config_file import Given, read_config
+    from docdepth.cli.config_file import RunConfigFile, read_config
     from docdepth.config import parameters
-    from docdepth.render.backends import Renderer
 
-    how: dict[str, Any] = {"dry_run": dry_run, "threads": threads, "renderer": Renderer(renderer)}
-    how |= {"jobs": jobs, "scheduler": scheduler, "keep": keep}
+    how = Execution(**execution)
     if output is None:
-        chosen = (every, config, dataset, camera, frames, poses, camera_times, calibration, labels,
-                  image_size, preset, settings, format, scale, layers, memory,
-                  on_error, hash_inputs or None, force or None)  # fmt: skip
-        return _show(_continue(recording, chosen, how), dry_run, as_json)
-    given = read_config(config) if config else Given()
-    inputs = given.inputs(
-        recording or every, dataset, listed(camera), poses, camera_times, image_size, frames,
-        calibration, labels,
-    )  # fmt: skip
-    changes = given.settings | changes_of(settings) | output_of(format, scale, layers)
-    how["parameters"] = parameters(preset or given.preset, changes)  # type: ignore[arg-type]
-    how |= {"memory": memory, "on_error": on_error, "hash_inputs": hash_inputs, "force": force}
-    if every is not None:
-        return _run_all(recording, output, inputs | how, as_json)
-    return _show(_run_one(output, inputs | how), dry_run, as_json)
+        chosen = [every, config, preset, settings, format, scale, layers, how.memory]
+        if inputs or how.force or any(option is not None for option in chosen):
+            recording = None if recording is None else _refuse_options(recording)
+        return _show(_continue(recording, how), as_json, how.dry_run)
+    file = read_config(config) if config else RunConfigFile()
+    inputs = file.inputs(recording or every, inputs)
+    changes = file.settings | changes_of(settings) | output_of(format, scale, layers)
+    values = parameters(preset or file.preset, changes)  # type: ignore[arg-type]
+    if every is None:
+        return _show(_run_one(inputs, output, values, how), as_json, how.dry_run)
+    if recording is not None:
+        raise ConfigError("--all names the recordings: leave out RECORDING")
+    return _run_all(inputs, output, values, how, as_json)
 
 
-def _show(folder: RunFolder, dry_run: bool, as_json: bool) -> None:
+def _show(folder: RunFolder, as_json: bool, dry_run: bool) -> None:
     return show_states(folder, as_json) if dry_run else show_summary(folder, as_json)
 
 
-def _run_one(output: Path, options: dict[str, Any]) -> RunFolder:
+def _run_one(
+    inputs: dict[str, Any], output: Path, values: Parameters, execution: Execution
+) -> RunFolder:
     """Run one recording."""
     from docdepth.pipeline.run import run
 
     with progress_bars() as progress:
-        return run(options.pop("recording"), output, **options, progress=progress)
+        return run(RunInputs(**inputs), output, values, execution.but(progress=progress))
 
 
-def _run_all(recording: Path | None, output: Path, options: dict[str, Any], as_json: bool) -> None:
+def _run_all(
+    inputs: dict[str, Any], output: Path, values: Parameters, execution: Execution, as_json: bool
+) -> None:
     """Run every recording of a data set, and list what failed."""
     from docdepth.cli.failures import BUG, MISTAKE, explain
-    from docdepth.errors import ConfigError
     from docdepth.pipeline.run_all import run_all
 
-    if recording is not None:
-        raise ConfigError("--all names the recordings: leave out RECORDING")
+    options = vars(execution) | inputs
     with progress_bars() as progress:
-        ended = run_all(options.pop("recording"), output, **options, progress=progress)
+        options |= {"parameters": values, "progress": progress}
+        ended = run_all(options.pop("recording"), output, **options)
     failed = {one.recording: one.error for one in ended if one.error is not None}
     told = {place: explain(error) for place, error in failed.items()}
     said = {place: str(known.sentence if known else failed[place]) for place, known in told.items()}
@@ -158,7 +133,7 @@ def _run_all(recording: Path | None, output: Path, options: dict[str, Any], as_j
         show_json([{"recording": str(one.recording), "run": str(one.folder),
                     "error": said.get(one.recording)} for one in ended])  # fmt: skip
     else:
-        state = "pass all checks" if options["dry_run"] else f"are done; see {output}"
+        state = "pass all checks" if execution.dry_run else f"are done; see {output}"
         out.print(f"{len(ended) - len(failed)} of {len(ended)} recordings {state}")
         for recording, sentence in said.items():
             out.print(f"failed: {recording}: {sentence}", soft_wrap=True, markup=False)
@@ -166,20 +141,23 @@ def _run_all(recording: Path | None, output: Path, options: dict[str, Any], as_j
         raise typer.Exit(BUG if None in told.values() else MISTAKE)
 
 
-def _continue(run: Path | None, chosen: tuple[object, ...], how: dict[str, Any]) -> RunFolder:
-    """Bring a run up to date by its run.yaml; no option can be chosen."""
-    from docdepth.errors import ConfigError
-    from docdepth.pipeline.run import continue_run
-
-    if run is None or not (run / "run.yaml").is_file():
-        raise ConfigError("no run folder: docdepth run RECORDING -o RUN, or docdepth run RUN")
-    if any(option is not None for option in chosen):
+def _refuse_options(run: Path) -> Path:
+    if (run / "run.yaml").is_file():
         raise ConfigError(
             "a run alone goes on with what run.yaml holds: give no other option, or RECORDING and "
             "-o RUN"
         )
+    return run
+
+
+def _continue(run: Path | None, execution: Execution) -> RunFolder:
+    """Bring a run up to date by its run.yaml."""
+    from docdepth.pipeline.run import continue_run
+
+    if run is None or not (run / "run.yaml").is_file():
+        raise ConfigError("no run folder: docdepth run RECORDING -o RUN, or docdepth run RUN")
     with progress_bars() as progress:
-        return continue_run(run, **how, progress=progress)
+        return continue_run(run, execution.but(progress=progress))
 
 
 @verb(app)
@@ -189,10 +167,9 @@ def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
     from docdepth.pipeline.run_inputs import known_poses, open_recording
 
     folder = reopen(run, changes_of(settings), "odometry")
-    source = folder.manifest["source"]
-    recording = open_recording(source)
+    recording = open_recording(folder.inputs, folder.manifest.derived)
     with progress_bars() as progress:
-        run_odometry(folder, recording, known_poses(source, recording), progress, threads)
+        run_odometry(folder, recording, known_poses(folder.inputs, recording), progress, threads)
     show_summary(folder)
 
 
@@ -206,7 +183,8 @@ def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
     from docdepth.pipeline.run_state import require
 
     folder = reopen(run, changes_of(settings), "ground", "dynamics")
-    folder.manifest["source"].pop("labels", None)
+    if folder.manifest.inputs is not None:
+        folder.manifest.inputs = folder.manifest.inputs.but(labels=None)
     require(folder, "odometry")
     with progress_bars() as progress:
         run_classify(folder, threads, progress)
@@ -234,7 +212,6 @@ def render(
 
     docdepth render RUN --pose 0,0,0.5 --K 700,700,640,360 --size 1280x720
     """
-    from docdepth.errors import ConfigError
     from docdepth.pipeline.run import render_again
     from docdepth.pipeline.virtual_camera import virtual_camera
     from docdepth.render.backends import Renderer
@@ -254,7 +231,7 @@ def render(
         folder = render_again(
             run,
             changes,
-            listed(camera),
+            names_in(camera),
             ("virtual" if name is None else name, described) if described else None,
             labels=labels,
             threads=threads,

@@ -32,10 +32,10 @@ def status(
 def show_states(folder: RunFolder, as_json: bool, verify: bool = False) -> None:
     """Print the state of each stage."""
     from docdepth.io.lock import holder
-    from docdepth.io.manifest import SKIPPED, skipped_frames
     from docdepth.pipeline.run_state import changes_since_start, states
 
-    skipped = skipped_frames(folder.manifest["source"].get(SKIPPED))
+    left_out = folder.manifest.derived.skipped
+    skipped = [] if left_out is None else left_out.sentences()
     found, busy = states(folder, verify=verify), holder(folder.notes / "lock")
     if as_json:
         return show_json(
@@ -43,7 +43,7 @@ def show_states(folder: RunFolder, as_json: bool, verify: bool = False) -> None:
                 "in_use_by": busy,
                 "stages": [state.as_dict() for state in found],
                 "skipped": skipped,
-                "estimate": folder.manifest.get("estimate", ""),
+                "estimate": folder.manifest.estimate,
             }
         )
     table = Table("stage", "state", "frames", "seconds", "MB", "why", box=None)
@@ -56,7 +56,7 @@ def show_states(folder: RunFolder, as_json: bool, verify: bool = False) -> None:
     lines += [f"left out: {text}" for text in skipped]
     lines += changes_since_start(folder)
     if left := [state.name for state in found if state.state != "done"]:
-        lines += [str(folder.manifest["estimate"])] * ("estimate" in folder.manifest)
+        lines += [folder.manifest.estimate] * bool(folder.manifest.estimate)
         lines.append(f"docdepth run {folder.path} makes: {', '.join(left)}")
     for line in lines:
         out.print(line, soft_wrap=True, markup=False)

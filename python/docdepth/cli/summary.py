@@ -39,7 +39,7 @@ def summary_of(folder: RunFolder) -> dict[str, Any]:
     """State and seconds of each stage, cameras and peak memory, ready for JSON."""
     from docdepth.pipeline.run_state import states
 
-    stages = folder.manifest["stages"]
+    stages = folder.manifest.stages
     found = states(folder)
     return {
         "run": str(folder.path),
@@ -48,21 +48,21 @@ def summary_of(folder: RunFolder) -> dict[str, Any]:
                 "state": state.state,
                 "why": state.why,
                 "frames": state.all_frames,
-                "made": folder.stage(state.name).get("total_frames", 0),
+                "made": folder.stage(state.name).total_frames,
                 "seconds": state.seconds,
-                "seconds_by_step": folder.stage(state.name).get("seconds", {}),
-                "warnings": folder.stage(state.name).get("warnings", []),
+                "seconds_by_step": folder.stage(state.name).seconds,
+                "warnings": folder.stage(state.name).warnings,
             }
             for state in found
         },
         "cameras": {
             name: {
-                "density": folder.stage(f"render {name}").get("density"),
-                "left_out": folder.stage(f"render {name}").get("left_out", []),
+                "density": folder.stage(f"render {name}").density,
+                "left_out": folder.stage(f"render {name}").left_out,
             }
             for name in folder.cameras
         },
-        "peak_memory_mb": max((s.get("peak_memory_mb", 0) for s in stages.values()), default=0),
+        "peak_memory_mb": max((entry.peak_memory_mb for entry in stages.values()), default=0),
     }
 
 

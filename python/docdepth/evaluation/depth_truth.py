@@ -75,7 +75,7 @@ class DepthTruth:
         self._intrinsics: str | None = None
         self.folder = folder
         if (folder / _SELECTION).is_dir():
-            drive = Path(str(run.manifest["source"].get("dataset"))).name
+            drive = (run.recording_path or run.path).name
             self._intrinsics = f"{drive}_image_{{}}_{camera}.txt"
             start, end = f"{drive}_{_SELECTION}_", f"_{camera}"
             found = maps_in(folder / _SELECTION)

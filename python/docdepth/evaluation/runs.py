@@ -6,7 +6,6 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -310,5 +309,5 @@ def _truth_folder(path: Path, inside: str, run: RunFolder) -> Path:
 
 
 def _poses(folder: RunFolder) -> str:
-    source: dict[str, Any] = folder.manifest["source"]
-    return str(source.get("poses") or "small_gicp")
+    inputs = folder.manifest.inputs
+    return (None if inputs is None else inputs.poses) or "small_gicp"

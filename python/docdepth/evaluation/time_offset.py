@@ -146,9 +146,10 @@ def time_offset(
 def image_times(run: Path, camera: str | None = None) -> NDArray[np.int64]:
     """Times of all images of a camera of a run [ns], also of those beside its range of frames."""
     folder = RunFolder.open(run)
-    source = {**folder.manifest["source"], "frames": None}
+    inputs = folder.inputs.but(frames=None)
     name = folder.camera_in(folder.depth_folder(camera))
-    return open_cameras(source, open_recording(source), [name])[0].times
+    recording = open_recording(inputs, folder.manifest.derived)
+    return open_cameras(inputs, recording, [name])[0].times
 
 
 def _windows(

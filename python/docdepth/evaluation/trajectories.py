@@ -18,10 +18,11 @@ from docdepth.errors import InputError, OdometryError, log_findings
 from docdepth.evaluation.tables import Table, number, plain
 from docdepth.geometry.se3 import inverse, nearest_rotation
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.inputs import OWN_POSES
 from docdepth.io.poses import read_timed_poses
 from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.pose_checks import find_camera_poses, move_upwards
-from docdepth.pipeline.given_poses import file_of_poses, poses_entry, read_given_poses
+from docdepth.pipeline.given_poses import file_of_poses, read_given_poses
 from docdepth.pipeline.run_inputs import open_recording
 from docdepth.pipeline.run_state import require
 
@@ -185,16 +186,15 @@ def evaluate_trajectories(run: Path | str | RunFolder, poses: Path | str) -> Tra
     folder = RunFolder.open(run)
     require(folder, "odometry", frames=False)
     made = folder.trajectory()
-    source = folder.manifest["source"]
-    entry = poses_entry(poses)
-    assert entry is not None
+    inputs = folder.inputs
+    entry = inputs.but(poses=poses).poses or OWN_POSES
     file = file_of_poses(entry)
-    recording = open_recording(source)
+    recording = open_recording(inputs, folder.manifest.derived)
     timed = None if file is None else _of_other_rate(file, recording)
     truth = timed or Trajectory(made.times, read_given_poses(entry, recording))
     if not move_upwards(made.poses):
         log_findings(log, find_camera_poses(truth.poses))
-    return compare_trajectories(truth, made, str(source.get("poses") or "small_gicp"))
+    return compare_trajectories(truth, made, inputs.poses or "small_gicp")
 
 
 def _of_other_rate(file: Path, recording: Dataset) -> Trajectory | None:

@@ -1,74 +1,193 @@
-"""Reading ``run.yaml``: inputs, parameters, cameras and the profile of each stage."""
+"""``run.yaml``: inputs, parameters, cameras and the profile of each stage."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import yaml
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from docdepth._core import __version__
+from docdepth.config import Parameters, stored_parameters
+from docdepth.errors import ConfigError
 from docdepth.io.file_records import is_file_name
+from docdepth.io.inputs import Checked, DerivedInputs, RunInputs
 from docdepth.io.yaml_json import parse_yaml
 
-SKIPPED = "skipped"
-"""Entry of ``source``: broken frames that the run leaves out. ``sweeps`` by number, ``images`` by
-camera and name, each with what is wrong, and ``checked``, a hash of the files that were looked at.
-"""
-
-KEPT = ("frames", "results")
-"""What ``run --keep`` takes: whether the frames stay once all is done, or only the results."""
-
-WITHOUT_FRAMES = "without_frames"
-"""Entry of a run whose frames were deleted when all was done: the keys of the stages that made
-them. While these are up to date, no frame is missing."""
+Keep = Literal["frames", "results"]
+"""Whether the frames stay once all is done, or only the results."""
 
 
-def first_difference(have: Any, want: Any, path: str = "") -> str:
-    """Say what differs first between two trees of values."""
-    if isinstance(have, dict) and isinstance(want, dict):
-        for key in {**have, **want}:
-            if have.get(key) != want.get(key):
-                return first_difference(
-                    have.get(key), want.get(key), f"{path}.{key}" if path else key
-                )
-    if want is None:
-        return f"{path} is {have!r}, and now it is not given"
-    return f"{path} is {'not given' if have is None else repr(have)}, not {want!r}"
+def _inside_depth(folder: str) -> str:
+    if folder and not is_file_name(folder):
+        raise ValueError("it is no folder in depth/")
+    return folder
 
 
-def read_manifest(path: Path) -> dict[str, Any] | None:
-    """The content of run.yaml; None if it is missing or damaged."""
+class VirtualCamera(Checked):
+    """A camera that moves with the LiDAR.
+
+    Attributes
+    ----------
+    T_lidar_camera, K : 4x4 and 3x3 matrix
+    size : (int, int)
+        Width and height in pixels.
+    times : Path, optional
+        File with the time of each image; the times of the sweeps if absent.
+    """
+
+    T_lidar_camera: tuple[tuple[float, float, float, float], ...]
+    K: tuple[tuple[float, float, float], ...]
+    size: tuple[int, int]
+    times: Path | None = None
+
+
+class CameraEntry(Checked):
+    """A camera of a run.
+
+    Attributes
+    ----------
+    folder : str
+        Where its maps lie in ``depth/``; empty for ``depth/`` itself.
+    settings : dict
+        Parameters of this camera alone, by dotted name.
+    virtual : VirtualCamera, optional
+        None for a camera of the recording.
+    """
+
+    folder: Annotated[str, AfterValidator(_inside_depth)]
+    settings: dict[str, Any] = Field(default_factory=dict)
+    virtual: VirtualCamera | None = None
+
+
+class StageEntry(Checked):
+    """State and profile of a stage.
+
+    Attributes
+    ----------
+    state : {"running", "done"}
+    key : str, optional
+        Hash of what its results are made of; None before it begins.
+    all_frames : int
+        Sweeps or images of the stage.
+    frames, wall_seconds, seconds
+        What the last command worked on, how long, and the seconds of each step.
+    total_frames, total_seconds, peak_memory_mb
+        Of all commands together.
+    warnings, left_out : tuple of str
+        Left out are images outside the sweeps.
+    renderer, density, calibration
+        Who drew, the mean share of pixels with depth, and what images say of the calibration.
+    labels, tracks
+        The folder of classes of another method, and whether its tracks are used.
+    """
+
+    state: Literal["running", "done"] = "running"
+    key: str | None = None
+    all_frames: int = 0
+    frames: int = 0
+    wall_seconds: float = 0.0
+    seconds: dict[str, float] = Field(default_factory=dict)
+    total_frames: int = 0
+    total_seconds: float = 0.0
+    peak_memory_mb: int = 0
+    warnings: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    renderer: str | None = None
+    density: float | None = None
+    calibration: str | None = None
+    labels: str | None = None
+    tracks: bool | None = None
+
+
+class RunManifest(BaseModel):
+    """The content of run.yaml.
+
+    Attributes
+    ----------
+    docdepth : str
+        Version that started the run.
+    inputs : RunInputs, optional
+        None where the folder was not made of a recording.
+    derived : DerivedInputs
+    parameters : Parameters
+    parameters_at_start : Parameters, optional
+        Before a stage changed some.
+    cameras : dict of str to CameraEntry
+    stages : dict of str to StageEntry
+    keep : {"frames", "results"}, optional
+        What stays once all is done; ``frames`` if absent.
+    frames_deleted : dict of str to str, optional
+        Keys of the stages whose frames were deleted. While these are up to date, none is missing.
+    chunk_length : float, optional
+        Length of chunks of ground that keep to a budget of memory [m].
+    warnings, estimate
+        What the checks of the inputs have found.
+    folders_written : list of str, optional
+        Folders that docdepth has written into; None if it did not make this folder.
+    trial : str, optional
+        Of ``tune``: hash of what the trial is made of.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    docdepth: str = __version__
+    inputs: RunInputs | None = None
+    derived: DerivedInputs = DerivedInputs()
+    parameters: Parameters = Parameters()
+    parameters_at_start: Parameters | None = None
+    cameras: dict[str, CameraEntry] = {}
+    keep: Keep | None = None
+    frames_deleted: dict[str, str | None] | None = None
+    chunk_length: float | None = None
+    warnings: list[str] = []
+    estimate: str = ""
+    folders_written: list[str] | None = None
+    trial: str | None = None
+    stages: dict[str, StageEntry] = {}
+
+    def text(self) -> bytes:
+        """As run.yaml holds it."""
+        tree = self.model_dump(mode="json", exclude_none=True)
+        return yaml.safe_dump(tree, sort_keys=False).encode()
+
+
+def read_manifest(path: Path) -> RunManifest | None:
+    """The content of run.yaml; None if it is missing or damaged.
+
+    Raises
+    ------
+    ConfigError
+        A parameter is refused: someone has changed it.
+    """
     try:
-        found = parse_yaml(path.read_text(encoding="utf-8"))
+        tree = parse_yaml(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    if not isinstance(found, dict) or "parameters" not in found:
+    if not isinstance(tree, dict) or not {"parameters", "stages"} <= tree.keys():
         return None
-    source, stages = found.get("source"), found.get("stages")
-    if not isinstance(source, dict) or not isinstance(stages, dict):
+    try:
+        found = RunManifest.model_validate({**tree, "parameters": {}, "parameters_at_start": None})
+    except (ValidationError, ConfigError):
         return None
-    if not isinstance(found.get(WITHOUT_FRAMES, {}), dict):
-        return None
-    cameras = found.setdefault("cameras", {})
-    sound = isinstance(cameras, dict) and all(map(_is_camera, cameras.values()))
-    return found if sound and all(isinstance(stage, dict) for stage in stages.values()) else None
-
-
-def _is_camera(entry: Any) -> bool:
-    """Whether an entry names a folder that lies in ``depth/``, or ``depth/`` itself."""
-    folder = entry.get("folder") if isinstance(entry, dict) else None
-    plain = isinstance(folder, str) and (folder == "" or is_file_name(folder))
-    return plain and isinstance(entry.get("settings", {}), dict)
-
-
-def skipped_frames(skipped: dict[str, Any] | None) -> list[str]:
-    """A sentence for each frame that a run leaves out."""
-    if not skipped:
-        return []
-    found = [f"sweep {k}: {why}" for k, why in skipped.get("sweeps", {}).items()]
-    for camera, images in skipped.get("images", {}).items():
-        found += [f"image {name} of {camera}: {why}" for name, why in images.items()]
+    found.parameters = stored_parameters(tree["parameters"], path)
+    if "parameters_at_start" in tree:
+        found.parameters_at_start = stored_parameters(tree["parameters_at_start"], path)
     return found
 
 
-def without_skipped(source: dict[str, Any]) -> dict[str, Any]:
-    """``source`` without what follows from its files: which frames are broken."""
-    return {name: value for name, value in source.items() if name != SKIPPED}
+def first_difference(have: BaseModel, want: BaseModel) -> str:
+    """Say what differs first between two models."""
+    return _first_difference(have.model_dump(mode="json"), want.model_dump(mode="json"))
+
+
+def _first_difference(have: Any, want: Any, path: str = "") -> str:
+    if isinstance(have, dict) and isinstance(want, dict):
+        for key in {**have, **want}:
+            if have.get(key) != want.get(key):
+                inner = f"{path}.{key}" if path else key
+                return _first_difference(have.get(key), want.get(key), inner)
+    if want is None:
+        return f"{path} is {have!r}, and now it is not given"
+    return f"{path} is {'not given' if have is None else repr(have)}, not {want!r}"

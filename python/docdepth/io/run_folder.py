@@ -5,17 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-from copy import deepcopy
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
-from docdepth._core import __version__
-from docdepth.config import Parameters, stored_parameters
+from docdepth.config import Parameters
 from docdepth.errors import DamagedFileError, InputError, RunError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.lidar_frame import LidarFrame
@@ -29,11 +26,13 @@ from docdepth.io.frames import (
     read_trajectory,
     write_frame,
 )
+from docdepth.io.inputs import DerivedInputs, RunInputs
 from docdepth.io.manifest import (
-    WITHOUT_FRAMES,
+    CameraEntry,
+    RunManifest,
+    StageEntry,
     first_difference,
     read_manifest,
-    without_skipped,
 )
 from docdepth.io.recorded_folder import NOTES, RecordedFolder, move_aside
 from docdepth.io.sensors import read_sensors, sensors_bytes
@@ -45,8 +44,8 @@ log = logging.getLogger(__name__)
 class RunFolder(RecordedFolder):
     """The files of one run.
 
-    ``run.yaml`` holds the inputs (``source``), the parameters, the cameras and the profile of each
-    stage. All other files are results:
+    ``run.yaml`` (:class:`RunManifest`) holds the inputs, the parameters, the cameras and the
+    profile of each stage. All other files are results:
 
     - ``traj_odometry.ply``: LiDAR poses; ``frames/frame_NNNNNN.ply``: deskewed sweeps, with classes
       once they are classified; ``sensors.npz``: where the LiDARs or their lasers sit;
@@ -64,30 +63,39 @@ class RunFolder(RecordedFolder):
         super().__init__(path)
         self._saved: bytes | None = None  # run.yaml as it is on disk
         self._is_readable = False
-        self.manifest: dict[str, Any] = self._load()
+        found = self._load()
+        self.begun = found is not None
+        self.manifest = found or RunManifest()
 
     @classmethod
-    def create(cls, path: Path, source: dict[str, Any], parameters: Parameters) -> RunFolder:
+    def create(cls, path: Path, inputs: RunInputs | None, parameters: Parameters) -> RunFolder:
         """The folder of a new or an existing run; see :meth:`start`."""
         run = cls(path)
-        run.start(source, parameters)
+        run.start(inputs, parameters)
         return run
 
-    def start(self, source: dict[str, Any], parameters: Parameters, force: bool = False) -> None:
+    def start(
+        self,
+        inputs: RunInputs | None,
+        parameters: Parameters,
+        force: bool = False,
+        derived: DerivedInputs | None = None,
+    ) -> None:
         """Start a run, or continue the one in this folder if inputs and parameters are the same.
 
         Nothing is written before a stage begins.
 
         Parameters
         ----------
-        source : dict
-            The inputs: dataset, camera, poses and more, plain YAML values; see
-            :mod:`docdepth.pipeline.run_inputs`.
+        inputs : RunInputs, optional
+            None for arrays that come from no recording.
         parameters : Parameters
             A run that a stage has changed since goes on with what it has, if it was started with
             these.
         force : bool
             Continue a run with other inputs or parameters, too.
+        derived : DerivedInputs, optional
+            What was found in the inputs.
 
         Raises
         ------
@@ -96,46 +104,51 @@ class RunFolder(RecordedFolder):
         """
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"{self.path} is a file; choose a folder with -o")
-        asked = parameters.model_dump(mode="json")
-        if self.manifest:
-            self._continue(source, asked, force)
+        derived = derived or DerivedInputs()
+        if self.begun:
+            self._continue(inputs, derived, parameters, force)
         elif self._has_foreign_files():
             raise RunError(
                 f"{self.path} is not empty and holds no run; choose another folder with -o"
             )
         else:
-            self.manifest = {
-                "docdepth": __version__,
-                "source": source,
-                "parameters": asked,
-                "parameters_at_start": parameters.model_dump(mode="json"),
-                "cameras": {},
-                "folders_written": [],
-                "stages": {},
-            }
+            self.manifest = RunManifest(
+                inputs=inputs,
+                derived=derived,
+                parameters=parameters,
+                parameters_at_start=parameters,
+                folders_written=[],
+            )
+            self.begun = True
 
-    def _continue(self, source: dict[str, Any], asked: dict[str, Any], force: bool) -> None:
+    def _continue(
+        self,
+        inputs: RunInputs | None,
+        derived: DerivedInputs,
+        parameters: Parameters,
+        force: bool,
+    ) -> None:
         """Go on with a run that was started before."""
-        known = self.parameters.model_dump(mode="json")
-        first = self.manifest.get("parameters_at_start", known)
-        # Another camera is added to those that the run has.
-        if "camera" in source:
-            source = {**source, "camera": self.manifest["source"].get("camera")}
-        before = {"source": without_skipped(self.manifest["source"]), "parameters": first}
-        wanted = {"source": without_skipped(source), "parameters": asked}
-        for part in wanted:
-            if before[part] != wanted[part] and not force:
-                if part == "parameters" and asked == known:
-                    continue
-                difference = first_difference(before[part], wanted[part])
-                raise RunError(
-                    f"{self.path} holds another run: its {difference}; "
-                    "choose another folder with -o, or go on here with the new values by --force"
-                )
-        changed = asked != first or "parameters_at_start" not in self.manifest
-        values = asked if changed else known
-        self.manifest |= {"source": source, "parameters": values}
-        self.manifest["parameters_at_start"] = deepcopy(asked)
+        begun, known = self.manifest, self.manifest.parameters
+        first = begun.parameters_at_start or known
+        comparable = inputs
+        if inputs is not None and begun.inputs is not None:
+            # Another camera is added to those that the run has.
+            inputs = inputs.but(camera=begun.inputs.camera)
+            comparable = inputs.but(on_error=begun.inputs.on_error)
+        found = begun.derived.model_copy(update={"skipped": derived.skipped})
+        for have, want in (begun.inputs, comparable), (found, derived), (first, parameters):
+            if have == want or force or (want is parameters and parameters == known):
+                continue
+            difference = first_difference(have or RunManifest(), want or RunManifest())
+            raise RunError(
+                f"{self.path} holds another run: its {difference}; "
+                "choose another folder with -o, or go on here with the new values by --force"
+            )
+        begun.inputs, begun.derived = inputs, derived
+        if parameters != first or begun.parameters_at_start is None:
+            begun.parameters = parameters
+        begun.parameters_at_start = parameters
 
     def _has_foreign_files(self) -> bool:
         """Whether there is something in the folder though docdepth never wrote into it."""
@@ -163,7 +176,7 @@ class RunFolder(RecordedFolder):
         if isinstance(path, RunFolder):
             return path
         run = cls(Path(path))
-        if not run.manifest:
+        if not run.begun:
             if run._manifest_path.exists() or run._records_file(run.path).is_file():
                 raise RunError(
                     f"{run._manifest_path} is missing or damaged; give the first command again: "
@@ -173,12 +186,10 @@ class RunFolder(RecordedFolder):
                 raise RunError(
                     f"{path} holds no run; start one with: docdepth run RECORDING -o {path}"
                 )
-            defaults = Parameters().model_dump(mode="json")
-            run.manifest = {"source": {}, "parameters": defaults, "cameras": {}, "stages": {}}
         return run
 
-    def _load(self) -> dict[str, Any]:
-        """The content of run.yaml, or of its copy; empty where both are missing or damaged."""
+    def _load(self) -> RunManifest | None:
+        """The content of run.yaml, or of its copy; None where both are missing or damaged."""
         self._saved = self._manifest_text()
         found = read_manifest(self._manifest_path)
         self._is_readable = found is not None
@@ -186,7 +197,7 @@ class RunFolder(RecordedFolder):
             found = read_manifest(self._copy_path)
             if found is not None:
                 log.warning("%s was missing or damaged; its copy is used", self._manifest_path)
-        return found or {}
+        return found
 
     def _manifest_text(self) -> bytes | None:
         try:
@@ -201,10 +212,11 @@ class RunFolder(RecordedFolder):
             )
 
     def _has_written_into(self, name: str) -> bool:
-        return name in self.manifest.get("folders_written", [name])
+        folders = self.manifest.folders_written
+        return folders is None or name in folders
 
     def _note_written_into(self, name: str) -> None:
-        folders = self.manifest.get("folders_written")
+        folders = self.manifest.folders_written
         if folders is not None and name not in folders:
             folders.append(name)
             self.save()
@@ -229,25 +241,43 @@ class RunFolder(RecordedFolder):
     @property
     def parameters(self) -> Parameters:
         """The parameters of the run."""
-        return stored_parameters(self.manifest.get("parameters"), self._manifest_path)
+        return self.manifest.parameters
+
+    @property
+    def inputs(self) -> RunInputs:
+        """What the run is made of.
+
+        Raises
+        ------
+        RunError
+            It was not made of a recording.
+        """
+        if self.manifest.inputs is None:
+            raise RunError(f"{self.path} was not made of a recording; name one: docdepth run")
+        return self.manifest.inputs
+
+    @property
+    def recording_path(self) -> Path | None:
+        """The recording; None if the run was not made of one."""
+        return None if self.manifest.inputs is None else self.manifest.inputs.recording
 
     def save(self) -> None:
         """Write run.yaml, and a copy that is used where the first is damaged."""
         if self._saved is not None and not self._is_readable:
             move_aside(self._manifest_path)  # it is no run.yaml of docdepth, or damaged
         self._is_readable = True
-        text = self._saved = yaml.safe_dump(self.manifest, sort_keys=False).encode()
+        text = self._saved = self.manifest.text()
         for path in (self._manifest_path, self._copy_path):
             if not path.is_file() or path.read_bytes() != text:
                 write_atomically(path, lambda stream: stream.write(text))
 
-    def stage(self, name: str) -> dict[str, Any]:
-        """State of a stage in run.yaml; empty before it starts."""
-        return dict(self.manifest["stages"].get(name, {}))
+    def stage(self, name: str) -> StageEntry:
+        """State of a stage in run.yaml; its key is None before it starts."""
+        return self.manifest.stages.get(name, StageEntry())
 
     def set_stage(self, name: str, **state: Any) -> None:
         """Update and save the state of a stage."""
-        self.manifest["stages"][name] = {**self.stage(name), **state}
+        self.manifest.stages[name] = StageEntry(**self.stage(name).model_dump() | state)
         self.save()
 
     def made_of(self, stage: str) -> dict[str, Any]:
@@ -281,7 +311,7 @@ class RunFolder(RecordedFolder):
         ------
         RunError
         """
-        if WITHOUT_FRAMES in self.manifest:
+        if self.manifest.frames_deleted is not None:
             raise RunError(
                 f"{self.path} keeps only its results (--keep results), and this needs its frames; "
                 f"make them again: docdepth run {self.path} --keep frames"
@@ -373,8 +403,8 @@ class RunFolder(RecordedFolder):
         RunError
             There is no such camera, there are several and none is named, or the run has none.
         """
-        folders = {name: str(entry["folder"]) for name, entry in self.cameras.items()}
-        if not folders and self.manifest.get("source"):
+        folders = {name: entry.folder for name, entry in self.cameras.items()}
+        if not folders and self.manifest.inputs is not None:
             raise RunError(
                 f"{self.path} has no depth maps, since its run has no camera; name one: "
                 f"docdepth run RECORDING -o {self.path} --camera NAME"
@@ -382,7 +412,7 @@ class RunFolder(RecordedFolder):
         if not folders:  # of the official release, or of arrays
             apart = (p.name for p in (self.path / "depth").glob("*") if p.is_dir())
             folders = {name: name for name in sorted(apart)} or {"camera": ""}
-        recorded = [n for n in folders if "virtual" not in self.cameras.get(n, {})]
+        recorded = [n for n in folders if n not in self.cameras or self.cameras[n].virtual is None]
         if camera is None and len(recorded) == 1:
             return folders[recorded[0]]
         if camera in folders:
@@ -395,18 +425,13 @@ class RunFolder(RecordedFolder):
 
     def camera_in(self, folder: str) -> str:
         """Name of the camera whose maps lie in a folder of ``depth/``."""
-        names = (name for name, entry in self.cameras.items() if entry["folder"] == folder)
+        names = (name for name, entry in self.cameras.items() if entry.folder == folder)
         return next(names, folder)
 
     @property
-    def cameras(self) -> dict[str, dict[str, Any]]:
-        """The cameras of the run by name, as run.yaml holds them.
-
-        ``folder`` is where in ``depth/`` the maps lie, ``settings`` are parameters of this camera
-        alone, ``virtual`` tells where a virtual camera sits.
-        """
-        cameras: dict[str, dict[str, Any]] = self.manifest["cameras"]
-        return cameras
+    def cameras(self) -> dict[str, CameraEntry]:
+        """The cameras of the run by name, as run.yaml holds them."""
+        return self.manifest.cameras
 
 
 def _identity(path: Path) -> tuple[int, ...]:

@@ -1,8 +1,6 @@
 """Broken sweeps and images: ``--on-error skip`` finds them before a run begins and leaves them out.
 
-The entry ``skipped`` of ``source`` in run.yaml names them: ``sweeps`` by number, ``images`` by
-camera and name, each with what is wrong, and ``checked``, a hash of all files that were read for
-it. A run without the entry stops at the first of them.
+run.yaml names them (:class:`SkippedFrames`). A run that does not skip stops at the first of them.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ from docdepth.datasets import CameraStream, Dataset, FrameRange
 from docdepth.datasets.images import file_of
 from docdepth.diagnostics.sweeps import check_sweep
 from docdepth.errors import DatasetError, DocDepthError
-from docdepth.io.manifest import SKIPPED, skipped_frames
+from docdepth.io.inputs import SkippedFrames
 from docdepth.io.run_folder import stage_key
 
 log = logging.getLogger(__name__)
@@ -25,20 +23,22 @@ log = logging.getLogger(__name__)
 _MOST = 0.5  # of the sweeps of a recording; if more are broken, it is not the sweeps
 
 
-def kept_part(recording: Dataset, source: dict[str, Any]) -> Dataset:
-    """The sweeps of a recording that a run is of: ``--frames``, without those that are skipped."""
-    skipped = source.get(SKIPPED) or {}
-    sweeps, images = skipped.get("sweeps", {}), skipped.get("images", {})
-    if not source.get("frames") and not sweeps and not images:
+def kept_part(
+    recording: Dataset, frames: str | None, skipped: SkippedFrames | None = None
+) -> Dataset:
+    """The sweeps of a recording that a run is of: ``frames``, without those that are skipped."""
+    sweeps = [] if skipped is None else list(skipped.sweeps)
+    images = {} if skipped is None else skipped.images
+    if not frames and not sweeps and not images:
         return recording
-    return FrameRange(recording, source.get("frames") or ":", [int(k) for k in sweeps], images)
+    return FrameRange(recording, frames or ":", sweeps, images)
 
 
 def find_broken(
     recording: Dataset,
     cameras: Sequence[CameraStream],
-    known: dict[str, Any] | None = None,
-) -> dict[str, Any]:
+    known: SkippedFrames | None = None,
+) -> SkippedFrames:
     """Read every sweep and image once, and tell which are broken.
 
     Parameters
@@ -47,13 +47,12 @@ def find_broken(
         The part of the recording that the run is of.
     cameras : sequence of CameraStream
         Whose images are wanted.
-    known : dict, optional
+    known : SkippedFrames, optional
         What was found before; it holds as long as the files are the same.
 
     Returns
     -------
-    dict
-        ``checked``, ``sweeps`` and ``images``, for run.yaml.
+    SkippedFrames
 
     Raises
     ------
@@ -62,7 +61,7 @@ def find_broken(
     """
     numbers = recording.indices if isinstance(recording, FrameRange) else range(len(recording))
     checked = stage_key(list(_identities(recording, cameras)), list(numbers))
-    if known and known.get("checked") == checked:
+    if known is not None and known.checked == checked:
         return known
     log.info("every sweep and image is read, to find broken ones")
     sweeps: dict[int, str] = {}
@@ -81,9 +80,10 @@ def find_broken(
             problem = _problem(partial(stream.image, k))
             if problem:
                 images.setdefault(stream.name, {})[name] = problem
-    for text in skipped_frames({"sweeps": sweeps, "images": images}):
+    found = SkippedFrames(checked=checked, sweeps=sweeps, images=images)
+    for text in found.sentences():
         log.warning("left out: %s", text)
-    return {"checked": checked, "sweeps": sweeps, "images": images}
+    return found
 
 
 def _check_sweep(recording: Dataset, index: int) -> None:

@@ -10,7 +10,6 @@ import os
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from docdepth.diagnostics.sweeps import check_sweeps
 from docdepth.errors import DatasetError, DocDepthError, Finding, collected, in_order
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.depth import check_format
+from docdepth.io.inputs import DerivedInputs, RunInputs
 from docdepth.io.poses import read_poses
 from docdepth.odometry.pose_checks import find_misfit
 from docdepth.pipeline.check_resources import check_resources, estimate, gigabytes
@@ -31,7 +31,7 @@ from docdepth.pipeline.given_poses import (
     refuse_poses_of_a_camera,
 )
 from docdepth.pipeline.label_folder import LabelFolder
-from docdepth.pipeline.run_inputs import known_poses, open_inputs, open_upright
+from docdepth.pipeline.run_inputs import known_poses, open_as_begun, open_inputs
 from docdepth.render.layers import check_layers
 
 
@@ -52,14 +52,13 @@ class Report:
 
 
 def check_inputs(
-    source: dict[str, Any], parameters: Parameters, output: Path | None = None
+    inputs: RunInputs, parameters: Parameters, output: Path | None = None
 ) -> list[Finding]:
     """Find all problems of the inputs of a run.
 
     Parameters
     ----------
-    source : dict
-        As :func:`docdepth.pipeline.run_inputs.open_inputs` takes it.
+    inputs : RunInputs
     parameters : Parameters
     output : Path, optional
         The run folder, if it is known.
@@ -69,37 +68,35 @@ def check_inputs(
     list of Finding
         Errors first; empty if all is well.
     """
-    return report_inputs(source, parameters, output).findings
+    return report_inputs(inputs, parameters, output).findings
 
 
-def report_inputs(
-    source: dict[str, Any], parameters: Parameters, output: Path | None = None
-) -> Report:
+def report_inputs(inputs: RunInputs, parameters: Parameters, output: Path | None = None) -> Report:
     """:func:`check_inputs` with a summary of the inputs."""
     found: list[Finding] = []
     opened = None
     try:
-        opened = open_upright(dict(source))
+        opened = open_inputs(inputs)
     except DocDepthError:
         with collected(found):  # where sweeps cannot be read, the checks below name them
-            opened = open_inputs(source)
+            opened = open_as_begun(inputs, DerivedInputs())
     if opened is not None:
-        report = check_opened(source, *opened, parameters, output)
-        if not source.get("poses") or any(f.severity == "error" for f in report.findings):
+        recording = opened.recording
+        report = check_opened(inputs, recording, opened.cameras, parameters, output)
+        if not inputs.poses or any(f.severity == "error" for f in report.findings):
             return report
-        recording = opened[0]
-        poses = read_given_poses(str(source["poses"]), recording)
+        poses = read_given_poses(inputs.poses, recording)
         misfit = find_misfit(lambda k: recording.sweep(k).points, poses, parameters.odometry)
         return Report([*report.findings, *misfit], report.summary)
-    found += _check_files_of_options(source)
+    found += _check_files_of_options(inputs)
     found += _check_parameters(parameters)
     if output is not None:
-        found += _check_output(output, [], Path(source["dataset"]))
+        found += _check_output(output, [], inputs.recording)
     return Report(in_order(found), "")
 
 
 def check_opened(
-    source: dict[str, Any],
+    inputs: RunInputs,
     recording: Dataset,
     cameras: list[CameraStream],
     parameters: Parameters,
@@ -110,7 +107,7 @@ def check_opened(
 
     Parameters
     ----------
-    source, parameters, output
+    inputs, parameters, output
         As for :func:`check_inputs`.
     recording : Dataset
     cameras : list of CameraStream
@@ -119,16 +116,16 @@ def check_opened(
         Processes that will share the work.
     """
     found = _check_parameters(parameters)
-    has_poses = bool(source.get("poses"))
+    has_poses = bool(inputs.poses)
     with collected(found):
-        poses = known_poses(source, recording)
-        if poses is not None and has_poses:
-            refuse_poses_of_a_camera(str(source["poses"]), recording, poses, parameters.odometry)
+        poses = known_poses(inputs, recording)
+        if poses is not None and inputs.poses:
+            refuse_poses_of_a_camera(inputs.poses, recording, poses, parameters.odometry)
     files = [recording.sweep_files(k) for k in range(len(recording))]
     sweeps, of_sweeps = check_sweeps(recording, files, parameters, has_poses)
     found += of_sweeps
-    if source.get("labels"):
-        found += _check_labels(Path(source["labels"]), recording, sweeps)
+    if inputs.labels is not None:
+        found += _check_labels(inputs.labels, recording, sweeps)
     for stream in cameras:
         found += check_camera(recording, stream, sweeps)
     if output is not None:
@@ -159,20 +156,20 @@ def _check_labels(folder: Path, recording: Dataset, sweeps: dict[int, Sweep]) ->
     return found
 
 
-def _check_files_of_options(source: dict[str, Any]) -> list[Finding]:
+def _check_files_of_options(inputs: RunInputs) -> list[Finding]:
     """Files that options name, where the recording itself cannot be opened."""
     found: list[Finding] = []
     with collected(found):
-        if source["camera_times"]:
-            read_times(Path(source["camera_times"]))
+        if inputs.camera_times is not None:
+            read_times(inputs.camera_times)
     with collected(found):
-        if source.get("calibration"):
-            read_camera_calibration(Path(source["calibration"]))
+        if inputs.calibration is not None:
+            read_camera_calibration(inputs.calibration)
     with collected(found):
-        if source.get("labels"):
-            LabelFolder(Path(source["labels"]))
+        if inputs.labels is not None:
+            LabelFolder(inputs.labels)
     with collected(found):
-        if source["poses"] and (poses := file_of_poses(str(source["poses"]))):
+        if inputs.poses and (poses := file_of_poses(inputs.poses)):
             read_poses(poses)
     return found
 

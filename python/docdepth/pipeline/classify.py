@@ -79,12 +79,12 @@ def run_classify(
     RunError
         A file of the run is damaged.
     """
-    if run.manifest["source"].get("labels"):
+    if run.manifest.inputs is not None and run.manifest.inputs.labels is not None:
         return take_labels(run, progress)
     p, workers = run.parameters, workers or Workers(threads)
     with run.lock("classify"):
         trajectory = run.trajectory()
-        parts = classify_parts(run, run.stage("odometry").get("key"), InputFiles(run))
+        parts = classify_parts(run, run.stage("odometry").key, InputFiles(run))
         of_ground = parameters_within_budget(run).ground.model_dump()
         made_of = parts["version"], parts["odometry"], of_ground
         key = {"classify": stage_key(parts)}

@@ -180,7 +180,7 @@ def _write(
     objects: dict[str, tuple[VoxelCloud, tuple[int, int, int]]],
 ) -> Path:
     """Write the clouds, and remove objects of an earlier map."""
-    write = run.writer({"classify": run.stage("classify").get("key", "")})
+    write = run.writer({"classify": run.stage("classify").key or ""})
     path, folder = run.path / "map" / "map.ply", run.path / "map" / "objects"
     with run.lock("map"):
         for name in set(run.records(folder).names()) - set(objects):

@@ -122,7 +122,7 @@ def _poses(
 def _T_run_lidar(run: RunFolder) -> NDArray[np.float64]:
     """From the LiDAR frame of the recording to that of its run, which has z up."""
     T = np.eye(4)
-    up = run.manifest.get("source", {}).get("up")
+    up = run.manifest.derived.up
     if up:
         T[:3, :3] = level_turn(up)
     return T
@@ -132,9 +132,9 @@ def _camera_place(recording: Dataset, name: str) -> NDArray[np.float64]:
     """``T_camera_lidar`` of a camera; a run may have been made of a recording with more cameras."""
     cameras = recording.cameras
     if recording.name == "run":
-        made_of = RunFolder.open(recording.path).manifest["source"]
-        if made_of.get("dataset") and Path(made_of["dataset"]).exists():
-            cameras = open_recording(made_of).cameras
+        run = RunFolder.open(recording.path)
+        if run.recording_path is not None and run.recording_path.exists():
+            cameras = open_recording(run.inputs, run.manifest.derived).cameras
     if name not in cameras:
         raise ConfigError(f"{recording.path} has no camera {name!r}; it has {', '.join(cameras)}")
     return cameras[name].T_camera_lidar

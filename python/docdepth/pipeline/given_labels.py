@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,9 @@ def open_labels(run: RunFolder) -> LabelFolder:
     DatasetError
         They are not there, or are those that the run itself has written.
     """
-    given = LabelFolder(Path(run.manifest["source"]["labels"]))
+    labels = run.inputs.labels
+    assert labels is not None
+    given = LabelFolder(labels)
     if given.folder.resolve().is_relative_to(run.path.resolve()):
         raise DatasetError(
             f"{given.folder} lies in the run {run.path} itself; name a folder of other labels"
@@ -61,7 +62,7 @@ def take_labels(run: RunFolder, progress: Progress | None = None) -> None:
     """
     with run.lock("classify"):
         trajectory, inputs = run.trajectory(), InputFiles(run)
-        parts = classify_parts(run, run.stage("odometry").get("key"), inputs)
+        parts = classify_parts(run, run.stage("odometry").key, inputs)
         key = {"classify": stage_key(parts)}
         labels, count = label_files(run), len(trajectory)
         left = [i for i in range(count) if not is_classified(run, i, labels.get(i), key)]

@@ -12,38 +12,24 @@ from docdepth.datasets import Dataset, FrameRange, full_recording
 from docdepth.datasets.up_axis import LevelledRecording
 from docdepth.errors import DatasetError, OdometryError
 from docdepth.geometry.se3 import inverse
+from docdepth.io.inputs import OWN_POSES, camera_and_file
 from docdepth.io.poses import read_poses, read_poses_at
 from docdepth.odometry.pose_checks import misfit, move_upwards
-
-OWN = "dataset"
-"""Entry ``poses`` that means those of the recording."""
 
 _WRONG, _TIMES = 0.1, 3.0
 """Sweeps lie this far from those before them [m], and this many times as far as by the other
 meaning, if poses are of a camera. Median of right poses: 0.003 to 0.08 m."""
 
 
-def poses_entry(poses: Path | str | None) -> str | None:
-    """What run.yaml keeps of ``--poses``: paths are made absolute.
-
-    A text ``CAMERA:FILE``, where no file has this name, means poses of that camera.
-    """
-    if poses is None:
-        return None
-    if poses == OWN:
-        return OWN
-    camera, file = _divided(str(poses))
-    path = str(Path(file).resolve())
-    return f"{camera}:{path}" if camera else path
-
-
-def file_of_poses(entry: str) -> Path | None:
-    """The file of an entry of run.yaml; None for the recording's own poses."""
-    return None if entry == OWN else Path(_divided(entry)[1])
+def file_of_poses(poses: str) -> Path | None:
+    """The file of ``RunInputs.poses``; None for the recording's own."""
+    return None if poses == OWN_POSES else Path(camera_and_file(poses)[1])
 
 
 def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
     """Poses ``T_world_lidar`` (n, 4, 4) of every sweep of a recording, or of a part of one.
+
+    ``entry`` is ``RunInputs.poses``.
 
     Raises
     ------
@@ -52,7 +38,7 @@ def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
     OdometryError
         The file is missing, damaged, or has another number of poses.
     """
-    if entry == OWN:
+    if entry == OWN_POSES:
         if recording.poses is None:
             raise DatasetError(
                 f"{recording.path} has no poses of its own",
@@ -60,7 +46,7 @@ def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
             )
         return recording.poses
     whole = full_recording(recording)
-    camera, file = _divided(entry)
+    camera, file = camera_and_file(entry)
     of_part = _are_of_part(Path(file), recording)
     poses = read_poses_at(Path(file), recording.times if of_part else whole.times)
     if camera:
@@ -96,7 +82,8 @@ def refuse_poses_of_a_camera(
     OdometryError
         Poses lead upwards, do not fit, and fit as those of a camera.
     """
-    if entry == OWN or _divided(entry)[0] or not recording.cameras or not move_upwards(poses):
+    of_lidar = entry != OWN_POSES and not camera_and_file(entry)[0]
+    if not of_lidar or not recording.cameras or not move_upwards(poses):
         return
     name = sorted(recording.cameras, key=lambda n: n not in ("image_00", "image_0"))[0]
     meanings = poses, _of_lidar(poses, name, recording)
@@ -108,12 +95,6 @@ def refuse_poses_of_a_camera(
             f"say which camera: `poses={f'{name}:{entry}'!r}`",
             code="poses-of-camera",
         )
-
-
-def _divided(entry: str) -> tuple[str, str]:
-    """Camera and file; an empty name for poses of the LiDAR."""
-    camera, colon, file = entry.partition(":")
-    return (camera, file) if colon and not Path(entry).exists() else ("", entry)
 
 
 def _of_lidar(poses: NDArray[np.float64], camera: str, recording: Dataset) -> NDArray[np.float64]:

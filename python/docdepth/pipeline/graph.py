@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import Dataset, Sweep
-from docdepth.io.manifest import WITHOUT_FRAMES
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS
 from docdepth.pipeline.depth_files import DepthFiles
@@ -78,7 +77,7 @@ def odometry_parts(
 ) -> Parts:
     """What poses and deskewed frames are made of; ``first`` is the recording's first sweep."""
     rig = first.sensor_rig
-    up = run.manifest.get("source", {}).get("up")
+    up = run.manifest.derived.up
     return {
         "version": _VERSIONS["odometry"],
         "odometry": run.parameters.odometry.model_dump(mode="json"),
@@ -96,12 +95,12 @@ def odometry_parts(
 
 def classify_parts(run: RunFolder, odometry_key: str | None, inputs: InputFiles) -> Parts:
     """What ground, votes and classes are made of, or given labels."""
-    p, labels = run.parameters, run.manifest["source"].get("labels")
+    p, inputs_of_run = run.parameters, run.manifest.inputs
+    labels = None if inputs_of_run is None else inputs_of_run.labels
     first = {"version": _VERSIONS["classify"], "odometry": odometry_key}
     if labels:
-        folder = Path(labels)
-        if folder.is_dir():
-            given = LabelFolder(folder)
+        if labels.is_dir():
+            given = LabelFolder(labels)
             return first | {"labels": inputs.labels(given.files(), given.folder)}
         return first | {"labels": run.made_of("classify").get("labels")}  # on a disk that is away
     return first | {
@@ -221,7 +220,7 @@ class RunGraph:
 
     def _frame_files(self, stage: str, key: str) -> list[list[Path]]:
         """The file of each frame that a stage has written; none where the run deleted them."""
-        if self._run.manifest.get(WITHOUT_FRAMES, {}).get(stage) == key:
+        if (self._run.manifest.frames_deleted or {}).get(stage) == key:
             return [[] for _ in range(self._frames)]
         return [[self._run.frame_path(i)] for i in range(self._frames)]
 
@@ -247,19 +246,19 @@ class RunGraph:
             whole,
             len(files),
             sum(_size(run, file) for of_frame in [*files, once] for file in of_frame),
-            entry.get("total_seconds", 0.0),
+            entry.total_seconds,
         )
         if files and complete and whole == len(files):
             return known
-        if not entry:
+        if entry.key is None:
             return replace(known, state="missing", why="it was not made yet", frames=0)
-        if entry.get("key") != stage_key(parts):
+        if entry.key != stage_key(parts):
             why = self._why(run.made_of(stage), parts)
             return replace(known, state="out of date", why=why)
         if bad.damaged:
             why = f"{bad.damaged[0]} differs from what was written"
             return replace(known, state="damaged", why=why)
-        if entry.get("state") == "running":
+        if entry.state == "running":
             return replace(known, state="incomplete", why="it was interrupted")
         first = bad.missing[0] if bad.missing else "a file"
         return replace(known, state="incomplete", why=f"{first} is missing")
@@ -322,7 +321,7 @@ def label_files(run: RunFolder) -> dict[int, Path]:
 
 def _recorded(run: RunFolder, name: str) -> tuple[list[list[Path]], list[Path]]:
     """The files of a camera by their records, for want of its images' names."""
-    folder = run.path / "depth" / str(run.cameras[name]["folder"])
+    folder = run.path / "depth" / run.cameras[name].folder
     records = run.records(folder)
     images = [file for file in records.names() if "image" in records.recorded_key(file)]
     return [[folder / file] for file in images], []
@@ -331,7 +330,7 @@ def _recorded(run: RunFolder, name: str) -> tuple[list[list[Path]], list[Path]]:
 def _all_frames(run: RunFolder, recording: Dataset | None) -> int:
     if recording is not None:
         return len(recording)
-    return int(run.stage("odometry").get("all_frames", 0))
+    return run.stage("odometry").all_frames
 
 
 def _size(run: RunFolder, file: Path) -> int:

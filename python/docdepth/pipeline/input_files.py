@@ -23,13 +23,13 @@ class InputFiles:
     Parameters
     ----------
     run : RunFolder
-        Its ``source`` says whether contents are hashed (``hash_inputs``). Hashes of files whose
+        Its inputs say whether contents are hashed (``hash_inputs``). Hashes of files whose
         size and time have not changed are taken from an earlier command.
     """
 
     def __init__(self, run: RunFolder) -> None:
         self._run = run
-        self._hashed = bool(run.manifest["source"].get("hash_inputs"))
+        self._hashed = run.manifest.inputs is not None and run.manifest.inputs.hash_inputs
         self._path = run.notes / "inputs.json"
         """By name the size, the time and perhaps the hash of each file."""
         self._before = _read(self._path)

@@ -48,9 +48,6 @@ PER_PIXEL = 45
 _LEAST_CHUNK = 50.0
 """Shorter chunks of ground save little, since each overlaps its neighbours by 100 m [m]."""
 
-_CHUNK = "chunk_length"
-"""Entry of run.yaml: length of chunks of ground that keep to a budget [m]."""
-
 _SAMPLES = 5
 """Sweeps that are read to know how many points there are."""
 
@@ -135,16 +132,15 @@ def keep_budget(run: RunFolder, within: Parameters) -> None:
     """Note the chunks of ground of :func:`within_memory`. They are no parameter of the run: with
     another budget it is still the same run."""
     length = within.ground.chunk_length
-    run.manifest.pop(_CHUNK, None)
-    if length < run.parameters.ground.chunk_length:
-        run.manifest[_CHUNK] = length
+    shorter = length < run.parameters.ground.chunk_length
+    run.manifest.chunk_length = length if shorter else None
 
 
 def parameters_within_budget(run: RunFolder) -> Parameters:
     """The parameters of a run, with the chunks of ground that its budget of memory allows."""
-    values = run.parameters
-    if run.manifest.get(_CHUNK, math.inf) < values.ground.chunk_length:
-        return replaced(values, {"ground.chunk_length": run.manifest[_CHUNK]})
+    values, length = run.parameters, run.manifest.chunk_length
+    if length is not None and length < values.ground.chunk_length:
+        return replaced(values, {"ground.chunk_length": length})
     return values
 
 

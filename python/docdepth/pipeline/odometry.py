@@ -15,7 +15,6 @@ from docdepth.diagnostics.sweeps import find_lonely_returns
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.points import usable_points
 from docdepth.io.frames import write_trajectory
-from docdepth.io.manifest import WITHOUT_FRAMES
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.odometry.blooming import blooming_points
 from docdepth.odometry.odometry import Odometry, register_drive
@@ -56,7 +55,8 @@ def run_odometry(
         Poses cannot be estimated, or the given ones do not fit.
     """
     with run.lock("odometry"):
-        if run.manifest.pop(WITHOUT_FRAMES, None) is not None:
+        if run.manifest.frames_deleted is not None:
+            run.manifest.frames_deleted = None
             run.save()
         inputs = InputFiles(run)
         first = dataset.sweep(0)

@@ -43,15 +43,15 @@ def write_release(run: RunFolder, output: Path, progress: Progress | None = None
     DatasetError, InputError, RunError
         There are no depth maps, they are out of date, or too deep for such a PNG.
     """
-    name = Path(str(run.manifest["source"].get("dataset") or run.path)).absolute().name
+    name = (run.recording_path or run.path).absolute().name
     drive = output / name
     if drive.exists():
         raise ConfigError(f"{drive} is there; name another folder, or remove it")
-    recorded = {n: entry for n, entry in run.cameras.items() if "virtual" not in entry}
+    recorded = {n: entry for n, entry in run.cameras.items() if entry.virtual is None}
     maps = []
     for camera, entry in recorded.items():
         require(run, f"render {camera}")
-        found = maps_in(run.path / "depth" / str(entry["folder"]))
+        found = maps_in(run.path / "depth" / entry.folder)
         maps += [(camera, image, path) for image, path in found.items()]
     if not maps:
         raise DatasetError(

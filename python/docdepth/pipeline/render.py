@@ -88,7 +88,7 @@ def run_render(
     with run.lock("render"):
         register(run, streams)
         cameras = [
-            RunCamera(s, run.cameras[s.name]["folder"], camera_parameters(run, s.name))
+            RunCamera(s, run.cameras[s.name].folder, camera_parameters(run, s.name))
             for s in streams
         ]
         left_out: list[str] = []
@@ -128,7 +128,7 @@ def report(run: RunFolder) -> Path:
 
 
 def _profiles(run: RunFolder) -> str:
-    return stage_key(run.manifest["stages"])
+    return stage_key({n: e.model_dump() for n, e in run.manifest.stages.items()})
 
 
 def _drawn_alike(cameras: list[RunCamera]) -> list[list[RunCamera]]:

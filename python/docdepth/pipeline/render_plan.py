@@ -98,7 +98,7 @@ def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
     files, images, left_out, parts = [], [], {}, {}
     for camera in cameras:
         stream = camera.stream
-        made_of = render_parts(run.stage("classify").get("key"), camera)
+        made_of = render_parts(run.stage("classify").key, camera)
         of_camera = DepthFiles(
             run,
             stream,

@@ -1,11 +1,4 @@
-"""The inputs of a run, opened as run.yaml names them: recording, cameras, poses.
-
-The entry ``source`` of run.yaml has ``dataset``, ``name``, ``camera`` (a name, a list of names or
-None), ``poses`` (a file, ``CAMERA:FILE`` or ``dataset``), ``camera_times`` and ``image_size``, all
-plain values; ``frames`` (``A:B``), ``calibration`` (a file), ``up`` (a unit vector in the LiDAR
-frame of the recording, whose z is not up), ``looks_from`` (where its rays begin, metres) and
-``skipped`` (see :mod:`.broken_frames`) may be left out.
-"""
+"""The inputs of a run, opened: recording, cameras, poses."""
 
 from __future__ import annotations
 
@@ -14,7 +7,6 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +21,7 @@ from docdepth.datasets import (
     image_streams,
     open_dataset,
 )
+from docdepth.datasets.formats.docdepth_run import RunDataset
 from docdepth.datasets.images import read_image_of
 from docdepth.datasets.readable_frames import broken_frames_tolerated, first_readable
 from docdepth.datasets.times import read_times
@@ -37,7 +30,8 @@ from docdepth.diagnostics.sweeps import find_sensor_origin
 from docdepth.errors import CalibrationError, DatasetError, log_findings
 from docdepth.geometry.camera import Camera
 from docdepth.io.calibration import read_camera_calibration
-from docdepth.io.manifest import SKIPPED
+from docdepth.io.inputs import DerivedInputs, Point, RunInputs, SkippedFrames
+from docdepth.io.manifest import CameraEntry
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.broken_frames import find_broken, kept_part
 from docdepth.pipeline.given_poses import read_given_poses
@@ -67,124 +61,142 @@ class RunCamera:
     parameters: Parameters
 
 
-def open_inputs(source: dict[str, Any]) -> tuple[Dataset, list[CameraStream]]:
+@dataclass(frozen=True)
+class OpenedInputs:
+    """The inputs of a run, opened.
+
+    Attributes
+    ----------
+    recording : Dataset
+        The sweeps that the run is of, in a frame whose z is up.
+    cameras : list of CameraStream
+        Whose depth maps are wanted.
+    derived : DerivedInputs
+        What was found in the inputs.
+    """
+
+    recording: Dataset
+    cameras: list[CameraStream]
+    derived: DerivedInputs
+
+
+def open_inputs(inputs: RunInputs, begun: DerivedInputs | None = None) -> OpenedInputs:
     """Open the recording, and the cameras whose depth maps are wanted.
+
+    Parameters
+    ----------
+    inputs : RunInputs
+    begun : DerivedInputs, optional
+        Of a run that goes on: what was found when it began holds for good, unless the recording
+        itself tells another. What is broken holds as long as the files are the same.
 
     Raises
     ------
     DatasetError, CalibrationError
         A file is missing or broken, or there is no such camera.
     """
-    whole = _open_whole(source)
-    note_broken(source, whole, source)
-    recording = _part(whole, source)
-    return recording, open_cameras(source, recording, source["camera"])
+    whole = _open_whole(inputs)
+    derived = DerivedInputs(skipped=_find_skipped(inputs, whole, begun))
+    looks_from = find_looks_from(_part(whole, inputs, derived), begun)
+    derived = derived.model_copy(update={"sensor_origin": looks_from})
+    up = find_up(_part(whole, inputs, derived), begun)
+    return _opened(whole, inputs, derived.model_copy(update={"up": up}))
 
 
-def open_upright(
-    source: dict[str, Any], begun: dict[str, Any] | None = None
-) -> tuple[Dataset, list[CameraStream]]:
-    """Open the inputs of a run that begins.
-
-    It is noted in ``source`` where rays begin and which way is up, if that is found.
-
-    The arguments are those of :func:`open_inputs` and :func:`find_up`.
-    """
-    whole = _open_whole(source)
-    note_broken(source, whole, begun)
-    looks_from = find_looks_from(_part(whole, source), begun)
-    if looks_from:
-        source["looks_from"] = looks_from
-    up = find_up(_part(whole, source), begun)
-    if up:
-        source["up"] = up
-    recording = _part(whole, source)
-    return recording, open_cameras(source, recording, source["camera"])
+def open_as_begun(inputs: RunInputs, begun: DerivedInputs) -> OpenedInputs:
+    """:func:`open_inputs` where only broken frames are looked for again."""
+    whole = _open_whole(inputs)
+    skipped = _find_skipped(inputs, whole, begun)
+    return _opened(whole, inputs, begun.model_copy(update={"skipped": skipped}))
 
 
-def open_recording(source: dict[str, Any]) -> Dataset:
+def _opened(whole: Dataset, inputs: RunInputs, derived: DerivedInputs) -> OpenedInputs:
+    recording = _part(whole, inputs, derived)
+    return OpenedInputs(recording, open_cameras(inputs, recording, inputs.camera), derived)
+
+
+def open_recording(inputs: RunInputs, derived: DerivedInputs | None = None) -> Dataset:
     """Open the recording of a run."""
-    return _part(_open_whole(source), source)
+    return _part(_open_whole(inputs), inputs, derived or DerivedInputs())
 
 
-def _open_whole(source: dict[str, Any]) -> Dataset:
+def recording_of(run: RunFolder) -> Dataset:
+    """The recording of a run, or the run itself if it was made of arrays."""
+    if run.manifest.inputs is None:
+        return RunDataset(run.path)
+    return open_recording(run.manifest.inputs, run.manifest.derived)
+
+
+def _open_whole(inputs: RunInputs) -> Dataset:
     """The recording, with the calibration that the run was given."""
-    size = parse_size(source.get("image_size"))
-    with broken_frames_tolerated() if SKIPPED in source else nullcontext():
-        recording = open_dataset(Path(source["dataset"]), source["name"], size)
-        if source.get("calibration"):
-            stream = _calibrated(recording, Path(source["calibration"]), source["camera"])
+    size = parse_size(inputs.image_size)
+    with broken_frames_tolerated() if inputs.skips_broken else nullcontext():
+        recording = open_dataset(inputs.recording, inputs.dataset, size)
+        if inputs.calibration is not None:
+            stream = _calibrated(recording, inputs.calibration, inputs.camera or ())
             recording.cameras[stream.name] = stream
     return recording
 
 
-def note_broken(
-    source: dict[str, Any], whole: Dataset, begun: dict[str, Any] | None = None
-) -> None:
-    """Note in ``source`` which frames are broken, if the run leaves them out.
-
-    Parameters
-    ----------
-    source : dict
-    whole : Dataset
-        The whole recording.
-    begun : dict, optional
-        ``source`` of a run that goes on. What it says holds as long as the files are the same.
-    """
-    if SKIPPED not in source:
-        return
-    recording = kept_part(whole, {"frames": source.get("frames")})
-    streams = open_cameras(source, recording, source["camera"]) if whole.cameras else []
-    source[SKIPPED] = find_broken(recording, streams, (begun or {}).get(SKIPPED))
+def _find_skipped(
+    inputs: RunInputs, whole: Dataset, begun: DerivedInputs | None
+) -> SkippedFrames | None:
+    """Which frames of the whole recording are broken, if the run leaves them out."""
+    if not inputs.skips_broken:
+        return None
+    recording = kept_part(whole, inputs.frames)
+    streams = open_cameras(inputs, recording, inputs.camera) if whole.cameras else []
+    return find_broken(recording, streams, None if begun is None else begun.skipped)
 
 
-def _part(recording: Dataset, source: dict[str, Any]) -> Dataset:
+def _part(recording: Dataset, inputs: RunInputs, derived: DerivedInputs) -> Dataset:
     """The sweeps of a recording that the run is of, in a frame whose z is up."""
-    if source.get("up") or source.get("looks_from"):
-        recording = LevelledRecording(recording, source.get("up"), source.get("looks_from"))
-    return kept_part(recording, source)
+    if derived.up or derived.sensor_origin:
+        recording = LevelledRecording(recording, derived.up, derived.sensor_origin)
+    return kept_part(recording, inputs.frames, derived.skipped)
 
 
-def find_looks_from(recording: Dataset, begun: dict[str, Any] | None = None) -> list[Any] | None:
+def find_looks_from(
+    recording: Dataset, begun: DerivedInputs | None = None
+) -> Point | tuple[Point, ...] | None:
     """Where rays begin, found where they clearly do not begin at the origin; metres.
 
-    [x, y, z], or a list of them for the LiDARs of merged sweeps in the order of their returns.
+    (x, y, z), or several of them for the LiDARs of merged sweeps in the order of their returns.
 
     The arguments are those of :func:`find_up`.
     """
     if begun:
-        found: list[Any] | None = begun.get("looks_from")
-        return None if recording.sweep(0).sensor_rig is not None else found
+        return None if recording.sweep(0).sensor_rig is not None else begun.sensor_origin
     viewpoint, found = find_sensor_origin(recording)
     if viewpoint is None:
         return None  # if returns lack neighbours, a run warns of it
     log_findings(log, found)
     places = viewpoint.places
-    return [list(place) for place in places] if len(places) > 1 else list(places[0])
+    x, y, z = places[0]
+    return tuple(places) if len(places) > 1 else (x, y, z)
 
 
-def find_up(recording: Dataset, begun: dict[str, Any] | None = None) -> list[float] | None:
+def find_up(recording: Dataset, begun: DerivedInputs | None = None) -> Point | None:
     """Which way is up in the LiDAR frame, told by the recording or found by the ground.
 
     Parameters
     ----------
     recording : Dataset
-    begun : dict, optional
-        ``source`` of a run that goes on: what was found when it began holds for good.
+    begun : DerivedInputs, optional
+        Of a run that goes on: what was found when it began holds for good.
 
     Returns
     -------
-    list of float, or None
-        Unit vector for ``source``; None if z is up, or if it is not known.
+    (float, float, float), or None
+        Unit vector; None if z is up, or if it is not known.
     """
     whole = full_recording(recording)
     told = getattr(whole, "up", None)
     if told is not None:
         up = np.array(told, np.float64) / np.linalg.norm(told)
-        return None if (up == (0, 0, 1)).all() else [float(x) for x in up]
+        return None if (up == (0, 0, 1)).all() else _point(up)
     if begun:
-        found: list[float] | None = begun.get("up")
-        return found
+        return begun.up
     if recording.name == "run":
         return None
     ground = ground_of(recording)
@@ -201,10 +213,15 @@ def find_up(recording: Dataset, begun: dict[str, Any] | None = None) -> list[flo
         "up. If that is not the ground, say up: [x, y, z] in docdepth.yaml; up is [%g, %g, %g] now",
         recording.path, ground.tilt_deg, *up,
     )  # fmt: skip
-    return [float(x) for x in up / np.linalg.norm(up)]
+    return _point(up / np.linalg.norm(up))
 
 
-def _calibrated(recording: Dataset, file: Path, asked: str | Sequence[str] | None) -> CameraStream:
+def _point(values: NDArray[np.float64]) -> Point:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _calibrated(recording: Dataset, file: Path, asked: Sequence[str]) -> CameraStream:
     """The camera of a recording that a calibration is of, with that calibration.
 
     A calibration that names none is of the camera that was asked for, or of the only one with
@@ -213,7 +230,7 @@ def _calibrated(recording: Dataset, file: Path, asked: str | Sequence[str] | Non
     found = read_camera_calibration(file)
     images = image_streams(recording)
     streams: dict[str, CameraStream | ImageStream] = {**images, **recording.cameras}
-    asked = [asked] if isinstance(asked, str) else list(asked or ())
+    asked = list(asked)
     seeing = [name for name, stream in streams.items() if stream.images]
     one = next((some[0] for some in (list(streams), asked, seeing) if len(some) == 1), "")
     name = one if len(streams) == 1 else found.name or one
@@ -247,7 +264,7 @@ def _calibrated(recording: Dataset, file: Path, asked: str | Sequence[str] | Non
 
 
 def open_cameras(
-    source: dict[str, Any], recording: Dataset, wanted: str | Sequence[str] | None
+    inputs: RunInputs, recording: Dataset, wanted: Sequence[str] | None
 ) -> list[CameraStream]:
     """Cameras of a recording, with the image size and the times that the run was given.
 
@@ -256,7 +273,7 @@ def open_cameras(
     DatasetError, CalibrationError
         There is no such camera, or its times are broken.
     """
-    size = parse_size(source.get("image_size"))
+    size = parse_size(inputs.image_size)
     whole = full_recording(recording)
     streams = [whole.cameras[name] for name in _camera_names(wanted, whole)]
     if size:
@@ -266,8 +283,8 @@ def open_cameras(
             else replace(s, camera=Camera(s.camera.K, *size))
             for s in streams
         ]
-    if source.get("camera_times"):
-        streams = [_with_times(stream, Path(source["camera_times"])) for stream in streams]
+    if inputs.camera_times is not None:
+        streams = [_with_times(stream, inputs.camera_times) for stream in streams]
     if isinstance(recording, FrameRange):
         streams = [recording.part_of(stream) for stream in streams]
     return streams
@@ -282,7 +299,17 @@ def register(run: RunFolder, streams: Sequence[CameraStream]) -> None:
     alone = len(streams) == 1 and not run.cameras
     for stream in streams:
         folder = "" if alone else stream.name
-        run.cameras.setdefault(stream.name, {"folder": folder, "settings": {}})
+        run.cameras.setdefault(stream.name, CameraEntry(folder=folder))
+
+
+def open_run_cameras(
+    run: RunFolder, recording: Dataset, names: Sequence[str] | None
+) -> list[CameraStream]:
+    """Cameras of a recording as the run was given them."""
+    if run.manifest.inputs is None:
+        found = recording.cameras
+        return [found[name] for name in _camera_names(names, recording)]
+    return open_cameras(run.manifest.inputs, recording, names)
 
 
 def run_cameras(
@@ -302,50 +329,50 @@ def run_cameras(
     for name, entry in run.cameras.items():
         if names is not None and name not in names:
             continue
-        if "virtual" in entry:
+        if entry.virtual is not None:
             times = run.trajectory().times if recording is None else recording.times
-            stream = virtual_stream(name, entry["virtual"], times)
+            stream = virtual_stream(name, entry.virtual, times)
         elif recording is not None:
-            (stream,) = open_cameras(run.manifest["source"], recording, [name])
+            (stream,) = open_run_cameras(run, recording, [name])
         else:
             continue
-        found.append(RunCamera(stream, entry["folder"], camera_parameters(run, name)))
+        found.append(RunCamera(stream, entry.folder, camera_parameters(run, name)))
     return found
 
 
 def cameras_at_hand(run: RunFolder) -> dict[str, CameraStream]:
     """The recorded cameras of a run by name; none where its recording is away."""
-    path = run.manifest["source"].get("dataset")
-    if not path or not Path(path).exists():
+    path = run.recording_path
+    if path is None or not path.exists():
         return {}
-    cameras = run_cameras(run, open_recording(run.manifest["source"]))
+    cameras = run_cameras(run, recording_of(run))
     return {camera.stream.name: camera.stream for camera in cameras}
 
 
 def camera_parameters(run: RunFolder, name: str) -> Parameters:
     """The parameters of a run with the settings of one camera."""
-    return replaced(run.parameters, run.cameras.get(name, {}).get("settings", {}))
+    return replaced(run.parameters, run.cameras[name].settings if name in run.cameras else {})
 
 
 def recorded_camera(run: RunFolder, folder: str) -> CameraStream | None:
     """The camera whose maps are in ``depth/FOLDER``; None for a virtual camera."""
-    source = run.manifest["source"]
+    inputs = run.manifest.inputs
     for name, entry in run.cameras.items():
-        if entry["folder"] == folder and "virtual" not in entry and source.get("dataset"):
-            return open_cameras(source, open_recording(source), [name])[0]
+        if entry.folder == folder and entry.virtual is None and inputs is not None:
+            return open_cameras(inputs, recording_of(run), [name])[0]
     return None
 
 
-def known_poses(source: dict[str, Any], recording: Dataset) -> NDArray[np.float64] | None:
+def known_poses(inputs: RunInputs, recording: Dataset) -> NDArray[np.float64] | None:
     """Poses ``T_world_lidar`` (n, 4, 4) of file, recording or run; None: to be estimated."""
-    if source.get("poses"):
-        return read_given_poses(str(source["poses"]), recording)
+    if inputs.poses:
+        return read_given_poses(inputs.poses, recording)
     return recording.poses if recording.name == "run" else None
 
 
-def _camera_names(wanted: str | Sequence[str] | None, recording: Dataset) -> list[str]:
+def _camera_names(wanted: Sequence[str] | None, recording: Dataset) -> list[str]:
     """Names of the wanted cameras; the left colour camera if none is named."""
-    names = [wanted] if isinstance(wanted, str) else list(dict.fromkeys(wanted or ()))
+    names = list(dict.fromkeys(wanted or ()))
     if names == [NO_CAMERA]:
         return []
     cameras = recording.cameras

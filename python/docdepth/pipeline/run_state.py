@@ -26,9 +26,9 @@ def states(folder: RunFolder, *, verify: bool = False) -> list[StageState]:
 
 def changes_since_start(folder: RunFolder) -> list[str]:
     """The parameters that a stage has changed since the run was started, and how to go back."""
-    at_start = folder.manifest.get("parameters_at_start")
-    if at_start is None:
+    if folder.manifest.parameters_at_start is None:
         return []
+    at_start = folder.manifest.parameters_at_start.model_dump(mode="json")
     verbs = {"odometry": "odometry", "ground": "classify", "dynamics": "classify"}
     now = folder.parameters.model_dump(mode="json")
     sentences: list[str] = []
@@ -64,7 +64,7 @@ def require(folder: RunFolder, stage: str, *, frames: bool = True) -> None:
     ------
     RunError
     """
-    if "folders_written" not in folder.manifest:
+    if folder.manifest.folders_written is None:
         return
     graph = _graph(folder)
     name, _, camera = stage.partition(" ")
@@ -79,10 +79,10 @@ def require(folder: RunFolder, stage: str, *, frames: bool = True) -> None:
 
 
 def _graph(folder: RunFolder, verify: bool = False) -> RunGraph:
-    source, recording, poses = folder.manifest["source"], None, None
-    if source.get("dataset") and Path(source["dataset"]).exists():
-        recording = open_recording(source)
-        poses = known_poses(source, recording)
+    recording, poses, place = None, None, folder.recording_path
+    if place is not None and place.exists():
+        recording = open_recording(folder.inputs, folder.manifest.derived)
+        poses = known_poses(folder.inputs, recording)
     cameras = run_cameras(folder, recording) if recording else []
     return RunGraph(folder, recording, poses, cameras, verify)
 
@@ -95,8 +95,8 @@ def forget_cameras(path: Path, names: Sequence[str]) -> None:
         return
     with folder.lock("render"):
         for name in undrawn:
-            camera = folder.cameras.pop(name)["folder"]
-            folder.manifest["stages"].pop(f"render {name}", None)
+            camera = folder.cameras.pop(name).folder
+            folder.manifest.stages.pop(f"render {name}", None)
             for place in (folder.path / "depth" / camera, folder.calibration_folder(camera)):
                 records = folder.records(place)
                 for file in records.names():
@@ -106,5 +106,5 @@ def forget_cameras(path: Path, names: Sequence[str]) -> None:
 
 
 def _has_maps(folder: RunFolder, camera: str) -> bool:
-    place = folder.path / "depth" / folder.cameras[camera]["folder"]
+    place = folder.path / "depth" / folder.cameras[camera].folder
     return bool(set(folder.records(place).names()) - {DESCRIPTION})

@@ -14,6 +14,7 @@ from threading import Lock
 from typing import Any
 
 from docdepth.errors import Finding, log_findings
+from docdepth.io.manifest import StageEntry
 from docdepth.io.run_folder import RunFolder, stage_key
 
 log = logging.getLogger(__name__)
@@ -84,10 +85,10 @@ def stage(run: RunFolder, name: str, parts: dict[str, Any], all_frames: int) -> 
     """
     before = run.stage(name)
     key = stage_key(parts)
-    if before.get("key") != key:
-        before = {}
+    if before.key != key:
+        before = StageEntry()
     begun = {"state": "running", "key": key, "all_frames": all_frames}
-    run.manifest["stages"][name] = {**before, **begun}
+    run.manifest.stages[name] = before.model_copy(update=begun)
     run.save()
     run.set_made_of(name, parts)
     profile = Profile()
@@ -127,7 +128,7 @@ class Profile:
         log_findings(log, known)
         self.findings += known
 
-    def state(self, before: dict[str, Any], notices: list[str]) -> dict[str, Any]:
+    def state(self, before: StageEntry, notices: list[str]) -> dict[str, Any]:
         """Entries of the stage, those of earlier commands added."""
         found = map(str, self.findings)
         wall = self.share * self.watch.wall()
@@ -135,10 +136,10 @@ class Profile:
             "frames": self.frames,
             "wall_seconds": round(wall, 3),
             "seconds": {name: round(self.share * s, 3) for name, s in self.watch.seconds.items()},
-            "total_frames": before.get("total_frames", 0) + self.frames,
-            "total_seconds": round(before.get("total_seconds", 0.0) + wall, 3),
-            "peak_memory_mb": max(self.watch.peak_memory_mb(), before.get("peak_memory_mb", 0)),
-            "warnings": list(dict.fromkeys([*before.get("warnings", []), *found, *notices])),
+            "total_frames": before.total_frames + self.frames,
+            "total_seconds": round(before.total_seconds + wall, 3),
+            "peak_memory_mb": max(self.watch.peak_memory_mb(), before.peak_memory_mb),
+            "warnings": list(dict.fromkeys([*before.warnings, *found, *notices])),
             **self.more,
         }
 

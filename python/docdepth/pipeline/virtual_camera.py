@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from docdepth.datasets.times import read_times
 from docdepth.errors import CalibrationError, ConfigError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix
+from docdepth.io.manifest import VirtualCamera
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.check_resources import check_image_size
 
@@ -20,7 +20,7 @@ FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from camera axes to LiDAR axes when the camera looks along the LiDAR's x axis."""
 
 
-def virtual_camera(pose: str, K: str, size: str, times: Path | None = None) -> dict[str, Any]:
+def virtual_camera(pose: str, K: str, size: str, times: Path | None = None) -> VirtualCamera:
     """Describe a camera that moves with the LiDAR, as run.yaml holds it.
 
     Parameters
@@ -37,8 +37,7 @@ def virtual_camera(pose: str, K: str, size: str, times: Path | None = None) -> d
 
     Returns
     -------
-    dict
-        ``T_lidar_camera``, ``K``, ``size`` and ``times``; see :func:`virtual_stream`.
+    VirtualCamera
 
     Raises
     ------
@@ -50,32 +49,32 @@ def virtual_camera(pose: str, K: str, size: str, times: Path | None = None) -> d
         raise ConfigError("--size is missing; write --size WIDTHxHEIGHT, for example 1280x720")
     check_image_size(*pixels, "--size")
     fx, fy, cx, cy = _numbers("--K", K, 4, "fx,fy,cx,cy")
-    return {
-        "T_lidar_camera": parse_pose(pose).tolist(),
-        "K": [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
-        "size": list(pixels),
-        "times": None if times is None else str(times.resolve()),
-    }
+    return VirtualCamera(
+        T_lidar_camera=parse_pose(pose).tolist(),
+        K=[[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
+        size=pixels,
+        times=None if times is None else times.resolve(),
+    )
 
 
 def virtual_stream(
-    name: str, described: dict[str, Any], sweep_times: NDArray[np.int64]
+    name: str, described: VirtualCamera, sweep_times: NDArray[np.int64]
 ) -> CameraStream:
     """The virtual camera that :func:`virtual_camera` described.
 
     Parameters
     ----------
     name : str
-    described : dict
+    described : VirtualCamera
     sweep_times : ndarray of int64, shape (n,)
         Nanoseconds.
     """
-    camera = Camera(np.array(described["K"]), *described["size"])
-    T_camera_lidar = inverse(np.array(described["T_lidar_camera"]))
-    if described["times"] is None:
+    camera = Camera(np.array(described.K), *described.size)
+    T_camera_lidar = inverse(np.array(described.T_lidar_camera))
+    if described.times is None:
         names = [f"{i:06d}" for i in range(len(sweep_times))]
         return CameraStream(name, camera, T_camera_lidar, sweep_times, names)
-    times = read_times(Path(described["times"]))
+    times = read_times(described.times)
     return CameraStream(
         name, camera, T_camera_lidar, times, [f"{i:010d}" for i in range(len(times))]
     )
@@ -91,7 +90,7 @@ def check_name(run: RunFolder, name: str) -> None:
     # A name with a dot could be that of a file of the first camera: 000000.png, depth.json.
     if not name or set(name) & set("./\\\0"):
         raise ConfigError(f"--name {name!r} cannot be a folder name; use letters and digits")
-    if name in run.cameras and "virtual" not in run.cameras[name]:
+    if name in run.cameras and run.cameras[name].virtual is None:
         raise ConfigError(f"--name {name}: the run has a camera of this name; choose another name")
 
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-import copy
 import os
 import shutil
 from pathlib import Path
 
 from docdepth.config import Parameters
-from docdepth.datasets.formats.docdepth_run import RunDataset
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.classify import run_classify
 from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.render import run_render
-from docdepth.pipeline.run_inputs import known_poses, open_recording, register, run_cameras
+from docdepth.pipeline.run_inputs import (
+    known_poses,
+    open_recording,
+    recording_of,
+    register,
+    run_cameras,
+)
 from docdepth.tuning.judge import Judge
 
 _NOT_SHARED = ("run.yaml", "lock", "records", "odometry", "map")
@@ -46,15 +50,14 @@ def make_trial(
         Hash of everything that the score depends on.
     """
     trial = RunFolder(path)
-    if trial.manifest.get("trial") != key:
+    if trial.manifest.trial != key:
         trial = _begin(path, source, parameters, varied, key)
-    inputs = trial.manifest["source"]
     if parameters.odometry != source.parameters.odometry:
-        recording = open_recording(inputs)
-        run_odometry(trial, recording, known_poses(inputs, recording), threads=threads)
+        recording = open_recording(trial.inputs, trial.manifest.derived)
+        run_odometry(trial, recording, known_poses(trial.inputs, recording), threads=threads)
     run_classify(trial, threads)
     if judge.by == "depth":
-        recording = open_recording(inputs) if inputs.get("dataset") else RunDataset(path)
+        recording = recording_of(trial)
         if not trial.cameras:
             register(trial, list(recording.cameras.values()))
         name = trial.camera_in(trial.depth_folder(judge.camera))
@@ -80,16 +83,17 @@ def _begin(
     trial = RunFolder(path)
     if records.is_dir():
         shutil.copytree(records, trial.notes / "records")
-    trial.manifest = copy.deepcopy(source.manifest)
-    trial.manifest |= {"trial": key, "parameters": parameters.model_dump(mode="json")}
-    for camera in trial.cameras.values():
-        own = camera.get("settings", {})
+    trial.manifest = source.manifest.model_copy(
+        update={"trial": key, "parameters": parameters}, deep=True
+    )
+    for name, camera in trial.cameras.items():
         # A preset replaces everything but the kind of files.
         preset = "preset" in varied
-        camera["settings"] = {
-            name: value
-            for name, value in own.items()
-            if name not in varied and not (preset and name.startswith("render."))
+        settings = {
+            setting: value
+            for setting, value in camera.settings.items()
+            if setting not in varied and not (preset and setting.startswith("render."))
         }
+        trial.cameras[name] = camera.model_copy(update={"settings": settings})
     trial.save()  # last: without it, the trial is begun anew
     return trial

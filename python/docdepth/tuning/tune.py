@@ -104,10 +104,11 @@ def _checked(source: RunFolder, judge: Judge, trial: Trial) -> Parameters:
             raise trial.refused(f"{name} changes the files that are written, not the depth in them")
         if name != "preset" and stage not in judge.stages:
             raise trial.refused(f"{name} does not change labels; score by depth or left-out sweeps")
-    if chosen.odometry != own.odometry and not source.manifest["source"].get("dataset"):
+    if chosen.odometry != own.odometry and source.manifest.inputs is None:
         raise trial.refused(f"{source.path} was not made of a recording; its odometry is given")
     same = (chosen.ground, chosen.dynamics) == (own.ground, own.dynamics)
-    if source.manifest["source"].get("labels") and not same:
+    inputs = source.manifest.inputs
+    if inputs is not None and inputs.labels is not None and not same:
         raise trial.refused(f"the classes of {source.path} are given, not found")
     return chosen
 
@@ -122,7 +123,7 @@ def _shared(base: Parameters, chosen: Parameters, judge: Judge) -> str:
 
 def _state(run: RunFolder) -> dict[str, Any]:
     """The keys of the stages that trials may share."""
-    return {stage: run.stage(stage).get("key") for stage in ("odometry", "classify")}
+    return {stage: run.stage(stage).key for stage in ("odometry", "classify")}
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,6 @@ from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
 from docdepth.geometry.track import KINDS, Track
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.manifest import SKIPPED, skipped_frames
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.parameter_table import parameter_table
@@ -144,7 +143,7 @@ def keep_held_out(run: RunFolder, camera: str | None, errors: Mapping[str, Any])
         Whether they were kept.
     """
     folder = run.depth_folder(camera)
-    made_of = run.stage(f"render {run.camera_in(folder)}").get("key")
+    made_of = run.stage(f"render {run.camera_in(folder)}").key
     if made_of is None:
         return False
     content = json.dumps(errors, indent=1).encode()
@@ -168,7 +167,7 @@ def _summary(
         for kind, count in kinds
         if count
     )
-    recording = Path(str(run.manifest["source"].get("dataset") or "unknown recording")).name
+    recording = (run.recording_path or Path("unknown recording")).name
     parts = [
         f"{recording}: {len(trajectory)} sweeps in {seconds:.1f} s, "
         f"{trajectory.arc_length[-1]:.0f} m driven",
@@ -184,12 +183,13 @@ def _summary(
 
 
 def _warnings(run: RunFolder) -> str:
-    found = [("inputs", text) for text in run.manifest.get("warnings", [])]
-    for name, stage in run.manifest["stages"].items():
-        found += [(name, text) for text in stage.get("warnings", [])]
-        if stage.get("left_out"):
-            found.append((name, f"images outside the sweeps, left out: {_few(stage['left_out'])}"))
-    found += [("left out", text) for text in skipped_frames(run.manifest["source"].get(SKIPPED))]
+    found = [("inputs", text) for text in run.manifest.warnings]
+    for name, stage in run.manifest.stages.items():
+        found += [(name, text) for text in stage.warnings]
+        if stage.left_out:
+            found.append((name, f"images outside the sweeps, left out: {_few(stage.left_out)}"))
+    if (skipped := run.manifest.derived.skipped) is not None:
+        found += [("left out", text) for text in skipped.sentences()]
     if not found:
         return "<p>No warnings.</p>"
     lines = (f"<li><b>{escape(name)}</b>: {escape(text)}" for name, text in found)
@@ -224,7 +224,7 @@ def _camera(run: RunFolder, page: CameraPage, trajectory: Trajectory) -> str:
 
 def _calibration(run: RunFolder, camera: str) -> str:
     """What the edges of its images say of the extrinsic."""
-    verdict = run.stage(f"render {camera}").get("calibration")
+    verdict = run.stage(f"render {camera}").calibration
     return f"<p>Depth edges against image edges: {escape(verdict)}.</p>" if verdict else ""
 
 
@@ -273,8 +273,8 @@ def _density(density: Sequence[tuple[int, float]], start: int) -> str:
 
 
 def _held_out(run: RunFolder, camera: str) -> str:
-    path = run.path / "report" / run.cameras[camera]["folder"] / HELD_OUT
-    if run.key(path) != {"render": run.stage(f"render {camera}").get("key")}:
+    path = run.path / "report" / run.cameras[camera].folder / HELD_OUT
+    if run.key(path) != {"render": run.stage(f"render {camera}").key}:
         return (
             "<p class=note>Errors against sweeps that were left out are not measured yet: docdepth "
             "evaluate held-out RUN does it, and adds them here</p>"
@@ -289,14 +289,14 @@ def _held_out(run: RunFolder, camera: str) -> str:
 
 def _time(run: RunFolder) -> str:
     """Seconds of each stage, as bars, with its parts."""
-    stages = run.manifest["stages"]
-    totals = {n: float(s.get("total_seconds", s.get("wall_seconds", 0))) for n, s in stages.items()}
+    stages = run.manifest.stages
+    totals = {name: entry.total_seconds for name, entry in stages.items()}
     longest = max(totals.values(), default=0.0) or 1.0
     rows = []
     for name, state in stages.items():
-        spent = sorted(state.get("seconds", {}).items(), key=lambda item: -item[1])
+        spent = sorted(state.seconds.items(), key=lambda item: -item[1])
         parts = ", ".join(f"{part} {seconds:.1f}" for part, seconds in spent)
-        frames = state.get("all_frames", 0)
+        frames = state.all_frames
         each = f"{totals[name] / frames:.2f} s" if frames else ""
         rows.append(
             f"<tr><td>{escape(name)}<td><div class=bar><i style='width:"
@@ -333,8 +333,10 @@ def _shown(value: Any) -> str:
 
 def _inputs(run: RunFolder) -> Iterator[tuple[str, str]]:
     yield "docdepth", __version__
-    source: Iterable[tuple[str, Any]] = run.manifest["source"].items()
-    shown = ((name, value) for name, value in source if value is not None and name != SKIPPED)
-    yield from ((name, str(value)) for name, value in shown)
+    found = [run.manifest.derived.model_dump(mode="json", exclude={"skipped"})]
+    if run.manifest.inputs is not None:
+        found.insert(0, run.manifest.inputs.model_dump(mode="json"))
+    shown = ((name, value) for tree in found for name, value in tree.items() if value)
+    yield from ((name, _shown(value)) for name, value in shown)
     for name in run.cameras:
-        yield f"renderer of {name}", str(run.stage(f"render {name}").get("renderer", ""))
+        yield f"renderer of {name}", run.stage(f"render {name}").renderer or ""

@@ -94,10 +94,10 @@ def camera_pages(
     count, most = budget(len(run.cameras))
     pages = []
     for name, entry in run.cameras.items():
-        depths = run.path / "depth" / str(entry["folder"])
+        depths = run.path / "depth" / entry.folder
         maps, files = described_maps(depths), maps_in(depths)
         names = sorted(maps.keys() & files.keys(), key=lambda image: maps[image][0])
-        reader = _Reader(run, str(entry["folder"]), streams.get(name), trajectory, tracks)
+        reader = _Reader(run, entry.folder, streams.get(name), trajectory, tracks)
         even = np.linspace(0, len(names) - 1, min(count, len(names)))
         moments, shares = [], []
         for k in np.unique(np.rint(even).astype(int)):

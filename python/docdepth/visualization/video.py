@@ -115,7 +115,7 @@ def write_video_from_above(
         fps = float(1e9 / np.median(np.diff(trajectory.times))) if len(trajectory) > 1 else 1.0
     tracks = tracks_in(run.path)
     frames = (sweep_from_above(run, trajectory, tracks, k) for k in range(len(trajectory)))
-    key = {"classify": run.stage("classify").get("key", "")}
+    key = {"classify": run.stage("classify").key or ""}
     path = run.path / "report" / "above.webm"
     return _write(run, path, frames, len(trajectory), fps, key, progress)
 
