@@ -131,7 +131,7 @@ def test_image_size_that_does_not_fit(raw: Path) -> None:
     with pytest.raises(CalibrationError, match="1242 x 375 but the image size asked for is 640"):
         open_dataset(raw, image_size=(640, 480))
     file.write_text(text.replace("S_rect_02: 1.242000e+03 3.750000e+02\n", ""))
-    with pytest.raises(CalibrationError, match="--image-size"):
+    with pytest.raises(CalibrationError, match="by `image_size`"):
         open_dataset(raw)
     with pytest.raises(CalibrationError, match=r"principal point .* outside the 400 x 300"):
         open_dataset(raw, image_size=(400, 300))
@@ -142,7 +142,7 @@ def test_folders_without_a_recording(raw: Path, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="not there"):
         open_dataset(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(DatasetError, match=r"that docdepth reads \(kitti_raw, .*say by --dataset"):
+    with pytest.raises(DatasetError, match=r"that docdepth reads \(kitti_raw, .*say by `dataset`"):
         open_dataset(tmp_path / "empty")
     with pytest.raises(DatasetError, match="unknown dataset 'lyft'; there are kitti_raw"):
         open_dataset(raw, "lyft")

@@ -74,7 +74,7 @@ def test_frames_before_the_first_pose_have_none(kitti_360: Path, caplog) -> None
     kitti_360_poses(kitti_360 / "data_poses" / SEQUENCE, [1, 2, 4])
     assert open_dataset(kitti_360).poses is None
     assert "1 of 5 sweeps have no pose" in caplog.text
-    assert "--frames 1:5 has poses" in caplog.text
+    assert "`frames='1:5'` has poses" in caplog.text
     assert open_dataset(kitti_360, frames="0:3").poses is None
     part = open_dataset(kitti_360, frames="1:5").poses
     assert part is not None

@@ -1,4 +1,4 @@
-"""A part of a recording: ``--frames A:B``."""
+"""A part of a recording: sweeps A to B - 1."""
 
 from __future__ import annotations
 
@@ -137,14 +137,14 @@ def _parse(frames: str, count: int, path: Path) -> range:
     match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", frames, re.ASCII)
     if not match:
         raise DatasetError(
-            f"--frames {frames!r}: write A:B with numbers of sweeps, for example 100:200, "
-            f"100: or :200; {path} has {count} sweeps"
+            f"frames {frames!r}: write A:B with numbers of sweeps, for example 100:200, 100: or "
+            f":200; {path} has {count} sweeps"
         )
     first, last = match.groups()
     chosen = range(count)[int(first or 0) : int(last or count)]
     if not chosen:
         raise DatasetError(
-            f"--frames {frames} holds no sweep: {path} has {count} sweeps, 0 to {count - 1}"
+            f"frames {frames} holds no sweep: {path} has {count} sweeps, 0 to {count - 1}"
         )
     return chosen
 

@@ -241,7 +241,7 @@ def whole_poses(partial: NDArray[np.float64] | None, path: Path) -> NDArray[np.f
     ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]])))
     begin, end = max(ends.reshape(-1, 2).tolist(), key=lambda run: run[1] - run[0])
     log.warning(
-        "%s: %d of %d sweeps have no pose, so the recording has none; --frames %d:%d has poses",
+        "%s: %d of %d sweeps have no pose, so the recording has none; `frames='%d:%d'` has poses",
         path, len(known) - known.sum(), len(known), begin, end,
     )  # fmt: skip
     return None

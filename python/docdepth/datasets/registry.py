@@ -220,8 +220,8 @@ def _find_recording(path: Path, wanted: Format | None) -> tuple[Path, Format]:
         )
     names = ", ".join(known.name for known in formats)
     raise DatasetError(
-        f"{path} is no recording that docdepth reads ({names}); say by --dataset "
-        "which it should be, to be told what is missing"
+        f"{path} is no recording that docdepth reads ({names})",
+        "say by `dataset` which it should be, to be told what is missing",
     )
 
 

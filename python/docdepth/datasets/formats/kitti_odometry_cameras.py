@@ -88,7 +88,7 @@ def read_cameras(
     if guessed:
         log.warning(
             "%s: image sizes guessed from the principal points (%s); "
-            "give the size (--image-size 1242x375) or put the images there",
+            "give the size by `image_size`, for example 1242x375, or put the images there",
             sequence, ", ".join(guessed),
         )  # fmt: skip
     return streams
@@ -131,6 +131,7 @@ def _image_size(
     if known and asked and known != asked:
         raise CalibrationError(
             f"{source} is {known[0]} x {known[1]} pixels, the image size asked for is "
-            f"{asked[0]} x {asked[1]}; give no --image-size"
+            f"{asked[0]} x {asked[1]}",
+            "give no `image_size`",
         )
     return known or asked

@@ -185,8 +185,8 @@ def image_size_of(
         known.append(("the image size asked for", asked))
     if not known:
         raise CalibrationError(
-            f"{calibration.file} has no '{name}:' and image_{number} has no images: "
-            "say how large they are (--image-size 1242x375)"
+            f"{calibration.file} has no '{name}:' and image_{number} has no images",
+            "give their size by `image_size`, for example 1242x375",
         )
     source, size = known[0]
     for other, claimed in known[1:]:

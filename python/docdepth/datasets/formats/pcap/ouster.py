@@ -98,7 +98,7 @@ class OusterCapture:
         rows, columns = points.shape[:2]
         valid = (frame.status & _VALID) > 0
         if not valid.any():
-            raise DatasetError(f"{where} has no valid column; leave it out with --frames")
+            raise DatasetError(f"{where} has no valid column", "leave it out by `frames`")
         points[:, ~valid] = 0
         late = np.where(valid, frame.timestamp - frame.timestamp[valid].min(), 0).astype(np.int64)
         name = next((n for n in ("REFLECTIVITY", "SIGNAL") if n in list(frame.fields)), None)
