@@ -12,7 +12,7 @@ from docdepth.geometry.se3 import poses_from, rotation_exp
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.frames import write_trajectory
 from docdepth.io.ply import write_vertices
-from docdepth.io.poses import read_poses, read_tum, write_kitti, write_tum
+from docdepth.io.poses import read_poses, read_poses_at, read_tum, write_kitti, write_tum
 
 POSE = np.eye(4)[None]
 
@@ -101,3 +101,13 @@ def test_broken_poses(tmp_path: Path, text: str, match: str) -> None:
 def test_missing_poses(tmp_path: Path) -> None:
     with pytest.raises(OdometryError, match=r"poses\.txt is missing"):
         read_poses(tmp_path / "poses.txt", 2)
+
+
+@pytest.mark.parametrize(("late_ns", "told"), [(0, 0), (90_000_000, 1), (10**12, 0)])
+def test_other_times_are_told_unless_they_are_of_another_clock(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, late_ns: int, told: int
+) -> None:
+    given = turning(5)
+    write_tum(tmp_path / "p.txt", Trajectory(given.times + late_ns, given.poses))
+    read_poses_at(tmp_path / "p.txt", given.times)
+    assert len(caplog.records) == told
