@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from docdepth.concurrency import Timer
 from docdepth.config import GroundParameters, Parameters, parameters
 from docdepth.datasets import open_dataset
 from docdepth.dynamics.key_frames import KeyFrames
@@ -27,7 +28,6 @@ from docdepth.pipeline import classify
 from docdepth.pipeline.memory import bytes_of, memory_of_run, within_memory
 from docdepth.pipeline.run import run
 from docdepth.pipeline.run_state import states
-from docdepth.pipeline.stage import Stopwatch
 
 
 def test_memory_grows_with_the_sensor_and_the_chunk_and_hardly_with_the_drive() -> None:
@@ -133,16 +133,16 @@ def test_a_budget_makes_no_other_run(
 
 def test_what_the_caller_held_does_not_count() -> None:
     held = np.ones(50 << 20)  # 400 MB
-    code = "from docdepth.pipeline.stage import Stopwatch as S; print(S().peak_memory_mb())"
+    code = "from docdepth.concurrency import Timer as S; print(S().peak_memory_mb())"
     printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
     assert held.nbytes > 4e8
     assert int(printed.stdout) < 300
 
 
 def test_a_system_that_does_not_tell_the_peak(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = Stopwatch().peak_memory_mb()
+    told = Timer().peak_memory_mb()
     monkeypatch.setattr(Path, "read_text", lambda _: "VmRSS: 5 kB")  # as in some sandboxes
-    assert Stopwatch().peak_memory_mb() >= told - 1
+    assert Timer().peak_memory_mb() >= told - 1
 
 
 @pytest.mark.slow

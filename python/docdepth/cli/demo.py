@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from docdepth.concurrency import Progress
 from docdepth.config import Preset, parameters
 from docdepth.errors import DatasetError
 from docdepth.pipeline.run import run
-from docdepth.pipeline.stage import Progress
 from docdepth.synthetic import write_drive
 from docdepth.synthetic.writer import described, sequence_folder, written_drive
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress
 from docdepth.config import Parameters, given
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.dynamics.classes import DriveLabels, Labels
@@ -30,7 +30,7 @@ def classify_drive(
     trajectory: Trajectory,
     parameters: Parameters | None = None,
     ground: Sequence[NDArray[np.bool_]] | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
     threads: int = 0,
 ) -> DriveLabels:
     """Classify the points of a drive: ground, static or dynamic.
@@ -71,8 +71,7 @@ def classify_drive(
     if len(ground) != len(sweeps):
         raise InputError(f"{len(sweeps)} sweeps need as many ground labels, got {len(ground)}")
     store = _Memory(sweeps, ground, sweep_seconds(trajectory.times))
-    told = None if progress is None else partial(progress, "classify")
-    classify_sweeps(store, trajectory, p.dynamics, told, threads)
+    classify_sweeps(store, trajectory, p.dynamics, progress, threads)
     labels = DriveLabels(store.labels[i] for i in range(len(sweeps)))
     labels.tracks = store.tracks
     return labels

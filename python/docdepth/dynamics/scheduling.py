@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Protocol
 
-from docdepth.concurrency import Watch, prefetch, thread_count, unwatched
+from docdepth.concurrency import Progress, Timer, null_progress, prefetch, thread_count
 from docdepth.config import DynamicsParameters
 from docdepth.dynamics.classes import Labels
-from docdepth.dynamics.look_ahead import LookAhead
 from docdepth.dynamics.sweep_classifier import Evidence, MeshedFrame, SweepClassifier
 from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep
 from docdepth.dynamics.voting import KeyFrame
@@ -21,10 +19,6 @@ from docdepth.geometry.trajectory import Trajectory
 
 _FILE_THREADS = 5
 """Threads that read and write while they add tracks: most of them wait for the disk."""
-
-
-Told = Callable[[int], None]
-"""Called with the number of sweeps that are done."""
 
 
 class SweepStore(Protocol):
@@ -66,21 +60,22 @@ class SweepStore(Protocol):
         ...
 
 
-Work = Callable[[SweepClassifier, SweepStore, Sequence[int], Told, int], None]
-"""What is done with sweeps: :func:`vote_on`, :func:`add_tracks`. The last argument is threads."""
+SweepWork = Callable[[SweepClassifier, SweepStore, Sequence[int], Callable[[int], None], int], None]
+"""What is done with sweeps: :func:`vote_on`, :func:`add_tracks`. The last arguments are to be
+called with the number of sweeps that are done, and threads."""
 
-Share = Callable[[Work, list[int], Told], None]
-"""Has work done on sweeps, all in their order or parts of them elsewhere."""
+MapChunks = Callable[[SweepWork, list[int], Callable[[int], None]], None]
+"""Does work on sweeps in chunks, and calls the last argument with the number that are done."""
 
 
 def classify_sweeps(
     store: SweepStore,
     trajectory: Trajectory,
     parameters: DynamicsParameters,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     threads: int = 0,
-    watch: Watch = unwatched,
-    share: Share | None = None,
+    timer: Timer | None = None,
+    map_chunks: MapChunks | None = None,
 ) -> int:
     """Classify the sweeps of a store that are not classified yet.
 
@@ -91,79 +86,111 @@ def classify_sweeps(
         One pose a sweep.
     parameters : DynamicsParameters
     progress : callable, optional
-        Called with the sweeps done and their number.
+        Called with ``"classify"``, the sweeps done and their number.
     threads : int
         0 for all cores.
-    watch : callable, optional
+    timer : Timer, optional
         Takes the times of the steps.
-    share : callable, optional
-        Has sweeps worked on by many workers.
+    map_chunks : callable, optional
+        Shares sweeps among workers.
 
     Returns
     -------
     int
         How many sweeps were not classified yet.
     """
-    steps, every = SweepClassifier(trajectory, parameters, watch), range(len(trajectory))
-    left = [i for i in every if not store.is_done(i)]
+    classifier, count = SweepClassifier(trajectory, parameters, timer), len(trajectory)
+    left = [i for i in range(count) if not store.is_done(i)]
     if not left:
         return 0
-    tell = progress or (lambda done, total: None)
-    each = share or (lambda work, sweeps, told: work(steps, store, sweeps, told, threads))
+    report = progress or null_progress
+    each = map_chunks or (lambda work, sweeps, done: work(classifier, store, sweeps, done, threads))
     tracked = store.tracked()
     # Tracks are made of the evidence of all sweeps. Where they are known, few sweeps are missing.
-    needed = every if steps.uses_tracks and tracked is None else left
-    without = [i for i in needed if not (steps.uses_tracks and store.has_evidence(i))]
-    kept = len(trajectory) - len(without)
-    tell(kept, len(trajectory))
-    each(vote_on, without, lambda done: tell(kept + done, len(trajectory)))
-    if steps.uses_tracks:
+    needed = list(range(count)) if classifier.uses_tracks and tracked is None else left
+    without = [i for i in needed if not (classifier.uses_tracks and store.has_evidence(i))]
+    kept = count - len(without)
+    report("classify", kept, count)
+    each(vote_on, without, lambda done: report("classify", kept + done, count))
+    if classifier.uses_tracks:
         if tracked is None:
-            store.keep_tracks(lambda take: steps.track(store.detections, take, threads))
+            store.keep_tracks(lambda take: classifier.track(store.detections, take, threads))
         each(add_tracks, left, lambda done: None)
     return len(left)
 
 
 def vote_on(
-    steps: SweepClassifier, store: SweepStore, sweeps: Sequence[int], told: Told, threads: int
+    classifier: SweepClassifier,
+    store: SweepStore,
+    sweeps: Sequence[int],
+    progress: Callable[[int], None],
+    threads: int,
 ) -> None:
     """Classify sweeps by their own votes."""
 
-    def voters(index: int) -> list[int]:
-        keys: list[int] = steps.key_frames[index].tolist()
-        return keys
-
     def classify(
-        index: int, made: Future[MeshedFrame], key_frames: list[Future[KeyFrame]]
+        needed: tuple[int, Future[MeshedFrame], list[Future[KeyFrame]]],
     ) -> Future[None]:
-        meshed = made.result()
+        index, meshed, key_frames = needed[0], needed[1].result(), needed[2]
         frame = meshed.frame
-        votes = steps.vote(index, frame, [key_frame.result() for key_frame in key_frames])
-        if not steps.uses_tracks:
-            labels = steps.classify(meshed, votes)
+        votes = classifier.vote(index, frame, [key_frame.result() for key_frame in key_frames])
+        if not classifier.uses_tracks:
+            labels = classifier.classify(meshed, votes)
             return writers.submit(store.write, index, frame, labels)
-        return writers.submit(store.keep, index, *steps.detect(index, meshed, votes))
+        return writers.submit(store.keep, index, *classifier.detect(index, meshed, votes))
 
     # A job takes one thread, since a sweep alone has too little to do for many. Others write, so
     # that workers do not wait for the disk.
     workers = thread_count(threads)
     with ThreadPoolExecutor(2) as writers, ThreadPoolExecutor(workers) as pool:
-        ahead = LookAhead(
-            pool, workers, sweeps, voters, lambda k: steps.prepare(store.read(k)), steps.key_frame
-        )
-        working: deque[Future[Future[None]]] = deque()
-        for step, index in enumerate(sweeps):
-            working.append(pool.submit(classify, index, *ahead.take(step)))
-            if len(working) > workers:
-                working.popleft().result().result()
-            told(step + 1 - len(working))
-        while working:
-            working.popleft().result().result()
-            told(len(sweeps) - len(working))
+        needed = _look_ahead(pool, workers, classifier, store, sweeps)
+        for done, written in enumerate(prefetch(pool, classify, needed, workers), 1):
+            written.result()
+            progress(done)
+
+
+def _look_ahead(
+    pool: Executor,
+    workers: int,
+    classifier: SweepClassifier,
+    store: SweepStore,
+    order: Sequence[int],
+) -> Iterator[tuple[int, Future[MeshedFrame], list[Future[KeyFrame]]]]:
+    """Each sweep with its key frames, made a little before and dropped after their last use.
+
+    Workers take jobs in the order in which they were submitted. A job that another one needs is
+    always submitted first, so no worker waits for a job that waits for a worker; and it is
+    submitted some sweeps before, so workers seldom wait at all. Memory is bounded by this window
+    and the radius of the key frames, not by the length of the drive.
+    """
+    sweeps: dict[int, Future[MeshedFrame]] = {}
+    key_frames: dict[int, Future[KeyFrame]] = {}
+
+    def voters(indices: Sequence[int]) -> set[int]:
+        return {k for index in indices for k in classifier.key_frames[index].tolist()}
+
+    def make_key_frame(sweep: Future[MeshedFrame]) -> KeyFrame:
+        return classifier.key_frame(sweep.result())
+
+    for step, index in enumerate(order):
+        ahead = order[step : step + workers + 2]
+        soon, later = voters(ahead[: workers + 1]), voters(ahead)
+        key_frames = {k: made for k, made in key_frames.items() if k in soon}
+        wanted = later - key_frames.keys()
+        sweeps = {k: sweep for k, sweep in sweeps.items() if k >= index or k in wanted}
+        for k in sorted({*ahead, *later} - sweeps.keys() - key_frames.keys()):
+            sweeps[k] = pool.submit(lambda k: classifier.prepare(store.read(k)), k)
+        for k in sorted(soon - key_frames.keys()):
+            key_frames[k] = pool.submit(make_key_frame, sweeps[k])
+        yield index, sweeps[index], [key_frames[k] for k in classifier.key_frames[index].tolist()]
 
 
 def add_tracks(
-    steps: SweepClassifier, store: SweepStore, sweeps: Sequence[int], told: Told, threads: int
+    classifier: SweepClassifier,
+    store: SweepStore,
+    sweeps: Sequence[int],
+    progress: Callable[[int], None],
+    threads: int,
 ) -> None:
     """Classify objects that move at another time of the drive; the store has its tracks."""
     tracked = store.tracked()
@@ -174,9 +201,9 @@ def add_tracks(
         # The sweep is read once more, since tracks are known when all sweeps have voted and a drive
         # may not fit into memory.
         frame = store.read(index)
-        labels = steps.add_tracks(index, frame, store.evidence(index), tracked[index])
+        labels = classifier.add_tracks(index, frame, store.evidence(index), tracked[index])
         store.write(index, frame, labels)
 
     with ThreadPoolExecutor(_FILE_THREADS) as pool:
         for done, _ in enumerate(prefetch(pool, add, sweeps, _FILE_THREADS), 1):
-            told(done)
+            progress(done)

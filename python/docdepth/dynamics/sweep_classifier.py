@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Watch, unwatched
+from docdepth.concurrency import Timer
 from docdepth.config import DynamicsParameters
 from docdepth.dynamics import voting
 from docdepth.dynamics.classes import Labels, classify
@@ -60,7 +60,7 @@ class SweepClassifier:
     trajectory : Trajectory
         One pose a sweep.
     parameters : DynamicsParameters
-    watch : callable, optional
+    timer : Timer, optional
         Takes the times of the steps.
 
     Attributes
@@ -72,11 +72,12 @@ class SweepClassifier:
     """
 
     def __init__(
-        self, trajectory: Trajectory, parameters: DynamicsParameters, watch: Watch = unwatched
+        self, trajectory: Trajectory, parameters: DynamicsParameters, timer: Timer | None = None
     ) -> None:
         self.key_frames = KeyFrames(trajectory, parameters)
         self.uses_tracks = parameters.evidence == "tracks"
-        self._trajectory, self._parameters, self._watch = trajectory, parameters, watch
+        self._trajectory, self._parameters = trajectory, parameters
+        self._timer = timer or Timer()
         self._local_poses = local_poses(trajectory)
 
     def prepare(self, frame: LidarFrame) -> MeshedFrame:
@@ -90,20 +91,20 @@ class SweepClassifier:
         if rig is not None and rig.ego_displacement is not None:
             rig = replace(rig, ego_displacement=None)
             frame = replace(frame, sensor_rig=rig)
-        with self._watch("meshes"):
+        with self._timer("meshes"):
             return MeshedFrame(frame, ScanMesh(frame.points, rig))
 
     def key_frame(self, meshed: MeshedFrame) -> KeyFrame:
         """Prepare a sweep to vote."""
         frame, mesh = meshed
-        with self._watch("key frames"):
+        with self._timer("key frames"):
             return KeyFrame(frame.points, frame.ground, self._parameters, mesh, frame.sensor_rig)
 
     def vote(self, index: int, frame: LidarFrame, key_frames: Sequence[KeyFrame]) -> Votes:
         """Let the key frames of sweep ``index`` vote on it, in one thread."""
         poses = self._trajectory.poses
         earlier = int(np.searchsorted(self.key_frames[index], index))
-        with self._watch("vote"):
+        with self._timer("vote"):
             return voting.vote(
                 frame.points,
                 frame.ground,
@@ -117,7 +118,7 @@ class SweepClassifier:
     def classify(self, meshed: MeshedFrame, votes: Votes) -> Labels:
         """Labels of a sweep when no tracks are used."""
         frame, mesh = meshed
-        with self._watch("objects"):
+        with self._timer("objects"):
             classid = classify(frame.ground, votes, self._parameters, frame.points, mesh)
         return Labels(classid, votes)
 
@@ -126,10 +127,10 @@ class SweepClassifier:
         frame, mesh = meshed
         points, ground = frame.points, frame.ground
         mesh = mesh or ScanMesh(points)
-        with self._watch("objects"):
+        with self._timer("objects"):
             objects = cluster_objects(points, ground, mesh)
             classid = classify(ground, votes, self._parameters, points, mesh, objects)
-        with self._watch("detections"):
+        with self._timer("detections"):
             moving, pose = classid >= DYNAMIC, self._local_poses[index]
             occupancy = votes.occupancy_by_sweep(self.key_frames[index], index)
             detections = Detections(
@@ -141,7 +142,7 @@ class SweepClassifier:
         self, read: Callable[[int], Detections], take: TakeSweep, threads: int = 0
     ) -> list[Track]:
         """Track objects through the drive, as :func:`track_objects` does."""
-        with self._watch("tracks"):
+        with self._timer("tracks"):
             return track_objects(read, self._trajectory, take, threads)
 
     def add_tracks(

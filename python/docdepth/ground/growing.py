@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Watch, prefetch, thread_count, unwatched
+from docdepth.concurrency import Progress, Timer, null_progress, prefetch, thread_count
 from docdepth.config import GroundParameters, Parameters, given
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.geometry.points import spread, usable_points
@@ -59,7 +59,7 @@ def label_chunk(
     parameters: GroundParameters,
     threads: int = 0,
     progress: Callable[[float], None] | None = None,
-    watch: Watch = unwatched,
+    timer: Timer | None = None,
 ) -> Iterator[NDArray[np.bool_]]:
     """Ground labels of one chunk, frame by frame.
 
@@ -77,7 +77,7 @@ def label_chunk(
         0 for all cores.
     progress : callable, optional
         Called with the share of the chunk that is done.
-    watch : callable, optional
+    timer : Timer, optional
         Takes the times of its steps.
 
     Yields
@@ -85,21 +85,21 @@ def label_chunk(
     ndarray of bool, shape (N,)
         True for ground.
     """
+    progress, timer = progress or (lambda share: None), timer or Timer()
     # Voxels are counted from the first pose of the drive, so labels do not depend on the chunks.
     ground_map = GroundMap(parameters, threads, trajectory.poses[0, :3, 3])
 
     def label(index: int) -> NDArray[np.bool_]:
         points = read(index)
-        with watch("ground: label"):
+        with timer("ground: label"):
             return ground_map.label(points, trajectory.poses[index])
 
-    progress = progress or (lambda share: None)
     with ThreadPoolExecutor(thread_count(threads) + 1) as pool:
         for step, points in enumerate(prefetch(pool, read, chunk.merged)):
-            with watch("ground: insert"):
+            with timer("ground: insert"):
                 ground_map.insert(points, trajectory.poses[chunk.merged[step]])
             progress(step / (2 * len(chunk.merged)))
-        with watch("ground: grow"):
+        with timer("ground: grow"):
             ground_map.grow()
         for step, ground in enumerate(prefetch(pool, label, chunk.frames)):
             progress(0.5 + step / (2 * len(chunk.frames)))
@@ -111,7 +111,7 @@ def grow_ground(
     trajectory: Trajectory,
     parameters: Parameters | None = None,
     threads: int = 0,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[NDArray[np.bool_]]:
     """Ground labels of a whole drive, chunk by chunk (paper IV-A).
 
@@ -150,7 +150,7 @@ def grow_ground(
 
     labels: list[NDArray[np.bool_]] = []
     for chunk in chunks(trajectory, p):
-        done = partial(chunk_progress, progress, chunk, len(trajectory))
+        done = partial(_chunk_progress, progress or null_progress, chunk, len(trajectory))
         found = label_chunk(chunk, read, trajectory, p, threads, done)
         for index, of_usable in zip(chunk.frames, found, strict=True):
             rows = usable.pop(index)
@@ -161,9 +161,6 @@ def grow_ground(
     return labels
 
 
-def chunk_progress(
-    progress: Callable[[str, int, int], None] | None, chunk: Chunk, total: int, share: float
-) -> None:
+def _chunk_progress(progress: Progress, chunk: Chunk, total: int, share: float) -> None:
     """Report a share of a chunk as sweeps done of a drive of ``total`` sweeps."""
-    if progress:
-        progress("ground", chunk.frames[0] + int(share * len(chunk.frames)), total)
+    progress("ground", chunk.frames[0] + int(share * len(chunk.frames)), total)

@@ -3,9 +3,9 @@
 Every stage can be killed and goes on where it stopped; what is done is known from the files.
 """
 
+from docdepth.concurrency import Progress
 from docdepth.pipeline.classify import run_classify
 from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.render import run_render
-from docdepth.pipeline.stage import Progress
 
 __all__ = ["Progress", "run_classify", "run_odometry", "run_render"]

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Watch, unwatched
+from docdepth.concurrency import Progress, Timer, null_progress
 from docdepth.diagnostics.results import check_classes, count_classes
 from docdepth.dynamics.classes import Labels
-from docdepth.dynamics.scheduling import Told, Work, classify_sweeps
+from docdepth.dynamics.scheduling import SweepWork, classify_sweeps
 from docdepth.dynamics.sweep_classifier import Evidence, SweepClassifier
 from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep
 from docdepth.dynamics.voting import Votes
@@ -42,8 +42,8 @@ from docdepth.pipeline.graph import classify_parts, label_files
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.kept_tracks import are_kept, keep_tracking, kept_sweeps, kept_tracks
 from docdepth.pipeline.memory import parameters_within_budget
-from docdepth.pipeline.stage import Progress, Stopwatch, progress_callback, stage
-from docdepth.pipeline.workers import Worker, Workers
+from docdepth.pipeline.parallel import ChunkContext, WorkerPool
+from docdepth.pipeline.stage import stage
 
 _EVIDENCE = "evidence"
 """Folder in the notes of a run with what an interrupted stage goes on with."""
@@ -59,7 +59,7 @@ def run_classify(
     run: RunFolder,
     threads: int = 0,
     progress: Progress | None = None,
-    workers: Workers | None = None,
+    workers: WorkerPool | None = None,
 ) -> None:
     """Write ground, votes, class and track of every point into ``frames/``, ``labels/`` and tracks.
 
@@ -71,7 +71,7 @@ def run_classify(
         0 for all cores.
     progress : callable, optional
         Called with the step (``ground``, ``classify``), the frames done and their number.
-    workers : Workers, optional
+    workers : WorkerPool, optional
         Who does the work; this process with its threads if absent.
 
     Raises
@@ -81,7 +81,7 @@ def run_classify(
     """
     if run.manifest.inputs is not None and run.manifest.inputs.labels is not None:
         return take_labels(run, progress)
-    p, workers = run.parameters, workers or Workers(threads)
+    p, workers = run.parameters, workers or WorkerPool(threads)
     with run.lock("classify"):
         trajectory = run.trajectory()
         parts = classify_parts(run, run.stage("odometry").key, InputFiles(run))
@@ -92,19 +92,20 @@ def run_classify(
         if all(store.is_done(i) for i in range(len(trajectory))) and store.has_tracks():
             return
         with stage(run, "classify", parts, len(trajectory)) as profile:
-            store.watch = watch = profile.watch
+            store.timer = timer = profile.timer
             ground_key = {"ground": stage_key(*made_of)}
-            _grow_ground(run, trajectory, ground_key, watch, workers, progress)
+            _grow_ground(run, trajectory, ground_key, timer, workers, progress)
 
-            def share(work: Work, sweeps: list[int], told: Told) -> None:
+            def map_chunks(
+                work: SweepWork, sweeps: list[int], report: Callable[[int], None]
+            ) -> None:
                 chunks = workers.cut(sweeps, trajectory.arc_length[sweeps])
                 on_chunk = partial(_classify_chunk, work, key)
-                for _, counts in workers.each(run, on_chunk, chunks, watch, told):
+                for _, counts in workers.map_frames(run, on_chunk, chunks, timer, report):
                     store.counts += counts
 
-            tell = progress_callback(progress, "classify")
             profile.frames = classify_sweeps(
-                store, trajectory, p.dynamics, tell, threads, watch, share
+                store, trajectory, p.dynamics, progress, threads, timer, map_chunks
             )
             store.write_tracks()
             profile.add(check_classes(store.counts))
@@ -138,37 +139,38 @@ def _grow_ground(
     run: RunFolder,
     trajectory: Trajectory,
     key: dict[str, str],
-    watch: Stopwatch,
-    workers: Workers,
+    timer: Timer,
+    workers: WorkerPool,
     progress: Progress | None,
 ) -> None:
     """Ground labels of every frame; those of each chunk are kept in a file."""
-    tell, total = progress_callback(progress, "ground"), len(trajectory)
+    report, total = progress or null_progress, len(trajectory)
     found = chunks(trajectory, parameters_within_budget(run).ground)
     left = [chunk for chunk in found if run.key(_ground_file(run, chunk)) != key]
     kept = total - sum(map(_frames, left))
 
-    def told(done: int) -> None:
-        tell(kept + done, total)
+    def done_of_left(done: int) -> None:
+        report("ground", kept + done, total)
 
-    for _ in workers.each(run, partial(_label_ground, key), left, watch, told, _frames):
+    work = partial(_label_ground, key)
+    for _ in workers.map_frames(run, work, left, timer, done_of_left, _frames):
         pass
-    tell(total, total)
+    report("ground", total, total)
 
 
-def _label_ground(key: dict[str, str], worker: Worker, chunk: Chunk) -> None:
+def _label_ground(key: dict[str, str], context: ChunkContext, chunk: Chunk) -> None:
     """Write the ground labels of a chunk."""
-    run, watch = worker.run, worker.watch
+    run, timer = context.run, context.timer
 
     def read(index: int) -> NDArray[np.float32]:
-        with watch("read"):
+        with timer("read"):
             return run.points(index)
 
     def done(share: float) -> None:
-        worker.told(int(share * _frames(chunk)))
+        context.progress(int(share * _frames(chunk)))
 
     trajectory, p = run.trajectory(), parameters_within_budget(run).ground
-    labels = label_chunk(chunk, read, trajectory, p, worker.threads, done, watch)
+    labels = label_chunk(chunk, read, trajectory, p, context.threads, done, timer)
     write_arrays(run, _ground_file(run, chunk), key, map(np.packbits, labels))
 
 
@@ -181,13 +183,14 @@ def _ground_file(run: RunFolder, chunk: Chunk) -> Path:
 
 
 def _classify_chunk(
-    work: Work, key: dict[str, str], worker: Worker, sweeps: list[int]
+    work: SweepWork, key: dict[str, str], context: ChunkContext, sweeps: list[int]
 ) -> NDArray[np.int64]:
     """Do a step of classification on some sweeps; the counts of those that were written."""
-    trajectory, watch = worker.run.trajectory(), worker.watch
-    store = _FrameStore(worker.run, key, trajectory, watch)
-    steps = SweepClassifier(trajectory, worker.run.parameters.dynamics, watch)
-    work(steps, store, sweeps, worker.told, worker.threads)
+    run, timer = context.run, context.timer
+    trajectory = run.trajectory()
+    store = _FrameStore(run, key, trajectory, timer)
+    classifier = SweepClassifier(trajectory, run.parameters.dynamics, timer)
+    work(classifier, store, sweeps, context.progress, context.threads)
     return store.counts
 
 
@@ -199,7 +202,7 @@ class _FrameStore:
     key : dict
         What classes are made of.
     trajectory : Trajectory
-    watch : callable
+    timer : Timer, optional
 
     Attributes
     ----------
@@ -209,13 +212,17 @@ class _FrameStore:
     """
 
     def __init__(
-        self, run: RunFolder, key: dict[str, str], trajectory: Trajectory, watch: Watch = unwatched
+        self,
+        run: RunFolder,
+        key: dict[str, str],
+        trajectory: Trajectory,
+        timer: Timer | None = None,
     ) -> None:
         self._run, self._key, self._trajectory = run, key, trajectory
         self._detections: OrderedDict[int, Detections] = OrderedDict()
         self._keeping = Lock()
         self._ground = _GroundLabels(run, trajectory)
-        self.watch = watch
+        self.timer = timer or Timer()
         self.counts = np.zeros(3, np.int64)
 
     @cached_property
@@ -259,7 +266,7 @@ class _FrameStore:
         return self._run.key(self._kept(index)) == self._key
 
     def read(self, index: int) -> LidarFrame:
-        with self.watch("read"):
+        with self.timer("read"):
             frame = self._run.frame(index)
             ground = np.unpackbits(self._ground.read(index), count=len(frame)).view(np.bool_)
         return replace(frame, classid=np.where(ground, np.uint16(GROUND), np.uint16(STATIC)))
@@ -269,11 +276,11 @@ class _FrameStore:
         labels, objects = evidence
         arrays: list[NDArray[Any]] = [objects, labels.votes.static, labels.votes.dynamic]
         arrays += [labels.classid, *detections.arrays]
-        with self.watch("write"):
+        with self.timer("write"):
             write_arrays(self._run, self._kept(index), self._key, arrays)
 
     def evidence(self, index: int) -> Evidence:
-        with self.watch("read"):
+        with self.timer("read"):
             objects, static, dynamic, classid = read_arrays(self._kept(index), _OF_EVIDENCE)
         return Evidence(Labels(classid, Votes(static, dynamic)), objects)
 
@@ -281,7 +288,7 @@ class _FrameStore:
         with self._keeping:
             held = self._detections.get(index)
         if held is None:
-            with self.watch("read"):
+            with self.timer("read"):
                 arrays = read_arrays(self._kept(index), _OF_DETECTIONS, skipped=_OF_EVIDENCE)
                 held = Detections.of(arrays)
             self._hold(index, held)
@@ -298,7 +305,7 @@ class _FrameStore:
         counts = count_classes(labels.classid)
         with self._keeping:
             self.counts += counts
-        with self.watch("write"):
+        with self.timer("write"):
             classified = replace(
                 frame,
                 votes_static=labels.votes.static,

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import InputError
 from docdepth.geometry.points import DYNAMIC, GROUND, STATIC
 from docdepth.io.ply import write_vertices
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.run_state import require
-from docdepth.pipeline.stage import Progress, progress_callback
 from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.visualization.image_views import track_color
 from docdepth.visualization.pictures import GROUND_COLOR, STATIC_COLOR
@@ -131,10 +131,10 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress | None = 
         A frame is missing, damaged or not classified.
     """
     require(run, "classify")
+    report = progress or null_progress
     trajectory, tracks = run.trajectory(), tracks_in(run.path)
     world = VoxelCloud(voxel, trajectory.poses[0, :3, 3])
     objects: dict[int, VoxelCloud] = {}
-    tell = progress_callback(progress, "map")
     for k, pose in enumerate(trajectory.poses):
         record, classid = run.classified_frame(k)
         kept = (classid < DYNAMIC) & np.isfinite(record.points).all(axis=1)
@@ -151,7 +151,7 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress | None = 
             T = found.T_object_lidar[number]
             cloud = objects.setdefault(of, VoxelCloud(voxel * _OF_OBJECTS, np.zeros(3)))
             cloud.add(points @ T[:3, :3].T + T[:3, 3], np.zeros(len(points), bool))
-        tell(k + 1, len(trajectory))
+        report("map", k + 1, len(trajectory))
     named = {
         f"{n:05d}_{tracks[n].kind}.ply": (cloud, track_color(n)) for n, cloud in objects.items()
     }

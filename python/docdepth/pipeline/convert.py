@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress
 from docdepth.datasets import Dataset, open_dataset, usable_points
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.ground_plane import level_turn
@@ -24,7 +25,6 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.release import DEPTH_FORMATS, write_release
 from docdepth.pipeline.run_inputs import open_recording
 from docdepth.pipeline.run_state import require
-from docdepth.pipeline.stage import Progress
 
 _POSE_FILES = ("", ".txt", ".tum", ".kitti", ".csv", ".ply", ".npy")
 

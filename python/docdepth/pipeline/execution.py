@@ -6,10 +6,10 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ConfigDict, Field
 
+from docdepth.concurrency import Progress
 from docdepth.io.inputs import Checked
 from docdepth.io.manifest import Keep
-from docdepth.pipeline.stage import Progress
-from docdepth.pipeline.workers import Workers
+from docdepth.pipeline.parallel import WorkerPool
 from docdepth.render.backends import Renderer
 
 
@@ -71,9 +71,9 @@ class Execution(Checked):
     )
     progress: Progress | None = None
 
-    def workers(self) -> Workers:
+    def workers(self) -> WorkerPool:
         """Who does the work."""
-        return Workers(self.threads, self.jobs, self.scheduler)
+        return WorkerPool(self.threads, self.jobs, self.scheduler)
 
     def but(self, **changes: Any) -> Execution:
         """The same with other values."""

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import DatasetError
 from docdepth.geometry.points import DYNAMIC
 from docdepth.io.frames import read_frame_name, read_input_points
@@ -18,7 +19,7 @@ from docdepth.pipeline.classified_files import is_classified, remove_outdated, w
 from docdepth.pipeline.graph import classify_parts, label_files
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.label_folder import LabelFolder
-from docdepth.pipeline.stage import Progress, progress_callback, stage
+from docdepth.pipeline.stage import stage
 
 log = logging.getLogger(__name__)
 
@@ -64,14 +65,13 @@ def take_labels(run: RunFolder, progress: Progress | None = None) -> None:
         trajectory, inputs = run.trajectory(), InputFiles(run)
         parts = classify_parts(run, run.stage("odometry").key, inputs)
         key = {"classify": stage_key(parts)}
-        labels, count = label_files(run), len(trajectory)
+        labels, count, report = label_files(run), len(trajectory), progress or null_progress
         left = [i for i in range(count) if not is_classified(run, i, labels.get(i), key)]
         stale = TRACKS in run.records(run.path) and run.key(run.path / TRACKS) != key
         if not left and not stale:
             return
         given = open_labels(run)
         _check(given, run, left)
-        told = progress_callback(progress, "classify")
         with stage(run, "classify", parts, count) as profile:
             inputs.save()
             tracks = given.tracks(trajectory)
@@ -81,14 +81,14 @@ def take_labels(run: RunFolder, progress: Progress | None = None) -> None:
                 run.write(run.path / TRACKS, lambda stream: stream.write(content), key)
             something_moves = False
             for index in left:
-                with profile.watch("read"):
+                with profile.timer("read"):
                     classified = given.classified(run.frame(index), index)
                 assert classified.classid is not None
                 something_moves |= bool((classified.classid >= DYNAMIC).any())
-                with profile.watch("write"):
+                with profile.timer("write"):
                     write_classified(run, index, classified, key)
                 profile.frames += 1
-                told(count - len(left) + profile.frames, count)
+                report("classify", count - len(left) + profile.frames, count)
             if not something_moves and len(left) == count:
                 log.warning(
                     "no point of %s is dynamic: what moves has the class 251 to 259 in .label "

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets.base import Dataset, Sweep
 from docdepth.datasets.readable_frames import suggest_skipping
 from docdepth.diagnostics.sweeps import find_lonely_returns
@@ -21,7 +22,7 @@ from docdepth.odometry.odometry import Odometry, register_drive
 from docdepth.odometry.pose_checks import find_misfit
 from docdepth.pipeline.graph import odometry_parts
 from docdepth.pipeline.input_files import InputFiles
-from docdepth.pipeline.stage import Profile, Progress, is_outdated, progress_callback, stage
+from docdepth.pipeline.stage import Profile, is_outdated, stage
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +70,7 @@ def run_odometry(
             inputs.save()
             checkpoint = run.notes / _CHECKPOINTS / key["odometry"]
             _remove_old_checkpoints(checkpoint)
-            with profile.watch("poses"):
+            with profile.timer("poses"):
                 odometry = register_drive(
                     dataset,
                     run.parameters,
@@ -85,7 +86,7 @@ def run_odometry(
             write_trajectory(run.trajectory_path, odometry.trajectory, indices, run.writer(key))
             _write_frames(run, odometry, left, key, profile, progress)
             _remove_old_frames(run, key)
-            with profile.watch("check"):
+            with profile.timer("check"):
                 rig, poses = lambda i: run.frame(i).sensor_rig, odometry.trajectory.poses
                 profile.add(find_lonely_returns(run.points, rig, len(dataset)))
                 profile.add(find_misfit(run.points, poses, run.parameters.odometry))
@@ -129,13 +130,13 @@ def _write_frames(
     progress: Progress | None,
 ) -> None:
     """Write the frames that are missing, damaged or made of something else."""
-    report = progress_callback(progress, "odometry")
-    dataset, watch = odometry.sweeps.dataset, profile.watch
+    report = progress or null_progress
+    dataset, timer = odometry.sweeps.dataset, profile.timer
     blooming_deg = run.parameters.odometry.blooming_deg
     total = len(dataset)
     for index in left:
-        report(total - len(left) + profile.frames, total)
-        with watch("deskew"):
+        report("odometry", total - len(left) + profile.frames, total)
+        with timer("deskew"):
             with suggest_skipping():
                 measured = dataset.sweep(index)
             deskewed = odometry.sweeps.deskewed(index, measured)
@@ -149,10 +150,10 @@ def _write_frames(
                     code="empty-sweep",
                 )
             frame = deskewed.select(usable)
-        with watch("write"):
+        with timer("write"):
             run.write_frame(index, frame, key)
         profile.frames += 1
-    report(total, total)
+    report("odometry", total, total)
 
 
 def _ghost_returns(dataset: Dataset, sweep: Sweep, blooming_deg: float) -> NDArray[np.bool_]:

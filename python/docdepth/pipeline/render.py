@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress, Timer, null_progress
 from docdepth.datasets.base import CameraStream
 from docdepth.diagnostics.calibration import edges_of_images, judge
 from docdepth.diagnostics.results import check_density
@@ -21,6 +22,7 @@ from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.depth_files import DepthFiles
+from docdepth.pipeline.parallel import ChunkContext, WorkerPool
 from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render
 from docdepth.pipeline.run_inputs import (
     RunCamera,
@@ -29,8 +31,7 @@ from docdepth.pipeline.run_inputs import (
     register,
 )
 from docdepth.pipeline.run_state import require
-from docdepth.pipeline.stage import Profile, Progress, Stopwatch, progress_callback, stage
-from docdepth.pipeline.workers import Worker, Workers
+from docdepth.pipeline.stage import Profile, stage
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.in_view import TracksInView
@@ -48,7 +49,7 @@ def run_render(
     threads: int = 0,
     progress: Progress | None = None,
     renderer: Renderer | None = None,
-    workers: Workers | None = None,
+    workers: WorkerPool | None = None,
 ) -> list[str]:
     """Render a depth map of every image into ``depth/``; layers and pictures beside it.
 
@@ -66,7 +67,7 @@ def run_render(
         Called with the stage, the number of images done and of all images.
     renderer : Renderer, optional
         What draws; the CPU if absent.
-    workers : Workers, optional
+    workers : WorkerPool, optional
         Who does the work; this process with its threads if absent.
 
     Returns
@@ -84,7 +85,7 @@ def run_render(
         A frame has no classes.
     """
     streams = [streams] if isinstance(streams, CameraStream) else list(streams)
-    renderer, workers = renderer or Renderer(), workers or Workers(threads)
+    renderer, workers = renderer or Renderer(), workers or WorkerPool(threads)
     with run.lock("render"):
         register(run, streams)
         cameras = [
@@ -94,7 +95,7 @@ def run_render(
         left_out: list[str] = []
         before = _profiles(run)
         for alike in _drawn_alike(cameras):
-            left_out += _render_cameras(run, alike, workers, progress, renderer)
+            left_out += _render_cameras(run, alike, workers, progress or null_progress, renderer)
         if before != _profiles(run) or not index_is_whole(run):
             opened = {stream.name: stream for stream in streams}
             others = {} if run.cameras.keys() <= opened.keys() else cameras_at_hand(run)
@@ -142,8 +143,8 @@ def _drawn_alike(cameras: list[RunCamera]) -> list[list[RunCamera]]:
 def _render_cameras(
     run: RunFolder,
     cameras: list[RunCamera],
-    workers: Workers,
-    progress: Progress | None,
+    workers: WorkerPool,
+    progress: Progress,
     renderer: Renderer,
 ) -> list[str]:
     plan = plan_render(run, cameras)
@@ -160,19 +161,22 @@ def _render_cameras(
             profile.more["left_out"] = plan.left_out[name]
             profile.more["renderer"] = f"{renderer.name}: {renderer.description}"
             profile.frames = sum(image.files is files for image in images)
-            profile.watch = profiles[0].watch if profiles else profile.watch
+            profile.timer = profiles[0].timer if profiles else profile.timer
             profile.share = count / len(plan.images)
             profiles.append(profile)
             files.remove_outdated()
             files.describe(complete=False)
         _write_cameras(plan)
-        report = progress_callback(progress, "render")
         kept, total = len(plan.images) - len(images), len(plan.images)
-        report(kept, total)
-        work, told = partial(_render_images, renderer), lambda done: report(kept + done, total)
+        progress("render", kept, total)
+        work = partial(_render_images, renderer)
         chunks = workers.cut(images, plan.trajectory.arc_length_at([i.time for i in images]))
-        parts = [_Chunk(_apart(chunk), plan.tracks_for(chunk)) for chunk in chunks]
-        for number, shares in workers.each(run, work, parts, profiles[0].watch, told):
+        parts = [_RenderChunk(_split_by_camera(some), plan.tracks_for(some)) for some in chunks]
+
+        def report(done: int) -> None:
+            progress("render", kept + done, total)
+
+        for number, shares in workers.map_frames(run, work, parts, profiles[0].timer, report):
             for image, share in zip(chunks[number], shares, strict=True):
                 image.files.coverage[image.index] = share
         for files, profile in zip(plan.files, profiles, strict=True):
@@ -212,7 +216,7 @@ def _write_cameras(plan: RenderPlan) -> None:
 
 
 @dataclass(frozen=True)
-class _Chunk:
+class _RenderChunk:
     """Images that are rendered one after the other, and the tracks with which they are drawn."""
 
     images: list[ImageToRender]
@@ -222,17 +226,17 @@ class _Chunk:
         return len(self.images)
 
 
-class _Job(NamedTuple):
+class _RenderContext(NamedTuple):
     """What all images of a chunk share."""
 
     trajectory: Trajectory
     tracks: Tracks
     threads: int
     renderer: Renderer
-    watch: Stopwatch
+    timer: Timer
 
 
-def _render_images(renderer: Renderer, worker: Worker, chunk: _Chunk) -> list[float]:
+def _render_images(renderer: Renderer, context: ChunkContext, chunk: _RenderChunk) -> list[float]:
     """Render images in order; meanwhile the next is prepared and the last is written.
 
     Returns
@@ -240,16 +244,16 @@ def _render_images(renderer: Renderer, worker: Worker, chunk: _Chunk) -> list[fl
     list of float
         Share of pixels with depth of each.
     """
-    run, watch, images, tracks = worker.run, worker.watch, chunk.images, chunk.tracks
+    run, timer, images, tracks = context.run, context.timer, chunk.images, chunk.tracks
     trajectory, p = run.trajectory(), images[0].files.parameters.render
-    job = _Job(trajectory, tracks, worker.threads, renderer, watch)
+    shared = _RenderContext(trajectory, tracks, context.threads, renderer, timer)
     views = [image.view(trajectory) for image in images]
     is_drawn = TracksInView(tracks, trajectory, views).draws
 
     def load(index: int, whole: bool) -> RenderSweep:
-        with watch("read"):
+        with timer("read"):
             frame, _ = run.classified_frame(index)
-        with watch("frames"):
+        with timer("frames"):
             return prepare_sweep(frame, index, trajectory, p, tracks, whole, is_drawn)
 
     cache = SweepCache(load)
@@ -262,20 +266,20 @@ def _render_images(renderer: Renderer, worker: Worker, chunk: _Chunk) -> list[fl
             for coming in images[done + len(needed) : done + 2]:
                 needed.append(needed_sweeps(trajectory, coming.time, p, tracks))
             requested = cache.request({one for some in needed for one in some.items()}, pool)
-            with watch("wait for frames"):
+            with timer("wait for frames"):
                 sweeps = {i: requested[i, whole].result() for i, whole in needed[0].items()}
-            depth, layers = _render_image(job, image, views[done], sweeps)
+            depth, layers = _render_image(shared, image, views[done], sweeps)
             if writing:
                 shares.append(writing.result())
-            writing = pool.submit(_write, image, depth, layers, watch)
-            worker.told(done + 1)
+            writing = pool.submit(_write, image, depth, layers, timer)
+            context.progress(done + 1)
         if writing:
             shares.append(writing.result())
     return shares
 
 
-def _apart(images: list[ImageToRender]) -> list[ImageToRender]:
-    """Some images without what is known of others."""
+def _split_by_camera(images: list[ImageToRender]) -> list[ImageToRender]:
+    """Some images, each with the files of its camera for these images alone."""
     found = list(images)
     for files in {id(image.files): image.files for image in images}.values():
         numbers = [n for n, image in enumerate(images) if image.files is files]
@@ -286,23 +290,26 @@ def _apart(images: list[ImageToRender]) -> list[ImageToRender]:
 
 
 def _render_image(
-    job: _Job, image: ImageToRender, view: View, sweeps: dict[int, RenderSweep]
+    context: _RenderContext, image: ImageToRender, view: View, sweeps: dict[int, RenderSweep]
 ) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
     p, names = image.files.parameters.render, image.files.parameters.output.layers
-    trajectory, tracks, read = job.trajectory, job.tracks, sweeps.__getitem__
-    with job.watch("draw"):
-        depth = compose_depth(view, trajectory, read, p, job.threads, job.renderer, tracks)
+    trajectory, tracks, read = context.trajectory, context.tracks, sweeps.__getitem__
+    threads = context.threads
+    with context.timer("draw"):
+        depth = compose_depth(view, trajectory, read, p, threads, context.renderer, tracks)
     if not names:
         return depth, {}
-    with job.watch("layers"):
-        return depth, compose_layers(names, depth, view, trajectory, read, p, job.threads, tracks)
+    with context.timer("layers"):
+        return depth, compose_layers(
+            names, depth, view, trajectory, read, p, context.threads, tracks
+        )
 
 
 def _write(
     image: ImageToRender,
     depth: NDArray[np.float32],
     layers: dict[str, NDArray[Any]],
-    watch: Stopwatch,
+    timer: Timer,
 ) -> float:
-    with watch("write"):
+    with timer("write"):
         return image.files.write(image.index, depth, layers)

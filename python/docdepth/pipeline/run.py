@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from docdepth.concurrency import Progress
 from docdepth.config import Parameters, replaced
 from docdepth.datasets.base import Dataset
 from docdepth.errors import (
@@ -42,7 +43,6 @@ from docdepth.pipeline.run_inputs import (
     run_cameras,
 )
 from docdepth.pipeline.run_state import forget_cameras, require, states
-from docdepth.pipeline.stage import Progress
 from docdepth.pipeline.virtual_camera import check_name
 from docdepth.render.backends import Renderer
 from docdepth.visualization.report import index_is_whole

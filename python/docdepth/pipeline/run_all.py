@@ -10,19 +10,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets import find_recordings, open_dataset
 from docdepth.errors import ConfigError, DatasetError, DocDepthError, RunError
 from docdepth.pipeline.memory import bytes_of
+from docdepth.pipeline.parallel import WorkerPool
 from docdepth.pipeline.run import run
-from docdepth.pipeline.stage import Progress, progress_callback
 from docdepth.pipeline.virtual_camera import parse_size
-from docdepth.pipeline.workers import Workers
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Ended:
+class RecordingResult:
     """How the run of a recording has ended.
 
     Attributes
@@ -47,7 +47,7 @@ def run_all(
     scheduler: str | None = None,
     progress: Progress | None = None,
     **options: Any,
-) -> list[Ended]:
+) -> list[RecordingResult]:
     """Turn every recording below a folder into depth maps, the longest first.
 
     Where there are as many recordings as workers, or more, each worker makes whole runs; else all
@@ -65,7 +65,7 @@ def run_all(
 
     Returns
     -------
-    list of Ended
+    list of RecordingResult
         Of each recording, the longest first.
 
     Raises
@@ -75,11 +75,11 @@ def run_all(
     """
     places = _longest_first(Path(root), Path(output), options)
     folders = [Path(output) / place.relative_to(Path(root)) for place in places]
-    told = progress_callback(progress, "recordings")
-    ended: dict[int, Ended] = {}
-    told(0, len(places))
-    with Workers(threads, jobs, scheduler) as workers:
-        if workers.are_elsewhere and len(places) >= workers.count:
+    report = progress or null_progress
+    ended: dict[int, RecordingResult] = {}
+    report("recordings", 0, len(places))
+    with WorkerPool(threads, jobs, scheduler) as workers:
+        if not workers.inline and len(places) >= workers.count:
             alone = {**options, "threads": workers.threads_each(len(places))}
             if options.get("memory") is not None and scheduler is None:
                 alone["memory"] = str(bytes_of(options["memory"]) // jobs)
@@ -87,10 +87,10 @@ def run_all(
         else:
             shared = {"threads": threads, "jobs": jobs, "scheduler": scheduler}
             one = partial(_run_one, options={**options, **shared, "progress": progress})
-            found = enumerate(map(one, places, folders))
+            found = enumerate(map(one, zip(places, folders, strict=True)))
         for number, error in found:
-            ended[number] = Ended(places[number], folders[number], error)
-            told(len(ended), len(places))
+            ended[number] = RecordingResult(places[number], folders[number], error)
+            report("recordings", len(ended), len(places))
     return [ended[number] for number in range(len(places))]
 
 
@@ -122,22 +122,22 @@ def _length(place: Path, options: dict[str, Any]) -> int:
 
 
 def _whole_runs(
-    workers: Workers, places: list[Path], folders: list[Path], options: dict[str, Any]
+    workers: WorkerPool, places: list[Path], folders: list[Path], options: dict[str, Any]
 ) -> Iterator[tuple[int, Exception | None]]:
     """Number and error of each run, as they end."""
     left = set(range(len(places)))
-    pairs = zip(places, folders, strict=True)
-    tasks = [partial(_run_one, p.absolute(), f.absolute(), options) for p, f in pairs]
+    pairs = [(p.absolute(), f.absolute()) for p, f in zip(places, folders, strict=True)]
     try:
-        for number, error in workers.results(tasks):
+        for number, error in workers.map(partial(_run_one, options=options), pairs):
             left.remove(number)
             yield number, error
-    except RunError as error:  # workers die again and again
+    except RunError as error:  # a worker has died
         yield from ((number, error) for number in left)
 
 
-def _run_one(recording: Path, folder: Path, options: dict[str, Any]) -> Exception | None:
-    """Run a recording; what stopped it."""
+def _run_one(place: tuple[Path, Path], options: dict[str, Any]) -> Exception | None:
+    """Run a recording into a folder; what stopped it."""
+    recording, folder = place
     try:
         run(recording, folder, **options)
     except (DocDepthError, OSError, MemoryError) as error:

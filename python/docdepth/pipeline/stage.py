@@ -1,70 +1,18 @@
-"""What the stages of a run share: their state, their progress and their profile."""
+"""What the stages of a run share: their state, their warnings and their profile."""
 
 from __future__ import annotations
 
 import logging
-import re
-import resource
-import sys
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from threading import Lock
 from typing import Any
 
+from docdepth.concurrency import Timer
 from docdepth.errors import Finding, log_findings
 from docdepth.io.manifest import StageEntry
 from docdepth.io.run_folder import RunFolder, stage_key
 
 log = logging.getLogger(__name__)
-
-Progress = Callable[[str, int, int], None]
-"""Called with the stage, how many frames are done and how many there are."""
-
-
-class Stopwatch:
-    """Seconds spent by name, for the profile in run.yaml; threads may share one."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._lock, self._most_elsewhere = Lock(), 0
-        self._start = time.perf_counter()
-
-    def wall(self) -> float:
-        """Seconds since the stage began."""
-        return time.perf_counter() - self._start
-
-    @contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.add({name: time.perf_counter() - start})
-
-    def add(self, seconds: dict[str, float], peak_memory_mb: int = 0) -> None:
-        """Count what was spent here, or by a worker in another process."""
-        with self._lock:
-            for name, spent in seconds.items():
-                self.seconds[name] = self.seconds.get(name, 0.0) + spent
-            self._most_elsewhere = max(self._most_elsewhere, peak_memory_mb)
-
-    def peak_memory_mb(self) -> int:
-        """The most memory of this process so far, or of a worker that was added."""
-        return max(_peak_memory() >> 20, self._most_elsewhere)
-
-
-def _peak_memory() -> int:
-    """The most memory of this process so far, in bytes."""
-    # Into ru_maxrss Linux counts what the caller held before it started this program; a sandbox
-    # may have nothing else.
-    status = Path("/proc/self/status")
-    found = re.search(r"VmHWM:\s+(\d+) kB", status.read_text()) if status.is_file() else None
-    if found:
-        return int(found[1]) << 10
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most if sys.platform == "darwin" else most << 10
 
 
 @contextmanager
@@ -106,11 +54,11 @@ class Profile:
 
     Attributes
     ----------
-    watch : Stopwatch
+    timer : Timer
     frames : int
         Frames that this command worked on; an earlier one may have done the others.
     share : float
-        Of the watch's seconds, where stages share one.
+        Of the timer's seconds, where stages share one.
     more : dict
         Further entries of the stage in run.yaml.
     findings : list of Finding
@@ -118,7 +66,7 @@ class Profile:
     """
 
     def __init__(self) -> None:
-        self.watch, self.frames, self.share = Stopwatch(), 0, 1.0
+        self.timer, self.frames, self.share = Timer(), 0, 1.0
         self.more: dict[str, object] = {}
         self.findings: list[Finding] = []
 
@@ -131,14 +79,14 @@ class Profile:
     def state(self, before: StageEntry, notices: list[str]) -> dict[str, Any]:
         """Entries of the stage, those of earlier commands added."""
         found = map(str, self.findings)
-        wall = self.share * self.watch.wall()
+        wall = self.share * self.timer.wall()
         return {
             "frames": self.frames,
             "wall_seconds": round(wall, 3),
-            "seconds": {name: round(self.share * s, 3) for name, s in self.watch.seconds.items()},
+            "seconds": {name: round(self.share * s, 3) for name, s in self.timer.seconds.items()},
             "total_frames": before.total_frames + self.frames,
             "total_seconds": round(before.total_seconds + wall, 3),
-            "peak_memory_mb": max(self.watch.peak_memory_mb(), before.peak_memory_mb),
+            "peak_memory_mb": max(self.timer.peak_memory_mb(), before.peak_memory_mb),
             "warnings": list(dict.fromkeys([*before.warnings, *found, *notices])),
             **self.more,
         }
@@ -161,13 +109,3 @@ def recorded_warnings() -> Iterator[list[str]]:
 def is_outdated(made_of: dict[str, str], key: dict[str, str]) -> bool:
     """Whether the record of a file names another key of the same stage."""
     return any(made_of.get(stage, value) != value for stage, value in key.items())
-
-
-def progress_callback(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
-    """``progress`` of one stage, called with the frames done and their number."""
-
-    def call(done: int, total: int) -> None:
-        if progress:
-            progress(stage, done, total)
-
-    return call

@@ -1,13 +1,13 @@
-"""Many workers make what one makes, wherever the drive is cut and whoever dies on the way."""
+"""Many workers make what one process makes, wherever the drive is cut."""
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import pickle
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -21,14 +21,15 @@ import numpy as np
 import pytest
 
 from command_line import cli
+from docdepth.concurrency import Timer, map_unordered
 from docdepth.config import Parameters
 from docdepth.errors import ConfigError, DamagedFileError, DatasetError, RunError, SeveralProblems
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline import workers as workers_module
+from docdepth.pipeline import parallel
+from docdepth.pipeline.parallel import ChunkContext, WorkerPool
 from docdepth.pipeline.run import run
 from docdepth.pipeline.run_all import run_all
 from docdepth.pipeline.run_state import states
-from docdepth.pipeline.workers import Worker, Workers
 from small_drive import results, write_small_drive
 
 SWEEPS = 8
@@ -47,29 +48,22 @@ def whole(drive: Path) -> Path:
 
 
 def cut_into(patch: pytest.MonkeyPatch, metres: float) -> None:
-    patch.setattr(workers_module, "_LONGEST", metres)
-    patch.setattr(workers_module, "_SHORTEST", metres / 4)
+    patch.setattr(parallel, "_LONGEST", metres)
+    patch.setattr(parallel, "_SHORTEST", metres / 4)
 
 
-def test_two_processes_make_what_one_makes_though_one_is_killed(
+def test_two_processes_make_what_one_makes(
     drive: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cut_into(monkeypatch, 2.0)
     monkeypatch.chdir(tmp_path)
-    told: list[tuple[str, int, int]] = []
-
-    def progress(stage: str, done: int, total: int) -> None:
-        if stage == "render" and done and told[-1][1] == 0:
-            multiprocessing.active_children()[0].kill()
-        told.append((stage, done, total))
-
-    folder = run(drive, "run", camera="all", jobs=2, progress=progress)
-    assert any("died" in text for text in folder.stage("render image_2").warnings)
+    steps: list[tuple[str, int, int]] = []
+    folder = run(drive, "run", camera="all", jobs=2, progress=lambda *step: steps.append(step))
     assert results(tmp_path / "run") == results(whole)
     assert {state.state for state in states(folder, verify=True)} == {"done"}
     assert not (folder.path / ".docdepth" / "parts").exists()
     for stage, total in (("classify", SWEEPS), ("render", 2 * SWEEPS)):
-        done = [step[1] for step in told if step[0] == stage]
+        done = [step[1] for step in steps if step[0] == stage]
         assert done == sorted(done)
         assert (done[0], done[-1]) == (0, total)
         assert len(set(done)) > 3  # chunk by chunk
@@ -78,45 +72,52 @@ def test_two_processes_make_what_one_makes_though_one_is_killed(
     assert profile.peak_memory_mb > 0
 
 
-@pytest.mark.parametrize("metres", [1.0, 3.0, 5.0])
+def test_a_worker_that_dies_ends_the_run_and_the_same_command_continues(
+    drive: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cut_into(monkeypatch, 2.0)
+
+    def kill(stage: str, done: int, total: int) -> None:
+        if stage == "render" and done:
+            multiprocessing.active_children()[0].kill()
+
+    with pytest.raises(RunError, match="a worker has died"):
+        run(drive, tmp_path / "run", camera="all", jobs=2, progress=kill)
+    assert not (tmp_path / "run" / ".docdepth" / "parts").exists()
+    assert run(drive, tmp_path / "run", camera="all", jobs=2).stage("classify").frames == SWEEPS
+    assert results(tmp_path / "run") == results(whole)
+
+
+@pytest.mark.parametrize("metres", [1.0, 3.0])
 def test_it_does_not_matter_where_a_drive_is_cut(
     drive: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metres: float
 ) -> None:
     """Labels and depth at a border equal those inside: each chunk is worked on alone."""
     cut_into(monkeypatch, metres)
-    borders: list[list[int]] = []
+    lengths: list[int] = []
 
-    def each(self, run, work, chunks, watch, told, size=len):  # type: ignore[no-untyped-def]
+    def map_frames(self, run, work, chunks, timer, progress, size=len):  # type: ignore[no-untyped-def]
+        task = partial(parallel._work_elsewhere, run, work, 1, parallel.__version__)
         for number, chunk in enumerate(chunks):
-            one = pickle.loads(pickle.dumps(workers_module._Task(run, work, chunk, 1)))()
+            alone, itself = pickle.loads(pickle.dumps((task, chunk)))
+            one = alone(itself)
             run.take(one.files)
-            borders.append([len(chunk)])
+            lengths.append(len(chunk))
             yield number, one.result
 
-    monkeypatch.setattr(Workers, "each", each)
+    monkeypatch.setattr(WorkerPool, "map_frames", map_frames)
     run(drive, tmp_path / "run", camera="all", jobs=2)
-    assert len(borders) > 4
+    assert len(lengths) > 4
     assert results(tmp_path / "run") == results(whole)
 
 
-def kill_once(flag: Path, worker: Worker, chunk: list[int]) -> list[int]:
-    """Die in the midst of the first chunk; a file of it is written already."""
-    path = worker.run.path / "labels" / f"{chunk[0]}.label"
-    worker.run.write(path, lambda stream: stream.write(b"%d" % chunk[0]), {"of": "this"})
-    try:
-        flag.rmdir()
-    except FileNotFoundError:
-        return [2 * number for number in chunk]
-    os.kill(os.getpid(), signal.SIGKILL)
-    raise AssertionError
+def refuse(context: ChunkContext, chunk: list[int]) -> None:
+    raise DamagedFileError(context.run.path / "frames" / "frame_000003.ply", "cut off")
 
 
-def die(worker: Worker, chunk: list[int]) -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def refuse(worker: Worker, chunk: list[int]) -> None:
-    raise DamagedFileError(worker.run.path / "frames" / "frame_000003.ply", "cut off")
+def warn(context: ChunkContext, chunk: list[int]) -> int:
+    logging.getLogger("docdepth.test").warning("%d frames look odd", len(chunk))
+    return sum(chunk)
 
 
 def begun(path: Path) -> RunFolder:
@@ -126,24 +127,22 @@ def begun(path: Path) -> RunFolder:
     return folder
 
 
-def test_what_a_dead_worker_had_in_hand_is_done_again(
+def test_errors_and_warnings_of_workers_are_those_of_the_run(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    folder, flag = begun(tmp_path / "run"), tmp_path / "flag"
-    flag.mkdir()
-    chunks = [[0, 1], [2], [3, 4, 5]]
-    told: list[int] = []
-    watch = workers_module.Stopwatch()
-    with Workers(1, jobs=2) as two:
-        found = dict(two.each(folder, partial(kill_once, flag), chunks, watch, told.append))
-    assert found == {0: [0, 2], 1: [4], 2: [6, 8, 10]}
-    assert told[-1] == 6
-    assert "a worker has died" in caplog.text
-    for first in (0, 2, 3):
-        path = folder.path / "labels" / f"{first}.label"
-        assert path.read_bytes() == b"%d" % first
-        assert RunFolder.open(folder.path).key(path) == {"of": "this"}
-    assert not (folder.notes / "parts").exists()
+    folder, done = begun(tmp_path / "run"), list[int]()
+    with WorkerPool(1, jobs=2) as two:
+        found = dict(two.map_frames(folder, warn, [[0, 1], [2]], Timer(), done.append))
+        with pytest.raises(DamagedFileError, match="cut off") as raised:
+            list(two.map_frames(folder, refuse, [[0], [1]], Timer(), done.append))
+    assert found == {0: 1, 1: 2}
+    assert done[-1] == 3
+    assert {"2 frames look odd", "1 frames look odd"} <= set(caplog.messages)
+    assert raised.value.path.name == "frame_000003.ply"
+    both = SeveralProblems([DatasetError("one"), RunError("two", "do it", code="second")])
+    several = pickle.loads(pickle.dumps(both))
+    assert [error.code for error in several.errors] == ["dataset", "second"]
+    assert str(several) == str(both) == "2 problems:\n  one\n  two; do it"
 
 
 def test_few_tasks_are_handed_over_at_once() -> None:
@@ -153,35 +152,26 @@ def test_few_tasks_are_handed_over_at_once() -> None:
         most = 0
 
         def submit(self, *task: Any, **named: Any) -> Any:
-            self.most = max(self.most, len(handed) - len(done))
+            self.most = max(self.most, len(handed) - len(done) + 1)
             handed.append(1)
             return super().submit(*task, **named)
 
     handed: list[int] = []
     done: list[int] = []
-    two = Workers(1, jobs=2)
-    two._pool = pool = Pool(2)
-    for number, result in two.results([partial(pow, k, 2) for k in range(40)]):
-        done.append(number)
-        assert result == number**2
+    with Pool(2) as pool:
+        for number, result in map_unordered(pool, partial(pow, 2), range(40), 4):
+            done.append(number)
+            assert result == 2**number
     assert sorted(done) == list(range(40))
-    assert 1 < pool.most < 2 * workers_module._TASKS_AHEAD
-
-
-def test_workers_that_die_again_and_again_are_given_up(tmp_path: Path) -> None:
-    folder = begun(tmp_path / "run")
-    with pytest.raises(RunError, match="give fewer --jobs"), Workers(1, jobs=2) as two:
-        list(two.each(folder, die, [[0], [1]], workers_module.Stopwatch(), lambda done: None))
+    assert 1 < pool.most <= 4
 
 
 def test_workers_end_with_the_process_that_has_started_them(tmp_path: Path) -> None:
     """Else they would go on to write into a run that another command has taken up."""
     sleep = f"import os, time; open(f'{tmp_path}/{{os.getpid()}}', 'w').close(); time.sleep(300)"
     code = (
-        "from functools import partial\n"
-        "from docdepth.pipeline.workers import Workers\n"
-        "with Workers(1, jobs=2) as two:\n"
-        f"    list(two.results([partial(exec, {sleep!r})] * 2))\n"
+        "from docdepth.pipeline.parallel import WorkerPool\n"
+        f"with WorkerPool(1, jobs=2) as two: list(two.map(exec, [{sleep!r}] * 2))\n"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
     wait_until(lambda: len(list(tmp_path.iterdir())) == 2)
@@ -207,23 +197,12 @@ def wait_until(true: Callable[[], bool]) -> None:
     raise AssertionError("it does not happen")
 
 
-def test_errors_of_workers_are_told_as_if_they_were_ours(tmp_path: Path) -> None:
-    folder = begun(tmp_path / "run")
-    with pytest.raises(DamagedFileError, match="cut off") as raised, Workers(1, jobs=2) as two:
-        list(two.each(folder, refuse, [[0], [1]], workers_module.Stopwatch(), lambda done: None))
-    assert raised.value.path.name == "frame_000003.ply"
-    both = SeveralProblems([DatasetError("one"), RunError("two", "do it", code="second")])
-    several = pickle.loads(pickle.dumps(both))
-    assert [error.code for error in several.errors] == ["dataset", "second"]
-    assert str(several) == str(both) == "2 problems:\n  one\n  two; do it"
-
-
 def test_chunks_are_even_and_hold_each_frame_once() -> None:
     rng = np.random.default_rng(3)
     for _ in range(200):
         steps = rng.choice([0, 0.1, 1, 3], int(rng.integers(1, 900)))
         items = list(range(len(steps)))
-        workers = Workers(jobs=int(rng.integers(2, 9)))
+        workers = WorkerPool(jobs=int(rng.integers(2, 9)))
         chunks = workers.cut(items, np.cumsum(steps))
         assert [i for chunk in chunks for i in chunk] == items
         path = [steps[chunk[1:]].sum() + 0.5 * (len(chunk) - 1) for chunk in chunks]
@@ -231,8 +210,8 @@ def test_chunks_are_even_and_hold_each_frame_once() -> None:
         assert min(map(len, chunks)) >= 1
         if len(chunks) > 1:
             assert max(path) - min(path) <= 2 * 3.5
-    assert Workers().cut([1, 2, 3], np.arange(3.0)) == [[1, 2, 3]]
-    assert Workers(jobs=2).cut([], np.zeros(0)) == []
+    assert WorkerPool().cut([1, 2, 3], np.arange(3.0)) == [[1, 2, 3]]
+    assert WorkerPool(jobs=2).cut([], np.zeros(0)) == []
 
 
 def test_each_job_is_counted_in_the_memory_that_a_run_needs(drive: Path, tmp_path: Path) -> None:
@@ -248,9 +227,9 @@ def test_each_job_is_counted_in_the_memory_that_a_run_needs(drive: Path, tmp_pat
 
 def test_jobs_and_a_scheduler_exclude_each_other() -> None:
     with pytest.raises(ConfigError, match="give one of them"):
-        Workers(jobs=2, scheduler="tcp://127.0.0.1:1")
+        WorkerPool(jobs=2, scheduler="tcp://127.0.0.1:1")
     with pytest.raises(ConfigError, match="from 1 on"):
-        Workers(jobs=0)
+        WorkerPool(jobs=0)
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
