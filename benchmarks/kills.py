@@ -57,7 +57,7 @@ def count_steps(log: Path) -> None:
     counted(classify, "label_chunk", "ground of a chunk")
     counted(scheduling.SweepClassifier, "vote", "voted")
     counted(scheduling.SweepClassifier, "track", "tracked")
-    counted(scheduling.SweepClassifier, "add_tracks", "labelled")
+    counted(scheduling.SweepClassifier, "label_by_tracks", "labelled")
     counted(render, "compose_depth", "drawn")
 
 

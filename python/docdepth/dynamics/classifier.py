@@ -18,7 +18,7 @@ from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.points import GROUND, STATIC, check_sweep, spread, usable_points
+from docdepth.geometry.points import STATIC, check_sweep, spread, usable_points
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import grow_ground
@@ -87,7 +87,7 @@ class _Memory:
         period: np.float32,
     ) -> None:
         self._sweeps, self._ground, self._period = sweeps, ground, period
-        self._kept: dict[int, tuple[Evidence, Detections]] = {}
+        self._evidence: dict[int, tuple[Evidence, Detections]] = {}
         self._tracked: list[TrackedSweep] | None = None
         self.tracks: Sequence[Track] = ()
         self.labels: dict[int, Labels] = {}
@@ -98,7 +98,7 @@ class _Memory:
     def tracked(self) -> list[TrackedSweep] | None:
         return self._tracked
 
-    def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
+    def store_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
         self._tracked = []
         self.tracks = find(self._tracked.append)
 
@@ -109,19 +109,16 @@ class _Memory:
         frame = lidar_frame(self._sweeps[index], self._period)
         points, ground = check_sweep(frame.points, self._ground[index])
         rows = np.arange(len(points), dtype=np.uint32)  # of the sweep as it was given
-        classid = np.where(ground, np.uint16(GROUND), np.uint16(STATIC))
-        return replace(frame, index=rows, classid=classid, instance=None).select(
-            usable_points(points)
-        )
+        return replace(frame, index=rows).with_ground(ground).select(usable_points(points))
 
-    def keep(self, index: int, evidence: Evidence, detections: Detections) -> None:
-        self._kept[index] = evidence, detections
+    def store_detections(self, index: int, evidence: Evidence, detections: Detections) -> None:
+        self._evidence[index] = evidence, detections
 
     def evidence(self, index: int) -> Evidence:
-        return self._kept[index][0]
+        return self._evidence[index][0]
 
     def detections(self, index: int) -> Detections:
-        return self._kept[index][1]
+        return self._evidence[index][1]
 
     def write(self, index: int, frame: LidarFrame, labels: Labels) -> None:
         rows, count = frame.index, len(self._ground[index])

@@ -35,8 +35,8 @@ class SweepStore(Protocol):
         """What tracks found in each sweep; None while they are not known."""
         ...
 
-    def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
-        """Keep what ``find`` hands over, sweep by sweep, and the tracks that it returns."""
+    def store_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
+        """Store what ``find`` hands over, sweep by sweep, and the tracks that it returns."""
         ...
 
     def has_evidence(self, index: int) -> bool:
@@ -47,8 +47,8 @@ class SweepStore(Protocol):
         """A sweep whose classes are ground and static."""
         ...
 
-    def keep(self, index: int, evidence: Evidence, detections: Detections) -> None:
-        """Keep what is needed of a sweep when tracks are known."""
+    def store_detections(self, index: int, evidence: Evidence, detections: Detections) -> None:
+        """Store what is needed of a sweep when tracks are known."""
         ...
 
     def evidence(self, index: int) -> Evidence: ...
@@ -61,7 +61,7 @@ class SweepStore(Protocol):
 
 
 SweepWork = Callable[[SweepClassifier, SweepStore, Sequence[int], Callable[[int], None], int], None]
-"""What is done with sweeps: :func:`vote_on`, :func:`add_tracks`. The last arguments are to be
+"""What is done with sweeps: :func:`vote_on`, :func:`label_by_tracks`. The last arguments are to be
 called with the number of sweeps that are done, and threads."""
 
 MapChunks = Callable[[SweepWork, list[int], Callable[[int], None]], None]
@@ -114,8 +114,8 @@ def classify_sweeps(
     each(vote_on, without, lambda done: report("classify", kept + done, count))
     if classifier.uses_tracks:
         if tracked is None:
-            store.keep_tracks(lambda take: classifier.track(store.detections, take, threads))
-        each(add_tracks, left, lambda done: None)
+            store.store_tracks(lambda take: classifier.track(store.detections, take, threads))
+        each(label_by_tracks, left, lambda done: None)
     return len(left)
 
 
@@ -137,7 +137,9 @@ def vote_on(
         if not classifier.uses_tracks:
             labels = classifier.classify(meshed, votes)
             return writers.submit(store.write, index, frame, labels)
-        return writers.submit(store.keep, index, *classifier.detect(index, meshed, votes))
+        return writers.submit(
+            store.store_detections, index, *classifier.detect(index, meshed, votes)
+        )
 
     # A job takes one thread, since a sweep alone has too little to do for many. Others write, so
     # that workers do not wait for the disk.
@@ -185,7 +187,7 @@ def _look_ahead(
         yield index, sweeps[index], [key_frames[k] for k in classifier.key_frames[index].tolist()]
 
 
-def add_tracks(
+def label_by_tracks(
     classifier: SweepClassifier,
     store: SweepStore,
     sweeps: Sequence[int],
@@ -201,7 +203,7 @@ def add_tracks(
         # The sweep is read once more, since tracks are known when all sweeps have voted and a drive
         # may not fit into memory.
         frame = store.read(index)
-        labels = classifier.add_tracks(index, frame, store.evidence(index), tracked[index])
+        labels = classifier.label_by_tracks(index, frame, store.evidence(index), tracked[index])
         store.write(index, frame, labels)
 
     with ThreadPoolExecutor(_FILE_THREADS) as pool:

@@ -145,7 +145,7 @@ class SweepClassifier:
         with self._timer("tracks"):
             return track_objects(read, self._trajectory, take, threads)
 
-    def add_tracks(
+    def label_by_tracks(
         self, index: int, frame: LidarFrame, evidence: Evidence, result: TrackedSweep
     ) -> Labels:
         """Labels of a sweep with what tracks found in it."""

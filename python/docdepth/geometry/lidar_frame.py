@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import InputError
 from docdepth.geometry.checks import ShortRepr
-from docdepth.geometry.points import STATIC
+from docdepth.geometry.points import GROUND, STATIC
 from docdepth.geometry.sensor_rig import SensorRig
 
 
@@ -70,6 +70,11 @@ class LidarFrame(ShortRepr):
     def ground(self) -> NDArray[np.bool_]:
         """Which points are ground, by :attr:`classes`, (N,)."""
         return np.asarray(self.classes < STATIC)
+
+    def with_ground(self, ground: NDArray[np.bool_]) -> LidarFrame:
+        """The frame with the classes ground and static alone."""
+        classid = np.where(ground, np.uint16(GROUND), np.uint16(STATIC))
+        return replace(self, classid=classid, instance=None)
 
     def select(self, rows: NDArray[np.bool_]) -> LidarFrame:
         """The frame with some of its points."""

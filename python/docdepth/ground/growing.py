@@ -28,14 +28,14 @@ class Chunk(NamedTuple):
 
     Attributes
     ----------
-    frames : list of int
-        Frames that are labelled.
+    sweeps : list of int
+        Sweeps that are labelled.
     merged : list of int
-        Frames that are merged for it: also those on ``CHUNK_OVERLAP`` of path before and after,
-        which see the ground of the first and the last frames from nearby.
+        Sweeps that are merged for it: also those on ``CHUNK_OVERLAP`` of path before and after,
+        which see the ground of the first and the last sweeps from nearby.
     """
 
-    frames: list[int]
+    sweeps: list[int]
     merged: list[int]
 
 
@@ -61,14 +61,14 @@ def label_chunk(
     progress: Callable[[float], None] | None = None,
     timer: Timer | None = None,
 ) -> Iterator[NDArray[np.bool_]]:
-    """Ground labels of one chunk, frame by frame.
+    """Ground labels of one chunk, sweep by sweep.
 
     Parameters
     ----------
     chunk : Chunk
     read : callable
-        Gives the points of a frame, float32 (N, 3), LiDAR frame, metres. It is called from several
-        threads, and twice for frames that are labelled: labels are known when all sweeps have been
+        Gives the points of a sweep, float32 (N, 3), LiDAR frame, metres. It is called from several
+        threads, and twice for sweeps that are labelled: labels are known when all sweeps have been
         merged, and a chunk's sweeps together are too large to be kept.
     trajectory : Trajectory
         Of the whole drive.
@@ -101,8 +101,8 @@ def label_chunk(
             progress(step / (2 * len(chunk.merged)))
         with timer("ground: grow"):
             ground_map.grow()
-        for step, ground in enumerate(prefetch(pool, label, chunk.frames)):
-            progress(0.5 + step / (2 * len(chunk.frames)))
+        for step, ground in enumerate(prefetch(pool, label, chunk.sweeps)):
+            progress(0.5 + step / (2 * len(chunk.sweeps)))
             yield ground
 
 
@@ -152,7 +152,7 @@ def grow_ground(
     for chunk in chunks(trajectory, p):
         done = partial(_chunk_progress, progress or null_progress, chunk, len(trajectory))
         found = label_chunk(chunk, read, trajectory, p, threads, done)
-        for index, of_usable in zip(chunk.frames, found, strict=True):
+        for index, of_usable in zip(chunk.sweeps, found, strict=True):
             rows = usable.pop(index)
             labels.append(spread(of_usable, rows, len(rows)))
         usable.clear()
@@ -163,4 +163,4 @@ def grow_ground(
 
 def _chunk_progress(progress: Progress, chunk: Chunk, total: int, share: float) -> None:
     """Report a share of a chunk as sweeps done of a drive of ``total`` sweeps."""
-    progress("ground", chunk.frames[0] + int(share * len(chunk.frames)), total)
+    progress("ground", chunk.sweeps[0] + int(share * len(chunk.sweeps)), total)

@@ -23,7 +23,6 @@ from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import DamagedFileError
 from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.points import GROUND, STATIC
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import Chunk, chunks, label_chunk
@@ -40,10 +39,10 @@ from docdepth.pipeline.classified_files import (
 from docdepth.pipeline.given_labels import take_labels
 from docdepth.pipeline.graph import classify_parts, label_files
 from docdepth.pipeline.input_files import InputFiles
-from docdepth.pipeline.kept_tracks import are_kept, keep_tracking, kept_sweeps, kept_tracks
 from docdepth.pipeline.memory import parameters_within_budget
 from docdepth.pipeline.parallel import ChunkContext, WorkerPool
 from docdepth.pipeline.stage import stage
+from docdepth.pipeline.stored_tracks import are_stored, store_tracks, stored_sweeps, stored_tracks
 
 _EVIDENCE = "evidence"
 """Folder in the notes of a run with what an interrupted stage goes on with."""
@@ -118,7 +117,7 @@ class _GroundLabels:
 
     def __init__(self, run: RunFolder, trajectory: Trajectory) -> None:
         found = chunks(trajectory, parameters_within_budget(run).ground)
-        self._first = [chunk.frames[0] for chunk in found]
+        self._first = [chunk.sweeps[0] for chunk in found]
         self._files = [_ground_file(run, chunk) for chunk in found]
         self._offsets: dict[Path, Offsets] = {}
 
@@ -147,13 +146,13 @@ def _grow_ground(
     report, total = progress or null_progress, len(trajectory)
     found = chunks(trajectory, parameters_within_budget(run).ground)
     left = [chunk for chunk in found if run.key(_ground_file(run, chunk)) != key]
-    kept = total - sum(map(_frames, left))
+    kept = total - sum(map(_sweep_count, left))
 
     def done_of_left(done: int) -> None:
         report("ground", kept + done, total)
 
     work = partial(_label_ground, key)
-    for _ in workers.map_frames(run, work, left, timer, done_of_left, _frames):
+    for _ in workers.map_frames(run, work, left, timer, done_of_left, _sweep_count):
         pass
     report("ground", total, total)
 
@@ -167,19 +166,19 @@ def _label_ground(key: dict[str, str], context: ChunkContext, chunk: Chunk) -> N
             return run.points(index)
 
     def done(share: float) -> None:
-        context.progress(int(share * _frames(chunk)))
+        context.progress(int(share * _sweep_count(chunk)))
 
     trajectory, p = run.trajectory(), parameters_within_budget(run).ground
     labels = label_chunk(chunk, read, trajectory, p, context.threads, done, timer)
     write_arrays(run, _ground_file(run, chunk), key, map(np.packbits, labels))
 
 
-def _frames(chunk: Chunk) -> int:
-    return len(chunk.frames)
+def _sweep_count(chunk: Chunk) -> int:
+    return len(chunk.sweeps)
 
 
 def _ground_file(run: RunFolder, chunk: Chunk) -> Path:
-    return run.notes / GROUND_FOLDER / f"chunk_{chunk.frames[0]:06d}.npy"
+    return run.notes / GROUND_FOLDER / f"chunk_{chunk.sweeps[0]:06d}.npy"
 
 
 def _classify_chunk(
@@ -233,21 +232,21 @@ class _FrameStore:
     def _tracking(self) -> Path:
         return self._run.notes / TRACKING
 
-    def _kept(self, index: int) -> Path:
+    def _evidence_file(self, index: int) -> Path:
         return self._run.notes / _EVIDENCE / self._key["classify"] / f"{index:06d}.npy"
 
     def is_done(self, index: int) -> bool:
-        if not self.has_tracks() and not are_kept(self._run, self._tracking, self._key):
+        if not self.has_tracks() and not are_stored(self._run, self._tracking, self._key):
             return False  # tracks are made of all sweeps
         return is_classified(self._run, index, self._labels.get(index), self._key)
 
     def tracked(self) -> Sequence[TrackedSweep] | None:
-        if not are_kept(self._run, self._tracking, self._key):
+        if not are_stored(self._run, self._tracking, self._key):
             return None
-        return kept_sweeps(self._tracking, len(self._trajectory))
+        return stored_sweeps(self._tracking, len(self._trajectory))
 
-    def keep_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
-        keep_tracking(self._run, self._tracking, self._key, find)
+    def store_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
+        store_tracks(self._run, self._tracking, self._key, find)
         self._detections.clear()
 
     def has_tracks(self) -> bool:
@@ -257,31 +256,33 @@ class _FrameStore:
 
     def write_tracks(self) -> None:
         """Write the file of tracks, if it is not there."""
-        if self.has_tracks() or not are_kept(self._run, self._tracking, self._key):
+        if self.has_tracks() or not are_stored(self._run, self._tracking, self._key):
             return
-        found, write = kept_tracks(self._tracking), self._run.writer(self._key)
+        found, write = stored_tracks(self._tracking), self._run.writer(self._key)
         write_tracks(self._run.path / TRACKS, found, self._trajectory.times, write)
 
     def has_evidence(self, index: int) -> bool:
-        return self._run.key(self._kept(index)) == self._key
+        return self._run.key(self._evidence_file(index)) == self._key
 
     def read(self, index: int) -> LidarFrame:
         with self.timer("read"):
             frame = self._run.frame(index)
             ground = np.unpackbits(self._ground.read(index), count=len(frame)).view(np.bool_)
-        return replace(frame, classid=np.where(ground, np.uint16(GROUND), np.uint16(STATIC)))
+        return frame.with_ground(ground)
 
-    def keep(self, index: int, evidence: Evidence, detections: Detections) -> None:
+    def store_detections(self, index: int, evidence: Evidence, detections: Detections) -> None:
         self._hold(index, detections)
         labels, objects = evidence
         arrays: list[NDArray[Any]] = [objects, labels.votes.static, labels.votes.dynamic]
         arrays += [labels.classid, *detections.arrays]
         with self.timer("write"):
-            write_arrays(self._run, self._kept(index), self._key, arrays)
+            write_arrays(self._run, self._evidence_file(index), self._key, arrays)
 
     def evidence(self, index: int) -> Evidence:
         with self.timer("read"):
-            objects, static, dynamic, classid = read_arrays(self._kept(index), _OF_EVIDENCE)
+            objects, static, dynamic, classid = read_arrays(
+                self._evidence_file(index), _OF_EVIDENCE
+            )
         return Evidence(Labels(classid, Votes(static, dynamic)), objects)
 
     def detections(self, index: int) -> Detections:
@@ -289,7 +290,9 @@ class _FrameStore:
             held = self._detections.get(index)
         if held is None:
             with self.timer("read"):
-                arrays = read_arrays(self._kept(index), _OF_DETECTIONS, skipped=_OF_EVIDENCE)
+                arrays = read_arrays(
+                    self._evidence_file(index), _OF_DETECTIONS, skipped=_OF_EVIDENCE
+                )
                 held = Detections.of(arrays)
             self._hold(index, held)
         return held

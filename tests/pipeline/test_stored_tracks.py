@@ -9,7 +9,7 @@ from docdepth.errors import DamagedFileError
 from docdepth.geometry.track import Track
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.array_files import array_offsets, read_arrays, write_arrays
-from docdepth.pipeline.kept_tracks import are_kept, keep_tracking, kept_sweeps, kept_tracks
+from docdepth.pipeline.stored_tracks import are_stored, store_tracks, stored_sweeps, stored_tracks
 
 KEY = {"classify": "1"}
 
@@ -76,21 +76,21 @@ def test_tracks_are_read_as_they_were_kept(run):
         return tracks
 
     folder = run.notes / "tracks"
-    assert not are_kept(run, folder, KEY)
-    keep_tracking(run, folder, KEY, find)
-    assert are_kept(run, folder, KEY)
-    assert not are_kept(run, folder, {"classify": "2"})
-    read = kept_sweeps(folder, 6)
+    assert not are_stored(run, folder, KEY)
+    store_tracks(run, folder, KEY, find)
+    assert are_stored(run, folder, KEY)
+    assert not are_stored(run, folder, {"classify": "2"})
+    read = stored_sweeps(folder, 6)
     assert len(read) == 6
     for sweep, right in zip(read, sweeps, strict=True):
         for left, array in zip(sweep, right, strict=True):
             np.testing.assert_array_equal(left, array)
     np.testing.assert_array_equal(read[3:5][1].voxels, np.arange(4))
-    for found, right in zip(kept_tracks(folder), tracks, strict=True):
+    for found, right in zip(stored_tracks(folder), tracks, strict=True):
         for name in Track.__dataclass_fields__:
             np.testing.assert_array_equal(getattr(found, name), getattr(right, name))
     with pytest.raises(DamagedFileError, match="it tells of 6 sweeps, the drive has 5"):
-        kept_sweeps(folder, 5)
+        stored_sweeps(folder, 5)
 
 
 def test_a_drive_without_moving_things_keeps_no_tracks(run):
@@ -98,19 +98,19 @@ def test_a_drive_without_moving_things_keeps_no_tracks(run):
         take(TrackedSweep())
         return []
 
-    keep_tracking(run, run.notes / "tracks", KEY, find)
-    assert kept_tracks(run.notes / "tracks") == []
-    assert not kept_sweeps(run.notes / "tracks", 1)[0]
+    store_tracks(run, run.notes / "tracks", KEY, find)
+    assert stored_tracks(run.notes / "tracks") == []
+    assert not stored_sweeps(run.notes / "tracks", 1)[0]
 
 
 def test_damaged_tracks_are_refused(run):
     folder = run.notes / "tracks"
-    keep_tracking(run, folder, KEY, lambda take: [track_of(7, 3)])
+    store_tracks(run, folder, KEY, lambda take: [track_of(7, 3)])
     (paths,) = (file for file in folder.iterdir() if file.name.startswith("paths"))
     whole = paths.read_bytes()
     paths.write_bytes(whole[:-3])
     with pytest.raises(DamagedFileError, match="bytes are there"):
-        kept_tracks(folder)
+        stored_tracks(folder)
     paths.write_bytes(whole.replace(np.int64(7).tobytes(), np.int64(0).tobytes(), 1))
     with pytest.raises(DamagedFileError, match="track 0"):
-        kept_tracks(folder)
+        stored_tracks(folder)

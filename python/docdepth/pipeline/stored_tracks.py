@@ -47,7 +47,7 @@ class TrackedSweeps(Sequence[TrackedSweep]):
         return TrackedSweep(*read_arrays(self._path, _OF_SWEEP, offset=offset))
 
 
-def keep_tracking(
+def store_tracks(
     run: RunFolder, folder: Path, key: dict[str, str], find: Callable[[TakeSweep], list[Track]]
 ) -> None:
     """Write what ``find`` hands over sweep by sweep, and the tracks that it returns."""
@@ -79,13 +79,13 @@ def keep_tracking(
     write_arrays(run, folder / _PATHS, key, arrays)
 
 
-def are_kept(run: RunFolder, folder: Path, key: dict[str, str]) -> bool:
-    """Whether both files of :func:`keep_tracking` are whole and made of ``key``."""
+def are_stored(run: RunFolder, folder: Path, key: dict[str, str]) -> bool:
+    """Whether both files of :func:`store_tracks` are whole and made of ``key``."""
     return all(run.key(folder / name) == key for name in (_SWEEPS, _PATHS))
 
 
-def kept_sweeps(folder: Path, count: int) -> TrackedSweeps:
-    """What tracks found in each of so many sweeps, as :func:`keep_tracking` wrote it.
+def stored_sweeps(folder: Path, count: int) -> TrackedSweeps:
+    """What tracks found in each of so many sweeps, as :func:`store_tracks` wrote it.
 
     Raises
     ------
@@ -98,8 +98,8 @@ def kept_sweeps(folder: Path, count: int) -> TrackedSweeps:
     return TrackedSweeps(folder / _SWEEPS, offsets)
 
 
-def kept_tracks(folder: Path) -> list[Track]:
-    """The tracks of the drive, as :func:`keep_tracking` wrote them.
+def stored_tracks(folder: Path) -> list[Track]:
+    """The tracks of the drive, as :func:`store_tracks` wrote them.
 
     Raises
     ------
