@@ -31,7 +31,7 @@ def bare(drive: Path, folder: Path) -> Path:
 
 def test_labels_are_those_of_a_run_with_a_camera(drive, tmp_path) -> None:
     recording = bare(drive, tmp_path / "bare")
-    with pytest.raises(DatasetError, match="--camera none makes poses and labels alone"):
+    with pytest.raises(DatasetError, match="`camera='none'` makes poses and labels alone"):
         run(recording, tmp_path / "run")
     result = cli("run", recording, "-o", tmp_path / "run", "--camera", "none")
     assert result.exit_code == 0, result.stderr

@@ -118,7 +118,7 @@ def test_several_cameras_in_several_formats(drive, finished, tmp_path):
     assert not np.array_equal(left, right, equal_nan=True)
     assert list(open_dataset(run).cameras) == ["camera", "image_3"]
     result = cli("evaluate", "depth", run, "--depth", drive)
-    assert "image_2, image_3: say --camera" in str(result.exception)
+    assert "image_2, image_3: say `camera`" in str(result.exception)
     result = cli("evaluate", "depth", run, "--depth", drive, "--camera", "image_2", "--json")
     assert json.loads(result.stdout)["all"]["mae"] < 3
 

@@ -333,7 +333,8 @@ class RunFolder(RecordedFolder):
         record = self.frame(index)
         if record.classid is None:
             raise RunError(
-                f"frame {index} of {self.path} has no classes; run: docdepth classify {self.path}"
+                f"frame {index} of {self.path} has no classes",
+                f"make them: `docdepth.run(..., {str(self.path)!r})`",
             )
         return record, record.classid
 
@@ -420,7 +421,7 @@ class RunFolder(RecordedFolder):
         known = ", ".join(folders)
         raise RunError(
             f"{self.path} has depth of {known}"
-            + (f", not of {camera}" if camera else ": say --camera")
+            + (f", not of {camera}" if camera else ": say `camera`")
         )
 
     def camera_in(self, folder: str) -> str:

@@ -275,8 +275,9 @@ def _check_place(folder: RunFolder) -> None:
     place = folder.recording_path
     if place is not None and not place.exists():
         raise RunError(
-            f"{place}, the recording of {folder.path}, is not there; if it was moved, say where "
-            f"it is now: docdepth run RECORDING -o {folder.path}"
+            f"{place}, the recording of {folder.path}, is not there",
+            "if it was moved, say where it is now: "
+            f"`docdepth.run(recording, {str(folder.path)!r})`",
         )
 
 

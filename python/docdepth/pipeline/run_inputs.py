@@ -237,8 +237,8 @@ def _calibrated(recording: Dataset, file: Path, asked: Sequence[str]) -> CameraS
     if name not in streams:
         raise CalibrationError(
             f"{file} is of {f'the camera {name}' if name else 'a camera without a name'}, "
-            f"{recording.path} has {', '.join(streams) or 'no camera'}; say which it is with "
-            '--camera, or in calib.json, as in "camera": "front"'
+            f"{recording.path} has {', '.join(streams) or 'no camera'}",
+            'say which it is with `camera`, or in calib.json, as in "camera": "front"',
         )
     stream = streams[name]
     camera = found.camera or stream.camera
@@ -381,8 +381,12 @@ def _camera_names(wanted: Sequence[str] | None, recording: Dataset) -> list[str]
         raise CalibrationError(
             f"{recording.path} has no camera with K and T_camera_lidar; docdepth.yaml can add "
             "them"
-            + (f", and docdepth calibrate finds those of {images}" if images else "")
-            + "; --camera none makes poses and labels alone"
+            + (
+                f", and `docdepth.calibration.calibrate()` finds those of {images}"
+                if images
+                else ""
+            ),
+            "`camera='none'` makes poses and labels alone",
         )
     if wanted is None:
         colour = [c for c in cameras if c in ("image_02", "image_2")]
