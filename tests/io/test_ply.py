@@ -251,6 +251,7 @@ def test_a_count_that_is_no_number(tmp_path: Path) -> None:
 def test_the_header_of_a_written_frame(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
     path.write_bytes(ply("binary_big_endian", VERTICES))
+    assert read_vertices(path)[0].dtype == read_vertices(path)[0].dtype.newbyteorder("<")
     write_frame(path, read_frame(path))
     head = path.read_bytes().partition(b"end_header\n")[0].decode().splitlines()
     assert head == [
