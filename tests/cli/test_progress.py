@@ -65,6 +65,6 @@ def test_durations(seconds, text):
 @pytest.mark.parametrize("what", ["labels", "depth"])
 def test_evaluations_tell_their_progress(docdepth, drive, finished, what):
     ended = docdepth("evaluate", what, finished[0], f"--{what}", drive)
-    last = [line for line in ended.err.splitlines() if line.startswith("evaluate ")][-1]
-    assert last.split(",")[0] in ("evaluate 5/5", "evaluate 4/4")
+    last = [line for line in ended.err.splitlines() if line.startswith(f"{what} ")][-1]
+    assert last.split(",")[0] in (f"{what} 5/5", f"{what} 4/4")
     assert ended.code == 0

@@ -72,7 +72,7 @@ def test_force_does_not_take_a_recording_for_a_synthetic_drive(docdepth, copied,
 
 @pytest.mark.slow
 def test_an_interrupted_drive_is_made_whole_by_the_same_call(tmp_path):
-    def stop(done, total):
+    def stop(stage, done, total):
         if done == 2:
             raise KeyboardInterrupt
 

@@ -261,7 +261,7 @@ def test_layout_on_disk(tmp_path, skew):
         tmp_path, "crossing", "VLP-16", 4, 2, skew=skew, progress=lambda *at: steps.append(at)
     )
     assert folder == tmp_path / "sequences" / "00"
-    assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert steps == [("synth", k, 4) for k in (1, 2, 3, 4)]
     drive = Drive(synthetic.scene("crossing", 2), synthetic.sensor("VLP-16"), 4, 2, skew)
     calib = {
         line.split(":")[0]: np.array(line.split(":")[1].split(), float).reshape(3, 4)

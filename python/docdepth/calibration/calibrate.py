@@ -14,7 +14,6 @@ from docdepth.calibration.bundle import Observation, Solution, residuals, solve_
 from docdepth.calibration.corners import board_pose
 from docdepth.calibration.find import (
     FEWEST_BOARDS,
-    Progress,
     SeenBoard,
     check_varied,
     find_boards,
@@ -29,6 +28,7 @@ from docdepth.calibration.quality import (
     uncertainty,
 )
 from docdepth.calibration.sweeps import BoardSweep
+from docdepth.concurrency import Progress
 from docdepth.datasets.images import ImageSource
 from docdepth.errors import CalibrationError
 from docdepth.geometry.se3 import inverse

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +15,11 @@ from docdepth.calibration.linear import normals_condition, solve_linear
 from docdepth.calibration.outline import PAST, crossings
 from docdepth.calibration.search import Patch, find_patches, fit_patch
 from docdepth.calibration.sweeps import BoardSweep
+from docdepth.concurrency import Progress
 from docdepth.errors import CalibrationError
 from docdepth.geometry.se3 import inverse
 
 Floats = NDArray[np.float64]
-Progress = Callable[[str, int, int], None]
 
 FEWEST_BOARDS = 4
 """Boards without which nothing is calibrated: three planes fix the extrinsic, one checks it."""

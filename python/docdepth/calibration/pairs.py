@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from docdepth.calibration.board import Board
 from docdepth.calibration.calibrate import BoardPair
 from docdepth.calibration.corners import counted_corners, find_corners
-from docdepth.calibration.find import FEWEST_BOARDS, Progress
+from docdepth.calibration.find import FEWEST_BOARDS
 from docdepth.calibration.sweeps import board_sweep
+from docdepth.concurrency import Progress
 from docdepth.datasets import Dataset, ImageStream
 from docdepth.datasets.images import read_image_of
 from docdepth.errors import CalibrationError, DatasetError

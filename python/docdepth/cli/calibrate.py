@@ -161,7 +161,7 @@ def _check_run(run: Path, camera: str | None, output: Path | None, as_json: bool
     from docdepth.pipeline.depth_files import encode_image
 
     with progress_bars() as progress:
-        found = check_calibration(run, camera, lambda done, total: progress("images", done, total))
+        found = check_calibration(run, camera, progress)
     lines = found.lines
     if output is not None:
         path = _write(output / f"{found.worst}.jpg", encode_image(found.picture, ".jpg"))
@@ -174,7 +174,7 @@ def _compare_clocks(run: Path, camera: str | None, output: Path | None, as_json:
     from docdepth.evaluation.time_offset import image_times, time_offset
 
     with progress_bars() as progress:
-        found = time_offset(run, camera, lambda done, total: progress("images", done, total))
+        found = time_offset(run, camera, progress)
     lines = found.lines
     if output is not None:
         times = found.corrected(image_times(run, camera))

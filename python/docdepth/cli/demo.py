@@ -34,10 +34,6 @@ def demo(
         The folder holds another drive.
     """
 
-    def written(done: int, total: int) -> None:
-        if progress:
-            progress("synth", done, total)
-
     sequence = sequence_folder(folder / "drive")
     about = written_drive(sequence)
     if about is not None and (about["scene"], about["seed"], about["frames"]) != (
@@ -50,7 +46,7 @@ def demo(
             "frames; choose another folder with -o, or delete this one"
         )
     if not (sequence / "docdepth.yaml").is_file():
-        write_drive(folder / "drive", _SCENE, _SENSOR, frames, seed=0, progress=written)
+        write_drive(folder / "drive", _SCENE, _SENSOR, frames, seed=0, progress=progress)
     values = parameters(preset)
     made = run(
         sequence, folder / "run", values, camera="image_2", threads=threads, progress=progress

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -95,9 +94,7 @@ def labels(
 
     page = _page(html, lambda: LabelPage(_title(run, "labels against the truth")))
     with progress_bars() as progress:
-        result = evaluate_labels(
-            run, truth, partial(progress, "evaluate"), page.look if page else None
-        )
+        result = evaluate_labels(run, truth, progress, page.look if page else None)
     show(result, as_json)
     _write(page, html, [result.table()])
 
@@ -124,7 +121,7 @@ def tracks(
     from docdepth.evaluation.runs import evaluate_tracks
 
     with progress_bars() as progress:
-        result = evaluate_tracks(run, truth, tracks, partial(progress, "evaluate"))
+        result = evaluate_tracks(run, truth, tracks, progress)
     show(result, as_json)
 
 
@@ -206,7 +203,7 @@ def depth(
     with progress_bars() as progress:
         result = evaluate_depth(
             run, truth, mode, max_range, camera,  # type: ignore[arg-type]
-            partial(progress, "evaluate"), page.look if page else None, other,
+            progress, page.look if page else None, other,
         )  # fmt: skip
     show(result, as_json)
     if not as_json:
@@ -258,16 +255,12 @@ def held_out(
     with progress_bars() as progress:
         result = evaluate_held_out(
             run, every, max_range, camera, threads,
-            lambda done, total: progress("held out", done, total), left_out,
+            progress, left_out,
             page.look if page else None,
         )  # fmt: skip
         folder = RunFolder.open(run)
-        sources = find_error_sources(
-            folder, lambda done, total: progress("poses and times", done, total)
-        )
-        wrong = camera_error(
-            folder, camera, max_range, lambda done, total: progress("camera", done, total)
-        )
+        sources = find_error_sources(folder, progress)
+        wrong = camera_error(folder, camera, max_range, progress)
     findings = sources.findings
     if wrong:
         findings.append(Finding("camera", "", wrong.line))

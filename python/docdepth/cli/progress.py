@@ -7,18 +7,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bars
 
 from docdepth.cli.terminal import err, volume
+from docdepth.concurrency import Progress, null_progress
 
 _PAUSE = 30.0  # a log file gets a line after so many seconds, or when a tenth more is done
 
 
 @contextmanager
-def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
+def progress_bars() -> Iterator[Progress]:
     """One progress bar per stage, with the time left; lines where output is no terminal."""
     if volume.quiet:
-        yield lambda stage, done, total: None
+        yield null_progress
         return
     if not err.is_terminal:
         yield progress_lines()
@@ -29,7 +31,7 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
         MofNCompleteColumn(),
         TimeRemainingColumn(elapsed_when_finished=True),
     )
-    with Progress(*columns, console=err) as bars:
+    with Bars(*columns, console=err) as bars:
         tasks: dict[str, Any] = {}
 
         def tell(stage: str, done: int, total: int) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -62,7 +61,7 @@ def synth(
         write_drive(
             output, scene=scene, sensor=sensor, frames=frames, seed=seed, skew=skew,
             beam_width_deg=beam_width, blooming_deg=bloom, force=force,
-            progress=lambda done, total: progress("synth", done, total),
+            progress=progress,
         )  # fmt: skip
     if not volume.quiet:
         sequence = output / "sequences" / "00"
@@ -89,8 +88,8 @@ def demo(
         sequence, folder = make(output, preset, frames, threads, progress)  # type: ignore[arg-type]
     show_summary(RunFolder(folder))
     with progress_bars() as progress:
-        labels = evaluate_labels(folder, sequence, partial(progress, "labels"))
-        depth = evaluate_depth(folder, sequence, progress=partial(progress, "depth"))
+        labels = evaluate_labels(folder, sequence, progress)
+        depth = evaluate_depth(folder, sequence, progress=progress)
     for table in (labels.table(), depth.table()):
         rows = tuple(row for row in table.rows if row[0] in _ROWS_OF_THE_DEMO)
         out.print(f"\n{replace(table, rows=rows)}", soft_wrap=True, markup=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -99,8 +98,7 @@ def tune(
         raise ConfigError("say what to vary: --vary STAGE.NAME=A,B or --trials FILE")
     sets = tuning.read_trials(trials) if trials else tuning.grid(parse_axes(vary or []), "--vary")
     with progress_bars() as progress:
-        told = partial(progress, "trials")
-        outcomes = tuning.tune(runs, judges, sets, output, jobs, threads, told)
+        outcomes = tuning.tune(runs, judges, sets, output, jobs, threads, progress)
     by = judges[0].by
     table = tuning.table(outcomes, by)
     out.print(str(table), soft_wrap=True, markup=False)

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics.alignment import Change, in_words
 from docdepth.diagnostics.edge_fit import EdgeFit, Edges, displaced, fit_edges, profiles
@@ -201,7 +202,7 @@ def edges_of_images(
     depth: Callable[[int], NDArray[np.float32]],
     trajectory: Trajectory,
     tracks: Tracks,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> RunEdges:
     """Depth edges of some images, evenly along the path.
 
@@ -219,7 +220,7 @@ def edges_of_images(
     tracks : Tracks
         Moving objects.
     progress : callable, optional
-        Called with the number of compared images and the number of all.
+        Called with ``"camera"``, the images done and their number.
     """
     times = stream.times[list(indices)]
     poses = trajectory.interpolate(times)
@@ -234,7 +235,7 @@ def edges_of_images(
         images.append(image)
         edges.append(edges_of_map(depth(indices[k]), moving))
         if progress:
-            progress(done, len(chosen))
+            progress("camera", done, len(chosen))
     return RunEdges(run, stream, [stream.names[indices[k]] for k in chosen], images, edges)
 
 

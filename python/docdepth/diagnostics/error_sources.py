@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import Finding
 from docdepth.geometry.points import DYNAMIC
@@ -75,7 +75,7 @@ _AS_IS = "as they are"
 
 
 def find_error_sources(
-    run: Path | str | RunFolder, progress: Callable[[int, int], None] | None = None
+    run: Path | str | RunFolder, progress: Progress | None = None
 ) -> ErrorSources:
     """Look for errors of poses and of motion compensation in the sweeps of a run.
 
@@ -84,7 +84,7 @@ def find_error_sources(
     run : Path, str or RunFolder
         With classified sweeps.
     progress : callable, optional
-        Called with the number of finished sweeps and the number of all.
+        Called with ``"poses and times"``, the sweeps done and their number.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def find_error_sources(
         pair = _residuals(sweeps, trajectory, index)
         pairs += [pair] if pair else []
         if progress:
-            progress(done, len(chosen))
+            progress("poses and times", done, len(chosen))
     jitter = float(np.median(np.linalg.norm(shifts, axis=1))) if shifts else np.nan
     names = pairs[0] if pairs else {}
     return ErrorSources(jitter, {n: float(np.median([pair[n] for pair in pairs])) for n in names})

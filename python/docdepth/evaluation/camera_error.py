@@ -8,13 +8,14 @@ also tells what each pixel should have shown.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress
 from docdepth.diagnostics.calibration import (
     IMAGES,
     CalibrationCheck,
@@ -67,7 +68,7 @@ def camera_error(
     run: Path | str | RunFolder,
     camera: str | None = None,
     max_depth: float = 80.0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> CameraError | None:
     """Estimate how wrong depth maps are because of their camera.
 
@@ -80,7 +81,7 @@ def camera_error(
     max_depth : float
         Pixels with a larger depth are not compared [m].
     progress : callable, optional
-        Called with the number of compared images and the number of all.
+        Called with ``"camera"``, the images done and their number.
 
     Returns
     -------
@@ -111,7 +112,7 @@ def camera_error(
 def check_calibration(
     run: Path | str | RunFolder,
     camera: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> CalibrationCheck:
     """Compare depth edges of a run with the edges of its images.
 
@@ -124,7 +125,7 @@ def check_calibration(
     camera : str, optional
         Its name; needed if the run has several.
     progress : callable, optional
-        Called with the number of compared images and the number of all.
+        Called with ``"camera"``, the images done and their number.
 
     Raises
     ------
@@ -141,7 +142,7 @@ def check_calibration(
 def edges_of_run(
     run: Path | str | RunFolder,
     camera: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> RunEdges:
     """Read what :func:`check_calibration` compares; its parameters and errors."""
     folder = RunFolder.open(run)

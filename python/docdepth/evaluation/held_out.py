@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress
 from docdepth.errors import InputError
 from docdepth.evaluation.depth import ERRORS, RANGE_BINS, RangeErrors
 from docdepth.evaluation.depth_metrics import PixelSums, RegionErrors
@@ -153,7 +154,7 @@ def evaluate_held_out(
     max_range: float = 80.0,
     camera: str | None = None,
     threads: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     left_out: LeftOut | None = None,
     look: Callable[[JudgedView], None] | None = None,
 ) -> HeldOutResult:
@@ -177,7 +178,7 @@ def evaluate_held_out(
     threads : int
         0 uses all cores. The result does not depend on it.
     progress : callable, optional
-        Called with the number of finished sweeps and the number of all held-out sweeps.
+        Called with ``"held out"``, the sweeps done and their number.
     left_out : LeftOut, optional
         Beams of the sweep, or a LiDAR of the rig in all sweeps; the whole sweep if left out.
     look : callable, optional
@@ -211,7 +212,7 @@ def evaluate_held_out(
         if look:
             look(view)
         if progress:
-            progress(done + 1, len(judged))
+            progress("held out", done + 1, len(judged))
     return sums.result(str(left_out or LeftOut()))
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress
 from docdepth.datasets import open_dataset
 from docdepth.errors import DatasetError
 from docdepth.evaluation.depth import DepthEvaluation, DepthResult, Mode
@@ -75,7 +76,7 @@ class JudgedImage:
 def evaluate_labels(
     run: Path | str | RunFolder,
     labels: Path,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     look: Callable[[JudgedSweep], None] | None = None,
 ) -> LabelResult:
     """Compare the classes of a run with SemanticKITTI labels.
@@ -90,7 +91,7 @@ def evaluate_labels(
         Folder of ``NAME.label`` files, or its parent with a folder ``labels``. A folder ``speeds``
         beside it (``NAME.npy``, speed of each point in m/s) separates standing from moving objects.
     progress : callable, optional
-        Called with the number of finished sweeps and the number of all sweeps.
+        Called with ``"labels"``, the sweeps done and their number.
     look : callable, optional
         Called with each :class:`JudgedSweep`.
 
@@ -119,7 +120,7 @@ def evaluate_labels(
             flags = moving(true), ~ignored(true)
             look(JudgedSweep(record.name, record.points, classid, *flags))
         if progress:
-            progress(index + 1, len(times))
+            progress("labels", index + 1, len(times))
     return evaluation.result()
 
 
@@ -127,7 +128,7 @@ def evaluate_tracks(
     run: Path | str | RunFolder,
     labels: Path,
     tracks: Path | Sequence[Track] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> TrackResult:
     """Compare the instances and tracks of a run with true ones.
 
@@ -142,7 +143,7 @@ def evaluate_tracks(
         True tracks; ``tracks.csv`` beside the folder of labels if left out. Without such a file
         boxes are not compared.
     progress : callable, optional
-        Called with the number of finished sweeps and the number of all sweeps.
+        Called with ``"tracks"``, the sweeps done and their number.
 
     Raises
     ------
@@ -177,7 +178,7 @@ def evaluate_tracks(
             T_made_lidar=trajectory.poses[index],
         )
         if progress:
-            progress(index + 1, len(trajectory))
+            progress("tracks", index + 1, len(trajectory))
     return evaluation.result()
 
 
@@ -205,7 +206,7 @@ def evaluate_depth(
     mode: Mode = "valid",
     max_range: float = 80.0,
     camera: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     look: Callable[[JudgedImage], None] | None = None,
     other: Path | None = None,
 ) -> DepthResult:
@@ -227,7 +228,7 @@ def evaluate_depth(
     camera : str, optional
         Name of the camera; needed if the run has several.
     progress : callable, optional
-        Called with the number of compared depth maps and the number of all.
+        Called with ``"depth"``, the depth maps done and their number.
     look : callable, optional
         Called with each :class:`JudgedImage`.
     other : Path, optional
@@ -263,7 +264,7 @@ def evaluate_depth(
             look(JudgedImage(name, made, true))
         ratios.append(_ratio(made, true))
         if progress:
-            progress(done, len(truth.maps))
+            progress("depth", done, len(truth.maps))
     ratio = float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else 1.0
     if not 1 / _OTHER_SCALE < ratio < _OTHER_SCALE:
         log.warning(

@@ -7,7 +7,7 @@ where points are seen, depends on the offset. The offset is the one that fits wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics.map_edges import pixels_of_tracks
 from docdepth.diagnostics.sweeps import spread
@@ -111,7 +112,7 @@ class TimeOffset:
 def time_offset(
     run: Path | str | RunFolder,
     camera: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> TimeOffset:
     """Estimate what is to be added to the times of the images of a run.
 
@@ -122,7 +123,7 @@ def time_offset(
     camera : str, optional
         Its name; needed if the run has several.
     progress : callable, optional
-        Called with the number of finished windows and the number of all.
+        Called with ``"time offset"``, the windows done and their number.
 
     Raises
     ------
@@ -156,7 +157,7 @@ def _windows(
     folder: RunFolder,
     stream: CameraStream,
     maps: dict[str, Path],
-    progress: Callable[[int, int], None] | None,
+    progress: Progress | None,
 ) -> list[Window]:
     """Points followed from some images, none of which are followed at the same time."""
     trajectory, times = folder.trajectory(), stream.times
@@ -184,7 +185,7 @@ def _windows(
         depth = read_depth(maps[stream.names[first]])
         windows.append(Window(time, int(times[last]), start, end, depth))
         if progress:
-            progress(done, len(chosen))
+            progress("time offset", done, len(chosen))
     return windows
 
 

@@ -9,12 +9,13 @@ drift over the path. Without a find all poses stay as they are.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress
 from docdepth.geometry.se3 import inverse, se3_log
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.places import Placed, Places, locate
@@ -47,8 +48,6 @@ _SAME_TURN, _SAME_SHIFT = 0.01, 0.2  # radians, metres; and per metre of path be
 _STEP_DRIFT = 0.01
 _COMPANIONS = 2  # finds around one that tell its drift
 _MISFIT = 3.0  # standard deviations that a closure may be off in the end, or times the median
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)

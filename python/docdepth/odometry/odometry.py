@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import logging
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from docdepth.concurrency import thread_count
+from docdepth.concurrency import Progress, thread_count
 from docdepth.config import OdometryParameters, Parameters, given
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.up_axis import LEVEL_DEG, ground_of
@@ -47,9 +47,6 @@ from docdepth.odometry.smoothing import LAG, smoothed
 from docdepth.odometry.sweeps import FINE_SAMPLING, DeskewedSweeps, ThinnedSweeps
 
 log = logging.getLogger(__name__)
-
-Progress = Callable[[str, int, int], None]
-"""Called with the step, the sweeps done and their number."""
 
 PASSES = 2
 """Registrations of the whole drive: one finds the poses, the other refines them. A third makes no

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress
 from docdepth.errors import DatasetError
 from docdepth.geometry.se3 import inverse
 from docdepth.io.tracks import TRACKS, write_tracks
@@ -44,7 +44,7 @@ def write_drive(
     images: bool = True,
     beam_width_deg: float = 0.0,
     blooming_deg: float = 0.0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     force: bool = False,
 ) -> Path:
     """Make a synthetic drive and write it to ``out/sequences/00``.
@@ -72,7 +72,7 @@ def write_drive(
         Ghost returns appear around retro-reflectors, up to this angle from them [deg]. They have
         class 1, outlier.
     progress : callable, optional
-        Called with the number of finished sweeps and the number of all sweeps.
+        Called with ``"synth"``, the sweeps done and their number.
     force : bool
         Replace the synthetic drive that is in ``out``. Files that are not of it stay.
 
@@ -111,7 +111,7 @@ def write_drive(
         if images and k + 1 < frames:
             _write_image(folder, drive, k)
         if progress is not None:
-            progress(k + 1, frames)
+            progress("synth", k + 1, frames)
     if images:
         _write_camera(folder, drive)
     tracks = [replace(track, points=returns[:, track.id]) for track in drive.tracks()]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from docdepth._core import __version__
+from docdepth.concurrency import Progress, null_progress
 from docdepth.config import Parameters
 from docdepth.errors import ConfigError, RunError
 from docdepth.io.atomic import write_atomically
@@ -34,7 +35,7 @@ def tune(
     out: Path,
     jobs: int = 1,
     threads: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Outcome]:
     """Make runs again with each parameter set, and score each.
 
@@ -56,7 +57,7 @@ def tune(
     threads : int
         Threads per trial; 0 uses all cores.
     progress : callable, optional
-        Called with the number of finished trials and the number of all trials.
+        Called with ``"trials"``, the trials done and their number.
 
     Returns
     -------
@@ -177,15 +178,13 @@ class _Task:
             path.parent.rmdir()  # unless it holds another trial
 
 
-def _run_tasks(
-    tasks: list[_Task], jobs: int, total: int, progress: Callable[[int, int], None] | None
-) -> None:
-    report, before = progress or (lambda done, total: None), total - len(tasks)
-    report(before, total)
+def _run_tasks(tasks: list[_Task], jobs: int, total: int, progress: Progress | None) -> None:
+    report, before = progress or null_progress, total - len(tasks)
+    report("trials", before, total)
     if jobs <= 1 or len(tasks) <= 1:
         for k, task in enumerate(tasks, 1):
             task()
-            report(before + k, total)
+            report("trials", before + k, total)
         return
     # Spawned, not forked: a fork of a process with running threads can deadlock.
     with ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn")) as pool:
@@ -193,7 +192,7 @@ def _run_tasks(
         try:
             for k, future in enumerate(as_completed(futures), 1):
                 future.result()
-                report(before + k, total)
+                report("trials", before + k, total)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import MissingExtraError, RunError
 from docdepth.geometry.camera import Camera
@@ -61,7 +61,7 @@ def write_rerun(
     camera: str | None = None,
     color: Coloring = "class",
     stream: CameraStream | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Write a run as ``.rrd`` file: ``rerun FILE.rrd`` shows it.
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.concurrency import Progress
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
 from docdepth.geometry.track import Tracks
@@ -30,7 +31,7 @@ def write_video(
     folder: str = "",
     stream: CameraStream | None = None,
     fps: float | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Write the depth maps of a camera to ``report/video.webm``, in order of time.
 
@@ -88,7 +89,7 @@ def write_video(
 def write_video_from_above(
     run: RunFolder,
     fps: float | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Write the sweeps from above, with classes and tracks, to ``report/above.webm``.
 
@@ -162,7 +163,7 @@ def _write(
     count: int,
     fps: float,
     key: dict[str, str],
-    progress: Callable[[str, int, int], None] | None,
+    progress: Progress | None,
 ) -> Path:
     """Encode frames to a video of a run."""
     part = path.with_name(f".{path.stem}.part.webm")
