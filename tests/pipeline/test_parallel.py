@@ -26,6 +26,7 @@ from docdepth.config import Parameters
 from docdepth.errors import ConfigError, DamagedFileError, DatasetError, RunError, SeveralProblems
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import parallel
+from docdepth.pipeline.execution import Execution
 from docdepth.pipeline.parallel import ChunkContext, WorkerPool
 from docdepth.pipeline.run import run
 from docdepth.pipeline.run_all import run_all
@@ -227,9 +228,9 @@ def test_each_job_is_counted_in_the_memory_that_a_run_needs(drive: Path, tmp_pat
 
 def test_jobs_and_a_scheduler_exclude_each_other() -> None:
     with pytest.raises(ConfigError, match="give one of them"):
-        WorkerPool(jobs=2, scheduler="tcp://127.0.0.1:1")
-    with pytest.raises(ConfigError, match="from 1 on"):
-        WorkerPool(jobs=0)
+        Execution(jobs=2, scheduler="tcp://127.0.0.1:1")
+    with pytest.raises(ConfigError, match="jobs is 0"):
+        Execution(jobs=0)
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

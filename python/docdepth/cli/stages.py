@@ -122,10 +122,8 @@ def _run_all(
     from docdepth.cli.failures import BUG, MISTAKE, explain
     from docdepth.pipeline.run_all import run_all
 
-    options = vars(execution) | inputs
     with progress_bars() as progress:
-        options |= {"parameters": values, "progress": progress}
-        ended = run_all(options.pop("recording"), output, **options)
+        ended = run_all(RunInputs(**inputs), output, values, execution.but(progress=progress))
     failed = {one.recording: one.error for one in ended if one.error is not None}
     told = {place: explain(error) for place, error in failed.items()}
     said = {place: str(known.sentence if known else failed[place]) for place, known in told.items()}

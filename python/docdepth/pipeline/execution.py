@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from docdepth.concurrency import Progress
+from docdepth.errors import ConfigError
 from docdepth.io.inputs import Checked
 from docdepth.io.manifest import Keep
 from docdepth.pipeline.parallel import WorkerPool
@@ -70,6 +71,14 @@ class Execution(Checked):
         False, description="Check all inputs and tell what would be made; make nothing."
     )
     progress: Progress | None = None
+
+    @model_validator(mode="after")
+    def _one_kind_of_workers(self) -> Execution:
+        if self.scheduler is not None and self.jobs > 1:
+            raise ConfigError(
+                "`jobs` are for this machine, `scheduler` for a cluster", "give one of them"
+            )
+        return self
 
     def workers(self) -> WorkerPool:
         """Who does the work."""

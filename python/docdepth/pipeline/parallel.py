@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from docdepth._core import __version__
 from docdepth.concurrency import Timer, map_unordered, thread_count
-from docdepth.errors import ConfigError, MissingExtraError, RunError
+from docdepth.errors import MissingExtraError, RunError
 from docdepth.io.recorded_folder import HandedFile
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.stage import recorded_warnings
@@ -89,20 +89,9 @@ class WorkerPool:
         Processes of this machine; 1 for this one alone.
     scheduler : str, optional
         Address of a Dask scheduler, whose workers do the work.
-
-    Raises
-    ------
-    ConfigError
-        Both jobs and a scheduler are given.
     """
 
     def __init__(self, threads: int = 0, jobs: int = 1, scheduler: str | None = None) -> None:
-        if jobs < 1:
-            raise ConfigError(f"`jobs` is {jobs}", "give a number from 1 on")
-        if scheduler is not None and jobs > 1:
-            raise ConfigError(
-                "`jobs` are for this machine, `scheduler` for a cluster", "give one of them"
-            )
         self.threads, self.jobs, self.scheduler = threads, jobs, scheduler
         self._client: Any = None
         self._executor: Executor | None = None

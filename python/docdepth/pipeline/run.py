@@ -90,7 +90,7 @@ def run(
     DocDepthError
         An input is missing or damaged, or the folder holds another run.
     """
-    inputs, execution = _arguments(inputs, execution, options)
+    inputs, execution = models_of(inputs, execution, options)
     values, place = parameters or Parameters(), Path(output)
     begun = RunFolder(place).manifest
     inputs = _as_begun(inputs, begun.inputs)
@@ -114,7 +114,7 @@ def run(
     return folder
 
 
-def _arguments(
+def models_of(
     inputs: RunInputs | Path | str, execution: Execution | None, options: dict[str, Any]
 ) -> tuple[RunInputs, Execution]:
     """Both models, with the fields that were named one by one."""

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import logging
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from docdepth.concurrency import Progress, null_progress
+from docdepth.concurrency import null_progress
+from docdepth.config import Parameters
 from docdepth.datasets import find_recordings, open_dataset
 from docdepth.errors import ConfigError, DatasetError, DocDepthError, RunError
+from docdepth.io.inputs import RunInputs
+from docdepth.pipeline.execution import Execution
 from docdepth.pipeline.memory import bytes_of
 from docdepth.pipeline.parallel import WorkerPool
-from docdepth.pipeline.run import run
+from docdepth.pipeline.run import models_of, run
 from docdepth.pipeline.virtual_camera import parse_size
 
 log = logging.getLogger(__name__)
@@ -39,13 +42,10 @@ class RecordingResult:
 
 
 def run_all(
-    root: Path | str,
+    inputs: RunInputs | Path | str,
     output: Path | str,
-    *,
-    threads: int = 0,
-    jobs: int = 1,
-    scheduler: str | None = None,
-    progress: Progress | None = None,
+    parameters: Parameters | None = None,
+    execution: Execution | None = None,
     **options: Any,
 ) -> list[RecordingResult]:
     """Turn every recording below a folder into depth maps, the longest first.
@@ -55,11 +55,11 @@ def run_all(
 
     Parameters
     ----------
-    root : Path
-        A folder with recordings below it.
+    inputs : RunInputs or Path
+        As for :func:`docdepth.pipeline.run.run`, with a folder of recordings as recording.
     output : Path
         The run of ROOT/SOME/RECORDING is in OUTPUT/SOME/RECORDING.
-    threads, jobs, scheduler, progress, **options
+    parameters, execution, **options
         As for :func:`docdepth.pipeline.run.run`. ``progress`` also gets the recordings that are
         done.
 
@@ -73,34 +73,41 @@ def run_all(
     DatasetError
         There is no recording below the folder.
     """
-    places = _longest_first(Path(root), Path(output), options)
-    folders = [Path(output) / place.relative_to(Path(root)) for place in places]
-    report = progress or null_progress
+    inputs, execution = models_of(inputs, execution, options)
+    root, output = inputs.recording, Path(output).resolve()
+    places = _longest_first(inputs, output)
+    folders = [output / place.relative_to(root) for place in places]
+    pairs = list(zip(places, folders, strict=True))
+    report = execution.progress or null_progress
     ended: dict[int, RecordingResult] = {}
     report("recordings", 0, len(places))
-    with WorkerPool(threads, jobs, scheduler) as workers:
+    with execution.workers() as workers:
         if not workers.inline and len(places) >= workers.count:
-            alone = {**options, "threads": workers.threads_each(len(places))}
-            if options.get("memory") is not None and scheduler is None:
-                alone["memory"] = str(bytes_of(options["memory"]) // jobs)
-            found = _whole_runs(workers, places, folders, alone)
+            alone = _for_one_worker(execution, workers.threads_each(len(places)))
+            found = _whole_runs(workers, pairs, partial(_run_one, inputs, parameters, alone))
         else:
-            shared = {"threads": threads, "jobs": jobs, "scheduler": scheduler}
-            one = partial(_run_one, options={**options, **shared, "progress": progress})
-            found = enumerate(map(one, zip(places, folders, strict=True)))
+            found = enumerate(map(partial(_run_one, inputs, parameters, execution), pairs))
         for number, error in found:
             ended[number] = RecordingResult(places[number], folders[number], error)
             report("recordings", len(ended), len(places))
     return [ended[number] for number in range(len(places))]
 
 
-def _longest_first(root: Path, output: Path, options: dict[str, Any]) -> list[Path]:
+def _for_one_worker(execution: Execution, threads: int) -> Execution:
+    """How a worker makes a whole run by itself."""
+    memory = execution.memory
+    if memory is not None and execution.scheduler is None:
+        memory = str(bytes_of(memory) // execution.jobs)
+    return execution.but(threads=threads, jobs=1, scheduler=None, memory=memory, progress=None)
+
+
+def _longest_first(inputs: RunInputs, output: Path) -> list[Path]:
     """The recordings below a folder, without runs that are made there."""
-    made = output.resolve()
+    root = inputs.recording
     found = [
         place
-        for place in find_recordings(root, options.get("dataset"))
-        if made not in (place.resolve(), *place.resolve().parents)
+        for place in find_recordings(root, inputs.dataset)
+        if output not in (place.resolve(), *place.resolve().parents)
     ]
     if not found:
         raise DatasetError(f"there is no recording below {root}; name another folder")
@@ -108,38 +115,44 @@ def _longest_first(root: Path, output: Path, options: dict[str, Any]) -> list[Pa
         raise ConfigError(
             f"{root} is a recording itself", f"run it alone: `docdepth.run({str(root)!r}, RUN)`"
         )
-    lengths = {place: _length(place, options) for place in found}
+    lengths = {place: _length(place, inputs) for place in found}
     return sorted(found, key=lambda place: -lengths[place])
 
 
-def _length(place: Path, options: dict[str, Any]) -> int:
+def _length(place: Path, inputs: RunInputs) -> int:
     """Sweeps of a recording; 0 if it does not open, which its run explains."""
-    size = parse_size(options.get("image_size"))
+    size = parse_size(inputs.image_size)
     try:
-        return len(open_dataset(place, options.get("dataset"), size, options.get("frames")))
+        return len(open_dataset(place, inputs.dataset, size, inputs.frames))
     except DocDepthError:
         return 0
 
 
 def _whole_runs(
-    workers: WorkerPool, places: list[Path], folders: list[Path], options: dict[str, Any]
+    workers: WorkerPool,
+    pairs: list[tuple[Path, Path]],
+    run_one: Callable[[tuple[Path, Path]], Exception | None],
 ) -> Iterator[tuple[int, Exception | None]]:
     """Number and error of each run, as they end."""
-    left = set(range(len(places)))
-    pairs = [(p.absolute(), f.absolute()) for p, f in zip(places, folders, strict=True)]
+    left = set(range(len(pairs)))
     try:
-        for number, error in workers.map(partial(_run_one, options=options), pairs):
+        for number, error in workers.map(run_one, pairs):
             left.remove(number)
             yield number, error
     except RunError as error:  # a worker has died
         yield from ((number, error) for number in left)
 
 
-def _run_one(place: tuple[Path, Path], options: dict[str, Any]) -> Exception | None:
+def _run_one(
+    inputs: RunInputs,
+    parameters: Parameters | None,
+    execution: Execution,
+    pair: tuple[Path, Path],
+) -> Exception | None:
     """Run a recording into a folder; what stopped it."""
-    recording, folder = place
+    recording, folder = pair
     try:
-        run(recording, folder, **options)
+        run(inputs.but(recording=recording), folder, parameters, execution)
     except (DocDepthError, OSError, MemoryError) as error:
         log.warning("%s failed: %s", recording, error)
         return error
